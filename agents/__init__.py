@@ -1,8 +1,8 @@
-"""Agents: training and evaluation of policies on the environments, with Stable-Baselines3."""
+"""Training of policies on the environments with Stable-Baselines3: settings, runs, imitation, search."""
 
 from importlib.util import find_spec
 
-from flexman_gym.common import renamed  # noqa: F401  finds modules under their old names
+from flexman_gym.common import renamed  # noqa: F401  modules of release 0.2 are found under their old names
 
 TRAINING_PACKAGES = ("stable_baselines3", "torch", "rich", "tqdm", "tensorboard")
 

@@ -1,4 +1,4 @@
-"""Callbacks of a training: exploration, checkpoints, evaluation, learning curves and interruption."""
+"""Training callbacks: exploration schedule, checkpoints, evaluation, learning curves and interruption by Ctrl-C."""
 
 import csv
 import math
@@ -18,7 +18,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from flexman_agents.settings import Schedule, Settings
 from flexman_gym.common.checks import is_decimal_integer
-from flexman_gym.common.renamed import deprecated_names
+from flexman_gym.common.renamed import deprecated_names, warn_deprecated
 from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.control.agent import Law
 from flexman_gym.evaluation.agent import AgentSpec, split_interface
@@ -27,35 +27,35 @@ from flexman_gym.evaluation.rollout import SELECTION_SEEDS
 
 
 class Interrupted(Exception):
-    """A training was asked to stop; the run is kept and can go on."""
+    """Training stopped by Ctrl-C; the run is saved and can be resumed."""
 
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[threading.Event]:
-    """An event that Ctrl-C sets; pressed again it interrupts at once."""
-    asked = threading.Event()
+    """Yield an event that Ctrl-C sets; a second Ctrl-C interrupts at once."""
+    stop_requested = threading.Event()
     if threading.current_thread() is not threading.main_thread():
-        yield asked  # only the main thread hears signals
+        yield stop_requested  # only the main thread receives signals
         return
 
-    def hear(number: int, frame: object) -> None:
-        if asked.is_set():
+    def handle(number: int, frame: object) -> None:
+        if stop_requested.is_set():
             raise KeyboardInterrupt
-        asked.set()
-        print("Stopping after this rollout; press Ctrl-C again to lose it.", file=sys.stderr)
+        stop_requested.set()
+        print("Stopping after this rollout; press Ctrl-C again to stop at once without it.", file=sys.stderr)
 
-    before = signal.signal(signal.SIGINT, hear)
+    previous = signal.signal(signal.SIGINT, handle)
     try:
-        yield asked
+        yield stop_requested
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, previous)
 
 
-STEPS_COLUMN = "time/total_timesteps"  # the column that Stable-Baselines3 counts in
+STEPS_COLUMN = "time/total_timesteps"  # actions of all arms together; name of Stable-Baselines3
 
 
 class _Events(TensorBoardOutputFormat):
-    """TensorBoard events of a folder; those from `steps` on that an earlier process wrote are hidden."""
+    """TensorBoard writer for a folder, which hides events from `steps` on of an earlier process."""
 
     def __init__(self, folder: Path, steps: int) -> None:
         self.writer = SummaryWriter(str(folder), purge_step=steps)
@@ -63,24 +63,29 @@ class _Events(TensorBoardOutputFormat):
 
 
 def open_logger(folder: Path, before: int, steps: int) -> Logger:
-    """Opens the curves of a run that goes on after `steps`, the run in the folder before it having taken `before`.
+    """Open the learning curves of a run that continues after some steps.
 
-    They are in progress-N.csv for N = before + steps > 0, else in progress.csv. Rows of the same run from there on,
-    which a process wrote that did not keep its steps, are taken out of the earlier files. Events of another run are in
-    a folder of their own.
+    The rows go to progress.csv, or to progress-N.csv with N = `before` + `steps` where that is positive. Rows beyond N
+    in the earlier files of the same run are removed: they belong to steps that were lost when a process was killed.
+    TensorBoard events of a further run go to a subfolder.
+
+    Args:
+        folder: folder of the run.
+        before: steps of all earlier runs in the folder.
+        steps: steps of this run so far.
     """
     for path in folder.glob("progress*.csv"):
         first = path.stem.removeprefix("progress").removeprefix("-") or "0"
         if is_decimal_integer(first) and before <= int(first) < before + steps and not path.is_symlink():
             _cut(path, steps)
     path = folder / (f"progress-{before + steps}.csv" if before + steps else "progress.csv")
-    path.unlink(missing_ok=True)  # it may be a link to a file of somebody's
+    path.unlink(missing_ok=True)  # it may be a link to a file outside the folder
     events = folder / f"after-{before}" if before else folder
     return Logger(str(folder), [CSVOutputFormat(str(path)), _Events(events, steps)])
 
 
 def _cut(path: Path, steps: int) -> None:
-    """Takes the rows after so many steps out of a file."""
+    """Remove the rows after the given number of steps from a file."""
     names, *rows = [*read_csv_rows(path)] or [[]]
     if STEPS_COLUMN not in names:
         return
@@ -91,30 +96,43 @@ def _cut(path: Path, steps: int) -> None:
 
 
 CURVE_METRICS = ("settling_time", "vibration", "error", "reward", "settled", "roughness", "failed")
-WARNING_DROP = 0.2  # share of settled episodes that may be lost before a warning
+WARNING_DROP = 0.2  # 1; decrease of the share of settled episodes that causes a warning
 
 
 class TrainingReport(NamedTuple):
-    """What a hook is told where a rollout begins, and at the end.
+    """Progress of a training, passed to the hook at the start of each rollout and at the end.
 
     Attributes:
-        steps: that have been taken.
-        figures: of the last evaluation on selection seeds, by name as of `fm.evaluate`; empty before there was one.
-        save: writes the run into its folder as it is now, from which `resume` goes on.
+        steps: steps so far, actions of all arms together.
+        metrics: metrics of the latest evaluation on the selection seeds, by name as in `fm.evaluate`; empty before the
+            first one.
+        save: function that saves the run in its folder, from where `resume` continues it.
     """
 
     steps: int
-    figures: Mapping[str, float]
+    metrics: Mapping[str, float]
     save: Callable[[], None]
+
+    @property
+    def figures(self) -> Mapping[str, float]:
+        """Old name of `metrics`."""
+        warn_deprecated("TrainingReport.figures is TrainingReport.metrics now")
+        return self.metrics
 
 
 Hook = Callable[[TrainingReport], bool | None]
+"""Function called with the progress of a training; the training stops when it returns True."""
 
 
 class Exploration(BaseCallback):
-    """Sets the exploration by a schedule, or a mapping of one.
+    """Exploration that follows a schedule over the training.
 
-    For PPO that is the logarithm of the standard deviation, which is then not learned; for SAC the entropy it aims at.
+    For PPO the schedule sets the logarithm of the standard deviation of the actions, which is then not learned; for SAC
+    it sets the target entropy.
+
+    Args:
+        schedule: schedule, or a mapping with its start, end and until.
+        steps: steps of the training.
     """
 
     def __init__(self, schedule: Schedule | Mapping[str, float], steps: int) -> None:
@@ -139,7 +157,11 @@ class Exploration(BaseCallback):
 
 
 class ValueWarmup(BaseCallback):
-    """Lets the value function of PPO learn alone at first: while it says nothing, a policy learns noise from it."""
+    """Warm-up of PPO's value function: the policy is fixed at first, as advantages of an untrained critic are noise.
+
+    Args:
+        steps: steps during which only the value function is updated.
+    """
 
     def __init__(self, steps: int) -> None:
         super().__init__()
@@ -155,22 +177,27 @@ class ValueWarmup(BaseCallback):
 
 
 class Checkpoints(BaseCallback):
-    """Saves the run where a rollout begins: every so many steps, and when it is asked to stop, which it then does.
+    """Checkpoints at the start of rollouts: periodically, and when the training is to stop, which then ends.
+
+    Args:
+        every: steps between checkpoints; 0 for none.
+        save: function that saves the run.
+        stop_requested: function that returns True when the training is to stop.
 
     Attributes:
-        stopped: the steps after which it has stopped; None as long as it goes on.
+        stopped: steps after which the training was stopped; None while it continues.
     """
 
-    def __init__(self, every: int, save: Callable[[], None], asked: Callable[[], bool]) -> None:
+    def __init__(self, every: int, save: Callable[[], None], stop_requested: Callable[[], bool]) -> None:
         super().__init__()
-        self._every, self._save, self._asked = every, save, asked
+        self._every, self._save, self._stop_requested = every, save, stop_requested
         self.stopped: int | None = None
 
     def _on_training_start(self) -> None:
         self._next = self.num_timesteps + self._every
 
     def _on_rollout_start(self) -> None:
-        if self._asked():
+        if self._stop_requested():
             self._save()
             self.stopped = self.model.num_timesteps
         elif self._every and self.model.num_timesteps >= self._next:
@@ -182,28 +209,33 @@ class Checkpoints(BaseCallback):
 
 
 class Evaluation(BaseCallback):
-    """Evaluates the policy without noise on selection seeds, at the end too, and keeps the best one.
+    """Evaluation of the deterministic policy on the selection seeds, periodically and at the end; saves the best one.
 
-    The best has the highest mean reward, which tells more in a hundred episodes than the share that settles. A line on
-    stderr says so when a policy settles much less often than the best.
+    The best policy is the one with the highest mean reward, which over a hundred episodes is a better criterion than
+    the share of settled episodes. A warning is printed when a policy settles much less often than the best one.
+
+    Args:
+        settings: settings of the run.
+        law: deterministic policy, observations to actions.
+        save_best: function that saves the policy as the best one.
 
     Attributes:
-        latest: figures of the last evaluation.
+        latest: metrics of the latest evaluation.
     """
 
     kept = ("_best", "_next", "_warned")
 
-    def __init__(self, settings: Settings, law: Law, keep: Callable[[], None]) -> None:
+    def __init__(self, settings: Settings, law: Law, save_best: Callable[[], None]) -> None:
         super().__init__()
         self._environment, interface = split_interface(settings.environment)
-        self._entrant = AgentSpec("training", law, interface)
-        self._every, self._last, self._keep = settings.judge_every, settings.steps, keep
-        self._best = [-math.inf, 0.0]  # reward, and share that settled
+        self._agent = AgentSpec("training", law, interface)
+        self._every, self._last, self._save_best = settings.eval_every, settings.steps, save_best
+        self._best = [-math.inf, 0.0]  # mean reward, share of settled episodes
         self.latest: Mapping[str, float] = {}
         self.begin()
 
     def begin(self) -> None:
-        """Counts steps from zero again."""
+        """Restart the count of steps."""
         self._next, self._warned = self._every, False
 
     def _on_step(self) -> bool:
@@ -212,26 +244,26 @@ class Evaluation(BaseCallback):
     def _on_rollout_end(self) -> None:
         if self.num_timesteps >= self._next:
             self._next = self.num_timesteps + self._every
-            self._compare()
+            self._evaluate()
 
     def _on_training_end(self) -> None:
-        if self.num_timesteps >= self._last:  # and not stopped before
-            self._compare()
+        if self.num_timesteps >= self._last:  # not stopped earlier
+            self._evaluate()
 
-    def _compare(self) -> None:
-        """Evaluates the policy as it is and keeps it where it is the best."""
-        self.latest = result = evaluate(self._entrant, self._environment, SELECTION_SEEDS)
+    def _evaluate(self) -> None:
+        """Evaluate the current policy and save it if it is the best so far."""
+        self.latest = result = evaluate(self._agent, self._environment, SELECTION_SEEDS)
         for name in CURVE_METRICS:
             unit = METRICS[name].unit
             self.logger.record(f"selection/{name}_{unit}" if unit else f"selection/{name}", result[name])
         if result["reward"] > self._best[0]:
             self._best, self._warned = [result["reward"], result["settled"]], False
-            self._keep()
+            self._save_best()
         elif result["settled"] < self._best[1] - WARNING_DROP and not self._warned:
             self._warned = True
             share = f"{result['settled']:.0%} settle instead of {self._best[1]:.0%}"
-            said = f"after {self.num_timesteps} steps the policy is worse than before: {share}; the best one is kept"
-            print(said, file=sys.stderr)
+            text = f"after {self.num_timesteps} steps the policy is worse than before: {share}; the best one is kept"
+            print(text, file=sys.stderr)
 
 
 __getattr__ = deprecated_names(__name__)

@@ -1,4 +1,4 @@
-"""DAgger: the student acts, the teacher labels the visited states."""
+"""Imitation learning by DAgger: the student acts, and the teacher labels the states that it visits."""
 
 import sys
 import time
@@ -29,46 +29,44 @@ from flexman_gym.evaluation.agent import AgentSpec, observation_layout, split_in
 from flexman_gym.evaluation.agent_info import TIME_COLUMN
 from flexman_gym.evaluation.rollout import Rollout, rollout, training_seed
 
-BETA = (1.0, 0.5, 0.25)  # share of the arms that the teacher leads, in the first rounds
-ACTION_SCALE = 10.0  # of actions while they are learned: most are small beside 1
-WEIGHT_FLOOR, MAX_WEIGHT = (
-    0.15,
-    10.0,
-)  # beside the mean size of actions of an instant, by which it is weighed; largest weight
-EMA_DECAY = 0.995  # of the weights that act, after each step
-MAX_GRADIENT_NORM = 5.0  # norm of a gradient
+BETA = (1.0, 0.5, 0.25)  # 1; share of the arms that the teacher controls in the first iterations, 0 in later ones
+ACTION_SCALE = 10.0  # 1; factor on the labels of the network, as most actions are small compared with 1
+WEIGHT_FLOOR = 0.15  # 1; added to the mean magnitude of the scaled labels, whose inverse square weighs a sample
+MAX_WEIGHT = 10.0  # 1; largest weight of a sample relative to the mean weight
+EMA_DECAY = 0.995  # 1; decay per step of the averaged network parameters, which are the policy
+MAX_GRADIENT_NORM = 5.0  # 1; norm to which a gradient is clipped
 
 
 class _StudentMode:
-    """Action mode of a student, with a teacher that labels the states that it visits.
+    """Action mode of a student, with a teacher that labels the visited states.
 
-    The environment's agent observes, keeps a history and repeats actions; the law of the student gives its commands.
+    The agent of the environment observes, keeps the history and repeats actions; `law` is the policy of the student.
 
     Args:
-        network: of the student.
-        mode: action mode of torques, made with its base.
-        strength: part of a torque limit that a command of 1 adds, of every joint or of each (n,).
-        teacher: controller made for the same arm.
+        network: network of the student.
+        mode: action mode with torques, made with its base controller.
+        strength: share of the torque limit that an action of 1 adds, for all joints or for each one (n,).
+        teacher: controller designed for the same arm.
 
     Attributes:
-        led: (b,) arms that the teacher leads.
-        notes: of each instant at which a command begins: the observations (b, size), the commands (b, n) with which the
-            motors would get the torques of the teacher, and which arms (b,) are playing.
+        teacher_acts: (b,) arms that the teacher controls.
+        samples: for each action, the observations (b, size), the labels (b, n) and the active arms (b,); a label is the
+            action that would give the motors the torques of the teacher.
     """
 
     def __init__(self, network: Network, mode: ActionMode, strength: float | Array, teacher: Controller) -> None:
         self.network, self._mode, self._strength, self._teacher = network, mode, strength, teacher
         self.joints, self.names, self.sensors = mode.joints, mode.names, (*mode.sensors, *teacher.sensors)
         self.shown: Mapping[str, int] = getattr(mode, "shown", {})
-        self.led: BoolArray = np.zeros(0, dtype=bool)
+        self.teacher_acts: BoolArray = np.zeros(0, dtype=bool)
         self._observations: NDArray[np.float32] | None = None
-        self.notes: list[tuple[NDArray[np.float32], Array, BoolArray]] = []
+        self.samples: list[tuple[NDArray[np.float32], Array, BoolArray]] = []
 
     def __deepcopy__(self, memo: object) -> "_StudentMode":
-        return self  # a rollout copies what acts; this one keeps its notes, and the teacher its designs
+        return self  # a rollout copies its agent; the samples and the designs of the teacher stay in this object
 
     def law(self, observations: NDArray[np.float32]) -> Array:
-        """Return the commands (b, n) of the student for observations (b, size)."""
+        """Return the actions (b, n) of the student for observations (b, size)."""
         self._observations = observations
         return self.network(observations)
 
@@ -77,25 +75,25 @@ class _StudentMode:
         self._teacher.reset(arms, episode, count)
         self._mode.reset(arms, episode, count)
 
-    def look(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        """Return what the mode shows the student, (b, size)."""
-        shown: Array = self._mode.look(readings, applied, playing)  # type: ignore[attr-defined]
-        return shown
+    def look(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the observations (b, size) that the action mode adds."""
+        result: Array = self._mode.look(readings, applied, active)  # type: ignore[attr-defined]
+        return result
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        """Return the torques (b, n) of the teacher where it leads, of the student elsewhere, parts of the limits."""
-        wanted = np.clip(self._teacher.act(readings, applied, playing), -1.0, 1.0)
-        asked = self._mode.act(actions, readings, applied, playing)
+    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the torques (b, n) of the teacher or the student, as fractions of the limits."""
+        teacher = np.clip(self._teacher.act(readings, applied, active), -1.0, 1.0)
+        student = self._mode.act(actions, readings, applied, active)
         if self._observations is not None:
-            better = actions + (wanted - asked) / self._strength
-            self.notes.append((self._observations, np.clip(better, -1.0, 1.0), playing.copy()))
+            labels = actions + (teacher - student) / self._strength
+            self.samples.append((self._observations, np.clip(labels, -1.0, 1.0), active.copy()))
             self._observations = None
-        result: Array = np.where(self.led[:, None], wanted, asked)
+        result: Array = np.where(self.teacher_acts[:, None], teacher, student)
         return result
 
 
 def _strength(mode: ActionMode) -> float | Array:
-    """The part of a torque limit that an action of 1 adds, of every joint or of each (n,)."""
+    """Return the share of the torque limit that an action of 1 adds, for all joints or for each one (n,)."""
     strength: float | Array | None = getattr(mode, "strength", None)
     if strength is None:
         allowed = "torque, current, or shaping with pace, offset and fading 0: a student learns torques"
@@ -104,21 +102,18 @@ def _strength(mode: ActionMode) -> float | Array:
 
 
 class DAgger:
-    """Learns from a teacher in rounds of episodes, of which the last ones are remembered.
+    """DAgger: imitation of a teacher in iterations of episodes, trained on the data of the latest iterations.
 
-    In the first round the teacher leads the arms, later the student does, and the teacher says what it would have done
-    (Ross, Gordon and Bagnell, A reduction of imitation learning to no-regret online learning, 2011). Instants at which
-    the teacher adds little count as much as those at which it adds a lot. What acts has the mean of the weights over
-    the last few hundred steps, in which older ones fade.
+    The teacher controls the arms in the first iteration, the student in the later ones, and the teacher labels every
+    visited state (Ross, Gordon and Bagnell, A reduction of imitation learning to no-regret online learning, 2011).
+    Samples are weighted so that those with small labels count as much as those with large ones. The policy is an
+    exponential moving average of the network parameters over the last few hundred gradient steps.
 
     Args:
-        settings: with the algorithm "dagger".
+        settings: settings of the run, with the algorithm "dagger".
 
     Attributes:
-        steps: actions of all arms, in whole rounds.
-
-    Raises:
-        ValueError: one line, for a hyperparameter that it does not know, and for actions that are no torques.
+        steps: steps of the training, actions of all arms together; a whole number of iterations.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -145,36 +140,39 @@ class DAgger:
         self._mean = AveragedModel(self._layers, multi_avg_fn=averaged)
         model = resolve_fidelity(described).model
         mode = make_base_and_mode(described, model)[1]
-        strength = _strength(mode)  # refuses a mode of something else before a teacher is made
+        strength = _strength(mode)  # checked before the teacher, whose design may take long
         teacher = make_controller(described, chosen["teacher"], model)
         self._student = _StudentMode(self._network(), mode, strength, teacher)
-        self._per_round = settings.envs * -(-described.longest // described.action_repeat)
-        self.steps = self._per_round * -(-settings.steps // self._per_round)
-        self._rounds: list[list[NDArray[np.float32]]] = []  # what was seen, what is wanted, and how much it counts
+        self._per_iteration = settings.envs * -(-described.longest // described.action_repeat)
+        self.steps = self._per_iteration * -(-settings.steps // self._per_iteration)
+        self._iterations: list[list[NDArray[np.float32]]] = []  # of each: observations, labels, weights
 
     def learn(self, stop: Callable[[int, Mapping[str, float]], bool]) -> bool:
-        """Learns to the end of the steps; gives False where it was stopped.
+        """Train to the end of the steps; return False if the training was stopped.
 
         Args:
-            stop: is told before each round, and at the end, the steps taken and figures; it gives True to stop.
+            stop: function of the steps so far and the metrics of the last iteration, called before each iteration and
+                at the end; it returns True to stop the training.
         """
-        rounds, updates = self.steps // self._per_round, self._chosen["updates"]
-        schedule, figures = self._settings.schedule("learning_rate"), dict[str, float]()
-        for number in range(rounds):
-            if stop(number * self._per_round, figures):
+        iterations, updates = self.steps // self._per_iteration, self._chosen["updates"]
+        schedule, metrics = self._settings.schedule("learning_rate"), dict[str, float]()
+        for number in range(iterations):
+            if stop(number * self._per_iteration, metrics):
                 return False
-            figures = self._play(number)
+            metrics = self._collect(number)
             losses = []
             for update in range(updates):
-                rate = schedule.at((number + update / updates) / rounds) if schedule else self._chosen["learning_rate"]
+                rate = (
+                    schedule.at((number + update / updates) / iterations) if schedule else self._chosen["learning_rate"]
+                )
                 self._optimizer.param_groups[0]["lr"] = rate
                 losses.append(self._update())
-            figures["train/loss"] = float(np.mean(losses))
-        stop(self.steps, figures)
+            metrics["train/loss"] = float(np.mean(losses))
+        stop(self.steps, metrics)
         return True
 
     def policy(self) -> dict[str, Any]:
-        """Gives what acts: layers under the names that PPO has for them, and statistics of what they see."""
+        """Return the policy: layers under their names in PPO, and mean and variance of the observations."""
         layers = list(self._mean.module.children())
         names = {f"mlp_extractor.policy_net.{place}": layer for place, layer in enumerate(layers[:-1])}
         arrays = {f"{name}.{part}": value.detach().numpy().copy()
@@ -193,32 +191,34 @@ class DAgger:
     def _network(self) -> "_FastNetwork":
         return _FastNetwork("dagger", self._chosen["activation"], *self.policy().values())
 
-    def _play(self, number: int) -> dict[str, float]:
-        """Plays a round, and remembers what it teaches."""
-        arms, kept = self._settings.envs, self._chosen["rounds_kept"]
-        self._student.network, self._student.notes = self._network(), []
-        self._student.led = self._random.random(arms) < (BETA[number] if number < len(BETA) else 0.0)
+    def _collect(self, number: int) -> dict[str, float]:
+        """Run the episodes of an iteration and add their samples; return the metrics."""
+        arms, kept = self._settings.envs, self._chosen["iterations_kept"]
+        self._student.network, self._student.samples = self._network(), []
+        self._student.teacher_acts = self._random.random(arms) < (BETA[number] if number < len(BETA) else 0.0)
         first = training_seed(self._settings.seed) + number * arms
-        played = rollout(self._agent(), split_interface(self._described)[0], range(first, first + arms))
-        self._rounds = [*self._rounds, _training_set(self._student.notes, number % 2)][-kept:]
-        self._usual = np.mean([weights.mean() for _, _, weights in self._rounds])
+        result = rollout(self._agent(), split_interface(self._described)[0], range(first, first + arms))
+        self._iterations = [*self._iterations, _training_set(self._student.samples, number % 2)][-kept:]
+        self._mean_weight = np.mean([weights.mean() for _, _, weights in self._iterations])
         if number == 0:
-            seen = self._rounds[0][0]
-            self._moments = {"mean": seen.mean(axis=0, dtype=np.float64), "var": seen.var(axis=0, dtype=np.float64)}
-        return _rollout_metrics(played)
+            observed = self._iterations[0][0]
+            self._moments = {
+                "mean": observed.mean(axis=0, dtype=np.float64), "var": observed.var(axis=0, dtype=np.float64)
+            }  # fmt: skip
+        return _rollout_metrics(result)
 
     def _update(self) -> float:
-        """Takes a step along the gradient of a batch; gives its loss."""
-        share, rest = divmod(self._chosen["batch_size"], len(self._rounds))
-        chosen = [self._random.integers(len(seen), size=share + (place < rest))
-                  for place, (seen, _, _) in enumerate(self._rounds)]  # fmt: skip
-        parts = [[part[rows] for part in lesson] for lesson, rows in zip(self._rounds, chosen, strict=True)]
-        seen, wanted, weights = (np.concatenate(part) for part in zip(*parts, strict=True))
+        """Take a gradient step on a batch with equal parts of all iterations; return the loss."""
+        share, rest = divmod(self._chosen["batch_size"], len(self._iterations))
+        chosen = [self._random.integers(len(observed), size=share + (index < rest))
+                  for index, (observed, _, _) in enumerate(self._iterations)]  # fmt: skip
+        parts = [[part[rows] for part in data] for data, rows in zip(self._iterations, chosen, strict=True)]
+        observed, labels, weights = (np.concatenate(part) for part in zip(*parts, strict=True))
         scaled = np.clip(
-            (seen - self._moments["mean"]) / np.sqrt(self._moments["var"] + VARIANCE_OFFSET), -MAX_INPUT, MAX_INPUT
+            (observed - self._moments["mean"]) / np.sqrt(self._moments["var"] + VARIANCE_OFFSET), -MAX_INPUT, MAX_INPUT
         )
-        counts = torch.as_tensor(np.minimum(weights / self._usual, MAX_WEIGHT).astype(np.float32))
-        errors = self._layers(torch.as_tensor(scaled.astype(np.float32))) - torch.as_tensor(wanted)
+        counts = torch.as_tensor(np.minimum(weights / self._mean_weight, MAX_WEIGHT).astype(np.float32))
+        errors = self._layers(torch.as_tensor(scaled.astype(np.float32))) - torch.as_tensor(labels)
         loss = (counts[:, None] * errors**2).mean()
         self._optimizer.zero_grad()
         loss.backward()
@@ -229,64 +229,64 @@ class DAgger:
 
 
 class DAggerRun:
-    """An imitation in a folder. What it remembers of its rounds is not kept, so that it cannot go on."""
+    """DAgger training in a run folder; its samples are not saved, so that it cannot be resumed."""
 
     done = 0
 
     def __init__(self, settings: Settings, folder: Path) -> None:
         self._imitation, self._settings, self._folder = DAgger(settings), settings, folder
 
-    def give(self, data: dict[str, Any], another: bool) -> None:
-        """Refuses to go on after its end."""
+    def set_state(self, data: dict[str, Any], another: bool) -> None:
+        """Raise ValueError: a finished imitation cannot be continued."""
         raise value_error("steps", self._settings.steps, f"nothing: the imitation in {self._folder} is finished")
 
     def learn(self, checkpoint_every: int, progress: bool, hook: Hook | None) -> None:
-        """Learns to the end of the steps, or until it is told to stop, and then keeps nothing."""
-        curves, taken, started = open_logger(self._folder, 0, 0), 0, time.process_time()
+        """Train to the end of the steps and save the policy; a training that is stopped saves nothing."""
+        curves, done, started = open_logger(self._folder, 0, 0), 0, time.process_time()
 
-        def stop(steps: int, figures: Mapping[str, float]) -> bool:
-            nonlocal taken
-            taken = steps
-            for name, value in figures.items():
+        def stop(steps: int, metrics: Mapping[str, float]) -> bool:
+            nonlocal done
+            done = steps
+            for name, value in metrics.items():
                 curves.record(name, value)
-            if figures:
+            if metrics:
                 curves.record(STEPS_COLUMN, steps)
                 curves.record(TIME_COLUMN, time.process_time() - started)
                 curves.dump(steps)
-            if progress and figures:
-                said = ", ".join(f"{name.split('/')[1]} {value:.3g}" for name, value in figures.items())
-                print(f"{steps:,} of {self._imitation.steps:,} actions: {said}", file=sys.stderr)
-            return asked.is_set() or bool(hook and hook(TrainingReport(steps, {}, lambda: None)))
+            if progress and metrics:
+                values = ", ".join(f"{name.split('/')[1]} {value:.3g}" for name, value in metrics.items())
+                print(f"{steps:,} of {self._imitation.steps:,} steps: {values}", file=sys.stderr)
+            return stop_requested.is_set() or bool(hook and hook(TrainingReport(steps, {}, lambda: None)))
 
-        with stop_on_interrupt() as asked:
+        with stop_on_interrupt() as stop_requested:
             learned = self._imitation.learn(stop)
         curves.close()
         if learned:
-            told = {"settings": self._settings.plain(), "training": {"counts": {"num_timesteps": taken}}}
-            write_npz(self._folder / NEWEST, self._imitation.policy() | told)
-        elif asked.is_set():
-            raise Interrupted(f"{self._folder}: stopped after {taken} steps, of which an imitation keeps none")
+            record = {"settings": self._settings.plain(), "training": {"counts": {"num_timesteps": done}}}
+            write_npz(self._folder / NEWEST, self._imitation.policy() | record)
+        elif stop_requested.is_set():
+            raise Interrupted(f"{self._folder}: stopped after {done} steps; an imitation saves nothing before its end")
 
 
 class _FastNetwork(Network):
-    """A network by products of BLAS: quicker, but the last digits of a row depend on the others."""
+    """Network whose products are computed by BLAS: faster, but the last digits of a row depend on the other rows."""
 
     def product(self, values: Array, weights: Array) -> Array:
         return values @ weights.T
 
 
-def _training_set(notes: list[tuple[NDArray[np.float32], Array, BoolArray]], odd: int) -> list[NDArray[np.float32]]:
-    """Every second one of the notes: what was seen (r, size), actions wanted (r, n), how much they count (r,)."""
+def _training_set(samples: list[tuple[NDArray[np.float32], Array, BoolArray]], odd: int) -> list[NDArray[np.float32]]:
+    """Return observations (r, size), scaled labels (r, n) and weights (r,) of every second sample."""
     parts = []
-    for seen, wanted, due in notes[odd::2]:
-        scaled = ACTION_SCALE * wanted[due]
+    for observed, labels, due in samples[odd::2]:
+        scaled = ACTION_SCALE * labels[due]
         weight = 1.0 / (WEIGHT_FLOOR + np.abs(scaled).mean()) ** 2
-        parts.append((seen[due], scaled, np.full(len(scaled), weight)))
+        parts.append((observed[due], scaled, np.full(len(scaled), weight)))
     return [np.concatenate(part).astype(np.float32) for part in zip(*parts, strict=True)]
 
 
-def _rollout_metrics(played: Rollout) -> dict[str, float]:
+def _rollout_metrics(result: Rollout) -> dict[str, float]:
     return {
-        "rollout/ep_rew_mean": float(np.nansum(played.rewards, axis=1).mean()),
-        "rollout/failed": float(np.mean([bool(failure) for failure in played.failures])),
+        "rollout/ep_rew_mean": float(np.nansum(result.rewards, axis=1).mean()),
+        "rollout/failed": float(np.mean([bool(failure) for failure in result.failures])),
     }

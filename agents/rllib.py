@@ -1,4 +1,4 @@
-"""RLlib: PPO recipes on Ray's library, with an environment runner that keeps whole arrays."""
+"""Training of PPO recipes with RLlib, with an environment runner that steps all arms as arrays."""
 
 import shutil
 import uuid
@@ -26,11 +26,15 @@ from flexman_gym.control.normalisation import RunningMeanStd
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.rollout import training_seed
 
-CLIP = 10.0  # magnitude of what is normalised
+CLIP = 10.0  # 1; largest magnitude of normalised observations and rewards
 
 
 class NormalisationConnector(ConnectorV2):
-    """Scales of observations and returns: those that all runners share, and what this one has seen since."""
+    """Running moments of observations and returns: those shared by all runners, and those of this runner since then.
+
+    Args:
+        size: number of entries of an observation.
+    """
 
     def __init__(self, size: int) -> None:
         super().__init__()
@@ -38,10 +42,10 @@ class NormalisationConnector(ConnectorV2):
 
     @staticmethod
     def _new(size: int) -> dict[str, RunningMeanStd]:
-        return {"seen": RunningMeanStd((size,)), "returns": RunningMeanStd()}
+        return {"observations": RunningMeanStd((size,)), "returns": RunningMeanStd()}
 
-    def now(self, name: str) -> RunningMeanStd:
-        """Both together."""
+    def merged(self, name: str) -> RunningMeanStd:
+        """Return the shared moments and those of this runner together, of "observations" or "returns"."""
         result = RunningMeanStd(self.own[name].mean.shape)
         result.merge(self.shared[name])
         result.merge(self.own[name])
@@ -49,22 +53,23 @@ class NormalisationConnector(ConnectorV2):
 
     def __call__(self, *, batch: Any, **named: Any) -> Any:
         """Return the batch unchanged."""
-        return batch  # the runner has normalised what it gives
+        return batch  # the runner has normalised it
 
     def get_state(self, *parts: Any, **named: Any) -> dict[str, Any]:
-        """Both, as arrays and numbers."""
+        """Return both kinds of moments as arrays and numbers."""
         return {part: {name: each.get_state() for name, each in getattr(self, part).items()}
                 for part in ("shared", "own")}  # fmt: skip
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Takes what `get_state` or `merge_states` gave."""
+        """Set the moments from the result of `get_state` or `merge_states`."""
         for part, scales in state.items():
             for name, each in scales.items():
-                getattr(self, part)[name].set_state(each)
+                present = "observations" if name == "seen" else name  # "seen": checkpoints of release 0.2
+                getattr(self, part)[present].set_state(each)
 
     def merge_states(self, states: list[dict[str, Any]]) -> dict[str, Any]:
-        """What all runners have seen, counted once."""
-        result = NormalisationConnector(len(self.own["seen"].mean))
+        """Return the state of all runners together; the shared moments are counted once."""
+        result = NormalisationConnector(len(self.own["observations"].mean))
         for part, several in (("shared", states[:1]), ("own", states)):
             for name, scales in result.shared.items():
                 for state in several:
@@ -75,33 +80,36 @@ class NormalisationConnector(ConnectorV2):
 
 
 class ArrayEnvRunner(SingleAgentEnvRunner):
-    """Rolls all arms out as arrays and cuts them into episodes once; the stock runner handles arm after arm."""
+    """Environment runner that steps all arms at once and splits the arrays into episodes at the end.
+
+    The runner of RLlib handles each arm separately, which is slower.
+    """
 
     _needs_initial_reset: bool
-    _seen: NDArray[Any]
+    _observed: NDArray[Any]
     _return: NDArray[Any]
     _score: NDArray[Any]
     _length: NDArray[Any]
 
     def _sample(self, *, num_timesteps: int | None = None, force_reset: bool = False, **named: Any) -> list[Any]:
-        assert num_timesteps is not None, "the algorithm asks for steps"
+        assert num_timesteps is not None, "the algorithm sets the number of steps"
         steps = -(-num_timesteps // self.num_envs)
         if self._needs_initial_reset or force_reset:
             self._begin()
         moments = next(each for each in self._env_to_module if isinstance(each, NormalisationConnector))
-        seen, spread = moments.now("seen"), moments.now("returns").deviation
+        normalisation, spread = moments.merged("observations"), moments.merged("returns").deviation
         scale = spread if self.config.env_config["normalise_reward"] else 1.0
         rows: dict[str, list[Any]] = {name: [] for name in ("raw", "acts", "logits", "logp", "rewards", "returns")}
         ends: list[tuple[int, int, Any, bool]] = []
         for step in range(1, steps + 1):
             with torch.no_grad():
-                batch = {Columns.OBS: torch.from_numpy(seen.apply(self._seen, CLIP))}
+                batch = {Columns.OBS: torch.from_numpy(normalisation.apply(self._observed, CLIP))}
                 logits = self.module.forward_exploration(batch)[Columns.ACTION_DIST_INPUTS]
                 chance = self.module.get_exploration_action_dist_cls().from_logits(logits)
                 acts = chance.sample()
                 logp = chance.logp(acts)
-            rows["raw"].append(self._seen)
-            self._seen, reward, ended, cut, infos = self.env.env.step(acts.clamp(-1.0, 1.0).numpy())
+            rows["raw"].append(self._observed)
+            self._observed, reward, ended, cut, infos = self.env.env.step(acts.clamp(-1.0, 1.0).numpy())
             self._return = self._return * self.config.gamma + reward
             self._score += reward
             self._length += 1
@@ -111,29 +119,34 @@ class ArrayEnvRunner(SingleAgentEnvRunner):
                                   strict=True):  # fmt: skip
                 rows[name].append(each)
             for arm in np.flatnonzero(ended | cut).tolist():
-                ends.append((arm, step, seen.apply(infos["final_obs"][arm], CLIP), bool(ended[arm])))
+                ends.append((arm, step, normalisation.apply(infos["final_obs"][arm], CLIP), bool(ended[arm])))
                 self._log_episode_metrics(int(self._length[arm]), float(self._score[arm]), 0.0)
                 self._return[arm] = self._score[arm] = self._length[arm] = 0
-        moments.own["seen"].add(np.array(rows["raw"]))
+        moments.own["observations"].add(np.array(rows["raw"]))
         moments.own["returns"].add(np.array(rows.pop("returns")))
         arrays = {name: np.stack(values, 1) for name, values in rows.items()}
-        arrays["obs"] = np.concatenate([seen.apply(arrays.pop("raw"), CLIP), seen.apply(self._seen, CLIP)[:, None]], 1)
+        arrays["obs"] = np.concatenate(
+            [normalisation.apply(arrays.pop("raw"), CLIP), normalisation.apply(self._observed, CLIP)[:, None]], 1
+        )
         self._log_env_steps(metric=self._metrics_num_env_steps_sampled, num_steps=self.num_envs * steps)
         self._increase_sampled_metrics(self.num_envs * steps, len(ends))
         return self._episodes(arrays, ends, steps)
 
     def _begin(self) -> None:
-        """Starts all arms with seeds that no other runner has."""
+        """Reset all arms, with seeds that differ between runners."""
         first = self.config.env_config["first_seed"] + max(0, self.worker_index - 1) * self.num_envs
-        self._seen, _ = self.env.env.reset(seed=first)
+        self._observed, _ = self.env.env.reset(seed=first)
         self._return, self._score, self._length = np.zeros((3, self.num_envs))
         self._names = [uuid.uuid4().hex for _ in range(self.num_envs)]
         self._needs_initial_reset = False
 
     def _episodes(self, arrays: dict[str, NDArray[Any]], ends: list[Any], steps: int) -> list[Any]:
-        """Cuts arrays (arms, steps, ...) into episodes; `ends` are arm, step, last observation, and whether it failed.
+        """Return the episodes in some arrays; unfinished episodes end with the arrays.
 
-        Those that go on are cut where the arrays end.
+        Args:
+            arrays: name -> (arms, steps, ...).
+            ends: arm, step, last observation and failure of each end of an episode.
+            steps: number of steps.
         """
         starts, result = np.zeros(self.num_envs, dtype=int), []
         open_ends = [(arm, steps, None, False) for arm in range(self.num_envs)]
@@ -142,11 +155,11 @@ class ArrayEnvRunner(SingleAgentEnvRunner):
             starts[arm], length = stop, stop - starts[arm]
             if length == 0:
                 continue
-            seen = arrays["obs"][arm, part.start : stop + 1].copy()
+            observed = arrays["obs"][arm, part.start : stop + 1].copy()
             if last is not None:
-                seen[-1] = last
+                observed[-1] = last
             episode = SingleAgentEpisode(
-                self._names[arm], observations=_buffer(seen), infos=_buffer([{}] * (length + 1)), t_started=0,
+                self._names[arm], observations=_buffer(observed), infos=_buffer([{}] * (length + 1)), t_started=0,
                 actions=_buffer(arrays["acts"][arm, part]), rewards=_buffer(arrays["rewards"][arm, part]),
                 extra_model_outputs={Columns.ACTION_DIST_INPUTS: _buffer(arrays["logits"][arm, part]),
                                      Columns.ACTION_LOGP: _buffer(arrays["logp"][arm, part])},
@@ -159,26 +172,26 @@ class ArrayEnvRunner(SingleAgentEnvRunner):
         return result
 
     def get_metrics(self) -> Any:
-        """Figures of what was sampled since."""
+        """Return the metrics of the samples since the last call."""
         return self.metrics.reduce()
 
 
 def _buffer(values: Any) -> Any:
-    """What an episode of RLlib keeps, already as arrays."""
+    """Return the values as the buffer of an episode of RLlib, already in arrays."""
     result = InfiniteLookbackBuffer(data=values, lookback=0)
     result.finalized = not isinstance(values, list)
     return result
 
 
 def _make_environment(context: Any) -> Any:
-    """The vector environment of a runner."""
+    """Return the vector environment of a runner."""
     torch.set_num_threads(1)
     described = Configuration.from_plain(context["environment"])
     return gym.make_vec(described.id, context.get("num_envs", 1), "vector_entry_point", autoreset_mode="SameStep",
                         infos="at end", **described.keywords())  # fmt: skip
 
 
-CHECKPOINT_FOLDER = "rllib"  # the folder of them
+CHECKPOINT_FOLDER = "rllib"  # folder of the checkpoints in the run folder
 RLLIB_NAMES = {"n_steps": "", "batch_size": "minibatch_size", "n_epochs": "num_epochs", "gamma": "gamma",
          "gae_lambda": "lambda_", "clip_range": "clip_param", "ent_coef": "entropy_coeff",
          "vf_coef": "vf_loss_coeff", "max_grad_norm": "grad_clip"}  # fmt: skip
@@ -187,16 +200,17 @@ SB3_PREFIXES = {"encoder.actor_encoder.net.mlp.": "mlp_extractor.policy_net.", "
 
 
 def ppo_config(settings: Settings, runners: int) -> PPOConfig:
-    """Translates the settings of a run.
+    """Return the configuration of RLlib's PPO for the settings of a run.
 
-    Raises:
-        ValueError: one line, for SAC, for hyperparameters and arms that have no translation, and for a judge.
+    Args:
+        settings: settings of the run; SAC, evaluations, value warm-up and some hyperparameters are not supported.
+        runners: processes that step environments; 0 for the learning process itself.
     """
     if settings.algo != "ppo":
         raise value_error("algo", settings.algo, "ppo with RLlib")
     if settings.envs % max(1, runners):
         raise value_error("runners", runners, f"a number that divides the {settings.envs} arms")
-    for name in ("judge_every", "value_first"):
+    for name in ("eval_every", "value_warmup"):
         if getattr(settings, name):
             raise value_error(name, getattr(settings, name), "0 with RLlib")
     chosen = DEFAULT_HYPERPARAMETERS["ppo"] | {"clip_range": 0.2, "ent_coef": 0.0, "vf_coef": 0.5, "max_grad_norm": 0.5}
@@ -242,78 +256,80 @@ def _moments(env: Any, spaces: Any, device: Any) -> NormalisationConnector:
 
 
 def train_rllib(settings: Settings, folder: Path, runners: int = 0, every: int = 100_000, resume: bool = False) -> None:
-    """Trains a recipe with RLlib; the folder then has what `flexman evaluate` reads, and checkpoints of RLlib.
+    """Train a PPO recipe with RLlib in a run folder, which `flexman evaluate` can read.
 
     Args:
-        settings: of the run.
-        folder: of it.
-        runners: processes that roll out, beside the one that learns; 0 for none.
+        settings: settings of the run.
+        folder: folder of the run, for settings, policy and checkpoints of RLlib.
+        runners: processes that step environments, in addition to the learning process; 0 for none.
         every: steps between checkpoints.
-        resume: goes on from the newest checkpoint. Networks, optimiser, scales and counts come back, episodes and
-            random generators begin anew: the run is not the one that it would have been.
+        resume: whether to continue from the newest checkpoint. It restores networks, optimiser, normalisation and
+            counts. Episodes and random generators start anew, so that results differ from those of an uninterrupted
+            run.
 
     Raises:
-        FileNotFoundError, ValueError: one line.
+        FileNotFoundError: for `resume` without a checkpoint.
+        ValueError: for unsupported settings, or a folder that holds a run.
     """
     runners, every = whole_number("runners", runners, 0, 10_000), whole_number("checkpoint_every", every, 0, 10**10)
     config, place = ppo_config(settings, runners), Path(folder).absolute() / CHECKPOINT_FOLDER
-    known = sorted(place.glob("[0-9]*"), key=lambda path: int(path.name))
-    if resume and not known:
-        raise FileNotFoundError(f"{place}: no checkpoint; give a folder that a training with RLlib has written")
+    checkpoints = sorted(place.glob("[0-9]*"), key=lambda path: int(path.name))
+    if resume and not checkpoints:
+        raise FileNotFoundError(f"{place}: no checkpoint; give the folder of a training with RLlib")
     if not resume and folder.exists() and any(folder.iterdir()):
         raise value_error("folder", folder, "a new one, or resume the run in it")
     place.mkdir(parents=True, exist_ok=True)
     here = {"env_vars": {"PYTHONPATH": python_path(), "OMP_NUM_THREADS": "1"}}
     with ray_cluster(runners + 1, runtime_env=here), lock_folder(folder):
         write_settings(settings, folder, 0)
-        _learn(config.build_algo(), settings, place, every, int(known[-1].name) if resume else 0)
+        _train(config.build_algo(), settings, place, every, int(checkpoints[-1].name) if resume else 0)
 
 
-def _learn(algorithm: Any, settings: Settings, place: Path, every: int, done: int) -> None:
-    """Learns to the end of the steps, from a checkpoint after `done` of them."""
+def _train(algorithm: Any, settings: Settings, place: Path, every: int, done: int) -> None:
+    """Train to the end of the steps, from a checkpoint after `done` of them."""
     torch.set_num_threads(1)
     exploration = settings.schedule(EXPLORATION_SCHEDULES[0])
     if done:
         algorithm.restore_from_path(str(place / str(done)))
     elif exploration is None:
         _explore(algorithm, settings.hyperparameters.get("log_std_init", -3.0), True)
-    kept = done
+    saved = done
     while done < settings.steps:
         if exploration is not None:
             _explore(algorithm, exploration.at(done / settings.steps), False)
         done = int(algorithm.train()["env_runners"]["num_env_steps_sampled_lifetime"])
-        if done >= settings.steps or (every and done >= kept + every):
-            _keep(algorithm, settings, place, kept := done)
+        if done >= settings.steps or (every and done >= saved + every):
+            _save(algorithm, settings, place, saved := done)
     algorithm.stop()
 
 
 def _explore(algorithm: Any, value: float, learned: bool) -> None:
-    """Sets the logarithm of the standard deviation of actions in the learner and the runners."""
+    """Set the logarithm of the standard deviation of actions in the learner and the runners."""
 
-    def put(learner: Any) -> None:
+    def set_parameter(learner: Any) -> None:
         for name, parameter in learner.module["default_policy"].named_parameters():
             if name.endswith("log_std"):
                 parameter.data.fill_(value)
                 parameter.requires_grad_(learned)
 
-    algorithm.learner_group.foreach_learner(put)
+    algorithm.learner_group.foreach_learner(set_parameter)
     algorithm.env_runner_group.sync_weights(from_worker_or_learner_group=algorithm.learner_group, inference_only=True)
 
 
-def _keep(algorithm: Any, settings: Settings, place: Path, done: int) -> None:
-    """Writes a checkpoint, then takes the earlier ones away; and the policy as our own runs have it."""
-    beside = place / f".{done}"
-    shutil.rmtree(beside, ignore_errors=True)
-    algorithm.save_to_path(str(beside))
-    beside.rename(place / str(done))
+def _save(algorithm: Any, settings: Settings, place: Path, done: int) -> None:
+    """Write a checkpoint, remove the earlier ones, and write the policy in the format of all runs."""
+    temporary = place / f".{done}"
+    shutil.rmtree(temporary, ignore_errors=True)
+    algorithm.save_to_path(str(temporary))
+    temporary.rename(place / str(done))
     for path in place.iterdir():
         if path.name != str(done):
             shutil.rmtree(path)
     state = algorithm.learner_group.get_weights()["default_policy"]
     policy = {ours + name.removeprefix(theirs): np.asarray(values) for name, values in state.items()
               for theirs, ours in SB3_PREFIXES.items() if name.startswith(theirs)}  # fmt: skip
-    scales = next(each for each in algorithm.env_runner._env_to_module if isinstance(each, NormalisationConnector)).now(
-        "seen"
-    )
+    scales = next(
+        each for each in algorithm.env_runner._env_to_module if isinstance(each, NormalisationConnector)
+    ).merged("observations")
     statistics = {"mean": scales.mean, "var": scales.squares / scales.count, "count": np.array(scales.count)}
     write_npz(place.parent / NEWEST, {"policy": policy, "statistics": statistics, "settings": settings.plain()})

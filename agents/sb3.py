@@ -1,4 +1,4 @@
-"""Stable-Baselines3: models from settings, policies from its own files, and recipes as files of rl_zoo3."""
+"""Stable-Baselines3: models from settings, policies from its files, and recipes in the format of rl_zoo3."""
 
 import pickle
 import zipfile
@@ -31,34 +31,41 @@ from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common import files
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.files import existing_file
-from flexman_gym.common.run_folder import SETTINGS, read_settings_text
 from flexman_gym.control.agent import Law
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import SB3_MODEL, AgentSpec, predictor_agent, split_interface
 from flexman_gym.evaluation.rollout import training_seed
 
-ACTIVATION_LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # by the names of settings.ACTIVATIONS
+ACTIVATION_LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # name in settings.ACTIVATIONS -> layer
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC}
-DEFAULT_NET_ARCH, DEFAULT_LOG_STD = [128, 128], {"ppo": -3.0, "sac": -3.0}  # louder noise shakes the arm for seconds
+DEFAULT_NET_ARCH, DEFAULT_LOG_STD = (
+    [128, 128],
+    {"ppo": -3.0, "sac": -3.0},
+)  # larger noise excites vibrations that last for seconds
 
 
 def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
-    """Makes a new model with its arms, all seeded.
+    """Return a new model with its environments, all seeded.
 
-    Raises:
-        ValueError: for a hyperparameter that the algorithm does not know, and a device that there is not.
+    Args:
+        settings: settings of the run.
+        device: device of the networks, as PyTorch names it.
     """
     try:
         torch.zeros(1, device=device)
     except (RuntimeError, AssertionError) as error:
         raise value_error(
-            "device", device, f"one that PyTorch has here, such as cpu ({str(error).splitlines()[0]})"
+            "device",
+            device,
+            f"a device that PyTorch finds on this computer, such as cpu ({str(error).splitlines()[0]})",
         ) from None
-    torch.set_num_threads(1)  # two threads on two cores are many times slower for networks of this size
+    torch.set_num_threads(1)  # for networks of this size, two threads are many times slower than one
     chosen = algorithm_arguments(settings)
     env = VecNormalize(make_environments(settings), norm_reward=settings.normalise_reward, gamma=chosen["gamma"])
     model = ALGORITHMS[settings.algo]("MlpPolicy", env, seed=settings.seed, device=device, **chosen)
-    if chosen["policy_kwargs"].get("ortho_init") is False:  # else SB3 begins with actions next to zero
+    if (
+        chosen["policy_kwargs"].get("ortho_init") is False
+    ):  # Stable-Baselines3 then has large initial weights; actions start at zero instead
         for values in model.policy.action_net.parameters():  # type: ignore[union-attr]
             torch.nn.init.zeros_(values)
     env.seed(training_seed(settings.seed))
@@ -66,18 +73,14 @@ def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
 
 
 def make_environments(settings: Settings) -> VecMonitor:
-    """Makes the arms of a training."""
+    """Return the vector environment of a training, with statistics of its episodes."""
     described = settings.environment
     keywords = described.keywords() | {"autoreset_mode": AutoresetMode.SAME_STEP, "infos": "at end"}
     return VecMonitor(SB3VecEnv(gym.make_vec(described.id, settings.envs, "vector_entry_point", **keywords)))
 
 
 def algorithm_arguments(settings: Settings) -> dict[str, Any]:
-    """Gives the arguments of the algorithm: defaults, what the settings say, and schedules.
-
-    Raises:
-        ValueError: for a name that the algorithm does not know.
-    """
+    """Return the keyword arguments of an algorithm: defaults, the hyperparameters of the settings, and schedules."""
     chosen = DEFAULT_HYPERPARAMETERS[settings.algo] | dict(settings.hyperparameters)
     policy = {"net_arch": chosen.pop("net_arch", DEFAULT_NET_ARCH)}
     policy["log_std_init"] = chosen.pop("log_std_init", DEFAULT_LOG_STD[settings.algo])
@@ -98,7 +101,12 @@ def algorithm_arguments(settings: Settings) -> dict[str, Any]:
 
 
 def action_function(model: BaseAlgorithm, statistics: VecNormalize) -> Law:
-    """Gives the function that acts as a model does, without noise."""
+    """Return the deterministic policy of a model, from observations (b, size) to actions (b, n).
+
+    Args:
+        model: model with the policy.
+        statistics: normalisation of its observations.
+    """
 
     def law(observations: NDArray[np.float32]) -> NDArray[np.floating]:
         actions, _ = model.predict(statistics.normalize_obs(observations), deterministic=True)
@@ -108,7 +116,7 @@ def action_function(model: BaseAlgorithm, statistics: VecNormalize) -> Law:
 
 
 STATISTICS_FILE, BEST_FOLDER = "normalisation.pkl", "best"
-# by which a zip is told apart
+# Class of the policy in a zip -> algorithm; the zip has no name of the algorithm.
 POLICY_CLASSES: dict[str, type[BaseAlgorithm]] = {"ActorCriticPolicy": PPO, "SACPolicy": SAC, "TD3Policy": TD3}
 LOADING_ERRORS = (
     ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, RuntimeError, AssertionError, ImportError,
@@ -116,55 +124,52 @@ LOADING_ERRORS = (
 )  # fmt: skip
 
 
-def load_sb3_run(folder: Path) -> AgentSpec:
-    """Loads the policy of a run of an earlier version: model.zip, normalisation.pkl and settings.json.
+def load_sb3(path: Path, environment: Configuration | None = None) -> AgentSpec:
+    """Return a policy from files of Stable-Baselines3: a zip written by `save`, or the folder of an early run.
 
-    Both files are pickles. Whoever made them decides what runs here.
+    A zip may have its normalisation (VecNormalize) beside it, in a file of the same name with the suffix .pkl. The
+    files are pickles, which can run any code: load files from trusted sources only.
+
+    Args:
+        path: zip, or folder with model.zip, normalisation.pkl and settings.json.
+        environment: environment in which the policy of a zip was trained, with the settings of its agent; None for the
+            environment in which it acts.
 
     Raises:
-        FileNotFoundError, ValueError: one clear line.
+        FileNotFoundError: if a file is missing.
+        ValueError: for files that are not of Stable-Baselines3.
     """
-    settings = Settings.from_json(folder / SETTINGS, read_settings_text(folder))
-    place = folder / BEST_FOLDER if (folder / BEST_FOLDER / SB3_MODEL).is_file() else folder
+    kind = "policy" if path.suffix == ".zip" else "run"
     try:
-        model = ALGORITHMS[settings.algo].load(existing_file(place / SB3_MODEL), device="cpu")
-        arms = make_environments(replace(settings, envs=1))
-        statistics = VecNormalize.load(str(existing_file(place / STATISTICS_FILE)), arms)
+        return _load_zip(path, environment) if kind == "policy" else _load_run(path)
     except FileNotFoundError:
         raise
     except LOADING_ERRORS as error:
-        said = " ".join(str(error).split())[:120] or type(error).__name__
-        raise ValueError(f"{place}: this is not a run of Stable-Baselines3 ({said})") from None
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise ValueError(f"{path}: this is not a {kind} of Stable-Baselines3 ({reason})") from None
+
+
+def _load_run(folder: Path) -> AgentSpec:
+    settings = Settings.load(folder)
+    place = folder / BEST_FOLDER if (folder / BEST_FOLDER / SB3_MODEL).is_file() else folder
+    model = ALGORITHMS[settings.algo].load(existing_file(place / SB3_MODEL), device="cpu")
+    arms = make_environments(replace(settings, envs=1))
+    statistics = VecNormalize.load(str(existing_file(place / STATISTICS_FILE)), arms)
     environment, interface = split_interface(settings.environment)
     return AgentSpec(folder.name, action_function(model, statistics), interface, environment)
 
 
-def load_sb3_zip(path: Path, described: Configuration | None = None) -> AgentSpec:
-    """Loads a policy that `save` of Stable-Baselines3 has written, with the statistics in a file .pkl beside it.
-
-    Both are pickles. Whoever made them decides what runs here.
-
-    Args:
-        path: of the zip.
-        described: the environment that it learned in, with the settings of the agent; None for that in which it acts.
-
-    Raises:
-        FileNotFoundError, ValueError: one clear line.
-    """
+def _load_zip(path: Path, environment: Configuration | None) -> AgentSpec:
     statistics = existing_file(path).with_suffix(".pkl")
-    try:
-        kind = load_from_zip_file(path)[0]["policy_class"].__name__  # type: ignore[index]
-        model: BaseAlgorithm = POLICY_CLASSES[one_of("policy", kind, POLICY_CLASSES)].load(path, device="cpu")
-        entrant = predictor_agent(model, described)
-        if statistics.is_file():
-            with statistics.open("rb") as file:
-                normaliser = pickle.load(file)
-            law: Any = entrant.law
-            return replace(entrant, name=path.stem, law=lambda seen: law(normaliser.normalize_obs(seen)))
-    except LOADING_ERRORS as error:
-        said = " ".join(str(error).split())[:120] or type(error).__name__
-        raise ValueError(f"{path}: this is not a policy of Stable-Baselines3 ({said})") from None
-    return replace(entrant, name=path.stem)
+    kind = load_from_zip_file(path)[0]["policy_class"].__name__  # type: ignore[index]
+    model: BaseAlgorithm = POLICY_CLASSES[one_of("policy", kind, POLICY_CLASSES)].load(path, device="cpu")
+    agent = predictor_agent(model, environment)
+    if not statistics.is_file():
+        return replace(agent, name=path.stem)
+    with statistics.open("rb") as file:
+        normaliser = pickle.load(file)
+    law: Any = agent.law
+    return replace(agent, name=path.stem, law=lambda observations: law(normaliser.normalize_obs(observations)))
 
 
 ZOO_FOLDER = RECIPE_FOLDER / "rl_zoo3"
@@ -172,18 +177,17 @@ EXPLORATION_CALLBACK = "flexman_agents.callbacks.Exploration"
 
 
 def zoo_hyperparameters(settings: Settings) -> dict[str, Any]:
-    """Return settings in the form of rl_zoo3: id of the environment -> hyperparameters.
+    """Return settings in the format of rl_zoo3: id of the environment -> hyperparameters.
 
-    The schedule of the exploration becomes a callback. The seed is an argument of rl_zoo3, which evaluates in its own
-    way.
+    The exploration schedule becomes a callback. The seed and the evaluations are left to the command line of rl_zoo3.
 
     Raises:
-        ValueError: for a learning rate that is neither constant nor falls to zero at the end.
+        ValueError: for a learning rate that is neither constant nor decreases to zero at the end.
     """
     chosen = algorithm_arguments(settings)
     policy = chosen.pop("policy_kwargs")
-    words = [f"{name}={_word(value)}" for name, value in policy.items()]
-    chosen["learning_rate"] = _rate(chosen["learning_rate"])
+    arguments = [f"{name}={_expression(value)}" for name, value in policy.items()]
+    chosen["learning_rate"] = _zoo_rate(chosen["learning_rate"])
     described = settings.environment
     result = {
         "n_envs": settings.envs,
@@ -191,7 +195,7 @@ def zoo_hyperparameters(settings: Settings) -> dict[str, Any]:
         "policy": "MlpPolicy",
         "normalize": {"norm_obs": True, "norm_reward": settings.normalise_reward},
         **chosen,
-        "policy_kwargs": f"dict({', '.join(words)})",
+        "policy_kwargs": f"dict({', '.join(arguments)})",
         "env_kwargs": _difference(described.to_plain(), type(described)(described.id).to_plain()),
     }
     for name in EXPLORATION_SCHEDULES:
@@ -203,7 +207,7 @@ def zoo_hyperparameters(settings: Settings) -> dict[str, Any]:
 
 
 def write_zoo_files(folder: Path = ZOO_FOLDER) -> None:
-    """Write each recipe whose algorithm rl_zoo3 has to a file in a folder."""
+    """Write the recipes of PPO and SAC to files in a folder, in the format of rl_zoo3."""
     folder.mkdir(exist_ok=True)
     for name in RECIPES:
         settings = find_recipe(name)
@@ -211,17 +215,19 @@ def write_zoo_files(folder: Path = ZOO_FOLDER) -> None:
             files.write_data(folder / f"{name}.yml", zoo_hyperparameters(settings))
 
 
-def _rate(rate: object) -> object:
+def _zoo_rate(rate: object) -> object:
     if not isinstance(rate, Schedule):
         return rate
     if rate.end == rate.start:
         return rate.start
     if rate.end != 0.0 or rate.until != 1.0:
-        raise value_error("schedules.learning_rate", rate, "one that stays, or falls to zero at the end, for rl_zoo3")
+        raise value_error(
+            "schedules.learning_rate", rate, "a constant one, or one that decreases to zero at the end, for rl_zoo3"
+        )
     return f"lin_{rate.start}"
 
 
-def _word(value: object) -> str:
+def _expression(value: object) -> str:
     return f"nn.{value.__name__}" if isinstance(value, type) else repr(value)
 
 

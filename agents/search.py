@@ -17,71 +17,80 @@ from flexman_gym.common.checks import finite, mapping, one_of, sequence, value_e
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.files import write_atomically
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
+from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
 from flexman_gym.evaluation.rollout import compile_kernels
 
 JOURNAL_FILE, BEST_FILE, STUDY_NAME = "study.log", "best.yaml", "flexman"
-MAX_TRIALS, EVALUATIONS = 100_000, 10  # evaluations of a trial where the recipe asks for none
-STARTUP_TRIALS = 4  # trials that are not pruned, against which others are
+MAX_TRIALS = 100_000
+EVALUATIONS = 10  # evaluations per trial where the recipe has no eval_every
+STARTUP_TRIALS = 4  # trials that run to their end before the median rule prunes any
 
 
 def search(
     recipe: Settings, over: Mapping[str, Any], folder: Path, trials: int, workers: Workers | int = 1, seed: int = 0
 ) -> Path:
-    """Looks for settings with which a recipe earns more on the selection seeds.
+    """Search for settings of a recipe with a higher mean reward on the selection seeds, with Optuna.
 
-    Values are proposed by the TPE sampler of Optuna; the median rule prunes a trial by its rewards on the way. A search
-    that was killed goes on, its trials included, and proposes what it would have proposed, one trial at a time.
+    The TPE sampler proposes values, and the median rule prunes trials by the rewards of their evaluations. A killed
+    search is resumed with its unfinished trials. With one worker it then proposes the same values as without the kill.
 
     Args:
-        recipe: of all trials; `judge_every` says how often they are compared, a tenth of the steps where it is 0.
-        over: path of a setting, such as "hyperparameters.gamma" -> mapping with "low" and "high" (with "log" or "whole"
-            where these are true), or with "choices", a list.
-        folder: for Optuna's journal, a folder for each trial, and the best one.
-        trials: in all, those in the folder included.
-        workers: who trains; several trials at once are proposed without knowing of each other.
-        seed: of the sampler.
+        recipe: settings common to all trials; trials are compared every `eval_every` steps, or every tenth of the steps
+            where that is 0.
+        over: setting -> its range: a mapping with "low" and "high" (and optionally "log" or "whole", true), or with
+            "choices", a list. A setting is a path such as "hyperparameters.gamma", or given by nested mappings.
+        folder: folder for Optuna's journal, a run folder for each trial, and the best recipe.
+        trials: number of trials, including those in the folder.
+        workers: workers that train; parallel trials are proposed without the results of each other.
+        seed: seed of the sampler.
 
     Returns:
-        The file best.yaml: the best trial as a recipe, with its provenance above it.
+        Path of best.yaml: the best trial as a recipe, with its provenance in a comment.
 
     Raises:
-        ValueError: one line; also where no trial came to its end.
+        ValueError: for a wrong range, or if no trial was completed.
         ImportError: without Optuna.
     """
     trials = whole_number("trials", trials, 1, MAX_TRIALS)
-    if not recipe.judge_every:
-        recipe = replace(recipe, judge_every=max(1, recipe.steps // EVALUATIONS))
+    if not recipe.eval_every:
+        recipe = replace(recipe, eval_every=max(1, recipe.steps // EVALUATIONS))
+    over = _flatten_ranges(over)
     for path in over:
         _check(path, over[path], recipe)
     folder.mkdir(parents=True, exist_ok=True)
     study, jobs = _study(folder), workers.jobs if isinstance(workers, Workers) else workers
     while True:
-        begun = [each.number for each in study.get_trials(deepcopy=False) if not each.state.is_finished()]
-        while len(begun) < jobs and len(study.get_trials(deepcopy=False)) < trials:
+        running = [each.number for each in study.get_trials(deepcopy=False) if not each.state.is_finished()]
+        while len(running) < jobs and len(study.get_trials(deepcopy=False)) < trials:
             study.sampler = _optuna().samplers.TPESampler(seed=seed + len(study.get_trials(deepcopy=False)))
-            begun.append(study.ask().number)
-            _proposed(study, begun[-1], over)  # before anything can be killed that another sampler would go on with
-        if not begun:
+            running.append(study.ask().number)
+            _proposed(study, running[-1], over)  # drawn now: after a kill the sampler would have another seed
+        if not running:
             return _keep_best(study, recipe, folder)
-        cells = [(change_settings(recipe, _proposed(study, number, over)), str(folder), number) for number in begun]
+        cells = [(change_settings(recipe, _proposed(study, number, over)), str(folder), number) for number in running]
         for _ in parallel_map_unordered(run_trial, cells, workers, prepare=compile_kernels):
             pass
 
 
 def run_trial(cell: tuple[Settings, str, int]) -> None:
-    """Trains a trial to its end, or until it is pruned, and tells the study; goes on where it was killed."""
+    """Train a trial to its end or until it is pruned, report it to the study, and resume it after a kill.
+
+    Args:
+        cell: settings of the trial, folder of the search, and number of the trial.
+    """
     settings, folder, number = cell
     study, place = _study(Path(folder)), Path(folder) / f"trial-{number}"
-    trial, known = _trial(study, number), [dict[str, float]()]
-    pruned = bool(trial._cached_frozen_trial.intermediate_values) and bool(trial.should_prune())  # and then killed
+    trial, evaluations = _trial(study, number), [dict[str, float]()]
+    # True for a trial that was killed after it was pruned.
+    pruned = bool(trial._cached_frozen_trial.intermediate_values) and bool(trial.should_prune())
 
     def hook(report: TrainingReport) -> bool:
         nonlocal pruned
-        if report.figures and report.figures != known[-1]:
-            known.append(dict(report.figures))
+        if report.metrics and report.metrics != evaluations[-1]:
+            evaluations.append(dict(report.metrics))
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # of what was told before the trial was killed
-                trial.report(report.figures["reward"], report.steps)
+                warnings.simplefilter("ignore", UserWarning)  # the step was reported before the trial was killed
+                trial.report(report.metrics["reward"], report.steps)
             report.save()
             pruned = report.steps < settings.steps and trial.should_prune()
         return pruned
@@ -89,7 +98,7 @@ def run_trial(cell: tuple[Settings, str, int]) -> None:
     try:
         if not pruned:
             train_or_resume((settings, str(place), {"progress": False, "hook": hook}))
-    except ValueError as error:  # what diverges is a trial that failed
+    except ValueError as error:  # the training diverged
         print(f"trial {number}: {error}", file=sys.stderr)
         study.tell(number, state=_optuna().trial.TrialState.FAIL)
         return
@@ -100,17 +109,23 @@ def run_trial(cell: tuple[Settings, str, int]) -> None:
         study.tell(number, max(rewards))
 
 
-def flatten_ranges(over: Mapping[str, Any], path: str = "") -> dict[str, Any]:
-    """Gives path -> what a setting may be, from mappings in mappings as a file has them."""
+def _flatten_ranges(over: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Return path of a setting -> its range, from nested mappings or paths; old names of settings are translated."""
     result: dict[str, Any] = {}
-    for name, said in over.items():
-        inner = isinstance(said, dict) and not {"low", "high", "choices"} & said.keys()
-        result |= flatten_ranges(said, f"{path}{name}.") if inner else {f"{path}{name}": said}
+    for name, given in over.items():
+        present = ".".join(rename_keys({part: None}, RUN_SETTINGS).popitem()[0] for part in name.split("."))
+        nested = isinstance(given, dict) and not {"low", "high", "choices"} & given.keys()
+        result |= _flatten_ranges(given, f"{path}{present}.") if nested else {f"{path}{present}": given}
     return result
 
 
 def change_settings(recipe: Settings, values: Mapping[str, Any]) -> Settings:
-    """Gives a recipe with other values of some settings, by their paths."""
+    """Return a recipe with changed settings.
+
+    Args:
+        recipe: settings.
+        values: path of a setting, such as "hyperparameters.gamma" -> value.
+    """
     data = json.loads(json.dumps(recipe.plain()))
     for path, value in values.items():
         *parts, last = path.split(".")
@@ -121,64 +136,67 @@ def change_settings(recipe: Settings, values: Mapping[str, Any]) -> Settings:
     return Settings.from_dict(data)
 
 
-def _check(path: str, said: Any, recipe: Settings) -> None:
-    """Refuses a setting that a recipe cannot have, and what says no values."""
+def _check(path: str, given: Any, recipe: Settings) -> None:
+    """Check that a recipe has a setting and accepts the ends of its range, or all its choices."""
     field = f"over.{path}"
-    if isinstance(said, dict) and "choices" in said:
-        values = sequence(f"{field}.choices", mapping(field, said, ("choices",))["choices"])
+    if isinstance(given, dict) and "choices" in given:
+        values = sequence(f"{field}.choices", mapping(field, given, ("choices",))["choices"])
     else:
-        given = mapping(field, said, ("low", "high", "log", "whole"))
-        if not {"low", "high"} <= given.keys():
-            raise value_error(field, said, "a mapping with low and high, or with choices")
-        values = [finite(f"{field}.{name}", given[name]) for name in ("low", "high")]
-        if not values[0] < values[1] or (given.get("log") and values[0] <= 0.0):
-            raise value_error(field, said, "low < high, and low > 0 with log")
-        values = [int(value) if given.get("whole") else value for value in values]
-    one_of(field, path.partition(".")[0], sorted({*recipe.plain()} - {"algo", "steps", "judge_every"}))
+        span = mapping(field, given, ("low", "high", "log", "whole"))
+        if not {"low", "high"} <= span.keys():
+            raise value_error(field, given, "a mapping with low and high, or with choices")
+        values = [finite(f"{field}.{name}", span[name]) for name in ("low", "high")]
+        if not values[0] < values[1] or (span.get("log") and values[0] <= 0.0):
+            raise value_error(field, given, "low < high, and low > 0 with log")
+        values = [int(value) if span.get("whole") else value for value in values]
+    one_of(field, path.partition(".")[0], sorted({*recipe.plain()} - {"algo", "steps", "eval_every"}))
     for value in values:
         change_settings(recipe, {path: value})
 
 
 def _proposed(study: Any, number: int, over: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of a trial, which the sampler proposes the first time."""
+    """Return the values of a trial by path of the setting; the sampler draws them at the first call."""
     trial = _trial(study, number)
     result = {}
-    for path, said in over.items():
-        if "choices" in said:
-            result[path] = trial.suggest_categorical(path, said["choices"])
+    for path, span in over.items():
+        if "choices" in span:
+            result[path] = trial.suggest_categorical(path, span["choices"])
         else:
-            suggest = trial.suggest_int if said.get("whole") else trial.suggest_float
-            result[path] = suggest(path, said["low"], said["high"], log=bool(said.get("log")))
+            suggest = trial.suggest_int if span.get("whole") else trial.suggest_float
+            result[path] = suggest(path, span["low"], span["high"], log=bool(span.get("log")))
     return result
 
 
 def _keep_best(study: Any, recipe: Settings, folder: Path) -> Path:
-    """Writes the best trial as a recipe."""
+    """Write the best trial as a recipe; return its path."""
     best = study.best_trial
     finished = [each.state.name.lower() for each in study.get_trials(deepcopy=False)]
     counts = ", ".join(f"{finished.count(state)} {state}" for state in sorted(set(finished)))
     settings = change_settings(recipe, best.params)
-    words = [f"Found by flexman search: trial {best.number} of {len(finished)} ({counts}).",
+    lines = [f"Found by flexman search: trial {best.number} of {len(finished)} ({counts}).",
              f"Mean reward on the selection seeds: {best.value!r}.",
              *(f"{path}: {value!r}" for path, value in best.params.items()),
              computer_text(("optuna", "torch"))]  # fmt: skip
-    text = "".join(f"# {line}\n" for line in words) + yaml.safe_dump(json.loads(json.dumps(settings.plain())))
+    text = "".join(f"# {line}\n" for line in lines) + yaml.safe_dump(json.loads(json.dumps(settings.plain())))
     write_atomically(folder / BEST_FILE, lambda file: file.write(text.encode()))
     return folder / BEST_FILE
 
 
 def _trial(study: Any, number: int) -> Any:
-    """A trial of a study, also one that another process has begun."""
+    """Return a trial of a study, also of one that another process has started."""
     return _optuna().trial.Trial(study, study.get_trials(deepcopy=False)[number]._trial_id)
 
 
 def _study(folder: Path) -> Any:
-    """The study in a folder, whose journal several processes may write."""
+    """Return the study in a folder, whose journal several processes can write."""
     optuna = _optuna()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     backend = optuna.storages.journal.JournalFileBackend(str(folder / JOURNAL_FILE))
     return optuna.create_study(
-        storage=optuna.storages.JournalStorage(backend), study_name=STUDY_NAME, direction="maximize", load_if_exists=True,
+        storage=optuna.storages.JournalStorage(backend),
+        study_name=STUDY_NAME,
+        direction="maximize",
+        load_if_exists=True,
         pruner=optuna.pruners.MedianPruner(n_startup_trials=STARTUP_TRIALS),
     )  # fmt: skip
 

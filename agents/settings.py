@@ -1,4 +1,4 @@
-"""Settings of a training run: hyperparameters, schedules, recipes, and the record in the folder of the run."""
+"""Settings of a training run: hyperparameters, schedules, recipes, and their record in the run folder."""
 
 import json
 import os
@@ -24,12 +24,13 @@ from flexman_gym.common.checks import (
     value_error,
     whole_number,
 )
+from flexman_gym.common.renamed import RUN_SETTINGS, deprecated_arguments, rename_keys
 from flexman_gym.common.run_folder import SETTINGS, read_settings
 from flexman_gym.control.base_controllers import parse_base
 from flexman_gym.envs.config.configuration import Configuration
 
 ALGORITHMS = ("ppo", "sac", "dagger")
-DEFAULT_ENVS = {"ppo": 64, "sac": 16, "dagger": 128}
+DEFAULT_ENVS = {"ppo": 64, "sac": 16, "dagger": 128}  # algorithm -> parallel arms
 MAX_ENVS, MAX_STEPS, MAX_SEED, MAX_WIDTH = 4096, 10**10, 2**31, 10**5
 WHOLE_HYPERPARAMETERS = (
     "n_steps",
@@ -38,21 +39,21 @@ WHOLE_HYPERPARAMETERS = (
     "learning_starts",
     "buffer_size",
     "updates",
-    "rounds_kept",
+    "iterations_kept",
 )
 FRACTION_HYPERPARAMETERS = ("gamma", "gae_lambda", "tau")
 ACTIVATIONS = ("tanh", "relu")
-SCHEDULES = {"learning_rate": ALGORITHMS, "log_std": ("ppo",), "target_entropy": ("sac",)}  # name -> algorithms
-EXPLORATION_SCHEDULES = ("log_std", "target_entropy")  # of PPO, of SAC
+SCHEDULES = {"learning_rate": ALGORITHMS, "log_std": ("ppo",), "target_entropy": ("sac",)}  # schedule -> algorithms
+EXPLORATION_SCHEDULES = ("log_std", "target_entropy")  # for PPO, for SAC
 DEFAULT_HYPERPARAMETERS: dict[str, dict[str, Any]] = {
-    # one batch a large part of the rollout: with small ones the optimiser, not the simulator, takes the time
+    # batches are a large part of a rollout: with small ones the optimiser takes more time than the simulation
     "ppo": {"n_steps": 128, "batch_size": 1024, "n_epochs": 5, "gamma": 0.999, "gae_lambda": 0.99},
     "sac": {"batch_size": 256, "gamma": 0.99, "learning_starts": 2000},
     "dagger": {
         "teacher": "privileged-lqr",
         "updates": 400,
         "batch_size": 512,
-        "rounds_kept": 12,
+        "iterations_kept": 12,
         "net_arch": [256, 256],
         "activation": "tanh",
         "learning_rate": 0.001,
@@ -62,15 +63,12 @@ DEFAULT_HYPERPARAMETERS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Schedule:
-    """A number that changes with training: linearly from one value to another, then constant.
+    """Hyperparameter that changes linearly during the training and is constant afterwards.
 
     Attributes:
-        start: the first value.
-        end: the last value.
-        until: part of the training after which the value stays.
-
-    Raises:
-        ValueError: for something else than finite numbers, and an `until` outside 0 to 1.
+        start: value at the beginning.
+        end: value at the end.
+        until: fraction of the training, > 0 and at most 1, at which `end` is reached.
     """
 
     start: float
@@ -81,40 +79,38 @@ class Schedule:
         for each in fields(self):
             finite(f"schedule.{each.name}", getattr(self, each.name))
         if not 0.0 < self.until <= 1.0:
-            raise value_error("schedule.until", self.until, "a part of the training > 0, at most 1")
+            raise value_error("schedule.until", self.until, "a fraction of the training, > 0 and at most 1")
 
     def at(self, progress: float) -> float:
-        """Gives the value when a part of the training, 0 to 1, is done."""
+        """Return the value at a progress of the training from 0 to 1."""
         return self.start + (self.end - self.start) * min(1.0, progress / self.until)
 
     def __call__(self, remaining: float) -> float:
-        """Gives the value for the part of the training that remains, as Stable-Baselines3 asks."""
+        """Return the value for the remaining fraction of the training, the argument that Stable-Baselines3 passes."""
         return self.at(1.0 - remaining)
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What a training run needs to be repeated.
+    """Settings of a training run, complete enough to repeat it.
 
     Attributes:
-        algo: "ppo", "sac", or "dagger" for imitation, see `Imitation`.
-        environment: a Configuration, or the mapping of one; base and action_repeat belong to the agent.
-        steps: actions of all arms together; with action_repeat=5 each takes five control periods.
-        seed: of environments, exploration and weights; see `seeds`.
-        envs: arms side by side; None takes 64 for PPO and 16 for SAC.
-        hyperparameters: of the algorithm, as Stable-Baselines3 names them; net_arch and log_std_init go to the policy.
-        schedules: "learning_rate"; of the exploration "log_std" of PPO, which is then not learned, and "target_entropy"
-            of SAC; name -> mapping with start, end and until.
-        normalise_reward: divide rewards by a running standard deviation of the return; observations always are
-            normalised.
-        judge_every: steps between evaluations on the seeds of `seeds.SELECTION`, by which the best policy is kept; 0
-            for none.
-        value_first: actions of all arms at the beginning, from which the value function of PPO alone learns.
-        base_in_use: what acts beside the policy when it is used, in place of the base with which it learned; it is made
-            for the arm on which it acts. None for the one with which it learned.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+        algo: "ppo", "sac", or "dagger" for imitation learning (see `imitation.DAgger`).
+        environment: Configuration, or its mapping; `base` and `action_repeat` in it belong to the agent.
+        steps: actions of all arms together; with action_repeat = 5 each action lasts five control periods.
+        seed: seed of the episodes, the exploration and the initial network parameters.
+        envs: parallel arms; None for 64 with PPO, 16 with SAC and 128 with DAgger.
+        hyperparameters: hyperparameters under their names in Stable-Baselines3; net_arch, activation, log_std_init and
+            ortho_init are passed to the policy. Those of DAgger: teacher, updates (gradient steps per iteration),
+            batch_size, iterations_kept (latest iterations in the training set), net_arch, activation, learning_rate.
+        schedules: name -> mapping with start, end and until. Names: "learning_rate"; "log_std" of PPO, which is then
+            not learned; "target_entropy" of SAC.
+        normalise_reward: whether to divide rewards by the running standard deviation of the return; observations are
+            always normalised.
+        eval_every: steps between evaluations on the selection seeds, by which the best policy is saved; 0 for none.
+        value_warmup: steps at the beginning during which PPO updates its value function only.
+        base_in_use: base controller beside the trained policy, designed for the arm on which it acts; None for the base
+            of the training.
     """
 
     algo: str = "ppo"
@@ -125,8 +121,8 @@ class Settings:
     hyperparameters: Mapping[str, Any] = field(default_factory=dict)
     schedules: Mapping[str, Any] = field(default_factory=dict)
     normalise_reward: bool = True
-    judge_every: int = 0
-    value_first: int = 0
+    eval_every: int = 0
+    value_warmup: int = 0
     base_in_use: Any = None
 
     def __post_init__(self) -> None:
@@ -154,33 +150,28 @@ class Settings:
             seed=whole_number("seed", self.seed, 0, MAX_SEED),
             envs=whole_number("envs", DEFAULT_ENVS[self.algo] if self.envs is None else self.envs, 1, MAX_ENVS),
             normalise_reward=flag("normalise_reward", self.normalise_reward),
-            judge_every=whole_number("judge_every", self.judge_every, 0, MAX_STEPS if self.algo != "dagger" else 0),
-            value_first=whole_number("value_first", self.value_first, 0, MAX_STEPS if self.algo == "ppo" else 0),
+            eval_every=whole_number("eval_every", self.eval_every, 0, MAX_STEPS if self.algo != "dagger" else 0),
+            value_warmup=whole_number("value_warmup", self.value_warmup, 0, MAX_STEPS if self.algo == "ppo" else 0),
         )
 
     def schedule(self, name: str) -> Schedule | None:
-        """Gives a schedule, None where there is none."""
+        """Return a schedule by name, None if there is none."""
         data = self.schedules.get(name)
         if data is None:
             return None
         if not isinstance(data, dict) or not {"start", "end"} <= data.keys() <= {"start", "end", "until"}:
-            raise value_error(f"schedules.{name}", data, "a mapping with start, end and, if wanted, until")
+            raise value_error(f"schedules.{name}", data, "a mapping with start, end and, optionally, until")
         return Schedule(**data)
 
     @classmethod
     def from_dict(cls, data: object, field: str = "settings") -> Self:
-        """Gives the settings in a mapping, each of which is checked."""
-        names = [each.name for each in fields(cls)]
-        return cls(**mapping(field, data, names))
+        """Return checked settings from a mapping; names of release 0.2 are accepted with a DeprecationWarning."""
+        present = rename_keys(data, RUN_SETTINGS) if isinstance(data, dict) else data
+        return cls(**mapping(field, present, [each.name for each in fields(cls)]))
 
     @classmethod
     def recipe(cls, path: str | Path) -> Self:
-        """Reads a recipe: a file (.yaml, .yml or .json) with a mapping of settings.
-
-        Raises:
-            FileNotFoundError: when there is none.
-            ValueError: one line with file, field, value and what is allowed.
-        """
+        """Return the settings of a recipe, a file (.yaml, .yml or .json) with a mapping of settings."""
         try:
             data = files.read_data(Path(path))
             if isinstance(data, dict) and isinstance(data.get("environment"), dict):
@@ -190,32 +181,38 @@ class Settings:
             raise ValueError(f"{short_path(path)}: {error}") from None
 
     @classmethod
-    def from_json(cls, path: Path, text: str) -> Self:
-        """Gives the settings that a run has kept.
+    def load(cls, folder: Path) -> Self:
+        """Return the settings of the training run in a folder.
 
         Raises:
-            ValueError: one line with the file and what is wrong.
+            FileNotFoundError: if the folder has no settings.
+            ValueError: if they are not those of a training run.
         """
+        record = read_settings(folder)
         try:
-            record = json.loads(text)
-            record = {"base_in_use": None, "value_first": 0, **record}  # of runs before there were any
+            record = {"base_in_use": None, "value_warmup": 0, **record}  # defaults for runs that are older
             return cls.from_dict({name: record[name] for name in (each.name for each in fields(cls))})
-        except (KeyError, TypeError, ValueError, RecursionError) as error:
-            said = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise ValueError(f"{short_path(path)}: {said}; give the settings of a training run") from None
+        except (KeyError, TypeError, ValueError) as error:
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise ValueError(
+                f"{short_path(folder / SETTINGS)}: {reason}; give the settings of a training run"
+            ) from None
 
     def plain(self) -> dict[str, Any]:
-        """Return all settings as a mapping for JSON."""
+        """Return all settings as plain data for JSON."""
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         return deepcopy(values | {"environment": self.environment.to_plain()})
 
     def with_seed(self, seed: int) -> Self:
-        """Gives the same with another seed."""
+        """Return the same settings with another seed."""
         return replace(self, seed=seed)
 
 
+Settings.__init__ = deprecated_arguments(**RUN_SETTINGS)(Settings.__init__)  # type: ignore[method-assign]
+
+
 def _check(field: str, name: str, value: object) -> None:
-    """Refuses a hyperparameter that would stop a training after it has begun; their names belong to the algorithm."""
+    """Check a hyperparameter whose wrong value would fail only after the training has started."""
     if name in WHOLE_HYPERPARAMETERS:
         whole_number(field, value, 1 - (name == "learning_starts"), MAX_STEPS)
     elif name in FRACTION_HYPERPARAMETERS and not positive(field, value) <= 1.0:
@@ -238,14 +235,10 @@ RECIPES = sorted(path.stem for path in RECIPE_FOLDER.glob("*.yaml"))
 
 
 def find_recipe(name: str) -> Settings:
-    """Gives the settings of a recipe by its name, or of a file of one's own.
-
-    Raises:
-        FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
-    """
+    """Return the settings of a recipe, given its name or the path of a file."""
     if name in RECIPES:
         return Settings.recipe(RECIPE_FOLDER / f"{name}.yaml")
-    if not os.path.isfile(name):  # whatever the name is
+    if not os.path.isfile(name):  # any text, also one that is no path
         raise FileNotFoundError(
             f"recipe: {short_path(name)} is not allowed; give a file, or one of {', '.join(RECIPES)}"
         )
@@ -255,22 +248,22 @@ def find_recipe(name: str) -> Settings:
 RECORDED_PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
 
 
-def check_new_folder(folder: Path) -> None:
-    """Refuses a folder that holds a run already."""
-    if (folder / SETTINGS).exists():
-        raise ValueError(f"folder: {folder} is not allowed; give a new one, or resume the run in it")
-
-
 def write_settings(settings: Settings, folder: Path, done: int) -> None:
-    """Writes the settings of a run that goes on after `done` steps, with the versions of all its parts."""
+    """Write the settings of a run, with the versions of the packages, to its folder.
+
+    Args:
+        settings: settings of the run.
+        folder: folder of the run.
+        done: steps so far; until them, a resumed run used the versions recorded earlier.
+    """
     now = {name: version(name) for name in RECORDED_PACKAGES} | {"python": platform.python_version()}
     path = folder / SETTINGS
     kept = read_settings(folder) if path.is_file() else {}
     earlier, last = kept.get("earlier_versions", []), kept.get("versions", now)
     if last != now and isinstance(last, dict):
         names = [name for name in now | last if now.get(name) != last.get(name)]
-        said = ", ".join(f"{name} {now.get(name)} instead of {last.get(name)}" for name in names)
-        print(f"Since {folder} was written: {said}; its bits may be others from here on.", file=sys.stderr)
+        changes = ", ".join(f"{name} {now.get(name)} instead of {last.get(name)}" for name in names)
+        print(f"Versions since {folder} was written: {changes}; results may differ from here on.", file=sys.stderr)
         earlier = [*earlier, last | {"until_step": done}]
     record = settings.plain() | {"versions": now} | ({"earlier_versions": earlier} if earlier else {})
     files.write_atomically(path, lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))

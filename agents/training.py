@@ -1,4 +1,4 @@
-"""Training: PPO, SAC or DAgger in a run folder, with its complete state and exact resumption."""
+"""Training of PPO, SAC or DAgger in a run folder, saved with its complete state for exact resumption."""
 
 import random
 import sys
@@ -30,9 +30,10 @@ from flexman_agents.callbacks import (
 )
 from flexman_agents.imitation import DAggerRun
 from flexman_agents.sb3 import action_function, make_model
-from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings, check_new_folder, write_settings
+from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings, write_settings
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common.checks import value_error, whole_number
+from flexman_gym.common.renamed import deprecated_arguments
 from flexman_gym.common.run_folder import (
     BEST,
     NEWEST,
@@ -40,12 +41,12 @@ from flexman_gym.common.run_folder import (
     lock_folder,
     read_npz,
     read_settings,
-    read_settings_text,
     write_npz,
 )
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.evaluation.agent import check_settings
 
+# Attributes of Stable-Baselines3 that make up the state of a training.
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
 LAST_FIELDS = ("_last_obs", "_last_original_obs", "_last_episode_starts")
 NORMALISER_FIELDS = ("old_obs", "old_reward")
@@ -55,48 +56,43 @@ STATISTICS_FIELDS = ("mean", "var", "count")
 
 
 def policy_state(model: BaseAlgorithm) -> dict[str, Any]:
-    """Gives what acts: the parameters of the networks and the statistics that normalise what they see."""
-    return {"policy": _of_tensors(model.policy.state_dict()), "statistics": _of_statistics(_normaliser(model).obs_rms)}
+    """Return the policy: parameters of the networks, and the statistics that normalise the observations."""
+    return {
+        "policy": _tensor_state(model.policy.state_dict()),
+        "statistics": _statistics_state(_normaliser(model).obs_rms),
+    }
 
 
 def _set_policy_state(model: BaseAlgorithm, data: Any) -> None:
-    """Gives networks and statistics back to a model made alike.
-
-    Raises:
-        ValueError: one line, for those of other networks or other observations.
-    """
+    """Restore the policy of a model with the same networks and observations."""
     _check(data, ("policy", "statistics"))
-    model.policy.load_state_dict(_tensors("policy", model.policy.state_dict(), data["policy"]))
-    _give_statistics("statistics", _normaliser(model).obs_rms, data["statistics"])
+    model.policy.load_state_dict(_load_tensors("policy", model.policy.state_dict(), data["policy"]))
+    _set_statistics("statistics", _normaliser(model).obs_rms, data["statistics"])
 
 
 def _training_state(model: BaseAlgorithm) -> dict[str, Any]:
-    """Gives all that a model remembers at the beginning of a rollout, beside its policy."""
+    """Return the state of a model at the beginning of a rollout, without its policy."""
     result: dict[str, Any] = {
         "counts": {name: getattr(model, name) for name in _counts(model)},
         "last": {name: get_state(getattr(model, name)) for name in LAST_FIELDS},
-        "optimizers": {name: _of_optimizer(each) for name, each in _optimizers(model).items()},
+        "optimizers": {name: _optimizer_state(each) for name, each in _optimizers(model).items()},
         "episodes": [[float(each[key]) for key in "rlt"] for each in model.ep_info_buffer or ()],
-        "random": _of_random(),
+        "random": _random_state(),
     }
     normaliser, monitor, arms = _layers(model)
-    result["returns"] = {"statistics": _of_statistics(normaliser.ret_rms), "running": normaliser.returns.copy()}
+    result["returns"] = {"statistics": _statistics_state(normaliser.ret_rms), "running": normaliser.returns.copy()}
     result["seen"] = {name: get_state(getattr(normaliser, name)) for name in NORMALISER_FIELDS}
     result["monitor"] = {name: get_state(getattr(monitor, name)) for name in MONITOR_FIELDS}
     result["environment"] = arms.env.unwrapped.get_state()  # type: ignore[attr-defined]
     if isinstance(model, SAC):
-        learned = model.log_ent_coef
-        result["entropy"] = None if learned is None else learned.detach().numpy().copy()
-        result["replay"] = _of_replay(model)
+        coefficient = model.log_ent_coef
+        result["entropy"] = None if coefficient is None else coefficient.detach().numpy().copy()
+        result["replay"] = _replay_state(model)
     return result
 
 
 def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
-    """Gives the same back to a model made alike.
-
-    Raises:
-        ValueError: one line, for what another model remembers.
-    """
+    """Restore the state of a model with the same settings."""
     names = ["counts", "last", "optimizers", "episodes", "random", "returns", "seen", "monitor", "environment"]
     _check(data, names + ["entropy", "replay"] * isinstance(model, SAC))
     normaliser, monitor, arms = _layers(model)
@@ -113,11 +109,11 @@ def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
     for name in LAST_FIELDS:
         setattr(model, name, get_state(data["last"][name]))
     for name, optimizer in _optimizers(model).items():
-        _give_optimizer(name, optimizer, data["optimizers"].get(name))
-    told = [dict(zip("rlt", each, strict=True)) for each in data["episodes"]]
-    model.ep_info_buffer = deque(told, maxlen=model._stats_window_size)
-    model.ep_success_buffer = deque(maxlen=model._stats_window_size)  # no task of ours says success
-    _give_statistics("returns", normaliser.ret_rms, data["returns"]["statistics"])
+        _set_optimizer_state(name, optimizer, data["optimizers"].get(name))
+    episodes = [dict(zip("rlt", each, strict=True)) for each in data["episodes"]]
+    model.ep_info_buffer = deque(episodes, maxlen=model._stats_window_size)
+    model.ep_success_buffer = deque(maxlen=model._stats_window_size)  # the tasks report no success
+    _set_statistics("returns", normaliser.ret_rms, data["returns"]["statistics"])
     set_state("returns", normaliser.returns, data["returns"]["running"])
     for name in NORMALISER_FIELDS:
         setattr(normaliser, name, get_state(data["seen"][name]))
@@ -127,12 +123,12 @@ def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
         if model.log_ent_coef is not None:
             logarithm = model.log_ent_coef.detach().numpy().copy()
             model.log_ent_coef.data = torch.as_tensor(set_state("entropy", logarithm, data["entropy"]))
-        _give_replay(model, data["replay"])
-    _give_random(data["random"])
+        _set_replay_state(model, data["replay"])
+    _set_random_state(data["random"])
 
 
 def _layers(model: BaseAlgorithm) -> tuple[VecNormalize, VecMonitor, SB3VecEnv]:
-    """What stands between a model and its arms."""
+    """Return the wrappers of the environment: normalisation, monitor, and the vector environment."""
     normaliser = _normaliser(model)
     monitor: Any = normaliser.venv
     return normaliser, monitor, monitor.venv
@@ -151,22 +147,22 @@ def _counts(model: BaseAlgorithm) -> list[str]:
 def _check(data: Any, names: Collection[str], field: str = "run") -> None:
     if not isinstance(data, dict) or not set(names) <= data.keys():
         result = sorted(data) if isinstance(data, dict) else type(data).__name__
-        raise value_error(field, result, f"what a run remembers: {', '.join(names)}")
+        raise value_error(field, result, f"the state of a run, with {', '.join(names)}")
 
 
-def _of_tensors(tensors: Any) -> dict[str, Any]:
+def _tensor_state(tensors: Any) -> dict[str, Any]:
     return {name: tensor.detach().cpu().numpy().copy() for name, tensor in tensors.items()}
 
 
-def _tensors(field: str, like: Any, arrays: Any) -> dict[str, torch.Tensor]:
+def _load_tensors(field: str, like: Any, arrays: Any) -> dict[str, torch.Tensor]:
     if not isinstance(arrays, dict) or arrays.keys() != like.keys():
         raise value_error(field, sorted(arrays) if isinstance(arrays, dict) else arrays, f"arrays {', '.join(like)}")
-    wanted = _of_tensors(like)
+    wanted = _tensor_state(like)
     return {name: torch.as_tensor(_finite(f"{field}.{name}", wanted[name], arrays[name])) for name in like}
 
 
 def _finite(field: str, old: NDArray[Any], data: Any, least: float = -np.inf) -> Any:
-    """Gives data back to an array, once all of its numbers are finite and none is below the least."""
+    """Return data as an array like the old one, checked for finite numbers that are not below the least."""
     result = set_state(field, old, data)
     if not (np.isfinite(result) & (np.asarray(result) >= least)).all():
         allowed = "finite numbers" if least < 0.0 else "finite numbers >= 0"
@@ -174,12 +170,12 @@ def _finite(field: str, old: NDArray[Any], data: Any, least: float = -np.inf) ->
     return result
 
 
-def _of_statistics(moments: Any) -> dict[str, Any]:
+def _statistics_state(moments: Any) -> dict[str, Any]:
     return {name: np.array(getattr(moments, name), dtype=np.float64) for name in STATISTICS_FIELDS}
 
 
-def _give_statistics(field: str, moments: Any, data: Any) -> None:
-    for name, value in _of_statistics(moments).items():
+def _set_statistics(field: str, moments: Any, data: Any) -> None:
+    for name, value in _statistics_state(moments).items():
         given = data.get(name) if isinstance(data, dict) else None
         result = _finite(f"{field}.{name}", value, given, -np.inf if name == "mean" else 0.0)
         setattr(moments, name, result if result.ndim else result.item() if name == "count" else np.float64(result))
@@ -192,22 +188,20 @@ def _optimizers(model: BaseAlgorithm) -> dict[str, torch.optim.Optimizer]:
     return result | ({"entropy": model.ent_coef_optimizer} if model.ent_coef_optimizer else {})
 
 
-def _of_optimizer(optimizer: torch.optim.Optimizer) -> dict[str, Any]:
-    """What an optimiser remembers of each parameter; its settings belong to the model."""
-    return {str(key): _of_tensors(each) for key, each in optimizer.state_dict()["state"].items()}
+def _optimizer_state(optimizer: torch.optim.Optimizer) -> dict[str, Any]:
+    """Return the state of an optimiser by parameter; its hyperparameters belong to the model."""
+    return {str(key): _tensor_state(each) for key, each in optimizer.state_dict()["state"].items()}
 
 
-def _give_optimizer(field: str, optimizer: torch.optim.Optimizer, data: Any) -> None:
+def _set_optimizer_state(field: str, optimizer: torch.optim.Optimizer, data: Any) -> None:
     plain = optimizer.state_dict()
     if not isinstance(data, dict) or not data.keys() <= {str(i) for i in plain["param_groups"][0]["params"]}:
-        raise value_error(
-            f"optimizers.{field}", data if data is None else sorted(data), "what the optimiser remembered"
-        )
+        raise value_error(f"optimizers.{field}", data if data is None else sorted(data), "the state of the optimiser")
     state = {int(key): {name: torch.as_tensor(value) for name, value in each.items()} for key, each in data.items()}
     optimizer.load_state_dict({"state": state, "param_groups": plain["param_groups"]})
 
 
-def _of_replay(model: SAC) -> dict[str, Any]:
+def _replay_state(model: SAC) -> dict[str, Any]:
     buffer: Any = model.replay_buffer
     rows = buffer.buffer_size if buffer.full else buffer.pos
     return {"pos": int(buffer.pos), "full": bool(buffer.full)} | {
@@ -215,7 +209,7 @@ def _of_replay(model: SAC) -> dict[str, Any]:
     }
 
 
-def _give_replay(model: SAC, data: Any) -> None:
+def _set_replay_state(model: SAC, data: Any) -> None:
     buffer: Any = model.replay_buffer
     rows = buffer.buffer_size if data["full"] else data["pos"]
     for name in REPLAY_FIELDS:
@@ -223,8 +217,8 @@ def _give_replay(model: SAC, data: Any) -> None:
     buffer.pos, buffer.full = data["pos"], data["full"]
 
 
-def _of_random() -> dict[str, Any]:
-    """The states of the generators that Python, NumPy and PyTorch share with everybody."""
+def _random_state() -> dict[str, Any]:
+    """Return the states of the global random generators of Python, NumPy and PyTorch."""
     version, words, gauss = random.getstate()
     kind, keys, *rest = np.random.get_state(legacy=True)  # noqa: NPY002, Stable-Baselines3 draws from it
     return {
@@ -234,7 +228,7 @@ def _of_random() -> dict[str, Any]:
     }
 
 
-def _give_random(data: dict[str, Any]) -> None:
+def _set_random_state(data: dict[str, Any]) -> None:
     version, words, gauss = data["python"]
     random.setstate((version, tuple(words), gauss))
     kind, keys, position, has, gaussian = data["numpy"]
@@ -250,182 +244,199 @@ def train(
     device: str = "cpu",
     hook: Hook | None = None,
 ) -> BaseAlgorithm | None:
-    """Trains a policy from the start and saves it in a folder.
+    """Train a policy from scratch and save the run in a folder.
 
-    An imitation ("dagger") keeps its policy alone, and that at the end.
+    The folder gets settings.json (settings and versions of packages), newest.npz (complete state of the run), best.npz
+    (policy with the best evaluation, where the run is evaluated), and the learning curves in progress.csv and as
+    TensorBoard events. Imitation ("dagger") saves its policy only, at the end.
 
     Args:
-        settings: what the run is.
-        folder: for settings.json (with versions), newest.npz (the whole run), best.npz (the best policy on the way),
-            and the curves in progress.csv and as TensorBoard events.
-        checkpoint_every: steps between savings; 0: only at the end.
-        progress: show a bar.
-        device: of the networks, as PyTorch names it.
-        hook: is told how far the run is; it stops, and is kept, where the hook gives True.
+        settings: settings of the run.
+        folder: new folder for the run.
+        checkpoint_every: steps between checkpoints; 0 for one at the end only.
+        progress: whether to show a progress bar.
+        device: device of the networks, as PyTorch names it.
+        hook: function called with the progress at the start of each rollout; the run is saved and stops when it returns
+            True.
 
     Returns:
         The model of Stable-Baselines3; None for an imitation.
 
     Raises:
-        ValueError: when the folder holds a run already, or another process trains in it.
-        OSError: when the folder cannot be written.
+        ValueError: if the folder holds a run already, or another process trains in it.
+        OSError: if the folder cannot be written.
         Interrupted: after Ctrl-C, once the run is saved.
     """
     folder = Path(folder)
-    check_new_folder(folder)
+    _check_new_folder(folder)
     checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MAX_STEPS)
     run = _new_run(settings, folder, device)
     folder.mkdir(parents=True, exist_ok=True)
     with lock_folder(folder):
-        check_new_folder(folder)  # another process may have trained there meanwhile
+        _check_new_folder(folder)  # another process may have trained there meanwhile
         write_settings(settings, folder, 0)
         return run.learn(checkpoint_every, progress, hook)
 
 
+@deprecated_arguments(judge_every="eval_every")
 def resume(
     folder: Path,
     steps: int | None = None,
     checkpoint_every: int = 0,
     progress: bool = True,
     device: str = "cpu",
-    judge_every: int | None = None,
+    eval_every: int | None = None,
     hook: Hook | None = None,
 ) -> BaseAlgorithm | None:
-    """Goes on with the run in a folder to the end of its steps, exactly as if it had never stopped.
+    """Resume the run in a folder to the end of its steps, with the same results as a run without interruption.
 
-    A run that is finished goes on only where `steps` are given, as another run that begins with its policy and its
-    memory and whose schedules begin anew. The curves are in progress-STEPS.csv, after so many steps. It is judged as
-    often as before where nothing else is said.
+    A finished run is continued only if `steps` are given: a further run that starts from its policy, optimiser and
+    replay buffer, with schedules from their beginning. Its curves go to progress-N.csv, where N are the steps before.
+
+    Args:
+        folder: folder of the run.
+        steps: steps of a further run; None for an unfinished run.
+        checkpoint_every: steps between checkpoints; 0 for one at the end only.
+        progress: whether to show a progress bar.
+        device: device of the networks, as PyTorch names it.
+        eval_every: steps between evaluations; None for those of the run's settings.
+        hook: as in `train`.
+
+    Returns:
+        The model of Stable-Baselines3.
 
     Raises:
-        FileNotFoundError: when there is no run.
-        ValueError: for steps of an unfinished run and none of a finished one; when the run keeps its best policy, which
-            is what acts, and would not be judged any more; and as `train`.
-        OSError, Interrupted: as `train`.
+        FileNotFoundError: if there is no run in the folder.
+        ValueError: for `steps` of an unfinished run, or None for a finished one; for eval_every = 0 if the run has a
+            best policy, which would never be updated; and as in `train`.
+        OSError, Interrupted: as in `train`.
     """
     checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MAX_STEPS)
-    settings = load_settings(folder)
+    settings = Settings.load(folder)
     with lock_folder(folder):
         data = read_npz(folder / NEWEST) if (folder / NEWEST).is_file() else None
         if data is not None:
             check_settings(folder / NEWEST, data, read_settings(folder))
         done = 0 if data is None else _steps_done(folder / NEWEST, data)
         finished = data is not None and done >= settings.steps
-        settings = _further(settings, folder, steps, done, finished)
-        if judge_every is not None:
-            settings = replace(settings, judge_every=judge_every)
-        if (folder / BEST).is_file() and not settings.judge_every:
-            allowed = f"the steps between evaluations, > 0: {folder} keeps its best policy"
-            raise value_error("judge_every", settings.judge_every, allowed)
+        settings = _continued_settings(settings, folder, steps, done, finished)
+        if eval_every is not None:
+            settings = replace(settings, eval_every=eval_every)
+        if (folder / BEST).is_file() and not settings.eval_every:
+            allowed = f"the steps between evaluations, > 0: {folder} has a best policy"
+            raise value_error("eval_every", settings.eval_every, allowed)
         run = _new_run(settings, folder, device)
         if data is None:
-            print(f"Nothing was kept in {folder} yet: the run begins again.", file=sys.stderr)
+            print(f"Nothing was saved in {folder} yet: the run starts from scratch.", file=sys.stderr)
         else:
-            run.give(data, finished)
+            run.set_state(data, finished)
         write_settings(settings, folder, run.done)
         return run.learn(checkpoint_every, progress, hook)
 
 
 def train_or_resume(cell: tuple[Settings, str, Mapping[str, Any]]) -> str:
-    """Trains a run as `train` does, or goes on with it to its end; a cell of a grid.
+    """Train a run, or resume it to its end if the folder has it already; a job for `parallel_map`.
 
     Args:
-        cell: the settings, the folder as a text, and what both `train` and `resume` take by name, a mapping.
+        cell: settings, folder (str), and a mapping with the keyword arguments of `train` and `resume`.
 
     Returns:
         The folder.
 
     Raises:
-        ValueError: also where the folder holds a run with other settings.
+        ValueError: if the folder holds a run with different settings, and as in `train`.
     """
-    settings, folder, how = cell
+    settings, folder, keywords = cell
     path = Path(folder)
     if not (path / SETTINGS).exists():
-        train(settings, path, **how)
+        train(settings, path, **keywords)
         return folder
-    if load_settings(path) != settings:
+    if Settings.load(path) != settings:
         raise value_error("folder", folder, "one without a run of other settings")
     if not (path / NEWEST).is_file() or _steps_done(path / NEWEST, read_npz(path / NEWEST)) < settings.steps:
-        resume(path, **how)
+        resume(path, **keywords)
     return folder
 
 
-def load_settings(folder: Path) -> Settings:
-    """Reads the settings of the run in a folder.
-
-    Raises:
-        FileNotFoundError, ValueError: one clear line.
-    """
-    return Settings.from_json(folder / SETTINGS, read_settings_text(folder))
+def _check_new_folder(folder: Path) -> None:
+    """Raise ValueError if a folder holds a run already."""
+    if (folder / SETTINGS).exists():
+        raise ValueError(f"folder: {folder} is not allowed; give a new one, or resume the run in it")
 
 
 def _new_run(settings: Settings, folder: Path, device: str) -> "_Run | DAggerRun":
-    """A run at its beginning."""
+    """Return a run at its beginning."""
     if settings.algo == "dagger":
         return DAggerRun(settings, folder)
     return _Run(make_model(settings, device), settings, folder)
 
 
 class _Run:
-    """A model that learns in a folder, and what it was before."""
+    """Training of a model of Stable-Baselines3 in a run folder."""
 
     def __init__(self, model: BaseAlgorithm, settings: Settings, folder: Path) -> None:
         self.model, self.settings, self.folder = model, settings, folder
-        self._before = 0  # steps of runs that this one followed
-        self._judge: Evaluation | None = None
-        if settings.judge_every:
+        self._before = 0  # steps of the earlier runs in the folder
+        self._evaluation: Evaluation | None = None
+        if settings.eval_every:
             statistics = model.get_vec_normalize_env()
             assert statistics is not None
-            self._judge = Evaluation(settings, action_function(model, statistics), self._keep_best)
+            self._evaluation = Evaluation(settings, action_function(model, statistics), self._save_best)
 
     @property
     def done(self) -> int:
-        """Steps that have been taken, those of runs before this one included."""
+        """Steps so far, those of earlier runs in the folder included."""
         return self._before + int(self.model.num_timesteps)
 
-    def give(self, data: dict[str, Any], another: bool) -> None:
-        """Puts everything where it was when it was saved; another run counts its steps from there."""
+    def set_state(self, data: dict[str, Any], another: bool) -> None:
+        """Restore the saved state.
+
+        Args:
+            data: content of the file with the state.
+            another: whether a further run starts here, which counts its steps from zero.
+        """
         path = self.folder / NEWEST
         try:
             _set_policy_state(self.model, data)
             _set_training_state(self.model, data["training"])
-            if self._judge and data["judge"] is not None:
-                set_state("judge", self._judge, data["judge"])
+            if self._evaluation and data["judge"] is not None:  # "judge": name of the evaluation in files
+                set_state("evaluation", self._evaluation, data["judge"])
             self._before = whole_number("before", data["before"], 0, MAX_STEPS)
         except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
-            said = " ".join(str(error).split()) or type(error).__name__
-            raise ValueError(f"{path}: {said}") from None
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise ValueError(f"{path}: {reason}") from None
         if another:
             count = self.model.num_timesteps
             print(
-                f"The run of {count} steps was finished: {self.settings.steps} more are another run.", file=sys.stderr
+                f"The run of {count} steps was finished; a further run of {self.settings.steps} steps starts from it.",
+                file=sys.stderr,
             )
             self._before += count
             self.model.num_timesteps, self.model._current_progress_remaining = 0, 1.0
-            if self._judge:
-                self._judge.begin()
+            if self._evaluation:
+                self._evaluation.begin()
 
     def learn(self, checkpoint_every: int, progress: bool, hook: Hook | None) -> BaseAlgorithm:
-        """Learns to the end of the steps, or until it is told to stop."""
+        """Train to the end of the steps, or until the hook or Ctrl-C stops the training."""
         model, settings = self.model, self.settings
         callbacks: list[BaseCallback] = []
         for exploration in filter(None, map(settings.schedule, EXPLORATION_SCHEDULES)):
             callbacks.append(Exploration(exploration, settings.steps))
-        if settings.value_first:
-            callbacks.append(ValueWarmup(settings.value_first))
-        if self._judge:
-            callbacks.append(self._judge)
-        told: dict[str, Any] = {"progress_bar": progress, "reset_num_timesteps": False}
+        if settings.value_warmup:
+            callbacks.append(ValueWarmup(settings.value_warmup))
+        if self._evaluation:
+            callbacks.append(self._evaluation)
+        keywords: dict[str, Any] = {"progress_bar": progress, "reset_num_timesteps": False}
         if isinstance(model, OffPolicyAlgorithm):
-            told["log_interval"] = settings.envs  # SAC logs after so many episodes, which end together
-        with stop_on_interrupt() as asked:
+            keywords["log_interval"] = settings.envs  # in episodes; those of all arms end together
+        with stop_on_interrupt() as stop_requested:
             model.set_logger(open_logger(self.folder, self._before, model.num_timesteps))
-            stop = (lambda: asked.is_set() or bool(hook(self._report()))) if hook else asked.is_set
+            stop = (lambda: stop_requested.is_set() or bool(hook(self._report()))) if hook else stop_requested.is_set
             checkpoints = Checkpoints(checkpoint_every, self._save, stop)
-            model.learn(settings.steps - model.num_timesteps, callback=[checkpoints, *callbacks], **told)
+            model.learn(settings.steps - model.num_timesteps, callback=[checkpoints, *callbacks], **keywords)
         model.get_env().close()  # type: ignore[union-attr]
-        if checkpoints.stopped is not None and asked.is_set():
-            raise Interrupted(f"{self.folder}: stopped after {checkpoints.stopped} steps, all of which are kept")
+        if checkpoints.stopped is not None and stop_requested.is_set():
+            raise Interrupted(f"{self.folder}: stopped after {checkpoints.stopped} steps; the run is saved")
         if checkpoints.stopped is None:
             self._save()
             if hook:
@@ -433,18 +444,18 @@ class _Run:
         return model
 
     def _report(self) -> TrainingReport:
-        return TrainingReport(self.done, dict(self._judge.latest) if self._judge else {}, self._save)
+        return TrainingReport(self.done, dict(self._evaluation.latest) if self._evaluation else {}, self._save)
 
     def _save(self) -> None:
-        judge = get_state(self._judge) if self._judge else None
-        data = {"training": _training_state(self.model), "judge": judge, "before": self._before}
+        evaluation = get_state(self._evaluation) if self._evaluation else None
+        data = {"training": _training_state(self.model), "judge": evaluation, "before": self._before}
         write_npz(self.folder / NEWEST, self._policy() | data)
 
-    def _keep_best(self) -> None:
+    def _save_best(self) -> None:
         write_npz(self.folder / BEST, self._policy())
 
     def _policy(self) -> dict[str, Any]:
-        """The policy with the settings that it belongs to."""
+        """Return the policy with the settings of its run."""
         return policy_state(self.model) | {"settings": self.settings.plain()}
 
 
@@ -452,14 +463,14 @@ def _steps_done(path: Path, data: Any) -> int:
     try:
         return whole_number("num_timesteps", data["training"]["counts"]["num_timesteps"], 0, MAX_STEPS)
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {' '.join(str(error).split())} is wrong in what the run remembers") from None
+        raise ValueError(f"{path}: {' '.join(str(error).split())} is wrong in the state of the run") from None
 
 
-def _further(settings: Settings, folder: Path, steps: int | None, done: int, finished: bool) -> Settings:
-    """The settings with which a run goes on."""
+def _continued_settings(settings: Settings, folder: Path, steps: int | None, done: int, finished: bool) -> Settings:
+    """Return the settings with which a run continues."""
     if finished and steps is None:
-        raise ValueError(f"steps: None is not allowed; give those of another run: that in {folder} is finished")
+        raise ValueError(f"steps: None is not allowed; give the steps of a further run: that in {folder} is finished")
     if not finished and steps is not None:
-        allowed = f"nothing: the run in {folder} has {done} of its {settings.steps} steps and goes on to its end"
+        allowed = f"no steps: the run in {folder} has {done} of its {settings.steps} steps and continues to its end"
         raise value_error("steps", steps, allowed)
     return settings if steps is None else replace(settings, steps=steps)

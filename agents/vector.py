@@ -1,4 +1,4 @@
-"""Vector environment behind the VecEnv interface of Stable-Baselines3."""
+"""Adapter from vector environments of Gymnasium to the VecEnv interface of Stable-Baselines3."""
 
 from typing import Any
 
@@ -16,15 +16,14 @@ Infos = dict[str, Any]
 
 
 class SB3VecEnv(VecEnv):
-    """A vector environment of Gymnasium, with autoreset_mode="SameStep", for algorithms of Stable-Baselines3.
+    """Vector environment of Gymnasium as a VecEnv of Stable-Baselines3.
 
-    The infos of arms whose episode goes on are empty, so that they cost nothing. Those of an arm whose episode ended
-    hold all that the environment said at its end, "terminal_observation" and "TimeLimit.truncated". `reset_infos` are
-    not filled. The arms share one environment: `get_attr` gives its attribute for each, and nothing can be set or
-    called for some of them alone.
+    The info of an arm is empty during an episode, which saves time. At the end of the episode it holds the final info
+    of the environment, "terminal_observation" and "TimeLimit.truncated". `reset_infos` stay empty. All arms share one
+    environment: `get_attr` returns its attribute once per arm, and `set_attr` and `env_method` raise ValueError.
 
-    Raises:
-        ValueError: for an environment with another autoreset mode.
+    Args:
+        env: vector environment made with autoreset_mode="SameStep".
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
@@ -35,7 +34,7 @@ class SB3VecEnv(VecEnv):
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> NDArray[np.float32]:
-        """Observations (b, size) of new episodes, with the seeds of `seed` and the options of `set_options`."""
+        """Return observations (b, size) of new episodes, with the seeds of `seed` and the options of `set_options`."""
         if any(options != self._options[0] for options in self._options):
             raise value_error("options", self._options, "the same options for all environments")
         seeds = None if None in self._seeds else self._seeds
@@ -45,51 +44,51 @@ class SB3VecEnv(VecEnv):
         return observations
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Keeps the actions (b, n) for `step_wait`."""
+        """Store the actions (b, n) for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Observations, rewards, whether an episode has ended, and infos, of all arms."""
+        """Step all arms; return observations (b, size), rewards (b,), ends of episodes (b,) and infos."""
         observations, rewards, terminations, truncations, infos = self.env.step(self._actions)
         dones = terminations | truncations
-        told: list[Infos] = [{} for _ in range(self.num_envs)]
+        arm_infos: list[Infos] = [{} for _ in range(self.num_envs)]
         for arm in np.flatnonzero(dones).tolist():
-            told[arm] = _of_arm(infos["final_info"], arm)
-            told[arm]["terminal_observation"] = infos["final_obs"][arm]
-            told[arm]["TimeLimit.truncated"] = bool(truncations[arm] and not terminations[arm])
-        return observations, rewards, dones, told
+            arm_infos[arm] = _info_of_arm(infos["final_info"], arm)
+            arm_infos[arm]["terminal_observation"] = infos["final_obs"][arm]
+            arm_infos[arm]["TimeLimit.truncated"] = bool(truncations[arm] and not terminations[arm])
+        return observations, rewards, dones, arm_infos
 
     def close(self) -> None:
-        """Closes the environment."""
+        """Close the environment."""
         self.env.close()
 
     def get_images(self) -> list[Any]:
-        """A frame of each arm."""
+        """Return a frame of each arm."""
         return list(self.env.render() or ())
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """The attribute of the environment, once for each of the arms."""
+        """Return an attribute of the environment, once per arm."""
         return [getattr(self.env.unwrapped, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Refused: the arms share one environment."""
-        raise value_error("set_attr", attr_name, "arguments to the environment as it is made: its arms share them")
+        """Raise ValueError: the arms share one environment."""
+        raise value_error("set_attr", attr_name, "the attribute as a keyword of gym.make_vec, as all arms share it")
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **named: Any) -> list[Any]:
-        """Refused: the arms share one environment."""
-        raise value_error("env_method", method_name, "a call of a method of `env`, which all arms share")
+        """Raise ValueError: the arms share one environment."""
+        raise value_error("env_method", method_name, "a call of the method of `env`, which all arms share")
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
-        """False for each of the arms: none has a wrapper of its own."""
+        """Return False once per arm, as no arm has its own wrapper."""
         return [False for _ in self._get_indices(indices)]
 
 
-def _of_arm(infos: Infos, arm: int) -> Infos:
-    """The info of one arm from those of all."""
+def _info_of_arm(infos: Infos, arm: int) -> Infos:
+    """Return the info of one arm from the infos of all arms."""
     info: Infos = {}
     for key, value in infos.items():
         if not key.startswith("_"):
-            info[key] = _of_arm(value, arm) if isinstance(value, dict) else value[arm]
+            info[key] = _info_of_arm(value, arm) if isinstance(value, dict) else value[arm]
     return info
 
 

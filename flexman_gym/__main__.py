@@ -10,6 +10,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from flexman_gym import __version__, commands
+from flexman_gym.common.renamed import OPTIONS, warn_deprecated
 
 COMMAND_GROUPS = {  # commands in the order of the help
     "start": ("demo", "check", "compile", "list", "verify"),
@@ -24,7 +25,7 @@ MAX_SUMMARY = 65  # letters of what a command does, on a screen of 80 columns
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command and return the exit status."""
-    given = sys.argv[1:] if arguments is None else arguments
+    given = _present_options(sys.argv[1:] if arguments is None else arguments)
     words = "Robot arms that bend, as Gymnasium environments."
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(
@@ -61,6 +62,17 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, OSError) as error:  # a refusal, which is one line
         print(error, file=sys.stderr)
     return 2
+
+
+def _present_options(given: list[str]) -> list[str]:
+    """Return a command line under the present names of its options, with a DeprecationWarning for each old one."""
+    names, result = OPTIONS.get(given[0], {}) if given else {}, []
+    for word in given:
+        name, mark, value = word.partition("=")
+        if name in names:
+            warn_deprecated(f"flexman {given[0]}: {name} is {names[name]} now")
+        result.append(names.get(name, name) + mark + value)
+    return result
 
 
 def _overview() -> str:

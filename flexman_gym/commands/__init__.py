@@ -70,7 +70,7 @@ def load_agent(name: str, trust: bool, environment: "Configuration | None" = Non
     from flexman_gym.evaluation.agent import find_agent, is_sb3_folder
 
     if trust and (is_sb3_folder(Path(name)) or name.endswith(".zip")):
-        from flexman_agents.sb3 import load_sb3_run, load_sb3_zip
+        from flexman_agents.sb3 import load_sb3
 
-        return load_sb3_zip(Path(name), environment) if name.endswith(".zip") else load_sb3_run(Path(name))
+        return load_sb3(Path(name), environment)
     return find_agent(name)

@@ -7,7 +7,7 @@ from pathlib import Path
 from flexman_gym.commands import CommandLine
 from flexman_gym.commands.compile import KERNEL_KINDS
 
-KERNEL_FUNCTIONS = {"one": "advance_single", "abreast": "advance_batch"}
+KERNEL_FUNCTIONS = {"single": "advance_single", "batch": "advance_batch"}
 PACKAGES = ("gymnasium", "torch", "stable-baselines3")
 TIMED_STEPS = 500
 

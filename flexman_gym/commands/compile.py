@@ -9,13 +9,16 @@ from typing import Any
 
 from flexman_gym.commands import CommandLine
 
-KERNEL_KINDS = {"one": "one arm alone", "abreast": "arms abreast"}  # how arms are moved: kernels/batch.py
+KERNEL_KINDS = {"single": "a single arm", "batch": "a batch of arms"}  # as in kernels/batch.py
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     result.add_argument(
-        "kind", nargs="?", choices=sorted(KERNEL_KINDS), help="only those of one arm, or of arms abreast"
+        "kind",
+        nargs="?",
+        choices=sorted(KERNEL_KINDS),
+        help="kernels of a single arm or of a batch only; both if left out",
     )
 
 
@@ -52,7 +55,7 @@ def _compile_kind(kind: str) -> int:
     import flexman_gym  # noqa: F401  registers the environments
 
     started = time.perf_counter()
-    env: Any = gym.make("FlexRRR-v0") if kind == "one" else gym.make_vec("FlexRRR-v0", 2, "vector_entry_point")
+    env: Any = gym.make("FlexRRR-v0") if kind == "single" else gym.make_vec("FlexRRR-v0", 2, "vector_entry_point")
     env.reset(seed=0)
     env.step(env.action_space.sample())
     print(f"{KERNEL_KINDS[kind]}: {time.perf_counter() - started:.1f} s", flush=True)

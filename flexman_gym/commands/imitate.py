@@ -12,7 +12,7 @@ TRAIN_ONLY_OPTIONS = (
     "engine",
     "runners",
     "device",
-    "judge_every",
+    "eval_every",
     "checkpoint_every",
 )  # that only a training has
 

@@ -20,11 +20,9 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     from flexman_gym.evaluation.rollout import TEST_SEEDS
     from flexman_gym.league.scenarios import SWEEPS
 
+    result.add_argument("--agents", nargs="+", help=f"folders of runs, or {', '.join(AGENTS)}; without it these")
     result.add_argument(
-        "--agents", "--entrants", nargs="+", help=f"folders of runs, or {', '.join(AGENTS)}; without it these"
-    )
-    result.add_argument(
-        "--scenarios", "--environments", nargs="+",
+        "--scenarios", nargs="+",
         help="ids, ids and conditions, files, or these with a change, such as FlexRRR-v0/delay=3+given; without "
         "it the usual ones",
     )  # fmt: skip

@@ -20,7 +20,7 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Search and print the path of the best settings; return 0."""
-    from flexman_agents.search import flatten_ranges, search
+    from flexman_agents.search import search
     from flexman_agents.settings import find_recipe
     from flexman_gym.common import files
     from flexman_gym.common.checks import value_error
@@ -29,8 +29,8 @@ def _run(options: argparse.Namespace) -> int:
     over = files.read_data(options.over)
     if not isinstance(over, dict) or not over:
         raise value_error("over", str(options.over), "a file with a mapping of settings")
-    how = options.folder, options.trials, Workers.of(options), options.seed
-    path = search(find_recipe(options.recipe), flatten_ranges(over), *how)
+    options_of_search = options.folder, options.trials, Workers.of(options), options.seed
+    path = search(find_recipe(options.recipe), over, *options_of_search)
     print(f"The best is in {path}; train it with other seeds: flexman train {path} --seeds 5")
     return 0
 

@@ -33,7 +33,7 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     result.add_argument("--folder", type=Path, default=Path("runs/latest"))
     result.add_argument("--resume", action="store_true", help="go on with the run in the folder")
     result.add_argument("--checkpoint-every", type=int, metavar="N", default=100_000, help="steps; 0: only at the end")
-    result.add_argument("--judge-every", type=int, metavar="N", help="steps between evaluations; 0: none")
+    result.add_argument("--eval-every", type=int, metavar="N", help="steps between evaluations; 0: none")
     result.add_argument("--device", default="cpu", help="of the networks, as PyTorch names it")
     result.add_argument("--engine", choices=("sb3", "rllib"), default="sb3", help="Stable-Baselines3, or RLlib for PPO")
     result.add_argument("--runners", type=int, default=0, help="processes of RLlib that roll out")
@@ -52,7 +52,7 @@ def _run(options: argparse.Namespace) -> int:
         if options.engine == "rllib":
             folders = [_train_with_rllib(options)]
         elif options.resume:
-            resume(options.folder, options.steps, judge_every=options.judge_every, **_training_options(options))
+            resume(options.folder, options.steps, eval_every=options.eval_every, **_training_options(options))
             folders = [options.folder]
         else:
             folders = _train_runs(options)
@@ -88,11 +88,11 @@ def _train_with_rllib(options: argparse.Namespace) -> Path:
     except ImportError as error:
         said = "training with RLlib needs packages of its own: pip install -r requirements-rllib.txt"
         raise ImportError(f"{said} ({error})") from None
-    from flexman_agents.training import load_settings
+    from flexman_agents.settings import Settings
 
     if options.seeds != 1:
         raise value_error("seeds", options.seeds, "1 with RLlib")
-    settings = load_settings(options.folder) if options.resume else _make_settings(options)
+    settings = Settings.load(options.folder) if options.resume else _make_settings(options)
     train_rllib(settings, options.folder, options.runners, options.checkpoint_every, options.resume)
     return Path(options.folder)
 
@@ -108,7 +108,7 @@ def _make_settings(options: argparse.Namespace) -> "Settings":
     from flexman_gym.envs.config.configuration import Configuration
 
     settings = find_recipe(options.recipe) if options.recipe else Settings()
-    named = {name: getattr(options, name) for name in ("algo", "steps", "seed", "envs", "judge_every")}
+    named = {name: getattr(options, name) for name in ("algo", "steps", "seed", "envs", "eval_every")}
     named = {name: value for name, value in named.items() if value is not None}
     if options.algo and options.algo != settings.algo:
         settings = Settings(algo=options.algo, environment=settings.environment, seed=settings.seed)

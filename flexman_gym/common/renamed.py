@@ -3,12 +3,13 @@
 import re
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar, cast
 
 MODULES = {
     "flexman_agents.algorithm": "flexman_agents.sb3",
@@ -91,6 +92,42 @@ def current_methods(text: str, warn: bool = False) -> str:
 
     return re.sub(rf"\b({'|'.join(METHODS)})\b", present, text)
 
+RUN_SETTINGS = {"judge_every": "eval_every", "rounds_kept": "iterations_kept", "value_first": "value_warmup"}
+"""Old setting or hyperparameter of a training run, in recipes and settings.json -> present name."""
+OPTIONS = {
+    "compile": {"abreast": "batch", "one": "single"},
+    "league": {"--entrants": "--agents", "--environments": "--scenarios"},
+    "train": {"--judge-every": "--eval-every"},
+}
+"""Command -> old option or value on its command line -> present one."""
+LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")
+
+
+def warn_deprecated(text: str) -> None:
+    """Issue a DeprecationWarning at the first caller outside the libraries."""
+    frame, depth = sys._getframe(1), 2
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in LIBRARIES:
+        frame, depth = frame.f_back, depth + 1
+    warnings.warn(text, DeprecationWarning, stacklevel=depth)
+
+
+def rename_keys(data: Mapping[str, Any], names: Mapping[str, str], warn: bool = True) -> dict[str, Any]:
+    """Return a mapping, and the mappings inside it, under the present names of their keys.
+
+    Args:
+        data: values by present or old name.
+        names: old name -> present name.
+        warn: issue a DeprecationWarning for each old name.
+    """
+    result = {}
+    for name, value in data.items():
+        if name in names and names[name] in data:
+            raise ValueError(f"{name}: {value!r} is not allowed; give {names[name]} only, its present name")
+        if name in names and warn:
+            warn_deprecated(f"{name} is {names[name]} now")
+        result[names.get(name, name)] = rename_keys(value, names, warn) if isinstance(value, dict) else value
+    return result
+
 
 def deprecated_names(module: str, old: str = "") -> Callable[[str], Any]:
     """Return the `__getattr__` of a module that still answers to old names, with a DeprecationWarning.
@@ -109,6 +146,30 @@ def deprecated_names(module: str, old: str = "") -> Callable[[str], Any]:
         return value
 
     return getattribute
+
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def deprecated_arguments(**names: str) -> Callable[[Function], Function]:
+    """Return a decorator of a function that still accepts old argument names, with a DeprecationWarning.
+
+    Args:
+        names: old name="present name".
+    """
+
+    def decorate(function: Function) -> Function:
+        @wraps(function)
+        def call(*arguments: Any, **keywords: Any) -> Any:
+            for old in names.keys() & keywords.keys():
+                said = f"{function.__name__}({old}=...) is deprecated; give {names[old]}=..."
+                warnings.warn(said, DeprecationWarning, stacklevel=2)
+                keywords[names[old]] = keywords.pop(old)
+            return function(*arguments, **keywords)
+
+        return cast(Function, call)
+
+    return decorate
 
 
 class _OldModules(MetaPathFinder, Loader):

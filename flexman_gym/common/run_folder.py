@@ -13,6 +13,7 @@ import numpy as np
 
 from flexman_gym.common.checks import short_path
 from flexman_gym.common.files import READ_ERRORS, existing_file, open_arrays, regular_file, write_atomically
+from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
 from flexman_gym.common.snapshot import join_arrays, split_arrays
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
@@ -45,7 +46,7 @@ def read_npz(path: Path) -> Any:
         raise ValueError(f"{short_path(path)}: this is not what a training run has written ({said})") from None
 
 
-def read_settings_text(folder: Path) -> str:
+def _read_settings_text(folder: Path) -> str:
     """Return the text of the settings of a training run.
 
     Raises:
@@ -59,19 +60,19 @@ def read_settings_text(folder: Path) -> str:
 
 
 def read_settings(folder: Path) -> dict[str, Any]:
-    """Return the settings of a training run, unchecked.
+    """Return the settings of a training run, unchecked, under their present names.
 
     Raises:
         FileNotFoundError, ValueError: one line, for a file that is no mapping in JSON.
     """
-    text, place = read_settings_text(folder), short_path(folder / SETTINGS)
+    text, place = _read_settings_text(folder), short_path(folder / SETTINGS)
     try:
         result = json.loads(text)
     except (ValueError, RecursionError):
         result = None
     if not isinstance(result, dict):
         raise ValueError(f"{place}: this is no mapping in JSON; give the settings of a training run")
-    return result
+    return rename_keys(result, RUN_SETTINGS, warn=False)
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import short_path, value_error
 from flexman_gym.common.files import existing_file
+from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, read_settings
 from flexman_gym.control.agent import Law
 from flexman_gym.control.base_controllers import BASES, parse_base
@@ -266,7 +267,7 @@ class _RandomTorques:
 
 
 SB3_MODEL = "model.zip"  # of Stable-Baselines3
-CHANGEABLE_SETTINGS = ("steps", "judge_every")  # settings that a resumed run may change
+CHANGEABLE_SETTINGS = ("steps", "eval_every")  # settings that a resumed run may change
 
 
 def is_sb3_folder(folder: Path) -> bool:
@@ -285,6 +286,7 @@ def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
     kept = data.get("settings") if isinstance(data, dict) else None
     if not isinstance(kept, dict):
         raise ValueError(f"{path}: this is not what a training run has written (it has no settings)")
+    kept = rename_keys(kept, RUN_SETTINGS, warn=False)
     names = kept.keys() - set(CHANGEABLE_SETTINGS)
     changed = [name for name in names if not _is_equal(settings.get(name), kept.get(name))]
     if changed:

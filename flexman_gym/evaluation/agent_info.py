@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from flexman_gym.common.checks import short_path, value_error
+from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
 from flexman_gym.common.run_folder import SETTINGS, read_settings
 from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.control.base_controllers import BASES
@@ -85,9 +86,9 @@ def check_seeds_unseen(agent: str, seeds: Sequence[int]) -> None:
     settings = _settings(agent)
     try:
         first, arms = training_seed(int(settings["seed"])), int(settings["envs"])
-        chosen = bool(settings["judge_every"])
+        chosen = bool(settings["eval_every"])
     except (KeyError, TypeError, ValueError):
-        raise value_error("entrant", agent, f"a run whose {SETTINGS} say seed, envs and judge_every") from None
+        raise value_error("entrant", agent, f"a run whose {SETTINGS} say seed, envs and eval_every") from None
     seen = {*range(first, first + arms), *(SELECTION_SEEDS if chosen else ())} & set(seeds)
     if seen:
         allowed = f"a policy that was neither trained nor chosen on the seed {min(seen)}, which is one of the test"
@@ -97,5 +98,6 @@ def check_seeds_unseen(agent: str, seeds: Sequence[int]) -> None:
 def _settings(agent: str) -> dict[str, Any]:
     if folder := policy_folder(agent):
         about = read_policy(folder).about
-        return {**about["recipe"]["settings"], "environment": about["environment"]}
+        settings = rename_keys(about["recipe"]["settings"], RUN_SETTINGS, warn=False)
+        return {**settings, "environment": about["environment"]}
     return read_settings(Path(agent))

@@ -1,5 +1,6 @@
 """Verification cases with closed-form solutions: beams, stepped links, bars and elastic joints at rest."""
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -30,12 +31,15 @@ MECHANICS = "Gere and Timoshenko, Mechanics of Materials"
 
 
 def slender_link(length: float = 1.0, mass_per_length: float = 1.0, rigidity: float = 1.0, across: float = 1e4) -> Link:
-    """A link that bends in x-y with EI = rigidity, and across that plane with so many times more.
+    """Return a slender link with the bending stiffness EI = `rigidity` in the x-y plane and `across` * EI in x-z.
 
-    Its radius of gyration is 1e-4 of its length, so that rotary inertia takes less than 1e-5 of a frequency.
+    The radius of gyration is 1e-4 of the length: rotary inertia changes a frequency by less than a factor of 1e-5.
     """
-    area = 1e-8 * length**2
-    moment = area**2
+    gyration = 1e-8 * length**2  # m^2; squared radius of gyration
+    # Widest section that these second moments allow, so that E and the density are those of a material. A power of two
+    # leaves the digits of E I and rho A as they are.
+    area = 4.0 * 2.0 ** math.floor(math.log2(across)) * gyration
+    moment = gyration * area
     modulus = rigidity / moment
     return Link(length, area, across * moment, moment, across * moment, modulus, modulus, mass_per_length / area)
 
@@ -63,13 +67,14 @@ def bar_frequency_scale(link: Link, columns: Sequence[int]) -> float:
 
 
 def stepped_link(place: float, thickness_ratio: float) -> NonUniformLink:
-    """A strip of 1 m that bends in x-y with EI 1 N m^2 and has 1 kg/m up to a place, and is thinner from there on.
+    """Return a strip of 1 m with EI = 1 N m^2 in the x-y plane and 1 kg/m up to `place` (m), and thinner beyond.
 
-    EI goes with the cube of its thickness, the mass with the thickness; across it is 100 times as high as thick.
+    The strip is 128 mm high and 1.28 mm thick. EI is proportional to the cube of the thickness, the mass to the
+    thickness.
     """
     sections = []
-    for length, thickness in ((place, 1e-5), (1.0 - place, 1e-5 * thickness_ratio)):
-        height, modulus, density = 1e-3, 12e18, 1e8
+    for length, thickness in ((place, 1.28e-3), (1.0 - place, 1.28e-3 * thickness_ratio)):
+        height, modulus, density = 0.128, 12e18 / 2**28, 1e8 / 2**14
         area, about_y, about_z = height * thickness, thickness * height**3 / 12.0, height * thickness**3 / 12.0
         sections.append(Link(length, area, about_y, about_z, about_y, modulus, modulus, density))
     return NonUniformLink(sections)

@@ -177,7 +177,7 @@ def _interrupted(name: str, recipe: Path, folder: Path, steps: int) -> Fault:
         _wait_for(lambda: any(folder.glob("events.out.*")))
     process.send_signal(signal.SIGINT)
     _, said = process.communicate()
-    kept = "all of which are kept" in said and process.returncode == 130
+    kept = "the run is saved" in said and process.returncode == 130
     _finish(["--resume", "--folder", folder], None, "ppo")
     whole = folder.with_name("ppo-whole")
     return Fault(name, 1, int(kept and same(whole, folder)), "nothing; the end has the same bits" if kept else said)

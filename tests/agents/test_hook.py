@@ -6,7 +6,8 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from flexman_agents.training import load_settings, resume, train, train_or_resume
+from flexman_agents.settings import Settings
+from flexman_agents.training import resume, train, train_or_resume
 from flexman_gym.common.run_folder import BEST, NEWEST, read_npz
 
 from oracles.runs import RUNS
@@ -23,8 +24,8 @@ def test_a_hook_is_told_steps_and_figures_where_rollouts_begin_and_at_the_end(tm
     reports = []
     train(SETTINGS, tmp_path / "a", progress=False, hook=reports.append)
     assert [each.steps for each in reports] == [0, 24, 48, 72, 96, 120, 144, 168]
-    assert [bool(each.figures) for each in reports] == [False] * 3 + [True] * 5
-    rewards = [each.figures.get("reward") for each in reports]
+    assert [bool(each.metrics) for each in reports] == [False] * 3 + [True] * 5
+    rewards = [each.metrics.get("reward") for each in reports]
     assert rewards[3] == rewards[5] != rewards[6] != rewards[7]
 
 
@@ -52,7 +53,7 @@ def test_a_run_that_a_hook_stops_or_that_is_killed_after_it_saved_goes_on_to_the
         resume(tmp_path / name, progress=False, hook=heard.append)
         assert heard[0].steps == 48 and heard[-1].steps == 168
         assert bits(tmp_path / name) == bits(tmp_path / "whole")
-    assert load_settings(tmp_path / "stopped") == SETTINGS
+    assert Settings.load(tmp_path / "stopped") == SETTINGS
 
 
 def test_a_cell_of_a_grid_goes_on_with_its_hook_after_it_was_killed(tmp_path):
@@ -64,7 +65,7 @@ def test_a_cell_of_a_grid_goes_on_with_its_hook_after_it_was_killed(tmp_path):
 
 def test_the_policy_of_the_end_is_judged_but_not_that_of_a_run_that_was_stopped(tmp_path):
     """Even where the run is shorter than the steps between judgements."""
-    settings = replace(SETTINGS, judge_every=10 * SETTINGS.steps)
+    settings = replace(SETTINGS, eval_every=10 * SETTINGS.steps)
     train(settings, tmp_path / "whole", progress=False)
     best = read_npz(tmp_path / "whole" / BEST)["policy"]
     assert {name: values.tobytes() for name, values in best.items()} == bits(tmp_path / "whole")

@@ -61,12 +61,12 @@ def test_arms_that_the_teacher_leads_move_as_under_the_teacher_alone_and_their_n
     )
     imitation = DAgger(settings)
     setup, student = settings.environment, imitation._student
-    student.led = np.ones(3, dtype=bool)
+    student.teacher_acts = np.ones(3, dtype=bool)
     led = rollout(imitation._agent(), Configuration("FlexOne-v0", {"horizon": 0.8}), range(3))
     alone = rollout(TEACHER, Configuration("FlexOne-v0", {"horizon": 0.8}), range(3))
     for name in ("tips", "actions", "torques"):
         assert getattr(led, name).tobytes() == getattr(alone, name).tobytes()
-    notes = student.notes
+    notes = student.samples
     assert len(notes) == 20 and len(led.torques[0]) == 40  # actions last for two periods
     missing = 0.5 * STIFFNESS / setup.torque_limit[0] * np.array([seen[:, 0] for seen, _, _ in notes])
     wanted = np.array([better[:, 0] for _, better, _ in notes])
@@ -77,13 +77,13 @@ def test_arms_that_the_teacher_leads_move_as_under_the_teacher_alone_and_their_n
 @pytest.mark.parametrize("kept", [1, 2, 3])
 def test_the_last_rounds_are_kept_and_every_second_instant_of_each(kept):
     """Of rounds that are even the first instant, the third and so on, of odd ones the others."""
-    imitation, played = DAgger(replace(SHORT, hyperparameters={**SHORT.hyperparameters, "rounds_kept": kept})), []
+    imitation, played = DAgger(replace(SHORT, hyperparameters={**SHORT.hyperparameters, "iterations_kept": kept})), []
     for number in range(4):
-        imitation._play(number)
-        due = [(seen[begun], ACTION_SCALE * wanted[begun]) for seen, wanted, begun in imitation._student.notes]
+        imitation._collect(number)
+        due = [(seen[begun], ACTION_SCALE * wanted[begun]) for seen, wanted, begun in imitation._student.samples]
         played.append([np.concatenate(part) for part in zip(*due[number % 2 :: 2], strict=True)])
-        assert [len(seen) for seen, _, _ in imitation._rounds] == [len(seen) for seen, _ in played[-kept:]]
-        for (seen, wanted, _), expected in zip(imitation._rounds, played[-kept:], strict=True):
+        assert [len(seen) for seen, _, _ in imitation._iterations] == [len(seen) for seen, _ in played[-kept:]]
+        for (seen, wanted, _), expected in zip(imitation._iterations, played[-kept:], strict=True):
             assert np.allclose(seen, expected[0], rtol=1e-6) and np.allclose(wanted, expected[1], rtol=1e-6)
 
 
@@ -139,21 +139,21 @@ def test_one_that_was_stopped_begins_again_and_one_that_is_finished_stays(tmp_pa
     train(SHORT, tmp_path / "part", progress=False, hook=lambda report: report.steps >= 160)
     assert not (tmp_path / "part" / NEWEST).exists()
     train_or_resume((SHORT, str(tmp_path / "part"), {"progress": False}))
-    assert "begins again" in capsys.readouterr().err and bits(tmp_path / "part") == bits(tmp_path / "whole")
+    assert "starts from scratch" in capsys.readouterr().err and bits(tmp_path / "part") == bits(tmp_path / "whole")
     assert "is finished" in refusal(resume, tmp_path / "whole")
     assert refusal(resume, tmp_path / "whole", 480).startswith("steps: ")
 
 
 def test_ctrl_c_stops_it_and_says_that_nothing_is_kept(tmp_path, monkeypatch):
-    played = DAgger._play
+    played = DAgger._collect
 
     def interrupted(self, number):
         if number == 0:
             os.kill(os.getpid(), signal.SIGINT)
         return played(self, number)
 
-    monkeypatch.setattr(DAgger, "_play", interrupted)
-    with pytest.raises(Interrupted, match="stopped after 160 steps, of which an imitation keeps none"):
+    monkeypatch.setattr(DAgger, "_collect", interrupted)
+    with pytest.raises(Interrupted, match="stopped after 160 steps; an imitation saves nothing before its end"):
         train(SHORT, tmp_path, progress=False)
     assert not (tmp_path / NEWEST).exists()
 
@@ -162,7 +162,7 @@ def test_the_command_line_imitates_a_controller(tmp_path, capsys):
     told = ["imitate", "{kind: pd, stiffness: [0.05], damping: [0.02]}", "--env", "FlexOne-v0", "--set", "horizon=0.4"]
     assert main([*told, "--steps", "150", "--envs", "4", "--folder", str(tmp_path / "run")]) == 0
     captured = capsys.readouterr()
-    assert "flexman evaluate" in captured.out and "160 of 160 actions: ep_rew_mean" in captured.err
+    assert "flexman evaluate" in captured.out and "160 of 160 steps: ep_rew_mean" in captured.err
     assert main(["evaluate", str(tmp_path / "run"), "--episodes", "2"]) == 0
     assert main([*told, "--algo", "ppo", "--folder", str(tmp_path / "other")]) == 2
     assert capsys.readouterr().err.startswith("algo: 'ppo' is not allowed")
@@ -179,11 +179,11 @@ def test_what_cannot_be_imitated_is_refused():
     base = {"kind": "privileged-lqr"}
     shaping = {**ENVIRONMENT, "id": "FlexRRR-v0", "base": base, "actions": "shaping"}
     assert refusal(DAgger, replace(SHORT, environment=shaping)).startswith("actions: ")
-    assert "rounds_kept" in refusal(DAgger, replace(SHORT, hyperparameters={"gamma": 0.9}))
+    assert "iterations_kept" in refusal(DAgger, replace(SHORT, hyperparameters={"gamma": 0.9}))
     for name, value in (("teacher", "nobody"), ("updates", 0), ("net_arch", "wide")):
         said = refusal(lambda name=name, value=value: replace(SHORT, hyperparameters={name: value}))
         assert said.startswith("base: " if name == "teacher" else f"hyperparameters.{name}: ")
-    assert refusal(lambda: replace(SHORT, judge_every=10)).startswith("judge_every: ")
+    assert refusal(lambda: replace(SHORT, eval_every=10)).startswith("eval_every: ")
     quiet = {**ENVIRONMENT, "id": "FlexRRR-v0", "base": base, "sensors": [],
              "actions": {"kind": "shaping", "pace": 0.0, "offset": 0.0, "torque": 0.5, "fading": 0.0}}  # fmt: skip
     student = replace(SHORT, environment=quiet, hyperparameters={"teacher": base})

@@ -52,7 +52,7 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     train(RUNS[algo], whole, progress=False)
     interrupt(19)
-    with pytest.raises(Interrupted, match=r"stopped after \d+ steps, all of which are kept"):
+    with pytest.raises(Interrupted, match=r"stopped after \d+ steps; the run is saved"):
         train(RUNS[algo], parts, progress=False)
     assert "Stopping after this rollout; press Ctrl-C again" in capsys.readouterr().err
     done = read_npz(parts / NEWEST)["training"]["counts"]["num_timesteps"]
@@ -75,7 +75,7 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
 def test_a_memory_that_is_full_is_drawn_from_whole_after_a_resumption(tmp_path, interrupt):
     """It holds eight rows of three arms; the run stops in the fourteenth of twenty."""
     chosen = {"learning_starts": 12, "batch_size": 8, "buffer_size": 24, "net_arch": [8]}
-    settings = replace(RUNS["sac"], steps=60, hyperparameters=chosen, judge_every=0)
+    settings = replace(RUNS["sac"], steps=60, hyperparameters=chosen, eval_every=0)
     train(settings, tmp_path / "whole", progress=False)
     interrupt(13)
     with pytest.raises(Interrupted):
@@ -105,7 +105,7 @@ def test_a_run_whose_last_steps_were_lost_repeats_them(tmp_path):
     saved = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "flexman_agents.training.write_data",
+            "flexman_agents.training.write_npz",
             lambda path, data: saved.append(path) or write_npz(path, data) if len(saved) < 2 else None,
         )
         train(RUNS["ppo"], tmp_path / "run", checkpoint_every=24, progress=False)
@@ -119,7 +119,7 @@ def test_a_run_that_was_killed_before_it_kept_anything_begins_again(tmp_path, ca
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / SETTINGS).write_bytes((tmp_path / "whole" / SETTINGS).read_bytes())
     resume(tmp_path / "run", progress=False)
-    assert "Nothing was kept" in capsys.readouterr().err
+    assert "Nothing was saved" in capsys.readouterr().err
     assert same(tmp_path / "whole", tmp_path / "run")
 
 
@@ -137,7 +137,7 @@ def test_steps_belong_to_a_finished_run_only(tmp_path, interrupt):
     with pytest.raises(Interrupted):
         train(RUNS["ppo"], tmp_path / "run", progress=False)
     line = refusal(resume, tmp_path / "run", 100)
-    assert line.startswith("steps: 100 is not allowed; give nothing: the run in") and "has 48 of its 160 steps" in line
+    assert line.startswith("steps: 100 is not allowed; give no steps: the run in") and "has 48 of its 160 steps" in line
     interrupt(-1)
     resume(tmp_path / "run", progress=False)
     assert "that in" in refusal(resume, tmp_path / "run") and "is finished" in refusal(resume, tmp_path / "run")
@@ -154,7 +154,7 @@ def test_curves_of_a_run_whose_last_steps_were_lost_do_not_overlap(tmp_path, mon
     saved, run = [], tmp_path / "run"
     with monkeypatch.context() as patch:
         patch.setattr(
-            "flexman_agents.training.write_data",
+            "flexman_agents.training.write_npz",
             lambda path, data: saved.append(path) or write_npz(path, data) if len(saved) < 3 else None,
         )
         train(RUNS["ppo"], run, checkpoint_every=24, progress=False)
@@ -202,7 +202,7 @@ def test_versions_of_every_part_of_a_run_are_kept(tmp_path, monkeypatch):
     """Three parts, each with other versions."""
     for part in range(3):
         monkeypatch.setattr("flexman_agents.settings.version", lambda name, part=part: f"{part}.0")
-        run = replace(RUNS["ppo"], steps=24, judge_every=0)
+        run = replace(RUNS["ppo"], steps=24, eval_every=0)
         resume(tmp_path, 24, progress=False) if part else train(run, tmp_path, progress=False)
     record = json.loads((tmp_path / SETTINGS).read_text())
     assert [each["numpy"] for each in [*record["earlier_versions"], record["versions"]]] == ["0.0", "1.0", "2.0"]

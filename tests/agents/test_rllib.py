@@ -43,7 +43,7 @@ def test_a_recipe_is_translated_and_what_cannot_be_is_refused():
     assert config.gamma == 0.95 and config.lambda_ == 0.99 and config.num_envs_per_env_runner == 4
     assert config.lr == [[0, 1e-3], [768, 1e-12]] and config.env_config["first_seed"] == training_seed(3)
     assert refusal(rllib.ppo_config, SETTINGS, 3).startswith("runners: 3 is not allowed; give a number that divides")
-    for change in ({"judge_every": 5}, {"hyperparameters": {"use_sde": True}}):
+    for change in ({"eval_every": 5}, {"hyperparameters": {"use_sde": True}}):
         assert refusal(rllib.ppo_config, replace(SETTINGS, **change), 0).startswith(next(iter(change)))
     assert refusal(rllib.ppo_config, Settings("sac"), 0).startswith("algo: 'sac' is not allowed")
 
@@ -66,7 +66,7 @@ def test_runners_begin_with_episodes_of_their_own():
     for config, index in ((both, 1), (both, 2), (whole, 0)):
         runner = rllib.ArrayEnvRunner(config=config, worker_index=index)
         runner._begin()
-        seen.append(runner._seen)
+        seen.append(runner._observed)
     assert np.array_equal(np.concatenate(seen[:2]), seen[2]) and len(np.unique(seen[2], axis=0)) == 8
 
 
@@ -82,7 +82,7 @@ def test_a_sample_holds_what_the_environment_said_cut_into_episodes():
 
 def _last(runner, arm):
     """What an arm sees now, scaled by what was known when the rollout began, which was nothing."""
-    return np.clip(runner._seen[arm], -10.0, 10.0)
+    return np.clip(runner._observed[arm], -10.0, 10.0)
 
 
 def test_scales_that_runners_share_count_everything_once():
@@ -90,12 +90,12 @@ def test_scales_that_runners_share_count_everything_once():
     runners = [NormalisationConnector(4) for _ in range(3)]
     for parts in (values[:30], values[30:]):
         for runner, part in zip(runners, np.split(parts, 3), strict=True):
-            runner.own["seen"].add(part)
+            runner.own["observations"].add(part)
         merged = runners[0].merge_states([runner.get_state() for runner in runners])
         for runner in runners:
             runner.set_state(merged)
     for runner in runners:
-        scales = runner.now("seen")
+        scales = runner.merged("observations")
         assert scales.count == 60 and scales.mean == pytest.approx(values.mean(axis=0))
         assert scales.squares / 60 == pytest.approx(values.var(axis=0))
 

@@ -18,7 +18,7 @@ from flexman_agents.sb3 import (
     ZOO_FOLDER,
     action_function,
     algorithm_arguments,
-    load_sb3_zip,
+    load_sb3,
     make_model,
     write_zoo_files,
     zoo_hyperparameters,
@@ -61,14 +61,14 @@ def test_a_model_brings_environment_interface_and_statistics(model, tmp_path, ca
     model.save(path)
     model.get_vec_normalize_env().save(str(path.with_suffix(".pkl")))
     assert "--trust" in refusal(find_agent, str(path))
-    loaded = load_sb3_zip(path, settings.environment)
+    loaded = load_sb3(path, settings.environment)
     assert loaded.name == "own" and np.array_equal(torques(loaded, environment), expected)
     here = Configuration(environment.id, {**environment.settings, **interface})
-    assert np.array_equal(torques(load_sb3_zip(path), here), expected), "it sees and holds as it is told there"
+    assert np.array_equal(torques(load_sb3(path), here), expected), "it sees and holds as it is told there"
     path.with_suffix(".pkl").write_bytes(b"noise")
-    assert "this is not a policy of Stable-Baselines3" in refusal(load_sb3_zip, path)
+    assert "this is not a policy of Stable-Baselines3" in refusal(load_sb3, path)
     path.write_bytes(b"noise")
-    assert "this is not a policy of Stable-Baselines3" in refusal(load_sb3_zip, path)
+    assert "this is not a policy of Stable-Baselines3" in refusal(load_sb3, path)
     assert main(["evaluate", str(path), "--trust"]) == 2 and "own.zip" in capsys.readouterr().err
 
 
@@ -117,7 +117,7 @@ def test_a_schedule_that_rl_zoo3_cannot_say_is_refused():
         "schedules.learning_rate: Schedule(start=0.001, end=0.0001, until=1.0) is"
     )
     early = replace(settings, schedules={"learning_rate": {"start": 1e-3, "end": 0.0, "until": 0.5}})
-    assert "falls to zero at the end, for rl_zoo3" in refusal(zoo_hyperparameters, early), "it falls to zero half way"
+    assert "decreases to zero at the end, for rl_zoo3" in refusal(zoo_hyperparameters, early), "it falls to zero half way"
 
 
 def test_a_rate_that_stays_is_written_as_a_number():

@@ -20,7 +20,7 @@ from flexman_gym.common.run_folder import NEWEST, read_npz
 from oracles.assertions import refusal
 from oracles.runs import RUNS
 
-RECIPE = replace(RUNS["ppo"], judge_every=48, schedules={}, environment={
+RECIPE = replace(RUNS["ppo"], eval_every=48, schedules={}, environment={
     "id": "FlexOne-v0", "base": "pd", "action_repeat": 5, "horizon": 0.3})  # fmt: skip
 OVER = {
     "hyperparameters.gamma": {"low": 0.5, "high": 0.99},

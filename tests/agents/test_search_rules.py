@@ -10,7 +10,7 @@ pytest.importorskip("stable_baselines3")
 
 from flexman_agents import search as module
 from flexman_agents.callbacks import TrainingReport
-from flexman_agents.search import change_settings, flatten_ranges, run_trial, search
+from flexman_agents.search import change_settings, run_trial, search
 from flexman_agents.settings import find_recipe
 
 from oracles.assertions import refusal
@@ -117,10 +117,10 @@ def test_trials_are_compared_ten_times_where_the_recipe_does_not_say(asked, ever
     monkeypatch.setattr(module, "_study", lambda folder: study)
     monkeypatch.setattr(module, "_proposed", lambda study, number, over: {"hyperparameters.gamma": 0.7})
     monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
-    monkeypatch.setattr(module, "run_cells", spread)
-    search(replace(RECIPE, judge_every=asked), OVER, tmp_path, 1)
+    monkeypatch.setattr(module, "parallel_map_unordered", spread)
+    search(replace(RECIPE, eval_every=asked), OVER, tmp_path, 1)
     ((settings, _, number),) = cells
-    assert (settings.judge_every, settings.hyperparameters["gamma"], number) == (every, 0.7, 0)
+    assert (settings.eval_every, settings.hyperparameters["gamma"], number) == (every, 0.7, 0)
 
 
 def test_every_trial_is_proposed_by_a_seed_of_its_own(optuna, monkeypatch, tmp_path):
@@ -135,7 +135,7 @@ def test_every_trial_is_proposed_by_a_seed_of_its_own(optuna, monkeypatch, tmp_p
     monkeypatch.setattr(module, "_study", lambda folder: study)
     monkeypatch.setattr(module, "_proposed", lambda study, number, over: seeds.append(study.sampler) or {})
     monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
-    monkeypatch.setattr(module, "run_cells", spread)
+    monkeypatch.setattr(module, "parallel_map_unordered", spread)
     search(RECIPE, OVER, tmp_path, 3, workers=2, seed=7)
     assert len(study.trials) == 3 and list(dict.fromkeys(seeds)) == [7, 8, 9]
 
@@ -175,6 +175,12 @@ def test_ends_between_which_nothing_lies_are_refused(ends, tmp_path):
     assert line.startswith("over.hyperparameters.learning_rate: ") and line.endswith("low < high, and low > 0 with log")
 
 
-def test_a_setting_is_a_path_of_the_names_above_it():
+def test_a_setting_is_a_path_of_the_names_above_it(optuna, monkeypatch, tmp_path):
+    study, ranges = Study(), []
+    monkeypatch.setattr(module, "_study", lambda folder: study)
+    monkeypatch.setattr(module, "_proposed", lambda study, number, over: ranges.append(over) or {})
+    monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
+    monkeypatch.setattr(module, "parallel_map_unordered", lambda run, cells, *_, **__: [study.tell(cells[0][-1], 1.0)])
     over = {"hyperparameters": {"gamma": {"low": 0.5, "high": 0.9}}, "envs": {"choices": [2, 3]}}
-    assert flatten_ranges(over) == {"hyperparameters.gamma": {"low": 0.5, "high": 0.9}, "envs": {"choices": [2, 3]}}
+    search(RECIPE, over, tmp_path, 1)
+    assert ranges[0] == {"hyperparameters.gamma": {"low": 0.5, "high": 0.9}, "envs": {"choices": [2, 3]}}

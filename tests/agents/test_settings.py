@@ -1,6 +1,8 @@
 """Settings: from mappings, files and the record of a run; what is wrong is named in one line."""
 
 import json
+import warnings
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -17,6 +19,7 @@ from flexman_agents.settings import (
     find_recipe,
 )
 from flexman_gym.common import files
+from flexman_gym.common.renamed import RUN_SETTINGS
 from flexman_gym.envs.config.named_environments import flex_rrr
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, TEST_SEEDS, TRAINING_SEEDS_STRIDE, training_seed
 
@@ -36,8 +39,8 @@ def test_settings_come_from_a_file_and_back_from_the_record_of_a_run(tmp_path, s
     files.write_data(path, RECIPE)
     settings = find_recipe(str(path))
     assert settings == Settings(**RECIPE) == Settings.recipe(path)
-    kept = json.dumps(settings.plain() | {"versions": {}})
-    assert Settings.from_json(path, kept) == settings
+    (tmp_path / "settings.json").write_text(json.dumps(settings.plain() | {"versions": {}}))
+    assert Settings.load(tmp_path) == settings
     assert settings.plain()["environment"]["arm"]["payload"]["mass"] == 0.1, "the whole arm is kept"
     setup = settings.environment
     assert (setup.action_repeat, setup.base, len(setup.sensors), setup.horizon) == (5, "pd", 2, 1.0)
@@ -127,8 +130,33 @@ def test_a_bad_recipe_names_its_file_and_the_field(tmp_path):
 
 @pytest.mark.parametrize("text", ["", "3", "{}", "[1]", '{"algo": "ppo"}', "[" * 10_000])
 def test_a_broken_record_names_its_file(tmp_path, text):
-    line = refusal(Settings.from_json, tmp_path / "settings.json", text)
+    (tmp_path / "settings.json").write_text(text)
+    line = refusal(Settings.load, tmp_path)
     assert line.startswith(f"{tmp_path / 'settings.json'}: ") and line.endswith("; give the settings of a training run")
+
+
+# Names of release 0.2
+
+
+@pytest.mark.parametrize(("old", "present"), RUN_SETTINGS.items())
+def test_an_old_setting_is_accepted_with_a_warning_and_one_of_a_run_without(old, present, tmp_path):
+    """In a recipe, as an argument, and in the settings that a run has kept."""
+    inside = "rounds" in old
+    recipe = {"algo": "dagger", "hyperparameters": {old: 7}} if inside else {old: 7}
+    expected = Settings("dagger", hyperparameters={present: 7}) if inside else Settings(**{present: 7})
+    files.write_data(tmp_path / "recipe.yaml", recipe)
+    with pytest.warns(DeprecationWarning, match=f"^{old} is {present} now$"):
+        assert Settings.recipe(tmp_path / "recipe.yaml") == expected
+    if not inside:
+        with pytest.warns(DeprecationWarning, match=f"{old}=.* is deprecated; give {present}="):
+            assert replace(Settings(), **{old: 7}) == expected
+    record = json.dumps(expected.plain()).replace(f'"{present}"', f'"{old}"')
+    (tmp_path / "settings.json").write_text(record)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert Settings.load(tmp_path) == expected
+    line = refusal(Settings.from_dict, {old: 7, present: 7})
+    assert line == f"{old}: 7 is not allowed; give {present} only, its present name"
 
 
 # Schedules
@@ -149,8 +177,8 @@ def test_a_schedule_is_linear_and_then_stays(start, end, until, progress):
         (("a", 1.0), "schedule.start: 'a' is not allowed; give a"),
         ((float("nan"), 1.0), "schedule.start: nan is not allowed; give a finite"),
         ((1.0, None), "schedule.end: None is not allowed; give a"),
-        ((1.0, 1.0, 0.0), "schedule.until: 0.0 is not allowed; give a part of the training > 0, at most 1"),
-        ((1.0, 1.0, 1.5), "schedule.until: 1.5 is not allowed; give a part of the training > 0, at most 1"),
+        ((1.0, 1.0, 0.0), "schedule.until: 0.0 is not allowed; give a fraction of the training, > 0 and at most 1"),
+        ((1.0, 1.0, 1.5), "schedule.until: 1.5 is not allowed; give a fraction of the training, > 0 and at most 1"),
     ],
 )
 def test_bad_schedules_are_named(values, line):

@@ -14,7 +14,7 @@ from flexman_agents import callbacks
 from flexman_agents.callbacks import Evaluation
 from flexman_agents.sb3 import algorithm_arguments, make_model
 from flexman_agents.settings import Settings
-from flexman_agents.training import load_settings, resume, train
+from flexman_agents.training import resume, train
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, write_npz
 from flexman_gym.evaluation import METRICS, rollout
 from flexman_gym.evaluation.agent import find_agent
@@ -47,7 +47,7 @@ def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "ppo"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(callbacks, "SELECTION_SEEDS", range(5000, 5003))
-        return folder, train(replace(SHORT, judge_every=512), folder, progress=False)
+        return folder, train(replace(SHORT, eval_every=512), folder, progress=False)
 
 
 def test_a_run_keeps_model_statistics_settings_versions_and_the_whole_arm(trained):
@@ -56,7 +56,7 @@ def test_a_run_keeps_model_statistics_settings_versions_and_the_whole_arm(traine
     record = json.loads((folder / SETTINGS).read_text())
     assert record["seed"] == 3 and {"numba", "torch", "flexman_gym", "python"} <= record["versions"].keys()
     assert record["environment"]["arm"]["links"][0]["length"] == 0.8
-    assert load_settings(folder) == replace(SHORT, judge_every=512)
+    assert Settings.load(folder) == replace(SHORT, eval_every=512)
 
 
 def test_the_same_seed_trains_the_same_policy_and_another_seed_another(trained, tmp_path):
@@ -94,9 +94,9 @@ def test_a_finished_run_goes_on_as_another_run(trained, tmp_path, capsys):
     train(replace(SHORT, schedules={}), folder, progress=False)
     before = acts(folder)
     assert resume(folder, 256, progress=False).num_timesteps == 256
-    assert "The run of 512 steps was finished: 256 more are another run." in capsys.readouterr().err
+    assert "The run of 512 steps was finished; a further run of 256 steps starts from it." in capsys.readouterr().err
     assert 0 < np.abs(acts(folder) - before).max() < 0.5
-    assert read_npz(folder / NEWEST)["before"] == 512 and load_settings(folder).steps == 256
+    assert read_npz(folder / NEWEST)["before"] == 512 and Settings.load(folder).steps == 256
     with (folder / "progress-512.csv").open() as lines:
         assert [int(row["time/total_timesteps"]) for row in csv.DictReader(lines)] == [256]
     with (folder / "progress.csv").open() as lines:
@@ -121,24 +121,21 @@ def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_judged(traine
     folder = tmp_path / "run"
     shutil.copytree(trained[0], folder)
     line = refusal(resume, folder, 256, 0, False, "cpu", 0)
-    assert (
-        line
-        == f"judge_every: 0 is not allowed; give the steps between evaluations, > 0: {folder} keeps its best policy"
-    )
+    assert line == f"eval_every: 0 is not allowed; give the steps between evaluations, > 0: {folder} has a best policy"
     rewards = iter([-1e6, 1e6, 0.0])  # the last at the end
     monkeypatch.setattr(callbacks, "evaluate", lambda *given: dict.fromkeys(METRICS, 1.0) | {"reward": next(rewards)})
     kept = []
     monkeypatch.setattr(
-        "flexman_agents.training.write_data", lambda path, data: kept.append((path.name, data.get("before")))
+        "flexman_agents.training.write_npz", lambda path, data: kept.append((path.name, data.get("before")))
     )
-    resume(folder, 512, progress=False, judge_every=256)
+    resume(folder, 512, progress=False, eval_every=256)
     assert kept == [(BEST, None), (NEWEST, 512)]
 
 
 def test_checkpoints_are_written_where_rollouts_begin(tmp_path, monkeypatch):
     saved = []
     monkeypatch.setattr(
-        "flexman_agents.training.write_data",
+        "flexman_agents.training.write_npz",
         lambda path, data: saved.append(data["training"]["counts"]["num_timesteps"]),
     )
     train(replace(SHORT, steps=1024), tmp_path / "run", checkpoint_every=300, progress=False)
@@ -242,7 +239,7 @@ def judge_with(monkeypatch, outcomes, rollout=50):
         return dict.fromkeys(METRICS, 0.0) | {"settled": share, "reward": reward}
 
     monkeypatch.setattr(callbacks, "evaluate", evaluate)
-    judge = Evaluation(replace(SHORT, judge_every=100), None, lambda: kept.append(judge.num_timesteps))
+    judge = Evaluation(replace(SHORT, eval_every=100), None, lambda: kept.append(judge.num_timesteps))
     judge.model = SimpleNamespace(logger=SimpleNamespace(record=lambda name, value: logged.append((name, value))))
     for step in range(rollout, 100 * len(outcomes) + 1, rollout):
         judge.num_timesteps = step
@@ -277,7 +274,7 @@ def test_the_curves_show_what_the_judge_has_seen_with_its_units(monkeypatch):
     logged = {}
     seen = dict.fromkeys(METRICS, 0.0) | {"settling_time": 2.0, "vibration": 0.2, "error": 0.02}
     monkeypatch.setattr(callbacks, "evaluate", lambda *given: seen)
-    judge = Evaluation(replace(SHORT, judge_every=1), None, lambda: None)
+    judge = Evaluation(replace(SHORT, eval_every=1), None, lambda: None)
     judge.model = SimpleNamespace(logger=SimpleNamespace(record=logged.__setitem__))
     judge.num_timesteps = 1
     judge._on_rollout_end()
@@ -288,7 +285,7 @@ def test_the_curves_show_what_the_judge_has_seen_with_its_units(monkeypatch):
 def test_at_first_the_value_function_learns_alone():
     """Its first rollout changes the value function and not the policy, the second changes both; actions begin at 0."""
     chosen = {"net_arch": [8], "n_steps": 32, "ortho_init": False}
-    settings = replace(SHORT, steps=128, hyperparameters=chosen, schedules={}, value_first=64)
+    settings = replace(SHORT, steps=128, hyperparameters=chosen, schedules={}, value_warmup=64)
     model = make_model(settings)
     policy, value = model.policy.mlp_extractor.policy_net[0], model.policy.mlp_extractor.value_net[0]
     assert not model.policy.action_net.weight.any() and not model.policy.action_net.bias.any()

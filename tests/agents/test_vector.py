@@ -72,9 +72,9 @@ def test_arms_tell_what_they_share_and_refuse_what_they_do_not_have():
     assert arms.get_attr("max_episode_steps") == [7, 7] and arms.get_attr("max_episode_steps", [1]) == [7]
     assert arms.env_is_wrapped(gym.Wrapper) == [False, False] and not arms.has_attr("nothing")
     assert arms.seed(3) == [3, 4]
-    with pytest.raises(ValueError, match=r"^set_attr: 'task' is not allowed; give arguments to the environment as"):
+    with pytest.raises(ValueError, match=r"^set_attr: 'task' is not allowed; give the attribute as a keyword"):
         arms.set_attr("task", None)
-    with pytest.raises(ValueError, match=r"^env_method: 'reset' is not allowed; give a call of a method of `env`"):
+    with pytest.raises(ValueError, match=r"^env_method: 'reset' is not allowed; give a call of the method of `env`"):
         arms.env_method("reset")
     arms.set_options({"start": [0.1, 0.2, 0.3]})
     seen = arms.reset()

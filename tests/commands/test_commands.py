@@ -177,7 +177,8 @@ def test_the_league_is_played_and_grows(tmp_path, capsys):
 def test_a_league_takes_the_options_of_version_0_2_and_prints_its_table_without_jinja(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "jinja2", None)
     old = ["--entrants", "zero", "--environments", "FlexOne-v0"]
-    assert main(["league", "--folder", str(tmp_path), "--episodes", "1", *old]) == 0
+    with pytest.warns(DeprecationWarning, match="flexman league: --entrants is --agents now"):
+        assert main(["league", "--folder", str(tmp_path), "--episodes", "1", *old]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[1:4] == ["| agent | FlexOne-v0 |", "| --- | --- |", "| `zero` | 0 % |"]
     assert "no page: it needs Jinja2: pip install 'flexman_gym[render]'" in lines
@@ -202,7 +203,7 @@ def test_a_league_takes_few_episodes_on_other_plants_and_those_of_others_for_one
         (["league", "--episodes", "0"], "--episodes: 0 is not allowed; give a whole number >= 1"),
         (["league", "--sweep", "mass"], "sweep: 'mass' is not allowed; give one of payload"),
         (["league", "--add", "nowhere"], "nowhere/settings.json: no such file"),
-        (["league", "--environments", "FlexPlanar-v9"], "FlexPlanar-v9: there is no such file"),
+        (["league", "--scenarios", "FlexPlanar-v9"], "FlexPlanar-v9: there is no such file"),
         (["simulate", "nowhere.json"], "nowhere.json: there is no such file"),
         (["simulate", SCENE, "--method", "rk5"], "method: 'rk5' is not allowed; give one of "),
         (["choose", SCENE, "--tolerance", "0"], "tolerance: 0.0 is not allowed; give a finite number > 0"),

@@ -74,12 +74,12 @@ def test_kernels_of_others_compile_without_words(tmp_path):
 def test_compile_says_what_it_does():
     done = run("-m", "flexman_gym", "compile")
     assert done.returncode == 0, done.stderr
-    assert all(words in done.stdout for words in ("one arm alone: ", "arms abreast: ", "ready after"))
+    assert all(words in done.stdout for words in ("a single arm: ", "a batch of arms: ", "ready after"))
     assert done.stderr == ""
 
 
 def test_check_says_versions_kernels_and_steps():
-    run("-m", "flexman_gym", "compile", "one")
+    run("-m", "flexman_gym", "compile", "single")
     done = run("-m", "flexman_gym", "check")
     assert done.returncode == 0, done.stderr
     result = dict(line.split(": ", 1) for line in done.stdout.splitlines())
@@ -93,7 +93,7 @@ def test_check_says_versions_kernels_and_steps():
         "processor",
         "cache folder",
     } <= result.keys()
-    assert result["kernels of one arm alone"] == "compiled"
+    assert result["kernels of a single arm"] == "compiled"
     assert result["vector registers"].endswith(" bits") and result["steps of FlexRRR-v0"].endswith(" a second")
 
 
@@ -111,7 +111,7 @@ def test_check_says_which_kernels_are_not_compiled_yet(tmp_path, monkeypatch, ca
         (tmp_path / folder / f"batch.{name}-12.py311.1.nbc").touch()
         assert __main__.main(["check"]) == 0
         said = capsys.readouterr().out.splitlines()
-        assert f"kernels of one arm alone: {one}" in said and "kernels of arms abreast: not compiled yet" in said
+        assert f"kernels of a single arm: {one}" in said and "kernels of a batch of arms: not compiled yet" in said
 
 
 @pytest.mark.parametrize("wrong", [[], ["fly"], ["compile", "two"]])

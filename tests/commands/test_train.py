@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from flexman_agents.training import load_settings
+from flexman_agents.settings import Settings
 from flexman_gym.__main__ import main as flexman
 from flexman_gym.common import files
 from flexman_gym.common.run_folder import SETTINGS
@@ -37,7 +37,7 @@ def test_an_environment_file_and_changes_reach_the_run_and_its_evaluation(run, t
     folder = tmp_path / "run"
     code, out, _ = run("train", "--env", tmp_path / "own.yaml", "--set", "arm.payload.mass=0.2", "--seed", 4, *SMALL,
                        "--folder", folder)  # fmt: skip
-    settings = load_settings(folder)
+    settings = Settings.load(folder)
     setup = settings.environment
     assert code == 0 and f"The run is in {folder}" in out
     assert (settings.seed, settings.steps, settings.envs, settings.algo) == (4, 256, 2, "ppo")
@@ -72,7 +72,7 @@ def test_a_recipe_is_a_start_and_options_go_before_it(run, tmp_path):
         tmp_path / "own.json", {"environment": {"id": "FlexOne-v0", "horizon": 1.0}, "steps": 10**6, "seed": 8}
     )
     run("train", tmp_path / "own.json", *SMALL, "--folder", tmp_path / "run")
-    settings = load_settings(tmp_path / "run")
+    settings = Settings.load(tmp_path / "run")
     assert (settings.steps, settings.seed, settings.environment.horizon) == (256, 8, 1.0)
 
 

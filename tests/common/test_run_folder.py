@@ -13,7 +13,8 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from flexman_agents.sb3 import make_model
-from flexman_agents.training import load_settings, resume, train
+from flexman_agents.settings import Settings
+from flexman_agents.training import resume, train
 from flexman_gym.common.run_folder import LOCK, NEWEST, SETTINGS, lock_folder, read_npz, write_npz
 from flexman_gym.evaluation.agent import SB3_MODEL, find_agent
 
@@ -22,7 +23,7 @@ from oracles.runs import RUNS
 
 
 def test_a_folder_is_trained_in_by_one_process(tmp_path, capsys):
-    train(replace(RUNS["ppo"], judge_every=0), tmp_path, progress=False)
+    train(replace(RUNS["ppo"], eval_every=0), tmp_path, progress=False)
     held = "import sys; from pathlib import Path; from flexman_gym.common.run_folder import lock_folder\n" \
            f"with lock_folder(Path({str(tmp_path)!r})): print('held', flush=True); sys.stdin.read()"  # fmt: skip
     with subprocess.Popen([sys.executable, "-c", held], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
@@ -46,7 +47,7 @@ def test_what_a_link_in_a_run_folder_points_to_stays(tmp_path, name):
     precious.write_text("mine")
     folder.mkdir()
     (folder / name).symlink_to(precious)
-    run = replace(RUNS["ppo"], judge_every=0, steps=24)
+    run = replace(RUNS["ppo"], eval_every=0, steps=24)
     if name == LOCK:
         assert "whose file lock is not a link" in refusal(lambda: train(run, folder, progress=False))
     else:
@@ -57,7 +58,7 @@ def test_what_a_link_in_a_run_folder_points_to_stays(tmp_path, name):
 
 def test_of_two_trainings_for_one_new_folder_the_later_is_refused(tmp_path, monkeypatch):
     """The other one begins and ends while this one makes its model."""
-    run, make = replace(RUNS["ppo"], judge_every=0, steps=24), make_model
+    run, make = replace(RUNS["ppo"], eval_every=0, steps=24), make_model
 
     def slow(settings, device):
         monkeypatch.undo()
@@ -66,7 +67,7 @@ def test_of_two_trainings_for_one_new_folder_the_later_is_refused(tmp_path, monk
 
     monkeypatch.setattr("flexman_agents.training.make_model", slow)
     assert "give a new one, or resume the run" in refusal(lambda: train(run, tmp_path, progress=False))
-    assert load_settings(tmp_path).seed == 5
+    assert Settings.load(tmp_path).seed == 5
 
 
 def test_arrays_that_are_packed_are_refused_before_they_take_memory(tmp_path):
@@ -82,7 +83,7 @@ def test_arrays_that_are_packed_are_refused_before_they_take_memory(tmp_path):
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "run"
-    train(replace(RUNS["ppo"], judge_every=0), folder, progress=False)
+    train(replace(RUNS["ppo"], eval_every=0), folder, progress=False)
     return folder
 
 
@@ -131,7 +132,7 @@ def test_settings_that_are_arrays_are_other_ones(run, tmp_path):
 
 
 def test_files_of_stable_baselines3_need_trust(run, tmp_path):
-    from flexman_agents.sb3 import STATISTICS_FILE, load_sb3_run, make_model
+    from flexman_agents.sb3 import STATISTICS_FILE, load_sb3, make_model
 
     model = make_model(RUNS["ppo"])
     (tmp_path / SETTINGS).write_bytes((run / SETTINGS).read_bytes())
@@ -140,9 +141,9 @@ def test_files_of_stable_baselines3_need_trust(run, tmp_path):
     line = refusal(find_agent, str(tmp_path))
     assert "--trust" in line and "run any code" in line
     seen = np.zeros((2, 32), dtype=np.float32)
-    assert load_sb3_run(tmp_path).law(seen).shape == (2, 1)
+    assert load_sb3(tmp_path).law(seen).shape == (2, 1)
     (tmp_path / SB3_MODEL).write_bytes(b"noise")
-    assert "this is not a run of Stable-Baselines3" in refusal(load_sb3_run, tmp_path)
+    assert "this is not a run of Stable-Baselines3" in refusal(load_sb3, tmp_path)
 
 
 @pytest.mark.parametrize(

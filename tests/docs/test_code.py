@@ -28,7 +28,7 @@ DOCS, README = ROOT / "docs", (ROOT / "README.md").read_text(encoding="utf-8")
 TEXTS = {str(path.relative_to(DOCS))[:-3]: path.read_text(encoding="utf-8") for path in sorted(DOCS.rglob("*.md"))}
 PAGES = [page for page, text in TEXTS.items() if "python" in [language for language, _ in BLOCK.findall(text)]]
 # What a command or a training of a page takes here, in place of what it says.
-LESS = {"--steps": "512", "--episodes": "2", "--judge-every": "256"}
+LESS = {"--steps": "512", "--episodes": "2", "--eval-every": "256"}
 LESS_IN_PYTHON = (
     (r"STEPS = [\d_]+", "STEPS = 256"), (r"circles\(\d+\)", "circles(4)"), (r'-v0", 256', '-v0", 4'),
     (r"horizon=2.0", "horizon=0.4"),

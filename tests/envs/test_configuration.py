@@ -259,7 +259,7 @@ def test_a_training_parses_its_recipe_and_an_environment_in_its_place(parsed, tm
 
     monkeypatch.chdir(tmp_path)
     files.write_data(tmp_path / "own.yaml", {"id": "FlexPlanar-v0", "base": "pd", "horizon": 0.5})
-    small = ["--steps", "256", "--envs", "2", "--folder", "run", "--quiet", "--judge-every", "0"]
+    small = ["--steps", "256", "--envs", "2", "--folder", "run", "--quiet", "--eval-every", "0"]
     assert main(["train", "planar_ppo_on_pd", *small, *options]) == 0
     assert len(parsed) == count
 

@@ -225,7 +225,7 @@ def test_a_policy_is_used_with_the_base_that_its_run_says(tmp_path):
     }
     shaped["base"] = {"kind": "privileged-lqr", "doubt": True}
     settings = Settings(
-        environment=shaped, steps=64, envs=2, hyperparameters={"net_arch": [8], "n_steps": 16}, value_first=32,
+        environment=shaped, steps=64, envs=2, hyperparameters={"net_arch": [8], "n_steps": 16}, value_warmup=32,
         base_in_use="adaptive-lqr",
     )  # fmt: skip
     train(settings, tmp_path / "run", progress=False)

@@ -448,14 +448,14 @@ def test_every_venue_has_an_environment():
 
 def test_a_run_that_has_seen_a_seed_of_the_test_is_refused(tmp_path):
     def run(**changes):
-        settings = {"seed": 3, "envs": 4, "judge_every": 100, "environment": {"id": "FlexOne-v0"}} | changes
+        settings = {"seed": 3, "envs": 4, "eval_every": 100, "environment": {"id": "FlexOne-v0"}} | changes
         (tmp_path / "settings.json").write_text(json.dumps(settings))
         return str(tmp_path)
 
     first = training_seed(3)
     check_seeds_unseen(run(), range(9000, 9100))
     check_seeds_unseen(run(), [first - 1, first + 4, SELECTION_SEEDS.start - 1, SELECTION_SEEDS.stop])
-    check_seeds_unseen(run(judge_every=0), SELECTION_SEEDS)
+    check_seeds_unseen(run(eval_every=0), SELECTION_SEEDS)
     for seen in ([first], [first + 3], [*range(9000, 9100), SELECTION_SEEDS.start], [SELECTION_SEEDS.stop - 1]):
         line = refusal(check_seeds_unseen, run(), seen)
         assert f"neither trained nor chosen on the seed {seen[-1]}, which is one of the test" in line

@@ -149,7 +149,7 @@ DESCRIBED = {
 TRAINING = {
     "algo": "ppo", "environment": DESCRIBED, "steps": 1000, "seed": 1, "envs": 2, "normalise_reward": True,
     "hyperparameters": {"n_steps": 8, "gamma": 0.99, "learning_rate": 1e-3, "activation": "relu", "net_arch": [8]},
-    "schedules": {"learning_rate": {"start": 1e-2, "end": 0.0, "until": 0.5}}, "judge_every": 60,
+    "schedules": {"learning_rate": {"start": 1e-2, "end": 0.0, "until": 0.5}}, "eval_every": 60,
 }  # fmt: skip
 EFFECTS = {
     "payload_mass": (0.0, 0.1), "joint_stiffness_factor": (0.8, 1.2), "link_stiffness_factor": (0.8, 1.2),

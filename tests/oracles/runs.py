@@ -13,13 +13,13 @@ RUNS = {
     "ppo": Settings(
         "ppo", ENVIRONMENT, 160, seed=2, envs=3, hyperparameters={"n_steps": 8, "batch_size": 12, "net_arch": [8]},
         schedules={"learning_rate": {"start": 1e-2, "end": 0.0}, "log_std": {"start": -1.0, "end": -4.0}},
-        judge_every=60,
+        eval_every=60,
     ),
     "sac": Settings(
         "sac", ENVIRONMENT, 150, seed=2, envs=3, normalise_reward=False,
         hyperparameters={"learning_starts": 40, "batch_size": 16, "gradient_steps": 2, "buffer_size": 120,
                          "net_arch": [8]},
         schedules={"learning_rate": {"start": 1e-2, "end": 0.0}, "target_entropy": {"start": -1.0, "end": -4.0}},
-        judge_every=60,
+        eval_every=60,
     ),
 }  # fmt: skip

@@ -38,7 +38,7 @@ def made_up(described=DESCRIBED, seed=0):
     moments = {"mean": random.normal(0.0, 0.1, size), "var": random.uniform(0.5, 2.0, size)}
     seen = random.normal(0.0, 1.0, (CHECK_ROWS, size)).astype(np.float32)
     actions = Network("ppo", None, layers, moments)(seen)
-    settings = {"algo": "ppo", "hyperparameters": {}, "seed": 3, "envs": 4, "judge_every": 0}
+    settings = {"algo": "ppo", "hyperparameters": {}, "seed": 3, "envs": 4, "eval_every": 0}
     about = {
         "words": "Made up.", "licence": "MIT", "commit": "", "versions": {}, "training_seconds": 2.0, "league": {},
         "recipe": {"name": "", "settings": settings}, "environment": described.to_plain(), "observation": names,

@@ -18,7 +18,7 @@ from oracles import cells
 from oracles.assertions import refusal
 from oracles.runs import RUNS
 
-SEEDS, RECIPE = range(5), replace(RUNS["ppo"], judge_every=0)
+SEEDS, RECIPE = range(5), replace(RUNS["ppo"], eval_every=0)
 WAYS = {
     "processes": (Workers(2), None),
     "ray": (Workers(2, ray="local"), "ray"),
