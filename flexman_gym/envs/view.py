@@ -79,7 +79,7 @@ class View:
         self.gauge_radii = gauge_radii(model)
         self._readings = LinearMeasurements(model)
         end = 8 * self.n_joints
-        self.places = self._readings.places | {"tip_velocity": slice(end, end + 3)}
+        self.places = self._readings.columns | {"tip_velocity": slice(end, end + 3)}
         self.units = MEASUREMENT_UNITS | {
             "joint_angles": "rad", "joint_rates": "rad/s", "tip": "m", "tip_velocity": "m/s", "deflection": "m",
             "deflection_rate": "m/s", "tip_acceleration": "m/s^2", "specific_force": "m/s^2",

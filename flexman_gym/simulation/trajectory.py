@@ -113,7 +113,7 @@ class Trajectory:
     @property
     def readings(self) -> dict[str, Array]:
         """What sensors of environments measure, (T, ...) by the names of `View`; UNITS of `model.linearization`."""
-        return LinearMeasurements(self.model).named(self.states)
+        return LinearMeasurements(self.model).measure(self.states)
 
     @cached_property
     def _seen(self) -> tuple[Kinetics, FrameMotion]:

@@ -51,7 +51,7 @@ class Bench:
 
     def readings(self):
         """What instruments read now; the noise of each arm is its own."""
-        result = self.read.named(self.batch.state)
+        result = self.read.measure(self.batch.state)
         for name, values in result.items():
             deviation = self.plant.measured()[name][1]
             own = np.array([random.standard_normal(values.shape[1]) for random in self.randoms])
