@@ -73,13 +73,13 @@ def _mujoco(options: argparse.Namespace) -> str:
     from flexman_gym.common import files
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-    from flexman_gym.model.mjcf import mjcf
+    from flexman_gym.model.mjcf import to_mjcf
     from flexman_gym.scene.serialization import ARMS, SUFFIXES, find_arm
 
     name = options.arm
     alone = name in ARMS or (name.endswith(SUFFIXES) and "id" not in files.read_data(Path(name)))
     arm = find_arm(name) if alone else Configuration.find(name).arm
-    options.out.write_text(mjcf(arm, options.pieces), encoding="utf-8")
+    options.out.write_text(to_mjcf(arm, options.pieces), encoding="utf-8")
     known = f" of {name}" if name.partition("/")[0] in NAMED_ENVIRONMENTS else ""
     return f"{options.out} has the arm{known}: {arm.n_joints} links of {options.pieces} pieces a section."
 

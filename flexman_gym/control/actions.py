@@ -148,7 +148,7 @@ class _ReferenceShapingMode:
         self.names = tuple(every[column] for column in self._columns)
         self.sensors: tuple[object, ...] = tuple(base.sensors)
         self._quantities = Quantities(plant.model)
-        self._ranges = np.concatenate([plant.measured()[name][0] for name in self._quantities.places])
+        self._ranges = np.concatenate([plant.measured()[name][0] for name in self._quantities.columns])
         sizes = {"estimate": 8 * n, "departures": 8 * n, "angle_errors": 2 * n, "reference": 2 * n, "way": 3 * n}
         sizes |= {"clock": 6, "offsets": 2 * n, "applied": n, "action": len(self.names)}
         sizes |= {"parameters": 1 + 2 * n, "deviations": 1 + 2 * n}
@@ -211,8 +211,8 @@ class _ReferenceShapingMode:
 
     def _read(self, states: Array) -> Array:
         """The quantities (r, 8 n) of states (r, 2 d)."""
-        named = self._quantities.named(states)
-        return np.concatenate([named[name] for name in self._quantities.places], axis=1)
+        named = self._quantities.measure(states)
+        return np.concatenate([named[name] for name in self._quantities.columns], axis=1)
 
     def _parameters(self, estimate: Estimate, arms: IntArray) -> Array:
         """Payload (kg), and stiffness of joints and links as parts of the nominal one, (r, 1 + 2 n)."""

@@ -13,7 +13,7 @@ from flexman_gym.kernels.rigid_arm import inverse_kinematics
 from flexman_gym.model.deformation import gauge_radii
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurements
-from flexman_gym.model.statics import rest_states, rest_tips
+from flexman_gym.model.statics import rest_state, rest_tips
 from flexman_gym.simulation.batch import Batch
 
 REACHED, SLOPE = 1e-9, 1e-4  # of the reach: a place that is reached; slopes of the tip that turn no joint
@@ -79,7 +79,7 @@ class View:
         self.gauge_radii = gauge_radii(model)
         self._readings = LinearMeasurements(model)
         end = 8 * self.n_joints
-        self.places = self._readings.places | {"tip_velocity": slice(end, end + 3)}
+        self.places = self._readings.columns | {"tip_velocity": slice(end, end + 3)}
         self.units = MEASUREMENT_UNITS | {
             "joint_angles": "rad", "joint_rates": "rad/s", "tip": "m", "tip_velocity": "m/s", "deflection": "m",
             "deflection_rate": "m/s", "tip_acceleration": "m/s^2", "specific_force": "m/s^2",
@@ -151,7 +151,7 @@ class View:
 
     def rest_states(self, postures: Array) -> Array:
         """Gives the states (r, 2 d) of the arm at rest, motors at angles (r, n) rad, bent by its weight alone."""
-        return rest_states(self._batch.model, postures)
+        return rest_state(self._batch.model, postures)
 
     def rigid_tips(self, postures: Array) -> Array:
         """Gives the tips (r, 3) of the undeformed arm at postures (r, n) rad, base frame, m."""

@@ -85,7 +85,7 @@ class Ringing:
         count = len(next(iter(parameters.values())))
         rows = [{name: values[i] for name, values in parameters.items()} for i in range(count)]
         lanes = [self._resting(varied_model(model, **row)) for row in rows]
-        kept = lanes[0].others if self.lock_joints else np.arange(model.n_dof)
+        kept = lanes[0].free if self.lock_joints else np.arange(model.n_dof)
         found = oscillatory_modes(lanes[0], kept)
         chosen = list(self.numbers or ())
         if len(found.values) <= max(chosen):

@@ -1,6 +1,7 @@
-"""Metrics: how well an arm slewed, settled and stopped vibrating, from plain arrays sampled at equal intervals.
+"""Metrics of slews from plain arrays sampled at equal intervals, and statistics over many episodes.
 
-Times begin with the first sample, which is that of the reset. Errors are distances of tip and target.
+Signals describe settling, vibration, deflection and control effort of one run. Time starts at the first sample, which
+is the state after the reset. Errors are distances between tip and target.
 """
 
 from flexman_gym.common.renamed import deprecated_names

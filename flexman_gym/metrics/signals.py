@@ -7,17 +7,19 @@ from flexman_gym.common.checks import MAX_SIZE, non_negative, one_of, physical, 
 
 
 def check_samples(name: str, values: object, *axes: int) -> Array:
-    """Gives values as an array of numbers (T, ...) with one of the allowed numbers of axes.
+    """Return values as an array of numbers (T, ...) after checking its number of axes.
 
-    Raises:
-        ValueError: for other arrays, for one without a sample, and for finite numbers beyond 1e30, whose squares are
-            none.
+    Args:
+        name: name of the values in an error message.
+        values: array or nested list with at least one sample; finite numbers up to 1e30, so that squares stay finite.
+        *axes: allowed numbers of axes.
     """
     allowed = f"an array of {' or '.join(map(str, axes))} axes with at least one sample"
-    known = isinstance(values, list | tuple) or hasattr(type(values), "__array__")  # a range may be of any length
+    # excludes a range, which may have any length
+    is_array = isinstance(values, list | tuple) or hasattr(type(values), "__array__")
     try:
-        array = np.asarray(values) if known else np.zeros(0)
-    except Exception:  # lists of different length, an object of somebody's own
+        array = np.asarray(values) if is_array else np.zeros(0)
+    except Exception:  # ragged lists, or an object without numbers
         array = np.zeros(0)
     if array.ndim not in axes or array.size == 0 or array.dtype.kind not in "fiub":
         raise value_error(name, values, allowed)
@@ -28,11 +30,7 @@ def check_samples(name: str, values: object, *axes: int) -> Array:
 
 
 def _finite_samples(name: str, values: object, *axes: int, least: int = 1) -> Array:
-    """Gives samples, of which there are at least so many and none is infinite or no number.
-
-    Raises:
-        ValueError: for other arrays.
-    """
+    """Return samples after checking that they are finite and that there are at least `least` of them."""
     array = check_samples(name, values, *axes)
     if len(array) < least:
         raise value_error(name, values, f"at least {least} samples")
@@ -42,44 +40,37 @@ def _finite_samples(name: str, values: object, *axes: int, least: int = 1) -> Ar
 
 
 def _lengths(array: Array) -> Array:
-    """Gives the lengths (T,) of vectors (T, k); numbers (T,) stay as they are."""
+    """Return the lengths (T,) of vectors (T, k), or numbers (T,) unchanged."""
     return array if array.ndim == 1 else np.linalg.norm(array, axis=1)
 
 
 def _last_samples(array: Array, period: float, window: float) -> Array:
-    """Gives the samples of the last `window` seconds, both ends included, cut to what there is.
-
-    Raises:
-        ValueError: for a window or a period that is not > 0.
-    """
+    """Return the samples of the last `window` seconds, both ends included, or all samples of a shorter record."""
     count = positive("window", window, "s") / physical("period", period, "s")
     return array if count >= len(array) else array[-round(count) - 1 :]
 
 
 BAND = 0.02 / 8.5
-"""Part of the reach in which a tip has settled: 20 mm for 8.5 m."""
+"""Settling band as a fraction of the reach: 20 mm for 8.5 m."""
 MOVE_BANDS = (0.01, 0.05)
-"""Parts of the distance of a move, the usual bands of settling times."""
+"""Usual settling bands as fractions of the distance of a move."""
 SETTLING_WINDOW = 1.0
-"""Time for which a tip must have stayed in its band at least, s."""
+"""Time at the end of a record for which a settled tip stays in its band, s."""
 START, ENTRY = "start", "entry"
 
 
 def settling_time(errors: Array, band: float, period: float, since: str = START) -> float:
-    """Gives the time (s) after which the tip stays within a band of the target to the end.
+    """Return the time (s) after which the tip stays within a band around the target until the end.
 
-    It is infinite where the tip has not stayed within the band for at least the last second.
+    It is infinite unless the tip stays within the band for at least the last second.
 
     Args:
         errors: (T,) m.
         band: m.
-        period: between samples, s.
-        since: "start" counts from the first sample, so that the time of the move is in it: the settling time of control
+        period: sampling period, s.
+        since: "start" counts from the first sample and thus includes the time of the move: the settling time of control
             engineering. "entry" counts from the first sample within the band: the position stabilisation time of ISO
-            9283, clause 7.4, which is 0 for a tip that enters the band once and for all.
-
-    Raises:
-        ValueError: for errors without a sample, a band or period that is not > 0, and another `since`.
+            9283, clause 7.4, which is 0 for a tip that enters the band and never leaves it again.
     """
     inside, period = _inside(errors, band), physical("period", period, "s")
     outside = np.flatnonzero(~inside)
@@ -91,18 +82,15 @@ def settling_time(errors: Array, band: float, period: float, since: str = START)
 
 
 def overshoot(errors: Array, band: float) -> float:
-    """Gives the largest distance (m) from the attained position after the tip first entered a band around it.
+    """Return the largest distance (m) from the attained position after the tip first entered a band around it.
 
-    It is 0 where the tip does not leave the band again, and infinite where it never enters it. Position overshoot after
-    ISO 9283, clause 7.5.
+    It is 0 if the tip does not leave the band again, and infinite if it never enters it. This is the position overshoot
+    of ISO 9283, clause 7.5.
 
     Args:
-        errors: (T,) m, distances from the attained position (see `attained_distances`); those from the target, where
-            the tip comes to rest on it. What is no number counts as infinite.
+        errors: (T,) m, distances from the attained position (see `attained_distances`), or from the target if the tip
+            comes to rest there. NaN counts as infinite.
         band: m.
-
-    Raises:
-        ValueError: for errors without a sample, and a band that is not > 0.
     """
     inside = _inside(errors, band)
     entered = np.flatnonzero(inside)
@@ -116,28 +104,22 @@ def overshoot(errors: Array, band: float) -> float:
 
 
 def attained_distances(tips: Array, period: float) -> Array:
-    """Gives the distances (T,) m of tips (T, 3) m from the attained position, their mean over the last second.
+    """Return the distances (T,) in m of the tip from its attained position, its mean position over the last second.
 
     Args:
         tips: (T, 3) m.
-        period: between samples, s.
-
-    Raises:
-        ValueError: for tips that are no such array of finite numbers, and a period that is not > 0.
+        period: sampling period, s.
     """
     result = _finite_samples("tips", tips, 2)
     return np.linalg.norm(result - _last_samples(result, period, SETTLING_WINDOW).mean(axis=0), axis=1)
 
 
 def move_band(errors: Array, part: float) -> float:
-    """Gives the band (m) that is a part of a move, as of `MOVE_BANDS`: of the distance of tip and target at its start.
+    """Return the band (m) that is a given fraction of the distance between tip and target at the start of a move.
 
     Args:
         errors: (T,) m; the first one is the distance of the move.
-        part: of it, above 0 and below 1.
-
-    Raises:
-        ValueError: for errors without a sample, a move of no distance, and another part.
+        part: the fraction, such as those of `MOVE_BANDS`; above 0 and below 1.
     """
     distance = positive("errors[0]", float(check_samples("errors", errors, 1)[0]), "m")
     if not positive("part", part) < 1.0:
@@ -146,28 +128,33 @@ def move_band(errors: Array, part: float) -> float:
 
 
 def final_error(errors: Array, period: float) -> float:
-    """Gives the median error (m) over the last second of errors (T,) m sampled with a period (s)."""
+    """Return the median error (m) over the last second.
+
+    Args:
+        errors: (T,) m.
+        period: sampling period, s.
+    """
     return float(np.median(_last_samples(check_samples("errors", errors, 1), period, SETTLING_WINDOW)))
 
 
 def _inside(errors: Array, band: float) -> np.ndarray:
-    """Whether each of the errors (T,) is within the band; what is no number is not."""
+    """Return whether each of the errors (T,) is within the band; NaN is not."""
     positive("band", band, "m")
     return check_samples("errors", errors, 1) <= float(band)
 
 
 VIBRATION_WINDOW = 3.0
-"""Time at the end in which the vibration that is left is measured, s."""
-MIN_SWING = 0.05  # of the largest swing of a decay; smaller ones are left out, with the noise and ripple in them
+"""Time at the end of a record over which the residual vibration is measured, s."""
+MIN_SWING = 0.05  # of the range of a signal; smaller swings count as noise
 
 
 def peak_to_peak(tips: Array, period: float, window: float = VIBRATION_WINDOW) -> float:
-    """Gives the largest peak-to-peak motion (m) of the tip along an axis in the last seconds.
+    """Return the largest peak-to-peak motion (m) of the tip along a base axis in the last seconds.
 
     Args:
         tips: (T, 3) m.
-        period: between samples, s.
-        window: s, cut to what there is.
+        period: sampling period, s.
+        window: duration at the end, s, limited to the length of the record.
     """
     return _range(_last_samples(check_samples("tips", tips, 2), period, window))
 
@@ -175,88 +162,79 @@ def peak_to_peak(tips: Array, period: float, window: float = VIBRATION_WINDOW) -
 def residual_vibration(
     tips: Array, unshaped: Array, period: float, end: float, unshaped_end: float | None = None
 ) -> float:
-    """Gives the vibration after the end of a command in percent of that after another one, the unshaped command.
+    """Return the vibration after a command in percent of the vibration after the unshaped command.
 
-    The vibration is the largest peak-to-peak motion of the tip along an axis, from the end of its command on and for
-    the same time in both runs, which should hold a cycle of the slowest vibration. Residual vibration percentage after
-    Singer and Seering, Preshaping command inputs to reduce system vibration, Journal of Dynamic Systems, Measurement,
-    and Control 1990.
+    The vibration is the largest peak-to-peak motion of the tip along a base axis after the end of the command. It is
+    measured over the same duration in both runs, which should contain a cycle of the slowest vibration. This is the
+    residual vibration percentage of Singer and Seering, Preshaping command inputs to reduce system vibration, Journal
+    of Dynamic Systems, Measurement, and Control 1990.
 
     Args:
-        tips: (T, 3) m, of the run that is judged.
-        unshaped: (S, 3) m, of the other run.
-        period: between samples of both, s.
-        end: of the command, s after the first sample.
-        unshaped_end: of the other command, s; None for the same end. A shaped command lasts longer.
-
-    Raises:
-        ValueError: for tips that are no such arrays of finite numbers, a period that is not > 0, an end that leaves
-            fewer than two samples, and another run that does not vibrate.
+        tips: (T, 3) m, of the run to be evaluated; at least two samples after its end.
+        unshaped: (S, 3) m, of the run with the unshaped command, which must vibrate.
+        period: sampling period of both runs, s.
+        end: end of the command, s after the first sample.
+        unshaped_end: end of the unshaped command, s; None for the same end. A shaped command ends later.
     """
-    judged = _after("tips", tips, period, "end", end)
-    other = _after("unshaped", unshaped, period, "unshaped_end", end if unshaped_end is None else unshaped_end)
-    count = min(len(judged), len(other))
-    size = _range(other[:count])
-    if size == 0.0:
+    evaluated = _after("tips", tips, period, "end", end)
+    reference = _after("unshaped", unshaped, period, "unshaped_end", end if unshaped_end is None else unshaped_end)
+    count = min(len(evaluated), len(reference))
+    reference_range = _range(reference[:count])
+    if reference_range == 0.0:
         raise value_error("unshaped", unshaped, "a run that vibrates after the end of its command")
-    return 100.0 * _range(judged[:count]) / size
+    return 100.0 * _range(evaluated[:count]) / reference_range
 
 
 def damping_ratio(signal: Array) -> float:
-    """Gives the equivalent damping ratio of a free decay, by the logarithmic decrement.
+    """Return the equivalent damping ratio of a free decay by the logarithmic decrement.
 
-    The swings from each turning point to the next one fall by the same factor exp(-d / 2) in a decay of one mode; d is
-    fitted by least squares to the logarithms of all swings, and the ratio is d / sqrt(4 pi^2 + d^2) (Inman, Engineering
-    Vibration, section 1.6). Swings need no place of rest. Each weighs as much as it is large, since noise changes the
-    logarithm of a small one more. A motion counts as a swing where it turns back by more than 0.05 of the range of the
-    signal, so that noise and small vibrations of other modes are not counted, nor the end of a decay that is lost in
-    them. Of several modes the ratio is that of the one that makes the turning points; where two of like size decay
-    together, it is that of a single mode whose swings die away as quickly on the whole.
+    In the decay of one mode the swings between successive turning points decrease by a constant factor exp(-d / 2). The
+    decrement d is fitted by least squares to the logarithms of all swings, and the ratio is d / sqrt(4 pi^2 + d^2)
+    (Inman, Engineering Vibration, section 1.6). Swings need no equilibrium position. Each is weighted by its size,
+    because noise changes the logarithm of a small swing more. A motion counts as a swing if it turns back by more than
+    0.05 of the range of the signal, which excludes noise, small vibrations of other modes, and the end of a decay that
+    is lost in them. With several modes, the result is the ratio of the mode that causes the turning points; for two
+    modes of similar size it is the ratio of a single mode whose swings decay equally fast overall.
 
-    It is NaN for a signal with fewer than three turning points, which does not vibrate, and negative where swings grow.
-    Turning points are those of parabolas through three samples: with 20 of them in a cycle a ratio up to 0.1 is right
-    to 1e-4, with 10 to 1e-3.
+    The result is NaN for a signal with fewer than three turning points, which does not vibrate, and negative for
+    growing swings. Turning points are the vertices of parabolas through three samples: with 20 samples per cycle a
+    ratio up to 0.1 is accurate to 1e-4, with 10 samples to 1e-3.
 
     Args:
-        signal: (T,) at equal intervals, such as a deflection along an axis after the end of the command.
-
-    Raises:
-        ValueError: for fewer than three samples, and numbers that are not finite.
+        signal: (T,) at equal intervals, at least three samples, such as a deflection along an axis after the end of the
+            command.
     """
     result = _finite_samples("signal", signal, 1, least=3)
-    result = np.ldexp(result, -np.frexp(np.abs(result).max())[1])  # of the size of 1, where nothing underflows
+    result = np.ldexp(result, -np.frexp(np.abs(result).max())[1])  # scale to about 1, so that nothing underflows
     turns = _turning_points(result, MIN_SWING * float(np.ptp(result)))
     if len(turns) < 3:
         return np.nan
-    swings = np.abs(np.diff([_vertex(result[place - 1 : place + 2]) for place in turns]))
+    swings = np.abs(np.diff([_vertex(result[turn - 1 : turn + 2]) for turn in turns]))
     decrement = -2.0 * float(np.polyfit(np.arange(len(swings)), np.log(swings), 1, w=swings)[0])
     return decrement / float(np.hypot(2.0 * np.pi, decrement))
 
 
 def remaining_energy(energies: Array, of: str = "largest") -> float:
-    """Gives the part of an energy that is left at the end, such as of the elastic energy.
+    """Return the fraction of an energy, such as the elastic energy, that remains at the end.
 
     Args:
-        energies: (T,) J.
-        of: "largest" for a part of the largest energy, "first" for one of the first.
-
-    Raises:
-        ValueError: for energies that are no such array of finite numbers >= 0, where the largest or first one is 0, and
-            for another `of`.
+        energies: (T,) J, >= 0.
+        of: "largest" for a fraction of the largest energy, "first" for a fraction of the first.
     """
     result = _finite_samples("energies", energies, 1)
-    whole = result.max() if one_of("of", of, ("largest", "first")) == "largest" else result[0]
-    if not (result >= 0.0).all() or whole == 0.0:
+    reference = result.max() if one_of("of", of, ("largest", "first")) == "largest" else result[0]
+    if not (result >= 0.0).all() or reference == 0.0:
         raise value_error("energies", energies, f"numbers >= 0 (J), of which the {of} is > 0")
-    return float(result[-1] / whole)
+    return float(result[-1] / reference)
 
 
 def _range(tips: Array) -> float:
+    """Return the largest peak-to-peak motion of tips (T, 3) along an axis."""
     return float((tips.max(axis=0) - tips.min(axis=0)).max())
 
 
 def _after(name: str, tips: Array, period: float, field: str, end: float) -> Array:
-    """The samples (T, 3) of tips from an end on."""
+    """Return the tips (T, 3) sampled from the end of a command on."""
     result = _finite_samples(name, tips, 2, least=2)
     period = physical("period", period, "s")
     first = np.ceil(non_negative(field, end, "s") / period - 1e-9)
@@ -268,10 +246,10 @@ def _after(name: str, tips: Array, period: float, field: str, end: float) -> Arr
 
 
 def _turning_points(signal: Array, least: float) -> list[int]:
-    """The inner samples at which a signal turns back, by more than `least` before it turns again."""
+    """Return the inner samples at which a signal turns back by more than `least` before it turns again."""
     turns: list[int] = []
-    low = high = 0  # the extremes since the last turning point
-    rising = 0  # 1 and -1 once it is known
+    low = high = 0  # extremes since the last turning point
+    rising = 0  # 0 until the direction is known, then 1 or -1
     for i, value in enumerate(signal):
         low, high = (i if value < signal[low] else low), (i if value > signal[high] else high)
         if rising >= 0 and signal[high] - value > least:
@@ -283,89 +261,85 @@ def _turning_points(signal: Array, least: float) -> list[int]:
     return turns
 
 
-def _vertex(three: Array) -> float:
-    """The value at the vertex of the parabola through three samples, of which the middle one is the extreme."""
-    before, middle, after = three
-    bend = before - 2.0 * middle + after
-    return float(middle if bend == 0.0 else middle - (after - before) ** 2 / (8.0 * bend))
+def _vertex(samples: Array) -> float:
+    """Return the value at the vertex of the parabola through three samples with the extreme in the middle."""
+    before, middle, after = samples
+    second_difference = before - 2.0 * middle + after
+    return float(middle if second_difference == 0.0 else middle - (after - before) ** 2 / (8.0 * second_difference))
 
 
 def rms(values: Array) -> float:
-    """Gives the root mean square of numbers (T,), or of the lengths of vectors (T, k), in their unit.
+    """Return the root mean square of numbers (T,), or of the lengths of vectors (T, k), in their unit.
 
-    Of errors it is the RMS tracking error, of deflections (T, 3) the RMS deflection.
+    Applied to errors it is the RMS tracking error, applied to deflections (T, 3) the RMS deflection.
 
-    Raises:
-        ValueError: for other arrays, and for numbers that are not finite.
+    Args:
+        values: (T,) or (T, k).
     """
     return float(np.sqrt(np.mean(np.square(_lengths(_finite_samples("values", values, 1, 2))))))
 
 
 def squared_acceleration(accelerations: Array, period: float) -> float:
-    """Gives the integral over time of the squared acceleration of the tip, m^2/s^3.
+    """Return the time integral of the squared acceleration of the tip, m^2/s^3, by the trapezoidal rule.
 
-    It is the cost that a minimum-acceleration motion makes least (Ben-Itzhak and Karniel, Minimum acceleration
-    criterion with constraints, Neural Computation 2008). The integral is that of the trapezoidal rule.
+    It is the cost of minimum-acceleration motion (Ben-Itzhak and Karniel, Minimum acceleration criterion with
+    constraints, Neural Computation 2008).
 
     Args:
-        accelerations: (T, 3) m/s^2, or (T,) along one axis.
-        period: between samples, s.
-
-    Raises:
-        ValueError: for fewer than two samples, numbers that are not finite, and a period that is not > 0.
+        accelerations: (T, 3) m/s^2, or (T,) along one axis; at least two samples.
+        period: sampling period, s.
     """
     result = np.square(_lengths(_finite_samples("accelerations", accelerations, 1, 2, least=2)))
     return float(np.trapezoid(result, dx=physical("period", period, "s")))
 
 
-CYCLES = 4  # of the frequency that a record must hold: the window tells no closer frequencies from a constant
-ROUNDING = 1e-24  # of the mean square: a variance below is that of rounding
+CYCLES = 4  # of the frequency in a record at least; lower frequencies are not resolved from a constant
+ROUNDING = 1e-24  # of the mean square; a smaller variance is rounding
 
 
 def effort(actions: Array) -> float:
-    """Gives the mean square of actions (T, n), parts of the torque limits."""
+    """Return the mean square of actions (T, n), which are fractions of the torque limits.
+
+    Args:
+        actions: (T, n).
+    """
     return float(np.mean(np.square(check_samples("actions", actions, 2))))
 
 
 def roughness(actions: Array) -> float:
-    """Gives the root mean square of the change of actions (T, n), parts of the torque limits, from period to period.
+    """Return the root mean square of the change of actions per period, as fractions of the torque limits.
 
-    A single action has none.
+    Args:
+        actions: (T, n); the roughness of a single action is 0.
     """
     result = check_samples("actions", actions, 2)
     return float(np.sqrt(np.mean(np.square(np.diff(result, axis=0))))) if len(result) > 1 else 0.0
 
 
 def high_frequency_power(actions: Array, period: float, frequency: float) -> float:
-    """Gives the part of the variance of actions that lies above a frequency, from 0 to 1.
+    """Return the fraction of the variance of actions at frequencies above a limit, from 0 to 1.
 
-    Above the first natural frequency of the arm it is what the controller does to the vibrations, or what excites them.
-    It is summed over the periodogram of all motors, with a Hann window (Harris, On the use of windows for harmonic
-    analysis, Proceedings of the IEEE 1978), about the mean of each. A frequency is told from another one where they are
-    2 / (T period) apart. Actions that stay constant have no variance, and none of it above.
+    Above the first natural frequency of the arm it measures how strongly the actions excite or suppress vibration. The
+    variance of each motor about its mean is summed over a periodogram with a Hann window (Harris, On the use of windows
+    for harmonic analysis, Proceedings of the IEEE 1978). Its frequency resolution is 2 / (T period). The result is 0
+    for constant actions.
 
     Args:
-        actions: (T, n), parts of the torque limits.
-        period: between samples, s.
-        frequency: Hz, below half the rate of the samples.
-
-    Raises:
-        ValueError: for actions that are no such array of finite numbers or are shorter than 4 / frequency, a period
-            that is not > 0, and a frequency that cannot be seen.
+        actions: (T, n), fractions of the torque limits, over at least four cycles of the frequency.
+        period: sampling period, s.
+        frequency: the limit, Hz, below half the sampling rate.
     """
     result = _finite_samples("actions", actions, 2, least=CYCLES)
     period, frequency = physical("period", period, "s"), positive("frequency", frequency, "Hz")
-    fastest = 0.5 / period
-    if not frequency < fastest:
-        raise value_error(
-            "frequency", frequency, f"a number > 0 and < {fastest:.6g} (Hz), half the rate of the samples"
-        )
+    nyquist = 0.5 / period
+    if not frequency < nyquist:
+        raise value_error("frequency", frequency, f"a number > 0 and < {nyquist:.6g} (Hz), half the sampling rate")
     if len(result) * period * frequency < CYCLES * (1.0 - 1e-9):
         raise value_error("actions", actions, f"at least {CYCLES / frequency:.6g} s: {CYCLES} cycles of the frequency")
     window = np.sin(np.pi * np.arange(len(result)) / len(result))[:, None] ** 2
-    swing = window * (result - result.mean(axis=0))
-    power = np.square(np.abs(np.fft.rfft(swing, axis=0)))
-    power[1 : (len(result) + 1) // 2] *= 2.0  # each stands for its negative frequency too
+    windowed = window * (result - result.mean(axis=0))
+    power = np.square(np.abs(np.fft.rfft(windowed, axis=0)))
+    power[1 : (len(result) + 1) // 2] *= 2.0  # include the negative frequency
     if power.sum() <= ROUNDING * len(result) * np.square(result).sum():
         return 0.0
     return float(power[np.fft.rfftfreq(len(result), period) > frequency].sum() / power.sum())

@@ -1,12 +1,12 @@
-"""Finite-element beam of one link: mass points, lumped masses, foreshortening stations and mass integrals.
+"""Finite-element beam of one link: mass points, lumped masses and foreshortening stations.
 
-A link is a straight Euler-Bernoulli beam along its own x axis, clamped to the floating frame at x = 0. Mass points
-represent its mass: an element has four Gauss points, and each Gauss point has four section points. They integrate the
-polynomials of these elements exactly, so the sums below equal the volume integrals of Eq. 13 and 14. Stations are the
-points of the centreline that represent its foreshortening.
+A link is a straight Euler-Bernoulli beam along its own x axis, clamped to the floating frame at x = 0. Its mass is
+represented by mass points: each element has four Gauss points, and each Gauss point has four section points. They
+integrate the polynomials of these elements exactly, so their sums equal the volume integrals of Eq. 13 and 14. Stations
+are the points of the centreline that represent its foreshortening.
 
-Without rotary inertia the mass points lie on the centreline. The sections around them then resist rotation about the
-beam axis only. In a frame with angular velocity w they turn about this axis at the rate w_x + phi'.
+Without rotary inertia the mass points lie on the centreline. The cross-sections there resist rotation about the beam
+axis only. In a frame with angular velocity w they turn about this axis at the rate w_x + phi'.
 """
 
 from collections.abc import Sequence
@@ -30,35 +30,37 @@ from flexman_gym.scene.link import Link, NonUniformLink
 from flexman_gym.scene.rigid_body import LumpedMass
 
 BLOCK = 2 * NODE_COORDINATES  # coordinates of an element
-GROUP = 4  # for foreshortening, the tip and the stations of a link fill groups of this size
+STATION_GROUP = 4  # the number of stations of a link, with its tip, is a multiple of this
 
 
-def beam_stations(elements: Sequence[Element], size: int) -> tuple[Array, Array, Array]:
-    """Gives G at each station, the stations and their shapes; the first station is the tip.
+def _beam_stations(elements: Sequence[Element], size: int) -> tuple[Array, Array, Array]:
+    """Return G at each station, the stations and their shape functions; the first station is the tip.
 
-    The other s - 1 >= elements + 1 stations stand for the polynomials nearest to the motion of the centreline. Each
-    lies at a Gauss point of the link. It is the mean of the motion with the Lagrange polynomial of this point as
-    weight. Products of such polynomials have the exact integral. The mass matrix less the part of the stations is a sum
-    of squares, so it stays positive.
+    The s - 1 >= elements + 1 inner stations represent the polynomials nearest to the motion of the centreline. Each
+    lies at a Gauss point of the mass distribution of the link. Its motion is the mean of the motion of the centreline,
+    weighted with the Lagrange polynomial of this point, so that products of such polynomials are integrated exactly.
+    The mass matrix minus the contribution of the stations is a sum of squares and therefore stays positive.
 
-    G at a point is the integral of v'^T v' + w'^T w' from the base to the point. It is exact, by enough Gauss points.
+    G at a point is the integral of v'^T v' + w'^T w' from the base to the point, exact by Gauss quadrature of
+    sufficient order.
 
     Args:
-        elements: of the link, base to tip.
-        size: number of node coordinates of the link, the clamped node included.
+        elements: elements of the link, base to tip.
+        size: number of node coordinates of the link, including the clamped node.
 
     Returns:
-        G (s, size, size), stations (s, 4) with mass (kg) and place along x, y and z (m), and shapes (s, 3, size).
+        G (s, size, size), stations (s, 4) with mass (kg) and position along x, y and z (m), and shapes (s, 3, size).
     """
-    count = GROUP * -(-(len(elements) + 2) // GROUP) - 1
+    count = STATION_GROUP * -(-(len(elements) + 2) // STATION_GROUP) - 1
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
-    fine, parts = np.polynomial.legendre.leggauss((count + 7) // 2)  # exact for G, of degree 5, times the weight
+    # exact for G (degree 5) times the Lagrange polynomial
+    fine, parts = np.polynomial.legendre.leggauss((count + 7) // 2)
     points = np.concatenate([start + length * (1 + fine) / 2 for _, start, length, _ in elements])
     shares = np.concatenate([parts / 2 * length * each.density * each.area for each, _, length, _ in elements])
     places, masses = _gauss_rule(points, shares, count)
     means = iter((shares / masses[:, None] * _lagrange(places, points)).T)
     integral, shapes = np.zeros((size, size)), np.zeros((count + 1, 3, size))
-    # G couples the coordinates of neighbouring nodes alone: only these blocks are summed, one for each element
+    # G couples neighbouring nodes only, so one block per element is summed
     blocks, sums = _blocks(integral, len(elements)), np.zeros((count, len(elements), BLOCK, BLOCK))
     for i, (_, _, length, nodes) in enumerate(elements):
         before = integral[nodes, nodes].copy()
@@ -83,28 +85,37 @@ def beam_stations(elements: Sequence[Element], size: int) -> tuple[Array, Array,
 
 
 def _blocks(matrix: Array, count: int) -> Array:
-    """Gives a view (count, 12, 12) of the blocks along the diagonal of a matrix that belong to elements."""
+    """Return a view (count, 12, 12) of the diagonal blocks of a matrix that belong to the elements."""
     row, column = matrix.strides
     step = NODE_COORDINATES * (row + column)
     return np.lib.stride_tricks.as_strided(matrix, (count, BLOCK, BLOCK), (step, row, column), writeable=False)
 
 
 def _gauss_rule(places: Array, masses: Array, count: int) -> tuple[Array, Array]:
-    """Gives places and masses (count,) that integrate polynomials to degree 2 count - 1 over many masses."""
-    # from the three-term recurrence of the orthogonal polynomials (Golub and Welsch, Math. Comp. 23, 1969)
-    diagonal, beside = np.zeros(count), np.zeros(count)
+    """Return points and weights (count,) of the Gauss rule of a distribution of point masses.
+
+    The rule is exact to degree 2 count - 1.
+
+    Args:
+        places: positions of the point masses, m.
+        masses: their masses, kg.
+        count: number of points of the rule.
+    """
+    # by the three-term recurrence of the orthogonal polynomials (Golub and Welsch, Math. Comp. 23, 1969)
+    diagonal, off_diagonal = np.zeros(count), np.zeros(count)
     before, now = np.zeros(len(places)), np.ones(len(places)) / np.sqrt(masses.sum())
     for i in range(count):
         diagonal[i] = masses @ (places * now**2)
-        ahead = (places - diagonal[i]) * now - (beside[i - 1] if i else 0.0) * before
-        beside[i] = np.sqrt(masses @ ahead**2)
-        before, now = now, ahead / beside[i]
-    result, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(beside[:-1], -1))  # reads the lower triangle
+        ahead = (places - diagonal[i]) * now - (off_diagonal[i - 1] if i else 0.0) * before
+        off_diagonal[i] = np.sqrt(masses @ ahead**2)
+        before, now = now, ahead / off_diagonal[i]
+    # eigh reads the lower triangle only
+    result, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(off_diagonal[:-1], -1))
     return result, masses.sum() * vectors[0] ** 2
 
 
 def _lagrange(places: Array, points: Array) -> Array:
-    """Gives polynomials (s, p) that are one at one of the places (s,) and zero at the others, at the points (p,)."""
+    """Return the Lagrange polynomials (s, p) of the nodes (s,), evaluated at the points (p,)."""
     others = ~np.eye(len(places), dtype=bool)
     return np.array(
         [
@@ -117,14 +128,15 @@ def _lagrange(places: Array, points: Array) -> Array:
 def _lumped_mass_points(
     bodies: Sequence[LumpedMass], elements: Sequence[Element], size: int
 ) -> tuple[Array, Array, Array]:
-    """Gives masses (p,), positions (p, 3) and shapes (p, 3, size) of points with the mass and inertia of the bodies.
+    """Return masses (p,), positions (p, 3) and shapes (p, 3, size) of points that represent lumped bodies.
 
-    A rigid body is six points of equal mass, two on each principal axis. A point mass is one.
+    The points have the mass and inertia of the bodies: six points of equal mass for a rigid body, two on each principal
+    axis, and one point for a point mass.
 
     Args:
         bodies: lumped masses of the link.
-        elements: of the link, base to tip.
-        size: number of its node coordinates, the clamped node included.
+        elements: elements of the link, base to tip.
+        size: number of its node coordinates, including the clamped node.
     """
     masses, positions, shapes = [], [], []
     for each in bodies:
@@ -139,10 +151,10 @@ def _lumped_mass_points(
 def _lumped_mass_stations(
     bodies: Sequence[LumpedMass], elements: Sequence[Element], size: int
 ) -> tuple[Array, Array, Array]:
-    """Gives G (b, size, size), stations (b, 4) and shapes (b, 3, size) of the centres of mass of the bodies.
+    """Return G (b, size, size), stations (b, 4) and shapes (b, 3, size) of the centres of mass of lumped bodies.
 
-    Foreshortening draws a body back with its section. Arguments are those of `_lumped_mass_points`, results those of
-    `Beam`.
+    Foreshortening moves a body back together with its cross-section. The arguments are those of `_lumped_mass_points`,
+    the results those of `Beam`.
     """
     centres = [np.array(each.offset or np.zeros(3)) for each in bodies]
     stations = [[each.mass, each.position + at[0], at[1], at[2]] for each, at in zip(bodies, centres, strict=True)]
@@ -155,7 +167,7 @@ def _lumped_mass_stations(
 
 
 def _body_points(body: LumpedMass) -> Array:
-    """Gives the places (p, 3) of points of equal mass relative to the axis at the section of a body, m."""
+    """Return positions (p, 3) in m, relative to the beam axis, of equal point masses that represent a body."""
     centre = np.array(body.offset or np.zeros(3))
     if body.inertia is None:
         return centre[None]
@@ -166,7 +178,14 @@ def _body_points(body: LumpedMass) -> Array:
 
 
 def _displacement(body: LumpedMass, point: Array, elements: Sequence[Element], size: int) -> Array:
-    """Gives the displacement (3, size) of a point of a body at (3,) from the axis: u + theta x r of its section."""
+    """Return the displacement (3, size) of a point of a body: u + theta x r of its cross-section.
+
+    Args:
+        body: lumped mass.
+        point: (3,) position relative to the beam axis, m.
+        elements: elements of the link, base to tip.
+        size: number of its node coordinates, including the clamped node.
+    """
     element, xi = find_element(elements, body.position)
     turn = np.zeros((3, 2 * NODE_COORDINATES))
     turn[0, [3, 9]] = 1.0 - xi, xi
@@ -178,7 +197,13 @@ def _displacement(body: LumpedMass, point: Array, elements: Sequence[Element], s
 
 
 def foreshortening_matrix(position: float, elements: Sequence[Element], size: int) -> Array:
-    """Gives the integral (size, size) of v'^T v' + w'^T w' from the base of a link to a position (m)."""
+    """Return G (size, size), the integral of v'^T v' + w'^T w' from the base of a link to a position (m).
+
+    Args:
+        position: upper limit of the integral, m.
+        elements: elements of the link, base to tip.
+        size: number of its node coordinates, including the clamped node.
+    """
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     result = np.zeros((size, size))
     for element in elements:
@@ -191,22 +216,22 @@ def foreshortening_matrix(position: float, elements: Sequence[Element], size: in
 
 @dataclass(frozen=True)
 class Beam:
-    """A discretised link with k elastic coordinates in the beam frame of the link; k = 0 for a rigid link.
+    """Discretised link with k elastic coordinates in its beam frame; k = 0 for a rigid link.
 
     Attributes:
         masses: (p,) mass of each mass point, kg.
         positions: (p, 3) undeformed position of each mass point, m.
         shapes: (p, 3, k) displacement of each mass point per unit coordinate (S of Eq. 3).
         stiffness: (k, k) elastic stiffness (K of Eq. 18).
-        tip_translation, tip_rotation: (3, k) displacement and rotation vector of the tip section per unit coordinate
-            (S^jt, S^jr).
-        shortening: (s, k, k) G at each station; the foreshortening of the centreline from 0 to the station is 1/2 q^T G
-            q.
-        stations: (s, 4) mass (kg) and place along x, y and z (m) of each station; the first is the tip, without mass.
-            Those of lumped masses may lie beside the centreline.
+        tip_translation: (3, k) displacement of the tip section per unit coordinate (S^jt).
+        tip_rotation: (3, k) rotation vector of the tip section per unit coordinate (S^jr).
+        shortening: (s, k, k) matrix G of each station; the foreshortening of the centreline from 0 to the station is
+            1/2 q^T G q.
+        stations: (s, 4) mass (kg) and position along x, y and z (m) of each station; the first is the massless tip. The
+            stations of lumped masses may lie off the centreline.
         station_shapes: (s, 3, k) displacement of the stations per unit coordinate.
-        polar: (t,) inertia about the beam axis of sections that resist no other rotation, kg m^2; empty with rotary
-            inertia, which the mass points hold.
+        polar: (t,) inertia about the beam axis of sections without other rotary inertia, kg m^2; empty with rotary
+            inertia, which the mass points represent.
         twist: (t, k) rotation of these sections about the beam axis per unit coordinate.
     """
 
@@ -229,7 +254,7 @@ class Beam:
         return np.einsum("p,pia,pib->ab", self.masses, self.shapes, self.shapes) + spinning
 
     def reduced(self, basis: Array) -> "Beam":
-        """Gives the same beam in the coordinates p with q = basis @ p.
+        """Return the same beam in reduced coordinates p with q = basis @ p.
 
         Args:
             basis: (k, m).
@@ -248,11 +273,11 @@ class Beam:
 
 @dataclass(frozen=True)
 class ShapeIntegrals:
-    """Mass integrals of a beam with k elastic coordinates; r0 is the undeformed position, S_a is shape vector a.
+    """Mass integrals of a beam with k elastic coordinates; r0 is the undeformed position, S_a the shape function a.
 
-    Some sections resist rotation about the beam axis alone, with the inertia j. They enter as fictitious second moments
-    of mass that give this inertia about x and none about y and z. For the rate of coordinate a they give the inertia
-    j_a about x.
+    Cross-sections that resist rotation about the beam axis only, with inertia j, enter as fictitious second moments of
+    mass: these give the inertia j about x and none about y and z, and for the rate of coordinate a the inertia j_a
+    about x.
 
     Attributes:
         mass: sum m, kg.
@@ -274,16 +299,16 @@ class ShapeIntegrals:
 
 
 def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True, rotary_inertia: bool = True) -> Beam:
-    """Assembles a link from equal elements in each section, with node 0 clamped to the floating frame.
+    """Assemble a link from equal elements in each section, with node 0 clamped to the floating frame.
 
     The coordinates are ordered node by node from the first free node to the tip.
 
     Args:
         link: the link.
-        elements: in each section of the link; k = 6 * elements * number of sections.
+        elements: number of elements in each section; k = 6 * elements * number of sections.
         flexible: False makes the link rigid, with k = 0.
-        rotary_inertia: False lets the sections resist rotation about the beam axis only; lumped masses keep their
-            inertia.
+        rotary_inertia: False makes the cross-sections resist rotation about the beam axis only; lumped masses keep
+            their inertia.
     """
     pieces = beam_elements(link, elements)
     size = NODE_COORDINATES * (len(pieces) + 1)
@@ -312,11 +337,11 @@ def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True
 def link_points(
     link: Link | NonUniformLink, elements: Sequence[Element], rotary_inertia: bool, until: float = np.inf
 ) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
-    """Return the mass points and polar inertias of a link up to a position (m); a body there is left out.
+    """Return the mass points and polar inertias of the part of a link inboard of a position; a body there is excluded.
 
     Args:
         link: the link.
-        elements: of the link, base to tip; `size` is their number of node coordinates, the clamped node included.
+        elements: its elements, base to tip, with `size` node coordinates including the clamped node.
         rotary_inertia: see `build_beam`.
         until: the position, m.
 
@@ -333,12 +358,17 @@ def link_points(
 def link_stations(
     link: Link | NonUniformLink, elements: Sequence[Element], until: float = np.inf
 ) -> tuple[Array, Array, Array]:
-    """Return G (s, size, size), stations (s, 4) and shapes (s, 3, size) of a link up to a position (m).
+    """Return G (s, size, size), stations (s, 4) and shapes (s, 3, size) of the part of a link inboard of a position.
 
-    Arguments are those of `link_points`, results those of `beam_stations`, with the centres of mass of its bodies.
+    The arguments are those of `link_points`, the results those of `Beam`, including the centres of mass of its bodies.
+
+    Args:
+        link: the link.
+        elements: its elements, base to tip.
+        until: the position, m.
     """
     size, bodies = NODE_COORDINATES * (len(elements) + 1), [body for body in link.masses if body.position < until]
-    stations = beam_stations(elements, size)
+    stations = _beam_stations(elements, size)
     inside = stations[1][:, 1] <= until
     if not inside.all():
         stations = stations[0][inside], stations[1][inside], stations[2][inside]
@@ -346,7 +376,7 @@ def link_stations(
 
 
 def _joined(first: tuple[Array, ...], second: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-    """Gives three arrays with the rows of the first and then those of the second."""
+    """Return three arrays with the rows of the first triple followed by those of the second."""
     one, two, three = (np.concatenate(rows) for rows in zip(first, second, strict=True))
     return one, two, three
 
@@ -354,7 +384,7 @@ def _joined(first: tuple[Array, ...], second: tuple[Array, ...]) -> tuple[Array,
 def _mass_points(
     elements: Sequence[Element], size: int, rotary_inertia: bool, until: float = np.inf
 ) -> tuple[Array, Array, Array]:
-    """Gives masses (p,), positions (p, 3) and shapes (p, 3, size) of the mass points of a link up to a position (m)."""
+    """Return masses (p,), positions (p, 3) and shapes (p, 3, size) of the mass points inboard of a position (m)."""
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     masses, positions, shapes = [], [], []
     for section, start, length, nodes in elements:
@@ -371,7 +401,7 @@ def _mass_points(
 
 
 def _polar_inertias(elements: Sequence[Element], size: int, until: float = np.inf) -> tuple[Array, Array]:
-    """Gives polar inertias (t,) in kg m^2 and twists (t, size) of sections at Gauss points up to a position (m)."""
+    """Return polar inertias (t,) in kg m^2 and twists (t, size) of sections at Gauss points up to a position (m)."""
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     count = len(elements) * GAUSS_POINTS
     polar, twist = np.zeros(count), np.zeros((count, size))
@@ -386,7 +416,7 @@ def _polar_inertias(elements: Sequence[Element], size: int, until: float = np.in
 
 
 def shape_integrals(beam: Beam) -> ShapeIntegrals:
-    """Gives the constant integrals of mass matrix and quadratic velocity terms at any state (Eq. 13, 14)."""
+    """Return the constant integrals of the mass matrix and the quadratic velocity terms at any state (Eq. 13, 14)."""
     m, r0, s = beam.masses, beam.positions, beam.shapes
     position_shape = np.einsum("p,pi,pja->aij", m, r0, s)
     half = beam.polar @ beam.twist / 2

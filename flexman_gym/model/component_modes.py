@@ -1,7 +1,8 @@
-"""Component modes of a link that carries the inertia of the outboard arm.
+"""Component modes of a link loaded by the inertia of the outboard arm.
 
-Modes of the bare clamped link, sorted by frequency, rank torsion far behind bending, although torsion carries the whole
-outboard arm. Loaded modes include the inertia of the outboard arm, straight and rigid, at the link's tip.
+Modes of the bare clamped link, sorted by frequency, place torsion far behind bending, although torsion carries the
+whole outboard arm. Loaded modes therefore include the inertia of the straight, rigid outboard arm at the tip of the
+link.
 """
 
 from itertools import pairwise
@@ -17,18 +18,19 @@ VANISHING = 1e-12  # of the geometric mean of two diagonal entries: a smaller co
 
 
 def zero_pose_rotations(arm: Arm) -> Array:
-    """Gives the rotation (n, 3, 3) of each beam frame relative to the one before it at zero angles.
-
-    The first rotation is relative to the base.
-    """
+    """Return the rotations (n, 3, 3) from each beam frame to the previous one (or the base) at zero joint angles."""
     orientations = [np.eye(3)] + [np.array(link.orientation) for link in arm.links]
     return np.array([before.T @ after for before, after in pairwise(orientations)])
 
 
 def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:
-    """Gives the rigid inertia (n, 6, 6) at each link's tip at zero angles, in its beam frame, linear part first.
+    """Return the rigid spatial inertia (n, 6, 6) at the tip of each link at zero joint angles, in its beam frame.
 
-    It is the inertia of the payload and of all links behind the tip.
+    It includes the payload and all links beyond the tip; the linear part comes first.
+
+    Args:
+        arm: the arm.
+        beams: its links, base to tip.
     """
     inertia = np.zeros((6, 6))
     if arm.payload is not None:
@@ -51,18 +53,18 @@ def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:
 
 
 def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
-    """Gives the modes of a clamped link that carries an inertia at its tip.
+    """Return the modes of a clamped link with an inertia at its tip.
 
-    Coordinates that nothing couples are solved apart. The bending of a round link has two modes of the same frequency,
-    in any two planes. Solved apart, they lie along y and z, whose integrals vanish more often.
+    Uncoupled groups of coordinates are solved separately. The bending of a round link has two modes of equal frequency
+    in arbitrary planes; solved separately, they lie along y and z, and more of their mass integrals vanish.
 
     Args:
         beam: the link, with k elastic coordinates.
-        outboard: (6, 6) inertia that its tip carries.
+        outboard: (6, 6) spatial inertia at its tip.
 
     Returns:
-        Angular frequencies (k,) in rad/s, ascending, and shapes (k, k) as columns. The shapes are normalised to unit
-            modal mass including the outboard inertia.
+        Angular frequencies (k,) in rad/s, ascending, and shapes (k, k) as columns, normalised to unit modal mass
+            including the outboard inertia.
     """
     from scipy.linalg import eigh  # its import takes long, and not every use of the package needs it
 
@@ -86,7 +88,7 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
 
 
 def _uncoupled_groups(*matrices: Array) -> list[np.ndarray]:
-    """Gives groups of coordinates that symmetric positive definite matrices (k, k) do not couple beyond rounding."""
+    """Return the groups of coordinates that symmetric positive definite matrices (k, k) couple beyond rounding."""
     joined = np.zeros(matrices[0].shape, dtype=bool)
     for matrix in matrices:
         size = np.sqrt(np.diag(matrix))
@@ -98,12 +100,12 @@ def _uncoupled_groups(*matrices: Array) -> list[np.ndarray]:
 
 
 def spatial_inertia(mass: float, offset: Array, inertia: Array) -> Array:
-    """Gives the inertia (6, 6) about a point, linear part first, of a body whose centre is at an offset (3,) m from it.
+    """Return the spatial inertia (6, 6) of a rigid body about a reference point, linear part first.
 
     Args:
         mass: kg.
-        offset: m.
-        inertia: (3, 3) about the centre, kg m^2.
+        offset: (3,) centre of mass relative to the point, m.
+        inertia: (3, 3) about the centre of mass, kg m^2.
     """
     centre = _carry(offset)[:3]
     result: Array = mass * centre.T @ centre
@@ -112,7 +114,7 @@ def spatial_inertia(mass: float, offset: Array, inertia: Array) -> Array:
 
 
 def _carry(offset: Array) -> Array:
-    """Gives the motion (6, 6) of a point at an offset from the motion of the origin: v + w x offset, w."""
+    """Return the map (6, 6) from the motion (v, w) of the origin to that of a point at an offset: v + w x offset, w."""
     x, y, z = offset
     motion = np.eye(6)
     motion[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]

@@ -1,4 +1,4 @@
-"""Equations of motion at a state: accelerations, matrices, frequencies, inverse dynamics, tip Jacobian."""
+"""Equations of motion at one state: accelerations, system matrices, natural frequencies and inverse dynamics."""
 
 from collections.abc import Callable
 from typing import TypeGuard
@@ -21,24 +21,23 @@ from flexman_gym.model.natural_modes import natural_modes
 
 Forces = Callable[[Array, Array, Array], Array]
 
-# Central differences over one, two and three steps h, each with its weight in Richardson's extrapolation to h = 0. The
-# error of a first derivative is h^6 / 140 times the seventh derivative, of a second one h^6 / 560 times the eighth.
+# Steps k h of central differences and their weights in Richardson's extrapolation to h = 0. The error is h^6 / 140
+# times the seventh derivative for a first derivative, and h^6 / 560 times the eighth for a second derivative.
 RICHARDSON = ((1, 1.5), (2, -0.6), (3, 0.1))
-SECOND_STEP = 0.02  # rad, for a second derivative: its truncation is just below rounding
+SECOND_STEP = 0.02  # rad; step for second derivatives, at which the truncation error is just below rounding
 
 
 def acceleration(model: Model, state: Vector, torque: Vector) -> Array:
-    """Gives the generalised accelerations (d,) (Eq. 45 with Eq. 23).
+    """Return the generalised accelerations (d,) at a state under motor torques (Eq. 45 with Eq. 23).
 
     Args:
-        model: the model.
-        state: (2 d,).
-        torque: (n,) of the motors, N m.
+        model: model of the arm.
+        state: (2 d,) coordinates and speeds in the order of `kernels.layout`.
+        torque: (n,) motor torques, N m.
 
-    Raises:
-        ValueError: for wrong shapes or values that are not finite.
+    Example:
+        A torque of 1 N m on a rotor of 0.01 kg m^2 behind a joint spring:
 
-    Examples:
         >>> model = fm.build_model(fm.catalog.one_joint())
         >>> fm.acceleration(model, fm.rest_state(model, [0.0]), [1.0])[model.motor_columns]
         array([100.])
@@ -47,46 +46,63 @@ def acceleration(model: Model, state: Vector, torque: Vector) -> Array:
     out = np.zeros(model.n_dof)
     dynamics.accelerations(model.constants, make_work(model.constants), x, v, _drive(model, torque), out)
     if not np.isfinite(out).all():
-        raise value_error("torque", torque, "torques (N m) whose accelerations are finite numbers")
+        raise value_error("torque", torque, "torques (N m) with finite accelerations")
     return out
 
 
 def mass_matrix(model: Model, state: Vector) -> Array:
-    """Gives the generalised mass matrix (d, d) at a state (2 d,), rotors included (Eq. 46 with Eq. 23).
+    """Return the generalised mass matrix (d, d) at a state, including the rotors (Eq. 46 with Eq. 23).
 
-    Raises:
-        ValueError: for a wrong shape or values that are not finite.
+    Args:
+        model: model of the arm.
+        state: (2 d,); only the coordinates matter.
 
-    Examples:
+    Example:
         >>> model = fm.build_model(fm.catalog.one_joint(), elements=1)
-        >>> fm.mass_matrix(model, fm.rest_state(model, [0.5])).shape
-        (8, 8)
+        >>> mass = fm.mass_matrix(model, fm.rest_state(model, [0.5]))
+        >>> mass.shape, bool((mass == mass.T).all())
+        ((8, 8), True)
     """
     x, _ = split_state(model, state)
     return _mass_matrix(model, inertial_forces(model, np.zeros(3)), x)
 
 
 def _mass_matrix(model: Model, forces: Forces, x: Array) -> Array:
-    """Gives the mass matrix (d, d) at coordinates (d,), a column for each unit of acceleration."""
+    """Return the mass matrix (d, d) at coordinates (d,), assembled column by column from unit accelerations."""
     rest = np.zeros(model.n_dof)
     matrix = np.array([forces(x, rest, unit) for unit in np.eye(model.n_dof)])
     return (matrix + matrix.T) / 2
 
 
 def stiffness_matrix(model: Model) -> Array:
-    """Gives the stiffness matrix (d, d) of links and joint springs: N m/rad, N/m and so on, by the coordinates.
+    """Return the stiffness matrix (d, d) of links and joint springs, in N/m, N m/rad or the units of modal coordinates.
 
-    Raises:
-        ValueError: for anything but a Model.
+    Args:
+        model: model of the arm.
+
+    Example:
+        >>> model = fm.build_model(fm.catalog.one_joint(), elements=1)
+        >>> stiffness = fm.stiffness_matrix(model)
+        >>> stiffness.shape, stiffness[:2, :2]  # joint spring between joint and motor angle, N m/rad
+        ((8, 8), array([[ 20., -20.],
+               [-20.,  20.]]))
     """
     return _structure(check_model(model), model.constants.joint_stiffness, model.constants.stiffness)
 
 
 def damping_matrix(model: Model) -> Array:
-    """Gives the damping matrix (d, d) of links, joint dampers and viscous friction, times s of the stiffness.
+    """Return the damping matrix (d, d) of links, joint dampers and viscous friction.
 
-    Raises:
-        ValueError: for anything but a Model.
+    Its units are those of the stiffness matrix times s.
+
+    Args:
+        model: model of the arm.
+
+    Example:
+        >>> model = fm.build_model(fm.catalog.one_joint(), elements=1)
+        >>> fm.damping_matrix(model)[:2, :2]  # joint damper between joint and motor angle, N m s/rad
+        array([[ 0.005, -0.005],
+               [-0.005,  0.005]])
     """
     matrix = _structure(check_model(model), model.constants.joint_damping, model.constants.damping)
     matrix[model.motor_columns, model.motor_columns] += model.constants.viscous_friction
@@ -94,21 +110,22 @@ def damping_matrix(model: Model) -> Array:
 
 
 def frequencies(model: Model, joint_angles: Vector | Matrix | None = None, lock_joints: bool = False) -> Array:
-    """Gives the undamped natural frequencies of the unloaded arm at rest, ascending, Hz; gravity is left out.
+    """Return the undamped natural frequencies of the undeformed arm in ascending order, Hz, without gravity.
 
-    The slow ones are exact up to rounding, beside fast ones too, so that they can be differentiated by differences.
+    Low frequencies are accurate to rounding even in a model with very high ones, so finite differences of them are
+    reliable.
 
     Args:
-        model: the model.
-        joint_angles: (n,) rad, zero by default; or (k, n), for as many rows of frequencies.
-        lock_joints: False leaves the motors free. There are then d frequencies; the first n are zero, as the arm can
-            turn about its joints. True clamps the motors (the joints where they are rigid); the other d - n frequencies
-            remain.
+        model: model of the arm.
+        joint_angles: (n,) rad, zero by default, or (k, n) for k postures.
+        lock_joints: False leaves the motors free and returns d frequencies, the first n of them zero, because the arm
+            can turn about its joints. True clamps the motors (the joints where they are rigid) and returns the
+            remaining d - n frequencies.
 
-    Raises:
-        ValueError: for anything but a Model, for wrong joint angles and a wrong flag.
+    Returns:
+        Frequencies (d,) or (d - n,), with a leading axis of length k for k postures.
 
-    Examples:
+    Example:
         >>> model = fm.build_model(fm.catalog.one_joint())
         >>> fm.frequencies(model, lock_joints=True)[:2].round(2)
         array([ 1.41, 11.26])
@@ -133,25 +150,28 @@ def frequencies(model: Model, joint_angles: Vector | Matrix | None = None, lock_
 
 
 def _several(angles: object) -> TypeGuard[Array]:
-    """Whether joint angles are those of several postures."""
+    """Return whether joint angles hold several postures, one per row."""
     if isinstance(angles, np.ndarray):
         return angles.ndim > 1
     return isinstance(angles, list | tuple) and bool(angles) and isinstance(angles[0], list | tuple | np.ndarray)
 
 
 def tip_acceleration(model: Model, state: Vector, torque: Vector) -> Array:
-    """Gives the acceleration (3,) of the tip in the base frame, m/s^2.
+    """Return the acceleration (3,) of the tip in the base frame, m/s^2.
 
-    It is the second derivative of the tip's position (Eq. 32, 33), exact up to rounding. An accelerometer on the tip
-    would show it less gravity.
+    It is the second derivative of the tip position (Eq. 32, 33), exact to rounding. An ideal accelerometer at the tip
+    measures this value minus the gravity vector.
 
     Args:
-        model: the model.
-        state: (2 d,).
-        torque: (n,) of the motors, N m.
+        model: model of the arm.
+        state: (2 d,) coordinates and speeds.
+        torque: (n,) motor torques, N m.
 
-    Raises:
-        ValueError: for wrong shapes or values that are not finite.
+    Example:
+        >>> arm = fm.catalog.one_joint()
+        >>> model = fm.build_model(arm, flexible_links=False, flexible_joints=False)
+        >>> fm.tip_acceleration(model, fm.rest_state(model, [0.0]), [0.0])
+        array([0., 0., 0.])
     """
     x, v = split_state(model, state)
     out = np.zeros(TIP_ACCELERATIONS)
@@ -167,22 +187,25 @@ def inverse_dynamics(
     joint_jerks: Vector | None = None,
     joint_snaps: Vector | None = None,
 ) -> Array:
-    """Gives the motor torques (n,) in N m for a motion of the joints (link side) of an arm of rigid links.
+    """Return the motor torques (n,) in N m for a motion of the joints (link side) of an arm with rigid links.
 
-    Those of rigid joints are exact up to rounding. A motor on a spring runs ahead by the torque on the links over the
-    stiffness (Spong 1987, J. Dyn. Syst. 109, 310). Its acceleration is a difference along the motion, of order six.
+    For rigid joints the torques are exact to rounding. The motor of a flexible joint leads its link by the joint torque
+    divided by the stiffness (Spong 1987, J. Dyn. Syst. 109, 310); the acceleration of this lead is a difference of
+    order six along the motion.
 
     Args:
-        model: the model.
+        model: model with rigid links. Its flexible joints must have no damper, no motor friction and no spinning rotor.
         joint_angles: (n,) rad.
         joint_rates: (n,) rad/s.
         joint_accelerations: (n,) rad/s^2.
-        joint_jerks: (n,) rad/s^3; flexible joints need them.
-        joint_snaps: (n,) rad/s^4; flexible joints need them.
+        joint_jerks: (n,) rad/s^3; required for flexible joints.
+        joint_snaps: (n,) rad/s^4; required for flexible joints.
 
-    Raises:
-        ValueError: for wrong shapes, values that are not finite, missing jerks or snaps, a flexible link, and for a
-            flexible joint with a damper, with friction of its motor or with a spinning rotor.
+    Example:
+        >>> model = fm.build_model(fm.catalog.one_joint(), flexible_links=False, flexible_joints=False)
+        >>> torque = fm.inverse_dynamics(model, [0.0], [0.0], [2.0])
+        >>> torque.round(6), fm.acceleration(model, fm.rest_state(model, [0.0]), torque).round(6)
+        (array([0.139296]), array([2.]))
     """
     n, constants = check_model(model).n_joints, model.constants
     motion = np.zeros((5, n))
@@ -192,10 +215,10 @@ def inverse_dynamics(
         if order < 3 or model.n_motors > 0 or values is not None:
             motion[order] = vector(name, values, n, "rad" if order == 0 else f"rad/s^{order}".removesuffix("^1"))
             check_magnitudes(name, motion[order].tolist(), LARGEST_STATE if order < 2 else np.inf)
-    sprung = constants.motor >= 0
-    _check_invertible(model, sprung)
+    flexible = constants.motor >= 0
+    _check_invertible(model, flexible)
     forces, spread = inertial_forces(model), np.zeros((model.n_dof, n))
-    spread[np.arange(n), np.arange(n)] = 1.0  # rotors on springs stand still: their torques are added below
+    spread[np.arange(n), np.arange(n)] = 1.0  # rotors of flexible joints at rest; their torques are added below
 
     def link_torques(t: float) -> Array:
         powers = t ** np.arange(5) / np.array([1.0, 1.0, 2.0, 6.0, 24.0])
@@ -206,50 +229,53 @@ def inverse_dynamics(
     if model.n_motors == 0:
         return _finite_torques(torques, joint_accelerations)
     quickest = max(np.abs(row).sum() ** (1 / order) for order, row in enumerate(motion[1:], start=1))
-    runs_ahead = _bend(link_torques, SECOND_STEP / max(quickest, 1e-3))[sprung] / constants.joint_stiffness[sprung]
-    torques[sprung] += constants.rotor_inertia[sprung] * (motion[2, sprung] + runs_ahead)
+    torque_rates = _second_derivative(link_torques, SECOND_STEP / max(quickest, 1e-3))[flexible]
+    motor_lead = torque_rates / constants.joint_stiffness[flexible]
+    torques[flexible] += constants.rotor_inertia[flexible] * (motion[2, flexible] + motor_lead)
     return _finite_torques(torques, joint_accelerations)
 
 
 def _finite_torques(torques: Array, joint_accelerations: object) -> Array:
+    """Return the torques (n,) after checking that they are finite."""
     if not np.isfinite(torques).all():
-        raise value_error("joint_accelerations", joint_accelerations, "a motion whose torques are finite numbers")
+        raise value_error("joint_accelerations", joint_accelerations, "a motion with finite torques")
     return torques
 
 
-def _check_invertible(model: Model, sprung: BoolArray) -> None:
-    """Refuses a model whose joint motion alone does not decide the torques; `sprung` (n,) joints are flexible."""
+def _check_invertible(model: Model, flexible: BoolArray) -> None:
+    """Check that the motion of the joints alone determines the motor torques.
+
+    Args:
+        model: model of the arm.
+        flexible: (n,) whether each joint is flexible.
+    """
     constants = model.constants
     if model.n_elastic > 0:
-        allowed = "False: bending links have no motion of joints that decides the torques"
+        allowed = "False: with flexible links the joint motion does not determine the torques"
         raise value_error("model.choice.flexible_links", model.choice.flexible_links, allowed)
     for field in ("joint_damping", "viscous_friction", "coulomb_friction"):
         values = getattr(constants, field)
-        for i in np.flatnonzero(sprung & (values > 0.0)):
+        for i in np.flatnonzero(flexible & (values > 0.0)):
             name = field.removeprefix("joint_")
-            raise value_error(f"model.arm.joints[{i}].{name}", float(values[i]), "0 where joints are flexible")
-    if (sprung & (constants.carried_inertia > 0.0)).any():
-        raise value_error("model.choice.spinning_rotors", True, "False where joints are flexible")
+            raise value_error(f"model.arm.joints[{i}].{name}", float(values[i]), "0 for flexible joints")
+    if (flexible & (constants.carried_inertia > 0.0)).any():
+        raise value_error("model.choice.spinning_rotors", True, "False for flexible joints")
 
 
 def _drive(model: Model, torque: Vector) -> Array:
-    """Gives the drive (n + 6,) of motor torques (n,) without disturbances."""
+    """Return the drive (n + 6,) for motor torques (n,) N m without disturbances."""
     return np.r_[vector("torque", torque, model.n_joints, "N m"), np.zeros(6)]
 
 
 def split_state(model: Model, state: Vector) -> tuple[Array, Array]:
-    """Gives coordinates (d,) and speeds (d,) of a state (2 d,).
-
-    Raises:
-        ValueError: for a wrong shape, and values that are not finite or beyond 1e6.
-    """
+    """Return coordinates (d,) and speeds (d,) of a checked state (2 d,); magnitudes are limited to 1e6."""
     values = np.array(vector("state", state, 2 * check_model(model).n_dof))
     check_magnitudes("state", values.tolist(), LARGEST_STATE)
     return values[: model.n_dof], values[model.n_dof :]
 
 
 def _structure(model: Model, joints: Array, links: Array) -> Array:
-    """Gives the matrix (d, d) of terms between motors and joints, (n,), and of terms in the links, packed blocks."""
+    """Return the matrix (d, d) assembled from values (n,) of the joint springs or dampers and packed link blocks."""
     starts = model.constants.square_start
     matrix = np.zeros((model.n_dof, model.n_dof))
     for i, motor in enumerate(model.constants.motor):
@@ -262,11 +288,13 @@ def _structure(model: Model, joints: Array, links: Array) -> Array:
 
 
 def inertial_forces(model: Model, gravity: Array | None = None) -> Forces:
-    """Gives a function of coordinates, speeds and accelerations (d,) whose value is the forces (d,) that they demand.
+    """Return a function for the generalised inertial and gravity forces (d,) of a motion.
+
+    Its arguments are coordinates, speeds and accelerations, (d,) each.
 
     Args:
-        model: the model.
-        gravity: (3,) m/s^2, in place of that of the model.
+        model: model of the arm.
+        gravity: (3,) m/s^2; None for the gravity of the model.
     """
     constants = model.constants if gravity is None else model.constants._replace(gravity=gravity)
     work = make_work(constants)
@@ -280,7 +308,7 @@ def inertial_forces(model: Model, gravity: Array | None = None) -> Forces:
 
 
 def tip_jacobian(model: Model, x: Array) -> Array:
-    """Gives the tip velocity per unit speed, (3, d), at coordinates (d,)."""
+    """Return the Jacobian (3, d) of the tip velocity with respect to the speeds, at coordinates (d,)."""
     rows = np.zeros((model.n_dof, OUTPUTS))
     work = make_work(model.constants)
     for row, unit in zip(rows, np.eye(model.n_dof), strict=True):
@@ -288,8 +316,8 @@ def tip_jacobian(model: Model, x: Array) -> Array:
     return rows[:, TIP_VELOCITY].T
 
 
-def _bend(function: Callable[[float], Array], h: float) -> Array:
-    """Gives the second derivative at 0."""
+def _second_derivative(function: Callable[[float], Array], h: float) -> Array:
+    """Return the second derivative of a function at 0 by differences with step h, extrapolated to order six."""
     middle = 2.0 * function(0.0)
     parts = [weight / (k * h) ** 2 * (function(k * h) - middle + function(-k * h)) for k, weight in RICHARDSON]
     return np.sum(parts, axis=0)

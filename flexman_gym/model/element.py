@@ -1,4 +1,4 @@
-"""Element: one finite element of a link, its shapes, slopes and stiffness."""
+"""Finite element of a link: shape functions, slopes and stiffness."""
 
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -14,13 +14,13 @@ GAUSS_POINTS = 4  # exact to degree 7; the mass of cubic Hermite shapes has degr
 
 
 class Element(NamedTuple):
-    """One finite element of a link, between two neighbouring nodes.
+    """Finite element of a link between two neighbouring nodes.
 
     Attributes:
-        section: the uniform Link that the element is a part of.
-        start: place of its first node along the link, m.
+        section: uniform link section that contains the element.
+        start: position of its first node along the link, m.
         length: m.
-        nodes: its twelve node coordinates among those of the link, the clamped node 0 included.
+        nodes: its twelve node coordinates among those of the link, including the clamped node 0.
     """
 
     section: Link
@@ -30,11 +30,11 @@ class Element(NamedTuple):
 
 
 def beam_elements(link: Link | NonUniformLink, elements: int) -> list[Element]:
-    """Gives the finite elements of a link, base to tip.
+    """Return the finite elements of a link, base to tip.
 
     Args:
         link: the link.
-        elements: how many equal elements each section of the link has.
+        elements: number of equal elements in each section of the link.
     """
     result: list[Element] = []
     start = 0.0
@@ -48,26 +48,27 @@ def beam_elements(link: Link | NonUniformLink, elements: int) -> list[Element]:
 
 
 def find_element(elements: Sequence[Element], position: float) -> tuple[Element, float]:
-    """Gives the element of a link at a position, and the place xi in it from 0 to 1.
+    """Return the element at a position along a link, and the relative position xi in it, from 0 to 1.
 
     Args:
-        elements: of the link, base to tip.
-        position: along the link, >= 0, m. At a node between two elements the outboard one is taken.
+        elements: elements of the link, base to tip.
+        position: distance along the link, >= 0, m. At a node between two elements the outboard element is returned.
     """
     element = elements[bisect_right(elements, position, key=lambda element: element.start) - 1]
     return element, (position - element.start) / element.length
 
 
 def beam_shapes(xi: float, length: float, y: float, z: float) -> Array:
-    """Gives the displacement (3, 12) of a point of an element per unit of its twelve node coordinates.
+    """Return the displacement (3, 12) of a point of an element per unit of its twelve node coordinates.
 
-    The displacement is u(x, y, z) = [u - y v' - z w', v - z phi, w + y phi] with cubic Hermite v, w and linear u, phi.
+    The displacement is u(x, y, z) = [u - y v' - z w', v - z phi, w + y phi], with cubic Hermite v and w and linear u
+    and phi.
 
     Args:
-        xi: place along the element, from 0 to 1.
-        length: of the element, m.
-        y: place in the section, m.
-        z: place in the section, m.
+        xi: relative position along the element, from 0 to 1.
+        length: length of the element, m.
+        y: position in the cross-section, m.
+        z: position in the cross-section, m.
     """
     axial = (1 - xi, xi)
     deflection, slope = _hermite(xi, length), _hermite_derivative(xi, length)
@@ -84,11 +85,11 @@ def beam_shapes(xi: float, length: float, y: float, z: float) -> Array:
 
 
 def beam_slopes(xi: float, length: float) -> Array:
-    """Gives the slopes v' and w' (2, 12) of the centreline of an element per unit of its twelve node coordinates.
+    """Return the slopes v' and w' (2, 12) of the centreline of an element per unit of its twelve node coordinates.
 
     Args:
-        xi: place along the element, from 0 to 1.
-        length: of the element, m.
+        xi: relative position along the element, from 0 to 1.
+        length: length of the element, m.
     """
     slope = np.array(_hermite_derivative(xi, length))
     slopes = np.zeros((2, 2 * NODE_COORDINATES))
@@ -98,11 +99,11 @@ def beam_slopes(xi: float, length: float) -> Array:
 
 
 def beam_stiffness(link: Link, length: float) -> Array:
-    """Gives the stiffness (12, 12) of an element: axial, St Venant torsion and bending in two planes.
+    """Return the stiffness matrix (12, 12) of an element: axial, St Venant torsion, and bending in two planes.
 
     Args:
-        link: the uniform link that the element is a part of.
-        length: of the element, m.
+        link: uniform link section that contains the element.
+        length: length of the element, m.
     """
     stiffness = np.zeros((2 * NODE_COORDINATES, 2 * NODE_COORDINATES))
     bar = np.array([[1.0, -1.0], [-1.0, 1.0]]) / length
@@ -119,13 +120,14 @@ def beam_stiffness(link: Link, length: float) -> Array:
 
 
 def section_points(link: Link) -> Array:
-    """Gives y, z (4, 2) of four points of equal weight with the area and both second moments of area of a section."""
+    """Return y, z (4, 2) in m of four equally weighted points with the area and second moments of area of a section."""
     y = np.sqrt(2 * link.second_moment_z / link.area)
     z = np.sqrt(2 * link.second_moment_y / link.area)
     return np.array([[y, 0], [-y, 0], [0, z], [0, -z]])
 
 
 def _hermite(xi: float, length: float) -> tuple[float, float, float, float]:
+    """Return the four cubic Hermite polynomials: deflection and slope at the first node, then at the second."""
     return (
         1 - 3 * xi**2 + 2 * xi**3,
         length * xi * (1 - xi) ** 2,
@@ -135,6 +137,7 @@ def _hermite(xi: float, length: float) -> tuple[float, float, float, float]:
 
 
 def _hermite_derivative(xi: float, length: float) -> tuple[float, float, float, float]:
+    """Return the derivatives of the cubic Hermite polynomials with respect to the position along the element."""
     return (
         6 * xi * (xi - 1) / length,
         (1 - xi) * (1 - 3 * xi),

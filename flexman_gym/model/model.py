@@ -1,4 +1,4 @@
-"""Model: an arm discretised into the constants that the kernels read."""
+"""Model of an arm: finite elements, component modes, and the constants that the kernels read."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,12 +20,19 @@ from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import MAX_ELEMENTS, ModelChoice, Scene
 from flexman_gym.scene.serialization import ArmLike, find_arm
 
-VANISHING = 1e-14  # a mass integral this small beside the masses of its two coordinates is a zero with rounding
+NEGLIGIBLE = 1e-14  # mass integral relative to those of its two coordinates, below which it is a rounded zero
 MIN_FREQUENCY, MAX_FREQUENCY = 0.01, 1e4  # Hz; usual range of the first mode of a link
 
 
 def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: ModelChoice) -> layout.Constants:
-    """Packs an arm, its reduced beams and its modal damping into the constants that the kernels read."""
+    """Pack an arm, its reduced beams and its modal damping into the constants of the kernels.
+
+    Args:
+        arm: the arm.
+        beams: its links in reduced coordinates, base to tip.
+        modal: modal part of the damping matrices of the links, as packed blocks.
+        choice: switches of the model.
+    """
     payload = arm.payload or Payload(0.0)
     sizes = np.array([len(beam.stiffness) for beam in beams], dtype=np.int64)
     widths = LANES * ((sizes + 6 + LANES - 1) // LANES)
@@ -34,8 +41,8 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
     shape = _sparse([part.shape_shape for part in parts], 9, parts)
     cross = _sparse([_axial(part.shape_shape) for part in parts], 3, parts)
 
-    end = np.zeros(LANES)  # so that groups of lanes may reach past the last row
-    both = list(zip(parts, beams, strict=True))
+    end = np.zeros(LANES)  # groups of lanes may reach past the last row
+    pairs = list(zip(parts, beams, strict=True))
     stiffness = _pack([*[beam.stiffness for beam in beams], end], 1)
     return layout.Constants(
         elastic_start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
@@ -60,7 +67,7 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
         factor_width=widths,
         tip_start=_carrying(beams, choice.stiffening),
         tip_linear_start=_carrying(beams, False),
-        elastic_mass=_pack([*[part.elastic - _axial_mass(beam, choice.stiffening) for part, beam in both], end], 1),
+        elastic_mass=_pack([*[part.elastic - _axial_mass(beam, choice.stiffening) for part, beam in pairs], end], 1),
         stiffness=stiffness,
         damping=arm.stiffness_proportional_damping * stiffness + modal,
         **_stations(beams, choice.stiffening),
@@ -74,13 +81,13 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
 
 
 def _pack(blocks: list[Array], width: int) -> Array:
-    """Packs blocks one after the other, (rows, width), or (rows,) for a width of 1."""
+    """Return blocks concatenated row by row, (rows, width), or (rows,) for a width of 1."""
     rows = np.concatenate([np.asarray(block, dtype=float).reshape(-1, width) for block in blocks])
     return np.ascontiguousarray(rows[:, 0] if width == 1 else rows)
 
 
 def _joints(arm: Arm, choice: ModelChoice) -> dict[str, np.ndarray]:
-    """Gives the fields of `layout.Constants` that belong to joints and their rotors."""
+    """Return the fields of `layout.Constants` for joints and their rotors."""
     springs = [joint.stiffness is not None and choice.flexible_joints for joint in arm.joints]
     motors = arm.n_joints + np.cumsum(springs) - 1
     names = ("rotor_inertia", "viscous_friction", "coulomb_friction", "coulomb_rate")
@@ -96,7 +103,7 @@ def _joints(arm: Arm, choice: ModelChoice) -> dict[str, np.ndarray]:
 
 
 class _Sparse(NamedTuple):
-    """The entries [b, a, ...] of square blocks, one per link, that do not vanish; see `layout.Constants`."""
+    """Non-zero entries [b, a, ...] of square blocks, one block per link; see `layout.Constants`."""
 
     start: np.ndarray
     source: np.ndarray
@@ -104,16 +111,16 @@ class _Sparse(NamedTuple):
 
 
 def _sparse(blocks: list[Array], width: int, parts: list[ShapeIntegrals]) -> _Sparse:
-    """Packs blocks (k, k, ...) with `width` numbers behind each pair of coordinates."""
+    """Return the non-zero entries of blocks (k, k, ...) with `width` numbers for each pair of coordinates."""
     offset, counts, sources, values = 0, [np.zeros(1, dtype=np.int64)], [], []
     for block, part in zip(blocks, parts, strict=True):
         k = len(part.elastic)
         entries = block.reshape(k, width * k).T
         size = np.sqrt(np.diag(part.elastic))
-        kept = np.abs(entries) > VANISHING * np.outer(np.repeat(size, width), size)
-        counts.append(kept.sum(axis=1))
-        values.append(entries[kept])
-        sources.append(np.nonzero(kept)[1] + offset)
+        retained = np.abs(entries) > NEGLIGIBLE * np.outer(np.repeat(size, width), size)
+        counts.append(retained.sum(axis=1))
+        values.append(entries[retained])
+        sources.append(np.nonzero(retained)[1] + offset)
         offset += k
     return _Sparse(
         np.cumsum(np.concatenate(counts), dtype=np.int64),
@@ -123,37 +130,43 @@ def _sparse(blocks: list[Array], width: int, parts: list[ShapeIntegrals]) -> _Sp
 
 
 def _stations(beams: tuple[Beam, ...], stiffening: bool) -> dict[str, np.ndarray]:
-    """Gives the fields of `layout.Constants` for foreshortening."""
+    """Return the fields of `layout.Constants` for foreshortening."""
     sizes = np.array([len(beam.stiffness) for beam in beams])
     widths = LANES * -(-sizes // LANES)
     counts = np.array([LANES * -(-len(beam.stations) // LANES) for beam in beams]) * (sizes > 0) * stiffening
     start, row, offsets = _starts(counts), _starts(widths * counts), _starts(sizes)
     points, shapes = np.zeros((4, start[-1])), np.zeros((3, row[-1]))
-    places, bends = [], []
+    displacements, shortenings = [], []
     for i, beam in enumerate(beams):
-        known = min(counts[i], len(beam.stations))
-        points[:, start[i] : start[i] + known] = beam.stations[:known].T
+        used = min(counts[i], len(beam.stations))
+        points[:, start[i] : start[i] + used] = beam.stations[:used].T
         shape = np.zeros((3, counts[i], widths[i]))
-        shape[:, :known, : sizes[i]] = np.swapaxes(beam.station_shapes[:known], 0, 1)
+        shape[:, :used, : sizes[i]] = np.swapaxes(beam.station_shapes[:used], 0, 1)
         shapes[:, row[i] : row[i + 1]] = shape.reshape(3, -1)
         shape = np.swapaxes(shape, 1, 2)[:, : sizes[i]]
-        places.append((shape, np.abs(shape).max(axis=(0, 2), initial=0.0)))
-        drawn = np.zeros((sizes[i], sizes[i], counts[i]))
-        drawn[:, :, :known] = np.moveaxis(beam.shortening[:known], 0, 2)
+        displacements.append((shape, np.abs(shape).max(axis=(0, 2), initial=0.0)))
+        shortening = np.zeros((sizes[i], sizes[i], counts[i]))
+        shortening[:, :, :used] = np.moveaxis(beam.shortening[:used], 0, 2)
         size = np.sqrt(np.diag(beam.shortening[0]))
-        bends.append((drawn, np.outer(size, size)))
+        shortenings.append((shortening, np.outer(size, size)))
     result = {"station_start": start, "station_width": widths, "station_row": row[:-1], "station_mass": points[0]}
-    beside = [points[2:, first:last].ravel() for first, last in pairwise(start)]
-    result |= {"station_position": points[1], "station_offset": np.concatenate(beside), "station_shape": shapes}
-    return result | _rows("displacement", places, offsets) | _rows("bend", bends, offsets)
+    off_axis = [points[2:, first:last].ravel() for first, last in pairwise(start)]
+    result |= {"station_position": points[1], "station_offset": np.concatenate(off_axis), "station_shape": shapes}
+    return result | _rows("displacement", displacements, offsets) | _rows("bend", shortenings, offsets)
 
 
 def _rows(name: str, blocks: list[tuple[Array, Array]], offsets: np.ndarray) -> dict[str, np.ndarray]:
-    """Gives the fields start, row, source and value of blocks (rows, k, s) with their sizes, one per link."""
+    """Return the fields start, row, source and value of the non-zero rows of blocks.
+
+    Args:
+        name: prefix of the fields.
+        blocks: array (rows, k, s) and magnitudes (rows, k) of each link.
+        offsets: (n,) number of rows before each link.
+    """
     counts, starts = [], []
     sources, values = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
     for (block, size), offset in zip(blocks, offsets, strict=False):
-        row, source = np.nonzero(np.abs(block).max(axis=2, initial=0.0) > VANISHING * size)
+        row, source = np.nonzero(np.abs(block).max(axis=2, initial=0.0) > NEGLIGIBLE * size)
         starts.append(sum(each.size for each in values) - sum(each.size for each in sources) * block.shape[2])
         counts.append(np.bincount(row, minlength=len(block)))
         sources.append(offset + source.astype(np.int64))
@@ -167,52 +180,49 @@ def _rows(name: str, blocks: list[tuple[Array, Array]], offsets: np.ndarray) -> 
 
 
 def _starts(counts: np.ndarray) -> np.ndarray:
-    """Gives the place (n + 1,) where each of n parts starts in an array of all of them, and the end of the last."""
+    """Return the first index of each of n packed parts with given sizes, and the end of the last one, (n + 1,)."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 def _axial_mass(beam: Beam, stiffening: bool) -> Array:
-    """Gives the part (k, k) of the elastic mass matrix that changes with foreshortening; the kernels add it."""
+    """Return the part (k, k) of the elastic mass matrix that changes with foreshortening; the kernels add it."""
     axial = beam.station_shapes[:, 0]
     return np.einsum("s,sa,sb->ab", beam.stations[:, 0], axial, axial) * stiffening
 
 
 def _carrying(beams: tuple[Beam, ...], stiffening: bool) -> np.ndarray:
-    """Gives the index (n,) of the first elastic coordinate of each link that moves its tip, counted over all links."""
+    """Return the index (n,), over all links, of the first elastic coordinate of each link that moves its tip."""
     offset, first = 0, []
     for beam in beams:
-        moves = np.abs(np.vstack([beam.tip_translation, beam.tip_rotation])).max(axis=0, initial=0.0) > 0.0
-        moves |= stiffening  # by foreshortening every bending moves the tip
-        first.append(offset + (int(np.argmax(moves)) if moves.any() else len(moves)))
-        offset += len(moves)
+        moving = np.abs(np.vstack([beam.tip_translation, beam.tip_rotation])).max(axis=0, initial=0.0) > 0.0
+        moving |= stiffening  # with foreshortening all bending moves the tip
+        first.append(offset + (int(np.argmax(moving)) if moving.any() else len(moving)))
+        offset += len(moving)
     return np.array(first, dtype=np.int64)
 
 
 def _axial(tensors: Array) -> Array:
-    """Gives the sum (..., 3) of a x b from sums (..., 3, 3) of a b^T."""
-    turned = tensors - np.swapaxes(tensors, -1, -2)
-    return np.stack([turned[..., 1, 2], turned[..., 2, 0], turned[..., 0, 1]], axis=-1)
+    """Return the sums (..., 3) of a x b from sums (..., 3, 3) of a b^T."""
+    difference = tensors - np.swapaxes(tensors, -1, -2)
+    return np.stack([difference[..., 1, 2], difference[..., 2, 0], difference[..., 0, 1]], axis=-1)
 
 
-MAX_CACHED_ELEMENTS = (
-    24  # finite elements of an arm, up to which its links are remembered whole, some megabytes of them
-)
+MAX_CACHED_ELEMENTS = 24  # finite elements of an arm up to which its complete links are cached
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Model:
-    """A discretised arm, as `build_model` returns it.
+    """Discretised arm, as returned by `build_model`.
 
     Attributes:
-        arm: the arm from which it was built.
-        choice: elements, modes and flexibilities, as they were asked for.
+        arm: the arm.
+        choice: elements, modes and switches of the model.
         constants: arrays that the kernels read; shapes and units in `kernels.layout.Constants`.
-        bases: (6 * elements * sections, k_i) of each link, the node coordinates per unit of its elastic coordinates;
-            (0, 0) of a rigid link.
-        modal_damping: the part of `constants.damping` that comes from the modal damping ratio, packed like
-            `constants.damping`.
+        bases: (6 * elements * sections, k_i) node coordinates of each link per unit of its elastic coordinates; (0, 0)
+            for a rigid link.
+        modal_damping: modal part of `constants.damping`, packed in the same way.
 
-    Examples:
+    Example:
         >>> model = fm.build_model(fm.catalog.paper_rrr(), elements=2)
         >>> model.n_joints, model.n_motors, model.n_elastic, model.n_dof
         (3, 3, 36, 42)
@@ -225,26 +235,26 @@ class Model:
     modal_damping: Array
 
     def __repr__(self) -> str:
-        bends = [self.bases[i].shape[1] for i in range(self.n_joints)]
+        counts = [self.bases[i].shape[1] for i in range(self.n_joints)]
         springs = "".join("s" if motor >= 0 else "r" for motor in self.constants.motor)
         length, mass = float(self.constants.length.sum()), float(self.constants.mass.sum())
         switches = [name for name in ("stiffening", "spinning_rotors", "rotary_inertia") if getattr(self.choice, name)]
         return (
-            f"<Model: {self.n_dof} coordinates, of {self.n_joints} joints, {self.n_motors} motors on springs and "
-            f"{self.n_elastic} of bending links\n"
-            f"  links: {length:.4g} m, {mass:.4g} kg, elastic coordinates {bends}; joints, spring or rigid: {springs}\n"
+            f"<Model: {self.n_dof} coordinates: {self.n_joints} joints, {self.n_motors} motors of flexible joints, "
+            f"{self.n_elastic} elastic\n"
+            f"  links: {length:.4g} m, {mass:.4g} kg, elastic coordinates {counts}; spring or rigid joints: {springs}\n"
             f"  payload {self.constants.payload_mass[0]:.4g} kg, gravity {self.constants.gravity.tolist()} m/s^2\n"
             f"  {', '.join(switches) or 'no further switches'}>"
         )
 
     @property
     def n_joints(self) -> int:
-        """Number n of joints and of links."""
+        """Number n of joints, and of links."""
         return len(self.constants.mass)
 
     @property
     def n_motors(self) -> int:
-        """Number m of flexible joints, each with a motor coordinate."""
+        """Number m of flexible joints; each adds a motor coordinate."""
         return int((self.constants.motor >= 0).sum())
 
     @property
@@ -254,33 +264,30 @@ class Model:
 
     @property
     def n_dof(self) -> int:
-        """Number d = n + m + k of coordinates; a state has 2 d numbers."""
+        """Number d = n + m + k of coordinates; a state has 2 d entries."""
         return self.n_joints + self.n_motors + self.n_elastic
 
     @property
     def motor_columns(self) -> np.ndarray:
-        """Index (n,) in x of each motor angle; where the joint is rigid, of the joint angle."""
+        """Index (n,) in x of each motor angle; for a rigid joint, of the joint angle."""
         return np.where(self.constants.motor >= 0, self.constants.motor, np.arange(self.n_joints))
 
     def elastic_columns(self, link: int) -> slice:
-        """Gives the columns of x that hold the elastic coordinates of a link (counted from 0)."""
+        """Return the columns of x with the elastic coordinates of a link (index from 0)."""
         first = self.n_joints + self.n_motors
         start, stop = self.constants.elastic_start[link : link + 2]
         return slice(first + int(start), first + int(stop))
 
     def elements(self, link: int) -> list[Element]:
-        """Gives the finite elements of a link (counted from 0), base to tip."""
+        """Return the finite elements of a link (index from 0), base to tip."""
         return beam_elements(self.arm.links[link], _each("elements", self.choice.elements, self.n_joints)[link])
 
     def initial_state(self, joint_angles: Vector, joint_rates: Vector | None = None) -> Array:
-        """Gives the state (2 d,) of the undeformed arm, with the motors at the angles and rates of the joints.
+        """Return the state (2 d,) of the undeformed arm with the motors at the angles and rates of the joints.
 
         Args:
-            joint_angles: (n,) rad.
-            joint_rates: (n,) rad/s, zero by default.
-
-        Raises:
-            ValueError: for wrong shapes, and values that are not finite or beyond 1e6.
+            joint_angles: (n,) rad, magnitude at most 1e6.
+            joint_rates: (n,) rad/s, zero by default, magnitude at most 1e6.
         """
         state = np.zeros(2 * self.n_dof)
         starts = ((0, "joint_angles", joint_angles, "rad"), (self.n_dof, "joint_rates", joint_rates, "rad/s"))
@@ -293,7 +300,7 @@ class Model:
         return state
 
     def at_rest(self, angles: Array) -> Array:
-        """Gives states (r, 2 d) of the undeformed arm at rest, with motors and joints at angles (r, n) rad."""
+        """Return states (r, 2 d) of the undeformed arm at rest, with motors and joints at angles (r, n) rad."""
         states = np.zeros((len(angles), 2 * self.n_dof))
         states[:, : self.n_joints] = states[:, self.motor_columns] = angles
         return states
@@ -310,55 +317,58 @@ def build_model(
     spinning_rotors: bool = False,
     rotary_inertia: bool = True,
 ) -> Model:
-    """Discretises an arm.
+    """Discretise an arm.
 
     Args:
-        arm: the arm, or what `scene.serialization.find_arm` takes for one.
+        arm: an `Arm`, the name of an arm of the catalog, a file, or a mapping; see `scene.serialization.find_arm`.
         elements: finite elements of a Link, or of each section of a NonUniformLink; one value or one per link. A link
-            has at most 64 elements in all, and 6 * elements * number of sections coordinates.
-        modes: loaded component modes kept of a flexible link, at most its number of coordinates; one value or one per
-            link. A number keeps so many of the lowest frequencies, a tuple keeps modes by their numbers, counted from
-            0. None keeps them all.
+            has at most 64 elements in total, and 6 * elements * number of sections coordinates.
+        modes: loaded component modes retained for a flexible link, at most its number of coordinates; one value or one
+            per link. A number retains that many of the lowest modes, a tuple retains modes by index from 0, and None
+            retains all coordinates.
         flexible_links: False makes a link rigid.
-        flexible_joints: False locks the springs of all joints; their rotor inertia stays.
-        stiffening: foreshortening of bent links (geometric stiffening), which links need that bend far or spin fast.
+        flexible_joints: False locks the springs of all joints; their rotor inertia remains.
+        stiffening: foreshortening of bent links (geometric stiffening), needed for links with large deflections or fast
+            rotation.
         spinning_rotors: see `ModelChoice`.
         rotary_inertia: see `ModelChoice`.
 
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+    Warns:
+        UserWarning: if the first bending frequency of the links suggests wrong units.
+
+    Example:
+        >>> model = fm.build_model(fm.catalog.one_joint(), elements=4, modes=3)
+        >>> model.n_elastic, fm.frequencies(model, lock_joints=True)[:2].round(2)
+        (3, array([ 1.41, 11.19]))
     """
     arm = find_arm(arm)
     choice = ModelChoice(flexible_links, elements, modes, flexible_joints, stiffening, spinning_rotors, rotary_inertia)
     n = arm.n_joints
     flexible = _each("flexible_links", choice.flexible_links, n)
     counts = _each("elements", choice.elements, n)
-    kept = _each("modes", choice.modes, n)
+    retained = _each("modes", choice.modes, n)
     for i, (link, count) in enumerate(zip(arm.links, counts, strict=True)):
         most = MAX_ELEMENTS // len(link.sections)
         if count > most:
             raise value_error(f"elements[{i}]", count, f"at most {most} for each of the {len(link.sections)} sections")
-    whole = (
-        _remembered
-        if sum(len(link.sections) for link in arm.links) * max(counts) <= MAX_CACHED_ELEMENTS
-        else _whole_links
-    )
+    size = sum(len(link.sections) for link in arm.links) * max(counts)
+    build_links = _build_links_cached if size <= MAX_CACHED_ELEMENTS else _build_links
     bases, dampings, reduced = [], [], []
-    beams = whole(arm, counts, flexible, choice.rotary_inertia)
-    _warn_of_modes([modes_[0][0] for _, modes_ in beams if len(modes_[0])])
-    for i, (beam, modes_) in enumerate(beams):
-        basis = _select_modes(modes_[1], kept[i] if flexible[i] else None, f"modes[{i}]")
+    beams = build_links(arm, counts, flexible, choice.rotary_inertia)
+    _warn_unusual_frequency([loaded[0][0] for _, loaded in beams if len(loaded[0])])
+    for i, (beam, loaded) in enumerate(beams):
+        basis = _select_modes(loaded[1], retained[i] if flexible[i] else None, f"modes[{i}]")
         bases.append(basis)
-        dampings.append(basis.T @ _modal_damping(beam.stiffness, modes_, arm.damping_ratios[i]) @ basis)
+        dampings.append(basis.T @ _modal_damping(beam.stiffness, loaded, arm.damping_ratios[i]) @ basis)
         reduced.append(beam.reduced(basis))
     damping = _pack([*dampings, np.zeros(LANES)], 1)
     return Model(arm, choice, _pack_constants(arm, tuple(reduced), damping, choice), tuple(bases), damping)
 
 
-def _whole_links(
+def _build_links(
     arm: Arm, elements: tuple[int, ...], flexible: tuple[bool, ...], rotary_inertia: bool
 ) -> list[tuple[Beam, tuple[Array, Array]]]:
-    """Gives each link with all its coordinates, and frequencies and shapes of its loaded modes."""
+    """Return each link with all its coordinates, and the frequencies and shapes of its loaded modes."""
     beams = tuple(map(build_beam, arm.links, elements, flexible, [rotary_inertia] * arm.n_joints))
     return [
         (beam, loaded_modes(beam, inertia)) for beam, inertia in zip(beams, outboard_inertias(arm, beams), strict=True)
@@ -366,15 +376,12 @@ def _whole_links(
 
 
 def _select_modes(shapes: Array, modes: int | tuple[int, ...] | None, field: str) -> Array:
-    """Gives the node coordinates (size, k) of a link per unit of each coordinate that is kept.
+    """Return the node coordinates (size, k) of a link per unit of each retained coordinate.
 
     Args:
-        shapes: (size, size) of its loaded modes.
-        modes: loaded modes that are kept, by number or as a tuple of numbers; None keeps every coordinate.
-        field: the name that an error gives to `modes`.
-
-    Raises:
-        ValueError: for more modes than there are.
+        shapes: (size, size) shapes of its loaded modes.
+        modes: number of modes retained, or a tuple of their indices; None retains every coordinate.
+        field: name of `modes` in an error message.
     """
     size = len(shapes)
     if modes is None:
@@ -387,46 +394,42 @@ def _select_modes(shapes: Array, modes: int | tuple[int, ...] | None, field: str
 
 
 def _modal_damping(stiffness: Array, modes: tuple[Array, Array], ratio: float) -> Array:
-    """Gives the damping matrix (k, k) of a link in which each of its loaded modes has the same damping ratio.
+    """Return the damping matrix (k, k) of a link in which each loaded mode has the same damping ratio.
 
     Args:
         stiffness: (k, k) of the link.
         modes: angular frequencies (k,) and shapes (k, k) of its loaded modes.
-        ratio: of damping.
+        ratio: damping ratio.
     """
     frequencies, shapes = modes
-    # K shape / frequency^2 is the loaded mass matrix times the shape, the inverse of the shapes.
+    # K shape / frequency^2 is the loaded mass matrix times the shape, which is the inverse of the shapes
     inverse = stiffness @ shapes / frequencies**2
     return 2.0 * ratio * inverse * frequencies @ inverse.T
 
 
-# one arm is often built with many a choice of modes; nothing changes these arrays
-_remembered = lru_cache(maxsize=8)(_whole_links)
+# an arm is often rebuilt with other modes; these arrays are never modified
+_build_links_cached = lru_cache(maxsize=8)(_build_links)
 
 
 def scene_model(scene: Scene) -> Model:
-    """Builds the model that a scene asks for.
+    """Return the model of a scene, built from its arm and its model settings.
 
-    Raises:
-        ValueError: for anything but a scene, and what `build_model` refuses.
+    Args:
+        scene: the scene.
     """
     instance("scene", scene, Scene, "a Scene")
     return build_model(scene.arm, **vars(scene.model))
 
 
 def check_model(model: object) -> Model:
-    """Gives a Model.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Return the argument after checking that it is a Model."""
     return instance("model", model, Model, "a Model, from build_model")
 
 
 def _each(name: str, value: object, n: int) -> tuple:
-    """Gives one value per link from one value for all or one for each."""
+    """Return one value per link from one common value or a tuple."""
     if name == "elements" and value is None:
-        raise value_error(name, None, "whole numbers from 1 on, or the scene to choose_model, which chooses them")
+        raise value_error(name, None, "whole numbers >= 1; or pass the scene to choose_model, which chooses them")
     if not isinstance(value, tuple):
         return (value,) * n
     if len(value) != n:
@@ -434,13 +437,13 @@ def _each(name: str, value: object, n: int) -> tuple:
     return value
 
 
-def _warn_of_modes(rates: list[float]) -> None:
-    """Warn (UserWarning) of an arm whose links bend, with the bodies on them, at unusual frequencies.
+def _warn_unusual_frequency(rates: list[float]) -> None:
+    """Warn if the lowest bending frequency of the links is outside the usual range, as it is with wrong units.
 
     Args:
-        rates: angular frequency of the first mode of each link that bends, rad/s.
+        rates: angular frequency of the first mode of each flexible link, rad/s.
     """
     frequency = min(rates, default=2.0 * np.pi) / (2.0 * np.pi)
     if not MIN_FREQUENCY <= frequency <= MAX_FREQUENCY:
-        usual = f"usual is {MIN_FREQUENCY:g} to {MAX_FREQUENCY:g} Hz; look at the units of moduli, sizes and masses"
-        warn_caller(f"arm: its links first bend at {frequency:.3g} Hz, which looks like a slip of units; {usual}")
+        usual = f"usual is {MIN_FREQUENCY:g} to {MAX_FREQUENCY:g} Hz; check the units of moduli, sizes and masses"
+        warn_caller(f"arm: the first bending frequency of its links, {frequency:.3g} Hz, suggests wrong units; {usual}")

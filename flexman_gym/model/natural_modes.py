@@ -1,4 +1,4 @@
-"""Natural modes of a mass and a stiffness matrix, and the error for arms beyond double precision."""
+"""Undamped natural modes of a mass and a stiffness matrix, accurate for the low frequencies of stiff systems."""
 
 import numpy as np
 
@@ -11,18 +11,22 @@ TRIES = 6
 
 
 def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
-    """Gives squares of natural frequencies (d,) in rad^2/s^2, ascending, and shapes (d, d) with shapes^T M shapes = 1.
+    """Return squared natural frequencies (d,) in rad^2/s^2, ascending, and mass-normalised mode shapes (d, d).
 
-    An eigenvalue solver errs by parts of the largest square, which finite elements make huge. The singular values of
-    L_M^T L_K^-T, of the Cholesky factors, are inverse frequencies, each of them exact to parts of the lowest frequency
-    over the largest. Squares may be negative where the arm falls over.
+    A general eigenvalue solver has an error proportional to the largest square, which is huge for finite elements. Here
+    the inverse frequencies are the singular values of L_M^T L_K^-T, with the Cholesky factors L_M and L_K; each is
+    accurate to rounding times the ratio of the lowest to the highest frequency. Squares may be negative if gravity
+    makes the equilibrium unstable.
 
     Args:
         mass: (d, d), positive definite.
         stiffness: (d, d), symmetric.
 
+    Returns:
+        Squares, and shapes as columns with shapes^T M shapes = 1.
+
     Raises:
-        ValueError: where rounding leaves no such factors.
+        ValueError: for matrices without Cholesky factors in double precision.
     """
     from scipy.linalg import cholesky, solve_triangular, svd
 

@@ -1,4 +1,4 @@
-"""State space: a linear model with names, in other scalings, sampled, reduced, and as other libraries have it."""
+"""State-space model with named signals: scaling, reduction, sampling and export."""
 
 from dataclasses import dataclass, field, replace
 from importlib import import_module
@@ -12,7 +12,7 @@ from flexman_gym.model.natural_modes import natural_modes
 
 
 class SecondOrderForm(NamedTuple):
-    """Forces of d coordinates in balance, mass a = forces [q, v, u], and what is read, y = rows [q, v, a].
+    """Linear equations of motion of d coordinates: mass a = forces [q, v, u], with outputs y = rows [q, v, a].
 
     Attributes:
         mass: (d, d).
@@ -27,17 +27,20 @@ class SecondOrderForm(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """The linear model x' = A x + B u, y = C x + D u for small departures from a state and its torques.
+    """Linear model x' = A x + B u, y = C x + D u for small deviations from a state and its torques.
 
-    A sampled one has x at the next instant in place of x'. It unpacks to A, B, C, D.
+    In a sampled model x at the next instant takes the place of x'. A model unpacks to A, B, C, D.
 
     Attributes:
-        A: (s, s); B: (s, m); C: (p, s); D: (p, m).
-        states: names with units of x, as in the head of a CSV file, such as "tip_x (m)".
-        inputs: names with units of u.
-        outputs: names with units of y.
-        period: of a sampled model, s; None for a continuous one.
-        balance: from which A, B, C and D were found; None of a model that was changed since.
+        A: (s, s) state matrix.
+        B: (s, m) input matrix.
+        C: (p, s) output matrix.
+        D: (p, m) feedthrough matrix.
+        states: names of x with units, as in the header of a CSV file, such as "tip_x (m)".
+        inputs: names of u with units.
+        outputs: names of y with units.
+        period: sampling period, s; None for a continuous model.
+        balance: equations of motion from which A, B, C and D were computed; None after a change of the model.
     """
 
     A: Array
@@ -63,123 +66,122 @@ class LinearModel:
 
     @property
     def poles(self) -> Array:
-        """Eigenvalues (s,) of A: 1/s of a continuous model, ascending in size."""
+        """Eigenvalues (s,) of A in order of magnitude; 1/s for a continuous model."""
         values: Any = np.linalg.eigvals(self.scaled().A if self.balance else self.A)
         result: Array = values[np.argsort(np.abs(values), kind="stable")]
         return result
 
     def frequency_response(self, frequencies: Vector) -> Array:
-        """Gives the complex gains (f, p, m) from inputs to outputs at frequencies (f,) in Hz.
+        """Return the complex gains (f, p, m) from inputs to outputs at frequencies (f,) in Hz.
+
+        Args:
+            frequencies: (f,) >= 0, Hz.
 
         Raises:
-            ValueError: for frequencies that are not finite numbers >= 0, and at a pole without damping.
+            ValueError: for a frequency at an undamped pole.
         """
-        given = sequence("frequencies", frequencies, "numbers")
-        turns = [2.0 * np.pi * non_negative(f"frequencies[{i}]", each, "Hz") for i, each in enumerate(given)]
+        checked = sequence("frequencies", frequencies, "numbers")
+        rates = [2.0 * np.pi * non_negative(f"frequencies[{i}]", each, "Hz") for i, each in enumerate(checked)]
         model = self.scaled() if self.balance else self
-        places = 1j * np.array(turns) if self.period is None else np.exp(1j * np.array(turns) * self.period)
+        points = 1j * np.array(rates) if self.period is None else np.exp(1j * np.array(rates) * self.period)
         with check_solvable("gains at these frequencies"):
-            inner = [np.linalg.solve(place * np.eye(len(model.A)) - model.A, model.B) for place in places]
-        return np.array([model.C @ each + model.D for each in inner]).reshape(len(turns), *self.D.shape)
+            responses = [np.linalg.solve(point * np.eye(len(model.A)) - model.A, model.B) for point in points]
+        return np.array([model.C @ each + model.D for each in responses]).reshape(len(rates), *self.D.shape)
 
     def scaled(self) -> "LinearModel":
-        """Gives the same model in the coordinates of its natural modes, frequency times displacement and speed.
+        """Return the model in modal coordinates: frequency times displacement, and speed, of each natural mode.
 
-        All states are then square roots of energies, and the entries of A are frequencies, not their squares. Solvers
-        of Riccati and Lyapunov equations, which fail on the stiff entries of finite elements, work on it.
-
-        Raises:
-            ValueError: for a model that was scaled, sampled or reduced before.
+        All states are then square roots of energies, and the entries of A are frequencies instead of their squares.
+        Solvers of Riccati and Lyapunov equations, which fail on the stiff entries of finite elements, work in these
+        coordinates. Only the model returned by `linearize` can be scaled.
         """
         mass, forces, rows = self._own_balance()
         d = len(mass)
         squares, shapes = natural_modes(mass, -(forces[:, :d] + forces[:, :d].T) / 2.0)
         sizes = np.sqrt(np.maximum(squares, squares[squares > 0.0].min(initial=1.0)))
-        place = shapes / sizes
-        onward = shapes.T @ np.hstack([forces[:, :d] @ place, forces[:, d : 2 * d] @ shapes, forces[:, 2 * d :]])
-        here = np.hstack([rows[:, :d] @ place, rows[:, d : 2 * d] @ shapes])
-        felt = rows[:, 2 * d :] @ shapes @ onward
+        displacements = shapes / sizes
+        parts = forces[:, :d] @ displacements, forces[:, d : 2 * d] @ shapes, forces[:, 2 * d :]
+        acceleration_rows = shapes.T @ np.hstack(parts)
+        output_rows = np.hstack([rows[:, :d] @ displacements, rows[:, d : 2 * d] @ shapes])
+        feedthrough = rows[:, 2 * d :] @ shapes @ acceleration_rows
         names = [f"{kind}_{i + 1} (J^0.5)" for kind in ("mode", "mode_rate") for i in range(d)]
         return replace(
             self,
-            A=np.vstack([np.hstack([np.zeros((d, d)), np.diag(sizes)]), onward[:, : 2 * d]]),
-            B=np.vstack([np.zeros((d, len(self.inputs))), onward[:, 2 * d :]]),
-            C=here + felt[:, : 2 * d],
-            D=felt[:, 2 * d :],
+            A=np.vstack([np.hstack([np.zeros((d, d)), np.diag(sizes)]), acceleration_rows[:, : 2 * d]]),
+            B=np.vstack([np.zeros((d, len(self.inputs))), acceleration_rows[:, 2 * d :]]),
+            C=output_rows + feedthrough[:, : 2 * d],
+            D=feedthrough[:, 2 * d :],
             states=tuple(names),
             balance=None,
         )
 
     def reduced(self, frequency: float) -> "LinearModel":
-        """Gives the natural modes up to a frequency (Hz); the others follow at once, as their stiffness lets.
+        """Return the model of the natural modes up to a frequency; faster modes follow quasi-statically.
 
-        Static gains stay what they are (singular perturbation: Kokotovic, Automatica 12, 1976). States are those of
-        `scaled`.
+        Static gains are preserved (singular perturbation: Kokotovic, Automatica 12, 1976). The states are those of
+        `scaled`, and only the model returned by `linearize` can be reduced.
 
-        Raises:
-            ValueError: for a frequency that is not positive, and for a model that was changed before.
+        Args:
+            frequency: Hz.
         """
-        whole, d = self.scaled(), len(self._own_balance().mass)
-        sizes = np.diag(whole.A[:d, d:])
+        scaled, d = self.scaled(), len(self._own_balance().mass)
+        sizes = np.diag(scaled.A[:d, d:])
         slow = np.flatnonzero(sizes <= 2.0 * np.pi * positive("frequency", frequency, "Hz"))
         fast = np.setdiff1d(np.arange(d), slow)
         slow, fast = np.append(slow, d + slow), np.append(fast, d + fast)
         with check_solvable("static gains"):
-            follow = -np.linalg.solve(
-                whole.A[np.ix_(fast, fast)], np.hstack([whole.A[np.ix_(fast, slow)], whole.B[fast]])
+            static = -np.linalg.solve(
+                scaled.A[np.ix_(fast, fast)], np.hstack([scaled.A[np.ix_(fast, slow)], scaled.B[fast]])
             )
-        inner, direct = follow[:, : len(slow)], follow[:, len(slow) :]
+        static_states, static_inputs = static[:, : len(slow)], static[:, len(slow) :]
         return replace(
-            whole,
-            A=whole.A[np.ix_(slow, slow)] + whole.A[np.ix_(slow, fast)] @ inner,
-            B=whole.B[slow] + whole.A[np.ix_(slow, fast)] @ direct,
-            C=whole.C[:, slow] + whole.C[:, fast] @ inner,
-            D=whole.D + whole.C[:, fast] @ direct,
-            states=tuple(whole.states[i] for i in slow),
+            scaled,
+            A=scaled.A[np.ix_(slow, slow)] + scaled.A[np.ix_(slow, fast)] @ static_states,
+            B=scaled.B[slow] + scaled.A[np.ix_(slow, fast)] @ static_inputs,
+            C=scaled.C[:, slow] + scaled.C[:, fast] @ static_states,
+            D=scaled.D + scaled.C[:, fast] @ static_inputs,
+            states=tuple(scaled.states[i] for i in slow),
         )
 
     def discrete(self, period: float, delay: float = 0.0) -> "LinearModel":
-        """Gives the model as a controller with sampled inputs meets it, exactly.
+        """Return the exact discrete-time model for inputs that are constant over each sampling period.
 
-        It is the exponential of [[A, B], [0, 0]] (Van Loan, IEEE Trans. Automatic Control 23, 1978). Inputs on their
-        way are further states, the newest first (Astrom and Wittenmark, Computer-Controlled Systems).
+        It uses the exponential of [[A, B], [0, 0]] (Van Loan, IEEE Trans. Automatic Control 23, 1978). Delayed inputs
+        are additional states, the newest first (Astrom and Wittenmark, Computer-Controlled Systems).
 
         Args:
-            period: for which inputs stay, s.
-            delay: by which they come late, s; any part of the period and more.
-
-        Raises:
-            ValueError: for a sampled model, a period that is not positive and a negative delay.
+            period: sampling period, s.
+            delay: delay of the inputs, s; not necessarily a multiple of the period.
         """
         if self.period is not None:
             raise value_error("period", period, "a continuous model")
-        period, late = positive("period", period, "s"), non_negative("delay", delay, "s")
-        whole = int(np.ceil(late / period - 1e-9))
-        part = max(whole * period - late, 0.0)  # of a period in which the newest input that has come already acts
+        period, delay = positive("period", period, "s"), non_negative("delay", delay, "s")
+        periods = int(np.ceil(delay / period - 1e-9))
+        part = max(periods * period - delay, 0.0)  # of a period in which the newest arrived input acts
         size, m = self.B.shape
-        transition, newest = discretize(self.A, self.B, period if whole == 0 or part == 0.0 else part)
-        if whole and part:
-            rest, older = discretize(self.A, self.B, period - part)
-            older, transition = transition @ older, transition @ rest
-        names = [f"{name} late by {k + 1}" for k in range(whole) for name in self.inputs]
-        A, B = np.zeros((size + whole * m, size + whole * m)), np.zeros((size + whole * m, m))
+        transition, newest_input = discretize(self.A, self.B, period if periods == 0 or part == 0.0 else part)
+        if periods and part:
+            rest, older_input = discretize(self.A, self.B, period - part)
+            older_input, transition = transition @ older_input, transition @ rest
+        names = [f"{name} late by {k + 1}" for k in range(periods) for name in self.inputs]
+        A, B = np.zeros((size + periods * m, size + periods * m)), np.zeros((size + periods * m, m))
         A[:size, :size] = transition
-        if whole == 0:
-            B[:size] = newest
+        if periods == 0:
+            B[:size] = newest_input
         else:
             B[size : size + m] = np.eye(m)
-            A[size + m :, size:-m] = np.eye((whole - 1) * m)
+            A[size + m :, size:-m] = np.eye((periods - 1) * m)
             if part:
-                (A if whole > 1 else B)[:size, slice(-2 * m, -m) if whole > 1 else slice(None)] = newest
-            A[:size, -m:] = older if part else newest
-        C = np.hstack([self.C, np.zeros((len(self.C), whole * m))])
+                (A if periods > 1 else B)[:size, slice(-2 * m, -m) if periods > 1 else slice(None)] = newest_input
+            A[:size, -m:] = older_input if part else newest_input
+        C = np.hstack([self.C, np.zeros((len(self.C), periods * m))])
         D = self.D
-        if whole and D.any():  # what is read at once has come late too
+        if periods and D.any():  # the feedthrough is delayed as well
             C[:, -m:], D = D, np.zeros_like(D)
         return replace(self, A=A, B=B, C=C, D=D, states=(*self.states, *names), period=period, balance=None)
 
     def to_control(self) -> Any:
-        """Gives the model as a StateSpace of python-control, with the names.
+        """Return the model as a StateSpace of python-control, with its names.
 
         Raises:
             ModuleNotFoundError: without that library, which the extra "control" installs.
@@ -193,13 +195,20 @@ class LinearModel:
         return control.ss(self.A, self.B, self.C, self.D, 0 if self.period is None else self.period, **given)
 
     def _own_balance(self) -> SecondOrderForm:
+        """Return the equations of motion of an unchanged model."""
         if self.balance is None:
-            raise value_error("model", "one that was changed", "the model that linearize gives")
+            raise value_error("model", "a changed model", "the model returned by linearize")
         return self.balance
 
 
 def discretize(A: Array, B: Array, period: float) -> tuple[Array, Array]:
-    """Gives the transition of states (s, s) and of inputs (s, m) over a period (s) of constant inputs."""
+    """Return the transition matrices of the states (s, s) and of inputs (s, m) that are constant over a period.
+
+    Args:
+        A: (s, s) state matrix.
+        B: (s, m) input matrix.
+        period: s.
+    """
     from scipy.linalg import expm
 
     size, m = B.shape

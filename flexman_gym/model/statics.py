@@ -1,10 +1,10 @@
-"""Statics: how an arm rests under gravity, and the torques that hold it there."""
+"""Static equilibrium under gravity with held motors, and the torques that hold it."""
 
 from functools import lru_cache
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, IntArray, Vector
+from flexman_gym.common.arrays import Array, IntArray, Matrix, Vector
 from flexman_gym.common.checks import value_error, vector
 from flexman_gym.kernels import inverse, outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, Work, make_work
@@ -12,43 +12,57 @@ from flexman_gym.model.dynamics import inertial_forces, stiffness_matrix
 from flexman_gym.model.model import Model, check_model
 
 
-def rest_states(model: Model, postures: Array) -> Array:
-    """States (r, 2 d) of an arm at rest with its motors held at angles (r, n) rad: bent by its weight, without speed.
+def rest_state(model: Model, motor_angles: Vector | Matrix) -> Array:
+    """Return the state of the arm at rest with its motors held: deflected by its weight, at zero speed.
 
-    Without gravity the arm is undeformed. With it, springs and links balance the weight at the place that they have
-    bent to; the iteration takes the stiffness for the slope of that balance.
+    Without gravity the arm is undeformed. With gravity the equilibrium of weight, joint springs and links is found by a
+    Newton iteration with the stiffness matrix as constant Jacobian.
+
+    Args:
+        model: model of the arm.
+        motor_angles: (n,) rad, or (r, n) for r postures.
+
+    Returns:
+        State (2 d,), or (r, 2 d) for r postures.
 
     Raises:
-        ValueError: for an arm too soft to find its rest so.
+        ValueError: for an arm too compliant for the iteration to converge.
+
+    Example:
+        An arm in a vertical plane sags: its joint springs twist under its weight.
+
+        >>> model = fm.build_model(fm.catalog.vertical_2r())
+        >>> state = fm.rest_state(model, [0.0, 0.5])
+        >>> state[:2].round(3), state[model.motor_columns]  # joint and motor angles, rad
+        (array([-0.035,  0.482]), array([0. , 0.5]))
     """
+    if isinstance(motor_angles, np.ndarray) and motor_angles.ndim == 2:
+        return _rest_states(model, motor_angles)
+    angles = vector("motor_angles", motor_angles, check_model(model).n_joints, "rad")
+    result: Array = _rest_states(model, np.array([angles]))[0]
+    return result
+
+
+def _rest_states(model: Model, postures: Array) -> Array:
+    """Return the states (r, 2 d) at rest with the motors at angles (r, n) rad."""
     states, d = model.at_rest(postures), model.n_dof
     if not model.constants.gravity.any():
         return states
     work, free, stiffness, compliance = _rest_system(model)
-    rest, force = np.zeros(d), np.zeros(d)
+    zero, force = np.zeros(d), np.zeros(d)
     for posture, state in zip(postures, states, strict=True):
-        change = inverse.solve_equilibrium(model.constants, work, stiffness, compliance, free, rest, state[:d], force)
+        change = inverse.solve_equilibrium(model.constants, work, stiffness, compliance, free, zero, state[:d], force)
         if not change <= inverse.EQUILIBRIUM_TOLERANCE:
-            raise value_error("motor_angles", posture.tolist(), "an arm that its springs can hold under its weight")
+            raise value_error("motor_angles", posture.tolist(), "an arm stiff enough to hold its own weight")
     return states
-
-
-def rest_state(model: Model, motor_angles: Vector) -> Array:
-    """State (2 d,) of an arm that rests with its motors held at angles (n,) rad, see `rest_states`.
-
-    Raises:
-        ValueError: for wrong angles, and for an arm too soft to find its rest so.
-    """
-    angles = vector("motor_angles", motor_angles, check_model(model).n_joints, "rad")
-    result: Array = rest_states(model, np.array([angles]))[0]
-    return result
 
 
 @lru_cache(maxsize=16)
 def _rest_system(model: Model) -> tuple[Work, IntArray, Array, Array]:
-    """Work space, coordinates that the motors do not hold, stiffness (d, d), and the inverse of its part of those.
+    """Return work space, free coordinates, stiffness (d, d) and its inverse over the free coordinates.
 
-    Kernels fill the work space anew in each call, during which no other thread runs.
+    Sharing one work space is safe: kernels overwrite all of it in each call and hold the interpreter lock while they
+    run.
     """
     free = np.setdiff1d(np.arange(model.n_dof), model.motor_columns)
     stiffness = stiffness_matrix(model)
@@ -56,19 +70,28 @@ def _rest_system(model: Model) -> tuple[Work, IntArray, Array, Array]:
 
 
 def holding_torques(model: Model, motor_angles: Vector) -> Array:
-    """Motor torques (n,) in N m that hold an arm at rest with its motors at angles (n,) rad; zero without gravity.
+    """Return the motor torques (n,) in N m that hold the arm at rest; zero without gravity.
+
+    Args:
+        model: model of the arm.
+        motor_angles: (n,) rad.
 
     Raises:
-        ValueError: as `rest_state`.
+        ValueError: for an arm too compliant for the equilibrium to be found, see `rest_state`.
+
+    Example:
+        >>> model = fm.build_model(fm.catalog.vertical_2r())
+        >>> fm.holding_torques(model, [0.0, 0.0]).round(3)
+        array([3.621, 1.147])
     """
-    x, rest = rest_state(model, motor_angles)[: model.n_dof], np.zeros(model.n_dof)
-    return (inertial_forces(model)(x, rest, rest) + stiffness_matrix(model) @ x)[model.motor_columns]
+    x, zero = rest_state(model, motor_angles)[: model.n_dof], np.zeros(model.n_dof)
+    return (inertial_forces(model)(x, zero, zero) + stiffness_matrix(model) @ x)[model.motor_columns]
 
 
 def rest_tips(model: Model, postures: Array) -> Array:
-    """(r, 3) m: tips, base frame, of the arm at rest with its motors at angles (r, n) rad."""
+    """Return the tip positions (r, 3) in the base frame, m, at rest with the motors at angles (r, n) rad."""
     work, row, tips = _rest_system(model)[0], np.zeros(OUTPUTS), np.zeros((len(postures), 3))
-    for tip, state in zip(tips, rest_states(model, postures), strict=True):
+    for tip, state in zip(tips, _rest_states(model, postures), strict=True):
         outputs.compute_outputs(model.constants, work, state[: model.n_dof], state[model.n_dof :], row)
         tip[:] = row[TIP]
     return tips

@@ -1,4 +1,4 @@
-"""Vibration: how an arm rings about a posture, with its motors held or free."""
+"""Vibration modes of an arm about a static equilibrium, with its motors held or free, and of a spinning arm."""
 
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -13,18 +13,23 @@ from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.natural_modes import natural_modes
 from flexman_gym.model.statics import holding_torques, rest_state
 
-SLOWEST = 1e-6  # of the lowest natural frequency: what is slower only turns
-TURNING = 1e-7  # part of an eigenvalue that must be imaginary for it to ring
-ROUNDING = 1e-12  # of a damping ratio
-SHOWN = 3  # modes in the repr
-SPIN_ITERATIONS, MAX_COORDINATE = 200, 1e3  # of the search for the equilibrium of a spin; m and rad, where it stops
+RIGID_BODY_LIMIT = 1e-6  # of the lowest natural frequency; slower eigenvalues are rigid-body motion
+OVERDAMPED_LIMIT = 1e-7  # smallest imaginary part of an oscillatory eigenvalue, relative to its magnitude
+ZERO_DAMPING = 1e-12  # damping ratio below which it is a rounded zero
+SHOWN_MODES = 3  # number of modes in the repr
+SPIN_ITERATIONS = 200  # limit of the iteration for the equilibrium of a spin
+MAX_COORDINATE = 1e3  # m or rad; the iteration stops beyond it
 
 
 class EquilibriumMatrices(NamedTuple):
-    """An arm at rest under its weight, mass a + damping v + stiffness q = forces, for d small departures q from there.
+    """Linearised arm about its static equilibrium, for small deviations q (d,) of its coordinates.
+
+    Its equation of motion is mass a + damping v + stiffness q = forces.
 
     Attributes:
-        mass, damping, stiffness: (d, d); the stiffness has the part of gravity.
+        mass: (d, d).
+        damping: (d, d).
+        stiffness: (d, d), including the part of gravity.
         tip: (3, d) displacement of the tip per unit coordinate.
         motors: (n,) columns of the motors.
     """
@@ -36,18 +41,18 @@ class EquilibriumMatrices(NamedTuple):
     motors: IntArray
 
     @property
-    def others(self) -> IntArray:
-        """Columns (d - n,) of what does not stand still when the motors are held."""
+    def free(self) -> IntArray:
+        """Columns (d - n,) of the coordinates that move when the motors are held."""
         return np.setdiff1d(np.arange(len(self.mass)), self.motors)
 
 
 class Eigenpairs(NamedTuple):
-    """Pairs of complex eigenvalues of a vibration: their upper half, the slowest oscillation first.
+    """Complex eigenvalues with positive imaginary part and their shapes, in order of rising frequency.
 
     Attributes:
         values: (k,) 1/s.
-        shapes: (k, d) complex coordinates. shape^T (2 s M + C) shape is 1 for an eigenvalue s, so that a start q, v
-            excites a mode by shape^T (s M q + C q + M v).
+        shapes: (k, d) complex coordinates, normalised to shape^T (2 s M + C) shape = 1 for an eigenvalue s, so that an
+            initial state q, v excites a mode by shape^T (s M q + C q + M v).
     """
 
     values: Array
@@ -56,16 +61,22 @@ class Eigenpairs(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """The modes of an arm about a posture, k pairs of complex eigenvalues s of its linear model, the slowest first.
+    """Vibration modes of an arm about a posture: k conjugate pairs of eigenvalues s of its linear model, lowest first.
 
     Attributes:
         frequencies: (k,) of the damped oscillation, Im s / (2 pi), Hz.
         damping_ratios: (k,) -Re s / |s|.
-        shapes: (k, d) complex, coordinates in the order of `kernels.layout`; the modal mass of each is 1 (kg m^2 or
-            kg, as its coordinates are), and its largest entry real.
-        shares: (k, 2 n) of the n links and then of the n joints in the elastic energy, 0 to 1.
-        parts: names (2 n,) of these links and joints.
+        shapes: (k, d) complex mode shapes in the coordinates of `kernels.layout`, normalised to unit modal mass (kg m^2
+            or kg, depending on the coordinates), with their largest entry real.
+        shares: (k, 2 n) shares of the n links, then of the n joints, in the elastic energy, 0 to 1.
+        parts: (2 n,) names of these links and joints.
         motors: "held" or "free".
+        eigenvalues: (k,) complex eigenvalues s, 1/s.
+
+    Example:
+        >>> vibration = fm.modes(fm.build_model(fm.catalog.one_joint()))
+        >>> len(vibration), vibration.parts
+        (13, ('link 1', 'joint 1'))
     """
 
     frequencies: Array
@@ -85,25 +96,25 @@ class Modes:
             largest = [i for i in np.argsort(-shares)[:2] if shares[i] > 0.005]
             carried = ", ".join(f"{100 * shares[i]:.0f} % in {self.parts[i]}" for i in largest)
             lines.append(f"  {frequency:.6g} Hz, damping ratio {ratio:.3g}" + (f", {carried}" if carried else ""))
-        return "\n".join(lines[: SHOWN + 1] + ["  ..."] * (len(self) > SHOWN)) + ">"
+        return "\n".join(lines[: SHOWN_MODES + 1] + ["  ..."] * (len(self) > SHOWN_MODES)) + ">"
 
 
 def modes(model: Model, joint_angles: Vector | None = None, motors: str = "held") -> Modes:
-    """Gives the modes of an arm that rests under its weight, with damping.
+    """Return the damped vibration modes of an arm at rest under its weight.
 
-    They are those of the linear model about the place where the arm has sagged to. What does not oscillate is left
-    out: the arm that turns freely, and what is damped beyond oscillation. Free motors slide, and their Coulomb friction
-    damps no small oscillation, see `linearize`; a motor that sticks is a held one.
+    They are those of the linear model about the sagged equilibrium. Solutions without oscillation are left out: the
+    rigid motion of a freely turning arm, and overdamped modes. Free motors slide, and their Coulomb friction does not
+    damp a small oscillation (see `linearize`); a sticking motor is a held one.
 
     Args:
-        model: the model.
-        joint_angles: (n,) rad, of the motors, zero by default.
-        motors: "held" clamps the motors (the joints where they are rigid); "free" leaves them to their holding torques.
+        model: model of the arm.
+        joint_angles: (n,) angles of the motors, rad, zero by default.
+        motors: "held" clamps the motors (the joints where they are rigid); "free" applies only their holding torques.
 
     Raises:
-        ValueError: for anything but a Model, for wrong angles, for another word, and for an arm too soft to rest.
+        ValueError: for an arm too compliant for its equilibrium to be found.
 
-    Examples:
+    Example:
         >>> vibration = fm.modes(fm.build_model(fm.catalog.one_joint()), motors="held")
         >>> vibration.frequencies[:2].round(2), vibration.damping_ratios[:2].round(3)
         (array([ 1.41, 11.26]), array([0.004, 0.007]))
@@ -111,33 +122,37 @@ def modes(model: Model, joint_angles: Vector | None = None, motors: str = "held"
     held = one_of("motors", motors, ("held", "free")) == "held"
     n = check_model(model).n_joints
     resting = equilibrium_matrices(model, np.zeros(n) if joint_angles is None else joint_angles)
-    kept = resting.others if held else np.arange(model.n_dof)
-    found = oscillatory_modes(resting, kept)
-    shapes = np.zeros((len(found.values), model.n_dof), dtype=complex)
-    shapes[:, kept] = found.shapes
+    moving = resting.free if held else np.arange(model.n_dof)
+    pairs = oscillatory_modes(resting, moving)
+    shapes = np.zeros((len(pairs.values), model.n_dof), dtype=complex)
+    shapes[:, moving] = pairs.shapes
     masses = np.einsum("ka,ab,kb->k", shapes.conj(), resting.mass, shapes).real
     largest = (
         np.take_along_axis(shapes, np.abs(shapes).argmax(axis=1)[:, None], axis=1) if shapes.size else shapes[:, :1]
     )
     shapes = shapes * (np.abs(largest) / largest) / np.sqrt(masses)[:, None]
-    ratios = -found.values.real / np.abs(found.values)
-    ratios[np.abs(ratios) < ROUNDING] = 0.0
+    ratios = -pairs.values.real / np.abs(pairs.values)
+    ratios[np.abs(ratios) < ZERO_DAMPING] = 0.0
     return Modes(
-        frequencies=found.values.imag / (2.0 * np.pi),
+        frequencies=pairs.values.imag / (2.0 * np.pi),
         damping_ratios=ratios,
         shapes=shapes,
         shares=_shares(model, shapes),
         parts=tuple(f"{kind} {i}" for kind in ("link", "joint") for i in range(1, n + 1)),
         motors=motors,
-        eigenvalues=found.values,
+        eigenvalues=pairs.values,
     )
 
 
 def equilibrium_matrices(model: Model, motor_angles: Vector) -> EquilibriumMatrices:
-    """Gives the arm at rest with its motors at angles (n,) rad.
+    """Return the linearised arm about its equilibrium with the motors at angles (n,) rad.
+
+    Args:
+        model: model of the arm.
+        motor_angles: (n,) rad.
 
     Raises:
-        ValueError: for wrong angles, and for an arm too soft to rest.
+        ValueError: for an arm too compliant for its equilibrium to be found.
     """
     linear = linearize(model, state=rest_state(model, motor_angles), torque=holding_torques(model, motor_angles))
     d, balance = model.n_dof, linear.balance
@@ -149,13 +164,20 @@ def equilibrium_matrices(model: Model, motor_angles: Vector) -> EquilibriumMatri
     )
 
 
-def oscillatory_modes(resting: EquilibriumMatrices, kept: IntArray) -> Eigenpairs:
-    """Gives the modes of an arm of which only the coordinates `kept` (d,) move.
+def oscillatory_modes(resting: EquilibriumMatrices, moving: IntArray) -> Eigenpairs:
+    """Return the oscillatory modes of an arm in which only some coordinates move.
 
-    The eigenvalues are found in the coordinates of the natural modes, so that the slow ones are exact beside stiff
-    ones.
+    The eigenvalues are computed in the coordinates of the undamped modes, so that low frequencies stay accurate next to
+    very high ones.
+
+    Args:
+        resting: linearised arm.
+        moving: (m,) columns of the coordinates that move.
+
+    Returns:
+        Eigenvalues, and shapes (k, m) over the moving coordinates.
     """
-    block = np.ix_(kept, kept)
+    block = np.ix_(moving, moving)
     mass, damping = resting.mass[block], resting.damping[block]
     if not len(mass):
         return Eigenpairs(np.zeros(0, dtype=complex), np.zeros((0, 0), dtype=complex))
@@ -163,88 +185,85 @@ def oscillatory_modes(resting: EquilibriumMatrices, kept: IntArray) -> Eigenpair
     lowest = np.sqrt(squares[squares > 0.0].min(initial=np.inf))
     sizes = np.sqrt(np.maximum(np.abs(squares), lowest**2 if np.isfinite(lowest) else 1.0))
     with check_solvable("modes"):
-        lost = natural.T @ damping @ natural
+        modal_damping = natural.T @ damping @ natural
         values, vectors = np.linalg.eig(
-            np.block([[np.zeros_like(lost), np.diag(sizes)], [-np.diag(squares / sizes), -lost]])
+            np.block([[np.zeros_like(modal_damping), np.diag(sizes)], [-np.diag(squares / sizes), -modal_damping]])
         )
-    rings = (values.imag > TURNING * np.abs(values)) & (np.abs(values) > SLOWEST * lowest)
-    rows = np.flatnonzero(rings)
+    oscillatory = (values.imag > OVERDAMPED_LIMIT * np.abs(values)) & (np.abs(values) > RIGID_BODY_LIMIT * lowest)
+    rows = np.flatnonzero(oscillatory)
     rows = rows[np.argsort(values[rows].imag, kind="stable")]
     values, modal = values[rows], (vectors[: len(mass), rows] / sizes[:, None]).T
-    norm = 2.0 * values * (modal**2).sum(axis=1) + np.einsum("ka,ab,kb->k", modal, lost, modal)
+    norm = 2.0 * values * (modal**2).sum(axis=1) + np.einsum("ka,ab,kb->k", modal, modal_damping, modal)
     return Eigenpairs(values, (modal / np.sqrt(norm)[:, None]) @ natural.T)
 
 
-def elastic_energies(model: Model, places: Array) -> Array:
-    """Gives twice the elastic energies (k, 2 n) of the n links and then of the n joints at coordinates (k, d), J.
+def elastic_energies(model: Model, coordinates: Array) -> Array:
+    """Return twice the elastic energies (k, 2 n), in J, of the n links, then of the n joints, at coordinates (k, d).
 
-    Of complex coordinates, which turn in time, it is four times the mean.
+    For the complex coordinates of an oscillation it is four times the mean over a cycle.
     """
     n, constants, stiffness = model.n_joints, model.constants, stiffness_matrix(model)
-    energies = np.zeros((len(places), 2 * n))
+    energies = np.zeros((len(coordinates), 2 * n))
     for i in range(n):
         columns = model.elastic_columns(i)
-        bent, wound = places[:, columns], places[:, model.motor_columns[i]] - places[:, i]
-        energies[:, i] = np.einsum("ka,ab,kb->k", bent.conj(), stiffness[columns, columns], bent).real
-        energies[:, n + i] = constants.joint_stiffness[i] * np.abs(wound) ** 2
+        deflection, twist = coordinates[:, columns], coordinates[:, model.motor_columns[i]] - coordinates[:, i]
+        energies[:, i] = np.einsum("ka,ab,kb->k", deflection.conj(), stiffness[columns, columns], deflection).real
+        energies[:, n + i] = constants.joint_stiffness[i] * np.abs(twist) ** 2
     return energies
 
 
 def _shares(model: Model, shapes: Array) -> Array:
-    """Gives the shares (k, 2 n) of links and joints in the elastic energy of shapes (k, d)."""
+    """Return the shares (k, 2 n) of links and joints in the elastic energy of shapes (k, d)."""
     energies = elastic_energies(model, shapes)
     total = energies.sum(axis=1, keepdims=True)
     return np.divide(energies, total, out=np.zeros_like(energies), where=total > 0.0)
 
 
 def spin_frequencies(model: Model, rates: Vector, joint_angles: Vector | None = None) -> Array:
-    """Return the natural frequencies (r, k) of an arm that spins about its first joint, Hz, ascending.
+    """Return the natural frequencies (r, k) in Hz, ascending, of an arm that spins about its first joint.
 
-    The motors keep their rates: the first turns, the others stand still; gravity is left out. The arm is in the
-    equilibrium of the spin, and its links stiffen if the model has foreshortening. A row is nan without such an
-    equilibrium, and its last entries are nan for modes that do not oscillate.
+    The motors keep their rates: the first turns, the others are at rest; gravity is left out. The model is linearised
+    about the equilibrium of the spin, in which its links stiffen if it has foreshortening. A row without an equilibrium
+    is NaN, and so are the last entries of a row with modes that do not oscillate.
 
     Args:
         model: model of the arm.
-        rates: (r,) rad/s.
+        rates: (r,) spin rates, rad/s.
         joint_angles: (n,) rad, zero by default.
-
-    Raises:
-        ValueError: for wrong shapes and values that are not finite.
     """
     d, n, result = check_model(model).n_dof, model.n_joints, []
-    light = replace(model, constants=model.constants._replace(gravity=np.zeros(3)))
-    others = np.setdiff1d(np.arange(d), model.motor_columns)
-    kept, k = np.concatenate([others, d + others]), len(others)
+    weightless = replace(model, constants=model.constants._replace(gravity=np.zeros(3)))
+    free = np.setdiff1d(np.arange(d), model.motor_columns)
+    columns, k = np.concatenate([free, d + free]), len(free)
     for rate in vector("rates", rates, unit="rad/s"):
         row = np.full(k, np.nan)
-        spinning = _spin_equilibrium(light, np.zeros(n) if joint_angles is None else joint_angles, rate)
-        if spinning is not None:
-            state, torque = spinning
-            mass = mass_matrix(light, state)
-            with np.errstate(over="ignore"):  # of the slope of friction, which spin leaves behind
-                whole = linearize(light, state=state, torque=torque).A[d:]
-            demands = (mass @ whole)[np.ix_(others, kept)]
-            slopes = np.linalg.solve(mass[np.ix_(others, others)], demands)  # whatever torques hold the motors
-            rings = np.linalg.eigvals(np.block([[np.zeros((k, k)), np.eye(k)], [slopes]])).imag
-            found = np.sort(rings[rings > 0.0]) / (2 * np.pi)  # of each pair its upper half
-            row[: len(found)] = found
+        equilibrium = _spin_equilibrium(weightless, np.zeros(n) if joint_angles is None else joint_angles, rate)
+        if equilibrium is not None:
+            state, torque = equilibrium
+            mass = mass_matrix(weightless, state)
+            with np.errstate(over="ignore"):  # of the friction slope, which is negligible in a spin
+                rates_jacobian = linearize(weightless, state=state, torque=torque).A[d:]
+            forces = (mass @ rates_jacobian)[np.ix_(free, columns)]
+            jacobian = np.linalg.solve(mass[np.ix_(free, free)], forces)  # for any torques that hold the motors
+            imaginary = np.linalg.eigvals(np.block([[np.zeros((k, k)), np.eye(k)], [jacobian]])).imag
+            frequencies = np.sort(imaginary[imaginary > 0.0]) / (2 * np.pi)  # the upper half of each conjugate pair
+            row[: len(frequencies)] = frequencies
         result.append(row)
     return np.array(result).reshape(-1, k)
 
 
 def _spin_equilibrium(model: Model, angles: Vector, rate: float) -> tuple[Array, Array] | None:
-    """Return the equilibrium state (2 d,) of a spin and its torques (n,) N m; None without one."""
+    """Return the equilibrium state (2 d,) of a spin and its motor torques (n,) in N m, or None if there is none."""
     d, n = model.n_dof, model.n_joints
     state, motors = model.initial_state(angles, np.eye(n)[0] * rate), model.motor_columns
-    others, stiffness, forces = np.setdiff1d(np.arange(d), motors), stiffness_matrix(model), inertial_forces(model)
-    inner = stiffness[np.ix_(others, others)]
+    free, stiffness, forces = np.setdiff1d(np.arange(d), motors), stiffness_matrix(model), inertial_forces(model)
+    free_stiffness = stiffness[np.ix_(free, free)]
     for _ in range(SPIN_ITERATIONS):
         balance = forces(state[:d], state[d:], np.zeros(d)) + stiffness @ state[:d]
-        moved = np.linalg.solve(inner, balance[others])
-        state[others] -= moved
+        change = np.linalg.solve(free_stiffness, balance[free])
+        state[free] -= change
         if not np.isfinite(state).all() or np.abs(state).max() > MAX_COORDINATE:
             return None
-        if np.abs(moved).max(initial=0.0) < 1e-12 * max(1.0, float(np.abs(state).max())):
+        if np.abs(change).max(initial=0.0) < 1e-12 * max(1.0, float(np.abs(state).max())):
             return state, balance[motors]
     return None

@@ -8,7 +8,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import value_error
-from flexman_gym.model.mjcf import mjcf, rigid_pieces
+from flexman_gym.model.mjcf import rigid_pieces, to_mjcf
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.external_simulator import ArmShapes, Stations
 from flexman_gym.simulation.parameters import varied_arm
@@ -45,7 +45,7 @@ class MuJoCoSimulator:
         if any(joint.coulomb_friction for joint in model.arm.joints):
             raise value_error("plant", "mujoco", "arms without Coulomb friction: MuJoCo models it differently")
         self._arm, self._period = model.arm, period
-        self._models: list[Any] = [mujoco.MjModel.from_xml_string(mjcf(model.arm, PIECES_PER_SECTION))] * arms
+        self._models: list[Any] = [mujoco.MjModel.from_xml_string(to_mjcf(model.arm, PIECES_PER_SECTION))] * arms
         self._datas = [mujoco.MjData(each) for each in self._models]
         one, numbers = self._models[0], np.arange(model.n_joints)
         self._motors: IntArray = np.array([one.joint(f"motor {i}").qposadr[0] for i in numbers])
@@ -56,7 +56,7 @@ class MuJoCoSimulator:
 
     def start(self, arm: int, shape: Array, rate: Array, parameters: Mapping[str, Array]) -> None:
         """Start an arm from a shape."""
-        model = mujoco.MjModel.from_xml_string(mjcf(varied_arm(self._arm, parameters), PIECES_PER_SECTION))
+        model = mujoco.MjModel.from_xml_string(to_mjcf(varied_arm(self._arm, parameters), PIECES_PER_SECTION))
         self._models[arm], data = model, mujoco.MjData(model)
         self._datas[arm] = data
         model.opt.timestep = self._period / np.ceil(self._period / model.opt.timestep)

@@ -123,7 +123,7 @@ class Trajectory:
     @property
     def readings(self) -> dict[str, Array]:
         """Readings of the arm (T, ...) by the names of `View`; units in MEASUREMENT_UNITS of `model.linearization`."""
-        return LinearMeasurements(self.model).named(self.states)
+        return LinearMeasurements(self.model).measure(self.states)
 
     @cached_property
     def _motion(self) -> tuple[Kinetics, FrameMotion]:

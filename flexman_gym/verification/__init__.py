@@ -1,1 +1,1 @@
-"""Verification: closed-form solutions beside the values that this package computes."""
+"""Verification of the simulator against closed-form solutions."""

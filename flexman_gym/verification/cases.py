@@ -1,4 +1,4 @@
-"""Verification cases with closed-form solutions: beams, stepped links, bars and elastic joints at rest."""
+"""Verification cases with closed-form solutions: beams, stepped links, bars and flexible joints at rest."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -23,7 +23,7 @@ from flexman_gym.verification.closed_forms import (
 )
 from flexman_gym.verification.table import VerificationRow, series_rows
 
-AXIAL, TWIST, BENDING_Y, BENDING_Z = (0,), (3,), (1, 5), (2, 4)  # coordinates of a node that move together
+AXIAL, TWIST, BENDING_Y, BENDING_Z = (0,), (3,), (1, 5), (2, 4)  # coupled coordinates of a node
 UNIT_LOAD = "integrals of M m / EI (Gere and Timoshenko, Mechanics of Materials)"
 STEPPED = "closed form: two Euler-Bernoulli segments"
 BEAM = "closed form: Euler-Bernoulli beam"
@@ -31,9 +31,15 @@ MECHANICS = "Gere and Timoshenko, Mechanics of Materials"
 
 
 def slender_link(length: float = 1.0, mass_per_length: float = 1.0, rigidity: float = 1.0, across: float = 1e4) -> Link:
-    """Return a slender link with the bending stiffness EI = `rigidity` in the x-y plane and `across` * EI in x-z.
+    """Return a slender link that bends practically only in the x-y plane.
 
-    The radius of gyration is 1e-4 of the length: rotary inertia changes a frequency by less than a factor of 1e-5.
+    Its radius of gyration is 1e-4 of its length, so that rotary inertia lowers a frequency by less than 1e-5.
+
+    Args:
+        length: m.
+        mass_per_length: kg/m.
+        rigidity: bending stiffness EI in the x-y plane, N m^2.
+        across: ratio of the bending stiffness in the x-z plane to that in the x-y plane.
     """
     gyration = 1e-8 * length**2  # m^2; squared radius of gyration
     # Widest section that these second moments allow, so that E and the density are those of a material. A power of two
@@ -45,21 +51,38 @@ def slender_link(length: float = 1.0, mass_per_length: float = 1.0, rigidity: fl
 
 
 def link_frequencies(link: Link, elements: int, columns: Sequence[int], tip_mass: float = 0.0) -> Array:
-    """Frequencies in Hz of a clamped link in some of its node coordinates."""
+    """Return the natural frequencies, Hz, of a clamped link restricted to some of its node coordinates.
+
+    Args:
+        link: the link.
+        elements: number of finite elements.
+        columns: coordinates of each node that are free, such as BENDING_Y.
+        tip_mass: kg.
+    """
     model = build_model(Arm([link], [Joint((0.0, 0.0, 1.0))], Payload(tip_mass)), elements)
-    kept = node_columns(elements, columns)
+    free = node_columns(elements, columns)
     mass, stiffness = mass_matrix(model, np.zeros(2 * model.n_dof)), stiffness_matrix(model)
-    flexibility = np.linalg.solve(stiffness[np.ix_(kept, kept)], mass[np.ix_(kept, kept)])
+    flexibility = np.linalg.solve(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
     return np.sort(1.0 / np.sqrt(np.linalg.eigvals(flexibility).real)) / (2.0 * np.pi)
 
 
 def node_columns(elements: int, coordinates: Sequence[int]) -> Array:
-    """Columns of x that hold some node coordinates of every node of the only link, behind a rigid joint."""
+    """Return the columns of x with some coordinates of every node of a single link behind a rigid joint.
+
+    Args:
+        elements: number of finite elements of the link.
+        coordinates: coordinates of each node, such as AXIAL.
+    """
     return np.array([1 + 6 * node + each for node in range(elements) for each in coordinates])
 
 
 def bar_frequency_scale(link: Link, columns: Sequence[int]) -> float:
-    """c / (2 pi L) in Hz: of stretch, or of twist with the polar moment I_y + I_z."""
+    """Return c / (2 pi L) in Hz for axial vibration, or for torsion with the polar moment I_y + I_z.
+
+    Args:
+        link: the bar.
+        columns: AXIAL or TWIST.
+    """
     modulus, moments = link.youngs_modulus, link.second_moment_y + link.second_moment_z
     if columns == TWIST:
         modulus = link.shear_modulus * link.torsion_constant / moments
@@ -67,10 +90,14 @@ def bar_frequency_scale(link: Link, columns: Sequence[int]) -> float:
 
 
 def stepped_link(place: float, thickness_ratio: float) -> NonUniformLink:
-    """Return a strip of 1 m with EI = 1 N m^2 in the x-y plane and 1 kg/m up to `place` (m), and thinner beyond.
+    """Return a strip of 1 m and 128 mm width, bending in the x-y plane, that is thinner from some position on.
 
-    The strip is 128 mm high and 1.28 mm thick. EI is proportional to the cube of the thickness, the mass to the
-    thickness.
+    The inboard segment has EI = 1 N m^2 and 1 kg/m. EI of the outboard segment is proportional to the cube of its
+    thickness, and its mass to the thickness. The inboard thickness is 1.28 mm.
+
+    Args:
+        place: position of the step, m.
+        thickness_ratio: outboard thickness / inboard thickness.
     """
     sections = []
     for length, thickness in ((place, 1.28e-3), (1.0 - place, 1.28e-3 * thickness_ratio)):
@@ -81,7 +108,7 @@ def stepped_link(place: float, thickness_ratio: float) -> NonUniformLink:
 
 
 def _cantilever_rows() -> Iterator[VerificationRow]:
-    """lambda = omega sqrt(rho A L^4 / EI) without and with a mass at the tip, 24 elements."""
+    """Yield lambda = omega sqrt(rho A L^4 / EI) of cantilevers without and with a tip mass, 24 elements."""
     link = slender_link()
     for ratio in (0.0, 0.1, 0.5, 1.0, 5.0):
         result = 2.0 * np.pi * link_frequencies(link, 24, BENDING_Y, ratio)[:3]
@@ -90,7 +117,7 @@ def _cantilever_rows() -> Iterator[VerificationRow]:
 
 
 def _hub_rows() -> Iterator[VerificationRow]:
-    """Elastic lambda of a beam that turns freely with a hub, 32 elements."""
+    """Yield the elastic lambda of a beam that turns freely with a hub, 32 elements."""
     for ratio in (0.0, 0.1, 1.0):
         model = build_model(Arm([slender_link()], [Joint((0.0, 0.0, 1.0), ratio)]), 32)
         result = 2.0 * np.pi * frequencies(model)[1:4]
@@ -99,11 +126,16 @@ def _hub_rows() -> Iterator[VerificationRow]:
 
 
 def _static_rows() -> Iterator[VerificationRow]:
-    """Tip of link 2 of the paper's arm as a cantilever of two elements under unit loads and its own weight."""
+    """Yield the tip motion of a cantilever of two elements under unit loads and its own weight.
+
+    It is link 2 of the paper's arm.
+    """
     link = catalog.paper_rrr().links[1].sections[0]
     beam, length, mass = build_beam(link, 2), link.length, link.mass
     bending, twisting = link.youngs_modulus * link.second_moment_z, link.shear_modulus * link.torsion_constant
-    weight = sum(m * shape[1] for m, shape in zip(beam.masses, beam.shapes, strict=True)) / mass  # 1 N along the link
+    weight = (
+        sum(m * shape[1] for m, shape in zip(beam.masses, beam.shapes, strict=True)) / mass
+    )  # 1 N distributed along the link
     deflection, rotation = beam.tip_translation[1], beam.tip_rotation
     cases = (
         ("P L^3 / 3 EI, m/N", deflection, deflection, length**3 / (3.0 * bending)),
@@ -112,14 +144,17 @@ def _static_rows() -> Iterator[VerificationRow]:
         ("w L^4 / 8 EI with w L = 1 N, m/N", deflection, weight, length**3 / (8.0 * bending)),
         ("T L / G J, rad/(N m)", rotation[0], rotation[0], length / twisting),
     )
-    for name, answer, load, expected in cases:
+    for name, motion, load, expected in cases:
         yield VerificationRow(
-            f"tip under load, {name}", MECHANICS, expected, answer @ np.linalg.solve(beam.stiffness, load), 1e-9
+            f"tip under load, {name}", MECHANICS, expected, motion @ np.linalg.solve(beam.stiffness, load), 1e-9
         )
 
 
 def _stepped_rows() -> Iterator[VerificationRow]:
-    """Tip under a unit load, and lambda = omega sqrt(rho A L^4 / EI) of the inboard segment, 16 elements a segment."""
+    """Yield the tip motion under a unit load, and lambda with 16 elements per segment, of stepped cantilevers.
+
+    lambda = omega sqrt(rho A L^4 / EI) refers to the inboard segment.
+    """
     for place, ratio in ((0.5, 0.5), (0.3, 0.7)):
         link, rigidity, outboard = stepped_link(place, ratio), ratio**3, 1.0 - place
         beam = build_beam(link, 1)
@@ -138,7 +173,7 @@ def _stepped_rows() -> Iterator[VerificationRow]:
 
 
 def _bar_rows() -> Iterator[VerificationRow]:
-    """Axial and torsional cantilever frequencies in Hz of link 3 of the paper's arm, 24 linear elements."""
+    """Yield axial and torsional frequencies in Hz of link 3 of the paper's arm, clamped, with 24 linear elements."""
     link = catalog.paper_rrr().links[2].sections[0]
     for name, columns in (("axial", AXIAL), ("torsional", TWIST)):
         scale = bar_frequency_scale(link, columns)
@@ -149,7 +184,10 @@ def _bar_rows() -> Iterator[VerificationRow]:
 
 
 def _elastic_joint_rows() -> Iterator[VerificationRow]:
-    """A flexible link on a spring and a rotor, Hz: L 0.7 m, 4 kg/m, EI 0.6 N m^2, K 100 N m/rad, J 1 kg m^2."""
+    """Yield frequencies in Hz of a flexible link on a spring and a rotor.
+
+    The link has L = 0.7 m, 4 kg/m and EI = 0.6 N m^2, the joint K = 100 N m/rad, the rotor J = 1 kg m^2.
+    """
     length, density, rigidity, stiffness, rotor = 0.7, 4.0, 0.6, 100.0, 1.0
     scale = np.sqrt(rigidity / density) / (2.0 * np.pi * length**2)
     link, joint = slender_link(length, density, rigidity), Joint((0.0, 0.0, 1.0), rotor, stiffness)
@@ -167,5 +205,5 @@ CLOSED_FORMS = (_cantilever_rows, _hub_rows, _static_rows, _stepped_rows, _bar_r
 
 
 def closed_form_rows() -> list[VerificationRow]:
-    """Return the rows of all closed forms; they take a few seconds once the kernels are compiled."""
+    """Return the rows of all closed forms; the computation takes a few seconds after compilation."""
     return [row for case in CLOSED_FORMS for row in case()]

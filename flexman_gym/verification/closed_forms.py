@@ -1,6 +1,6 @@
-"""Closed forms: natural frequencies of uniform Euler-Bernoulli beams and bars, from their characteristic equations.
+"""Natural frequencies of uniform Euler-Bernoulli beams and bars in closed form, from their characteristic equations.
 
-Nothing but NumPy and SciPy computes here, so that a closed form shares no error with the simulator that it checks.
+The module uses only NumPy and SciPy, so that the closed forms share no error with the simulator that they verify.
 """
 
 from collections.abc import Callable
@@ -13,11 +13,16 @@ from flexman_gym.common.arrays import Array
 
 
 def cantilever_eigenvalues(count: int, tip_mass_ratio: float = 0.0) -> Array:
-    """First lambda = omega sqrt(rho A L^4 / EI) (count,) of a cantilever; mu = tip_mass_ratio = tip mass / beam mass.
+    """Return the first eigenvalues lambda = omega sqrt(rho A L^4 / EI) (count,) of a cantilever with a tip mass.
 
-    With w a function of b x / L, b = sqrt(lambda), primes by that argument: w = w' = 0 at the base; w'' = 0 and
-    w''' + mu b w = 0 at the tip. So 1 + cos b cosh b + mu b (cos b sinh b - sin b cosh b) = 0, once in each interval
-    between neighbouring multiples of pi.
+    With b = sqrt(lambda) and w a function of b x / L, primes denote derivatives by this argument. The boundary
+    conditions are w = w' = 0 at the base, and w'' = 0 and w''' + mu b w = 0 at the tip. They give the characteristic
+    equation 1 + cos b cosh b + mu b (cos b sinh b - sin b cosh b) = 0, with one root between successive multiples of
+    pi.
+
+    Args:
+        count: number of eigenvalues.
+        tip_mass_ratio: mu = tip mass / beam mass.
     """
 
     def characteristic(b: float) -> float:  # divided by cosh b
@@ -27,10 +32,15 @@ def cantilever_eigenvalues(count: int, tip_mass_ratio: float = 0.0) -> Array:
 
 
 def hub_beam_eigenvalues(count: int, hub_inertia_ratio: float) -> Array:
-    """First elastic lambda (count,) of a beam turning freely with a hub; eta = hub inertia / (rho A L^3).
+    """Return the first elastic eigenvalues lambda (count,) of a beam that turns freely with a hub.
 
-    The base has w = 0 and w'' + eta b^3 w' = 0. So sin b cosh b - cos b sinh b + eta b^3 (1 + cos b cosh b) = 0, once
-    between neighbouring cantilever roots, which are its limit for a heavy hub.
+    The boundary conditions at the base are w = 0 and w'' + eta b^3 w' = 0, with the notation of
+    `cantilever_eigenvalues`. They give sin b cosh b - cos b sinh b + eta b^3 (1 + cos b cosh b) = 0, with one root
+    between successive roots of the cantilever, which is the limit for a heavy hub.
+
+    Args:
+        count: number of eigenvalues.
+        hub_inertia_ratio: eta = hub inertia / (rho A L^3).
     """
 
     def characteristic(b: float) -> float:  # divided by cosh b
@@ -43,12 +53,18 @@ def hub_beam_eigenvalues(count: int, hub_inertia_ratio: float) -> Array:
 def flexible_joint_eigenvalues(
     count: int, stiffness_ratio: float, rotor_inertia_ratio: float | None, tip_mass_ratio: float
 ) -> Array:
-    """First elastic lambda (count,) of a beam on a torsion spring that a rotor carries, with a mass at its tip.
+    """Return the first elastic eigenvalues lambda (count,) of a beam with a tip mass on a flexible joint.
 
-    kappa = stiffness_ratio = K L / EI; eta = rotor inertia / (rho A L^3), None for a clamped rotor; mu = tip mass /
-    beam mass. The spring turns the base by kappa b w'; a free rotor answers it with (kappa - eta b^4) theta_m =
-    kappa b w'. So w = 0 and (kappa - eta b^4) w'' + kappa eta b^3 w' = 0 at the base, b w'' = kappa w' with the rotor
-    clamped; the tip is that of `cantilever_eigenvalues`.
+    The torsion spring of the joint is carried by a rotor and turns the base by kappa b w'. A free rotor turns by
+    theta_m with (kappa - eta b^4) theta_m = kappa b w'. The conditions at the base are w = 0 and (kappa - eta b^4) w''
+    + kappa eta b^3 w' = 0, or b w'' = kappa w' with the rotor clamped; those at the tip are the same as in
+    `cantilever_eigenvalues`.
+
+    Args:
+        count: number of eigenvalues.
+        stiffness_ratio: kappa = K L / EI of the joint spring K.
+        rotor_inertia_ratio: eta = rotor inertia / (rho A L^3); None for a clamped rotor.
+        tip_mass_ratio: mu = tip mass / beam mass.
     """
 
     def characteristic(b: float) -> float:  # columns: w = sin, and cos - cosh and sinh divided by cosh b
@@ -66,36 +82,47 @@ def flexible_joint_eigenvalues(
 
 
 def stepped_cantilever_eigenvalues(count: int, place: float, rigidity_ratio: float, mass_ratio: float) -> Array:
-    """First lambda (count,) of a stepped cantilever; lambda with L of the whole, rho A and EI of the inboard segment.
+    """Return the first eigenvalues lambda (count,) of a cantilever with one step in its cross-section.
 
-    place = length of the inboard segment / L; kappa = rigidity_ratio = EI and mu = mass_ratio = rho A of the outboard
-    segment over the inboard one's. With b x / L the argument inboard, from the base, and c y / L outboard, from the
-    tip, c = b (mu / kappa)^(1/4), each segment has the two solutions that its end allows. At the step w, w', EI w'' and
-    EI w''' agree, y running backwards: four homogeneous equations, whose determinant vanishes.
+    lambda refers to the total length L and to rho A and EI of the inboard segment. The argument of w is b x / L from
+    the base in the inboard segment, and c y / L from the tip in the outboard segment, with c = b (mu / kappa)^(1/4).
+    Each segment has the two solutions that its end condition admits. Continuity of w, w', EI w'' and EI w''' at the
+    step, with y in the opposite direction, gives four homogeneous equations, whose determinant vanishes.
+
+    Args:
+        count: number of eigenvalues.
+        place: length of the inboard segment / L.
+        rigidity_ratio: kappa = EI of the outboard segment / EI of the inboard segment.
+        mass_ratio: mu = rho A of the outboard segment / rho A of the inboard segment.
     """
-    quicker = (mass_ratio / rigidity_ratio) ** 0.25
+    scale = (mass_ratio / rigidity_ratio) ** 0.25  # c / b
 
     def solutions(x: float, end: float) -> Array:
-        # (4, 2): w to w''' of cos + end cosh, divided by cosh x, and of sin - cos - end exp(-x), that is of sin + end
-        # sinh less the former; of a clamped end with -1, of a free one with 1
-        s, c, one, sh, fall = np.sin(x), np.cos(x), 1.0 / np.cosh(x), np.tanh(x), end * np.exp(-x)
+        # (4, 2): w to w''' of (cos + end cosh) / cosh x, and of sin - cos - end exp(-x), which is sin + end sinh minus
+        # the first solution; end is -1 for a clamped and 1 for a free end
+        s, c, one, sh, decay = np.sin(x), np.cos(x), 1.0 / np.cosh(x), np.tanh(x), end * np.exp(-x)
         first = [c * one + end, -s * one + end * sh, -c * one + end, s * one + end * sh]
-        return np.transpose([first, [s - c - fall, c + s + fall, c - s - fall, -c - s + fall]])
+        return np.transpose([first, [s - c - decay, c + s + decay, c - s - decay, -c - s + decay]])
 
     def characteristic(b: float) -> float:
-        back = np.array([1.0, -quicker, rigidity_ratio * quicker**2, -rigidity_ratio * quicker**3])
-        inboard, outboard = solutions(b * place, -1.0), solutions(b * quicker * (1.0 - place), 1.0)
-        return float(np.linalg.det(np.hstack([inboard, back[:, None] * outboard])))
+        signs = np.array([1.0, -scale, rigidity_ratio * scale**2, -rigidity_ratio * scale**3])
+        inboard, outboard = solutions(b * place, -1.0), solutions(b * scale * (1.0 - place), 1.0)
+        return float(np.linalg.det(np.hstack([inboard, signs[:, None] * outboard])))
 
-    phase = place + quicker * (1.0 - place)  # of the waves, per b
+    phase = place + scale * (1.0 - place)  # of the waves per unit b
     return _first_squared_roots(characteristic, count, np.arange(0.05, (count + 2) * np.pi, 0.01) / phase)
 
 
 def bar_eigenvalues(count: int, elements: int | None = None) -> Array:
-    """First omega L / c (count,) of a bar clamped at one end; c = sqrt(E / rho), in torsion sqrt(G J / rho I_p).
+    """Return the first omega L / c (count,) of a bar clamped at one end, in axial vibration or torsion.
 
-    Exact, (2 n - 1) pi / 2; or for equal linear elements with consistent mass: omega h / c = sqrt(6 (1 - cos a) /
-    (2 + cos a)) with a = (2 n - 1) pi / (2 elements).
+    The wave speed c is sqrt(E / rho), or sqrt(G J / rho I_p) in torsion. The exact values are (2 n - 1) pi / 2. Equal
+    linear elements with consistent mass have omega h / c = sqrt(6 (1 - cos a) / (2 + cos a)) with a = (2 n - 1) pi / (2
+    elements).
+
+    Args:
+        count: number of eigenvalues.
+        elements: number of finite elements; None for the exact values.
     """
     exact = np.pi * (np.arange(count, dtype=np.float64) + 0.5)
     if elements is None:
@@ -105,12 +132,12 @@ def bar_eigenvalues(count: int, elements: int | None = None) -> Array:
 
 
 def _squared_roots(function: Callable[[float], float], ends: Array) -> Array:
-    """Squares of the roots of `function`, one in every interval between neighbouring `ends`."""
+    """Return the squares of the roots of a function with one root in each interval between successive ends."""
     return np.square([brentq(function, a, b, xtol=1e-14, rtol=1e-14) for a, b in pairwise(ends)])
 
 
 def _first_squared_roots(function: Callable[[float], float], count: int, ends: Array) -> Array:
-    """Squares (count,) of the first roots of `function`, at most one between neighbouring `ends`."""
+    """Return the squares (count,) of the first roots of a function with at most one root between successive ends."""
     signs = np.sign([function(end) for end in ends])
     result = [brentq(function, ends[i], ends[i + 1], xtol=1e-14) for i in np.nonzero(np.diff(signs))[0][:count]]
     return np.square(result)

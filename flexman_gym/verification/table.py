@@ -1,4 +1,4 @@
-"""Verification table: rows of expected and computed values, their verdicts, and the table as text and JSON."""
+"""Verification table: rows of expected and computed values with a verdict, as text and JSON."""
 
 import json
 import math
@@ -14,14 +14,14 @@ PASS, FAIL, SHOWN = "pass", "fail", "shown"
 
 @dataclass(frozen=True)
 class VerificationRow:
-    """An expected value from an independent source, and the value that this package computes.
+    """Expected value from an independent source, and the value computed by this package.
 
     Attributes:
-        case: the quantity, with its unit.
-        source: origin of the expected value.
+        case: description of the quantity, with its unit.
+        source: source of the expected value.
         expected: value from the source.
         computed: value from this package.
-        tolerance: the largest error that passes; None for a row that is shown without a verdict.
+        tolerance: largest error that passes; None for a row without a verdict.
     """
 
     case: str
@@ -32,22 +32,22 @@ class VerificationRow:
 
     @property
     def error(self) -> float:
-        """Relative to the expected value, absolute where that is 0."""
+        """Error relative to the expected value, or absolute if the expected value is 0."""
         return abs(self.computed - self.expected) / (abs(self.expected) or 1.0)
 
     @property
     def verdict(self) -> str:
-        """Pass, fail or shown; an error that is not a number fails."""
+        """ "pass", "fail" or "shown" (no tolerance); a NaN error fails."""
         if self.tolerance is None:
             return SHOWN
         return PASS if self.error <= self.tolerance else FAIL
 
     def values(self) -> dict[str, str | float | None]:
-        """The row by column."""
+        """Return the entries of the row by column."""
         return {name: getattr(self, name) for name in COLUMNS}
 
     def cells(self) -> list[str]:
-        """The row as texts, a number with the digits that matter."""
+        """Return the entries of the row as text, with the significant digits of numbers."""
         tolerance = "" if self.tolerance is None else f"{self.tolerance:.1e}"
         numbers = [f"{self.expected:.9g}", f"{self.computed:.9g}", f"{self.error:.1e}", tolerance]
         return [self.case, self.source, *numbers, self.verdict]
@@ -56,32 +56,40 @@ class VerificationRow:
 def series_rows(
     case: str, source: str, expected: Iterable[float], computed: Iterable[float], tolerance: float
 ) -> list[VerificationRow]:
-    """Rows of numbers that belong together; a {} in the case becomes 1, 2, 3 ..."""
+    """Return the rows of a series of values, such as successive frequencies.
+
+    Args:
+        case: description of the quantity; {} is replaced by 1, 2, 3, ...
+        source: source of the expected values.
+        expected: expected values.
+        computed: computed values, as many.
+        tolerance: largest relative error that passes.
+    """
     pairs = enumerate(zip(expected, computed, strict=True), start=1)
     return [VerificationRow(case.format(i), source, float(e), float(c), tolerance) for i, (e, c) in pairs]
 
 
 def exit_code(rows: Sequence[VerificationRow]) -> int:
-    """Return 1 when a row fails, or when there is no row; else 0."""
+    """Return 1 if a row fails or there is no row, else 0."""
     return int(not rows or any(row.verdict == FAIL for row in rows))
 
 
 RULE = (
-    "The error is relative to the expected value, and absolute where that is 0. "
-    'A row without a tolerance is shown and not judged. "Closed form" is solved by the command itself.'
+    "Errors are relative to the expected value, or absolute if it is 0. A row without a tolerance has no verdict. "
+    'The command computes the values of the source "closed form" itself.'
 )
-SUMMARY = "{passed} of {judged} rows pass, {failed} fail. Another {shown} are shown without a verdict."
+SUMMARY = "{passed} of {evaluated} rows pass, {failed} fail; another {shown} rows have no tolerance."
 
 
 def summary(rows: Sequence[VerificationRow]) -> str:
-    """Return one line with the numbers of rows that pass, fail, and are only shown."""
+    """Return one line with the numbers of rows that pass, fail, and have no tolerance."""
     count = Counter(row.verdict for row in rows)
     passed, failed = count[PASS], count[FAIL]
-    return SUMMARY.format(passed=passed, judged=passed + failed, failed=failed, shown=count[SHOWN])
+    return SUMMARY.format(passed=passed, evaluated=passed + failed, failed=failed, shown=count[SHOWN])
 
 
 def format_table(rows: Sequence[VerificationRow]) -> str:
-    """Return the rows as a table for a terminal."""
+    """Return the rows as a table for the terminal."""
     lines = [list(COLUMNS), *(row.cells() for row in rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(COLUMNS))]
     texts = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
@@ -89,10 +97,11 @@ def format_table(rows: Sequence[VerificationRow]) -> str:
 
 
 def format_json(rows: Sequence[VerificationRow]) -> str:
-    """Return all rows with computer and versions as JSON; a number that is not finite is null."""
+    """Return the rows with computer and versions as JSON; numbers that are not finite become null."""
     clean = [{name: _finite(value) for name, value in row.values().items()} for row in rows]
     return json.dumps({"machine": computer_info(), "rule": RULE, "rows": clean}, indent=1, allow_nan=False) + "\n"
 
 
 def _finite(value: str | float | None) -> str | float | None:
+    """Return a value unchanged, or None for a number that is not finite."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flexman_gym.control.observers.estimator import Estimator
-from flexman_gym.model.statics import rest_states
+from flexman_gym.model.statics import rest_state
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import UNCERTAIN
 
@@ -49,7 +49,7 @@ def test_without_noise_it_comes_to_the_truth(name):
     assert max(errors.values()) < 1e-5, errors
     speeds = np.abs(bench.batch.state).max()
     assert np.abs(estimates[-1].states - bench.batch.state).max() < 1e-6 * speeds
-    assert estimates[0].states == pytest.approx(rest_states(plant.model, bench.start)), (
+    assert estimates[0].states == pytest.approx(rest_state(plant.model, bench.start)), (
         "at first they are where they say"
     )
 

@@ -11,7 +11,7 @@ from flexman_gym.control.observers.internal_model import DiscreteJacobians
 from flexman_gym.control.observers.observer import MIN_DEVIATION, make_measurement_model
 from flexman_gym.envs.view import View
 from flexman_gym.kernels.layout import LARGEST_STATE
-from flexman_gym.model.statics import rest_states
+from flexman_gym.model.statics import rest_state
 from flexman_gym.simulation.batch import Batch
 
 from oracles.observed_arms import ALL, POSTURES, plant
@@ -37,7 +37,7 @@ def test_instruments_read_what_the_view_shows():
 def test_slopes_at_rest_are_the_exact_hold():
     given = plant(moved=("gauss_3", 0.00005))
     held = np.array([fm.holding_torques(given.model, posture) for posture in POSTURES])
-    slopes, good = DiscreteJacobians(given)(rest_states(given.model, POSTURES), held)
+    slopes, good = DiscreteJacobians(given)(rest_state(given.model, POSTURES), held)
     size = 2 * given.model.n_dof
     for each, posture, torques in zip(slopes, POSTURES, held, strict=True):
         state = fm.rest_state(given.model, posture)
@@ -78,7 +78,7 @@ def test_motors_with_coulomb_friction_slide():
     given = plant()
     joints = [replace(joint, coulomb_friction=0.2, coulomb_rate=0.001) for joint in given.model.arm.joints]
     rubbing = given._replace(model=fm.build_model(replace(given.model.arm, joints=joints), **vars(given.model.choice)))
-    states, torques = rest_states(given.model, POSTURES), np.zeros((len(POSTURES), 2))
+    states, torques = rest_state(given.model, POSTURES), np.zeros((len(POSTURES), 2))
     still = [DiscreteJacobians(each)(states, torques)[0] for each in (given, rubbing)]
     assert np.array_equal(*still), "at rest there is no slope, as without friction"
     states[:, given.model.n_dof + np.arange(4)] = 1.0, -2.0, 1.0, -2.0

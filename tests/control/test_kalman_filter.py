@@ -48,7 +48,7 @@ def arm_system(delay=2, part=0.01):
     setup = Configuration.from_keywords({"name": "FlexPlanar-v0"})
     model = resolve_fidelity(setup).model
     loop = sampled_loop(model, [0.4, -0.7], setup.control_period, delay)
-    unit = LinearMeasurements(model).named(np.eye(2 * model.n_dof))
+    unit = LinearMeasurements(model).measure(np.eye(2 * model.n_dof))
     read = np.hstack([unit["motor_angles"], unit["motor_rates"], unit["root_strains"][:, [0, 1, 3, 4]]]).T
     matrix = np.hstack([read, np.zeros((len(read), len(loop.transition) - read.shape[1]))])
     reaching = sampled_loop(model, [0.4, -0.7], setup.control_period).inputs * part * np.array(setup.torque_limit)

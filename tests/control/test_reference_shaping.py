@@ -16,7 +16,7 @@ from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.episodes import make_base_and_mode
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.model.statics import rest_states
+from flexman_gym.model.statics import rest_state
 
 from oracles.assertions import refusal
 from oracles.observed_arms import SMALL
@@ -299,7 +299,7 @@ def test_doubt_is_that_of_an_observer():
     truth, arms, on = Oracle(plant, doubt=True), np.arange(40), np.ones(40, dtype=bool)
     goal = np.zeros((40, 1))
     truth.reset(arms, EpisodeInfo(goal, goal, PERIOD, None, drawn), len(arms))
-    readings = {"state": rest_states(plant.model, goal)}
+    readings = {"state": rest_state(plant.model, goal)}
     ratios = []
     for period in range(60):
         spread = truth.estimates["payload_mass_deviation"]

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import eigh
 
-from flexman_gym.model.beam import beam_stations, build_beam, shape_integrals
+from flexman_gym.model.beam import build_beam, shape_integrals
 from flexman_gym.model.element import beam_elements, beam_shapes, beam_stiffness, section_points
 from flexman_gym.scene.link import IDENTITY, Link, NonUniformLink
 
@@ -206,8 +206,7 @@ def test_stations_have_the_moments_of_mass_of_a_stepped_link(seed, count, elemen
     """Sum of m x^p = sum of rho A (b^(p+1) - a^(p+1)) / (p + 1) over the sections, to the degree of a Gauss rule."""
     rng = np.random.default_rng(seed)
     link = NonUniformLink([replace(random_link(rng), orientation=IDENTITY) for _ in range(count)])
-    pieces = beam_elements(link, elements)
-    masses, places = beam_stations(pieces, 6 * (len(pieces) + 1))[1][:, :2].T
+    masses, places = build_beam(link, elements).stations[:, :2].T
     assert masses[0] == 0.0 and np.isclose(places[0], link.length, rtol=1e-12), "the first one is the tip"
     assert (masses[1:] > 0.0).all()
     ends = np.cumsum([0.0, *(section.length for section in link.sections)]) / link.length
@@ -223,9 +222,7 @@ def test_a_link_that_only_stretches_moves_its_stations_with_its_own_mass(seed, c
     """A unit stretch u = x is a polynomial: its stations hold all of its kinetic energy, the integral of rho A x^2."""
     rng = np.random.default_rng(seed)
     link = NonUniformLink([replace(random_link(rng), orientation=IDENTITY) for _ in range(count)])
-    pieces = beam_elements(link, elements)
-    size = 6 * (len(pieces) + 1)
-    _, stations, shapes = beam_stations(pieces, size)
-    stretch = np.zeros(size)
-    stretch[0::6] = [0.0, *(piece.start + piece.length for piece in pieces)]
-    np.testing.assert_allclose(shapes[:, 0] @ stretch, stations[:, 1], rtol=1e-8)
+    beam = build_beam(link, elements)
+    stretch = np.zeros(len(beam.stiffness))
+    stretch[0::6] = [element.start + element.length for element in beam_elements(link, elements)]
+    np.testing.assert_allclose(beam.station_shapes[:, 0] @ stretch, beam.stations[:, 1], rtol=1e-8)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 import flexman_gym as fm
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.kernels import layout, outputs
-from flexman_gym.model.deformation import gauge_radii, root_strain_matrix, rotation_matrices
+from flexman_gym.model.deformation import gauge_radii, root_strain_matrix
 from flexman_gym.model.dynamics import stiffness_matrix
 
 from oracles.chains import QUICK, samples
@@ -230,8 +230,11 @@ def test_many_states_are_as_one_after_another():
 
 
 def test_rotations_are_those_of_vectors_of_any_length():
-    vectors = np.random.default_rng(1).normal(size=(30, 3)) * np.geomspace(1e-12, 3.0, 30)[:, None]
-    assert np.allclose(rotation_matrices(vectors), Rotation.from_rotvec(vectors).as_matrix(), rtol=0.0, atol=1e-15)
+    for axis, angle in zip(np.random.default_rng(1).normal(size=(30, 3)), np.geomspace(1e-12, 3.0, 30), strict=True):
+        joint = fm.Joint(axis / np.linalg.norm(axis))
+        model = fm.build_model(fm.Arm([CURVED_LINK], [joint]), flexible_links=False)
+        result = fm.curves(model, fm.rest_state(model, [angle]), 2).frames[0, -1]
+        assert np.allclose(result, Rotation.from_rotvec(angle * np.array(joint.axis)).as_matrix(), rtol=0.0, atol=1e-15)
 
 
 @pytest.mark.parametrize(

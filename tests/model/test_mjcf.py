@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-from flexman_gym.model.mjcf import mjcf, rigid_pieces
+from flexman_gym.model.mjcf import rigid_pieces, to_mjcf
 
 from oracles.assertions import refusal
 
@@ -34,7 +34,7 @@ def mujoco():
 
 def read(mujoco, arm, *given, angles=None):
     """MuJoCo's model of an arm, and its data at motor angles (rad)."""
-    model = mujoco.MjModel.from_xml_string(mjcf(arm, *given))
+    model = mujoco.MjModel.from_xml_string(to_mjcf(arm, *given))
     data = mujoco.MjData(model)
     for i, angle in enumerate(angles or ()):
         data.qpos[model.joint(f"motor {i}").qposadr] = angle
@@ -139,5 +139,5 @@ def test_the_usual_step_is_stable_and_no_shorter_than_it_must_be(mujoco, name):
 
 
 def test_what_is_no_arm_is_refused():
-    assert "give an Arm" in refusal(mjcf, "paper_rrr")
-    assert "give a whole number from 0 to 64" in refusal(mjcf, ODD, 65)
+    assert "give an Arm" in refusal(to_mjcf, "paper_rrr")
+    assert "give a whole number from 0 to 64" in refusal(to_mjcf, ODD, 65)

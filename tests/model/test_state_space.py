@@ -177,7 +177,7 @@ def test_refusals_name_what_is_allowed():
             "inputs[0]: 'torque' is not allowed; give one of motor_torques",
         ),
         (lambda: fm.linearize(MODEL, inputs=[]), "inputs: [] is not allowed; give at least one of motor_torques"),
-        (lambda: small.scaled(), "model: 'one that was changed' is not allowed; give the model that linearize gives"),
+        (lambda: small.scaled(), "model: 'a changed model' is not allowed; give the model returned by linearize"),
         (lambda: small.discrete(0.0), "period: 0.0 is not allowed"),
         (lambda: small.discrete(0.1, -1.0), "delay: -1.0 is not allowed"),
         (lambda: small.discrete(0.1).discrete(0.1), "period: 0.1 is not allowed; give a continuous model"),

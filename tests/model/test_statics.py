@@ -126,4 +126,4 @@ def test_wrong_angles_and_arms_that_are_too_soft_are_refused_in_one_line():
     rng = np.random.default_rng(0)
     soft = fm.Arm([random_link(rng)], [replace(random_joint(rng, True), stiffness=1.0)], gravity=(0.0, 0.0, -9.81))
     line = refusal(fm.rest_state, fm.build_model(soft, 1), [0.3])
-    assert line == "motor_angles: [0.3] is not allowed; give an arm that its springs can hold under its weight"
+    assert line == "motor_angles: [0.3] is not allowed; give an arm stiff enough to hold its own weight"

@@ -8,7 +8,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.model.linearization import LINEAR_SENSORS, LinearMeasurements
-from flexman_gym.model.statics import rest_states
+from flexman_gym.model.statics import rest_state
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import PARAMETERS, UNCERTAIN
 
@@ -44,14 +44,14 @@ class Bench:
         self.batch = Batch(plant.model, *plant.moved, plant.period, arms=arms)
         if parameters:
             self.batch.vary(np.arange(arms), **parameters)
-        self.batch.reset(np.arange(arms), rest_states(plant.model, self.start))
+        self.batch.reset(np.arange(arms), rest_state(plant.model, self.start))
         self.past, self.applied = np.zeros((1 + np.max(delays), arms, n)), np.zeros((arms, n))
         self.randoms = [np.random.default_rng([seed, arm]) for arm in range(arms)]
         self.read, self.force = LinearMeasurements(plant.model), np.zeros(3)
 
     def readings(self):
         """What instruments read now; the noise of each arm is its own."""
-        result = self.read.named(self.batch.state)
+        result = self.read.measure(self.batch.state)
         for name, values in result.items():
             deviation = self.plant.measured()[name][1]
             own = np.array([random.standard_normal(values.shape[1]) for random in self.randoms])
@@ -109,7 +109,7 @@ class World:
     def __init__(self, given, postures=POSTURES):
         self.plant, self.count = given, len(postures)
         self.batch, self.goals = Batch(given.model, *given.moved, given.period, arms=self.count), postures
-        self.batch.place(np.arange(self.count), rest_states(given.model, postures))
+        self.batch.place(np.arange(self.count), rest_state(given.model, postures))
         self.instruments, self.arms = make_measurement_model(given, ALL), np.arange(self.count)
         self.last, self.asked = np.zeros((self.count, 2)), [np.zeros((self.count, 2))] * (given.delay[0] + 1)
         self.offset, self.force, self.bias, self.noise = (0.0,) * 4

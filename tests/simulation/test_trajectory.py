@@ -93,7 +93,7 @@ def test_readings_are_what_the_state_says(trajectory):
     assert result["joint_twists"] == pytest.approx(trajectory.motor_angles - states[:, :n], abs=1e-15)
     assert result["joint_twist_rates"] == pytest.approx(result["motor_rates"] - states[:, d : d + n], abs=1e-15)
     speeds = np.hstack([states[:, d:], np.zeros_like(states[:, d:])])  # a reading of a linear quantity's rate
-    assert LinearMeasurements(model).named(speeds)["link_deflections"] == pytest.approx(
+    assert LinearMeasurements(model).measure(speeds)["link_deflections"] == pytest.approx(
         result["link_deflection_rates"], abs=0
     )
     for row, state in enumerate(states):

@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import eigh
 
 import flexman_gym as fm
-from flexman_gym.model.mjcf import mjcf
+from flexman_gym.model.mjcf import to_mjcf
 from studies.peers import measure, newton
 from studies.peers.measure import decay, decays, with_rigid_joints
 from studies.precision.measure import PrecisionRow, cost_at
@@ -60,7 +60,7 @@ def ours(scene, step=1e-4, **choice):
 
 @pytest.mark.parametrize("pieces", [0, 1, 4])
 def test_mujoco_has_mass_and_tip_of_the_arm(mujoco, mujoco_peer, pieces):
-    model = mujoco.MjModel.from_xml_string(mjcf(ARM, pieces, "Euler", 1e-3))
+    model = mujoco.MjModel.from_xml_string(to_mjcf(ARM, pieces, "Euler", 1e-3))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     assert model.body_mass.sum() == pytest.approx(sum(link.mass for link in ARM.links), rel=1e-9)
@@ -69,7 +69,7 @@ def test_mujoco_has_mass_and_tip_of_the_arm(mujoco, mujoco_peer, pieces):
 
 
 def test_lowest_frequencies_of_mujoco_are_those_of_our_model(mujoco, mujoco_peer):
-    model = mujoco.MjModel.from_xml_string(mjcf(ARM, 16, "Euler", 1e-3))
+    model = mujoco.MjModel.from_xml_string(to_mjcf(ARM, 16, "Euler", 1e-3))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     columns = np.eye(model.nv)

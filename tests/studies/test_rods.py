@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.model.mjcf import mjcf
+from flexman_gym.model.mjcf import to_mjcf
 from studies.precision.measure import ReferenceSolution, Study
 
 ARM, SCENE = fm.catalog.paper_rrr(), fm.catalog.paper_scene("ff")
@@ -33,7 +33,7 @@ def rods(mujoco_peer):
 
 def with_rods(mujoco, mujoco_peer, rods, arm, length):
     """MuJoCo's model of an arm of rods in pieces of a length (m), and its data."""
-    model = mujoco.MjModel.from_xml_string(mjcf(arm, 0, "Euler", 2e-5, partial(rods.rod, length)))
+    model = mujoco.MjModel.from_xml_string(to_mjcf(arm, 0, "Euler", 2e-5, partial(rods.rod, length)))
     return model, mujoco.MjData(model)
 
 
@@ -59,7 +59,7 @@ def test_an_arm_of_rods_has_mass_tip_and_inertia_of_ours(mujoco, mujoco_peer, ro
 @pytest.mark.parametrize("integrator", ["implicit", "implicitfast", "discrete"])
 def test_other_integrators_of_mujoco_refuse_rods_that_stretch(mujoco, mujoco_peer, rods, integrator):
     with pytest.raises(ValueError, match="flex"):
-        mujoco.MjModel.from_xml_string(mjcf(ARM, 0, integrator, 1e-5, partial(rods.rod, 0.5)))
+        mujoco.MjModel.from_xml_string(to_mjcf(ARM, 0, integrator, 1e-5, partial(rods.rod, 0.5)))
 
 
 def test_a_clamped_rod_of_mujoco_vibrates_as_beam_theory_says(mujoco, mujoco_peer, rods):

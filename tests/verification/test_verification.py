@@ -77,7 +77,7 @@ def test_table_and_file_hold_all_rows(rows):
     assert head.split() == list(COLUMNS)
     for row, line in zip(shown, lines, strict=True):
         assert line.startswith(row.case) and row.source in line and line.endswith(row.verdict)
-    assert last.startswith(f"{len(rows)} of {len(rows) + 1} rows pass, 1 fail.")
+    assert last.startswith(f"{len(rows)} of {len(rows) + 1} rows pass, 1 fail;")
     loaded = json.loads(format_json(shown))
     assert [row["case"] for row in loaded["rows"]] == [row.case for row in shown]
     assert all(tuple(row) == COLUMNS for row in loaded["rows"])

@@ -20,7 +20,7 @@ from flexman_gym.control.input_shaping.shapers import (
 from flexman_gym.control.lqr import LQR
 from flexman_gym.control.references.trajectories import minimum_jerk
 from flexman_gym.model.model import Model, check_model
-from flexman_gym.model.statics import rest_states, rest_tips
+from flexman_gym.model.statics import rest_state, rest_tips
 
 MAX_MODES = 2
 REST_PERIODS = 40  # control periods at the goal, with which a path ends, so that splines through it do so at rest
@@ -168,7 +168,7 @@ class _Command:
     def move(self, name: str) -> Array:
         """What to add (K, size) to a reading; of states and tips when it is asked for."""
         if name == "state" and name not in self._moves:
-            self._moves[name] = rest_states(self._model, self._true[:1]) - rest_states(self._model, self.angles)
+            self._moves[name] = rest_state(self._model, self._true[:1]) - rest_state(self._model, self.angles)
         elif name not in self._moves:
             tips = rest_tips(self._model, self.angles) - rest_tips(self._model, self._true)
             rates = np.diff(tips, axis=0, prepend=tips[:1]) / self._period

@@ -40,7 +40,7 @@ def excited_modes(model: Model, posture: Vector, held: bool = True) -> Array:
         ValueError: for a posture of wrong shape, and for an arm too soft to rest.
     """
     resting = equilibrium_matrices(check_model(model), posture)
-    motors, others = resting.motors, resting.others
+    motors, others = resting.motors, resting.free
     inertia, springs = (matrix[np.ix_(others, others)] for matrix in (resting.mass, resting.stiffness))
     result = np.zeros((0, 3))
     if len(others):

@@ -18,7 +18,7 @@ from flexman_gym.control.observers.perturbed_models import (
     standard_deviations,
 )
 from flexman_gym.model.linearization import LINEAR_SENSORS
-from flexman_gym.model.statics import rest_states
+from flexman_gym.model.statics import rest_state
 
 RESIMULATION_PERIODS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods after which all is simulated again
 LAST_DELAY_SEARCH = 20  # at replays so early the delay is looked for
@@ -147,7 +147,7 @@ class Estimator:
     def _begin(self, arms: IntArray, now: Array) -> None:
         """Begins the fits of arms (r,) with their first readings (r, m)."""
         angles = self._told[arms] if self._encoders is None else now[:, self._encoders]
-        self._origin[arms] = rest_states(self._plant.model, angles)
+        self._origin[arms] = rest_state(self._plant.model, angles)
         self._readings[arms, 0] = now
         self.delays[arms] = (sum(self._plant.delay) + 1) // 2
         self._states[arms] = self._trials.starts(self._origin[arms], self.numbers[arms])

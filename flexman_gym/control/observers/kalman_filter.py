@@ -10,7 +10,7 @@ from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.internal_model import DelayCompensation, DiscreteJacobians, InternalModels
 from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, make_measurement_model
 from flexman_gym.model.linearization import LINEAR_SENSORS
-from flexman_gym.model.statics import holding_torques, rest_states
+from flexman_gym.model.statics import holding_torques, rest_state
 
 MAX_DOUBLINGS = 20  # a million periods
 VARIANCE_TOLERANCE = 1e-6  # part by which the last doubling may still change a variance
@@ -169,7 +169,7 @@ class KalmanFilter:
     def _rest(self, postures: Array) -> tuple[Array, Array]:
         """States (r, 2 d) at rest at postures (r, n) rad, and the torques (r, n) N m that hold them."""
         model = self._plant.model
-        return rest_states(model, postures), np.array([holding_torques(model, each) for each in postures])
+        return rest_state(model, postures), np.array([holding_torques(model, each) for each in postures])
 
     def _system(self, states: Array, torques: Array) -> tuple[Array, Array, BoolArray]:
         """Transition and noise (r, s, s) in a period of all that is estimated, and where they are good (r,)."""

@@ -92,7 +92,7 @@ def make_measurement_model(plant: Plant, sensors: Sequence[str]) -> MeasurementM
         allowed = f"motor_encoders, beside which may stand {', '.join(list(LINEAR_SENSORS)[1:])}: what else there is "
         raise value_error("sensors", sensors, f"{allowed}does not follow the state linearly")
     names = tuple(name for each in dict.fromkeys(sensors) for name in LINEAR_SENSORS[each])
-    unit, measured = Linear(plant.model).named(np.eye(2 * plant.model.n_dof)), plant.measured()
+    unit, measured = Linear(plant.model).measure(np.eye(2 * plant.model.n_dof)), plant.measured()
     ends = np.cumsum([0, *(unit[name].shape[1] for name in names)]).tolist()
     places = {name: slice(*both) for name, *both in zip(names, ends, ends[1:], strict=False)}
     ranges, deviations = np.hstack([measured[name] for name in names])

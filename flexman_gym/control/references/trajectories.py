@@ -13,7 +13,7 @@ from flexman_gym.kernels import outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, TIP_VELOCITY, make_work
 from flexman_gym.model.dynamics import inertial_forces, stiffness_matrix
 from flexman_gym.model.model import Model
-from flexman_gym.model.statics import rest_state, rest_states
+from flexman_gym.model.statics import rest_state
 
 
 class _TimingLaw(NamedTuple):
@@ -203,7 +203,7 @@ class _JointPath(NamedTuple):
 
 def slew_path(model: Model, start: Array, goal: Array, law: str = "minimum-jerk") -> _JointPath:
     """Gives the straight path between postures of the motors (n,) rad, by a law of `timing.LAWS`."""
-    ends, timing = rest_states(model, np.array([start, goal]))[:, : model.n_dof], TIMING_LAWS[law]
+    ends, timing = rest_state(model, np.array([start, goal]))[:, : model.n_dof], TIMING_LAWS[law]
     first, last = ends[:, : model.n_joints]
 
     def motion(parts: Array) -> tuple[Array, Array, Array]:
@@ -223,7 +223,7 @@ def via_path(model: Model, postures: Array, count: int) -> _JointPath:
     """
     from scipy.interpolate import make_interp_spline
 
-    rests, order = rest_states(model, postures)[:, : model.n_dof], np.arange(len(postures))
+    rests, order = rest_state(model, postures)[:, : model.n_dof], np.arange(len(postures))
     angles, still = rests[:, : model.n_joints], np.zeros(model.n_joints)
     apart = np.sqrt(np.linalg.norm(np.diff(angles, axis=0), axis=1))
     rows = np.rint(count * np.append(0.0, np.cumsum(apart)) / apart.sum())

@@ -8,7 +8,7 @@ from mujoco import rollout
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.model.mjcf import mjcf
+from flexman_gym.model.mjcf import to_mjcf
 from studies.peers.mujoco import SANE
 from studies.stopwatch import Timer, timer
 
@@ -20,7 +20,7 @@ class MujocoArms:
 
     def __init__(self, setup: Configuration, arms: int, parts: int) -> None:
         arm = replace(setup.arm, modal_damping_ratio=0.0)
-        text = mjcf(arm, PIECES, "Euler", setup.control_period / parts)
+        text = to_mjcf(arm, PIECES, "Euler", setup.control_period / parts)
         self.model = mujoco.MjModel.from_xml_string(text)
         self._data, self._parts = mujoco.MjData(self.model), parts
         mujoco.set_mju_user_warning(lambda message: None)  # else it writes a file about every divergence

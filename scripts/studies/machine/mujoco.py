@@ -6,7 +6,7 @@ import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
 import numpy as np
 
 import flexman_gym as fm
-from flexman_gym.model.mjcf import mjcf
+from flexman_gym.model.mjcf import to_mjcf
 from flexman_gym.scene.signals import SampledAngles
 from studies.machine.measure import LOGGED
 
@@ -22,7 +22,7 @@ def deflection(arm: fm.Arm, record: fm.Measurement) -> Any:
     """
     strip, block = arm.links[0].sections
     one = fm.Arm([strip], [fm.Joint((0.0, 0.0, 1.0))], _carried(arm, block), modal_damping_ratio=arm.damping_ratios[0])
-    model = mujoco.MjModel.from_xml_string(mjcf(one, PIECES))
+    model = mujoco.MjModel.from_xml_string(to_mjcf(one, PIECES))
     data, hub = mujoco.MjData(model), model.joint("motor 0")
     model.dof_armature[hub.dofadr[0]] = HEAVY
     steps = int(np.ceil(record.period / model.opt.timestep))

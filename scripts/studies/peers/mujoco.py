@@ -12,7 +12,7 @@ from mujoco import batch
 
 import flexman_gym as fm
 from flexman_gym.common.arrays import Array
-from flexman_gym.model.mjcf import mjcf
+from flexman_gym.model.mjcf import to_mjcf
 from studies.peers.measure import PeerRun, Timer, output_count, row, with_rigid_joints
 from studies.precision.measure import OK, PrecisionRow, Study
 
@@ -30,7 +30,7 @@ def integrators() -> list[str]:
 
 def run(scene: fm.Scene, pieces: int, integrator: str, step: float) -> PeerRun:
     """Runs a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
-    return advance(scene, _name(scene.arm, pieces), integrator, step, mjcf(scene.arm, pieces, integrator, step))
+    return advance(scene, _name(scene.arm, pieces), integrator, step, to_mjcf(scene.arm, pieces, integrator, step))
 
 
 def advance(scene: fm.Scene, name: str, integrator: str, step: float, text: str) -> PeerRun:
@@ -59,7 +59,7 @@ def advance(scene: fm.Scene, name: str, integrator: str, step: float, text: str)
 
 def step_factors(arm: fm.Arm, pieces: int, integrator: str, step: float, small: float = 1e-5) -> Any:
     """The complex factors by which a step (s) multiplies what is left of rest, from differences of small states."""
-    model = mujoco.MjModel.from_xml_string(mjcf(arm, pieces, integrator, step))
+    model = mujoco.MjModel.from_xml_string(to_mjcf(arm, pieces, integrator, step))
     data, after = mujoco.MjData(model), []
     for state in small * np.vstack([np.eye(2 * model.nv), -np.eye(2 * model.nv)]):
         mujoco.mj_resetData(model, data)
@@ -72,7 +72,7 @@ def step_factors(arm: fm.Arm, pieces: int, integrator: str, step: float, small: 
 
 def abreast(scene: fm.Scene, pieces: int, step: float, arms: int, threads: int) -> Iterator[Array]:
     """Moves arms from rest by `mujoco.batch`; gives the tip (3,) m of the first after each output step."""
-    model = mujoco.MjModel.from_xml_string(mjcf(scene.arm, pieces, "Euler", step))
+    model = mujoco.MjModel.from_xml_string(to_mjcf(scene.arm, pieces, "Euler", step))
     many, count = batch.Batch(model, arms, threads), output_count(scene, step)[1]
     many.ctrl, tips = np.array(scene.torque.value), many.bind("site_xpos")  # type: ignore[union-attr]
     while True:

@@ -7,10 +7,11 @@ is a hinge of its own. A round section of our second moment, with a shear modulu
 
 from functools import partial
 from typing import Any
+from xml.etree.ElementTree import SubElement
 
 import numpy as np
 
-from flexman_gym.model.mjcf import add_element, format_axes, format_numbers, mjcf
+from flexman_gym.model.mjcf import to_mjcf
 from studies.peers.measure import Timer, row
 from studies.peers.mujoco import SANE, advance, fewest_parts
 from studies.precision.measure import PrecisionRow, Study
@@ -28,41 +29,46 @@ def rod(length: float, root: Any, body: Any, link: Any) -> tuple[Any, dict[str, 
     slender = pieces * polar / 4 + mass * whole**2 / 24 * (pieces - 0.75)
     half = {
         "mass": repr(mass / 2),
-        "diaginertia": format_numbers((polar / 2, slender, slender)),
-        "xyaxes": format_axes(turn),
+        "diaginertia": _numbers((polar / 2, slender, slender)),
+        "xyaxes": _numbers(turn.T[:2].ravel()),
     }
     world, ends = root.find("worldbody"), root.findall("worldbody/body[freejoint]")
     place = np.array(ends[-1].get("pos").split(), dtype=float) if ends else np.zeros(3)
-    tip = add_element(world, "body", name=f"{name}_tip", pos=format_numbers(place + link.length * along))
-    add_element(tip, "freejoint")
+    tip = SubElement(world, "body", name=f"{name}_tip", pos=_numbers(place + link.length * along))
+    SubElement(tip, "freejoint")
     for end, side in ((body, 1.0), (tip, -1.0)):
-        add_element(end, "inertial", half, pos=format_numbers(side * along * whole / 4))
+        SubElement(end, "inertial", half, pos=_numbers(side * along * whole / 4))
     for j in range(1, pieces + 1):
-        edge = add_element(world, "body", name=f"{name}_twist_{j}")
-        add_element(edge, "joint", name=f"{name}_twist_{j}", axis=format_numbers(along))
-        add_element(edge, "inertial", pos="0 0 0", mass="1e-9", diaginertia=format_numbers([polar] * 3))
+        edge = SubElement(world, "body", name=f"{name}_twist_{j}")
+        SubElement(edge, "joint", name=f"{name}_twist_{j}", axis=_numbers(along))
+        SubElement(edge, "inertial", pos="0 0 0", mass="1e-9", diaginertia=_numbers([polar] * 3))
     for j in range(1, pieces):
-        point = add_element(world, "body", name=f"{name}_{j}", pos=format_numbers(place + j * whole * along))
-        add_element(point, "inertial", pos="0 0 0", mass=repr(mass), diaginertia="1e-9 1e-9 1e-9")
+        point = SubElement(world, "body", name=f"{name}_{j}", pos=_numbers(place + j * whole * along))
+        SubElement(point, "inertial", pos="0 0 0", mass=repr(mass), diaginertia="1e-9 1e-9 1e-9")
         for axis in np.eye(3):
-            add_element(point, "joint", type="slide", axis=format_numbers(axis))
+            SubElement(point, "joint", type="slide", axis=_numbers(axis))
     bodies = " ".join([name, name, *(f"{name}_{j}" for j in range(1, pieces)), f"{name}_tip", f"{name}_tip"])
-    vertices = format_numbers(np.concatenate([-CLAMP * whole * along, np.zeros(3 * pieces + 3), CLAMP * whole * along]))
-    flex = add_element(
-        add_element(root, "deformable"), "flex", name=name, dim="1", radius=repr(float((4.0 * second / np.pi) ** 0.25))
+    vertices = _numbers(np.concatenate([-CLAMP * whole * along, np.zeros(3 * pieces + 3), CLAMP * whole * along]))
+    flex = SubElement(
+        SubElement(root, "deformable"), "flex", name=name, dim="1", radius=repr(float((4.0 * second / np.pi) ** 0.25))
     )
     flex.attrib.update(body=bodies, vertex=vertices, element=" ".join(f"{j} {j + 1}" for j in range(pieces + 2)))
-    add_element(flex, "contact", selfcollide="none", contype="0", conaffinity="0")
-    add_element(flex, "edge", stiffness=repr(section.youngs_modulus * section.area / whole))
+    SubElement(flex, "contact", selfcollide="none", contype="0", conaffinity="0")
+    SubElement(flex, "edge", stiffness=repr(section.youngs_modulus * section.area / whole))
     shear = section.shear_modulus * section.torsion_constant / (2.0 * second)
-    add_element(flex, "elasticity", young=repr(section.youngs_modulus), shear=repr(shear))
+    SubElement(flex, "elasticity", young=repr(section.youngs_modulus), shear=repr(shear))
     return tip, {"pos": "0 0 0"}
+
+
+def _numbers(values: Any) -> str:
+    """Return numbers as text in the format of MJCF."""
+    return " ".join(repr(float(value)) for value in values)
 
 
 def run(study: Study, length: float, integrator: str, parts: int) -> PrecisionRow:
     """Runs a scene of constant torques from rest at zero angles, with so many steps in an output step."""
     step = study.scene.output_step / parts
-    text = mjcf(study.scene.arm, 0, integrator, step, partial(rod, length))
+    text = to_mjcf(study.scene.arm, 0, integrator, step, partial(rod, length))
     return row(study, advance(study.scene, f"MuJoCo, rods of {length:g} m", integrator, step, text), sane=SANE)
 
 

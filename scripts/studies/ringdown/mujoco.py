@@ -8,7 +8,7 @@ import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.model.mjcf import mjcf
+from flexman_gym.model.mjcf import to_mjcf
 from studies.peers.mujoco import integrators
 from studies.ringdown.measure import (
     DURATION,
@@ -32,7 +32,7 @@ def release(integrator: str, step: float, seed: int) -> tuple[Array, float, floa
     All pieces of a link turn by the same angle, so that its tip is deflected as far as in our cases.
     """
     arm = replace(default_model().arm, modal_damping_ratio=0.0)
-    text = mjcf(arm, PIECES, integrator, step).replace("<flag ", '<flag energy="enable" ')
+    text = to_mjcf(arm, PIECES, integrator, step).replace("<flag ", '<flag energy="enable" ')
     model = mujoco.MjModel.from_xml_string(text)
     data, random = mujoco.MjData(model), np.random.default_rng(seed)
     mujoco.set_mju_user_warning(lambda message: None)  # else it writes a file about every divergence

@@ -15,7 +15,7 @@ from flexman_gym.kernels.layout import OK, TIP_VELOCITY
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, build_model
-from flexman_gym.model.statics import rest_states
+from flexman_gym.model.statics import rest_state
 from flexman_gym.model.vibration import modes
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint
@@ -278,7 +278,7 @@ def remaining_vibration(case: FrictionCase) -> float:
     """Simulate a case; return the vibration that is left, see `FrictionRow`."""
     model, n, d, motors = case.model, case.model.n_joints, case.model.n_dof, case.model.motor_columns
     batch = Batch(model, "gauss_3", min(case.period, LONGEST_STEP), case.period)
-    batch.reset(np.arange(1), rest_states(model, (case.posture + case.offset)[None]))
+    batch.reset(np.arange(1), rest_state(model, (case.posture + case.offset)[None]))
     torques, drive, velocities = np.zeros((case.delay + 1, n)), np.zeros((1, n + 6)), []
     for _ in range(round(DURATION / case.period)):
         state = batch.state[0]
