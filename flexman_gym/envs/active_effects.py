@@ -16,20 +16,20 @@ from flexman_gym.simulation.parameters import LINK, PARAMETERS, RENAMED_PARAMETE
 
 
 class ActiveEffects:
-    """The effects of a randomisation on b arms.
+    """Effects of a randomisation on b arms.
 
-    An effect's stream of an arm is seeded by the name of the effect and the seed of the arm's generator, from which
-    nothing is drawn. It gives one draw an episode; what happens within an episode comes from a generator that this draw
-    seeds.
+    Each effect has one random stream per arm, seeded by the name of the effect and the seed of the arm's generator,
+    without a draw from that generator. An effect draws once per episode from its stream; random events during the
+    episode use a generator seeded by this draw.
 
     Attributes:
-        drawn: effect -> values (b, ...) of the episodes that the arms are in: physical parameters in their units,
-            torque_limit (N m), sensor_noise, delay (periods) and initial_vibration (b, n, 2), m along y and z of each
-            link's beam frame. Impulses are drawn on the way and are not in it. A new dict of new arrays after every
-            reset.
+        drawn: effect -> values (b, ...) of the present episodes: physical parameters in their units, torque_limit (N
+            m), sensor_noise, delay (control periods) and initial_vibration (b, n, 2), m along y and z of the beam frame
+            of each link. Impulses are drawn during the episode and not included. Each reset makes a new dict of new
+            arrays.
 
     Raises:
-        ValueError: for an effect that the model or the limits leave no room for.
+        ValueError: for an effect that does not apply to the model, or that exceeds the limits.
     """
 
     kept = ("drawn", "_streams", "_signals")
@@ -69,16 +69,23 @@ class ActiveEffects:
         }  # states of release 0.2
 
     def _with(self, hook: str) -> list[Any]:
-        """The hooks of that name of the effects that have one, with the effect's name for `begin`."""
+        """Return the hooks of that name; for `begin` together with the name of the effect."""
         result = [(name, getattr(signal, hook)) for name, signal in self._signals.items() if hasattr(signal, hook)]
         return result if hook == "begin" else [method for _, method in result]
 
     def draw(
         self, arms: IntArray, randoms: Sequence[np.random.Generator], given: Mapping[str, Array]
     ) -> dict[str, Array]:
-        """Draws for new episodes of the arms (r,); returns the physical parameters that differ, for `Batch.vary`.
+        """Draw the effects of new episodes of the arms (r,).
 
-        `given` parameters (r, ...) take the place of drawn ones, which are drawn all the same.
+        Args:
+            arms: (r,) indices.
+            randoms: generator of each of these arms.
+            given: physical parameters (r, ...) that replace the drawn ones; these are drawn nevertheless, so that the
+                streams stay the same.
+
+        Returns:
+            Physical parameters for `Batch.vary`.
         """
         self.drawn = {name: values.copy() for name, values in self.drawn.items()}
         for row, (arm, random) in enumerate(zip(arms.tolist(), randoms, strict=True)):
@@ -92,7 +99,7 @@ class ActiveEffects:
         return {name: self.drawn[name][arms] for name in PARAMETERS if name in self.drawn} | dict(given)
 
     def _value(self, name: str, arm: int, stream: np.random.Generator) -> Any:
-        """The value that an arm's episode draws of an effect."""
+        """Return the value of an effect drawn for the episode of an arm."""
         if name in self._signals:
             return self._signals[name].draw(arm, stream)
         row, model, nominal = PARAMETERS[name], self._batch.model, self._batch.nominal[name]
@@ -101,29 +108,29 @@ class ActiveEffects:
         return np.where(row.fixed(model), nominal, drawn) if nominal.shape else drawn
 
     def of(self, arm: int) -> dict[str, Any]:
-        """What the episode of one arm drew, plain numbers and arrays that are the caller's."""
+        """Return the drawn values of one arm as new numbers and arrays."""
         drawn = {name: values[arm] for name, values in self.drawn.items()}
         return {name: value.item() if value.ndim == 0 else value.copy() for name, value in drawn.items()}
 
     def follow(self, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Takes the generators of all arms as those whose streams are in use, after these were given back."""
+        """Set the generators of all arms to which the restored streams belong."""
         self._streams.follow(randoms)
 
     def change_start(self, arms: IntArray, states: Array) -> None:
-        """Changes the states (r, 2 d) from which the episodes of the arms (r,) start."""
+        """Change the initial states (r, 2 d) of the arms (r,) in place."""
         for change in self._hooks["change_start"]:
             change(arms, states)
 
     def motor_actions(self, actions: Array) -> Array:
-        """What reaches the motors of the actions (b, n)."""
+        """Return the actions (b, n) that reach the motors."""
         for arriving in self._hooks["motor_actions"]:
             actions = arriving(actions)
         return actions
 
     def disturb(self, forces: Array, accelerations: Array, over: BoolArray) -> None:
-        """Writes forces (b, 3) N on the tips and accelerations (b, 3) m/s^2 of the bases during this period.
+        """Write the forces at the tips (b, 3), N, and the accelerations of the bases (b, 3), m/s^2, in this period.
 
-        Nothing disturbs arms whose episode is over.
+        Arms without a running episode are not disturbed.
         """
         for hook, values in (("add_tip_forces", forces), ("add_base_accelerations", accelerations)):
             if self._hooks[hook]:
@@ -133,23 +140,23 @@ class ActiveEffects:
 
     @property
     def measures(self) -> bool:
-        """Whether something changes what is measured."""
+        """True if an effect changes measurements."""
         return bool(self._hooks["measure"])
 
     def measure(self, values: Array, arms: IntArray) -> Array:
-        """What is measured of the values (r, size) of the arms (r,)."""
+        """Return the measured values (r, size) of the arms (r,)."""
         for measure in self._hooks["measure"]:
             values = measure(values, arms)
         return values
 
 
 def _stream_name(effect: str) -> str:
-    """Return the name that seeds the stream of an effect, which is older than the suffix of factors."""
+    """Return the name that seeds the stream of an effect, without the suffix of factors that version 0.3 added."""
     return effect.removesuffix("_factor")
 
 
 def _check_room(name: str, span: tuple[float, float], model: Model) -> None:
-    """Refuses a parameter that nothing of the model has."""
+    """Check that the model has the parameter."""
     row, field = PARAMETERS[name], f"Randomisation.{range_name(name)}"
     if row.of == LINK and not (np.diff(model.constants.elastic_start) > 0).any():
         raise value_error(field, span, "None: every link of this arm is rigid")

@@ -1,4 +1,4 @@
-"""Episodes of many arms: action space, motors, limits and rewards, the core of both environments."""
+"""Episodes of many arms: actions, motors, limits and rewards, the common part of both environments."""
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
@@ -36,7 +36,7 @@ ROUNDING = 1e-6  # of float32 and of what is computed in it, on numbers near 1
 
 
 def action_space(size: int) -> spaces.Space[Any]:
-    """The space of actions of one arm, of so many numbers."""
+    """Return the action space of one arm, for a number of values."""
     return spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
 
 
@@ -47,9 +47,9 @@ def make_base_and_mode(setup: Configuration, model: Model) -> tuple[Controller |
 
 
 def validate_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:
-    """The actions as a new array of floats; raises ValueError for another shape and for numbers outside -1 to 1.
+    """Return actions as a new array of floats, after a check of their shape and of the range -1 to 1.
 
-    Numbers beyond by what float32 may round, less than 1e-6, count as -1 or 1.
+    Values beyond the range by less than 1e-6, as float32 may round them, are clipped.
     """
     if isinstance(value, np.ndarray) and value.shape == shape and value.dtype.kind == "f":
         actions = value.astype(np.float64, order="C")
@@ -63,15 +63,15 @@ def validate_actions(name: str, value: object, shape: tuple[int, ...], allowed: 
 
 
 class _Motors:
-    """The motors of b arms of n joints, and what else drives the arms.
+    """Motors of b arms with n joints, and the disturbances of the arms.
 
     Attributes:
-        limits: (b, n) N m, the torque limits, which effects may change.
-        drive: (b, n + 6) of `Batch.step`, of which the following are views.
-        torques: (b, n) N m, of the last control period.
-        forces: (b, 3) N, on the tips in the base frame.
-        accelerations: (b, 3) m/s^2, of the bases in the base frame.
-        reached: (b, n) where drives with a bandwidth are, parts of the limits; they start at 0.
+        limits: (b, n) torque limits, N m; effects may change them.
+        drive: (b, n + 6) input of `Batch.step`, with the following three arrays as views.
+        torques: (b, n) torques of the last control period, N m.
+        forces: (b, 3) forces at the tips in the base frame, N.
+        accelerations: (b, 3) accelerations of the bases in the base frame, m/s^2.
+        reached: (b, n) state of the lag of the drives, as fractions of the limits; 0 at a reset.
     """
 
     kept = ("limits", "forces", "accelerations", "reached")
@@ -85,9 +85,9 @@ class _Motors:
         self.accelerations = self.drive[:, joints + 3 :]
 
     def followed(self, actions: Array) -> Array:
-        """What torques (b, n) are in the mean of a period for arriving actions (b, n), parts of the limits.
+        """Return the mean torques (b, n) of a control period for commands (b, n), both as fractions of the limits.
 
-        Drives that lag follow them late; see `control.margins.first_order_lag`.
+        Drives with a bandwidth follow a command with a lag; see `control.margins.first_order_lag`.
         """
         if self._lag is None:
             return actions
@@ -97,17 +97,20 @@ class _Motors:
 
 
 class Episodes:
-    """b arms with a task, sensors and limits. What it does to an arm depends on no other arm, bit for bit.
+    """b arms with a task, sensors and limits. The motion of an arm is independent of all other arms, bit for bit.
 
     Attributes:
-        batch, view: the arms, and what they do in words.
-        task, measurements: what they are for, and what is measured of them.
-        agent: observation, history, action repeat, action mode and base; the environment asks it once a control period.
-        effects: of the randomisation and of the task, None without any.
-        failures: of the last step, arm -> what happened.
-        over, truncated: (b,) whether an arm's episode is over, by a failure or because it has lasted `longest` control
-            periods; and whether by the latter.
-        watch: called after every control period, also those within an action that is kept; None for nothing.
+        batch: simulated arms.
+        view: named quantities of the arms.
+        task: task of all arms.
+        measurements: sensors of the agent and its action mode.
+        agent: observation, history, action repeat, action mode and base, called once per control period.
+        effects: effects of the randomisation and of the task; None for none.
+        failures: arm -> cause, of the last step.
+        over: (b,) True for an arm without a running episode.
+        truncated: (b,) True for an episode that ended after `longest` control periods.
+        longest: control periods after which an episode is truncated.
+        watch: function called after every control period, also within an action repeat; None for none.
     """
 
     kept = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "_ages", "_failed")
@@ -139,7 +142,7 @@ class Episodes:
         self._all = np.ones(arms, dtype=bool)
 
     def _effects(self, setup: Configuration, sensors: Sequence[object]) -> ActiveEffects | None:
-        """What disturbs the arms, of the randomisation and of the task."""
+        """Return the effects of the randomisation and of the task; None without any."""
         randomisation = setup.disturbed
         if randomisation is None:
             return None
@@ -150,24 +153,24 @@ class Episodes:
 
     @property
     def base(self) -> Controller | None:
-        """The controller that acts beside the agent, None without one."""
+        """Base controller that acts together with the agent; None without one."""
         return self.agent.base
 
     @property
     def sensors(self) -> SensorArray:
-        """What is seen of the arms."""
+        """Sensors of the agent."""
         return self.measurements.sensors
 
     def give(self, data: object, agent: object, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Puts all arms, and what acts on them, where they were when `snapshot.take` took the data of both.
+        """Set the state of all arms and of the agent from their `get_state`.
 
         Args:
-            data: what was taken of the arms.
-            agent: what was taken of the agent.
-            randoms: the generators of the arms, given back already.
+            data: state of the arms.
+            agent: state of the agent.
+            randoms: generators of the arms, already restored.
 
         Raises:
-            ValueError: one line, for data of other arms; all episodes are then over.
+            ValueError: for the state of other arms; all episodes are then over.
         """
         view = self.view
         if self.effects is not None:
@@ -186,7 +189,7 @@ class Episodes:
 
     @property
     def _failed(self) -> dict[str, str]:
-        """What happened to the arms of `failures`, by their number as a text."""
+        """Causes of the failures, by the number of the arm as a text."""
         return {str(arm): text for arm, text in self.failures.items()}
 
     @_failed.setter
@@ -196,14 +199,17 @@ class Episodes:
     def reset(
         self, arms: IntArray, randoms: Sequence[np.random.Generator], options: Mapping[str, Any] | None = None
     ) -> None:
-        """Starts new episodes of the arms with the indices (r,), each drawn from its own generator.
+        """Start new episodes of arms.
 
-        Options may set what the task draws, such as "start" and "goal_angles", for all arms or with a leading axis b,
-        both also by places of the tip, "start_tip" and "goal_tip" (3,) m, see `replace_tip_positions`; and
-        "parameters" of the arms from this episode on: a dict of what `Batch.vary` takes.
+        Args:
+            arms: (r,) indices of the arms.
+            randoms: generator of each of these arms.
+            options: values of the task's draw, such as "start" and "goal_angles", for all arms or with a leading axis
+                b; positions of the tip in their place, "start_tip" and "goal_tip" (3,), m, see `replace_tip_positions`;
+                and "parameters" of the arms from this episode on, see `Batch.vary`.
 
         Raises:
-            ValueError: one line with field, value and what is allowed; the episodes of these arms are then over.
+            ValueError: for options or a start that are not allowed; the episodes of these arms are then over.
         """
         self.over[arms] = True
         drawn = [self.task.draw(random, self.view) for random in randoms]
@@ -235,13 +241,13 @@ class Episodes:
         self.over[arms] = False
 
     def _check_plan(self, plan: object) -> None:
-        """Refuses what a task draws without a start that has an angle for each joint."""
+        """Check that the draw of a task has a start with an angle for each joint."""
         n = self.batch.model.n_joints
         if not isinstance(plan, dict) or np.shape(plan.get("start", ())) != (n,):
             raise value_error("task.draw", plan, f'a dict with "start", {n} joint angles (rad)')
 
     def _set_goal(self, arms: IntArray, plan: Mapping[str, Array]) -> None:
-        """Keeps the plans of new episodes and sets their goals."""
+        """Store the plans of new episodes and set their goals."""
         view = self.view
         for name, values in plan.items():
             if name not in view.plan:
@@ -251,14 +257,14 @@ class Episodes:
         view.target_velocity[arms] = view.goal_rates[arms] = 0.0
 
     def _begin_agent(self, arms: IntArray, plan: Mapping[str, Array], posture: Array) -> None:
-        """Start new episodes of the arms (r,) of the agent, with plans (r, ...) and first goals (r, n) rad."""
+        """Start new episodes of the agent for the arms (r,), with plans (r, ...) and first goals (r, n), rad."""
         task, view = self.task, self.view
         path = partial(goal_path, task, plan, self._path, view) if task.moves else None
         drawn = {name: values[arms] for name, values in self.effects.drawn.items()} if self.effects else {}
         self.agent.reset(arms, EpisodeInfo(plan["start"], posture, view.control_period, path, drawn), len(self.over))
 
     def _check_start(self, arms: IntArray, options: object) -> None:
-        """Refuses a start beyond the limits of arms that have just been reset and read."""
+        """Check that arms are within their limits after a reset."""
         for arm in arms:
             if failure := self._broken(arm):
                 field, value = ("options", options) if options else ("task", self.task)
@@ -267,8 +273,8 @@ class Episodes:
     def step(self, commands: Array) -> Array:
         """Move all arms under commands (b, k) until the next ones are due, and return the rewards (b,).
 
-        A reward is the mean of the control periods in which an arm moved. An arm whose episode ends on the way stays
-        as it was then. One whose episode was over has no outcome worth reading before it is reset.
+        A reward is the mean over the control periods in which the arm moved. An arm whose episode ends before the next
+        command keeps its last state. The result of an arm without a running episode is undefined before its reset.
         """
         self.agent.command = commands
         if self.agent.action_repeat == 1:
@@ -292,7 +298,7 @@ class Episodes:
         return rewards / np.maximum(count, 1.0)
 
     def _period(self, playing: BoolArray) -> None:
-        """Moves the arms that are playing by one control period."""
+        """Move the arms in an episode by one control period."""
         view, motors, everyone = self.view, self.motors, playing is self._all
         actions = np.ascontiguousarray(self.agent.act(self._readings(), view.action.copy(), ~self.over))
         arriving = actions
@@ -309,9 +315,9 @@ class Episodes:
         self.measurements.sample(None if everyone else np.flatnonzero(playing))
 
     def _judge(self, playing: BoolArray, last: bool) -> None:
-        """Ends the episodes of arms that are playing and have left their limits or lasted long enough.
+        """End the episodes of moving arms that exceeded their limits or reached the horizon.
 
-        After the last period of an action it reads the sensors too, whose numbers have bounds of their own.
+        After the last control period of an action the sensors are read too and compared with their bounds.
         """
         view = self.view
         if playing is self._all and np.count_nonzero(view.failed):
@@ -327,7 +333,7 @@ class Episodes:
             self.watch()
 
     def _move_goals(self, playing: BoolArray) -> None:
-        """Sets the goals of this moment, and how fast the targets have come there, of the arms that are playing."""
+        """Set the goals of the present time and their rates, for the moving arms."""
         view, arms = self.view, slice(None) if playing is self._all else playing
         goal = self.task.goal(view.plan, self.batch.time, view)
         view.target_velocity[arms] = (goal.target[arms] - view.target[arms]) / view.control_period
@@ -335,7 +341,7 @@ class Episodes:
         view.target[arms], view.goal_angles[arms] = goal.target[arms], goal.angles[arms]
 
     def _readings(self) -> dict[str, Array]:
-        """Return the readings of the agent's mode, name -> (b, size)."""
+        """Return the readings of the agent's action mode, name -> (b, size)."""
         return self.measurements.readings if self.agent.mode.sensors else {}
 
     def _observe(self, arms: BoolArray) -> None:
@@ -351,7 +357,7 @@ class Episodes:
         self.view.failed[arms] = self.over[arms] = True
 
     def _broken(self, arm: int) -> str:
-        """What of an arm is beyond its limits, or beyond what its sensors can say; "" where nothing is."""
+        """Describe the first limit or sensor bound that an arm exceeds; "" for none."""
         view, sensors = self.view, self.sensors
         failure = limit_violation(view.motion[arm], self._limits, view.places, view.units)
         return failure or limit_violation(sensors.observations[arm], sensors.bound, sensors.slices, sensors.units)
@@ -365,17 +371,17 @@ class Episodes:
 
     @property
     def terms(self) -> dict[str, Number]:
-        """Reward terms of the control period just over, name -> (b,), or a number for one arm."""
+        """Reward terms of the last control period, name -> (b,), or a number for one arm."""
         if self._terms is None:
             self._terms = self._reward_terms(self.present)
         return self._terms
 
     def forget(self) -> None:
-        """Forget what was derived from the state before."""
+        """Discard quantities derived from the previous state."""
         self._terms = self._present = None
 
     def rewards(self) -> Array:
-        """Return the rewards (b,) of the control period just over."""
+        """Return the rewards (b,) of the last control period."""
         result = sum_terms(self.terms)
         return result if isinstance(result, np.ndarray) and result.ndim else np.array([result] * len(self.over))
 

@@ -1,4 +1,4 @@
-"""Measurements: readings of the sensors of the agent and of those of its action mode, of many arms."""
+"""Measurements: readings of the sensors of the agent and of its action mode, for many arms."""
 
 from collections.abc import Sequence
 
@@ -13,17 +13,17 @@ from flexman_gym.envs.view import View
 
 
 class Measurements:
-    """Sensors of b arms, sampled once a control period and read at most once in it.
+    """Sensors of b arms, sampled once per control period and read at most once in it.
 
     Args:
-        view: of the arms.
-        limits: of the arms.
-        observed: sensors of the agent, with those of the task.
+        view: view of the arms.
+        limits: limits of the arms.
+        observed: sensors of the agent and of the task.
         inner: sensors of the action mode and its base controller.
-        effects: disturbances of what is measured; None without any.
+        effects: disturbances of the measurements; None for none.
 
     Attributes:
-        sensors: of the agent; their `observations` are the newest alone.
+        sensors: sensors of the agent; their `observations` have no history.
     """
 
     kept = ("_measured", "sensors", "_base_sensors")
@@ -82,7 +82,7 @@ class Measurements:
         return self._base_sensors.readings
 
     def renew(self, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Read again, after the state and the generators of all arms were set."""
+        """Read again after the state and the generators of all arms were replaced."""
         if self._measured is not None:
             self._measured.renew()
         self.sensors.renew(randoms)

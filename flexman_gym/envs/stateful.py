@@ -18,12 +18,7 @@ Observations = NDArray[np.float32]
 
 
 class StatefulEnv:
-    """What the single environment and the vector environment have in common: their state can be taken and given back.
-
-    Attributes:
-        kept: names of what an environment remembers beside its episodes.
-        spaces: names of the spaces whose generators belong to its state.
-    """
+    """Base class of the single and the vector environment: get, set and copy their complete state."""
 
     kept: ClassVar[tuple[str, ...]]
     spaces: ClassVar[tuple[str, ...]]
@@ -32,20 +27,23 @@ class StatefulEnv:
     _made: dict[str, Any]  # arguments of the constructor
 
     def get_state(self) -> dict[str, Any]:
-        """Gives all that the environment remembers, as dicts and lists of arrays and plain data.
+        """Return the complete state as dicts and lists of arrays and plain data.
 
-        That is the motion of every arm, its episode and its parameters, what effects and what acts remember, and every
-        random generator. An environment made alike goes on from it as this one would, to the last bit.
+        It contains the motion, the episode and the parameters of every arm, the state of effects and agent, and all
+        random generators. From this state, another environment with the same arguments continues bit for bit.
         """
         spaces = {name: get_state(_space(self, name)._np_random) for name in self.spaces}
         own = {name: get_state(getattr(self, name)) for name in self.kept}
         return {**own, **spaces, "episodes": get_state(self.episodes), "agent": get_state(self.episodes.agent)}
 
     def set_state(self, state: dict[str, Any]) -> Observations:
-        """Puts the environment where `get_state` found one made alike; returns what is seen (b, size) of its arms.
+        """Set the complete state from `get_state` of an environment with the same arguments.
+
+        Returns:
+            Observations (b, size) of the arms.
 
         Raises:
-            ValueError: one line, for the state of another environment; the episodes are then over.
+            ValueError: for the state of a different environment; the episodes are then over.
         """
         state = _renamed(state, np.zeros_like(self.episodes.agent.command))
         names = {*self.kept, *self.spaces, "episodes", "agent"}
@@ -66,9 +64,9 @@ class StatefulEnv:
 
     @contextmanager
     def _undoing(self, options: object) -> Iterator[None]:
-        """Puts the environment back where it was if a reset with options is refused; its episodes are over then.
+        """Restore the state if a reset with options fails; its episodes are over then.
 
-        Without options it was the task that drew a bad start, and a further reset should draw another one.
+        Without options the task has drawn a bad start, and the next reset should draw another one.
         """
         before = None if options is None or (isinstance(options, dict) and not options) else self.get_state()
         try:
@@ -90,12 +88,12 @@ class StatefulEnv:
         return deepcopy(self)  # two environments never share arms
 
     def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
-        """The generator of each arm among what was given back."""
+        """Return the generator of each arm among the restored values."""
         raise NotImplementedError
 
 
 def _renamed(state: Any, command: Array) -> Any:
-    """Return a state of version 0.2, where the observations stand beside the sensors, under the names of today."""
+    """Return a state of version 0.2, with the observations among the sensors, under the present names."""
     if not isinstance(state, dict) or not all(isinstance(state.get(name), dict) for name in ("acting", "episodes")):
         return state
     episodes, state = dict(state["episodes"]), dict(state)
@@ -113,7 +111,7 @@ def _renamed(state: Any, command: Array) -> Any:
 
 
 def _made_again(kind: type[Any], made: dict[str, Any], spec: Any, state: dict[str, Any]) -> Any:
-    """An environment like another one, with its state."""
+    """Return an environment with the arguments and the state of another one."""
     other = kind(**made)
     other.spec = spec
     other.set_state(state)

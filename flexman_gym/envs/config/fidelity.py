@@ -25,7 +25,7 @@ class Fidelity(NamedTuple):
 
 
 def resolve_fidelity(configuration: Configuration) -> Fidelity:
-    """Build the model of a configuration, or choose it by `choose_model`."""
+    """Build the model of a configuration, or choose it with `choose_model`."""
     if configuration.fidelity == "auto":
         choice = _choose_fidelity(configuration)
         return Fidelity(choice.model, choice.method, choice.step, choice)

@@ -21,12 +21,9 @@ REACHED = 1e-8  # of the reach
 
 
 def replace_tip_positions(plan: Mapping[str, Array], view: View) -> dict[str, Array]:
-    """Gives plans, name -> (r, ...), with postures (r, n) rad in place of the places (r, 3) m of TIPS.
+    """Return plans with postures (r, n), rad, in place of the tip positions (r, 3), m, of TIP_OPTIONS.
 
-    A goal is sought from the start, and a start from zero angles; see `inverse_kinematics`.
-
-    Raises:
-        ValueError: for a place that the tip cannot reach.
+    The search for a goal starts at the start posture, that for a start at zero angles; see `inverse_kinematics`.
     """
     result = dict(plan)
     for name, posture in TIP_OPTIONS.items():
@@ -38,19 +35,22 @@ def replace_tip_positions(plan: Mapping[str, Array], view: View) -> dict[str, Ar
 
 
 def inverse_kinematics(field: str, place: Array, near: Array, view: View) -> Array:
-    """Gives the motor angles (n,) rad with which the tip rests at a place (3,) m of the base frame.
+    """Return motor angles (n,), rad, at which the tip rests at a position (3,) in the base frame, m.
 
-    Where there are several, it is the one from which the joints are turned least (least sum of squares) away from
-    `near`, of those that Newton's method finds from `near` and from 24 postures that are always the same.
+    Newton's method starts from `near` and from 24 fixed postures. Of several solutions the closest to `near` (least sum
+    of squared angle differences) is returned.
 
     Args:
-        field: for the error.
-        place: m.
+        field: name of the field in the error message.
+        place: (3,) position of the tip, m.
         near: (n,) rad.
-        view: of the arm, whose nominal weight bends it.
+        view: view of the arm, bent by its nominal weight.
+
+    Returns:
+        The motor angles.
 
     Raises:
-        ValueError: where the tip comes there from none of them.
+        ValueError: if no start leads to a solution.
     """
     others = near + np.random.default_rng(0).uniform(-np.pi, np.pi, (STARTS, len(near)))
     found = [angles for start in (near, *others) if (angles := _reached(place, start, view)) is not None]
@@ -64,7 +64,7 @@ def inverse_kinematics(field: str, place: Array, near: Array, view: View) -> Arr
 
 
 def _reached(place: Array, start: Array, view: View) -> Array | None:
-    """The posture that is found from a start; None where it does not lead there."""
+    """Return the solution found from a start; None if there is none."""
     angles, wanted = start, place
     for _ in range(ROUNDS):
         (angles,), _ = view.reaching(wanted[None], angles)
@@ -80,7 +80,13 @@ def _reached(place: Array, start: Array, view: View) -> Array | None:
 def parse_reset_options(
     options: Mapping[str, Any] | None, plan: Mapping[str, Array], size: tuple[int, int]
 ) -> dict[str, Any]:
-    """The options with a leading axis for the arms; `size` is (b, n), how many arms and joints there are."""
+    """Return the options with a leading axis for the arms.
+
+    Args:
+        options: options of a reset.
+        plan: drawn plans by name, whose entries the options may replace.
+        size: (b, n) number of arms and joints.
+    """
     names = [*plan, *(name for name, posture in TIP_OPTIONS.items() if posture in plan), "parameters"]
     if options is not None and not isinstance(options, dict):
         raise value_error("options", options, f"a dict with {', '.join(names[:-1])} or {names[-1]}")
@@ -100,7 +106,7 @@ def parse_reset_options(
 
 
 def check_parameters(options: object, batch: Batch) -> None:
-    """Refuses parameters that a batch could not take, before a reset has changed anything."""
+    """Check parameters in the options before a reset changes anything."""
     if isinstance(options, dict) and "parameters" in options:
         field, arms, model = "options['parameters']", len(batch.rows), batch.model
         for name, values in _parameters(field, options["parameters"], (arms, model.n_joints)).items():
@@ -108,7 +114,7 @@ def check_parameters(options: object, batch: Batch) -> None:
 
 
 def _each(field: str, value: object, shape: tuple[int, ...], arms: int, unit: str) -> Array:
-    """Numbers (b, ...) of all arms from those of one, shape (...), or of each."""
+    """Return numbers (b, ...) of all arms from those of one arm, or of each."""
     if len(shape) != 1:
         return _numbers(field, value, (arms, *shape))
     entries = sequence(field, value, "numbers")
@@ -121,6 +127,7 @@ def _each(field: str, value: object, shape: tuple[int, ...], arms: int, unit: st
 
 
 def _parameters(field: str, value: object, size: tuple[int, int]) -> dict[str, Array]:
+    """Return the parameters of all arms by name."""
     if not isinstance(value, dict):
         raise value_error(field, value, f"a dict with some of {', '.join(PARAMETERS)}")
     given = {}
@@ -131,7 +138,7 @@ def _parameters(field: str, value: object, size: tuple[int, int]) -> dict[str, A
 
 
 def _numbers(field: str, value: object, shape: tuple[int, ...]) -> Array:
-    """Numbers of that shape, or of one arm, which all then have."""
+    """Return numbers of a shape, broadcast from those of one arm."""
     allowed = f"numbers of the shape {shape}, or {shape[1:]}"
     try:
         listed = value if isinstance(value, numbers.Real | np.ndarray) else sequence(field, value)  # not too long

@@ -24,7 +24,12 @@ ROUNDING = 12.0**-0.5  # standard deviation of the error of a number that is rou
 
 
 def make_plant(configuration: Configuration, model: Model) -> Plant:
-    """Return the specification for controller design of an environment; the model is that of the design."""
+    """Return the specification for controller design of an environment.
+
+    Args:
+        configuration: configuration of the environment.
+        model: model of the design.
+    """
     drawn = configuration.disturbed.ranges if configuration.disturbed else {}
     fewest, most = drawn.get("delay", (0, 0))
     longest_step = NAMED_ENVIRONMENTS[configuration.id].longest_step
@@ -43,14 +48,14 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
 
 
 def make_controller(configuration: Configuration, base: object, model: Model) -> Controller:
-    """Make the controller of a name in BASES, or of a mapping with arguments, for a model of the arm."""
+    """Return the controller of a name in BASES, or of a mapping with arguments, for a model of the arm."""
     return make_base(base, make_plant(configuration, model))
 
 
 def make_base_controller(configuration: Configuration, model: Model) -> Controller | None:
-    """Make the base controller of an environment for its model; None without one.
+    """Return the base controller of an environment for its model; None without one.
 
-    It warns (UserWarning) where sampling and delay make a PD unstable.
+    A PD controller that sampling and delay make unstable causes a UserWarning.
     """
     base = configuration.base
     if not isinstance(base, str | dict):
@@ -64,7 +69,7 @@ def make_base_controller(configuration: Configuration, model: Model) -> Controll
 
 
 def _measured(configuration: Configuration, model: Model, noise: float) -> dict[str, Array]:
-    """Range and standard deviation (2, size) of each measured quantity, of the worst instrument that measures it."""
+    """Return range and standard deviation (2, size) of each measured quantity, of the worst instrument."""
     ranges = measurement_ranges(View(Batch(model)), configuration.limits)
     parts = dict.fromkeys(ranges, noise)
     for part in configuration.sensors:

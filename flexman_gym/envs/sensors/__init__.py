@@ -1,4 +1,4 @@
-"""Sensors: what an agent sees of the arms, by name, as a mapping, or as objects of one's own."""
+"""Sensors of an agent, as names, mappings or objects."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -39,18 +39,16 @@ SENSOR_NAMES = (*SENSORS, *SENSOR_SETS)
 
 
 def find_sensors(value: object) -> tuple[object, ...]:
-    """The sensors that a name, a mapping, a sensor, or several of these mean.
+    """Return the sensors for a name, a mapping, a Sensor, or a list of these.
 
-    A mapping has a name at "kind" and flaws, see `Flaws`: of a set, they belong to all of it that measures.
-
-    Raises:
-        ValueError: one line, for an unknown name or flaw.
+    A mapping has a name at "kind" and flaws, see `Flaws`. The flaws of a set apply to all sensors in it that measure.
     """
     parts = value if isinstance(value, tuple | list) else (value,)
     return tuple(sensor for part in parts for sensor in _found(part))
 
 
 def _found(part: object) -> tuple[object, ...]:
+    """Return the sensors of one name, mapping or object."""
     if isinstance(part, Mapping):
         if "kind" not in part:
             raise value_error("sensors", dict(part), "a mapping with the name of a sensor at kind, and its flaws")
@@ -62,12 +60,13 @@ def _found(part: object) -> tuple[object, ...]:
 
 
 def _named(name: str) -> tuple[Sensor, ...]:
+    """Return the sensors of a name of a sensor or a set."""
     one_of("sensors", name, SENSOR_NAMES)
     return tuple(SENSORS[each]() for each in SENSOR_SETS.get(name, (name,)))
 
 
 def _flawed(sensor: Any, flaws: Mapping[str, Any], of_set: bool) -> Sensor:
-    """The sensor with flaws, which take the place of those that it has."""
+    """Return the sensor with flaws, which override its own."""
     if isinstance(sensor, Instrument):
         return Instrument(sensor.sensor, **{**sensor.settings(), **flaws})
     if not flaws or (of_set and getattr(sensor, "measures", True) == ()):
@@ -76,15 +75,16 @@ def _flawed(sensor: Any, flaws: Mapping[str, Any], of_set: bool) -> Sensor:
 
 
 def plain_sensors(parts: tuple[object, ...]) -> list[Any]:
-    """Names and mappings of sensors, from which `find_sensors` gives the same.
+    """Return the names and mappings from which `find_sensors` makes the same sensors.
 
     Raises:
-        ValueError: for a sensor of one's own.
+        ValueError: for a sensor of the user's own class.
     """
     return [_plain(part) for part in parts]
 
 
 def _plain(part: object) -> Any:
+    """Return the name or the mapping of a sensor."""
     for name, make in SENSORS.items():
         known: Any = make()
         if known == part:

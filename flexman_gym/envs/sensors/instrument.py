@@ -1,4 +1,4 @@
-"""Instrument: a sensor with the flaws of a real one, which act on what is measured before anything is derived."""
+"""Instrument: a sensor with flaws that act on the measured quantities before any quantity is derived from them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -19,18 +19,16 @@ MOST_PERIODS = 1000  # of a delay or between two samples
 
 @dataclass(frozen=True, eq=False)
 class Flaws:
-    """How an instrument differs from a perfect one. Parts are parts of the range of each quantity.
+    """Flaws of an instrument. Fractions refer to the range of each quantity.
 
     Attributes:
-        noise: standard deviation of normal noise on each sample, a part; numbers beyond 4 of them are drawn again.
-        bias: a part up to which, to either side, each quantity is off throughout an episode.
-        quantisation: the step between two numbers that it can give, a part.
-        delay: control periods after which a sample arrives; until the first has arrived, the first counts.
+        noise: standard deviation of normal noise on each sample, a fraction; numbers beyond 4 standard deviations are
+            drawn again.
+        bias: largest bias of each quantity, a fraction; drawn uniformly once per episode.
+        quantisation: smallest difference of two readings, a fraction.
+        delay: control periods until a sample arrives; before that the first sample is read.
         every: control periods between two samples.
-        dropped: probability that a sample is lost; the one before then counts.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+        dropped: probability that a sample is lost and the previous one is read.
     """
 
     noise: float = 0.0
@@ -59,17 +57,17 @@ FLAWS = tuple(each.name for each in fields(Flaws))
 
 
 class Instrument:
-    """A sensor with flaws: `Instrument(FullState(), noise=0.001, delay=1)`.
+    """Sensor with flaws: `Instrument(FullState(), noise=0.001, delay=1)`.
 
-    What the sensor names in `measures` passes the instrument; without such a list all that the view has of motion, tip
-    and deflection. One that is read several times in a control period gives the same each time.
+    The flaws act on the quantities in the sensor's `measures`; without this attribute on motion, tip and deflection.
+    Several readings in one control period are equal.
 
     Args:
-        sensor: a Sensor, perhaps one of your own.
+        sensor: a Sensor.
         flaws: see `Flaws`.
 
     Raises:
-        ValueError: one line, for a flaw that there is not, and for a sensor that measures nothing.
+        ValueError: for an unknown flaw, and for a sensor without measured quantities.
     """
 
     kept = ("measured", "_held", "_late", "_bias", "_ages", "_noise")
@@ -88,15 +86,15 @@ class Instrument:
     __hash__ = None  # type: ignore[assignment]
 
     def settings(self) -> Mapping[str, float]:
-        """The flaws that it has, by name."""
+        """Return the flaws that differ from the defaults, by name."""
         return {name: getattr(self.flaws, name) for name in FLAWS if getattr(self.flaws, name) != getattr(Flaws, name)}
 
     def fresh(self) -> Self:
-        """An instrument alike that remembers nothing."""
+        """Return an equal instrument without stored samples."""
         return type(self)(self.sensor, **self.settings())
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
-        """Says what the sensor reads."""
+        """Return the entries of the sensor and allocate the stored samples."""
         arms, flaws = len(view.motion), self.flaws
         self.measured = MeasuredView(view, limits, self.measures)
         size = len(self.measured.bound)
@@ -106,7 +104,7 @@ class Instrument:
         return self.sensor.entries(self.measured, limits)  # type: ignore[arg-type]
 
     def begin(self, arm: int, stream: np.random.Generator) -> None:
-        """Starts an episode of an arm by two draws of its stream."""
+        """Start an episode of an arm with two draws of its stream."""
         self._noise.begin(arm, stream)
         inner = np.random.default_rng(stream.integers(2**63))
         bound = self.measured.bound
@@ -114,7 +112,7 @@ class Instrument:
         self._ages[arm] = 0
 
     def sample(self, arms: IntArray) -> None:
-        """Measures some arms (r,), once a control period, the first time at the start of their episodes."""
+        """Sample the arms (r,), once per control period and once at the start of an episode."""
         if not len(arms):
             return
         measured, flaws = self.measured, self.flaws
@@ -137,7 +135,7 @@ class Instrument:
         measured.settle()
 
     def _arriving(self, at: Any, first: Array) -> Array:
-        """The samples (r, size) that arrive now; those of this period set off."""
+        """Return the samples (r, size) that arrive now, and store those of this period."""
         late, held = self._late, self._held[at]
         if not self.flaws.delay:
             return held
@@ -149,16 +147,16 @@ class Instrument:
         return result
 
     def read(self, view: View, out: Array) -> None:
-        """Writes what the sensor reads of what was measured."""
+        """Write the readings of the sensor, from the measured quantities, into out (b, size)."""
         self.sensor.read(self.measured, out)  # type: ignore[arg-type]
 
     def renew(self) -> None:
-        """Derives anew, after what it keeps was given back."""
+        """Derive quantities again after the stored state was replaced."""
         self.measured.renew()
 
 
 def _uniform(normal: Array) -> Array:
-    """Numbers evenly spread from 0 to 1 of normal ones, by their distribution."""
+    """Map standard normal numbers to uniform ones in [0, 1] by their distribution function."""
     from scipy.special import ndtr
 
     result: Array = ndtr(normal)

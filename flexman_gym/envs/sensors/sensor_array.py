@@ -1,4 +1,4 @@
-"""Sensor array: several sensors side by side, which make up an observation."""
+"""Sensor array: several sensors side by side, which form an observation."""
 
 from collections.abc import Sequence
 from copy import copy
@@ -19,23 +19,23 @@ class SensorArray:
     """Sensors side by side.
 
     Args:
-        parts: Sensors, of which it takes copies.
-        view: what they read, a View or what is measured of it.
-        limits: of the arm.
-        label: by which their random streams are known.
-        beside: the Sensors of an agent. Perfect sensors here read what instruments here measure, or else those of the
-            agent do; an entry that two of them read is that of the first.
+        parts: Sensors, which are copied.
+        view: a View, or the view of its measured quantities.
+        limits: limits of the arm.
+        label: name that seeds the random streams of the instruments.
+        beside: sensors of the agent. Ideal sensors here read the quantities measured by an instrument here or, if there
+            is none, by the agent's sensors; of two entries with the same name the first counts.
 
     Attributes:
         slices: name -> slice of the observation.
         units: name -> unit.
-        bound: (size,) largest magnitude of each number.
-        observations: (b, size) of the last reading, which the next one overwrites.
-        readings: name -> (b, ...) its part of that entry.
-        shared: a view in which each quantity is what the first of the sensors measures of it.
+        bound: (size,) largest magnitude of each value.
+        observations: (b, size) last readings; the next reading overwrites them.
+        readings: name -> (b, ...) its part of the observations.
+        shared: view in which each quantity is the one measured by the first of the sensors.
 
     Raises:
-        ValueError: for something else than sensors, and for two entries of one name.
+        ValueError: for an object that is not a sensor, and for two entries with the same name.
     """
 
     kept = ("_instruments", "_streams")
@@ -76,7 +76,7 @@ class SensorArray:
         self._streams = RandomStreams([f"{label}.{i}" for i in range(len(self._instruments))], len(view.motion))
 
     def begin(self, arms: IntArray, randoms: Sequence[np.random.Generator]) -> None:
-        """Starts new episodes of the arms (r,), each with the generator of its environment, and measures them."""
+        """Start new episodes of the arms (r,), each with the generator of its environment, and sample them."""
         for arm, random in zip(arms.tolist(), randoms, strict=True):
             streams = self._streams.of(arm, random).values()
             for instrument, stream in zip(self._instruments, streams, strict=True):
@@ -84,17 +84,17 @@ class SensorArray:
         self.sample(arms)
 
     def sample(self, arms: IntArray) -> None:
-        """Measures the arms (r,), once a control period."""
+        """Sample the arms (r,), once per control period."""
         for instrument in self._instruments:
             instrument.sample(arms)
 
     def read(self) -> None:
-        """Reads all arms, as they were measured."""
+        """Read the present samples of all arms."""
         for part, out in self._outs:
             part.read(self._view, out)
 
     def renew(self, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Reads anew, after what instruments keep and the generators of all arms were given back."""
+        """Read again after the stored state and the generators of all arms were replaced."""
         self._streams.follow(randoms)
         for instrument in self._instruments:
             instrument.renew()
@@ -102,7 +102,7 @@ class SensorArray:
 
 
 def _own(part: object) -> Any:
-    """A copy of a sensor."""
+    """Return a copy of a sensor after a check."""
     if not isinstance(part, Sensor):
         raise value_error("sensors", part, "a Sensor: an object with the methods entries and read")
     check_member_names("sensors", part, ("measures",), ("measured",))
@@ -110,9 +110,9 @@ def _own(part: object) -> Any:
 
 
 class _SharedView:
-    """A view of which the quantities that sensors measure are as their instruments give them, the rest as it is.
+    """View in which each measured quantity comes from the first instrument that measures it.
 
-    Where two sensors measure a quantity, the first counts.
+    All others come from the true view.
     """
 
     def __init__(self, view: View, parts: Sequence[object]) -> None:
@@ -128,5 +128,5 @@ class _SharedView:
 
 
 def measured_names(parts: Sequence[object]) -> list[str]:
-    """Names of all that sensors measure."""
+    """Return the names of all measured quantities of sensors."""
     return [name for part in parts for name in getattr(part, "measures", DEFAULT_QUANTITIES)]

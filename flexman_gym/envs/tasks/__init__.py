@@ -1,4 +1,4 @@
-"""Tasks: where episodes start, what their goals are and what a step is worth."""
+"""Tasks: start, goal, reward and observed goal of an episode."""
 
 from dataclasses import asdict, fields
 from typing import Any
@@ -14,7 +14,7 @@ TASKS: dict[str, type[Any]] = {"slew": Slew, "track": Track, "hold": Hold}
 
 
 def find_task(value: object) -> Any:
-    """Gives the task of a name, or of a mapping with its name at "kind" and its arguments; raises ValueError."""
+    """Return a task from its name, a mapping with its name at "kind" and its arguments, or a Task object."""
     entries = {"kind": value} if isinstance(value, str) else value
     if not isinstance(entries, dict) or "kind" not in entries:
         raise value_error("task", value, f"one of {', '.join(TASKS)}, or a mapping with that at kind, or a task")
@@ -24,7 +24,11 @@ def find_task(value: object) -> Any:
 
 
 def plain_task(task: Any) -> dict[str, Any]:
-    """Return the mapping of a task, from which `find_task` makes an equal one; raise ValueError for an unnamed one."""
+    """Return the mapping of a task from which `find_task` makes an equal one.
+
+    Raises:
+        ValueError: for a task of the user's own class.
+    """
     for name, kind in TASKS.items():
         if type(task) is kind:
             return {"kind": name, **asdict(task)}
@@ -32,7 +36,7 @@ def plain_task(task: Any) -> dict[str, Any]:
 
 
 def check_task(task: Task) -> None:
-    """Refuses a task one of whose members is nearly named as an optional one."""
+    """Check that no member of a task is a misspelt optional one."""
     check_member_names("task", task, OPTIONAL_TASK_MEMBERS, TASK_MEMBERS)
 
 
