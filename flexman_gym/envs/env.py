@@ -6,7 +6,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
@@ -15,7 +14,7 @@ from flexman_gym.common.checks import whole_number
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.reset_options import check_parameters
-from flexman_gym.envs.episodes import Episodes, action_space, validate_actions
+from flexman_gym.envs.episodes import Episodes, make_spaces, validate_actions
 from flexman_gym.envs.rendering import RENDER_KEYWORDS, RENDER_MODES, make_renderer
 from flexman_gym.envs.stateful import StatefulEnv
 from flexman_gym.kernels import layout
@@ -134,19 +133,19 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
     ) -> None:
         self.render_mode, given = render_mode, (render_size, render_camera, render_gain, render_overlays)
         self._made = dict(zip(RENDER_KEYWORDS, (render_mode, *given), strict=True)) | settings
-        setup = Configuration.from_keywords(settings, RENDER_KEYWORDS)
-        model, method, step, self.choice = resolve_fidelity(setup)
-        self.simulator = Simulator(model, method, step, setup.control_period)
-        self.setup, self.task, self.torque_limit = setup, setup.task, np.array(setup.torque_limit)
-        self.episodes = Episodes(setup, self.simulator.batch)
+        configuration = Configuration.from_keywords(settings, RENDER_KEYWORDS)
+        model, method, step, self.choice = resolve_fidelity(configuration)
+        self.simulator = Simulator(model, method, step, configuration.control_period)
+        self.configuration, self.task = configuration, configuration.task
+        self.torque_limit = np.array(configuration.torque_limit)
+        self.episodes = Episodes(configuration, self.simulator.batch)
         self.sensors = self.episodes.sensors
-        self.observation_space = observation_space(self.episodes)
+        self.observation_space, self.action_space = make_spaces(self.episodes)
         size = len(self.episodes.agent.mode.names)
-        self.action_space = action_space(size)
         self.metadata = FlexManEnv.metadata | {"render_fps": round(1 / self.simulator.control_period)}
         self._shape = (size,)
         self._allowed = f"{size} numbers from -1 to 1"
-        self._rendering = make_renderer(render_mode, self.episodes, setup.id, given)
+        self._rendering = make_renderer(render_mode, self.episodes, configuration.id, given)
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -155,7 +154,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
 
     @spec.setter
     def spec(self, given: EnvSpec | None) -> None:
-        steps = math.ceil(self.setup.longest / self.setup.action_repeat)
+        steps = math.ceil(self.configuration.max_periods / self.configuration.action_repeat)
         self._spec = None if given is None else replace(given, max_episode_steps=steps)
 
     def reset(
@@ -235,9 +234,3 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         if estimates := getattr(episodes.base, "estimates", None):
             info["estimates"] = {name: values[0].copy() for name, values in estimates.items()}
         return info
-
-
-def observation_space(episodes: Episodes) -> spaces.Space[Any]:
-    """Return the observation space of one arm."""
-    bound = episodes.agent.bound(episodes.sensors.bound)
-    return spaces.Box(-bound, bound, dtype=np.float32)

@@ -11,39 +11,26 @@ from gymnasium import spaces
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import number_array, one_of, value_error
 from flexman_gym.common.snapshot import get_state, set_state
-from flexman_gym.control.actions import ActionMode, make_action_mode
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import Controller, EpisodeInfo
 from flexman_gym.envs.active_effects import ActiveEffects
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.reset_options import parse_reset_options, replace_tip_positions
-from flexman_gym.envs.config.specification import make_base_controller, make_plant
+from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.envs.effects import EffectContext
 from flexman_gym.envs.limits import limit_violation
 from flexman_gym.envs.measurements import Measurements
 from flexman_gym.envs.sensors import SensorArray, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import MeasuredView
-from flexman_gym.envs.tasks.rewards import reward_terms, sum_terms
-from flexman_gym.envs.tasks.task import goal_path
+from flexman_gym.envs.tasks import Task
+from flexman_gym.envs.tasks.rewards import make_reward_terms, sum_terms
 from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.control_period import all_within, apply_actions, count_episode_periods, flag_violations
-from flexman_gym.model.model import Model
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.trajectory import energy_alarm
 
 ROUNDING = 1e-6  # of float32 and of what is computed in it, on numbers near 1
-
-
-def action_space(size: int) -> spaces.Space[Any]:
-    """Return the action space of one arm, for a number of values."""
-    return spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
-
-
-def make_base_and_mode(setup: Configuration, model: Model) -> tuple[Controller | None, ActionMode]:
-    """Return base controller and action mode of the agent of an environment, designed for a model of its arm."""
-    base = make_base_controller(setup, model)
-    return base, make_action_mode(setup.actions, make_plant(setup, model), base)
 
 
 def validate_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:
@@ -115,25 +102,25 @@ class Episodes:
 
     kept = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "_ages", "_failed")
 
-    def __init__(self, setup: Configuration, batch: Batch) -> None:
-        self.batch, self.task, self.view = batch, setup.task, View(batch)
-        self._reward_terms = reward_terms(setup.task, setup.reward)
+    def __init__(self, configuration: Configuration, batch: Batch) -> None:
+        self.batch, self.task, self.view = batch, configuration.task, View(batch)
+        self._reward_terms = make_reward_terms(configuration.task, configuration.reward)
         self._terms: dict[str, Number] | None = None  # of the present state, once they are needed
         self._present: View | None = None
         arms = len(batch.rows)
-        self._limits = np.concatenate(list(setup.limits.bounds(self.view).values()))
-        self.motors = _Motors(setup.torque_limit, arms, setup.lag)
-        base, mode = make_base_and_mode(setup, batch.model)
-        observed, inner = [*setup.sensors, *setup.task.sensors], find_sensors(mode.sensors)
-        self.effects = self._effects(setup, [*observed, *inner])
-        self.measurements = Measurements(self.view, setup.limits, observed, inner, self.effects)
+        self._limits = np.concatenate(list(configuration.limits.bounds(self.view).values()))
+        self.motors = _Motors(configuration.torque_limit, arms, configuration.lag)
+        base, mode = make_base_and_mode(configuration, batch.model)
+        observed, inner = [*configuration.sensors, *configuration.task.sensors], find_sensors(mode.sensors)
+        self.effects = self._effects(configuration, [*observed, *inner])
+        self.measurements = Measurements(self.view, configuration.limits, observed, inner, self.effects)
         size = len(self.measurements.sensors.bound)
-        self.agent = Agent(observed, size, mode, base, setup.history, setup.action_repeat)
-        self.agent.allocate(arms, setup.control_period)
-        self._energy_alarm, self._told = setup.energy_alarm, setup.tell
-        for name in setup.tell:
-            one_of("tell", name, (*self.view.units, "action"))
-        self.longest = self._path = setup.longest
+        self.agent = Agent(observed, size, mode, base, configuration.history, configuration.action_repeat)
+        self.agent.allocate(arms, configuration.control_period)
+        self._energy_alarm, self._info_keys = configuration.energy_alarm, configuration.info_keys
+        for name in configuration.info_keys:
+            one_of("info_keys", name, (*self.view.units, "action"))
+        self.longest = self._path = configuration.max_periods
         self.watch: Callable[[], None] | None = None
         self.failures: dict[int, str] = {}
         self.over, self.truncated = np.ones(arms, dtype=bool), np.zeros(arms, dtype=bool)
@@ -141,15 +128,15 @@ class Episodes:
         self._ages, self._beyond = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=bool)
         self._all = np.ones(arms, dtype=bool)
 
-    def _effects(self, setup: Configuration, sensors: Sequence[object]) -> ActiveEffects | None:
+    def _effects(self, configuration: Configuration, sensors: Sequence[object]) -> ActiveEffects | None:
         """Return the effects of the randomisation and of the task; None without any."""
-        randomisation = setup.disturbed
+        randomisation = configuration.disturbances
         if randomisation is None:
             return None
-        bound = MeasuredView(self.view, setup.limits, measured_names(sensors)).bound
-        nominal = np.array(setup.torque_limit)
-        stage = EffectContext(self.batch, setup.limits, bound, self.motors.limits, nominal, randomisation.impulse_gap)
-        return ActiveEffects(randomisation, stage)
+        bound = MeasuredView(self.view, configuration.limits, measured_names(sensors)).bound
+        nominal = np.array(configuration.torque_limit)
+        gap, limits = randomisation.impulse_gap, configuration.limits
+        return ActiveEffects(randomisation, EffectContext(self.batch, limits, bound, self.motors.limits, nominal, gap))
 
     @property
     def base(self) -> Controller | None:
@@ -259,7 +246,7 @@ class Episodes:
     def _begin_agent(self, arms: IntArray, plan: Mapping[str, Array], posture: Array) -> None:
         """Start new episodes of the agent for the arms (r,), with plans (r, ...) and first goals (r, n), rad."""
         task, view = self.task, self.view
-        path = partial(goal_path, task, plan, self._path, view) if task.moves else None
+        path = partial(_goal_path, task, plan, self._path, view) if task.moves else None
         drawn = {name: values[arms] for name, values in self.effects.drawn.items()} if self.effects else {}
         self.agent.reset(arms, EpisodeInfo(plan["start"], posture, view.control_period, path, drawn), len(self.over))
 
@@ -397,5 +384,19 @@ class Episodes:
             "energy_alarm": energy_alarm(residual, view.energy_turnover, self._energy_alarm),
             "reward_terms": dict(self.terms),
             **{name: copy(value) for name, value in self.task.info(view).items()},  # what a view has goes on
-            **{name: copy(getattr(view, name)) for name in self._told},
+            **{name: copy(getattr(view, name)) for name in self._info_keys},
         }
+
+
+def make_spaces(episodes: Episodes) -> tuple[spaces.Box, spaces.Box]:
+    """Return the observation space and the action space of one arm."""
+    bound = episodes.agent.bound(episodes.sensors.bound)
+    size = len(episodes.agent.mode.names)
+    return spaces.Box(-bound, bound, dtype=np.float32), spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
+
+
+def _goal_path(task: Task, plan: Mapping[str, Array], periods: int, view: View) -> Array:
+    """Return the goal postures (r, T + 1, n), rad, over T control periods of episodes with plans (r, ...), by name."""
+    count, times = len(next(iter(plan.values()))), view.control_period * np.arange(periods + 1.0)
+    alike = [{name: np.repeat(each[i : i + 1], len(times), 0) for name, each in plan.items()} for i in range(count)]
+    return np.array([task.goal(each, times, view).angles for each in alike])

@@ -73,7 +73,9 @@ def limit_violation(values: Array, bound: Array, places: dict[str, slice], units
 
 
 def find_limits(value: object) -> Limits:
-    """Return Limits from a mapping of their values."""
+    """Return Limits from a mapping of their values, or a Limits as it is."""
+    if isinstance(value, Limits):
+        return value
     names = [each.name for each in fields(Limits)]
     if not isinstance(value, dict):
         raise value_error("limits", value, f"a mapping with some of {', '.join(names)}, or Limits")

@@ -1,5 +1,6 @@
 """Base class of both environments: saving, restoring, copying and pickling of the complete state."""
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.snapshot import get_state, set_state
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
 
 Observations = NDArray[np.float32]
@@ -22,9 +24,16 @@ class StatefulEnv:
 
     kept: ClassVar[tuple[str, ...]]
     spaces: ClassVar[tuple[str, ...]]
+    configuration: Configuration
     episodes: Episodes
     spec: Any
     _made: dict[str, Any]  # arguments of the constructor
+
+    @property
+    def setup(self) -> Configuration:
+        """Deprecated name of `configuration`."""
+        warnings.warn("setup is deprecated; give configuration", DeprecationWarning, stacklevel=2)
+        return self.configuration
 
     def get_state(self) -> dict[str, Any]:
         """Return the complete state as dicts and lists of arrays and plain data.

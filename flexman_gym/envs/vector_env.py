@@ -15,8 +15,8 @@ from flexman_gym.common.checks import one_of, sequence, value_error, whole_numbe
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.reset_options import check_parameters
-from flexman_gym.envs.env import MAX_SEED, FlexManEnv, observation_space
-from flexman_gym.envs.episodes import Episodes, action_space, validate_actions
+from flexman_gym.envs.env import MAX_SEED, FlexManEnv
+from flexman_gym.envs.episodes import Episodes, make_spaces, validate_actions
 from flexman_gym.envs.rendering import RENDER_KEYWORDS, make_renderer
 from flexman_gym.envs.stateful import Observations, StatefulEnv
 from flexman_gym.kernels import layout
@@ -116,22 +116,22 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         self.render_mode, look = render_mode, (render_size, render_camera, render_gain, render_overlays)
         given = num_envs, threads, max_episode_steps, autoreset_mode, infos, seed_stride, render_mode, *look
         self._made = dict(zip(OWN_KEYWORDS, given, strict=True)) | settings
-        setup = Configuration.from_keywords(settings, OWN_KEYWORDS)
-        model, method, step, self.choice = resolve_fidelity(setup)
-        period = setup.control_period
+        configuration = Configuration.from_keywords(settings, OWN_KEYWORDS)
+        model, method, step, self.choice = resolve_fidelity(configuration)
+        period = configuration.control_period
         self.batch = Batch(model, method, step, period, arms=num_envs, threads=threads)
-        self.setup, self.task, self.torque_limit = setup, setup.task, np.array(setup.torque_limit)
-        self.episodes = Episodes(setup, self.batch)
-        self._rendering = make_renderer(render_mode, self.episodes, setup.id, look, ("rgb_array",))
+        self.configuration, self.task = configuration, configuration.task
+        self.torque_limit = np.array(configuration.torque_limit)
+        self.episodes = Episodes(configuration, self.batch)
+        self._rendering = make_renderer(render_mode, self.episodes, configuration.id, look, ("rgb_array",))
         if max_episode_steps is not None:
-            self.episodes.longest = setup.action_repeat * whole_number(
+            self.episodes.longest = configuration.action_repeat * whole_number(
                 "max_episode_steps", max_episode_steps, 1, MAX_STEPS
             )
-        self.max_episode_steps = -(-self.episodes.longest // setup.action_repeat)
+        self.max_episode_steps = -(-self.episodes.longest // configuration.action_repeat)
         self.sensors = self.episodes.sensors
-        self.single_observation_space = observation_space(self.episodes)
+        self.single_observation_space, self.single_action_space = make_spaces(self.episodes)
         size = len(self.episodes.agent.mode.names)
-        self.single_action_space = action_space(size)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode, "render_fps": round(1 / period)}

@@ -11,7 +11,7 @@ from flexman_gym.simulation.external_simulator import ExternalIntegrator, Refine
 from flexman_gym.simulation.parameters import parameters_from_constants, varied_constants
 
 PERIOD, ARMS = 0.02, 3
-ARM = NAMED_ENVIRONMENTS["FlexRRR-v0"].arm()
+ARM = NAMED_ENVIRONMENTS["FlexRRR-v0"].arm
 FULL = fm.build_model(ARM, 2, stiffening=True)
 USUAL = fm.build_model(ARM, 2, (4, 4, 5))
 OWN = {

@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 
 from flexman_gym.common.arrays import Array
+from flexman_gym.control.actions import ActionMode, make_action_mode
 from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.controller import Controller, Plant
 from flexman_gym.control.pd import PD
@@ -30,7 +31,7 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
         configuration: configuration of the environment.
         model: model of the design.
     """
-    drawn = configuration.disturbed.ranges if configuration.disturbed else {}
+    drawn = configuration.disturbances.ranges if configuration.disturbances else {}
     fewest, most = drawn.get("delay", (0, 0))
     longest_step = NAMED_ENVIRONMENTS[configuration.id].longest_step
     return Plant(
@@ -52,7 +53,7 @@ def make_controller(configuration: Configuration, base: object, model: Model) ->
     return make_base(base, make_plant(configuration, model))
 
 
-def make_base_controller(configuration: Configuration, model: Model) -> Controller | None:
+def _make_base_controller(configuration: Configuration, model: Model) -> Controller | None:
     """Return the base controller of an environment for its model; None without one.
 
     A PD controller that sampling and delay make unstable causes a UserWarning.
@@ -61,11 +62,17 @@ def make_base_controller(configuration: Configuration, model: Model) -> Controll
     if not isinstance(base, str | dict):
         return base
     result = make_controller(configuration, base, model)
-    period, delay = configuration.control_period, configuration.latest_delay
+    period, delay = configuration.control_period, configuration.max_delay
     message = result.unstable(model, period, delay) if isinstance(result, PD) else ""
     if message:
         warnings.warn(message, stacklevel=2)
     return result
+
+
+def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Controller | None, ActionMode]:
+    """Return base controller and action mode of the agent of an environment, designed for a model of its arm."""
+    base = _make_base_controller(configuration, model)
+    return base, make_action_mode(configuration.actions, make_plant(configuration, model), base)
 
 
 def _measured(configuration: Configuration, model: Model, noise: float) -> dict[str, Array]:

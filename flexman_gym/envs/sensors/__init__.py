@@ -31,11 +31,11 @@ SENSORS: dict[str, Callable[[], Sensor]] = {
     "command": GoalCommand,
     "action": LastAction,
 }
-"""Sensors that have a name: name -> what makes one."""
+"""Named sensors: name -> function that returns one."""
 SENSOR_SETS = {"lab": ("motor_encoders", "joint_encoders", "strain", "command")}
 """Sets of sensors: name -> names in `SENSORS`."""
 SENSOR_NAMES = (*SENSORS, *SENSOR_SETS)
-"""All names that the keyword `sensors` of an environment takes."""
+"""All names for the setting `sensors` of an environment."""
 
 
 def find_sensors(value: object) -> tuple[object, ...]:
@@ -93,7 +93,7 @@ def _plain(part: object) -> Any:
         if isinstance(part, Instrument) and perfect == part.sensor:
             both = {each: getattr(part.flaws, each) for each in FLAWS}
             return {"kind": name, **{each: value for each, value in both.items() if value != getattr(own, each)}}
-    raise value_error("sensors", part, "something with a name: an object of one's own cannot be kept in a file")
+    raise value_error("sensors", part, "a sensor with a name; a file cannot hold an object of the user")
 
 
 __all__ = [

@@ -114,12 +114,6 @@ class MeasuredView:
         self.tip_vibration = np.sqrt(row_dots(self.deflection_rate, self.deflection_rate))
 
 
-def derived_quantities(names: Sequence[str], view: View) -> list[str]:
-    """Return names of quantities together with those derived from them."""
-    derived = [each for name in names for each in DERIVED.get(name, ())]
-    return [*names, *derived, *(view.places if "motion" in names else ())]
-
-
 def measurement_ranges(view: View, limits: Limits) -> dict[str, Array]:
     """Return the largest measured magnitude of each quantity, by name; its limit where it has one."""
     limited, n = limits.bounds(view), view.n_joints

@@ -11,7 +11,7 @@ from flexman_gym.common.checks import check_member_names, value_error
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.random_streams import RandomStreams
 from flexman_gym.envs.sensors.instrument import Instrument
-from flexman_gym.envs.sensors.sensor import DEFAULT_QUANTITIES, Sensor, derived_quantities
+from flexman_gym.envs.sensors.sensor import DEFAULT_QUANTITIES, DERIVED, Sensor
 from flexman_gym.envs.view import View
 
 
@@ -119,7 +119,7 @@ class _SharedView:
         self._view, self._sources = view, dict[str, object]()
         for part in parts:
             source = part if isinstance(part, Instrument) else view
-            for name in derived_quantities(getattr(part, "measures", DEFAULT_QUANTITIES), view):
+            for name in _with_derived(getattr(part, "measures", DEFAULT_QUANTITIES), view):
                 self._sources.setdefault(name, source)
 
     def __getattr__(self, name: str) -> Any:
@@ -130,3 +130,9 @@ class _SharedView:
 def measured_names(parts: Sequence[object]) -> list[str]:
     """Return the names of all measured quantities of sensors."""
     return [name for part in parts for name in getattr(part, "measures", DEFAULT_QUANTITIES)]
+
+
+def _with_derived(names: Sequence[str], view: View) -> list[str]:
+    """Return names of quantities together with those derived from them."""
+    derived = [each for name in names for each in DERIVED.get(name, ())]
+    return [*names, *derived, *(view.places if "motion" in names else ())]

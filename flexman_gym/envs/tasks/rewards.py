@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array, row_dots
-from flexman_gym.common.checks import finite, mapping, short_repr, text, value_error
+from flexman_gym.common.checks import mapping, short_repr
 from flexman_gym.envs.view import Number, View
 
 NEAR, FAR, LOOK_AHEAD = 1.0 / 425.0, 1.0 / 1.7, 0.1  # of the reach, and s
@@ -30,16 +30,7 @@ def distance_reward(view: View, velocity: Array) -> Number:
     return 1.0 - np.log1p(square / near**2) / np.log1p((far / near) ** 2)
 
 
-def checked_reward(value: object) -> Any:
-    """Return the weights of reward terms as a dict, a reward function, or None, after a check."""
-    if isinstance(value, dict):
-        return {text("a key of reward", name): finite(f"reward.{name}", each) for name, each in value.items()}
-    if value is not None and not callable(value):
-        raise value_error("reward", value, "None, a mapping of weights of the task's terms, or a function of a View")
-    return value
-
-
-def reward_terms(task: Any, reward: Any) -> Callable[[View], dict[str, Number]]:
+def make_reward_terms(task: Any, reward: Any) -> Callable[[View], dict[str, Number]]:
     """Return the function that computes the reward terms of a View.
 
     Args:
@@ -52,12 +43,12 @@ def reward_terms(task: Any, reward: Any) -> Callable[[View], dict[str, Number]]:
     if not isinstance(reward, dict):
         return lambda view: {"own": _own(reward, view)}
 
-    def weighed(view: View) -> dict[str, Number]:
+    def weighted(view: View) -> dict[str, Number]:
         terms = task.reward_terms(view)
         mapping("reward", reward, terms)
         return {name: reward.get(name, 1.0) * each for name, each in terms.items()}
 
-    return weighed
+    return weighted
 
 
 def sum_terms(terms: Mapping[str, Number]) -> Number:

@@ -73,10 +73,3 @@ class Task(Protocol):
     def info(self, view: View) -> dict[str, Number]:
         """Return the task's own entries of `info`; {} for none."""
         ...
-
-
-def goal_path(task: Task, plan: Mapping[str, Array], periods: int, view: View) -> Array:
-    """Return the goal postures (r, T + 1, n), rad, over T control periods of episodes with plans (r, ...), by name."""
-    count, times = len(next(iter(plan.values()))), view.control_period * np.arange(periods + 1.0)
-    alike = [{name: np.repeat(each[i : i + 1], len(times), 0) for name, each in plan.items()} for i in range(count)]
-    return np.array([task.goal(each, times, view).angles for each in alike])
