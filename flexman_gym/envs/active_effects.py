@@ -34,28 +34,28 @@ class ActiveEffects:
 
     kept = ("drawn", "_streams", "_signals")
 
-    def __init__(self, randomisation: Randomisation, stage: EffectContext) -> None:
-        self._batch, self._ranges = stage.batch, randomisation.ranges
-        model, arms, period = stage.batch.model, len(stage.batch.rows), stage.batch.control_period
-        if stage.impulse_gap < period:
+    def __init__(self, randomisation: Randomisation, context: EffectContext) -> None:
+        self._batch, self._ranges = context.batch, randomisation.ranges
+        model, arms, period = context.batch.model, len(context.batch.rows), context.batch.control_period
+        if context.impulse_gap < period:
             raise value_error(
-                "Randomisation.impulse_gap", stage.impulse_gap, f"at least the control period, {period} s"
+                "Randomisation.impulse_gap", context.impulse_gap, f"at least the control period, {period} s"
             )
         self._signals: dict[str, Any] = {}
         shapes: dict[str, tuple[int, ...]] = {}
         for name, span in self._ranges.items():
             if name in PARAMETERS:
-                _check_room(name, span, model)
+                _check_parameter(name, span, model)
                 shapes[name] = PARAMETERS[name].shape(model.n_joints)
             else:
-                signal = self._signals[name] = SIGNALS[name](stage, span)
+                signal = self._signals[name] = SIGNALS[name](context, span)
                 check_member_names(name, signal, HOOKS, ("checked", "shape", "draw"))
                 if signal.shape is not None:
                     shapes[name] = signal.shape
         kinds = {name: signal.kind for name, signal in self._signals.items()}
         self.drawn = {name: np.zeros((arms, *shape), dtype=kinds.get(name, float)) for name, shape in shapes.items()}
         self._streams = RandomStreams([_stream_name(name) for name in self._ranges], arms)
-        self._hooks = {hook: self._with(hook) for hook in HOOKS}
+        self._hooks = {hook: self._find_hooks(hook) for hook in HOOKS}
 
     @property
     def drawn(self) -> dict[str, NDArray[Any]]:
@@ -66,9 +66,9 @@ class ActiveEffects:
     def drawn(self, values: dict[str, NDArray[Any]]) -> None:
         self._drawn = {
             RENAMED_PARAMETERS.get(name, name): each for name, each in values.items()
-        }  # states of release 0.2
+        }  # saved states of release 0.2 have the old names
 
-    def _with(self, hook: str) -> list[Any]:
+    def _find_hooks(self, hook: str) -> list[Any]:
         """Return the hooks of that name; for `begin` together with the name of the effect."""
         result = [(name, getattr(signal, hook)) for name, signal in self._signals.items() if hasattr(signal, hook)]
         return result if hook == "begin" else [method for _, method in result]
@@ -89,7 +89,7 @@ class ActiveEffects:
         """
         self.drawn = {name: values.copy() for name, values in self.drawn.items()}
         for row, (arm, random) in enumerate(zip(arms.tolist(), randoms, strict=True)):
-            streams = self._streams.of(arm, random)
+            streams = self._streams.generators(arm, random)
             for name in self._ranges:
                 value = self._value(name, arm, streams[_stream_name(name)])
                 if name in self.drawn:
@@ -107,14 +107,14 @@ class ActiveEffects:
         drawn = values * nominal if row.factor else values
         return np.where(row.fixed(model), nominal, drawn) if nominal.shape else drawn
 
-    def of(self, arm: int) -> dict[str, Any]:
+    def drawn_for(self, arm: int) -> dict[str, Any]:
         """Return the drawn values of one arm as new numbers and arrays."""
         drawn = {name: values[arm] for name, values in self.drawn.items()}
         return {name: value.item() if value.ndim == 0 else value.copy() for name, value in drawn.items()}
 
-    def follow(self, randoms: Sequence[np.random.Generator | None]) -> None:
+    def set_generators(self, randoms: Sequence[np.random.Generator | None]) -> None:
         """Set the generators of all arms to which the restored streams belong."""
-        self._streams.follow(randoms)
+        self._streams.set_generators(randoms)
 
     def change_start(self, arms: IntArray, states: Array) -> None:
         """Change the initial states (r, 2 d) of the arms (r,) in place."""
@@ -123,8 +123,8 @@ class ActiveEffects:
 
     def motor_actions(self, actions: Array) -> Array:
         """Return the actions (b, n) that reach the motors."""
-        for arriving in self._hooks["motor_actions"]:
-            actions = arriving(actions)
+        for hook in self._hooks["motor_actions"]:
+            actions = hook(actions)
         return actions
 
     def disturb(self, forces: Array, accelerations: Array, over: BoolArray) -> None:
@@ -155,7 +155,7 @@ def _stream_name(effect: str) -> str:
     return effect.removesuffix("_factor")
 
 
-def _check_room(name: str, span: tuple[float, float], model: Model) -> None:
+def _check_parameter(name: str, span: tuple[float, float], model: Model) -> None:
     """Check that the model has the parameter."""
     row, field = PARAMETERS[name], f"Randomisation.{range_name(name)}"
     if row.of == LINK and not (np.diff(model.constants.elastic_start) > 0).any():
@@ -163,4 +163,4 @@ def _check_room(name: str, span: tuple[float, float], model: Model) -> None:
     if row.shape(model.n_joints) and row.fixed(model).all():
         raise value_error(field, span, f"None: every joint of this arm is {row.lacking}")
     if row.factor and not np.any(row.nominal(model)):
-        raise value_error(field, span, "None: this arm has none of it, of which a factor is a part")
+        raise value_error(field, span, "None: the nominal value of this arm is zero")

@@ -21,7 +21,7 @@ from flexman_gym.kernels import layout
 from flexman_gym.simulation.simulator import Simulator
 
 Observation = NDArray[np.float32]
-SINGLE_ARM = np.zeros(1, dtype=np.int64)  # the index of the arm
+SINGLE_ARM = np.zeros(1, dtype=np.int64)  # index of the only arm
 MAX_SEED = 2**128 - 1
 
 
@@ -176,7 +176,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         """
         whole = None if seed is None else whole_number("seed", seed, 0, MAX_SEED)
         check_parameters(options, self.simulator.batch)
-        with self._undoing(options):
+        with self._restored_on_error(options):
             super().reset(seed=whole)
             self.episodes.reset(SINGLE_ARM, [self.np_random], options)
         self._show()
@@ -198,8 +198,8 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         values = validate_actions("action", action, self._shape, self._allowed)
         reward, info = episodes.step(values[None]).item(), self._info()
         self._show()
-        seen = episodes.agent.observations[0].copy()
-        return seen, reward, bool(episodes.failures), bool(episodes.truncated[0]), info
+        observation = episodes.agent.observations[0].copy()
+        return observation, reward, bool(episodes.failures), bool(episodes.truncated[0]), info
 
     def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
         return [own["_np_random"]]
@@ -207,7 +207,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
     def render(self) -> NDArray[np.uint8] | None:
         """Return a frame (height, width, 3) uint8 of the deformed arm and the target."""
         if self.render_mode == "human":
-            return None  # every step has been shown
+            return None  # every step is shown
         if self._rendering is None:
             gym.logger.warn('render() needs render_mode="rgb_array" in gym.make')
             return None
@@ -230,7 +230,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         info["failure"] = episodes.failures.get(0, "")
         info["tip"], info["target"], info["goal_angles"] = view.tip.copy(), view.target.copy(), view.goal_angles.copy()
         if episodes.effects is not None:
-            info["drawn"] = episodes.effects.of(0)
+            info["drawn"] = episodes.effects.drawn_for(0)
         if estimates := getattr(episodes.base, "estimates", None):
             info["estimates"] = {name: values[0].copy() for name, values in estimates.items()}
         return info

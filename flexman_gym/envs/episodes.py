@@ -30,7 +30,7 @@ from flexman_gym.kernels.control_period import all_within, apply_actions, count_
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.trajectory import energy_alarm
 
-ROUNDING = 1e-6  # of float32 and of what is computed in it, on numbers near 1
+ROUNDING = 1e-6  # largest rounding error of float32 actions near 1
 
 
 def validate_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:
@@ -71,7 +71,7 @@ class _Motors:
         self.torques, self.forces = self.drive[:, :joints], self.drive[:, joints : joints + 3]
         self.accelerations = self.drive[:, joints + 3 :]
 
-    def followed(self, actions: Array) -> Array:
+    def lagged(self, actions: Array) -> Array:
         """Return the mean torques (b, n) of a control period for commands (b, n), both as fractions of the limits.
 
         Drives with a bandwidth follow a command with a lag; see `control.margins.first_order_lag`.
@@ -95,7 +95,7 @@ class Episodes:
         effects: effects of the randomisation and of the task; None for none.
         failures: arm -> cause, of the last step.
         over: (b,) True for an arm without a running episode.
-        truncated: (b,) True for an episode that ended after `longest` control periods.
+        truncated: (b,) True for an episode that ended after `max_periods` control periods.
         longest: control periods after which an episode is truncated.
         watch: function called after every control period, also within an action repeat; None for none.
     """
@@ -105,7 +105,7 @@ class Episodes:
     def __init__(self, configuration: Configuration, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, configuration.task, View(batch)
         self._reward_terms = make_reward_terms(configuration.task, configuration.reward)
-        self._terms: dict[str, Number] | None = None  # of the present state, once they are needed
+        self._terms: dict[str, Number] | None = None  # of the present state, computed when needed
         self._present: View | None = None
         arms = len(batch.rows)
         self._limits = np.concatenate(list(configuration.limits.bounds(self.view).values()))
@@ -120,12 +120,12 @@ class Episodes:
         self._energy_alarm, self._info_keys = configuration.energy_alarm, configuration.info_keys
         for name in configuration.info_keys:
             one_of("info_keys", name, (*self.view.units, "action"))
-        self.longest = self._path = configuration.max_periods
+        self.max_periods = self._path = configuration.max_periods
         self.watch: Callable[[], None] | None = None
         self.failures: dict[int, str] = {}
         self.over, self.truncated = np.ones(arms, dtype=bool), np.zeros(arms, dtype=bool)
-        self._unseen, self._unbounded = np.zeros((arms, 0)), np.zeros(0)
-        self._ages, self._beyond = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=bool)
+        self._no_observations, self._no_bounds = np.zeros((arms, 0)), np.zeros(0)
+        self._ages, self._violated = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=bool)
         self._all = np.ones(arms, dtype=bool)
 
     def _effects(self, configuration: Configuration, sensors: Sequence[object]) -> ActiveEffects | None:
@@ -148,7 +148,7 @@ class Episodes:
         """Sensors of the agent."""
         return self.measurements.sensors
 
-    def give(self, data: object, agent: object, randoms: Sequence[np.random.Generator | None]) -> None:
+    def restore(self, data: object, agent: object, randoms: Sequence[np.random.Generator | None]) -> None:
         """Set the state of all arms and of the agent from their `get_state`.
 
         Args:
@@ -161,18 +161,18 @@ class Episodes:
         """
         view = self.view
         if self.effects is not None:
-            self.effects.drawn = get_state(self.effects.drawn)  # the present one may be in somebody's hands
+            self.effects.drawn = get_state(self.effects.drawn)  # a copy, as `info` may hold the present dict
         self.over[:] = True
         set_state("state.episodes", self, data)
-        if view.plan:  # a base makes again what it does not remember
+        if view.plan:  # a base computes its plan again, which is not in the state
             posture = self.task.goal(view.plan, np.zeros(len(self.over)), view).angles
             self._begin_agent(np.arange(len(self.over)), view.plan, posture)
         set_state("state.agent", self.agent, agent)
         if self.effects is not None:
-            self.effects.follow(randoms)
-        view.renew()
-        self.forget()
-        self.measurements.renew(randoms)
+            self.effects.set_generators(randoms)
+        view.refresh()
+        self.clear_cache()
+        self.measurements.refresh(randoms)
 
     @property
     def _failed(self) -> dict[str, str]:
@@ -219,7 +219,7 @@ class Episodes:
         self.view.effort[arms], self.view.failed[arms], self.view.action[arms] = 0.0, False, 0.0
         self._ages[arms], self.truncated[arms] = 0, False
         self.view.read()
-        self.forget()
+        self.clear_cache()
         self.measurements.begin(arms, randoms)
         self._check_start(arms, options)
         self._begin_agent(arms, plan, self.view.goal_angles[arms])
@@ -253,7 +253,7 @@ class Episodes:
     def _check_start(self, arms: IntArray, options: object) -> None:
         """Check that arms are within their limits after a reset."""
         for arm in arms:
-            if failure := self._broken(arm):
+            if failure := self._violation(arm):
                 field, value = ("options", options) if options else ("task", self.task)
                 raise value_error(field, value, f"a start and a goal within the limits ({failure})")
 
@@ -266,62 +266,62 @@ class Episodes:
         self.agent.command = commands
         if self.agent.action_repeat == 1:
             self._period(self._all)
-            self._judge(self._all, last=True)
+            self._end_episodes(self._all, last=True)
             self._observe(~self.view.failed if np.count_nonzero(self.view.failed) else self._all)
             return self.rewards()
-        begun = playing = ~self.over
+        begun = moving = ~self.over
         rewards, count, due = np.zeros(len(commands)), np.zeros(len(commands)), False
         while not due:
-            moving = self._all if playing.all() else playing
+            moving = self._all if moving.all() else moving
             self._period(moving)
             due = bool(self.agent.due(moving).any())
-            self._judge(moving, due)
+            self._end_episodes(moving, due)
             rows = slice(None) if moving is self._all else moving
             rewards[rows] += self.rewards()[rows]
             count[rows] += 1.0
-            playing = ~self.over
-            due |= not np.count_nonzero(playing)
+            moving = ~self.over
+            due |= not np.count_nonzero(moving)
         self._observe(begun & ~self.view.failed)
         return rewards / np.maximum(count, 1.0)
 
-    def _period(self, playing: BoolArray) -> None:
+    def _period(self, moving: BoolArray) -> None:
         """Move the arms in an episode by one control period."""
-        view, motors, everyone = self.view, self.motors, playing is self._all
+        view, motors, everyone = self.view, self.motors, moving is self._all
         actions = np.ascontiguousarray(self.agent.act(self._readings(), view.action.copy(), ~self.over))
         arriving = actions
         if self.effects is not None:
             arriving = np.ascontiguousarray(self.effects.motor_actions(actions))
             self.effects.disturb(motors.forces, motors.accelerations, self.over)
-        arriving = motors.followed(arriving)
-        apply_actions(actions, arriving, motors.limits, playing, motors.drive, view.action, view.effort)
-        self.batch.step(motors.drive, None if everyone else playing)
+        arriving = motors.lagged(arriving)
+        apply_actions(actions, arriving, motors.limits, moving, motors.drive, view.action, view.effort)
+        self.batch.step(motors.drive, None if everyone else moving)
         if self.task.moves:
-            self._move_goals(playing)
+            self._move_goals(moving)
         view.read()
-        self.forget()
-        self.measurements.sample(None if everyone else np.flatnonzero(playing))
+        self.clear_cache()
+        self.measurements.sample(None if everyone else np.flatnonzero(moving))
 
-    def _judge(self, playing: BoolArray, last: bool) -> None:
+    def _end_episodes(self, moving: BoolArray, last: bool) -> None:
         """End the episodes of moving arms that exceeded their limits or reached the horizon.
 
         After the last control period of an action the sensors are read too and compared with their bounds.
         """
         view = self.view
-        if playing is self._all and np.count_nonzero(view.failed):
+        if moving is self._all and np.count_nonzero(view.failed):
             self.failures, view.failed = {}, np.zeros_like(view.failed)
-        observations, bound = self._unseen, self._unbounded
+        observations, bound = self._no_observations, self._no_bounds
         if last:
             observations, bound = self.measurements.read(), self.sensors.bound
-        if flag_violations(view.motion, self._limits, observations, bound, self.batch.status, self._beyond):
-            self._fail(np.flatnonzero(self._beyond & playing))
-        if count_episode_periods(self._ages, playing, self.longest, self.truncated):
+        if flag_violations(view.motion, self._limits, observations, bound, self.batch.status, self._violated):
+            self._fail(np.flatnonzero(self._violated & moving))
+        if count_episode_periods(self._ages, moving, self.max_periods, self.truncated):
             self.over |= self.truncated
         if self.watch is not None:
             self.watch()
 
-    def _move_goals(self, playing: BoolArray) -> None:
+    def _move_goals(self, moving: BoolArray) -> None:
         """Set the goals of the present time and their rates, for the moving arms."""
-        view, arms = self.view, slice(None) if playing is self._all else playing
+        view, arms = self.view, slice(None) if moving is self._all else moving
         goal = self.task.goal(view.plan, self.batch.time, view)
         view.target_velocity[arms] = (goal.target[arms] - view.target[arms]) / view.control_period
         view.goal_rates[arms] = (goal.angles[arms] - view.goal_angles[arms]) / view.control_period
@@ -339,21 +339,21 @@ class Episodes:
     def _fail(self, arms: IntArray) -> None:
         for arm in arms[~self.over[arms]].tolist():
             status = self.batch.status[arm]
-            self.failures[arm] = f"the simulation {layout.STATUS[status]}" if status else self._broken(arm)
+            self.failures[arm] = f"the simulation {layout.STATUS[status]}" if status else self._violation(arm)
         self.view.failed = self.view.failed.copy()
         self.view.failed[arms] = self.over[arms] = True
 
-    def _broken(self, arm: int) -> str:
+    def _violation(self, arm: int) -> str:
         """Describe the first limit or sensor bound that an arm exceeds; "" for none."""
         view, sensors = self.view, self.sensors
-        failure = limit_violation(view.motion[arm], self._limits, view.places, view.units)
+        failure = limit_violation(view.motion[arm], self._limits, view.slices, view.units)
         return failure or limit_violation(sensors.observations[arm], sensors.bound, sensors.slices, sensors.units)
 
     @property
     def present(self) -> View:
         """View of all arms, or of the only one, whose numbers take less time than arrays of one."""
         if self._present is None:
-            self._present = self.view if len(self.over) > 1 else self.view.alone()
+            self._present = self.view if len(self.over) > 1 else self.view.single()
         return self._present
 
     @property
@@ -363,7 +363,7 @@ class Episodes:
             self._terms = self._reward_terms(self.present)
         return self._terms
 
-    def forget(self) -> None:
+    def clear_cache(self) -> None:
         """Discard quantities derived from the previous state."""
         self._terms = self._present = None
 
@@ -383,7 +383,9 @@ class Episodes:
             "energy_residual": residual,
             "energy_alarm": energy_alarm(residual, view.energy_turnover, self._energy_alarm),
             "reward_terms": dict(self.terms),
-            **{name: copy(value) for name, value in self.task.info(view).items()},  # what a view has goes on
+            **{
+                name: copy(value) for name, value in self.task.info(view).items()
+            },  # a copy, as the arrays of a view change
             **{name: copy(getattr(view, name)) for name in self._info_keys},
         }
 

@@ -42,7 +42,7 @@ class Limits:
 
     def bounds(self, view: View) -> dict[str, Array]:
         """Return the largest magnitude of each entry of `view.motion`, by the name of its part."""
-        sizes = {name: place.stop - place.start for name, place in view.places.items()}
+        sizes = {name: place.stop - place.start for name, place in view.slices.items()}
         values = {
             "motor_angles": self.angle,
             "motor_rates": self.rate,

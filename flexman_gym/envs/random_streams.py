@@ -8,7 +8,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
 
-BLOCK_SIZE = 32  # samples whose noise is drawn at once
+BLOCK_SIZE = 32  # samples per draw of noise
 TRUNCATION = 4.0  # standard deviations; noise beyond it is drawn again
 
 
@@ -25,7 +25,7 @@ class RandomStreams:
         self._parents: list[np.random.Generator | None] = [None] * arms
         self._streams: dict[str, list[Any]] = {name: [None] * arms for name in names}
 
-    def of(self, arm: int, random: np.random.Generator) -> dict[str, np.random.Generator]:
+    def generators(self, arm: int, random: np.random.Generator) -> dict[str, np.random.Generator]:
         """Return the generators of an arm by name; a new `random` makes new ones."""
         if self._parents[arm] is not random:
             self._parents[arm] = random
@@ -33,7 +33,7 @@ class RandomStreams:
                 streams[arm] = _stream(random, name)
         return {name: streams[arm] for name, streams in self._streams.items()}
 
-    def follow(self, randoms: Sequence[np.random.Generator | None]) -> None:
+    def set_generators(self, randoms: Sequence[np.random.Generator | None]) -> None:
         """Set the generators of all arms to which the restored streams belong."""
         self._parents = list(randoms)
 

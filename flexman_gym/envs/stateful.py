@@ -64,7 +64,7 @@ class StatefulEnv:
         for name, random in {**own, **spaces}.items():
             if not isinstance(random, list | int | np.random.Generator | None):
                 raise value_error(f"state.{name}", random, "what get_state gave")
-        self.episodes.give(state["episodes"], state["agent"], self._generators(own))
+        self.episodes.restore(state["episodes"], state["agent"], self._generators(own))
         for name, value in own.items():
             setattr(self, name, value)
         for name, random in spaces.items():
@@ -72,7 +72,7 @@ class StatefulEnv:
         return self.episodes.agent.observations.copy()
 
     @contextmanager
-    def _undoing(self, options: object) -> Iterator[None]:
+    def _restored_on_error(self, options: object) -> Iterator[None]:
         """Restore the state if a reset with options fails; its episodes are over then.
 
         Without options the task has drawn a bad start, and the next reset should draw another one.
@@ -88,13 +88,13 @@ class StatefulEnv:
             raise
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        return _made_again(type(self), deepcopy(self._made, memo), self.spec, self.get_state())
+        return _restored(type(self), deepcopy(self._made, memo), self.spec, self.get_state())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _made_again, (type(self), self._made, self.spec, self.get_state())  # for pickle
+        return _restored, (type(self), self._made, self.spec, self.get_state())  # for pickle
 
     def __copy__(self) -> Self:
-        return deepcopy(self)  # two environments never share arms
+        return deepcopy(self)  # also for a shallow copy: two environments never share arms
 
     def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
         """Return the generator of each arm among the restored values."""
@@ -119,7 +119,7 @@ def _renamed(state: Any, command: Array) -> Any:
     return state | {"episodes": episodes | {"measurements": sight}, "agent": state.pop("acting") | own}
 
 
-def _made_again(kind: type[Any], made: dict[str, Any], spec: Any, state: dict[str, Any]) -> Any:
+def _restored(kind: type[Any], made: dict[str, Any], spec: Any, state: dict[str, Any]) -> Any:
     """Return an environment with the arguments and the state of another one."""
     other = kind(**made)
     other.spec = spec

@@ -56,7 +56,7 @@ MAX_STEPS = 10**9  # steps of an episode
 INFO_MODES = ("always", "at end")
 MAX_SEED_STRIDE = 10**12
 OWN_KEYWORDS = ("num_envs", "threads", "max_episode_steps", "autoreset_mode", "infos", "seed_stride", *RENDER_KEYWORDS)
-INDEXED_ATTRIBUTES = ("render", "np_random", "np_random_seed")  # what has an entry for each arm already
+INDEXED_ATTRIBUTES = ("render", "np_random", "np_random_seed")  # attributes with an entry for each arm
 
 
 class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
@@ -125,10 +125,10 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         self.episodes = Episodes(configuration, self.batch)
         self._rendering = make_renderer(render_mode, self.episodes, configuration.id, look, ("rgb_array",))
         if max_episode_steps is not None:
-            self.episodes.longest = configuration.action_repeat * whole_number(
+            self.episodes.max_periods = configuration.action_repeat * whole_number(
                 "max_episode_steps", max_episode_steps, 1, MAX_STEPS
             )
-        self.max_episode_steps = -(-self.episodes.longest // configuration.action_repeat)
+        self.max_episode_steps = -(-self.episodes.max_periods // configuration.action_repeat)
         self.sensors = self.episodes.sensors
         self.single_observation_space, self.single_action_space = make_spaces(self.episodes)
         size = len(self.episodes.agent.mode.names)
@@ -165,7 +165,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
             options = dict(options)
             mask = self._checked_mask(options.pop("reset_mask"))
         arms = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
-        with self._undoing(options):
+        with self._restored_on_error(options):
             for arm in arms:
                 if seeds[arm] is not None:
                     self._randoms[arm], self._seeds[arm] = seeding.np_random(seeds[arm])

@@ -1,5 +1,6 @@
 """View: named arrays of the state of many arms, the input of sensors, tasks and limits."""
 
+import warnings
 from collections.abc import Iterable
 from functools import cached_property
 from typing import Any
@@ -9,21 +10,32 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.control_period import fill_views, sparse_product
-from flexman_gym.kernels.rigid_arm import inverse_kinematics
+from flexman_gym.kernels.rigid_arm import inverse_kinematics as solve_inverse_kinematics
 from flexman_gym.model.deformation import gauge_radii
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurements
 from flexman_gym.model.statics import rest_states, rest_tips
 from flexman_gym.simulation.batch import Batch
 
-REACHED, SLOPE = 1e-9, 1e-4  # of the reach: a place that is reached; slopes of the tip that turn no joint
-Number = Any  # (b,), or a number of a single arm; only arithmetic and NumPy's functions are used on it
+# inverse kinematics, fractions of the reach: accepted distance; singular values of the Jacobian that are damped
+TIP_TOLERANCE, DAMPED_SINGULAR_VALUE = 1e-9, 1e-4
+Number = Any  # (b,), or a number for a single arm; supports arithmetic and the functions of NumPy
+
+
+def _deprecated(old: str, name: str) -> property:
+    """Return the property of a deprecated name of an attribute or a method of a View."""
+
+    def value(view: "View") -> Any:
+        warnings.warn(f"View.{old} is deprecated; give {name}", DeprecationWarning, stacklevel=2)
+        return getattr(view, name)
+
+    return property(value, doc=f"Deprecated name of `{name}`.")
 
 
 class View:
     """State and goals of b arms with n links, as named arrays (b, ...).
 
-    `alone()` returns a view with the same names without the axis of the arms, and numbers in place of (b,); code with
+    `single()` returns a view with the same names without the axis of the arms, and numbers in place of (b,); code with
     `...` and `axis=-1` works on both. `read` computes all arrays from the present state. The environment writes goals
     into `goal_angles`, `target` and `plan`, and the results of a step into `action`, `effort` and `failed`.
 
@@ -31,7 +43,7 @@ class View:
         n_joints: number of joints n.
         reach: sum of the lengths of the links, m.
         lengths: (n,) lengths of the links, m.
-        heavy: True for an arm under gravity.
+        has_gravity: True for an arm under gravity.
         gauge_radii: (n, 3) distances of the gauges of `root_strains` from the axis of the link, m.
         control_period: s.
         state: (b, 2 d) generalised coordinates and their rates, in the order of `kernels.layout`.
@@ -49,7 +61,7 @@ class View:
         deflection_rate: (b, 3) rate of the deflection, m/s.
         motion: (b, 8 n + 3) all quantities with limits side by side: from motor_angles to link_deflection_rates in the
             order above, then tip_velocity.
-        places: name -> slice of `motion`.
+        slices: name -> slice of `motion`.
         units: name -> unit of each quantity that an instrument can measure.
         goal_angles: (b, n) goal of the motor angles, rad.
         goal_rates: (b, n) mean rate of the goal angles in the last control period, rad/s.
@@ -67,6 +79,8 @@ class View:
         failed: (b,) True where the last step ended the episode by a limit or a divergence.
     """
 
+    alone, heavy = _deprecated("alone", "single"), _deprecated("heavy", "has_gravity")
+    places, reaching = _deprecated("places", "slices"), _deprecated("reaching", "inverse_kinematics")
     kept = ("goal_angles", "goal_rates", "target", "target_velocity", "plan", "effort", "action", "failed")
 
     def __init__(self, batch: Batch) -> None:
@@ -75,11 +89,11 @@ class View:
         self._one: View | None = None
         self.n_joints, self.control_period = model.n_joints, batch.control_period
         self.lengths, self.reach = constants.length, float(constants.length.sum())
-        self.heavy = bool(constants.gravity.any())
+        self.has_gravity = bool(constants.gravity.any())
         self.gauge_radii = gauge_radii(model)
         self._readings = LinearMeasurements(model)
         end = 8 * self.n_joints
-        self.places = self._readings.places | {"tip_velocity": slice(end, end + 3)}
+        self.slices = self._readings.places | {"tip_velocity": slice(end, end + 3)}
         self.units = MEASUREMENT_UNITS | {
             "joint_angles": "rad", "joint_rates": "rad/s", "tip": "m", "tip_velocity": "m/s", "deflection": "m",
             "deflection_rate": "m/s", "tip_acceleration": "m/s^2", "specific_force": "m/s^2",
@@ -89,8 +103,8 @@ class View:
     def _allocate(self, arms: int) -> None:
         """Allocate the arrays filled by `read` and name their parts; outputs of the batch are views of its memory."""
         n, outputs = self.n_joints, self._batch.outputs
-        self.motion = np.zeros((arms, self.places["tip_velocity"].stop))
-        parts = {name: self.motion[:, place] for name, place in self.places.items()}
+        self.motion = np.zeros((arms, self.slices["tip_velocity"].stop))
+        parts = {name: self.motion[:, columns] for name, columns in self.slices.items()}
         self.motor_angles, self.motor_rates = parts["motor_angles"], parts["motor_rates"]
         self.joint_twists, self.joint_twist_rates = parts["joint_twists"], parts["joint_twist_rates"]
         self.link_deflections, self.link_deflection_rates = parts["link_deflections"], parts["link_deflection_rates"]
@@ -100,7 +114,8 @@ class View:
         self.deflection, self.deflection_rate = outputs[:, layout.DEFLECTION], outputs[:, layout.DEFLECTION_RATE]
         self.goal_angles, self.target, self.plan = np.zeros((arms, n)), np.zeros((arms, 3)), dict[str, Array]()
         self.goal_rates, self.target_velocity = np.zeros((arms, n)), np.zeros((arms, 3))
-        self._vectors = np.zeros((arms, 2, 3))  # with the deflection rate; their lengths: tip_error and tip_vibration
+        # target error and deflection rate, whose lengths are tip_error and tip_vibration
+        self._vectors = np.zeros((arms, 2, 3))
         self.target_error = self._vectors[:, 0]
         self._numbers = np.zeros((5, arms))
         self._name(self._numbers)
@@ -135,7 +150,7 @@ class View:
 
         It is computed at each access, see `Batch.tip_accelerations`.
         """
-        return self._felt(layout.TIP_ACCELERATION)
+        return self._accelerations(layout.TIP_ACCELERATION)
 
     @property
     def specific_force(self) -> Array:
@@ -143,9 +158,9 @@ class View:
 
         It is computed at each access, see `Batch.tip_accelerations`.
         """
-        return self._felt(layout.SPECIFIC_FORCE)
+        return self._accelerations(layout.SPECIFIC_FORCE)
 
-    def _felt(self, columns: slice) -> Array:
+    def _accelerations(self, columns: slice) -> Array:
         result = self._batch.tip_accelerations()[:, columns]
         return result if self.motion.ndim > 1 else result[0]
 
@@ -163,7 +178,7 @@ class View:
         """Return the tips (r, 3) of the undeformed arm at joint angles (r, n) rad, in the base frame, m."""
         return self._batch.rigid_tips(self._batch.model.at_rest(postures))
 
-    def reaching(self, tips: Array, near: Array) -> tuple[Array, float]:
+    def inverse_kinematics(self, tips: Array, near: Array) -> tuple[Array, float]:
         """Solve the inverse kinematics of the undeformed arm.
 
         Args:
@@ -175,14 +190,17 @@ class View:
         """
         constants, n = self._batch.model.constants, self.n_joints
         result, x = np.repeat(near[None], len(tips), axis=0), np.zeros(self._batch.model.n_dof)
-        accuracy, damping = REACHED * self.reach, SLOPE * self.reach
-        left = inverse_kinematics(constants, np.ascontiguousarray(tips), x, np.zeros((n, 3)), accuracy, damping, result)
-        return result, left
+        accuracy, damping = TIP_TOLERANCE * self.reach, DAMPED_SINGULAR_VALUE * self.reach
+        jacobian = np.zeros((n, 3))
+        distance = solve_inverse_kinematics(
+            constants, np.ascontiguousarray(tips), x, jacobian, accuracy, damping, result
+        )
+        return result, distance
 
     def rest_tips(self, postures: Array) -> Array:
         """Return the tips (r, 3) of the arm at rest at motor angles (r, n) rad, bent by gravity, base frame, m."""
         model = self._batch.model
-        if not self.heavy:
+        if not self.has_gravity:
             return self.rigid_tips(postures)
         return rest_tips(model, postures)
 
@@ -192,25 +210,25 @@ class View:
         result = frequencies(self._batch.model, lock_joints=True)
         return float(result[0]) if len(result) else np.inf
 
-    def alone(self) -> "View":
+    def single(self) -> "View":
         """Return the view of a single arm, without the axis of the arms; each call returns the same object.
 
         Raises:
             ValueError: if there is more than one arm.
         """
-        one = self._one or self._make_alone()
+        one = self._one or self._make_single()
         if len(one.plan) != len(self.plan):
             one.plan = {name: values[0, ...] for name, values in self.plan.items()}
         one._name(self._numbers[:, 0].tolist())
         one.effort, one.failed = self.effort.item(), self.failed.item()
         return one
 
-    def renew(self) -> None:
+    def refresh(self) -> None:
         """Compute all quantities after the stored state was replaced."""
         self._one = None
         self.read()
 
-    def _make_alone(self) -> "View":
+    def _make_single(self) -> "View":
         """Return a view of the only arm, with arrays that share the memory of this view."""
         if len(self.motion) > 1:
             raise ValueError(f"view: {len(self.motion)} arms are not allowed; give the view of one")

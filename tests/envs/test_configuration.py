@@ -196,6 +196,22 @@ def test_objects_of_ones_own_cannot_be_described():
 # Deprecated names
 
 
+def test_deprecated_attributes_of_environments_and_views_warn():
+    env = gym.make("FlexOne-v0").unwrapped
+    view = env.episodes.view
+    for holder, old, name in (
+        (env, "setup", "configuration"),
+        (view, "heavy", "has_gravity"),
+        (view, "places", "slices"),
+    ):
+        with pytest.warns(DeprecationWarning, match=f"{old} is deprecated; give {name}$"):
+            assert getattr(holder, old) is getattr(holder, name)
+    with pytest.warns(DeprecationWarning, match="give single$"):
+        assert view.alone() is view.single()
+    with pytest.warns(DeprecationWarning, match="give inverse_kinematics$"):
+        assert view.reaching.__func__ is view.inverse_kinematics.__func__
+
+
 RENAMED_VALUES = {"action_repeat": 3, "info_keys": ["tip"]}
 
 

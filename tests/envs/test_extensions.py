@@ -242,7 +242,7 @@ def test_a_signal_effect_is_one_entry(monkeypatch):
         ({"task": Follow}, "task: <class"),
         ({"sensors": 3}, "sensors: 3 is not allowed; give a Sensor: an object with the methods entries and read"),
         ({"sensors": "lidar"}, "sensors: 'lidar' is not allowed; give one of full"),
-        ({"sensors": ("full", "full")}, "sensors: 'motor_angles' is not allowed; give every entry once"),
+        ({"sensors": ("full", "full")}, "sensors: 'motor_angles' is not allowed; give each entry once"),
         ({"name": "FlexRRR"}, "name: 'FlexRRR' is not allowed; give one of FlexRRR-v0"),
         ({"arm": fm.catalog.planar_2r()}, "torque_limit: None is not allowed; give one number (N m), or one for each"),
         ({"torque_limit": (400.0, 400.0)}, "torque_limit: (400.0, 400.0) is not allowed; give 3 numbers (N m)"),

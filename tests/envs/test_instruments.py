@@ -232,10 +232,10 @@ def test_names_and_flaws_are_kept_in_files():
         ({"noise": 1}, "sensors: {'noise': 1} is not allowed; give a mapping with the name of a sensor at kind"),
         ({"kind": "lab", "hum": 1}, "sensors: 'hum' is not allowed; give one of noise, bias, quantisation, delay"),
         ({"kind": "full", "noise": -1.0}, "sensors.noise: -1.0 is not allowed; give a finite number >= 0"),
-        ({"kind": "full", "noise": 1e300}, "sensors.noise: 1e+300 is not allowed; give a part from 0 to 1"),
+        ({"kind": "full", "noise": 1e300}, "sensors.noise: 1e+300 is not allowed; give a fraction from 0 to 1"),
         (
             {"kind": "full", "quantisation": 1e-300},
-            "sensors.quantisation: 1e-300 is not allowed; give 0, or a part from",
+            "sensors.quantisation: 1e-300 is not allowed; give 0, or a fraction from",
         ),
         ({"kind": "full", "delay": 0.5}, "sensors.delay: 0.5 is not allowed; give a whole number from 0 to 1000"),
         ({"kind": "full", "every": 0}, "sensors.every: 0 is not allowed; give a whole number from 1 to 1000"),

@@ -38,8 +38,8 @@ class Configuration(EnvironmentSettings):
     """Configuration of an environment: an id and settings, checked at construction.
 
     A setting that is not given has its default, or the value of the named environment. Settings may be plain data
-    (texts, numbers, booleans, lists, mappings) or objects; a file holds plain data only. The setting "condition" names a
-    condition of the environment, which changes settings that are not given.
+    (texts, numbers, booleans, lists, mappings) or objects; a file holds plain data only. The setting "condition" names
+    a condition of the environment, which changes settings that are not given.
 
     Args:
         id: id of a named environment.

@@ -6,7 +6,7 @@ from flexman_gym.common.checks import non_negative, positive, text, value_error,
 from flexman_gym.envs.effects import SIGNALS, Range
 from flexman_gym.simulation.parameters import PARAMETERS
 
-DEFAULT_IMPULSE_GAP = 2.0  # s, between two impulses or changes of load where nothing else is said
+DEFAULT_IMPULSE_GAP = 2.0  # s; mean time between two impulses or changes of load
 
 
 class Randomisation:
@@ -65,8 +65,8 @@ class Randomisation:
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
-        on = {name: self.ranges[effect] for name, effect in _range_names().items() if effect in self.ranges}
-        given = on | {"impulse_gap": self.impulse_gap}
+        enabled = {name: self.ranges[effect] for name, effect in _range_names().items() if effect in self.ranges}
+        given = enabled | {"impulse_gap": self.impulse_gap}
         return f"Randomisation({', '.join(f'{name}={value!r}' for name, value in given.items())})"
 
 
@@ -90,8 +90,8 @@ def _range_names() -> dict[str, str]:
 
 def range_name(effect: str) -> str:
     """Return the name of the range of an effect: NAME_factor for factors on the nominal value."""
-    of = PARAMETERS[effect] if effect in PARAMETERS else SIGNALS[effect]
-    return f"{effect.removesuffix('_factor')}_factor" if getattr(of, "factor", False) else effect
+    entry = PARAMETERS[effect] if effect in PARAMETERS else SIGNALS[effect]
+    return f"{effect.removesuffix('_factor')}_factor" if getattr(entry, "factor", False) else effect
 
 
 def find_randomisation(value: object) -> Randomisation | None:

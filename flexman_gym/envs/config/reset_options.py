@@ -15,9 +15,9 @@ from flexman_gym.simulation.parameters import PARAMETERS
 TIP_OPTIONS = {
     "start_tip": "start",
     "goal_tip": "goal_angles",
-}  # option with a place of the tip -> the posture that it sets
-STARTS, ROUNDS = 24, 20  # of the search for postures, and of that for the place beside which a heavy arm rests
-REACHED = 1e-8  # of the reach
+}  # option with a tip position -> posture in its place
+STARTS, MAX_ITERATIONS = 24, 20  # start postures of the search; corrections for the sag under gravity
+TOLERANCE = 1e-8  # accepted distance of the tip, fraction of the reach
 
 
 def replace_tip_positions(plan: Mapping[str, Array], view: View) -> dict[str, Array]:
@@ -38,7 +38,7 @@ def inverse_kinematics(field: str, place: Array, near: Array, view: View) -> Arr
     """Return motor angles (n,), rad, at which the tip rests at a position (3,) in the base frame, m.
 
     Newton's method starts from `near` and from 24 fixed postures. Of several solutions the closest to `near` (least sum
-    of squared angle differences) is returned.
+    of squared angle differences) is rechanges.
 
     Args:
         field: name of the field in the error message.
@@ -52,28 +52,28 @@ def inverse_kinematics(field: str, place: Array, near: Array, view: View) -> Arr
     Raises:
         ValueError: if no start leads to a solution.
     """
-    others = near + np.random.default_rng(0).uniform(-np.pi, np.pi, (STARTS, len(near)))
-    found = [angles for start in (near, *others) if (angles := _reached(place, start, view)) is not None]
+    starts = near + np.random.default_rng(0).uniform(-np.pi, np.pi, (STARTS, len(near)))
+    found = [angles for start in (near, *starts) if (angles := _solve(place, start, view)) is not None]
     if not found:
         span = f"{view.reach:.4g} m of links"
-        raise value_error(field, place.tolist(), f"a place (m, base frame) that the tip can reach with {span}")
-    turned = np.array(found) - near
-    turned -= 2.0 * np.pi * np.round(turned / (2.0 * np.pi))
-    result: Array = near + turned[np.argmin((turned**2).sum(axis=1))]
+        raise value_error(field, place.tolist(), f"a position of the tip (m, base frame) within reach of {span}")
+    changes = np.array(found) - near
+    changes -= 2.0 * np.pi * np.round(changes / (2.0 * np.pi))
+    result: Array = near + changes[np.argmin((changes**2).sum(axis=1))]
     return result
 
 
-def _reached(place: Array, start: Array, view: View) -> Array | None:
+def _solve(place: Array, start: Array, view: View) -> Array | None:
     """Return the solution found from a start; None if there is none."""
-    angles, wanted = start, place
-    for _ in range(ROUNDS):
-        (angles,), _ = view.reaching(wanted[None], angles)
-        missed = place - view.rest_tips(angles[None])[0] if np.isfinite(angles).all() else np.full(3, np.inf)
-        if not np.linalg.norm(missed) > REACHED * view.reach:
+    angles, goal = start, place
+    for _ in range(MAX_ITERATIONS):
+        (angles,), _ = view.inverse_kinematics(goal[None], angles)
+        error = place - view.rest_tips(angles[None])[0] if np.isfinite(angles).all() else np.full(3, np.inf)
+        if not np.linalg.norm(error) > TOLERANCE * view.reach:
             return angles
-        if not np.isfinite(missed).all():
+        if not np.isfinite(error).all():
             return None
-        wanted = wanted + (missed if view.heavy else 0.0)
+        goal = goal + (error if view.has_gravity else 0.0)
     return None
 
 
@@ -97,7 +97,7 @@ def parse_reset_options(
             given[name] = _parameters(field, value, size)
         else:
             if TIP_OPTIONS.get(name) in given or name in [TIP_OPTIONS.get(other) for other in given]:
-                raise value_error(field, value, "either a posture or a place of the tip")
+                raise value_error(field, value, "either a posture or a position of the tip")
             shape = (3,) if name in TIP_OPTIONS else plan[name].shape[1:]
             given[name] = _each(
                 field, value, shape, size[0], "m" if name in TIP_OPTIONS else "rad" * (shape == size[1:])
@@ -141,9 +141,9 @@ def _numbers(field: str, value: object, shape: tuple[int, ...]) -> Array:
     """Return numbers of a shape, broadcast from those of one arm."""
     allowed = f"numbers of the shape {shape}, or {shape[1:]}"
     try:
-        listed = value if isinstance(value, numbers.Real | np.ndarray) else sequence(field, value)  # not too long
+        listed = value if isinstance(value, numbers.Real | np.ndarray) else sequence(field, value)  # limits its length
         values = np.broadcast_to(np.asarray(listed), shape)
-    except Exception:  # another shape, lists of different length, an object of somebody's own
+    except Exception:  # wrong shape, ragged lists, or an object of any class
         raise value_error(field, value, allowed) from None
     if values.dtype.kind not in "fiu":
         raise value_error(field, value, allowed)

@@ -21,7 +21,7 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.integrator import default_step
 from flexman_gym.simulation.parameters import PARAMETERS
 
-ROUNDING = 12.0**-0.5  # standard deviation of the error of a number that is rounded, as a part of the step
+ROUNDING = 12.0**-0.5  # standard deviation of a rounding error, as a fraction of the quantisation step
 
 
 def make_plant(configuration: Configuration, model: Model) -> Plant:
@@ -78,10 +78,10 @@ def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Cont
 def _measured(configuration: Configuration, model: Model, noise: float) -> dict[str, Array]:
     """Return range and standard deviation (2, size) of each measured quantity, of the worst instrument."""
     ranges = measurement_ranges(View(Batch(model)), configuration.limits)
-    parts = dict.fromkeys(ranges, noise)
-    for part in configuration.sensors:
-        if isinstance(part, Instrument):
-            own = np.hypot(part.flaws.noise, ROUNDING * part.flaws.quantisation)
-            for name in measured_names([part]):
-                parts[name] = max(parts[name], float(np.hypot(noise, own)))
-    return {name: np.array([span, parts[name] * span]) for name, span in ranges.items()}
+    deviations = dict.fromkeys(ranges, noise)
+    for sensor in configuration.sensors:
+        if isinstance(sensor, Instrument):
+            own = np.hypot(sensor.flaws.noise, ROUNDING * sensor.flaws.quantisation)
+            for name in measured_names([sensor]):
+                deviations[name] = max(deviations[name], float(np.hypot(noise, own)))
+    return {name: np.array([span, deviations[name] * span]) for name, span in ranges.items()}

@@ -10,7 +10,7 @@ from flexman_gym.envs.limits import Limits
 from flexman_gym.simulation.batch import Batch
 
 Range = tuple[float, float]
-"""Least and largest value that may be drawn."""
+"""Least and largest value of a draw."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class EffectContext:
 
 
 HOOKS = ("begin", "change_start", "motor_actions", "add_tip_forces", "add_base_accelerations", "measure")
-"""Methods of an effect, in the order of a control period; each may be left out."""
+"""Optional methods of an effect, in the order of a control period."""
 
 
 class Effect(Protocol):
@@ -53,7 +53,7 @@ class Effect(Protocol):
             from them.
     """
 
-    def __init__(self, stage: EffectContext, span: Range) -> None: ...
+    def __init__(self, context: EffectContext, span: Range) -> None: ...
 
     @staticmethod
     def checked(field: str, value: object) -> float:

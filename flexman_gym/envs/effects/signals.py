@@ -18,8 +18,8 @@ class _TorqueLimit:
     kind: ClassVar[type] = float
     factor: ClassVar[bool] = True
 
-    def __init__(self, stage: EffectContext, span: Range) -> None:
-        self._stage, self._span, self.shape = stage, span, stage.nominal.shape
+    def __init__(self, context: EffectContext, span: Range) -> None:
+        self._context, self._span, self.shape = context, span, context.nominal.shape
 
     @staticmethod
     def checked(field: str, value: object) -> float:
@@ -28,11 +28,11 @@ class _TorqueLimit:
 
     def draw(self, arm: int, stream: np.random.Generator) -> Array:
         """Return the torque limits (n,), N m."""
-        return stream.uniform(*self._span, self.shape) * self._stage.nominal
+        return stream.uniform(*self._span, self.shape) * self._context.nominal
 
     def begin(self, arms: IntArray, drawn: Array) -> None:
         """Set the torque limits."""
-        self._stage.torque_limits[arms] = drawn[arms]
+        self._context.torque_limits[arms] = drawn[arms]
 
 
 class _SensorNoise:
@@ -47,17 +47,17 @@ class _SensorNoise:
     kept = ("_noise", "_deviation")
     shape = ()
 
-    def __init__(self, stage: EffectContext, span: Range) -> None:
-        arms = len(stage.batch.rows)
-        self._bound, self._span = stage.bound, span
-        self._noise, self._deviation = TruncatedNoise(arms, len(stage.bound)), np.zeros((arms, 1))
+    def __init__(self, context: EffectContext, span: Range) -> None:
+        arms = len(context.batch.rows)
+        self._bound, self._span = context.bound, span
+        self._noise, self._deviation = TruncatedNoise(arms, len(context.bound)), np.zeros((arms, 1))
 
     @staticmethod
     def checked(field: str, value: object) -> float:
         """Return a fraction from 0 to 1."""
         part = non_negative(field, value)
         if part > 1.0:
-            raise value_error(field, value, "a part from 0 to 1 of the range")
+            raise value_error(field, value, "a fraction from 0 to 1 of the range")
         return part
 
     def draw(self, arm: int, stream: np.random.Generator) -> float:
@@ -74,7 +74,7 @@ class _SensorNoise:
         return values + self._noise.sample(arms) * self._deviation[arms] * self._bound
 
 
-MAX_DELAY = 1000  # control periods
+MAX_DELAY = 1000  # control periods; limits the memory of the buffer
 
 
 class _Delay:
@@ -84,8 +84,8 @@ class _Delay:
     kept = ("_past", "_late", "_now")
     shape = ()
 
-    def __init__(self, stage: EffectContext, span: Range) -> None:
-        arms, n = stage.torque_limits.shape
+    def __init__(self, context: EffectContext, span: Range) -> None:
+        arms, n = context.torque_limits.shape
         self._span = span
         self._past, self._late = np.zeros((1 + int(span[1]), arms, n)), np.zeros(arms, dtype=np.int64)
         self._now, self._all = 0, np.arange(arms)
@@ -123,17 +123,17 @@ class _InitialVibration:
 
     kind: ClassVar[type] = float
 
-    def __init__(self, stage: EffectContext, span: Range) -> None:
-        model = self._model = stage.batch.model
+    def __init__(self, context: EffectContext, span: Range) -> None:
+        model = self._model = context.batch.model
         self._flexible, self._span, self.shape = np.diff(model.constants.elastic_start) > 0, span, (model.n_joints, 2)
         field = "Randomisation.initial_vibration"
         if not self._flexible.any():
             raise value_error(field, span, "None: every link of this arm is rigid")
-        most = stage.limits.deflection * model.constants.length[self._flexible].min()
+        most = context.limits.deflection * model.constants.length[self._flexible].min()
         if span[1] > most:
             raise value_error(field, span, f"at most {most:.4g} (m), the limit of the deflection of a link")
         self._shapes = [static_shape(model, link) for link in range(model.n_joints)]
-        self._ways = np.array([_relative_compliance(model, link) for link in range(model.n_joints)])
+        self._compliances = np.array([_relative_compliance(model, link) for link in range(model.n_joints)])
         self._drawn = np.zeros((0, *self.shape))
 
     @staticmethod
@@ -146,7 +146,7 @@ class _InitialVibration:
         n = len(self._flexible)
         size, angle = stream.uniform(*self._span, n), stream.uniform(0.0, 2.0 * np.pi, n)
         forces = (self._flexible * size * np.array([np.cos(angle), np.sin(angle)])).T
-        return np.einsum("nij,nj->ni", self._ways, forces)
+        return np.einsum("nij,nj->ni", self._compliances, forces)
 
     def begin(self, arms: IntArray, drawn: Array) -> None:
         """Store the drawn deflections."""
@@ -161,16 +161,16 @@ class _InitialVibration:
 
 def _relative_compliance(model: Model, link: int) -> Array:
     """Return the compliance (2, 2) of the tip of a link along y and z, relative to its largest value."""
-    across, yielding = _tip_flexibility(model, link)
-    compliance = across.T @ yielding
+    jacobian, response = _tip_flexibility(model, link)
+    compliance = jacobian.T @ response
     largest = np.linalg.norm(compliance, 2)
     return compliance / largest if largest > 0.0 else compliance
 
 
 def static_shape(model: Model, link: int) -> Array:
     """Return the coordinates (k_i, 2) of a link under a static tip force, per metre of deflection along y and z."""
-    across, yielding = _tip_flexibility(model, link)
-    return yielding @ np.linalg.pinv(across.T @ yielding)
+    jacobian, response = _tip_flexibility(model, link)
+    return response @ np.linalg.pinv(jacobian.T @ response)
 
 
 def _tip_flexibility(model: Model, link: int) -> tuple[Array, Array]:
@@ -182,8 +182,8 @@ def _tip_flexibility(model: Model, link: int) -> tuple[Array, Array]:
     start, stop = constants.elastic_start[link : link + 2]
     first, last = constants.square_start[link : link + 2]
     stiffness = constants.stiffness[first:last].reshape(stop - start, stop - start)
-    across = constants.tip_translation[start:stop, 1:]
-    return across, np.asarray(np.linalg.solve(stiffness, across), dtype=np.float64)
+    jacobian = constants.tip_translation[start:stop, 1:]
+    return jacobian, np.asarray(np.linalg.solve(stiffness, jacobian), dtype=np.float64)
 
 
 class _TipImpulse:
@@ -193,9 +193,9 @@ class _TipImpulse:
     kept = ("_inner", "_wait")
     shape = None
 
-    def __init__(self, stage: EffectContext, span: Range) -> None:
-        self._period, self._gap_time, self._span = stage.batch.control_period, stage.impulse_gap, span
-        arms = len(stage.batch.rows)
+    def __init__(self, context: EffectContext, span: Range) -> None:
+        self._period, self._gap_time, self._span = context.batch.control_period, context.impulse_gap, span
+        arms = len(context.batch.rows)
         self._inner: list[Any] = [None] * arms
         self._wait = np.zeros(arms, dtype=np.int64)
 
@@ -214,8 +214,8 @@ class _TipImpulse:
         self._wait -= 1
         for arm in np.flatnonzero((self._wait <= 0) & ~over).tolist():
             inner = self._inner[arm]
-            size, way = inner.uniform(*self._span), inner.normal(size=3)
-            forces[arm] += size / self._period * way / np.sqrt(way @ way)
+            size, direction = inner.uniform(*self._span), inner.normal(size=3)
+            forces[arm] += size / self._period * direction / np.sqrt(direction @ direction)
             self._wait[arm] = self._gap(arm)
 
     def _gap(self, arm: int) -> int:
@@ -233,9 +233,9 @@ class TipLoad:
     kept = ("_inner", "_wait", "_forces")
     shape = None
 
-    def __init__(self, stage: EffectContext, span: Range) -> None:
-        self._share, self._span = stage.batch.control_period / stage.impulse_gap, span
-        arms = len(stage.batch.rows)
+    def __init__(self, context: EffectContext, span: Range) -> None:
+        self._share, self._span = context.batch.control_period / context.impulse_gap, span
+        arms = len(context.batch.rows)
         self._inner: list[Any] = [None] * arms
         self._wait, self._forces = np.zeros(arms, dtype=np.int64), np.zeros((arms, 3))
 
@@ -252,15 +252,15 @@ class TipLoad:
         """Add the loads, after the changes due in this period."""
         for arm in np.flatnonzero((self._wait <= 0) & ~over).tolist():
             inner = self._inner[arm]
-            size, way = inner.uniform(*self._span), inner.normal(size=3)
-            self._forces[arm] = size * way / np.sqrt(way @ way)
+            size, direction = inner.uniform(*self._span), inner.normal(size=3)
+            self._forces[arm] = size * direction / np.sqrt(direction @ direction)
             self._wait[arm] = inner.geometric(self._share)
         self._wait -= 1
         forces += self._forces * ~over[:, None]
 
 
-MIN_FREQUENCY_RATIO, MAX_FREQUENCY_RATIO = 0.3, 3.0  # times the first mode of the arm with its motors held
-RIGID_FREQUENCY = 1.0  # Hz, in place of the first mode of an arm that does not bend
+MIN_FREQUENCY_RATIO, MAX_FREQUENCY_RATIO = 0.3, 3.0  # of the base motion and the first mode with locked motors
+RIGID_FREQUENCY = 1.0  # Hz; replaces the frequency of the first mode of a rigid arm
 
 
 class _BaseSway:
@@ -274,11 +274,11 @@ class _BaseSway:
     kept = ("_sway",)
     shape = ()
 
-    def __init__(self, stage: EffectContext, span: Range) -> None:
-        self._batch, self._span = stage.batch, span
-        first = frequencies(stage.batch.model, lock_joints=True)[:1]
+    def __init__(self, context: EffectContext, span: Range) -> None:
+        self._batch, self._span = context.batch, span
+        first = frequencies(context.batch.model, lock_joints=True)[:1]
         self._first = float(first[0]) if len(first) else RIGID_FREQUENCY
-        self._sway = np.zeros((len(stage.batch.rows), 5))  # acceleration (3,), Hz and rad
+        self._sway = np.zeros((len(context.batch.rows), 5))  # acceleration (3,), m/s^2; frequency, Hz; phase, rad
 
     @staticmethod
     def checked(field: str, value: object) -> float:
@@ -288,9 +288,10 @@ class _BaseSway:
     def draw(self, arm: int, stream: np.random.Generator) -> float:
         """Return the amplitude, and draw direction, frequency and phase."""
         inner = np.random.default_rng(stream.integers(2**63))
-        way, amplitude = inner.normal(size=3), float(inner.uniform(*self._span))
+        direction, amplitude = inner.normal(size=3), float(inner.uniform(*self._span))
         frequency = self._first * np.exp(inner.uniform(np.log(MIN_FREQUENCY_RATIO), np.log(MAX_FREQUENCY_RATIO)))
-        self._sway[arm] = *(way / np.sqrt(way @ way)), frequency, inner.uniform(0.0, 2.0 * np.pi)
+        phase = inner.uniform(0.0, 2.0 * np.pi)
+        self._sway[arm] = *(direction / np.sqrt(direction @ direction)), frequency, phase
         return amplitude
 
     def begin(self, arms: IntArray, drawn: Array) -> None:
@@ -313,4 +314,4 @@ SIGNALS: dict[str, Any] = {
     "tip_load": TipLoad,
     "base_sway": _BaseSway,
 }
-"""Effects on signals: attribute of a `Randomisation` -> class."""
+"""Effects on signals: name -> class."""

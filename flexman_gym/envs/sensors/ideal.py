@@ -46,9 +46,9 @@ class Quantities:
         bounds = [ranges[name] for name in self.names]
         ends = np.cumsum([0, *map(len, bounds)]).tolist()
         places = [slice(*both) for both in pairwise(ends)]
-        # what has a limit needs no clipping: an arm beyond it has no outcome worth seeing
-        ranges_of = [None if name in view.places else bound for name, bound in zip(self.names, bounds, strict=True)]
-        set_fields(self, _plan=list(zip(self.names, places, ranges_of, strict=True)))
+        # a quantity with a limit needs no clipping: beyond it the episode is over
+        clipped = [None if name in view.slices else bound for name, bound in zip(self.names, bounds, strict=True)]
+        set_fields(self, _plan=list(zip(self.names, places, clipped, strict=True)))
         return [Entry(name, len(each), view.units[name], each) for name, each in zip(self.names, bounds, strict=True)]
 
     def read(self, view: View, out: Array) -> None:
@@ -61,7 +61,7 @@ class Quantities:
                 np.minimum(out[:, place], bound, out=out[:, place])
 
 
-NEAR = 0.1 / 8.5  # of the reach: tip error that is half of the way to the largest nearness
+NEAR = 0.1 / 8.5  # fraction of the reach; tip error at half of the largest nearness
 
 
 @dataclass
@@ -96,7 +96,7 @@ class FullState:
         )  # fmt: skip
 
 
-# What counts as small: parts of the limits of motors and joints, parts of the reach (and reaches a second) of the rest.
+# Scales: fractions of the limits for motors and joints; fractions of the reach (and reaches per second) for the rest.
 ANGLE, RATE, TWIST, DEFLECTION, LENGTH, SPEED = 1 / 400, 1 / 500, 1 / 250, 1 / 2125, 1 / 425, 1 / 170
 
 
@@ -116,7 +116,7 @@ class FineScale:
         """Return the entries and compute their scales."""
         bounds = limits.bounds(view)
         largest = {
-            **{name: bounds[name] for name in view.places if name not in ("motor_angles", "tip_velocity")},
+            **{name: bounds[name] for name in view.slices if name not in ("motor_angles", "tip_velocity")},
             "angle_errors": np.full(view.n_joints, 2 * limits.angle),
             "target_error": np.full(3, 2 * view.reach),
             "tip_velocity": bounds["tip_velocity"],
@@ -124,7 +124,7 @@ class FineScale:
         self._scales = np.concatenate([np.full(len(largest[name]), scale) for name, scale in _scales(view, limits)])
         fine = np.arcsinh(np.concatenate(list(largest.values())) / self._scales)
         ends = np.cumsum([0, *map(len, largest.values())])
-        # rounding of a quantity on its bound must not lead beyond this one
+        # margin for the rounding of a quantity at its bound
         return [
             Entry(f"fine_{name}", len(bound), "1", 1.0000001 * fine[first : first + len(bound)])
             for (name, bound), first in zip(largest.items(), ends, strict=False)

@@ -13,8 +13,8 @@ from flexman_gym.envs.random_streams import TruncatedNoise
 from flexman_gym.envs.sensors.sensor import DEFAULT_QUANTITIES, Entry, MeasuredView, Sensor
 from flexman_gym.envs.view import View
 
-MIN_QUANTISATION = 1e-12  # quantisation, a part
-MOST_PERIODS = 1000  # of a delay or between two samples
+MIN_QUANTISATION = 1e-12  # fraction of the range
+MAX_PERIODS = 1000  # control periods of a delay or between two samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,18 +42,20 @@ class Flaws:
         for name in ("noise", "bias", "quantisation", "dropped"):
             part = non_negative(f"sensors.{name}", getattr(self, name))
             if part > 1.0:
-                raise value_error(f"sensors.{name}", part, "a part from 0 to 1")
+                raise value_error(f"sensors.{name}", part, "a fraction from 0 to 1")
             set_fields(self, **{name: part})
         if 0.0 < self.quantisation < MIN_QUANTISATION:
-            raise value_error("sensors.quantisation", self.quantisation, f"0, or a part from {MIN_QUANTISATION:g} to 1")
-        set_fields(self, delay=whole_number("sensors.delay", self.delay, 0, MOST_PERIODS))
-        set_fields(self, every=whole_number("sensors.every", self.every, 1, MOST_PERIODS))
+            raise value_error(
+                "sensors.quantisation", self.quantisation, f"0, or a fraction from {MIN_QUANTISATION:g} to 1"
+            )
+        set_fields(self, delay=whole_number("sensors.delay", self.delay, 0, MAX_PERIODS))
+        set_fields(self, every=whole_number("sensors.every", self.every, 1, MAX_PERIODS))
         if self.dropped >= 1.0:
             raise value_error("sensors.dropped", self.dropped, "a probability from 0 to below 1")
 
 
 FLAWS = tuple(each.name for each in fields(Flaws))
-"""Names of the flaws that a sensor may have, see `Flaws`."""
+"""Names of the flaws of a sensor, see `Flaws`."""
 
 
 class Instrument:
@@ -76,9 +78,7 @@ class Instrument:
         self.sensor, self.flaws = sensor, Flaws(**flaws)
         self.measures = tuple(getattr(sensor, "measures", DEFAULT_QUANTITIES))
         if not self.measures:
-            raise value_error(
-                "sensors", sensor, "a sensor that measures: a command has no noise and does not come late"
-            )
+            raise value_error("sensors", sensor, "a sensor that measures: a command has neither noise nor delay")
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Instrument) and self.settings() == other.settings() and self.sensor == other.sensor
@@ -89,7 +89,7 @@ class Instrument:
         """Return the flaws that differ from the defaults, by name."""
         return {name: getattr(self.flaws, name) for name in FLAWS if getattr(self.flaws, name) != getattr(Flaws, name)}
 
-    def fresh(self) -> Self:
+    def copy(self) -> Self:
         """Return an equal instrument without stored samples."""
         return type(self)(self.sensor, **self.settings())
 
@@ -99,7 +99,7 @@ class Instrument:
         self.measured = MeasuredView(view, limits, self.measures)
         size = len(self.measured.bound)
         self._held, self._bias = np.zeros((arms, size)), np.zeros((arms, size))
-        self._late = np.zeros((flaws.delay, arms, size))  # samples on their way, the oldest first
+        self._late = np.zeros((flaws.delay, arms, size))  # delayed samples, the oldest first
         self._ages, self._noise = np.zeros(arms, dtype=np.int64), TruncatedNoise(arms, size + 1)
         return self.sensor.entries(self.measured, limits)  # type: ignore[arg-type]
 
@@ -116,9 +116,9 @@ class Instrument:
         if not len(arms):
             return
         measured, flaws = self.measured, self.flaws
-        at: Any = slice(None) if len(arms) == len(self._ages) else arms  # a slice copies less
+        at: Any = slice(None) if len(arms) == len(self._ages) else arms  # a slice avoids a copy
         first = self._ages[at] == 0
-        measured.take(at)
+        measured.copy_true(at)
         new, taken = measured.values[at], self._ages[at] % flaws.every == 0
         if flaws.bias:
             new = new + self._bias[at]
@@ -131,10 +131,10 @@ class Instrument:
             new = np.round(new / step) * step
         self._held[at] = np.where(taken[:, None], new, self._held[at])
         self._ages[at] += 1
-        measured.values[at] = self._arriving(at, first)
-        measured.settle()
+        measured.values[at] = self._delayed(at, first)
+        measured.clip()
 
-    def _arriving(self, at: Any, first: Array) -> Array:
+    def _delayed(self, at: Any, first: Array) -> Array:
         """Return the samples (r, size) that arrive now, and store those of this period."""
         late, held = self._late, self._held[at]
         if not self.flaws.delay:
@@ -150,9 +150,9 @@ class Instrument:
         """Write the readings of the sensor, from the measured quantities, into out (b, size)."""
         self.sensor.read(self.measured, out)  # type: ignore[arg-type]
 
-    def renew(self) -> None:
+    def refresh(self) -> None:
         """Derive quantities again after the stored state was replaced."""
-        self.measured.renew()
+        self.measured.refresh()
 
 
 def _uniform(normal: Array) -> Array:

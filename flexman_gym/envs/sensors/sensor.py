@@ -43,10 +43,10 @@ class Sensor(Protocol):
         ...
 
 
-DEFAULT_QUANTITIES = ("motion", "tip", "deflection", "deflection_rate")  # what a sensor measures that does not say it
+DEFAULT_QUANTITIES = ("motion", "tip", "deflection", "deflection_rate")  # measured by a sensor without `measures`
 DERIVED = {"tip": ("target_error", "tip_error"), "deflection_rate": ("tip_vibration",)}
-STRAIN_RANGE = 2.0  # times the root strain of a link that a force on its tip bends to the limit
-ACCELERATION_RANGE = 51.0  # largest acceleration that is measured, 500 m/s^2
+STRAIN_RANGE = 2.0  # ratio to the root strain of a link bent to its limit by a tip force
+ACCELERATION_RANGE = 51.0  # g; 500 m/s^2
 
 
 class MeasuredView:
@@ -56,7 +56,7 @@ class MeasuredView:
     measured quantities, so that a sensor contains no more information than the instruments.
 
     Attributes:
-        values: (b, size) measured quantities side by side; an instrument overwrites them, then calls `settle`.
+        values: (b, size) measured quantities side by side; an instrument overwrites them, then calls `clip`.
         bound: (size,) largest measured magnitude of each.
     """
 
@@ -66,7 +66,7 @@ class MeasuredView:
         self._view = view
         ranges = measurement_ranges(view, limits)
         if "motion" in names:
-            names = ["motion", *(name for name in dict.fromkeys(names) if name not in ("motion", *view.places))]
+            names = ["motion", *(name for name in dict.fromkeys(names) if name not in ("motion", *view.slices))]
         self._names = tuple(dict.fromkeys(names))
         self.bound = np.concatenate([np.zeros(0), *(ranges[name] for name in self._names)])
         self.values = np.zeros((len(view.motion), len(self.bound)))
@@ -78,19 +78,19 @@ class MeasuredView:
             self._parts.append((name, part))
             setattr(self, name, part)
         if "motion" in self._names:
-            for name, place in view.places.items():
+            for name, place in view.slices.items():
                 setattr(self, name, self.motion[:, place])
         self._derive = {"tip": self._errors, "deflection_rate": self._vibration}
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.__dict__["_view"], name)
 
-    def take(self, arms: IntArray | slice) -> None:
+    def copy_true(self, arms: IntArray | slice) -> None:
         """Copy the true quantities of some arms."""
         for name, part in self._parts:
             part[arms] = getattr(self._view, name)[arms]
 
-    def settle(self) -> None:
+    def clip(self) -> None:
         """Clip the values to their ranges and derive other quantities from them."""
         np.maximum(self.values, -self.bound, out=self.values)
         np.minimum(self.values, self.bound, out=self.values)
@@ -102,7 +102,7 @@ class MeasuredView:
             if name in self._names:
                 derive()
 
-    def renew(self) -> None:
+    def refresh(self) -> None:
         """Derive quantities again after the values were replaced."""
         self.derive()
 

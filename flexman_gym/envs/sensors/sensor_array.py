@@ -23,8 +23,8 @@ class SensorArray:
         view: a View, or the view of its measured quantities.
         limits: limits of the arm.
         label: name that seeds the random streams of the instruments.
-        beside: sensors of the agent. Ideal sensors here read the quantities measured by an instrument here or, if there
-            is none, by the agent's sensors; of two entries with the same name the first counts.
+        agent_sensors: sensors of the agent. Ideal sensors here read the quantities measured by an instrument here or,
+            if there is none, by the agent's sensors; of two entries with the same name the first counts.
 
     Attributes:
         slices: name -> slice of the observation.
@@ -46,22 +46,22 @@ class SensorArray:
         view: View,
         limits: Limits,
         label: str = "sensors",
-        beside: "SensorArray | None" = None,
+        agent_sensors: "SensorArray | None" = None,
     ) -> None:
         self.slices: dict[str, slice] = {}
         self.units: dict[str, str] = {}
         self._instruments: list[Instrument] = []
         places: list[tuple[Sensor, slice]] = []
         bounds, end = [np.zeros(0)], 0
-        copies = [_own(part) for part in parts]
+        copies = [_copy_sensor(part) for part in parts]
         seen: Any = view
-        if beside:
-            seen = _SharedView(beside.shared, [own for own in copies if isinstance(own, Instrument)])
+        if agent_sensors:
+            seen = _SharedView(agent_sensors.shared, [own for own in copies if isinstance(own, Instrument)])
         for own in copies:
             first = end
             for name, size, unit, bound in own.entries(view if isinstance(own, Instrument) else seen, limits):
-                if name in self.slices and not beside:
-                    raise value_error("sensors", name, "every entry once: two of them read this")
+                if name in self.slices and not agent_sensors:
+                    raise value_error("sensors", name, "each entry once: two sensors have it")
                 if name not in self.slices:
                     self.slices[name], self.units[name] = slice(end, end + size), unit
                 end += size
@@ -78,7 +78,7 @@ class SensorArray:
     def begin(self, arms: IntArray, randoms: Sequence[np.random.Generator]) -> None:
         """Start new episodes of the arms (r,), each with the generator of its environment, and sample them."""
         for arm, random in zip(arms.tolist(), randoms, strict=True):
-            streams = self._streams.of(arm, random).values()
+            streams = self._streams.generators(arm, random).values()
             for instrument, stream in zip(self._instruments, streams, strict=True):
                 instrument.begin(arm, stream)
         self.sample(arms)
@@ -93,20 +93,20 @@ class SensorArray:
         for part, out in self._outs:
             part.read(self._view, out)
 
-    def renew(self, randoms: Sequence[np.random.Generator | None]) -> None:
+    def refresh(self, randoms: Sequence[np.random.Generator | None]) -> None:
         """Read again after the stored state and the generators of all arms were replaced."""
-        self._streams.follow(randoms)
+        self._streams.set_generators(randoms)
         for instrument in self._instruments:
-            instrument.renew()
+            instrument.refresh()
         self.read()
 
 
-def _own(part: object) -> Any:
+def _copy_sensor(part: object) -> Any:
     """Return a copy of a sensor after a check."""
     if not isinstance(part, Sensor):
         raise value_error("sensors", part, "a Sensor: an object with the methods entries and read")
     check_member_names("sensors", part, ("measures",), ("measured",))
-    return part.fresh() if isinstance(part, Instrument) else copy(part)
+    return part.copy() if isinstance(part, Instrument) else copy(part)
 
 
 class _SharedView:
@@ -135,4 +135,4 @@ def measured_names(parts: Sequence[object]) -> list[str]:
 def _with_derived(names: Sequence[str], view: View) -> list[str]:
     """Return names of quantities together with those derived from them."""
     derived = [each for name in names for each in DERIVED.get(name, ())]
-    return [*names, *derived, *(view.places if "motion" in names else ())]
+    return [*names, *derived, *(view.slices if "motion" in names else ())]

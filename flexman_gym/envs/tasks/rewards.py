@@ -11,7 +11,8 @@ from flexman_gym.common.arrays import Array, row_dots
 from flexman_gym.common.checks import mapping, short_repr
 from flexman_gym.envs.view import Number, View
 
-NEAR, FAR, LOOK_AHEAD = 1.0 / 425.0, 1.0 / 1.7, 0.1  # of the reach, and s
+# fractions of the reach; distances of reward near 1 and of 0, and time (s) by which a velocity counts as a distance
+NEAR, FAR, LOOK_AHEAD = 1.0 / 425.0, 1.0 / 1.7, 0.1
 
 
 def distance_reward(view: View, velocity: Array) -> Number:
@@ -41,7 +42,7 @@ def make_reward_terms(task: Any, reward: Any) -> Callable[[View], dict[str, Numb
         terms: Callable[[View], dict[str, Number]] = task.reward_terms
         return terms
     if not isinstance(reward, dict):
-        return lambda view: {"own": _own(reward, view)}
+        return lambda view: {"own": _call_reward(reward, view)}
 
     def weighted(view: View) -> dict[str, Number]:
         terms = task.reward_terms(view)
@@ -60,16 +61,16 @@ def sum_terms(terms: Mapping[str, Number]) -> Number:
     return reduce(add, terms.values(), 0.0)
 
 
-def _own(reward: Callable[[View], Number], view: View) -> Number:
+def _call_reward(reward: Callable[[View], Number], view: View) -> Number:
     """Return the result of a reward function, a number or an array (b,), after a check."""
     try:
         value = reward(view)
-        fine = np.asarray(value).dtype.kind in "biuf" and np.shape(value) in ((), np.shape(view.tip_error))
-        said, cause = f"returned {short_repr(value)}, which is no number for each arm", None
+        valid = np.asarray(value).dtype.kind in "biuf" and np.shape(value) in ((), np.shape(view.tip_error))
+        message, cause = f"returned {short_repr(value)}, not a number for each arm", None
     except Exception as error:
-        fine, said, cause = False, f"raised {type(error).__name__}: {error}", error
-    if fine:
+        valid, message, cause = False, f"raised {type(error).__name__}: {error}", error
+    if valid:
         return value
     names = [name for name in dir(view) if not (name.startswith("_") or callable(getattr(type(view), name, None)))]
     function = getattr(reward, "__name__", type(reward).__name__)
-    raise ValueError(f"reward: {function} {' '.join(said.split())}; a View has {', '.join(names)}") from cause
+    raise ValueError(f"reward: {function} {' '.join(message.split())}; a View has {', '.join(names)}") from cause

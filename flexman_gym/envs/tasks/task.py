@@ -9,9 +9,9 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.envs.sensors.sensor import Sensor
 from flexman_gym.envs.view import Number, View
 
-TASK_MEMBERS = ("sensors", "moves", "draw", "goal", "reward_terms", "info")  # of a task
+TASK_MEMBERS = ("sensors", "moves", "draw", "goal", "reward_terms", "info")
 OPTIONAL_TASK_MEMBERS = ("figures", "disturbances")
-MOVING_METRICS = ("rms_error",)  # figures of a task whose goal moves, or at whose goal the arm is to stay
+MOVING_METRICS = ("rms_error",)  # metrics of tasks with a moving goal or a goal at the start
 
 
 class Goal(NamedTuple):

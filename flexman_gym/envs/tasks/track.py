@@ -15,14 +15,15 @@ from flexman_gym.envs.tasks.task import MOVING_METRICS, Goal
 from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels.control_period import fourier_series
 
-HARMONICS, POSTURE_HARMONICS = 3, 12  # of the curve, and of the motors
-COLLOCATION_POINTS = 28  # places at which motors are solved for
-SAG_STRIDE = 4  # of these places, every so many, tell how the arm sags
-RAMP_FRACTION = 0.25  # of a period, in which the target gains speed
+HARMONICS, POSTURE_HARMONICS = 3, 12  # Fourier series of the path, and of the motor angles
+COLLOCATION_POINTS = 28  # points of the path with inverse kinematics
+SAG_STRIDE = 4  # distance of the points at which the sag is computed
+RAMP_FRACTION = 0.25  # time constant of the start of the target, fraction of the period
 COLLOCATION_PHASES = 2.0 * np.pi * np.arange(COLLOCATION_POINTS)[None] / COLLOCATION_POINTS
-TRIES, CENTRES, STEP, ACCURACY = 20, 8, 1e-7, 1e-7  # rad, of differences; of the reach, of a posture
-MIN_SINGULAR_VALUE = 0.1  # of the reach: a tip moves less per radian in directions that a path avoids
-MAX_ANGLE = 2.5  # rad, of a motor on a path
+TRIES, CENTRES = 20, 8  # draws of a path; centres per draw
+STEP, ACCURACY = 1e-7, 1e-7  # rad, of finite differences; accepted tip error, fraction of the reach
+MIN_SINGULAR_VALUE = 0.1  # reaches per radian; a path avoids directions of smaller tip motion
+MAX_ANGLE = 2.5  # rad; largest motor angle on a path
 
 
 def path_phase(time: Array, period: Array) -> Array:
@@ -63,8 +64,8 @@ def _smooth(random: np.random.Generator, size: float) -> Array:
     result = np.zeros((3, 2 * HARMONICS + 1))
     weights = np.repeat(np.arange(1, HARMONICS + 1), 2) ** 2
     result[:, 1:] = random.standard_normal((3, 2 * HARMONICS)) / weights
-    places = evaluate_series(result[None], COLLOCATION_PHASES)[0]
-    return result * size / np.sqrt(np.vecdot(places, places).max())
+    points = evaluate_series(result[None], COLLOCATION_PHASES)[0]
+    return result * size / np.sqrt(np.vecdot(points, points).max())
 
 
 PATH_SHAPES: dict[str, Callable[[np.random.Generator, float], Array]] = {
@@ -94,23 +95,23 @@ def _draw_path(shape: str, size: float, reach: float, random: np.random.Generato
         ValueError: if the tip of this arm cannot follow a path of that size in two directions.
     """
     for _ in range(TRIES):
-        middles = random.uniform(-reach, reach, (CENTRES, view.n_joints))
-        tips, slopes = _slopes(view, middles)
-        ways, moves, _ = np.linalg.svd(slopes, full_matrices=False)
-        counts = np.count_nonzero(moves >= MIN_SINGULAR_VALUE * view.reach, axis=1)
+        centres = random.uniform(-reach, reach, (CENTRES, view.n_joints))
+        tips, jacobians = _jacobians(view, centres)
+        directions, gains, _ = np.linalg.svd(jacobians, full_matrices=False)
+        counts = np.count_nonzero(gains >= MIN_SINGULAR_VALUE * view.reach, axis=1)
         for i in np.flatnonzero(counts >= 2):
-            curve = _frame(random, ways[i], counts[i]).T @ PATH_SHAPES[shape](random, size)
+            curve = _frame(random, directions[i], counts[i]).T @ PATH_SHAPES[shape](random, size)
             curve[:, 0] += tips[i]
-            postures, left = view.reaching(evaluate_series(curve[None], COLLOCATION_PHASES)[0], middles[i])
-            if left <= ACCURACY * view.reach and np.abs(postures).max() <= MAX_ANGLE:
-                if view.heavy:
-                    places = postures[::SAG_STRIDE]
-                    curve += _series(view.rest_tips(places) - view.rigid_tips(places), HARMONICS)
+            postures, error = view.inverse_kinematics(evaluate_series(curve[None], COLLOCATION_PHASES)[0], centres[i])
+            if error <= ACCURACY * view.reach and np.abs(postures).max() <= MAX_ANGLE:
+                if view.has_gravity:
+                    points = postures[::SAG_STRIDE]
+                    curve += _series(view.rest_tips(points) - view.rigid_tips(points), HARMONICS)
                 return curve, _series(postures, POSTURE_HARMONICS)
     raise value_error("Track.size", size, "m, a path that the tip of this arm can follow in at least two directions")
 
 
-def _frame(random: np.random.Generator, ways: Array, count: int) -> Array:
+def _frame(random: np.random.Generator, directions: Array, count: int) -> Array:
     """Return the axes (3, 3), as rows, of a random frame in the first `count` directions (2 or 3) of (3, n).
 
     A missing third axis is zero.
@@ -119,15 +120,15 @@ def _frame(random: np.random.Generator, ways: Array, count: int) -> Array:
         result: Array = np.linalg.qr(random.standard_normal((3, 3)))[0]
         return result
     angle = random.uniform(0.0, 2.0 * np.pi)
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    return np.vstack([turn @ ways[:, :2].T, np.zeros(3)])
+    rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return np.vstack([rotation @ directions[:, :2].T, np.zeros(3)])
 
 
-def _slopes(view: View, postures: Array) -> tuple[Array, Array]:
+def _jacobians(view: View, postures: Array) -> tuple[Array, Array]:
     """Return the tips (r, 3) of the rigid arm at postures (r, n), and their Jacobians (r, 3, n) by differences."""
-    turns = np.vstack([np.zeros(view.n_joints), STEP * np.eye(view.n_joints)])
-    tips = view.rigid_tips((postures[:, None] + turns).reshape(-1, view.n_joints))
-    tips = tips.reshape(len(postures), len(turns), 3)
+    steps = np.vstack([np.zeros(view.n_joints), STEP * np.eye(view.n_joints)])
+    tips = view.rigid_tips((postures[:, None] + steps).reshape(-1, view.n_joints))
+    tips = tips.reshape(len(postures), len(steps), 3)
     return tips[:, 0], (tips[:, 1:] - tips[:, :1]).transpose(0, 2, 1) / STEP
 
 
@@ -256,13 +257,13 @@ class _Preview:
     measures: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, times: Vector) -> None:
-        self._ahead = np.array(times)
+        self._times = np.array(times)
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
         """Return the entry: three numbers for each look-ahead time."""
-        return [Entry("preview", 3 * len(self._ahead), "m", (1.0 + limits.deflection) * view.reach)]
+        return [Entry("preview", 3 * len(self._times), "m", (1.0 + limits.deflection) * view.reach)]
 
     def read(self, view: View, out: Array) -> None:
         """Write the future positions into out (b, 3 times), m."""
-        phases = path_phase(view.time[:, None] + self._ahead, view.plan["period"][:, None])
+        phases = path_phase(view.time[:, None] + self._times, view.plan["period"][:, None])
         out[:] = evaluate_series(view.plan["path"], phases).reshape(len(out), -1)
