@@ -22,6 +22,10 @@ class ActiveEffects:
     without a draw from that generator. An effect draws once per episode from its stream; random events during the
     episode use a generator seeded by this draw.
 
+    Args:
+        randomisation: enabled effects and their ranges.
+        context: arms and signals of the effects.
+
     Attributes:
         drawn: effect -> values (b, ...) of the present episodes: physical parameters in their units, torque_limit (N
             m), sensor_noise, delay (control periods) and initial_vibration (b, n, 2), m along y and z of the beam frame

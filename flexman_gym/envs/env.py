@@ -106,7 +106,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
             frame always contains the arm at start and goal, and the target.
         render_gain: factor on the drawn deflection, printed in the frame.
         render_overlays: write time, tip error, reward, torques and scales over a frame.
-        settings: the attributes of `Configuration` (arm, task, limits, fidelity and so on), and "condition", one of
+        **settings: the attributes of `Configuration` (arm, task, limits, fidelity and so on), and "condition", one of
             `envs.config.named_environments.CONDITIONS`, which changes some settings that are not given.
 
     Examples:
@@ -183,7 +183,10 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         return self.episodes.agent.observations[0].copy(), self._info()
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Apply an action (k,) for `action_repeat` control periods.
+        """Apply an action for `action_repeat` control periods.
+
+        Args:
+            action: (k,) values from -1 to 1.
 
         Returns:
             Observation, reward, terminated, truncated and info.

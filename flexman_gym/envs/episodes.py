@@ -52,6 +52,11 @@ def validate_actions(name: str, value: object, shape: tuple[int, ...], allowed: 
 class _Motors:
     """Motors of b arms with n joints, and the disturbances of the arms.
 
+    Args:
+        limits: (n,) torque limits, N m.
+        arms: number of arms b.
+        lag: lag of the drives in one control period, see `control.margins.first_order_lag`; None for none.
+
     Attributes:
         limits: (b, n) torque limits, N m; effects may change them.
         drive: (b, n + 6) input of `Batch.step`, with the following three arrays as views.
@@ -86,6 +91,10 @@ class _Motors:
 class Episodes:
     """b arms with a task, sensors and limits. The motion of an arm is independent of all other arms, bit for bit.
 
+    Args:
+        configuration: configuration of the environment.
+        batch: simulated arms.
+
     Attributes:
         batch: simulated arms.
         view: named quantities of the arms.
@@ -96,7 +105,7 @@ class Episodes:
         failures: arm -> cause, of the last step.
         over: (b,) True for an arm without a running episode.
         truncated: (b,) True for an episode that ended after `max_periods` control periods.
-        longest: control periods after which an episode is truncated.
+        max_periods: control periods after which an episode is truncated.
         watch: function called after every control period, also within an action repeat; None for none.
     """
 
@@ -390,7 +399,7 @@ class Episodes:
         }
 
 
-def make_spaces(episodes: Episodes) -> tuple[spaces.Box, spaces.Box]:
+def make_spaces(episodes: Episodes) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
     """Return the observation space and the action space of one arm."""
     bound = episodes.agent.bound(episodes.sensors.bound)
     size = len(episodes.agent.mode.names)

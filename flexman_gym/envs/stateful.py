@@ -48,6 +48,9 @@ class StatefulEnv:
     def set_state(self, state: dict[str, Any]) -> Observations:
         """Set the complete state from `get_state` of an environment with the same arguments.
 
+        Args:
+            state: result of `get_state`.
+
         Returns:
             Observations (b, size) of the arms.
 

@@ -85,7 +85,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         render_camera: see `FlexManEnv`.
         render_gain: see `FlexManEnv`.
         render_overlays: see `FlexManEnv`.
-        settings: the attributes of `Configuration`, and "condition"; see `FlexManEnv`.
+        **settings: the attributes of `Configuration`, and "condition"; see `FlexManEnv`.
     """
 
     kept, spaces = ("_randoms", "_seeds"), ("action_space", "single_action_space")
@@ -174,7 +174,10 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         return self.episodes.agent.observations.copy(), infos if mask is None else _masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observations, Array, BoolArray, BoolArray, Infos]:
-        """Apply actions (num_envs, k) for `action_repeat` control periods, and reset according to the autoreset mode.
+        """Apply actions for `action_repeat` control periods, and reset according to the autoreset mode.
+
+        Args:
+            actions: (num_envs, k) values from -1 to 1.
 
         Returns:
             Observations, rewards, terminations, truncations and infos.

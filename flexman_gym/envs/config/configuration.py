@@ -232,6 +232,9 @@ class Configuration(EnvironmentSettings):
 
         The commands accept such a file: `flexman train --env FILE`.
 
+        Args:
+            path: path of the file.
+
         Raises:
             ValueError: for any other suffix, and for an object without a plain form.
         """

@@ -52,6 +52,9 @@ class NamedEnvironment:
         The arm is a name or a mapping as for `Configuration`, where lists at "joints" set fields of its joints. The key
         "extends" names another environment, whose file has the attributes that are missing here.
 
+        Args:
+            path: path of the file; those of other environments are in the same folder.
+
         Raises:
             ValueError: one line with file, field, value and the allowed values.
         """
@@ -123,6 +126,10 @@ DEFAULT_ID = "FlexRRR-v0"
 def condition_settings(id: str, condition: object) -> dict[str, Any]:
     """Return the settings of a named environment under one of its conditions; {} for the nominal one.
 
+    Args:
+        id: id of the environment.
+        condition: name of the condition.
+
     Raises:
         ValueError: for an unknown condition, and for an environment without conditions.
     """
@@ -140,6 +147,11 @@ def condition_settings(id: str, condition: object) -> dict[str, Any]:
 
 def refuse_condition(name: str, condition: str, **settings: Any) -> NoReturn:
     """Refuse an id followed by a condition, a form for `rollout` and the commands but not for Gymnasium.
+
+    Args:
+        name: id of the environment.
+        condition: name of the condition.
+        **settings: keyword arguments of `gym.make`.
 
     Raises:
         ValueError: always; it names the keyword of `gym.make` and `gym.make_vec` to use.

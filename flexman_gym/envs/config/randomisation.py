@@ -18,7 +18,7 @@ class Randomisation:
 
     Args:
         impulse_gap: mean time between two impulses, or two changes of load, s; at least a control period. None for 2.
-        ranges: of the physical parameters in `simulation.parameters.PARAMETERS`: payload_mass (kg), joint_damping
+        **ranges: of the physical parameters in `simulation.parameters.PARAMETERS`: payload_mass (kg), joint_damping
             (N m s/rad) and, as factors > 0 on the nominal values, one for each joint or link, joint_stiffness_factor,
             rotor_inertia_factor, viscous_friction_factor, coulomb_friction_factor and link_stiffness_factor; and of the
             effects in `envs.effects.SIGNALS`: torque_limit_factor, sensor_noise (fractions of the ranges), delay (whole

@@ -77,6 +77,9 @@ def _flawed(sensor: Any, flaws: Mapping[str, Any], of_set: bool) -> Sensor:
 def plain_sensors(parts: tuple[object, ...]) -> list[Any]:
     """Return the names and mappings from which `find_sensors` makes the same sensors.
 
+    Args:
+        parts: sensors.
+
     Raises:
         ValueError: for a sensor of the user's own class.
     """

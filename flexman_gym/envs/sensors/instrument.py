@@ -66,7 +66,7 @@ class Instrument:
 
     Args:
         sensor: a Sensor.
-        flaws: see `Flaws`.
+        **flaws: see `Flaws`.
 
     Raises:
         ValueError: for an unknown flaw, and for a sensor without measured quantities.

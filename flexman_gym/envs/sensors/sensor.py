@@ -55,6 +55,11 @@ class MeasuredView:
     Measured quantities may differ from the true ones within their ranges. Errors of tip and angles are derived from the
     measured quantities, so that a sensor contains no more information than the instruments.
 
+    Args:
+        view: view of the true quantities.
+        limits: limits of the arm.
+        names: measured quantities.
+
     Attributes:
         values: (b, size) measured quantities side by side; an instrument overwrites them, then calls `clip`.
         bound: (size,) largest measured magnitude of each.

@@ -31,6 +31,9 @@ def find_task(value: object) -> Task:
 def plain_task(task: Any) -> dict[str, Any]:
     """Return the mapping of a task from which `find_task` makes an equal one.
 
+    Args:
+        task: the task.
+
     Raises:
         ValueError: for a task of the user's own class.
     """

@@ -51,6 +51,10 @@ class Task(Protocol):
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
         """Draw the plan of one episode.
 
+        Args:
+            random: generator of the episode.
+            view: view of the arms, for constants such as the reach.
+
         Returns:
             "start", joint angles (n,) in rad, and any further arrays needed by `goal`. `reset(options=...)` may set
             each entry by its name, for all arms or with a leading axis for each.

@@ -222,11 +222,7 @@ class Track:
         return (_Preview(self.preview),) if self.preview else ()
 
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
-        """Draw the path of one episode.
-
-        Returns:
-            Series of the tip (m) and of the motor angles (rad), time of one revolution (s), and start (rad).
-        """
+        """Draw the path of one episode: tip (m), motor angles (rad), time of one revolution (s), and start (rad)."""
         shape = list(PATH_SHAPES)[random.integers(len(PATH_SHAPES))] if self.path == ANY else self.path
         mode = 1.0 / view.first_frequency if np.isfinite(view.first_frequency) else 1.0
         period = random.uniform(self.period[0], self.period[1]) * mode
