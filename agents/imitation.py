@@ -23,8 +23,7 @@ from flexman_gym.control.agent import history_length
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.control.network import MAX_INPUT, VARIANCE_OFFSET, Network
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_controller
-from flexman_gym.envs.episodes import make_base_and_mode
+from flexman_gym.envs.config.specification import make_base_and_mode, make_controller
 from flexman_gym.evaluation.agent import AgentSpec, observation_layout, split_interface
 from flexman_gym.evaluation.agent_info import TIME_COLUMN
 from flexman_gym.evaluation.rollout import Rollout, rollout, training_seed

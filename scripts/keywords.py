@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.envs.config.configuration import SETTINGS
+from flexman_gym.envs.config.settings import SETTINGS
 from studies.files import folder
 
 HEAD = """# Keywords of environments
@@ -12,7 +12,7 @@ HEAD = """# Keywords of environments
 `gym.make` and `gym.make_vec` take these keywords, the same for every environment; so do files of environments and
 `--set NAME=VALUE` of the commands. `condition` names a condition of an environment, which changes keywords that are not
 given. `python scripts/keywords.py --folder docs/environments` writes this page from the declarations in
-`flexman_gym/envs/config/configuration.py`.
+`flexman_gym/envs/config/settings.py`.
 """
 
 
@@ -22,7 +22,7 @@ def page() -> str:
         [f"`{name}`", each.unit, "of the named environment" if each.named else f"`{each.default!r}`", each.help]
         for name, each in SETTINGS.items()
     ]
-    old = [f"`{old}` is the deprecated name of `{name}`." for name, each in SETTINGS.items() for old in each.formerly]
+    old = [f"`{old}` is the deprecated name of `{name}`." for name, each in SETTINGS.items() for old in each.deprecated]
     return "\n".join([HEAD, *markdown_table(["keyword", "unit", "default", "meaning"], rows), "", *old, ""])
 
 

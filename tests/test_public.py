@@ -63,7 +63,7 @@ def test_methods_are_a_mapping_as_before():
         Configuration("FlexRRR-v0", {"condition": "unknown-lab", "limits": {"angle": 2.0}, "reward": {"effort": 0.0}}),
         Configuration(),
         Configuration(
-            "FlexOne-v0", {"history": (0.1, 0.5), "modes": (2,), "sensors": ("full", "fine"), "tell": ["tip"]}
+            "FlexOne-v0", {"history": (0.1, 0.5), "modes": (2,), "sensors": ("full", "fine"), "info_keys": ["tip"]}
         ),
     ],
 )
@@ -94,7 +94,7 @@ def test_an_environment_made_of_objects_is_saved(tmp_path):
     arm = fm.catalog.paper_rrr(rotor_inertia=9.0, torque_limit=300.0)
     parts = {"arm": arm, "task": Slew(slew=0.3), "limits": fm.Limits(angle=2.0), "torque_limit": (1.0, 2.0, 3.0)}
     env = gym.make("FlexRRR-v0", **parts)
-    env.unwrapped.setup.save(tmp_path / "env.yaml")
+    env.unwrapped.configuration.save(tmp_path / "env.yaml")
     setup = Configuration.load(tmp_path / "env.yaml")
     assert (setup.arm, setup.task, setup.limits.angle) == (arm, Slew(slew=0.3), 2.0)
     assert setup.torque_limit == (1.0, 2.0, 3.0)
@@ -111,4 +111,4 @@ def test_gains_are_tuned_from_python_and_used():
     found = fm.tune("FlexOne-v0", first=2, around=1, episodes=1)
     assert found.margins.gain >= 2.0 and found.margins.phase >= 30.0
     env = gym.make("FlexOne-v0", base="pd", gains=found.gains)
-    assert env.unwrapped.setup.gains == {"stiffness": found.stiffness, "damping": found.damping}
+    assert env.unwrapped.configuration.gains == {"stiffness": found.stiffness, "damping": found.damping}

@@ -85,7 +85,7 @@ def _bode(options: argparse.Namespace, out: Path) -> list[Path]:
     model, period, gains = resolve_fidelity(setup).model, setup.control_period, setup.pd_gains
     angles = options.angles or [0.0] * model.n_joints
     places = np.geomspace(0.01, 0.5 / period, 1200)
-    loops = sampled_loops(model, angles, period, setup.latest_delay, setup.drive_bandwidth)
+    loops = sampled_loops(model, angles, period, setup.max_delay, setup.drive_bandwidth)
     stuck = margins(loops, gains["stiffness"], gains["damping"]).stuck
     loop = next(each for each in loops if each.stuck == stuck)
     responses = open_loop_responses(loop, gains["stiffness"], gains["damping"], places, period)

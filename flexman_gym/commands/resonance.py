@@ -89,7 +89,7 @@ def _environment_model(environment: object, count: int) -> "tuple[Model, np.ndar
     assert isinstance(environment, Configuration)
     venv = gym.make_vec(environment.id, count, "vector_entry_point", **environment.keywords())
     venv.reset(seed=list(range(count)))  # type: ignore[arg-type]
-    episodes, disturbed = venv.unwrapped.episodes, environment.disturbed  # type: ignore[attr-defined]
+    episodes, disturbed = venv.unwrapped.episodes, environment.disturbances  # type: ignore[attr-defined]
     result = episodes.batch.model, episodes.view.goal_angles.copy(), disturbed.payload_mass if disturbed else None
     venv.close()
     return result

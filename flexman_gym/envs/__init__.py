@@ -1,4 +1,4 @@
-"""Environments: arms in episodes behind Gymnasium's interfaces, one or many."""
+"""Gymnasium environments of flexible robot arms, single and vectorised."""
 
 from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS

@@ -16,46 +16,50 @@ from flexman_gym.simulation.parameters import LINK, PARAMETERS, RENAMED_PARAMETE
 
 
 class ActiveEffects:
-    """The effects of a randomisation on b arms.
+    """Effects of a randomisation on b arms.
 
-    An effect's stream of an arm is seeded by the name of the effect and the seed of the arm's generator, from which
-    nothing is drawn. It gives one draw an episode; what happens within an episode comes from a generator that this draw
-    seeds.
+    Each effect has one random stream per arm, seeded by the name of the effect and the seed of the arm's generator,
+    without a draw from that generator. An effect draws once per episode from its stream; random events during the
+    episode use a generator seeded by this draw.
+
+    Args:
+        randomisation: enabled effects and their ranges.
+        context: arms and signals of the effects.
 
     Attributes:
-        drawn: effect -> values (b, ...) of the episodes that the arms are in: physical parameters in their units,
-            torque_limit (N m), sensor_noise, delay (periods) and initial_vibration (b, n, 2), m along y and z of each
-            link's beam frame. Impulses are drawn on the way and are not in it. A new dict of new arrays after every
-            reset.
+        drawn: effect -> values (b, ...) of the present episodes: physical parameters in their units, torque_limit (N
+            m), sensor_noise, delay (control periods) and initial_vibration (b, n, 2), m along y and z of the beam frame
+            of each link. Impulses are drawn during the episode and not included. Each reset makes a new dict of new
+            arrays.
 
     Raises:
-        ValueError: for an effect that the model or the limits leave no room for.
+        ValueError: for an effect that does not apply to the model, or that exceeds the limits.
     """
 
     kept = ("drawn", "_streams", "_signals")
 
-    def __init__(self, randomisation: Randomisation, stage: EffectContext) -> None:
-        self._batch, self._ranges = stage.batch, randomisation.ranges
-        model, arms, period = stage.batch.model, len(stage.batch.rows), stage.batch.control_period
-        if stage.impulse_gap < period:
+    def __init__(self, randomisation: Randomisation, context: EffectContext) -> None:
+        self._batch, self._ranges = context.batch, randomisation.ranges
+        model, arms, period = context.batch.model, len(context.batch.rows), context.batch.control_period
+        if context.impulse_gap < period:
             raise value_error(
-                "Randomisation.impulse_gap", stage.impulse_gap, f"at least the control period, {period} s"
+                "Randomisation.impulse_gap", context.impulse_gap, f"at least the control period, {period} s"
             )
         self._signals: dict[str, Any] = {}
         shapes: dict[str, tuple[int, ...]] = {}
         for name, span in self._ranges.items():
             if name in PARAMETERS:
-                _check_room(name, span, model)
+                _check_parameter(name, span, model)
                 shapes[name] = PARAMETERS[name].shape(model.n_joints)
             else:
-                signal = self._signals[name] = SIGNALS[name](stage, span)
+                signal = self._signals[name] = SIGNALS[name](context, span)
                 check_member_names(name, signal, HOOKS, ("checked", "shape", "draw"))
                 if signal.shape is not None:
                     shapes[name] = signal.shape
         kinds = {name: signal.kind for name, signal in self._signals.items()}
         self.drawn = {name: np.zeros((arms, *shape), dtype=kinds.get(name, float)) for name, shape in shapes.items()}
         self._streams = RandomStreams([_stream_name(name) for name in self._ranges], arms)
-        self._hooks = {hook: self._with(hook) for hook in HOOKS}
+        self._hooks = {hook: self._find_hooks(hook) for hook in HOOKS}
 
     @property
     def drawn(self) -> dict[str, NDArray[Any]]:
@@ -66,23 +70,30 @@ class ActiveEffects:
     def drawn(self, values: dict[str, NDArray[Any]]) -> None:
         self._drawn = {
             RENAMED_PARAMETERS.get(name, name): each for name, each in values.items()
-        }  # states of release 0.2
+        }  # saved states of release 0.2 have the old names
 
-    def _with(self, hook: str) -> list[Any]:
-        """The hooks of that name of the effects that have one, with the effect's name for `begin`."""
+    def _find_hooks(self, hook: str) -> list[Any]:
+        """Return the hooks of that name; for `begin` together with the name of the effect."""
         result = [(name, getattr(signal, hook)) for name, signal in self._signals.items() if hasattr(signal, hook)]
         return result if hook == "begin" else [method for _, method in result]
 
     def draw(
         self, arms: IntArray, randoms: Sequence[np.random.Generator], given: Mapping[str, Array]
     ) -> dict[str, Array]:
-        """Draws for new episodes of the arms (r,); returns the physical parameters that differ, for `Batch.vary`.
+        """Draw the effects of new episodes of the arms (r,).
 
-        `given` parameters (r, ...) take the place of drawn ones, which are drawn all the same.
+        Args:
+            arms: (r,) indices.
+            randoms: generator of each of these arms.
+            given: physical parameters (r, ...) that replace the drawn ones; these are drawn nevertheless, so that the
+                streams stay the same.
+
+        Returns:
+            Physical parameters for `Batch.vary`.
         """
         self.drawn = {name: values.copy() for name, values in self.drawn.items()}
         for row, (arm, random) in enumerate(zip(arms.tolist(), randoms, strict=True)):
-            streams = self._streams.of(arm, random)
+            streams = self._streams.generators(arm, random)
             for name in self._ranges:
                 value = self._value(name, arm, streams[_stream_name(name)])
                 if name in self.drawn:
@@ -92,7 +103,7 @@ class ActiveEffects:
         return {name: self.drawn[name][arms] for name in PARAMETERS if name in self.drawn} | dict(given)
 
     def _value(self, name: str, arm: int, stream: np.random.Generator) -> Any:
-        """The value that an arm's episode draws of an effect."""
+        """Return the value of an effect drawn for the episode of an arm."""
         if name in self._signals:
             return self._signals[name].draw(arm, stream)
         row, model, nominal = PARAMETERS[name], self._batch.model, self._batch.nominal[name]
@@ -100,30 +111,30 @@ class ActiveEffects:
         drawn = values * nominal if row.factor else values
         return np.where(row.fixed(model), nominal, drawn) if nominal.shape else drawn
 
-    def of(self, arm: int) -> dict[str, Any]:
-        """What the episode of one arm drew, plain numbers and arrays that are the caller's."""
+    def drawn_for(self, arm: int) -> dict[str, Any]:
+        """Return the drawn values of one arm as new numbers and arrays."""
         drawn = {name: values[arm] for name, values in self.drawn.items()}
         return {name: value.item() if value.ndim == 0 else value.copy() for name, value in drawn.items()}
 
-    def follow(self, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Takes the generators of all arms as those whose streams are in use, after these were given back."""
-        self._streams.follow(randoms)
+    def set_generators(self, randoms: Sequence[np.random.Generator | None]) -> None:
+        """Set the generators of all arms to which the restored streams belong."""
+        self._streams.set_generators(randoms)
 
     def change_start(self, arms: IntArray, states: Array) -> None:
-        """Changes the states (r, 2 d) from which the episodes of the arms (r,) start."""
+        """Change the initial states (r, 2 d) of the arms (r,) in place."""
         for change in self._hooks["change_start"]:
             change(arms, states)
 
     def motor_actions(self, actions: Array) -> Array:
-        """What reaches the motors of the actions (b, n)."""
-        for arriving in self._hooks["motor_actions"]:
-            actions = arriving(actions)
+        """Return the actions (b, n) that reach the motors."""
+        for hook in self._hooks["motor_actions"]:
+            actions = hook(actions)
         return actions
 
     def disturb(self, forces: Array, accelerations: Array, over: BoolArray) -> None:
-        """Writes forces (b, 3) N on the tips and accelerations (b, 3) m/s^2 of the bases during this period.
+        """Write the forces at the tips (b, 3), N, and the accelerations of the bases (b, 3), m/s^2, in this period.
 
-        Nothing disturbs arms whose episode is over.
+        Arms without a running episode are not disturbed.
         """
         for hook, values in (("add_tip_forces", forces), ("add_base_accelerations", accelerations)):
             if self._hooks[hook]:
@@ -133,27 +144,27 @@ class ActiveEffects:
 
     @property
     def measures(self) -> bool:
-        """Whether something changes what is measured."""
+        """True if an effect changes measurements."""
         return bool(self._hooks["measure"])
 
     def measure(self, values: Array, arms: IntArray) -> Array:
-        """What is measured of the values (r, size) of the arms (r,)."""
+        """Return the measured values (r, size) of the arms (r,)."""
         for measure in self._hooks["measure"]:
             values = measure(values, arms)
         return values
 
 
 def _stream_name(effect: str) -> str:
-    """Return the name that seeds the stream of an effect, which is older than the suffix of factors."""
+    """Return the name that seeds the stream of an effect, without the suffix of factors that version 0.3 added."""
     return effect.removesuffix("_factor")
 
 
-def _check_room(name: str, span: tuple[float, float], model: Model) -> None:
-    """Refuses a parameter that nothing of the model has."""
+def _check_parameter(name: str, span: tuple[float, float], model: Model) -> None:
+    """Check that the model has the parameter."""
     row, field = PARAMETERS[name], f"Randomisation.{range_name(name)}"
     if row.of == LINK and not (np.diff(model.constants.elastic_start) > 0).any():
         raise value_error(field, span, "None: every link of this arm is rigid")
     if row.shape(model.n_joints) and row.fixed(model).all():
         raise value_error(field, span, f"None: every joint of this arm is {row.lacking}")
     if row.factor and not np.any(row.nominal(model)):
-        raise value_error(field, span, "None: this arm has none of it, of which a factor is a part")
+        raise value_error(field, span, "None: the nominal value of this arm is zero")

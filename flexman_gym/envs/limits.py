@@ -1,4 +1,4 @@
-"""Limits: how far an arm may move before its episode ends."""
+"""Limits of the motion of an arm."""
 
 from dataclasses import dataclass, fields
 
@@ -11,20 +11,23 @@ from flexman_gym.envs.view import View
 
 @dataclass(frozen=True)
 class Limits:
-    """How far an arm may move; an episode ends when it goes further. Beyond them the model, too, loses its meaning.
+    """Limits of the motion of an arm; an episode ends when one of them is exceeded.
 
-    They belong to the arm: they hold whatever an agent sees.
+    Beyond the limits the model loses its validity. They are checked on the true state, whatever the agent's sensors
+    are.
 
     Attributes:
-        angle: of a motor, rad.
-        rate: of a motor, rad/s.
-        twist: of a joint spring (motor angle - joint angle), rad; its rate may be `rate`.
-        deflection: of a link's tip, as a part of the link's length.
-        deflection_rate: of a link's tip, m/s.
-        tip_speed: of the tip along each axis, m/s.
+        angle: of each motor, rad.
+        rate: of each motor and of each joint twist, rad/s.
+        twist: of each joint, motor angle - joint angle, rad.
+        deflection: of the tip of a link, as a fraction of the length of the link.
+        deflection_rate: of the tip of a link, m/s.
+        tip_speed: of the tip along each base axis, m/s.
 
-    Raises:
-        ValueError: for a limit that is not a finite number > 0.
+    Example:
+        >>> env = gym.make("FlexOne-v0", limits=fm.Limits(rate=12.0, tip_speed=10.0))
+        >>> env.unwrapped.configuration.limits.rate
+        12.0
     """
 
     angle: float = 4.0
@@ -38,8 +41,8 @@ class Limits:
         set_fields(self, **{name: positive(f"Limits.{name}", value) for name, value in vars(self).items()})
 
     def bounds(self, view: View) -> dict[str, Array]:
-        """name -> largest magnitude of each entry of that part of `view.motion`."""
-        sizes = {name: place.stop - place.start for name, place in view.places.items()}
+        """Return the largest magnitude of each entry of `view.motion`, by the name of its part."""
+        sizes = {name: place.stop - place.start for name, place in view.slices.items()}
         values = {
             "motor_angles": self.angle,
             "motor_rates": self.rate,
@@ -53,7 +56,14 @@ class Limits:
 
 
 def limit_violation(values: Array, bound: Array, places: dict[str, slice], units: dict[str, str]) -> str:
-    """The name of the first of the values (size,) beyond its bound, with value and unit; "" where all are within."""
+    """Describe the first value beyond its bound: name, value, unit and bound; "" if all are within.
+
+    Args:
+        values: (size,) values.
+        bound: (size,) largest magnitudes.
+        places: name -> slice of the values.
+        units: name -> unit.
+    """
     inside = np.abs(values) <= bound
     if inside.all():
         return ""
@@ -63,11 +73,9 @@ def limit_violation(values: Array, bound: Array, places: dict[str, slice], units
 
 
 def find_limits(value: object) -> Limits:
-    """Gives the Limits of a mapping of their numbers.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Return Limits from a mapping of their values, or a Limits as it is."""
+    if isinstance(value, Limits):
+        return value
     names = [each.name for each in fields(Limits)]
     if not isinstance(value, dict):
         raise value_error("limits", value, f"a mapping with some of {', '.join(names)}, or Limits")

@@ -1,4 +1,4 @@
-"""Measurements: readings of the sensors of the agent and of those of its action mode, of many arms."""
+"""Measurements: readings of the sensors of the agent and of its action mode, for many arms."""
 
 from collections.abc import Sequence
 
@@ -13,17 +13,17 @@ from flexman_gym.envs.view import View
 
 
 class Measurements:
-    """Sensors of b arms, sampled once a control period and read at most once in it.
+    """Sensors of b arms, sampled once per control period and read at most once in it.
 
     Args:
-        view: of the arms.
-        limits: of the arms.
-        observed: sensors of the agent, with those of the task.
+        view: view of the arms.
+        limits: limits of the arms.
+        observed: sensors of the agent and of the task.
         inner: sensors of the action mode and its base controller.
-        effects: disturbances of what is measured; None without any.
+        effects: disturbances of the measurements; None for none.
 
     Attributes:
-        sensors: of the agent; their `observations` are the newest alone.
+        sensors: sensors of the agent; their `observations` have no history.
     """
 
     kept = ("_measured", "sensors", "_base_sensors")
@@ -43,7 +43,7 @@ class Measurements:
         source = self._measured or view
         self.sensors = SensorArray(observed, source, limits)  # type: ignore[arg-type]
         self._base_sensors = SensorArray(inner, source, limits, "base", self.sensors)  # type: ignore[arg-type]
-        self._read, self._base_read = False, False  # in this control period
+        self._read, self._base_read = False, False  # True after a reading in this control period
 
     def begin(self, arms: IntArray, randoms: Sequence[np.random.Generator]) -> None:
         """Start new episodes of the arms (r,), each with its generator, and read them."""
@@ -62,9 +62,9 @@ class Measurements:
     def _measure(self, arms: IntArray) -> None:
         self._read, self._base_read = False, False
         if self._measured is not None and self._effects is not None:
-            self._measured.take(arms)
+            self._measured.copy_true(arms)
             self._measured.values[arms] = self._effects.measure(self._measured.values[arms], arms)
-            self._measured.settle()
+            self._measured.clip()
 
     def read(self) -> Array:
         """Return the readings (b, size) of the agent's sensors side by side."""
@@ -81,10 +81,10 @@ class Measurements:
             self._base_read = True
         return self._base_sensors.readings
 
-    def renew(self, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Read again, after the state and the generators of all arms were set."""
+    def refresh(self, randoms: Sequence[np.random.Generator | None]) -> None:
+        """Read again after the state and the generators of all arms were replaced."""
         if self._measured is not None:
-            self._measured.renew()
-        self.sensors.renew(randoms)
-        self._base_sensors.renew(randoms)
+            self._measured.refresh()
+        self.sensors.refresh(randoms)
+        self._base_sensors.refresh(randoms)
         self._read, self._base_read = True, True

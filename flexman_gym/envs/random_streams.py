@@ -8,14 +8,15 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
 
-BLOCK_SIZE = 32  # samples whose noise is drawn at once
+BLOCK_SIZE = 32  # samples per draw of noise
 TRUNCATION = 4.0  # standard deviations; noise beyond it is drawn again
 
 
 class RandomStreams:
-    """A generator for each name and each of b arms, seeded by the name and the seed of the arm's own generator.
+    """Generator for each name and each of b arms, seeded by the name and the seed of the arm's own generator.
 
-    Nothing is drawn from the arm's own generator, so that a purpose more changes neither the others nor the episode.
+    Nothing is drawn from the arm's own generator, so that a further name changes neither the other streams nor the
+    episode.
     """
 
     kept = ("_streams",)
@@ -24,21 +25,21 @@ class RandomStreams:
         self._parents: list[np.random.Generator | None] = [None] * arms
         self._streams: dict[str, list[Any]] = {name: [None] * arms for name in names}
 
-    def of(self, arm: int, random: np.random.Generator) -> dict[str, np.random.Generator]:
-        """The generators of an arm by name; they are made anew for another `random` than the last time."""
+    def generators(self, arm: int, random: np.random.Generator) -> dict[str, np.random.Generator]:
+        """Return the generators of an arm by name; a new `random` makes new ones."""
         if self._parents[arm] is not random:
             self._parents[arm] = random
             for name, streams in self._streams.items():
                 streams[arm] = _stream(random, name)
         return {name: streams[arm] for name, streams in self._streams.items()}
 
-    def follow(self, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Takes the generators of all arms as those whose streams are in use, after these were given back."""
+    def set_generators(self, randoms: Sequence[np.random.Generator | None]) -> None:
+        """Set the generators of all arms to which the restored streams belong."""
         self._parents = list(randoms)
 
 
 class TruncatedNoise:
-    """Standard normal numbers, (size,) a sample, for each of b arms; a number beyond TRUNCATION is drawn again."""
+    """Standard normal numbers (size,) per sample for each of b arms; numbers beyond TRUNCATION are drawn again."""
 
     kept = ("_inner", "_block", "_used")
 
@@ -47,11 +48,11 @@ class TruncatedNoise:
         self._block, self._used = np.zeros((arms, BLOCK_SIZE, size)), np.zeros(arms, dtype=np.int64)
 
     def begin(self, arm: int, stream: np.random.Generator) -> None:
-        """Starts the noise of an episode by one draw of a stream."""
+        """Seed the noise of an episode with one draw of a stream."""
         self._inner[arm], self._used[arm] = np.random.default_rng(stream.integers(2**63)), BLOCK_SIZE
 
     def sample(self, arms: IntArray) -> Array:
-        """The next numbers (r, size) of the arms (r,)."""
+        """Return the next numbers (r, size) of the arms (r,)."""
         for arm in arms[self._used[arms] == BLOCK_SIZE].tolist():
             self._block[arm], self._used[arm] = _normal(self._inner[arm], self._block.shape[1:]), 0
         result = self._block[arms, self._used[arms]]
@@ -60,7 +61,7 @@ class TruncatedNoise:
 
 
 def _normal(random: np.random.Generator, shape: tuple[int, ...]) -> Array:
-    """Standard normal numbers within the truncation, by rejection."""
+    """Return standard normal numbers within the truncation, by rejection."""
     values = random.standard_normal(shape)
     while (beyond := np.abs(values) > TRUNCATION).any():
         values[beyond] = random.standard_normal(np.count_nonzero(beyond))
@@ -68,7 +69,7 @@ def _normal(random: np.random.Generator, shape: tuple[int, ...]) -> Array:
 
 
 def _stream(parent: np.random.Generator, name: str) -> np.random.Generator:
-    """A generator made from the seed of another and a name."""
+    """Return a generator seeded by the seed of another generator and a name."""
     seed: Any = parent.bit_generator.seed_seq
     key = (*seed.spawn_key, crc32(name.encode()))
     return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))

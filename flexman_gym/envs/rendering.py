@@ -1,4 +1,4 @@
-"""Rendering: pictures of arms in the midst of their episodes, as Gymnasium asks for them."""
+"""Rendering: frames of arms during their episodes."""
 
 from typing import Any
 
@@ -14,23 +14,20 @@ from flexman_gym.model.deformation import curves
 
 RENDER_KEYWORDS = ("render_mode", "render_size", "render_camera", "render_gain", "render_overlays")
 RENDER_MODES = ("human", "rgb_array")
-TRAIL_DURATION = 1.5  # s of the way of the tip
-PLACES, BETWEEN, TIMES = 5, 7, 24  # on each link; postures from start to goal; moments of a goal that moves
+TRAIL_DURATION = 1.5  # s; drawn part of the path of the tip
+LINK_POINTS, POSTURES, TIMES = 5, 7, 24  # points on each link; postures from start to goal; times of a moving goal
 
 
 class _Renderer:
-    """Paints the arms of an environment, each from a camera that has its whole task in the picture.
+    """Renderer of the arms of an environment, each with a camera that shows its whole task.
 
     Args:
-        episodes: of the arms.
-        title: of the pictures.
-        look: size, camera, gain and overlays, see FramePainter.
+        episodes: episodes of the arms.
+        title: title of the frames.
+        look: size, camera, gain and overlays, see `FramePainter`.
 
     Attributes:
-        screen: where a person sees the first arm, None before that.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+        screen: window or page with the first arm; None before the first frame.
     """
 
     def __init__(self, episodes: Episodes, title: str, look: tuple[Any, ...]) -> None:
@@ -42,26 +39,26 @@ class _Renderer:
         self._trails: list[list[tuple[float, Array]]] = [[] for _ in range(arms)]
 
     def frame(self, arm: int) -> NDArray[np.uint8]:
-        """Gives a picture (height, width, 3) of an arm, its target and its numbers, now."""
+        """Return a frame (height, width, 3) uint8 of an arm, its target and its metrics, at the present time."""
         episodes, view = self._episodes, self._episodes.view
         if self._is_new(arm):
-            self._trails[arm], self._shots[arm] = [], self._painter.shot(self.stage(arm))
+            self._trails[arm], self._shots[arm] = [], self._painter.shot(self.extent(arm))
         time = float(episodes.batch.time[arm])
         trail = [entry for entry in self._trails[arm] if time - TRAIL_DURATION <= entry[0] < time]
         self._trails[arm] = [*trail, (time, view.tip[arm].copy())]
         reward = float(episodes.rewards()[arm]) if time > 0.0 else None
         caption = Caption(self._title, time, float(view.tip_error[arm]), reward, view.action[arm].copy())
-        way = np.array([tip for _, tip in self._trails[arm]])
-        return self._painter.paint(view.state[arm], view.target[arm], caption, way, self._shots[arm])
+        path = np.array([tip for _, tip in self._trails[arm]])
+        return self._painter.paint(view.state[arm], view.target[arm], caption, path, self._shots[arm])
 
     def _is_new(self, arm: int) -> bool:
-        """Whether another episode has begun since this was asked."""
+        """Return True if a new episode has begun since the last call."""
         plan = {name: values[arm].tolist() for name, values in self._episodes.view.plan.items()}
         before, self._plans[arm] = self._plans[arm], plan
         return plan != before
 
     def show(self) -> None:
-        """Shows the first arm to a person: in a window where there is a display, else on a page of this machine."""
+        """Show the first arm in a window, or on a local web page on a computer without a display."""
         from flexman_gym.draw.replay import LivePage
         from flexman_gym.draw.video import Window, has_display
 
@@ -77,42 +74,39 @@ class _Renderer:
         if isinstance(self.screen, Window):
             return self.screen.show(self.frame(0))
         if self._is_new(0) or self._episodes.batch.time[0] == 0.0:
-            self.screen.begin(self.stage(0))
+            self.screen.begin(self.extent(0))
         self.screen.show(view.state[0, : model.n_dof], view.target[0], view.tip_error[0], view.action[0])
 
     def close(self) -> None:
-        """Closes window or page."""
+        """Close the window or the page."""
         if self.screen is not None:
             self.screen.close()
             self.screen = None
 
-    def stage(self, arm: int) -> Array:
-        """Gives points (p, 3) m that the picture of an episode holds: the arm now, at the start and on to its goals."""
+    def extent(self, arm: int) -> Array:
+        """Return the points (p, 3), m, that a frame must contain: the arm now, at the start and up to its goals."""
         episodes, view, model = self._episodes, self._episodes.view, self._episodes.batch.model
-        times = np.linspace(0.0, episodes.longest * view.control_period, TIMES if episodes.task.moves else 1)
+        times = np.linspace(0.0, episodes.max_periods * view.control_period, TIMES if episodes.task.moves else 1)
         plan = {name: np.repeat(values[arm : arm + 1], len(times), axis=0) for name, values in view.plan.items()}
         goal, start = episodes.task.goal(plan, times, view), plan["start"][0]
-        between = start + np.linspace(0.0, 1.0, BETWEEN)[:, None] * (goal.angles[0] - start)
+        postures = start + np.linspace(0.0, 1.0, POSTURES)[:, None] * (goal.angles[0] - start)
         states = [view.state[arm : arm + 1], view.rest_states(np.array([start, goal.angles[-1]]))]
-        states += [model.at_rest(np.concatenate([between, goal.angles]))]
-        places = curves(model, np.concatenate(states), PLACES).positions.reshape(-1, 3)
-        return np.concatenate([places, goal.target, view.target[arm : arm + 1]])
+        states += [model.at_rest(np.concatenate([postures, goal.angles]))]
+        points = curves(model, np.concatenate(states), LINK_POINTS).positions.reshape(-1, 3)
+        return np.concatenate([points, goal.target, view.target[arm : arm + 1]])
 
 
 def make_renderer(
     mode: str | None, episodes: Episodes, title: str, look: tuple[Any, ...], modes: tuple[str, ...] = RENDER_MODES
 ) -> _Renderer | None:
-    """Gives what renders in a mode, None for none.
+    """Return the renderer of a render mode; None for none.
 
     Args:
         mode: render mode of Gymnasium.
-        episodes: see Rendering.
-        title: see Rendering.
-        look: size, camera, gain and overlays, in the order of RENDER.
-        modes: that there are.
-
-    Raises:
-        ValueError: for another mode, and what a FramePainter refuses.
+        episodes: episodes of the arms.
+        title: title of the frames.
+        look: size, camera, gain and overlays, in the order of RENDER_KEYWORDS.
+        modes: allowed render modes.
     """
     if mode is None:
         return None

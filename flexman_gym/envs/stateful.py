@@ -1,5 +1,6 @@
 """Base class of both environments: saving, restoring, copying and pickling of the complete state."""
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
@@ -12,40 +13,49 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.snapshot import get_state, set_state
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
 
 Observations = NDArray[np.float32]
 
 
 class StatefulEnv:
-    """What the single environment and the vector environment have in common: their state can be taken and given back.
-
-    Attributes:
-        kept: names of what an environment remembers beside its episodes.
-        spaces: names of the spaces whose generators belong to its state.
-    """
+    """Base class of the single and the vector environment: get, set and copy their complete state."""
 
     kept: ClassVar[tuple[str, ...]]
     spaces: ClassVar[tuple[str, ...]]
+    configuration: Configuration
     episodes: Episodes
     spec: Any
     _made: dict[str, Any]  # arguments of the constructor
 
-    def get_state(self) -> dict[str, Any]:
-        """Gives all that the environment remembers, as dicts and lists of arrays and plain data.
+    @property
+    def setup(self) -> Configuration:
+        """Deprecated name of `configuration`."""
+        warnings.warn("setup is deprecated; give configuration", DeprecationWarning, stacklevel=2)
+        return self.configuration
 
-        That is the motion of every arm, its episode and its parameters, what effects and what acts remember, and every
-        random generator. An environment made alike goes on from it as this one would, to the last bit.
+    def get_state(self) -> dict[str, Any]:
+        """Return the complete state as dicts and lists of arrays and plain data.
+
+        It contains the motion, the episode and the parameters of every arm, the state of effects and agent, and all
+        random generators. From this state, another environment with the same arguments continues bit for bit.
         """
         spaces = {name: get_state(_space(self, name)._np_random) for name in self.spaces}
         own = {name: get_state(getattr(self, name)) for name in self.kept}
         return {**own, **spaces, "episodes": get_state(self.episodes), "agent": get_state(self.episodes.agent)}
 
     def set_state(self, state: dict[str, Any]) -> Observations:
-        """Puts the environment where `get_state` found one made alike; returns what is seen (b, size) of its arms.
+        """Set the complete state from `get_state` of an environment with the same arguments.
+
+        Args:
+            state: result of `get_state`.
+
+        Returns:
+            Observations (b, size) of the arms.
 
         Raises:
-            ValueError: one line, for the state of another environment; the episodes are then over.
+            ValueError: for the state of a different environment; the episodes are then over.
         """
         state = _renamed(state, np.zeros_like(self.episodes.agent.command))
         names = {*self.kept, *self.spaces, "episodes", "agent"}
@@ -57,7 +67,7 @@ class StatefulEnv:
         for name, random in {**own, **spaces}.items():
             if not isinstance(random, list | int | np.random.Generator | None):
                 raise value_error(f"state.{name}", random, "what get_state gave")
-        self.episodes.give(state["episodes"], state["agent"], self._generators(own))
+        self.episodes.restore(state["episodes"], state["agent"], self._generators(own))
         for name, value in own.items():
             setattr(self, name, value)
         for name, random in spaces.items():
@@ -65,10 +75,10 @@ class StatefulEnv:
         return self.episodes.agent.observations.copy()
 
     @contextmanager
-    def _undoing(self, options: object) -> Iterator[None]:
-        """Puts the environment back where it was if a reset with options is refused; its episodes are over then.
+    def _restored_on_error(self, options: object) -> Iterator[None]:
+        """Restore the state if a reset with options fails; its episodes are over then.
 
-        Without options it was the task that drew a bad start, and a further reset should draw another one.
+        Without options the task has drawn a bad start, and the next reset should draw another one.
         """
         before = None if options is None or (isinstance(options, dict) and not options) else self.get_state()
         try:
@@ -81,21 +91,21 @@ class StatefulEnv:
             raise
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        return _made_again(type(self), deepcopy(self._made, memo), self.spec, self.get_state())
+        return _restored(type(self), deepcopy(self._made, memo), self.spec, self.get_state())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _made_again, (type(self), self._made, self.spec, self.get_state())  # for pickle
+        return _restored, (type(self), self._made, self.spec, self.get_state())  # for pickle
 
     def __copy__(self) -> Self:
-        return deepcopy(self)  # two environments never share arms
+        return deepcopy(self)  # also for a shallow copy: two environments never share arms
 
     def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
-        """The generator of each arm among what was given back."""
+        """Return the generator of each arm among the restored values."""
         raise NotImplementedError
 
 
 def _renamed(state: Any, command: Array) -> Any:
-    """Return a state of version 0.2, where the observations stand beside the sensors, under the names of today."""
+    """Return a state of version 0.2, with the observations among the sensors, under the present names."""
     if not isinstance(state, dict) or not all(isinstance(state.get(name), dict) for name in ("acting", "episodes")):
         return state
     episodes, state = dict(state["episodes"]), dict(state)
@@ -112,8 +122,8 @@ def _renamed(state: Any, command: Array) -> Any:
     return state | {"episodes": episodes | {"measurements": sight}, "agent": state.pop("acting") | own}
 
 
-def _made_again(kind: type[Any], made: dict[str, Any], spec: Any, state: dict[str, Any]) -> Any:
-    """An environment like another one, with its state."""
+def _restored(kind: type[Any], made: dict[str, Any], spec: Any, state: dict[str, Any]) -> Any:
+    """Return an environment with the arguments and the state of another one."""
     other = kind(**made)
     other.spec = spec
     other.set_state(state)

@@ -1,4 +1,4 @@
-"""Vector environment: many arms, each in its own episode, behind Gymnasium's interface for vectors."""
+"""Vector environment: many arms with separate episodes, with the vector interface of Gymnasium."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,8 +15,8 @@ from flexman_gym.common.checks import one_of, sequence, value_error, whole_numbe
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.reset_options import check_parameters
-from flexman_gym.envs.env import MAX_SEED, FlexManEnv, observation_space
-from flexman_gym.envs.episodes import Episodes, action_space, validate_actions
+from flexman_gym.envs.env import MAX_SEED, FlexManEnv
+from flexman_gym.envs.episodes import Episodes, make_spaces, validate_actions
 from flexman_gym.envs.rendering import RENDER_KEYWORDS, make_renderer
 from flexman_gym.envs.stateful import Observations, StatefulEnv
 from flexman_gym.kernels import layout
@@ -26,12 +26,12 @@ Infos = dict[str, Any]
 
 
 def _batched(info: Infos) -> Infos:
-    """The info of an arm alone, with an axis for the arms in front of every number and array."""
+    """Return the info of a single arm with an axis for the arms in front of every number and array."""
     return {key: _batched(value) if isinstance(value, dict) else np.array([value]) for key, value in info.items()}
 
 
 def _with_masks(infos: Infos, mask: BoolArray) -> Infos:
-    """The infos with a mask for each key, those of dicts inside too."""
+    """Return the infos with a mask for each key, including those of nested dicts."""
     result = {}
     for key, value in infos.items():
         result[key] = _with_masks(value, mask) if isinstance(value, dict) else value
@@ -40,7 +40,7 @@ def _with_masks(infos: Infos, mask: BoolArray) -> Infos:
 
 
 def _masked(infos: Infos, mask: BoolArray) -> Infos:
-    """Infos of the arms of a mask alone, zero (None for objects) elsewhere."""
+    """Return infos with zeros (None for objects) for the arms outside a mask."""
     result: Infos = {}
     for key, value in infos.items():
         if isinstance(value, dict):
@@ -56,38 +56,36 @@ MAX_STEPS = 10**9  # steps of an episode
 INFO_MODES = ("always", "at end")
 MAX_SEED_STRIDE = 10**12
 OWN_KEYWORDS = ("num_envs", "threads", "max_episode_steps", "autoreset_mode", "infos", "seed_stride", *RENDER_KEYWORDS)
-INDEXED_ATTRIBUTES = ("render", "np_random", "np_random_seed")  # what has an entry for each arm already
+INDEXED_ATTRIBUTES = ("render", "np_random", "np_random_seed")  # attributes with an entry for each arm
 
 
 class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
-    """Many `FlexManEnv` in one: `gym.make_vec("FlexRRR-v0", num_envs=64, vectorization_mode="vector_entry_point")`.
+    """Vectorised `FlexManEnv`: `gym.make_vec("FlexRRR-v0", num_envs=64, vectorization_mode="vector_entry_point")`.
 
-    Observations, rewards, terminations, truncations and infos are those of `gymnasium.vector.SyncVectorEnv` over the
-    single environment, bit for bit, with an axis for the arms in front. Infos follow Gymnasium's convention: an array
-    for each key and its mask under the key with an underscore in front; masks of one info may be the same array.
+    Observations, rewards, terminations, truncations and infos equal those of `gymnasium.vector.SyncVectorEnv` over
+    single environments, bit for bit, with an axis for the arms in front. Infos follow the convention of Gymnasium: an
+    array for each key, and its mask under the key with a leading underscore; several masks of one info may be the same
+    array.
 
-    `reset(seed=...)` takes a list of a seed for each arm, or one seed s, of which arm i takes s * seed_stride + i. With
-    a stride of at least `num_envs`, environments with the seeds s and s + 1 have no episode in common. Options may set
-    "start", "goal_angles" and "parameters" for all arms, or with a leading axis for each. With
-    autoreset_mode="Disabled" the option "reset_mask", (num_envs,) bool, says which arms are reset.
+    `reset(seed=...)` takes a list with a seed for each arm, or one seed s; arm i then has the seed s * seed_stride + i.
+    With a stride of at least `num_envs`, environments with the seeds s and s + 1 have no episode in common. The options
+    "start", "goal_angles" and "parameters" apply to all arms, or have a leading axis for each. With
+    autoreset_mode="Disabled" the option "reset_mask", (num_envs,) bool, selects the arms to reset.
 
     Args:
         num_envs: number of arms.
-        threads: that move them, at most one for 32 arms; a second one pays where a core has nothing else to do.
-        max_episode_steps: steps after which an episode is truncated; None takes the `horizon`.
+        threads: number of threads, at most one per 32 arms; a second one pays only on an idle core.
+        max_episode_steps: steps after which an episode is truncated; None for the `horizon`.
         autoreset_mode: an AutoresetMode of Gymnasium, or its value.
-        infos: "always", or "at end" for those of arms whose episode has just ended alone; with "SameStep" these are
-            `final_obs` and `final_info`. All other infos, those of a reset too, are then empty and cost nothing.
-        seed_stride: by which a seed counts, see above.
-        render_mode: see `FlexManEnv`; a frame of each arm, of which `draw.grid` makes one picture.
+        infos: "always"; or "at end" for infos only of arms whose episode has just ended, with "SameStep" as `final_obs`
+            and `final_info`. All other infos, including those of a reset, are then empty and cost no time.
+        seed_stride: factor on a single seed, see above.
+        render_mode: see `FlexManEnv`; one frame per arm, which `draw.grid` combines.
         render_size: see `FlexManEnv`.
         render_camera: see `FlexManEnv`.
         render_gain: see `FlexManEnv`.
         render_overlays: see `FlexManEnv`.
-        settings: the attributes of `Configuration`, and "condition"; see `FlexManEnv`.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+        **settings: the attributes of `Configuration`, and "condition"; see `FlexManEnv`.
     """
 
     kept, spaces = ("_randoms", "_seeds"), ("action_space", "single_action_space")
@@ -118,22 +116,22 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         self.render_mode, look = render_mode, (render_size, render_camera, render_gain, render_overlays)
         given = num_envs, threads, max_episode_steps, autoreset_mode, infos, seed_stride, render_mode, *look
         self._made = dict(zip(OWN_KEYWORDS, given, strict=True)) | settings
-        setup = Configuration.from_keywords(settings, OWN_KEYWORDS)
-        model, method, step, self.choice = resolve_fidelity(setup)
-        period = setup.control_period
+        configuration = Configuration.from_keywords(settings, OWN_KEYWORDS)
+        model, method, step, self.choice = resolve_fidelity(configuration)
+        period = configuration.control_period
         self.batch = Batch(model, method, step, period, arms=num_envs, threads=threads)
-        self.setup, self.task, self.torque_limit = setup, setup.task, np.array(setup.torque_limit)
-        self.episodes = Episodes(setup, self.batch)
-        self._rendering = make_renderer(render_mode, self.episodes, setup.id, look, ("rgb_array",))
+        self.configuration, self.task = configuration, configuration.task
+        self.torque_limit = np.array(configuration.torque_limit)
+        self.episodes = Episodes(configuration, self.batch)
+        self._rendering = make_renderer(render_mode, self.episodes, configuration.id, look, ("rgb_array",))
         if max_episode_steps is not None:
-            self.episodes.longest = setup.action_repeat * whole_number(
+            self.episodes.max_periods = configuration.action_repeat * whole_number(
                 "max_episode_steps", max_episode_steps, 1, MAX_STEPS
             )
-        self.max_episode_steps = -(-self.episodes.longest // setup.action_repeat)
+        self.max_episode_steps = -(-self.episodes.max_periods // configuration.action_repeat)
         self.sensors = self.episodes.sensors
-        self.single_observation_space = observation_space(self.episodes)
+        self.single_observation_space, self.single_action_space = make_spaces(self.episodes)
         size = len(self.episodes.agent.mode.names)
-        self.single_action_space = action_space(size)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode, "render_fps": round(1 / period)}
@@ -147,11 +145,18 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, Infos]:
-        """Starts the episodes of all arms, or of those of options["reset_mask"]; see the class.
+        """Start the episodes of all arms, or of those in options["reset_mask"]; see the class.
+
+        Args:
+            seed: one seed, or a list with one for each arm.
+            options: see the class.
+
+        Returns:
+            Observations (num_envs, size) and infos.
 
         Raises:
-            ValueError: one line, for a seed or options that are not allowed. The next reset gives what it would have
-                given, but the episodes of these arms may be over.
+            ValueError: for a seed or options that are not allowed. The result of the next reset is not affected, but
+                the episodes of these arms may be over.
         """
         seeds = self._each_seed(seed)
         check_parameters(options, self.batch)
@@ -160,7 +165,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
             options = dict(options)
             mask = self._checked_mask(options.pop("reset_mask"))
         arms = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
-        with self._undoing(options):
+        with self._restored_on_error(options):
             for arm in arms:
                 if seeds[arm] is not None:
                     self._randoms[arm], self._seeds[arm] = seeding.np_random(seeds[arm])
@@ -169,10 +174,16 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         return self.episodes.agent.observations.copy(), infos if mask is None else _masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observations, Array, BoolArray, BoolArray, Infos]:
-        """Applies actions (num_envs, k) for `action_repeat` control periods, and resets as the autoreset mode says.
+        """Apply actions for `action_repeat` control periods, and reset according to the autoreset mode.
+
+        Args:
+            actions: (num_envs, k) values from -1 to 1.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos.
 
         Raises:
-            ValueError: for actions of another shape or outside the action space.
+            ValueError: for actions of the wrong shape or outside the action space.
             RuntimeError: before a reset and, with autoreset_mode="Disabled", for an arm whose episode is over.
         """
         episodes, over = self.episodes, self.episodes.over
@@ -198,20 +209,28 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         return episodes.agent.observations.copy(), rewards, terminations, truncations, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Frames (height, width, 3) uint8 of the deformed arms and their targets."""
+        """Return a frame (height, width, 3) uint8 of each deformed arm and its target."""
         if self._rendering is None:
             logger.warn('render() needs render_mode="rgb_array" in gymnasium.make_vec')
             return None
         return tuple(map(self._rendering.frame, range(self.num_envs)))
 
     def call(self, name: str, *args: Any, **named: Any) -> tuple[Any, ...]:
-        """Gives what a method or an attribute of the environment gives, once for each arm, as SyncVectorEnv does.
+        """Return the result of a method or the value of an attribute once for each arm, as in SyncVectorEnv.
 
-        Spaces are those of one arm. What has no entry for each arm is shared by all.
+        Spaces are those of one arm. Values without an entry for each arm are shared by all.
+
+        Args:
+            name: name of the method or the attribute.
+            *args: arguments of the method.
+            **named: keyword arguments of the method.
+
+        Returns:
+            One value for each arm.
 
         Raises:
-            ValueError: for "reset", "step" and "close", which no arm can do alone.
-            AttributeError: for a name that the environment does not have.
+            ValueError: for "reset", "step" and "close", which apply to all arms at once.
+            AttributeError: for an unknown name.
         """
         if name in ("reset", "step", "close"):
             raise value_error(
@@ -222,11 +241,11 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         return tuple(value) if name in INDEXED_ATTRIBUTES and value is not None else (value,) * self.num_envs
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Gives an attribute once for each arm, see `call`."""
+        """Return an attribute once for each arm, see `call`."""
         return self.call(name)
 
     def _finish(self, ended: BoolArray, infos: Infos) -> Infos:
-        """Resets the arms that have ended; returns the infos of all, with what the ended ones were."""
+        """Reset the arms that have ended, and return the infos of all arms with the final ones of the ended arms."""
         final = np.full(self.num_envs, None, dtype=object)
         arms = np.flatnonzero(ended)
         for arm in arms:
@@ -258,7 +277,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
-        """The generator of each arm, of starts and postures; made with a random seed where there is none."""
+        """Generator of each arm, for starts and goals; made with a random seed if missing."""
         for arm, random in enumerate(self._randoms):
             if random is None:
                 self._randoms[arm], self._seeds[arm] = seeding.np_random()
@@ -266,7 +285,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
-        """The seed of each arm's generator."""
+        """Seed of the generator of each arm."""
         return tuple(self._seeds) if self.np_random else ()
 
     def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:

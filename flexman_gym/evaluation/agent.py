@@ -22,7 +22,7 @@ from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.control.network import Network
 from flexman_gym.envs.config.configuration import Configuration, current_name
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.episodes import make_base_and_mode
+from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.evaluation.policy_files import ABOUT, POLICIES, policy_folder, read_policy
 
 INTERFACE = ("base", "action_repeat", "sensors", "history", "actions")  # settings of what acts, not of what is moved
@@ -129,7 +129,7 @@ def predictor_agent(model: Any, described: Configuration | None = None) -> Agent
     beside = getattr(model, "get_vec_normalize_env", lambda: None)()
     arms = getattr(model, "get_env", lambda: None)()
     if described is None and arms is not None:
-        described = arms.get_attr("setup")[0]
+        described = arms.get_attr("configuration")[0]
     environment, interface = (None, None) if described is None else split_interface(described)
 
     told = {"deterministic": True}

@@ -95,7 +95,7 @@ def tune(
     random, setup, loops = np.random.default_rng(seed), environment, motor_loops(environment)
     limits = np.array(setup.torque_limit)
     rotors = np.array([joint.rotor_inertia for joint in setup.arm.joints])
-    most = stability_limit(setup.latest_delay) * rotors / (MIN_MARGINS.gain * setup.control_period)
+    most = stability_limit(setup.max_delay) * rotors / (MIN_MARGINS.gain * setup.control_period)
     low = np.log(np.concatenate([STIFFNESS_RANGE[0] * limits, MIN_DAMPING_SHARE * most]))
     high = np.log(np.concatenate([STIFFNESS_RANGE[1] * limits, most]))
     wanted = loops if margin else []
@@ -126,7 +126,7 @@ def motor_loops(environment: Configuration) -> list[SampledLoop]:
     episodes, setup = venv.unwrapped.episodes, environment  # type: ignore[attr-defined]
     postures, model = episodes.view.goal_angles.copy(), episodes.batch.model
     venv.close()
-    drive = setup.control_period, setup.latest_delay, setup.drive_bandwidth
+    drive = setup.control_period, setup.max_delay, setup.drive_bandwidth
     return [loop for posture in postures for loop in sampled_loops(model, posture, *drive)]
 
 
@@ -200,7 +200,7 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
         ValueError: one line, for an environment that disturbs its arms or moves its goals, and for a table of another.
     """
     setup, left = environment, [seed for seed in seeds if seed not in table.found]
-    if setup.task.moves or setup.disturbed is not None:
+    if setup.task.moves or setup.disturbances is not None:
         raise value_error(
             "environment", environment.id, "one whose goals stay, with no randomisation and no disturbance"
         )

@@ -246,7 +246,7 @@ class _Recorder:
         self._rows: dict[str, list[Array]] = {name: [] for name in (*INSTANT_ARRAYS, *PERIOD_ARRAYS)}
         self.ends = np.zeros(len(episodes.over), dtype=np.int64)
         self._failures = [""] * len(self.ends)
-        self._progress = Progress(f"control periods of {len(self.ends)} episodes", episodes.longest)
+        self._progress = Progress(f"control periods of {len(self.ends)} episodes", episodes.max_periods)
 
     def begin(self) -> None:
         """Records what a reset leaves."""

@@ -92,7 +92,7 @@ def certificate_scenarios(name: str) -> list[str]:
     changes = _changes_beyond_training(
         environment, Configuration.from_plain(about["recipe"]["settings"]["environment"])
     )
-    if NAMED_ENVIRONMENTS[environment.id].conditions and environment.arm == NAMED_ENVIRONMENTS[environment.id].arm():
+    if NAMED_ENVIRONMENTS[environment.id].conditions and environment.arm == NAMED_ENVIRONMENTS[environment.id].arm:
         changes.append("friction=1")
     changes += [*(f"delay={delay}" for delay in DELAYS), *(f"noise={noise:g}" for noise in NOISES)]
     base = (

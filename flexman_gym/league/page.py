@@ -244,7 +244,7 @@ def _notes(standing: Standings, scenario: str, times: bool) -> list[str]:
         said.append("There is no score: the ends of the scale are too close, or were not played.")
     if not times:
         said.append("There is no multiple of the optimised slew: no table holds slews of this scenario.")
-    drawn = find_scenario(scenario).environment.disturbed
+    drawn = find_scenario(scenario).environment.disturbances
     if drawn is not None and set(drawn.effects) & set(PARAMETERS):
         there = [each for each in standing.agents if not standing.why(each, scenario)]
         wrong = [

@@ -166,7 +166,7 @@ class Standings:
 @cache
 def _largest_reward(scenario: str) -> float:
     """The largest reward of an episode: that of a control period is at most 1."""
-    return float(find_scenario(scenario).environment.longest)
+    return float(find_scenario(scenario).environment.max_periods)
 
 
 def sweep_value(scenario: str) -> float:

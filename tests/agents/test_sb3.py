@@ -53,7 +53,7 @@ def test_a_model_brings_environment_interface_and_statistics(model, tmp_path, ca
     environment, interface = split_interface(settings.environment)
     entrant = find_agent(model)
     both = entrant.environment, environment
-    assert both[0].disturbed == both[1].disturbed and both[0].horizon == 0.6 and both[0].action_repeat == 1
+    assert both[0].disturbances == both[1].disturbances and both[0].horizon == 0.6 and both[0].action_repeat == 1
     expected = torques(AgentSpec("own", action_function(model, model.get_vec_normalize_env()), interface), environment)
     assert np.array_equal(torques(model, environment), expected) and np.abs(expected).max() > 0.01
 

@@ -20,7 +20,7 @@ from flexman_agents.settings import (
 )
 from flexman_gym.common import files
 from flexman_gym.common.renamed import RUN_SETTINGS
-from flexman_gym.envs.config.named_environments import flex_rrr
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, TEST_SEEDS, TRAINING_SEEDS_STRIDE, training_seed
 
 from oracles.assertions import refusal
@@ -60,7 +60,7 @@ def test_what_is_left_out_is_the_default():
     settings = Settings()
     assert (settings.algo, settings.steps, settings.seed, settings.normalise_reward) == ("ppo", 1_000_000, 0, True)
     assert settings.envs == DEFAULT_ENVS["ppo"] and Settings(algo="sac").envs == DEFAULT_ENVS["sac"]
-    assert settings.environment.id == "FlexRRR-v0" and settings.environment.arm == flex_rrr()
+    assert settings.environment.id == "FlexRRR-v0" and settings.environment.arm == NAMED_ENVIRONMENTS["FlexRRR-v0"].arm
 
 
 def test_another_seed_changes_nothing_else():
@@ -89,7 +89,7 @@ def test_every_recipe_can_be_read_and_trained(name):
         ({"algo": "dqn"}, "algo: 'dqn' is not allowed; give one of ppo, sac"),
         ({"environment": {"id": "CartPole-v1"}}, "id: 'CartPole-v1' is not allowed; give one of FlexRRR-v0, Flex"),
         ({"environment": "FlexRRR-v0"}, "environment: 'FlexRRR-v0' is not allowed; give a mapping"),
-        ({"environment": {"holds": 5}}, "holds: 5 is not allowed; give a known setting: the nearest is action_repeat;"),
+        ({"environment": {"holds": 5}}, "holds: 5 is not allowed; give a setting: the nearest is action_repeat;"),
         ({"environment": {"action_repeat": 0}}, "action_repeat: 0 is not allowed; give a whole number from 1 to 1000"),
         ({"steps": 0}, "steps: 0 is not allowed; give a whole number from 1"),
         ({"seed": -1}, "seed: -1 is not allowed; give a whole number from 0"),

@@ -76,9 +76,9 @@ def test_a_policy_acts_in_its_mode_wherever_it_plays(winding):
     random = np.random.default_rng(0)
     layers = {"action_net.weight": random.normal(size=(1, 6)), "action_net.bias": np.ones(1)}
     network = Network("ppo", None, layers, {"mean": np.zeros(6), "var": np.ones(6)})
-    base = make_controller(beside.setup, "pd", beside.batch.model)
-    mode = Winding(make_plant(beside.setup, beside.batch.model), base, 0.02)
-    policy = Agent(beside.setup.sensors, 6, mode, base, action_repeat=2, law=network)
+    base = make_controller(beside.configuration, "pd", beside.batch.model)
+    mode = Winding(make_plant(beside.configuration, beside.batch.model), base, 0.02)
+    policy = Agent(beside.configuration.sensors, 6, mode, base, action_repeat=2, law=network)
     alone = FlexManVectorEnv(3, **SETTINGS, base=policy)
     asked, played = [], []
     beside.episodes.watch = lambda: asked.append(beside.episodes.view.action.copy())
@@ -90,7 +90,7 @@ def test_a_policy_acts_in_its_mode_wherever_it_plays(winding):
     for _ in range(10):
         alone.step(np.zeros((3, 2), dtype=np.float32))
     assert np.array_equal(asked, played) and np.abs(asked).max() > 0.01
-    said = refusal(lambda: Agent(beside.setup.sensors, 6, TorqueMode(2), law=network))
+    said = refusal(lambda: Agent(beside.configuration.sensors, 6, TorqueMode(2), law=network))
     assert said == "actions: ('torque_1', 'torque_2') is not allowed; give a mode of 1 numbers, which the policy gives"
 
 

@@ -34,9 +34,9 @@ def test_it_acts_as_an_agent_that_sees_and_holds_as_it_does(sensors, history, ba
     beside = FlexManVectorEnv(3, **SETTINGS, sensors=sensors, history=history, action_repeat=4, base=base)
     size = beside.single_observation_space.shape[0]
     acting = network(size)
-    controller = make_controller(beside.setup, base, beside.batch.model) if base else None
+    controller = make_controller(beside.configuration, base, beside.batch.model) if base else None
     observed, mode = find_sensors(sensors), TorqueMode(2, controller)
-    policy = Agent(observed, len(beside.sensors.bound), mode, controller, beside.setup.history, 4, acting)
+    policy = Agent(observed, len(beside.sensors.bound), mode, controller, beside.configuration.history, 4, acting)
     alone = FlexManVectorEnv(3, **SETTINGS, base=policy)
     seen, asked, played = beside.reset(seed=3)[0], [], []
     beside.episodes.watch = lambda: asked.append(beside.episodes.view.action.copy())

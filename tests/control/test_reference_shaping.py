@@ -12,9 +12,8 @@ from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.observers.oracle import DEVIATION_DECAY
 from flexman_gym.control.reference_shaping import OFFSET_FREQUENCY, TIME_SCALING_GAIN, ReferenceShaping, ShapingLimits
 from flexman_gym.control.references.adaptive_references import SlewReferences
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.specification import make_base_and_mode, make_plant
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.envs.episodes import make_base_and_mode
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.model.statics import rest_state
 
@@ -65,7 +64,7 @@ def test_a_policy_sees_and_shapes_as_the_agent_in_its_environment():
     """The agent in its environment; the same agent as the base of a plain one, made for the arm there."""
     beside = FlexManVectorEnv(3, **SHAPED, base="adaptive-lqr")
     acting = network(beside.single_observation_space.shape[0])
-    base, mode = make_base_and_mode(beside.setup, beside.batch.model)
+    base, mode = make_base_and_mode(beside.configuration, beside.batch.model)
     learned = Agent((), 0, mode, base, action_repeat=5, law=acting)
     asked, _ = played(beside, acting, 40)
     expected, _ = played(FlexManVectorEnv(3, **ONE, base=learned), lambda seen: np.zeros((3, 1)), 40)
@@ -295,7 +294,7 @@ def test_doubt_is_that_of_an_observer():
     """The mean of what is possible at first; later the truth, with errors of the deviations that are told."""
     env = FlexManVectorEnv(40, **ONE)
     env.reset(seed=0)
-    plant, drawn = make_plant(env.setup, env.batch.model), env.episodes.effects.drawn
+    plant, drawn = make_plant(env.configuration, env.batch.model), env.episodes.effects.drawn
     truth, arms, on = Oracle(plant, doubt=True), np.arange(40), np.ones(40, dtype=bool)
     goal = np.zeros((40, 1))
     truth.reset(arms, EpisodeInfo(goal, goal, PERIOD, None, drawn), len(arms))

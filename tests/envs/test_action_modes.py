@@ -19,7 +19,7 @@ from flexman_gym.envs.vector_env import FlexManVectorEnv
 
 from oracles.assertions import refusal, same
 
-RRR = NAMED_ENVIRONMENTS["FlexRRR-v0"].arm()
+RRR = NAMED_ENVIRONMENTS["FlexRRR-v0"].arm
 GEARED = replace(RRR, joints=[replace(joint, motor=fm.Motor(100.0, 1.0, 1e-3, 4.0)) for joint in RRR.joints])
 FAST = {"control_period": 0.005, "action_repeat": 4}  # a servo at 200 Hz under an agent at 50 Hz
 SETTINGS = {
@@ -76,7 +76,7 @@ def test_a_velocity_servo_turns_as_fast_as_it_is_told_and_does_not_wind_up():
     for _ in range(250):
         env.step(np.array([0.4], dtype=np.float32))
         angles.append(env.episodes.view.motor_angles[0, 0])
-    rates = np.diff(angles[150:]) / env.setup.control_period
+    rates = np.diff(angles[150:]) / env.configuration.control_period
     assert rates.mean() == pytest.approx(0.2, rel=0.02) and np.ptp(rates) < 0.02
     env.reset(options={"start": [-1.0], "goal_angles": [0.0]})
     for _ in range(50):

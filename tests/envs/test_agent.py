@@ -267,7 +267,7 @@ def test_base_and_action_add_up_and_saturate(asked, given, sum_):
 def test_a_base_by_name_is_the_controller_itself():
     """With a zero action, the same bits as its own object as a base; the effort is what both ask for."""
     named, own = FlexManEnv(base="pd"), FlexManEnv()
-    pd = make_controller(own.setup, "pd", own.simulator.model)
+    pd = make_controller(own.configuration, "pd", own.simulator.model)
     own = FlexManEnv(base=pd)
     assert isinstance(named.episodes.base, PD)
     for env in (named, own):

@@ -10,7 +10,7 @@ import flexman_gym as fm
 from flexman_gym.control import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS, flex_rrr
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.effects.signals import TipLoad
 from flexman_gym.envs.env import FlexManEnv
@@ -72,13 +72,13 @@ def test_a_controller_is_told_start_goal_period_and_the_path_of_a_goal_that_move
     env = FlexManEnv(name=name, base=base, horizon=1.0)
     env.reset(seed=3)
     (arms, episode), n = base.episodes[0], env.simulator.model.n_joints
-    assert arms.tolist() == [0] and episode.period == env.setup.control_period
+    assert arms.tolist() == [0] and episode.period == env.configuration.control_period
     assert episode.start == pytest.approx(env.simulator.state[None, :n], abs=1e-1) and episode.goal.shape == (1, n)
     if name == "FlexOne-v0":
         assert episode.reference is None
         return
     goals = [env.episodes.view.goal_angles[0].copy()]
-    for _ in range(env.setup.longest):
+    for _ in range(env.configuration.max_periods):
         env.step(np.full(n, -0.75))
         goals.append(env.episodes.view.goal_angles[0].copy())
     assert episode.reference[0] == pytest.approx(np.array(goals), abs=1e-6)
@@ -260,7 +260,7 @@ def test_an_instrument_of_a_base_measures_in_every_period():
 
 
 def test_an_arm_of_the_same_lengths_is_not_the_named_arm():
-    named = flex_rrr()
+    named = NAMED_ENVIRONMENTS["FlexRRR-v0"].arm
     light = replace(named, links=[replace(link, density=0.5 * link.density) for link in named.links])
     quick = replace(named, joints=[replace(joint, rotor_inertia=1.0) for joint in named.joints])
     soft = replace(named, joints=[replace(joint, stiffness=0.5 * joint.stiffness) for joint in named.joints])
@@ -272,8 +272,8 @@ def test_an_arm_of_the_same_lengths_is_not_the_named_arm():
     gains = NAMED_ENVIRONMENTS["FlexRRR-v0"].pd
     rubbing = [replace(joint, viscous_friction=5.0, coulomb_friction=10.0) for joint in named.joints]
     for arm in (named, replace(named, payload=fm.Payload(5.0)), replace(named, joints=rubbing)):
-        assert FlexManEnv(arm=arm, base="pd").setup.gains == gains
-    assert FlexManEnv(arm=light, base="pd", gains=gains).setup.gains == gains
+        assert FlexManEnv(arm=arm, base="pd").configuration.gains == gains
+    assert FlexManEnv(arm=light, base="pd", gains=gains).configuration.gains == gains
 
 
 @pytest.mark.parametrize("period", [1e-12, 0.002, 0.005, 0.02, 0.03])

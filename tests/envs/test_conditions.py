@@ -44,7 +44,7 @@ def largest_eigenvalue(model, controller, period, delay, posture):
 
 def arms(setup):
     """The arm at the ends of what a condition draws, without friction and weight, which only help or stay constant."""
-    drawn = setup.disturbed
+    drawn = setup.disturbances
     payloads = (drawn and drawn.payload_mass) or (None,)
     for payload, links, joints in product(
         payloads, (drawn and drawn.link_stiffness_factor) or (1.0,), (drawn and drawn.joint_stiffness_factor) or (1.0,)
@@ -67,7 +67,7 @@ def test_the_pd_is_stable_wherever_a_condition_leads(name, condition):
     description = Configuration.find(f"{name}/{condition}")
     setup = description
     model = gym.make(description.id, **description.keywords()).unwrapped.simulator.model
-    controller, drawn = make_controller(setup, "pd", model), setup.disturbed
+    controller, drawn = make_controller(setup, "pd", model), setup.disturbances
     delays = range(int(drawn.delay[0]), int(drawn.delay[1]) + 1) if drawn and drawn.delay else (0,)
     random = np.random.default_rng(0)
     reach = sum(getattr(setup.task, part, 0.0) for part in ("start", "slew", "middle"))
@@ -125,7 +125,7 @@ def test_unknown_is_payload_stiffness_and_delay_and_noise_of_a_thousandth_of_the
 def test_friction_is_all_that_its_arm_has_beside_its_own(folder):
     """In parts of the torque limits that of the PUMA 560, see the file."""
     name = FOLDERS[folder]
-    arm, own = Configuration.find(f"{name}/friction").arm, NAMED_ENVIRONMENTS[name].arm()
+    arm, own = Configuration.find(f"{name}/friction").arm, NAMED_ENVIRONMENTS[name].arm
     bare = [replace(joint, viscous_friction=0.0, coulomb_friction=0.0, coulomb_rate=0.01) for joint in arm.joints]
     assert replace(arm, joints=bare) == own
     gears, most = np.array([62.6111, 107.815, 53.7063]), np.array([97.6, 186.4, 89.4])
@@ -160,10 +160,10 @@ def test_a_condition_is_a_keyword_too_and_what_is_given_beside_it_goes_before(co
         gym.make("FlexPlanar-v0", condition=condition, action_repeat=2),
         gym.make_vec("FlexPlanar-v0", 2, "vector_entry_point", condition=condition, action_repeat=2),
     ):
-        setup = made.unwrapped.setup
+        setup = made.unwrapped.configuration
         assert (setup.arm, setup.randomisation, setup.gains) == (expected.arm, expected.randomisation, expected.gains)
         assert setup.sensors == expected.sensors and setup.action_repeat == 2
-    own = gym.make("FlexPlanar-v0", condition=condition, randomisation={"delay": (3, 3)}).unwrapped.setup
+    own = gym.make("FlexPlanar-v0", condition=condition, randomisation={"delay": (3, 3)}).unwrapped.configuration
     assert own.randomisation == Randomisation(delay=(3, 3)) and own.arm == expected.arm
     described = Configuration("FlexPlanar-v0", {"condition": condition, "horizon": 1.0})
     assert described.arm == expected.arm and "condition" not in described.to_plain()

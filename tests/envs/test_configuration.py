@@ -13,7 +13,8 @@ import flexman_gym as fm
 from flexman_gym.common import files
 from flexman_gym.control import PD
 from flexman_gym.envs import NAMED_ENVIRONMENTS
-from flexman_gym.envs.config.configuration import RENAMED, SETTINGS, Configuration
+from flexman_gym.envs.config.configuration import RENAMED, Configuration
+from flexman_gym.envs.config.settings import SETTINGS
 from flexman_gym.evaluation.policy_files import policy_folder
 from flexman_gym.scene.serialization import find_arm, to_plain
 
@@ -66,7 +67,7 @@ def test_the_whole_of_a_description_describes_the_same_environment(name, parts):
     """Through JSON, too; and so does the mapping that is made from the setup itself."""
     first = Configuration.from_plain({"id": name, **parts})
     setup = first
-    for whole in (first.to_plain(), gym.make(name, **first.keywords()).unwrapped.setup.to_plain()):
+    for whole in (first.to_plain(), gym.make(name, **first.keywords()).unwrapped.configuration.to_plain()):
         again = Configuration.from_plain(json.loads(json.dumps(whole)))
         assert like(again) == like(setup)
         assert again.modes == setup.modes and again.elements == setup.elements
@@ -153,12 +154,12 @@ def test_changes_may_be_whole_only_together():
         ({"id": "CartPole-v1"}, "id: 'CartPole-v1' is not allowed; give one of FlexRRR-v0"),
         ({"id": 3}, "id: 3 is not allowed; give one of FlexRRR-v0"),
         ({"name": "FlexOne-v0"}, "name: 'FlexOne-v0' is not allowed; give it as id"),
-        ({"randomization": {}}, "randomization: {} is not allowed; give a known setting: the nearest is randomisation"),
+        ({"randomization": {}}, "randomization: {} is not allowed; give a setting: the nearest is randomisation"),
         ({"randomisation": {"mass": [0, 1]}}, "randomisation: 'mass' is not allowed; give one of payload_mass"),
         ({"limits": 3}, "limits: 3 is not allowed; give a mapping with some of angle, rate, twist"),
         ({"limits": {"speed": 3}}, "limits: 'speed' is not allowed; give one of angle, rate, twist"),
         ({"limits": {"rate": -1}}, "Limits.rate: -1 is not allowed; give a finite number > 0"),
-        ({"task": 3}, "task: 3 is not allowed; give one of slew, track, hold, or a mapping with"),
+        ({"task": 3}, "task: 3 is not allowed; give one of slew, track, hold, a mapping with"),
         ({"task": "reach"}, "task: 'reach' is not allowed; give one of slew, track"),
         ({"task": {"kind": "slew", "goal": 1}}, "task: 'goal' is not allowed; give one of start, slew"),
         ({"arm": "puma"}, "arm: 'puma' is not allowed; give one of de_luca_siciliano, flexarm_rome"),
@@ -195,30 +196,50 @@ def test_objects_of_ones_own_cannot_be_described():
 # Deprecated names
 
 
+def test_deprecated_attributes_of_environments_and_views_warn():
+    env = gym.make("FlexOne-v0").unwrapped
+    view = env.episodes.view
+    for holder, old, name in (
+        (env, "setup", "configuration"),
+        (view, "heavy", "has_gravity"),
+        (view, "places", "slices"),
+    ):
+        with pytest.warns(DeprecationWarning, match=f"{old} is deprecated; give {name}$"):
+            assert getattr(holder, old) is getattr(holder, name)
+    with pytest.warns(DeprecationWarning, match="give single$"):
+        assert view.alone() is view.single()
+    with pytest.warns(DeprecationWarning, match="give inverse_kinematics$"):
+        assert view.reaching.__func__ is view.inverse_kinematics.__func__
+
+
+RENAMED_VALUES = {"action_repeat": 3, "info_keys": ["tip"]}
+
+
 @pytest.mark.parametrize(("old", "name"), RENAMED.items())
 def test_a_deprecated_name_means_the_present_one_and_warns_where_a_user_gives_it(tmp_path, old, name):
     """In Python, in a file and as a change; the warning stands at the line of the user."""
-    value = {"action_repeat": 3}[name]
+    value = RENAMED_VALUES[name]
     files.write_data(tmp_path / "own.yaml", {"id": "FlexOne-v0", old: value})
     for make in (
-        lambda: gym.make("FlexOne-v0", **{old: value}).unwrapped.setup,
-        lambda: gym.make_vec("FlexOne-v0", 1, "vector_entry_point", **{old: value}).unwrapped.setup,
+        lambda: gym.make("FlexOne-v0", **{old: value}).unwrapped.configuration,
+        lambda: gym.make_vec("FlexOne-v0", 1, "vector_entry_point", **{old: value}).unwrapped.configuration,
         lambda: Configuration("FlexOne-v0", {old: value}),
         lambda: Configuration.find(str(tmp_path / "own.yaml")),
         lambda: Configuration("FlexOne-v0").changed([f"{old}={value}"]),
     ):
         with pytest.warns(DeprecationWarning, match=f"^{old} is deprecated; give {name}$") as caught:
             made = make()
-        assert getattr(made, name) == value and made.settings == {name: value}
+        assert made == Configuration("FlexOne-v0", {name: value}) and made.settings == {name: value}
         assert [each.filename for each in caught] == [__file__]
 
 
 @pytest.mark.parametrize(("old", "name"), RENAMED.items())
 def test_kept_data_with_a_deprecated_name_is_read_without_a_warning(recwarn, old, name):
-    kept = Configuration.from_plain({"id": "FlexOne-v0", old: 3})
-    assert getattr(kept, name) == 3 and kept.to_plain()[name] == 3 and not recwarn.list
-    line = refusal(Configuration.from_plain, {"id": "FlexOne-v0", old: 3, name: 3})
-    assert line == f"{old}: 3 is not allowed; give {name} only, its present name"
+    value = RENAMED_VALUES[name]
+    kept = Configuration.from_plain({"id": "FlexOne-v0", old: value})
+    assert kept == Configuration("FlexOne-v0", {name: value}) and kept.to_plain()[name] == value and not recwarn.list
+    line = refusal(Configuration.from_plain, {"id": "FlexOne-v0", old: value, name: value})
+    assert line == f"{old}: {value} is not allowed; give {name} only, its present name"
 
 
 def test_shipped_policies_keep_the_old_name_and_load_without_a_warning(recwarn):
@@ -243,11 +264,11 @@ def parsed(monkeypatch):
 def test_an_environment_parses_its_configuration_once_and_takes_one_as_it_is(parsed):
     env = gym.make("FlexOne-v0", base="pd").unwrapped
     assert len(parsed) == 1
-    other = gym.make_vec("FlexOne-v0", 2, "vector_entry_point", **env.setup.keywords()).unwrapped
-    assert len(parsed) == 1 and other.setup is env.setup
-    changed = gym.make("FlexOne-v0", **env.setup.keywords(), horizon=1.0).unwrapped.setup
-    assert len(parsed) == 2 and (changed.base, changed.horizon, env.setup.horizon) == ("pd", 1.0, 10.0)
-    line = refusal(lambda: gym.make("FlexPlanar-v0", **env.setup.keywords()))
+    other = gym.make_vec("FlexOne-v0", 2, "vector_entry_point", **env.configuration.keywords()).unwrapped
+    assert len(parsed) == 1 and other.configuration is env.configuration
+    changed = gym.make("FlexOne-v0", **env.configuration.keywords(), horizon=1.0).unwrapped.configuration
+    assert len(parsed) == 2 and (changed.base, changed.horizon, env.configuration.horizon) == ("pd", 1.0, 10.0)
+    line = refusal(lambda: gym.make("FlexPlanar-v0", **env.configuration.keywords()))
     assert line == "configuration: 'FlexOne-v0' is not allowed; give one of FlexPlanar-v0"
     assert refusal(lambda: gym.make("FlexOne-v0", configuration={})).startswith("configuration: {} is not allowed")
 
@@ -329,5 +350,5 @@ def test_a_training_starts_with_the_episode_that_its_environment_gives():
 def test_the_limit_of_deflection_is_a_part_of_each_links_length():
     env = gym.make("FlexRRR-v0", limits=fm.Limits(deflection=0.2)).unwrapped
     view = env.episodes.view
-    bounds = env.setup.limits.bounds(view)["link_deflections"]
-    assert bounds == pytest.approx(0.2 * np.repeat([link.length for link in env.setup.arm.links], 2))
+    bounds = env.configuration.limits.bounds(view)["link_deflections"]
+    assert bounds == pytest.approx(0.2 * np.repeat([link.length for link in env.configuration.arm.links], 2))

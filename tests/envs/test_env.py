@@ -307,7 +307,7 @@ def test_rendering_without_a_mode_warns_and_gives_nothing():
         ({"modes": (4, 4)}, "modes", "one value, or 3"),
         ({"elements": 0}, "ModelChoice.elements", "a whole number from 1"),
         ({"task": "slow"}, "task", "one of slew"),
-        ({"task": {"reward": "bells"}}, "task", "one of slew, track, hold, or a mapping with that at kind"),
+        ({"task": {"reward": "bells"}}, "task", "one of slew, track, hold, a mapping with that at kind"),
         ({"task": 5}, "task", "a task"),
         ({"limits": 4.0}, "limits", "Limits"),
         ({"arm": 3}, "arm", "an Arm"),

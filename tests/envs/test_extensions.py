@@ -195,9 +195,7 @@ def test_what_a_task_says_of_a_step_stays_as_it_was():
 
 def test_a_named_environment_is_one_entry(monkeypatch):
     entry = NamedEnvironment(
-        lambda: fm.Arm(
-            fm.catalog.planar_2r().links, [fm.Joint((0, 0, 1), 0.1, torque_limit=limit) for limit in (3, 1)]
-        ),
+        fm.Arm(fm.catalog.planar_2r().links, [fm.Joint((0, 0, 1), 0.1, torque_limit=limit) for limit in (3, 1)]),
         {"stiffness": (2.0, 1.0), "damping": (1.0, 0.5)},
         control_period=0.01,
     )
@@ -206,7 +204,7 @@ def test_a_named_environment_is_one_entry(monkeypatch):
     observation, _ = env.reset(seed=0)
     assert env.torque_limit.tolist() == [3.0, 1.0] and env.simulator.control_period == 0.01
     readings = {name: observation[place] for name, place in env.sensors.slices.items()}
-    assert make_controller(env.setup, "pd", env.simulator.model).act(readings).shape == (2,)
+    assert make_controller(env.configuration, "pd", env.simulator.model).act(readings).shape == (2,)
 
 
 def test_a_controller_is_known_by_what_it_can_do():
@@ -244,7 +242,7 @@ def test_a_signal_effect_is_one_entry(monkeypatch):
         ({"task": Follow}, "task: <class"),
         ({"sensors": 3}, "sensors: 3 is not allowed; give a Sensor: an object with the methods entries and read"),
         ({"sensors": "lidar"}, "sensors: 'lidar' is not allowed; give one of full"),
-        ({"sensors": ("full", "full")}, "sensors: 'motor_angles' is not allowed; give every entry once"),
+        ({"sensors": ("full", "full")}, "sensors: 'motor_angles' is not allowed; give each entry once"),
         ({"name": "FlexRRR"}, "name: 'FlexRRR' is not allowed; give one of FlexRRR-v0"),
         ({"arm": fm.catalog.planar_2r()}, "torque_limit: None is not allowed; give one number (N m), or one for each"),
         ({"torque_limit": (400.0, 400.0)}, "torque_limit: (400.0, 400.0) is not allowed; give 3 numbers (N m)"),

@@ -39,9 +39,9 @@ def test_a_hold_names_its_disturbances_and_a_randomisation_goes_before_them():
     env = FlexManEnv(name="FlexRRR-Hold-v0", randomisation={"base_sway": (0.3, 0.3), "payload_mass": (1.0, 2.0)})
     _, info = env.reset(seed=1)
     assert info["drawn"].keys() == {"base_sway", "payload_mass"} and info["drawn"]["base_sway"] == 0.3
-    assert FlexManEnv(name="FlexRRR-Hold-v0").setup.disturbed.base_sway == (0.0, 0.1)
-    assert env.setup.disturbed.tip_load == (0.0, 10.0) and env.setup.disturbed.impulse_gap == 3.0
-    assert env.setup.randomisation.tip_load is None, "what was given stays as it was given"
+    assert FlexManEnv(name="FlexRRR-Hold-v0").configuration.disturbances.base_sway == (0.0, 0.1)
+    assert env.configuration.disturbances.tip_load == (0.0, 10.0) and env.configuration.disturbances.impulse_gap == 3.0
+    assert env.configuration.randomisation.tip_load is None, "what was given stays as it was given"
 
 
 def test_loads_stay_until_they_change():
@@ -123,8 +123,8 @@ def test_disturbances_out_of_order_are_refused_when_the_environment_is_made():
 
 def test_the_arm_holds_every_posture_of_its_task_with_a_full_payload():
     """All corners of the range of its motors, and the outstretched arm, with 20 kg; a fifth of the torque is left."""
-    setup = FlexManEnv(name="FlexRRR-Gravity-v0").setup
-    arm = NAMED_ENVIRONMENTS["FlexRRR-Gravity-v0"].arm()
+    setup = FlexManEnv(name="FlexRRR-Gravity-v0").configuration
+    arm = NAMED_ENVIRONMENTS["FlexRRR-Gravity-v0"].arm
     heavy = fm.Arm(arm.links, arm.joints, fm.Payload(20.0), arm.gravity, modal_damping_ratio=0.005)
     model = fm.build_model(heavy, 2)
     reach = setup.task.start + setup.task.slew
@@ -155,4 +155,4 @@ def test_without_integral_action_a_pd_leaves_the_offset_that_statics_says():
 
 
 def test_the_joints_have_the_stiffness_that_is_advertised():
-    assert [joint.stiffness for joint in NAMED_ENVIRONMENTS["FlexRRR-Gravity-v0"].arm().joints] == [6e4] * 3
+    assert [joint.stiffness for joint in NAMED_ENVIRONMENTS["FlexRRR-Gravity-v0"].arm.joints] == [6e4] * 3

@@ -198,7 +198,7 @@ SCALES = {
 def test_they_say_what_the_full_state_says(name):
     """Scales as in the docstring for FlexRRR-v0; elsewhere of the limits and the reach of the arm."""
     env = gym.make(name, sensors=BOTH, horizon=2.0).unwrapped
-    places, setup = env.sensors.slices, env.setup
+    places, setup = env.sensors.slices, env.configuration
     assert {each.removeprefix("fine_") for each in places if each.startswith("fine_")} == SCALES.keys()
     reach, old = sum(link.length for link in setup.arm.links) / 8.5, fm.Limits()
     rate, twist = setup.limits.rate / old.rate, setup.limits.twist / old.twist

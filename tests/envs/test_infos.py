@@ -58,18 +58,18 @@ def test_environments_with_neighbouring_seeds_share_no_episode():
 
 def test_the_action_that_is_told_and_seen_is_the_sum_of_agent_and_base():
     env = FlexManVectorEnv(
-        2, base="pd", sensors=["servo", "action"], tell=["action"], action_repeat=3, autoreset_mode="SameStep"
+        2, base="pd", sensors=["servo", "action"], info_keys=["action"], action_repeat=3, autoreset_mode="SameStep"
     )
     seen, infos = env.reset(seed=0)
     place = env.sensors.slices["action"]
     assert not seen[:, place].any() and not infos["action"].any() and env.sensors.units["action"] == "1"
     for action in actions(2, 5):
         seen, *_, infos = env.step(action)
-        limits = np.array(env.setup.torque_limit)
+        limits = np.array(env.configuration.torque_limit)
         assert np.array_equal(infos["action"], env.episodes.motors.torques / limits), "nothing comes late here"
         assert np.array_equal(seen[:, place], infos["action"].astype(np.float32))
         assert (infos["action"] != action).any() and np.abs(infos["action"]).max() <= 1.0
-    alone = gym.make("FlexRRR-v0", tell=["action"])
+    alone = gym.make("FlexRRR-v0", info_keys=["action"])
     alone.reset(seed=0)
     assert np.array_equal(alone.step(np.full(3, 0.25, dtype=np.float32))[-1]["action"], np.full(3, 0.25))
 
@@ -94,7 +94,7 @@ def test_call_gives_what_gymnasiums_own_gives():
     [
         ({"infos": "never"}, "infos: 'never' is not allowed; give one of always, at end"),
         ({"seed_stride": 0}, "seed_stride: 0 is not allowed; give a whole number from 1"),
-        ({"tell": ["torque"]}, "tell: 'torque' is not allowed; give one of motor_angles"),
+        ({"info_keys": ["torque"]}, "info_keys: 'torque' is not allowed; give one of motor_angles"),
     ],
 )
 def test_what_is_not_known_is_refused(arguments, line):

@@ -187,7 +187,7 @@ def test_an_instrument_ends_at_its_range_and_no_episode_with_it():
     sensors = (Instrument(Quantities(("tip_acceleration",)), noise=1.0), "strain")
     env = FlexManEnv(sensors=sensors, randomisation={"tip_impulse": (20.0, 20.0), "impulse_gap": 0.1})
     env.reset(seed=0)
-    ends = measurement_ranges(env.episodes.view, env.setup.limits)["tip_acceleration"]
+    ends = measurement_ranges(env.episodes.view, env.configuration.limits)["tip_acceleration"]
     values = []
     for _ in range(100):
         observation, _, terminated, _, info = env.step(np.zeros(3))
@@ -209,7 +209,7 @@ def test_quantities_and_instruments_read_no_further_than_their_range():
     angles = observation[env.sensors.slices["motor_angles"]]
     assert np.abs(angles).max() <= 4.0
     gauge, view = Quantities(("tip_acceleration",)), env.episodes.view
-    end, out = gauge.entries(view, env.setup.limits)[0].bound, np.zeros((1, 3))
+    end, out = gauge.entries(view, env.configuration.limits)[0].bound, np.zeros((1, 3))
     gauge.read(SimpleNamespace(tip_acceleration=np.array([[1e4, -1e4, 3.0]])), out)
     assert out[0].tolist() == [end[0], -end[1], 3.0]
 
@@ -232,10 +232,10 @@ def test_names_and_flaws_are_kept_in_files():
         ({"noise": 1}, "sensors: {'noise': 1} is not allowed; give a mapping with the name of a sensor at kind"),
         ({"kind": "lab", "hum": 1}, "sensors: 'hum' is not allowed; give one of noise, bias, quantisation, delay"),
         ({"kind": "full", "noise": -1.0}, "sensors.noise: -1.0 is not allowed; give a finite number >= 0"),
-        ({"kind": "full", "noise": 1e300}, "sensors.noise: 1e+300 is not allowed; give a part from 0 to 1"),
+        ({"kind": "full", "noise": 1e300}, "sensors.noise: 1e+300 is not allowed; give a fraction from 0 to 1"),
         (
             {"kind": "full", "quantisation": 1e-300},
-            "sensors.quantisation: 1e-300 is not allowed; give 0, or a part from",
+            "sensors.quantisation: 1e-300 is not allowed; give 0, or a fraction from",
         ),
         ({"kind": "full", "delay": 0.5}, "sensors.delay: 0.5 is not allowed; give a whole number from 0 to 1000"),
         ({"kind": "full", "every": 0}, "sensors.every: 0 is not allowed; give a whole number from 1 to 1000"),
@@ -254,8 +254,8 @@ def test_wrong_sensors_are_refused_in_one_line(value, line):
         ({"history": (0.0,)}, "history[0]: 0.0 is not allowed; give a finite number > 0 (s)"),
         ({"history": ()}, "history: () is not allowed; give a whole number"),
         ({"sensors": Quantities(("colour",))}, "Quantities.names: 'colour' is not allowed; give one of motor_angles"),
-        ({"tell": ("colour",)}, "tell: 'colour' is not allowed; give one of motor_angles"),
-        ({"tell": 3}, "tell: 3 is not allowed; give a list of names"),
+        ({"info_keys": ("colour",)}, "info_keys: 'colour' is not allowed; give one of motor_angles"),
+        ({"info_keys": 3}, "info_keys: 3 is not allowed; give a list of names"),
     ],
 )
 def test_wrong_settings_are_refused_in_one_line(settings, line):
@@ -264,7 +264,7 @@ def test_wrong_settings_are_refused_in_one_line(settings, line):
 
 def test_info_tells_quantities_by_name():
     names = ("root_strains", "tip_acceleration", "joint_angles", "motor_rates", "deflection")
-    env, many = FlexManEnv(tell=names), FlexManVectorEnv(2, tell=names)
+    env, many = FlexManEnv(info_keys=names), FlexManVectorEnv(2, info_keys=names)
     info, infos = env.reset(seed=1)[1], many.reset(seed=1)[1]
     for _ in range(3):
         for name in names:

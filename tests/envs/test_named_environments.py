@@ -10,8 +10,8 @@ from gymnasium.utils.env_checker import check_env
 
 import flexman_gym as fm
 from flexman_gym.envs import NAMED_ENVIRONMENTS
-from flexman_gym.envs.config.configuration import SETTINGS as DECLARED
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.settings import SETTINGS as DECLARED
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.rendering import RENDER_KEYWORDS
 from flexman_gym.envs.vector_env import OWN_KEYWORDS, FlexManVectorEnv
@@ -75,11 +75,11 @@ def test_an_episode_lasts_its_horizon_whatever_the_control_period(name, period, 
 
 @pytest.mark.parametrize("name", IDS)
 def test_without_keywords_an_environment_is_its_entry(name):
-    setup, named = gym.make(name).unwrapped.setup, NAMED_ENVIRONMENTS[name]
-    assert (setup.arm, setup.task, setup.limits) == (named.arm(), named.task, named.limits)
+    setup, named = gym.make(name).unwrapped.configuration, NAMED_ENVIRONMENTS[name]
+    assert (setup.arm, setup.task, setup.limits) == (named.arm, named.task, named.limits)
     assert (setup.control_period, setup.horizon) == (named.control_period, named.horizon)
-    assert setup.torque_limit == tuple(joint.torque_limit for joint in named.arm().joints)
-    assert setup.longest == named.horizon / named.control_period
+    assert setup.torque_limit == tuple(joint.torque_limit for joint in named.arm.joints)
+    assert setup.max_periods == named.horizon / named.control_period
     assert (setup.action_repeat, setup.base) == (1, None)
 
 
@@ -96,8 +96,8 @@ def test_every_switch_of_the_model_reaches_it(name, switch):
         make = gym.make if kind == "single" else lambda *a, **k: gym.make_vec(*a, 1, "vector_entry_point", **k)
         env = make(name, modes=2, **changed).unwrapped
         models[kind] = env.simulator.model if kind == "single" else env.batch.model
-    expected = fm.build_model(NAMED_ENVIRONMENTS[name].arm(), 2, 2, **changed)
-    plain = fm.build_model(NAMED_ENVIRONMENTS[name].arm(), 2, 2)
+    expected = fm.build_model(NAMED_ENVIRONMENTS[name].arm, 2, 2, **changed)
+    plain = fm.build_model(NAMED_ENVIRONMENTS[name].arm, 2, 2)
     state, torque = np.linspace(0.1, 1.0, 2 * expected.n_dof), np.ones(expected.n_joints)
     wanted = fm.acceleration(expected, state, torque)
     for model in models.values():
@@ -114,7 +114,7 @@ def test_the_switches_are_all_that_build_model_has():
 
 SETTINGS = {
     "arm": fm.catalog.vertical_2r(), "task": fm.Slew(), "sensors": "fine", "limits": fm.Limits(rate=9.0),
-    "history": 2, "gains": {"stiffness": (9.0, 3.0), "damping": (2.0, 1.0)}, "tell": ("motor_angles",),
+    "history": 2, "gains": {"stiffness": (9.0, 3.0), "damping": (2.0, 1.0)}, "info_keys": ("motor_angles",),
     "torque_limit": (9.0, 3.0), "control_period": 0.02, "horizon": 0.1, "base": "pd", "action_repeat": 3,
     "fidelity": "default", "actions": {"kind": "torque"}, "drive_bandwidth": 30.0, "reward": {"effort": 2.0},
     "tolerance": None, "elements": 1, "modes": 2, "method": "implicit_midpoint", "step": 0.01, "stiffening": True,
@@ -154,7 +154,7 @@ def test_an_unknown_keyword_is_refused_with_the_nearest_known_one(make, wrong, n
     with pytest.raises(ValueError) as error:
         make(**{wrong: 1})
     line = str(error.value)
-    assert line.startswith(f"{wrong}: 1 is not allowed; give a known setting: the nearest is {near}")
+    assert line.startswith(f"{wrong}: 1 is not allowed; give a setting: the nearest is {near}")
     assert "\n" not in line and all(name in line for name in DECLARED)
 
 
@@ -171,7 +171,7 @@ def test_a_name_that_there_is_not_is_refused_in_one_line():
         ({"control_period": 0}, "control_period: 0 is not allowed; give a finite number > 0 (s)"),
         ({"randomisation": 3}, "randomisation: 3 is not allowed; give a Randomisation, or a dict of its arguments"),
         ({"arm": fm.catalog.planar_2r()}, "torque_limit: None is not allowed; give one number (N m), or one for each"),
-        ({"task": fm.Slew}, "task: <class 'flexman_gym.envs.tasks.slew.Slew'> is not allowed; give a task: an object"),
+        ({"task": fm.Slew}, "task: <class 'flexman_gym.envs.tasks.slew.Slew'> is not allowed; give one of slew"),
     ],
 )
 def test_bad_settings_are_refused_in_one_line(settings, line):
@@ -184,7 +184,7 @@ def test_bad_settings_are_refused_in_one_line(settings, line):
 @pytest.mark.parametrize("name", NEW)
 def test_pd_settles_and_doing_nothing_earns_little(name):
     """50 episodes: within 1 % of the reach in at least half of them; zero action earns less than 40 % of that."""
-    reach = sum(link.length for link in NAMED_ENVIRONMENTS[name].arm().links)
+    reach = sum(link.length for link in NAMED_ENVIRONMENTS[name].arm.links)
     rewards, errors, lasted = episodes(name, 50, still, base="pd")
     assert (lasted == NAMED_ENVIRONMENTS[name].horizon / NAMED_ENVIRONMENTS[name].control_period).all()
     settled = [settling_time(error, 0.01 * reach, NAMED_ENVIRONMENTS[name].control_period) for error in errors.T]

@@ -19,7 +19,7 @@ def test_start_goal_and_target_are_in_the_picture(name):
     view, rendering, model = env.episodes.view, env._rendering, env.batch.model
     goals = curves(model, view.rest_states(view.goal_angles), 2).positions[:, -1, -1]
     for arm in range(ARMS):
-        camera, floor = rendering._painter.camera(rendering.stage(arm))
+        camera, floor = rendering._painter.camera(rendering.extent(arm))
         parts = camera.project(np.array([view.target[arm], view.tip[arm], goals[arm], np.zeros(3)])) / SIZE
         assert (parts > 0.055).all() and (parts < 0.945).all(), (name, arm)
         assert floor < min(view.target[arm, 2], view.tip[arm, 2])
@@ -28,7 +28,7 @@ def test_start_goal_and_target_are_in_the_picture(name):
 def test_a_moving_goal_stays_in_the_picture():
     env = FlexManEnv(name="FlexPlanar-Track-v0", render_mode="rgb_array", render_size=SIZE)
     env.reset(seed=5000)
-    camera, _ = env._rendering._painter.camera(env._rendering.stage(0))
+    camera, _ = env._rendering._painter.camera(env._rendering.extent(0))
     targets = []
     for _ in range(200):
         env.step(np.zeros(2))

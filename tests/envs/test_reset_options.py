@@ -32,7 +32,7 @@ def test_of_two_elbows_it_takes_the_one_that_turns_less():
     both = [np.array([heading - side * elbow / 2.0, side * elbow]) for side in (1.0, -1.0)]
     place = view.rigid_tips(both[0][None])[0]
     assert view.rigid_tips(both[1][None])[0] == pytest.approx(place)
-    view.heavy = False
+    view.has_gravity = False
     for wanted in both:
         for near in (np.add(wanted, (0.2, -0.3)), np.add(wanted, (-0.4, 0.1))):
             assert inverse_kinematics("tip", place, near, view) == pytest.approx(wanted, abs=1e-6)
@@ -67,7 +67,7 @@ def test_each_arm_of_many_turns_from_its_own_start():
     [
         (
             {"goal_tip": [9.0, 0.0, 0.0]},
-            "options['goal_tip']: [9.0, 0.0, 0.0] is not allowed; give a place (m, base frame)",
+            "options['goal_tip']: [9.0, 0.0, 0.0] is not allowed; give a position of the tip (m, base frame)",
         ),
         ({"start_tip": [0.0, 0.0, 99.0]}, "options['start_tip']: [0.0, 0.0, 99.0] is not allowed"),
         ({"goal_tip": [1.0, 2.0]}, "options['goal_tip']: [1.0, 2.0] is not allowed; give 3 numbers (m)"),
@@ -91,5 +91,5 @@ def test_places_that_cannot_be_are_refused_in_one_line(options, said):
 def test_a_planar_arm_does_not_leave_its_plane():
     said = refusal(lambda: FlexManEnv(name="FlexOne-v0").reset(options={"goal_tip": [0.5, 0.5, 0.2]}))
     assert said.startswith("options['goal_tip']: [0.5, 0.5, 0.2] is not allowed") and said.endswith(
-        "with 0.8 m of links"
+        "within reach of 0.8 m of links"
     )

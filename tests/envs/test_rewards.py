@@ -46,7 +46,7 @@ def test_a_file_holds_weights_and_no_function():
     weights = {"distance": 0.5}
     whole = Configuration.from_plain({"id": "FlexOne-v0", "reward": weights}).to_plain()
     assert whole["reward"] == weights == Configuration.from_plain(whole).to_plain()["reward"]
-    assert refusal(FlexManEnv(reward=len).setup.to_plain).startswith("reward: ")
+    assert refusal(FlexManEnv(reward=len).configuration.to_plain).startswith("reward: ")
 
 
 def test_the_sum_of_terms_rounds_for_one_arm_as_for_many():

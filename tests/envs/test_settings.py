@@ -33,7 +33,7 @@ def test_the_specification_of_an_environment_with_an_own_arm_makes_it_again(name
     env = gym.make(name, arm=OWN, modes=2, limits=fm.Limits(angle=2.0))
     spec = EnvSpec.from_json(env.spec.to_json())
     again = gym.make(spec)
-    first, second = env.unwrapped.setup, again.unwrapped.setup
+    first, second = env.unwrapped.configuration, again.unwrapped.configuration
     assert second.arm == OWN and second.limits == first.limits == fm.Limits(angle=2.0)
     assert first.arm.links[0].outline == second.arm.links[0].outline is not None
     seen = [each.reset(seed=3)[0] for each in (env, again)]
@@ -45,8 +45,8 @@ def test_an_arm_may_be_named_wherever_one_is_taken(tmp_path):
     named = {"catalog": "planar_2r", "joint_stiffness": 60.0, "payload": {"mass": 0.2}}
     arm = fm.catalog.planar_2r(joint_stiffness=60.0, payload=fm.Payload(0.2))
     env = gym.make("FlexPlanar-v0", arm=named, torque_limit=1.0)
-    assert env.unwrapped.setup.arm == arm
-    assert gym.make(EnvSpec.from_json(env.spec.to_json())).unwrapped.setup.arm == arm
+    assert env.unwrapped.configuration.arm == arm
+    assert gym.make(EnvSpec.from_json(env.spec.to_json())).unwrapped.configuration.arm == arm
     assert fm.build_model(named).arm == arm and fm.build_model("planar_2r").arm == fm.catalog.planar_2r()
     scene = fm.Scene(
         named, fm.ModelChoice(True, 1), fm.ConstantTorque([0.0, 0.0]), fm.Initial([0.0, 0.0], [0.0, 0.0]), 0.1, 0.1
@@ -71,7 +71,7 @@ def test_an_arm_may_be_named_wherever_one_is_taken(tmp_path):
         ({"frame_skip": 4}, "action_repeat, the control periods for which"),
         ({"payload": 1.0}, "arm=fm.Arm(..., payload=fm.Payload(0.5))"),
         ({"dt": 0.01}, "control_period, the time in s between two actions"),
-        ({"control_periods": 0.01}, "a known setting: the nearest is control_period"),
+        ({"control_periods": 0.01}, "a setting: the nearest is control_period"),
     ],
 )
 def test_a_setting_of_another_name_is_refused_with_the_one_it_has_here(setting, said):
@@ -117,7 +117,7 @@ def test_a_delay_is_part_of_the_randomisation():
     line = line_of(lambda: gym.make("FlexOne-v0", delay=1))
     assert line.startswith("delay: 1 is not allowed") and 'randomisation={"delay": (1, 1)}' in line
     env = gym.make("FlexOne-v0", randomisation={"delay": (1, 1)})
-    assert env.unwrapped.setup.latest_delay == 1
+    assert env.unwrapped.configuration.max_delay == 1
 
 
 @pytest.mark.parametrize("condition", CONDITIONS)

@@ -73,7 +73,7 @@ def test_the_posture_of_a_moment_holds_the_tip_on_the_path(name, path):
         plan = {key: np.repeat(values, 40, axis=0) for key, values in view.plan.items()}
         goal = task.goal(plan, np.linspace(0.0, 3.0 * plan["period"][0], 40), view)
         far = np.linalg.norm(view.rest_tips(goal.angles) - goal.target, axis=1).max()
-        assert far < (1e-3 if view.heavy else 1e-4) * view.reach
+        assert far < (1e-3 if view.has_gravity else 1e-4) * view.reach
         first = env.episodes.view.plan["start"][0]
         assert first == pytest.approx(goal.angles[0], abs=1e-12)
         spread = np.ptp(goal.target, axis=0).max()

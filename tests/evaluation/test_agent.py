@@ -11,7 +11,7 @@ from flexman_gym.control.agent import Agent
 from flexman_gym.control.network import Network
 from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.episodes import make_base_and_mode
+from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.evaluation import BASELINES, AgentSpec, evaluate, find_agent, rollout
 from flexman_gym.evaluation.agent import (
@@ -167,7 +167,7 @@ def test_who_acts_brings_everything_that_it_wants_of_an_environment(run):
     environment, interface = split_interface(Configuration("FlexPlanar-v0", {"condition": "unknown-lab"}))
     assert interface == {"sensors": "lab"} and environment.randomisation is not None
     bare = change_environment(ONE, []), change_environment(Configuration("FlexPlanar-v0"), ["condition=unknown-lab"])
-    assert bare[0] == ONE and "sensors" not in bare[1].settings and bare[1].disturbed.delay == (1, 1)
+    assert bare[0] == ONE and "sensors" not in bare[1].settings and bare[1].disturbances.delay == (1, 1)
 
 
 def test_runs_of_one_name_on_different_environments_are_refused():
@@ -314,8 +314,8 @@ def test_an_agent_acts_alike_in_training_live_loaded_and_under_another_agent(con
     trained = FlexManVectorEnv(2, name="FlexPlanar-v0", **described.keywords())
     assert np.array_equal(asked(trained, network, 20), loaded.actions) and np.ptp(loaded.actions) > 0.1
     if sensors == "lab":
-        base, mode = make_base_and_mode(trained.setup, trained.batch.model)
-        inner = Agent(trained.setup.sensors, len(trained.sensors.bound), mode, base, 3, 2, network)
+        base, mode = make_base_and_mode(trained.configuration, trained.batch.model)
+        inner = Agent(trained.configuration.sensors, len(trained.sensors.bound), mode, base, 3, 2, network)
         keywords = Configuration.from_plain({"id": "FlexPlanar-v0", **moved, "sensors": []}).keywords()
         outer = FlexManVectorEnv(2, name="FlexPlanar-v0", **keywords, base=inner)
         assert np.array_equal(asked(outer, lambda seen: np.zeros((2, 2)), 40), loaded.actions)

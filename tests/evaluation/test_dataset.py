@@ -64,7 +64,7 @@ def test_a_dataset_is_read_back_to_the_bit_and_gives_its_environment(datasets, f
     known = record_episodes(("random", dataset_environment(NOISY), tuple(SEEDS)))
     env = data.recover_environment()
     assert data.total_episodes == 3 and data.total_steps == sum(len(each["rewards"]) for each in known)
-    assert env.spec.id == "FlexRRR-v0" and env.unwrapped.setup.history == 2
+    assert env.spec.id == "FlexRRR-v0" and env.unwrapped.configuration.history == 2
     for read, episode, seed in zip(data.iterate_episodes(), known, SEEDS, strict=True):
         for name in ("observations", "actions", "rewards", "terminations", "truncations"):
             result, expected = getattr(read, name), np.array(episode[name])

@@ -163,7 +163,7 @@ def test_what_the_training_drew_is_left(folder):
     assert {f"{folder}/payload=0.2:0.25+given", f"{folder}/stiffness=0.55:0.7"} <= {*names}
     changed = find_scenario("FlexRRR-v0/unknown/delay=3")
     assert changed.environment.randomisation.given["delay"] == [3, 3]
-    assert changed.environment.disturbed.payload_mass == (0.0, 20.0)
+    assert changed.environment.disturbances.payload_mass == (0.0, 20.0)
 
 
 def test_friction_is_that_of_the_named_arm_and_no_other_arm_is_run_with_it(tmp_path):

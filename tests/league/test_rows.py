@@ -418,17 +418,17 @@ def test_one_truth_is_enough_not_to_be_buildable(truth, monkeypatch):
 
 def test_in_a_sweep_controllers_are_told_the_range_and_arms_have_the_value():
     played, told = (each for each in find_scenario("FlexRRR-v0/payload=25")[:2])
-    assert played.disturbed.payload_mass == (25.0, 25.0) and told.disturbed.payload_mass == (0.0, 20.0)
+    assert played.disturbances.payload_mass == (25.0, 25.0) and told.disturbances.payload_mass == (0.0, 20.0)
     played, told = (each for each in find_scenario("FlexRRR-v0/delay=3")[:2])
-    assert (played.latest_delay, told.latest_delay) == (3, 2)
+    assert (played.max_delay, told.max_delay) == (3, 2)
     assert told.gains == Configuration.find("FlexRRR-v0/random-delay").gains
     played, told = (each for each in find_scenario("FlexRRR-v0/noise=0")[:2])
-    assert played.disturbed.sensor_noise == (0.0, 0.0) and told.disturbed.sensor_noise == (0.001, 0.001)
+    assert played.disturbances.sensor_noise == (0.0, 0.0) and told.disturbances.sensor_noise == (0.001, 0.001)
     played, told = (each for each in find_scenario("FlexRRR-v0/period=0.04")[:2])
     assert played.control_period == told.control_period == 0.04
     played, told = (each for each in find_scenario("FlexRRR-v0/stiffness=0.5")[:2])
-    assert played.disturbed.link_stiffness_factor == played.disturbed.joint_stiffness_factor == (0.5, 0.5)
-    assert told.disturbed.link_stiffness_factor == (0.7, 1.3)
+    assert played.disturbances.link_stiffness_factor == played.disturbances.joint_stiffness_factor == (0.5, 0.5)
+    assert told.disturbances.link_stiffness_factor == (0.7, 1.3)
 
 
 def test_who_plays_a_sweep_is_made_for_what_it_is_told(tmp_path, monkeypatch):
@@ -436,7 +436,7 @@ def test_who_plays_a_sweep_is_made_for_what_it_is_told(tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr(league, "_timed", lambda agent, told: made.append(told) or (agent, None))
     run_block(EpisodeBlock("", "zero", "FlexRRR-v0/payload=25", 9000, 9001))
-    assert [each.disturbed.payload_mass for each in made] == [(0.0, 20.0)]
+    assert [each.disturbances.payload_mass for each in made] == [(0.0, 20.0)]
 
 
 def test_every_venue_has_an_environment():

@@ -53,13 +53,13 @@ def test_plants_have_names(monkeypatch):
 def test_what_is_given_is_part_of_the_name():
     """One name is one trial: an id alone stands for the condition of the change, a condition for itself."""
     ids, lab = find_scenario("FlexRRR-v0/delay=3"), find_scenario("FlexRRR-v0/unknown-lab/delay=3")
-    assert ids.given.disturbed.delay == (0, 2) and lab.given.disturbed.delay == (1, 1)
-    assert find_scenario("FlexRRR-v0/nominal/delay=3").given.disturbed is None
+    assert ids.given.disturbances.delay == (0, 2) and lab.given.disturbances.delay == (1, 1)
+    assert find_scenario("FlexRRR-v0/nominal/delay=3").given.disturbances is None
     assert lab.given == find_scenario("FlexRRR-v0/unknown-lab").environment
     for name in ("FlexRRR-v0/delay=3", "FlexRRR-v0/unknown-lab/delay=3"):
         given = find_scenario(f"{name}+given@finer")
         assert given.environment == given.given == find_scenario(name).environment and given.plant == "finer"
-    ranged = find_scenario("FlexRRR-v0/unknown-lab/payload=20:25").environment.disturbed
+    ranged = find_scenario("FlexRRR-v0/unknown-lab/payload=20:25").environment.disturbances
     assert ranged.payload_mass == (20.0, 25.0) and ranged.link_stiffness_factor == (0.7, 1.3)
     assert find_scenario("lab-flexrrr/delay=3").environment == lab.environment, "that of a policy"
 

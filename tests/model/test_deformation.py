@@ -144,7 +144,7 @@ def test_a_chain_ends_at_its_tip_and_its_links_join(sample):
 @pytest.mark.parametrize("name", NAMED_ENVIRONMENTS)
 def test_the_arm_of_every_environment_ends_at_its_tip(name, stiffening):
     model, random = (
-        fm.build_model(NAMED_ENVIRONMENTS[name].arm(), modes=4, stiffening=stiffening),
+        fm.build_model(NAMED_ENVIRONMENTS[name].arm, modes=4, stiffening=stiffening),
         np.random.default_rng(0),
     )
     states = random.normal(0.0, 0.1, (20, 2 * model.n_dof))

@@ -78,7 +78,7 @@ def test_pieces_weigh_and_turn_as_the_link():
 
 @pytest.mark.parametrize("name", ["FlexRRR-v0", "FlexPlanar-v0", "FlexOne-v0", "odd"])
 def test_frequencies_are_ours(mujoco, name):
-    arm = replace(ODD if name == "odd" else NAMED_ENVIRONMENTS[name].arm(), gravity=(0.0, 0.0, 0.0))
+    arm = replace(ODD if name == "odd" else NAMED_ENVIRONMENTS[name].arm, gravity=(0.0, 0.0, 0.0))
     model = fm.build_model(arm, elements=4)
     for angles in (None, [0.5, -0.7, 0.9][: arm.n_joints]):
         for motors in (True, False):
@@ -130,7 +130,7 @@ def test_joints_have_their_friction_and_limit(mujoco):
 
 @pytest.mark.parametrize("name", ["FlexRRR-v0", "FlexPlanar-v0", "FlexOne-v0"])
 def test_the_usual_step_is_stable_and_no_shorter_than_it_must_be(mujoco, name):
-    model, data = read(mujoco, NAMED_ENVIRONMENTS[name].arm(), 4)
+    model, data = read(mujoco, NAMED_ENVIRONMENTS[name].arm, 4)
     mass, stiffness, _ = matrices(mujoco, model, data)
     assert 0.7 < model.opt.timestep * np.sqrt(eigh(stiffness, mass, eigvals_only=True)[-1]) < 1.6
     data.qvel[0] = 0.3

@@ -136,7 +136,7 @@ SETTINGS = {
     "gains": {"stiffness": [5.0], "damping": [2.0]}, "action_repeat": 2, "elements": 2, "modes": "assembled",
     "step": None, "method": "midpoint_3", "stiffening": False, "spinning_rotors": False,
     "rotary_inertia": True,
-    "tell": ("joint_angles",), "energy_alarm": 0.01, "tolerance": None, "fidelity": "default",
+    "info_keys": ("joint_angles",), "energy_alarm": 0.01, "tolerance": None, "fidelity": "default",
     "randomisation": {"payload_mass": (0.0, 0.1), "delay": (0, 2), "sensor_noise": (0.0, 0.01), "impulse_gap": 1.0},
 }  # fmt: skip
 DESCRIBED = {

@@ -16,7 +16,7 @@ from flexman_gym.simulation.external_simulator import (
 from flexman_gym.simulation.parameters import varied_constants
 
 PERIOD, ARMS = 0.02, 3
-ARM = NAMED_ENVIRONMENTS["FlexRRR-v0"].arm()
+ARM = NAMED_ENVIRONMENTS["FlexRRR-v0"].arm
 FULL = fm.build_model(ARM, 2, stiffening=True)
 USUAL = fm.build_model(ARM, 2, (4, 4, 5))
 OWN = {

@@ -1,1 +1,1 @@
-"""Configuration of environments: settings, conditions, named environments, randomisation."""
+"""Configuration of environments: settings, named environments, conditions, randomisation."""

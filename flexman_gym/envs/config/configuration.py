@@ -1,32 +1,18 @@
-"""Configuration of an environment: its settings, declared once, checked once and handed on."""
+"""Configuration of an environment: an id and checked settings."""
 
 import os
 import sys
 import warnings
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict
 from difflib import get_close_matches
-from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
 from flexman_gym.common import files
-from flexman_gym.common.checks import (
-    mapping,
-    one_of,
-    positive,
-    sequence,
-    short_path,
-    text,
-    value_error,
-    vector,
-    whole_number,
-)
+from flexman_gym.common.checks import mapping, one_of, positive, sequence, short_path, text, value_error, vector
 from flexman_gym.common.renamed import current_methods, deprecated_names
-from flexman_gym.control.agent import parse_history
 from flexman_gym.control.margins import first_order_lag
 from flexman_gym.control.pd import torque_limits
-from flexman_gym.envs.config import settings as checks
 from flexman_gym.envs.config.named_environments import (
     DEFAULT_ID,
     NAMED_ENVIRONMENTS,
@@ -34,183 +20,57 @@ from flexman_gym.envs.config.named_environments import (
     Gains,
     condition_settings,
 )
-from flexman_gym.envs.config.randomisation import Randomisation, find_randomisation
-from flexman_gym.envs.config.settings import Setting, is_plain, links_and_motors, lists, put
-from flexman_gym.envs.limits import Limits
-from flexman_gym.envs.sensors import find_sensors, plain_sensors
-from flexman_gym.envs.tasks import Task, plain_task
-from flexman_gym.envs.tasks.rewards import checked_reward
+from flexman_gym.envs.config.randomisation import Randomisation
+from flexman_gym.envs.config.settings import CHOSEN, SETTINGS, EnvironmentSettings
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import warn_unusual_units
 from flexman_gym.scene.serialization import SUFFIXES, find_arm, to_plain
-from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
-from flexman_gym.simulation.trajectory import ENERGY_ALARM
 
-CHOSEN = ("elements", "modes", "method", "step", "stiffening")  # settings that fidelity="auto" chooses
-PARTS = ("arm", "task", "limits")  # settings of a named environment of which a change may name a part
-LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")  # packages between a user and a configuration
-MOST_REPEATS, MOST_PERIODS = 1000, 10**9  # control periods; of an action, of an episode
-
-
-def _setting(*arguments: Any, **columns: Any) -> Any:
-    """Declare a setting; the annotation of the class attribute is the type of the stored value."""
-    return Setting(*arguments, **columns)
+PARTS = ("arm", "task", "limits")  # settings of a named environment that a change "arm.payload.mass=0.5" can enter
+LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")  # packages skipped in the location of a warning
+MAX_PERIODS = 10**9  # control periods of an episode
+RENAMED = {old: name for name, setting in SETTINGS.items() for old in setting.deprecated}
+HINTS = {foreign: hint for setting in SETTINGS.values() for foreign, hint in setting.foreign.items()}
+SET_HELP = f"a setting of the environment: {', '.join(SETTINGS)}; arm.payload.mass=0.5 changes a part"
 
 
-class Configuration:
-    """Configuration of an environment: an id and settings, checked when it is made.
+class Configuration(EnvironmentSettings):
+    """Configuration of an environment: an id and settings, checked at construction.
 
     A setting that is not given has its default, or the value of the named environment. Settings may be plain data
     (texts, numbers, booleans, lists, mappings) or objects; a file holds plain data only. The setting "condition" names
-    a condition of the environment, which changes the settings that are not given.
+    a condition of the environment, which changes settings that are not given.
 
     Args:
-        id: of a named environment.
+        id: id of a named environment.
         settings: name -> value, as in `gym.make`.
-        folder: to which the path of a file with an arm is relative.
-
-    Raises:
-        ValueError: one line with field, value, unit and what is allowed; for an unknown name with the nearest one.
+        folder: folder for the relative path of a file with an arm.
     """
 
     id: str
     _given: dict[str, Any]
-    # fmt: off
-    arm: Arm = _setting(
-        "Arm. An Arm, the name of a function of the catalog, a mapping with that name at 'catalog' and its arguments, "
-        "the path of a file with an arm or a scene, or a mapping as in such a file.",
-        find_arm, named=True, plain=to_plain, elsewhere={
-            "gravity": "it to the arm, as gravity belongs to it: arm=fm.Arm(..., gravity=(0, 0, -9.81)), or "
-            'arm={"catalog": "planar_2r", "gravity": [0, 0, -9.81]}',
-            "payload": "it to the arm, which carries it: arm=fm.Arm(..., payload=fm.Payload(0.5))",
-            "damping": "it to the arm, whose links and joints are damped: arm=fm.Arm(..., modal_damping_ratio=0.01)",
-        },
-    )
-    task: Task = _setting(
-        "Task. An object such as Slew(), its name 'slew', or a mapping with the name at 'kind' and its arguments.",
-        checks.checked_task, named=True, plain=plain_task,
-    )
-    reward: Any = _setting(
-        "Weights of the reward terms, or a reward function. A mapping from terms of the task to factors, 1 for a term "
-        "without an entry; or a function that returns the reward (b,) of a View, failures (view.failed) included.",
-        checked_reward,
-    )
-    sensors: tuple[object, ...] = _setting(
-        "Sensors of the agent. A name, a mapping with a name at 'kind' and flaws (noise, bias, quantisation, delay, "
-        "every, dropped), a Sensor object, or a list of these; envs.sensors has the names.",
-        find_sensors, named=True, plain=plain_sensors, elsewhere={"obs_type": "sensors", "observation": "sensors"},
-    )
-    history: int | tuple[float, ...] = _setting(
-        "Number of observations that the agent sees, the newest first. Or time constants in s: the agent then sees the "
-        "present observation and its exponential averages with these time constants.",
-        parse_history, 1,
-    )
-    limits: Limits = _setting(
-        "Limits of the motion, beyond which an episode ends. A Limits, or a mapping of its arguments.",
-        checks.checked_limits, named=True, plain=asdict,
-    )
-    torque_limit: tuple[float, ...] = _setting(
-        "Torque limits of the motors. One number, or one for each joint; None takes those of the joints of the arm.",
-        checks.keep, unit="N m",
-    )
-    control_period: float = _setting(
-        "Time between two commands to the motors.", checks.checked_period, unit="s", named=True,
-        elsewhere=dict.fromkeys(("dt", "timestep"), "control_period, the time in s between two actions, or step, that "
-        "of the integrator"),
-    )
-    horizon: float = _setting(
-        "Time after which an episode is truncated.", partial(positive, "horizon", unit="s"), unit="s", named=True,
-        elsewhere=dict.fromkeys(("max_steps", "max_episode_length"), "horizon, the time in s after which an episode is "
-        "truncated"),
-    )
-    base: Any = _setting(
-        "Base controller, to whose torques the agent adds its own. It acts in every control period: a name in "
-        "control.BASES, such as 'pd', the PD tuned for the arm of the named environment; a mapping with a name at "
-        "'kind' and its arguments; or a Controller. None for none. The sum saturates at the torque limits.",
-        checks.checked_base_setting,
-    )
-    gains: Any = _setting(
-        "Gains of base='pd'. A mapping with stiffness (N m/rad) and damping (N m s/rad), a number for each joint; None "
-        "takes the gains tuned for the named environment, which suit no arm with other links or motors.",
-        checks.keep,
-    )
-    actions: Any = _setting(
-        "Meaning of an action. A name in control.actions.ACTIONS: 'torque' as a part of the torque limits, 'current' "
-        "of the motors, 'position' or 'velocity' of servos, 'shaping' of the reference of the base; or a mapping with "
-        "a name at 'kind' and its arguments. A servo runs in every control period: with control_period=0.002 and "
-        "action_repeat=10 at 500 Hz under an agent at 50 Hz.",
-        checks.checked_actions, "torque",
-    )
-    drive_bandwidth: float | None = _setting(
-        "Bandwidth of the drives, a first-order lag between command and torque. None for no lag.",
-        checks.checked_bandwidth, unit="Hz",
-    )
-    action_repeat: int = _setting(
-        "Control periods for which the action of the agent is kept. A step of the environment spans them: its reward "
-        "is their mean, its info that of the last one; an episode may end before the last one.",
-        partial(whole_number, "action_repeat", low=1, high=MOST_REPEATS), 1, formerly=("hold",),
-        elsewhere={"frame_skip": "action_repeat, the control periods for which an action is kept"},
-    )
-    fidelity: str = _setting(
-        f"Choice of the model. 'auto' chooses {', '.join(CHOSEN)} for a tolerance; 'default' takes them as given.",
-        partial(one_of, "fidelity", allowed=("default", "auto")), "default",
-    )
-    tolerance: float | None = _setting("Largest error of the tip in a slew, of fidelity='auto'.", checks.keep, unit="m")
-    elements: int | tuple[int, ...] = _setting("Elements of each link, see build_model.", checks.tuples, 2)
-    modes: int | tuple[int | tuple[int, ...], ...] | str | None = _setting(
-        "Modes of each link, see build_model. 'assembled': those of assembled_modes below half the control rate.",
-        checks.tuples, "assembled",
-    )
-    method: str | Method = _setting("Integration method, a name in METHODS or a Method.", checks.keep, DEFAULT_METHOD)
-    step: float | None = _setting(
-        "Step of the integration method. None takes the longest one that divides the control period, up to the longest "
-        "step of the named environment.",
-        checks.keep, unit="s",
-    )
-    stiffening: bool = _setting("Foreshortening of bent links, see build_model.", checks.keep, False)
-    spinning_rotors: bool = _setting("Rotation of rotors with their links, see ModelChoice.", checks.keep, False)
-    rotary_inertia: bool = _setting("Rotary inertia of the sections of links, see ModelChoice.", checks.keep, True)
-    tell: tuple[str, ...] = _setting(
-        "Quantities that info also holds. Names in View.units; 'action' is the command to the motors.",
-        checks.checked_names, (),
-    )
-    energy_alarm: float = _setting(
-        "Energy residual that raises the alarm, as a part of the energy turnover. The turnover is the largest of "
-        "kinetic + elastic energy, work and dissipation.",
-        partial(positive, "energy_alarm"), ENERGY_ALARM,
-    )
-    randomisation: Randomisation | None = _setting(
-        "Ranges of parameters and disturbances, drawn in each episode. A Randomisation, or a mapping of its arguments.",
-        find_randomisation, plain=lambda value: {name: getattr(value, name) for name in value.given}, elsewhere={
-            "delay": 'randomisation={"delay": (1, 1)}, the fewest and the most control periods by which torques come '
-            "late",
-            "noise": 'randomisation={"sensor_noise": ...}, or sensors with flaws',
-            "seed": "it to reset(seed=...)",
-        },
-    )
-    # fmt: on
 
     def __init__(self, id: str = DEFAULT_ID, settings: Mapping[str, Any] | None = None, folder: Path = Path()) -> None:
         named, given = NAMED_ENVIRONMENTS[one_of("id", id, NAMED_ENVIRONMENTS)], dict(settings or {})
         if given.pop("condition", NOMINAL) != NOMINAL:
             given = {**condition_settings(id, settings["condition"]), **given}  # type: ignore[index]
-        given = _present(given, True)
+        given = _rename_keys(given, True)
         _refuse_unknown(given)
         if isinstance(given.get("arm"), str) and given["arm"].endswith(SUFFIXES):
             given["arm"] = to_plain(find_arm(given["arm"], folder))
         vars(self).update(id=id, _given=given)
         for name, setting in SETTINGS.items():
             value = given.get(name, setting.default)
-            vars(self)[name] = setting.check(named.value(name) if value is None and setting.named else value)
+            vars(self)[name] = setting.check(getattr(named, name) if value is None and setting.named else value)
         self._check_together()
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
-        raise AttributeError(f"{name}: a configuration is not changed; make another one with replace")
+        raise AttributeError(f"{name}: a configuration is immutable; make another one with replace")
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Configuration):
             return NotImplemented
-        one, two = (lists(each.to_plain(strict=False)) for each in (self, other))
+        one, two = (_lists(each.to_plain(strict=False)) for each in (self, other))
         return bool(one == two)
 
     __hash__ = None  # type: ignore[assignment]
@@ -221,8 +81,8 @@ class Configuration:
     def _check_together(self) -> None:
         """Check the settings that depend on others, and store what follows from them."""
         vars(self)["torque_limit"] = self._torque_limits()
-        if not 0.5 <= self.horizon / self.control_period <= MOST_PERIODS:
-            allowed = f"1 to {MOST_PERIODS} control periods of {self.control_period} s"
+        if not 0.5 <= self.horizon / self.control_period <= MAX_PERIODS:
+            allowed = f"1 to {MAX_PERIODS} control periods of {self.control_period} s"
             raise value_error("horizon", self.horizon, allowed)
         warn_unusual_units("", {"horizon": self.horizon})
         if self.base == "pd":
@@ -239,7 +99,7 @@ class Configuration:
         positive("tolerance", self.tolerance, 'm, for fidelity="auto"')
 
     def _torque_limits(self) -> tuple[float, ...]:
-        """Return the torque limits that were given, else those of the joints, N m."""
+        """Return the given torque limits, else those of the joints, N m."""
         given: Any = self.torque_limit
         arm, own = self.arm, [joint.torque_limit for joint in self.arm.joints]
         if given is not None:
@@ -251,15 +111,12 @@ class Configuration:
 
     @classmethod
     def from_keywords(cls, keywords: Mapping[str, Any], others: Collection[str] = ()) -> "Configuration":
-        """Return the configuration of keyword arguments of `gym.make` and `gym.make_vec`.
+        """Return the configuration for keyword arguments of `gym.make` and `gym.make_vec`.
 
         Args:
-            keywords: settings, "name", the id of a named environment, and "configuration", a Configuration in which
-                they change some settings.
-            others: names of keyword arguments of an environment that are no settings, for the error.
-
-        Raises:
-            ValueError: see the class.
+            keywords: settings; "name", the id of a named environment; and "configuration", a Configuration whose
+                settings the others change.
+            others: names of further keyword arguments of an environment, for the error message.
         """
         given = dict(keywords)
         whole = given.pop("configuration", None)
@@ -275,26 +132,30 @@ class Configuration:
 
     @classmethod
     def from_plain(cls, data: object, folder: Path = Path(), warn: bool = False) -> Self:
-        """Return the configuration in a mapping with "id" and settings.
+        """Return the configuration of a mapping with "id" and settings.
 
         Args:
             data: the mapping.
-            folder: to which the path of a file with an arm is relative.
-            warn: warn of deprecated names; files of earlier versions have them.
+            folder: folder for the relative path of a file with an arm.
+            warn: warn of deprecated names, as in files of earlier versions.
         """
-        settings = _present(data, warn)
+        settings = _rename_keys(data, warn)
         return cls(settings.pop("id", DEFAULT_ID), settings, folder)
 
     @classmethod
     def load(cls, path: str | Path, changes: Sequence[str] = ()) -> Self:
-        """Read a .json, .yaml or .yml file: a mapping with "id" and settings; see `find` for the changes.
+        """Read a .json, .yaml or .yml file: a mapping with "id" and settings.
+
+        Args:
+            path: path of the file.
+            changes: "name=value", see `changed`.
 
         Raises:
-            FileNotFoundError: when there is none.
-            ValueError: one line with file, field, value and what is allowed.
+            FileNotFoundError: if the file does not exist.
+            ValueError: one line with file, field, value and the allowed values.
         """
         try:
-            return cls._with_changes(files.read_data(Path(path)), changes, Path(path).parent, warn=True)
+            return cls._from_changes(files.read_data(Path(path)), changes, Path(path).parent, warn=True)
         except ValueError as error:
             raise ValueError(f"{short_path(path)}: {error}") from None
 
@@ -307,45 +168,45 @@ class Configuration:
             changes: "name=value", see `changed`.
 
         Raises:
-            FileNotFoundError, ValueError: one line, also where it is none of them.
+            FileNotFoundError: if the name is neither an id nor the path of a file.
         """
         id, slash, condition = text("environment", name).partition("/")
         if id in NAMED_ENVIRONMENTS and (slash or name in NAMED_ENVIRONMENTS):
             settings = condition_settings(id, condition) if slash else {}
-            return cls._with_changes({"id": id, **settings}, changes)
-        if not os.path.exists(name):  # whatever the name is
+            return cls._from_changes({"id": id, **settings}, changes)
+        if not os.path.exists(name):  # any string, also one that is no valid path
             allowed = f"one, or one of {', '.join(sorted(NAMED_ENVIRONMENTS))}"
             raise FileNotFoundError(f"{short_path(name)}: there is no such file; give {allowed}")
         return cls.load(name, changes)
 
     @property
     def settings(self) -> dict[str, Any]:
-        """A copy of the settings that were given, with those of the condition in its place."""
+        """Copy of the given settings; those of a condition replace its name."""
         return dict(self._given)
 
     def keywords(self) -> dict[str, Any]:
-        """Return keyword arguments of `gym.make` and `gym.make_vec`, which do not parse the settings anew."""
+        """Return keyword arguments of `gym.make` and `gym.make_vec` that need no second check of the settings."""
         return {"configuration": self}
 
     def replace(self, **changes: Any) -> "Configuration":
-        """Return the same configuration with settings changed; itself without changes."""
+        """Return a configuration with settings changed; the same object without changes."""
         return type(self)(self.id, {**self._given, **changes}) if changes else self
 
     def without(self, names: Collection[str]) -> "Configuration":
-        """Return the same configuration without the settings of these names."""
+        """Return a configuration without the settings of these names."""
         kept = {name: value for name, value in self._given.items() if name not in names}
         return self if len(kept) == len(self._given) else type(self)(self.id, kept)
 
     def to_plain(self, strict: bool = True) -> dict[str, Any]:
-        """Return the mapping from which `from_plain` makes the same environment anywhere and later.
+        """Return the mapping from which `from_plain` makes the same environment on any computer and in later versions.
 
-        It has the whole arm in place of a name or a file, and the gains of base="pd".
+        It contains the whole arm in place of a name or a file, and the gains of base="pd".
 
         Args:
-            strict: refuse an object without a plain form; else it stays in the mapping.
+            strict: refuse an object without a plain form; else keep the object.
 
         Raises:
-            ValueError: for a task, sensors, a controller or a function of the user, which no file can hold.
+            ValueError: for a task, sensors, a controller or a function of the user, which a file cannot hold.
         """
         plain = {name: self._plain(name, value, strict) for name, value in self._given.items()}
         if self.base == "pd":
@@ -354,14 +215,12 @@ class Configuration:
 
     def _plain(self, name: str, value: Any, strict: bool) -> Any:
         """Return the plain form of a setting that was given as a value."""
-        if is_plain(value):
+        if _is_plain(value):
             return value
         stored, form = getattr(self, name), SETTINGS[name].plain
         try:
-            if form is None and not is_plain(stored):
-                raise value_error(
-                    name, stored, "something with a name: an object of one's own cannot be kept in a file"
-                )
+            if form is None and not _is_plain(stored):
+                raise value_error(name, stored, "an object with a name; a file cannot hold an object of the user")
             return form(stored) if form and stored is not None else stored
         except ValueError:
             if strict:
@@ -371,28 +230,28 @@ class Configuration:
     def save(self, path: str | Path) -> None:
         """Write the whole environment to a .json, .yaml or .yml file, from which `load` makes an equal one.
 
-        The commands take such a file: `flexman train --env FILE`.
+        The commands accept such a file: `flexman train --env FILE`.
+
+        Args:
+            path: path of the file.
 
         Raises:
-            ValueError: for another suffix, and for an object without a plain form.
+            ValueError: for any other suffix, and for an object without a plain form.
         """
-        files.write_data(Path(path), lists(self.to_plain()))
+        files.write_data(Path(path), _lists(self.to_plain()))
 
     def changed(self, changes: Sequence[str]) -> "Configuration":
-        """Return the same configuration with changes "name=value".
+        """Return a configuration with changes "name=value".
 
-        Values are as in a file; names with dots lead into mappings, the arm, the task and the limits. The parts that
-        a change does not name stay as they are.
-
-        Raises:
-            ValueError: one line with the change and what is allowed.
+        Values are written as in a YAML file. Dots in a name lead into mappings, the arm, the task and the limits; their
+        other parts stay unchanged.
         """
-        return self._with_changes({"id": self.id, **self._given}, changes) if changes else self
+        return self._from_changes({"id": self.id, **self._given}, changes) if changes else self
 
     @classmethod
-    def _with_changes(cls, data: object, changes: Sequence[str], folder: Path = Path(), warn: bool = False) -> Self:
-        """Return the configuration of a mapping with changes; it is checked after the last one."""
-        data = _present(data, warn)
+    def _from_changes(cls, data: object, changes: Sequence[str], folder: Path = Path(), warn: bool = False) -> Self:
+        """Return the configuration of a mapping with changes, checked after the last one."""
+        data = _rename_keys(data, warn)
         for change in sequence("--set", changes, "texts"):
             name, equals, written = text("--set", change).partition("=")
             if not equals or not all(part.isidentifier() for part in name.split(".")):
@@ -413,21 +272,21 @@ class Configuration:
                 given = find_arm(data["arm"], folder) if first == "arm" and first in data else data.get(first)
                 assert form.plain is not None
                 data[first] = form.plain(form.check(given)) if first in data else named.plain(first)
-            put(data, [first, *rest], value)
+            _set_entry(data, [first, *rest], value)
         return cls.from_plain(data, folder)
 
     @property
-    def disturbed(self) -> Randomisation | None:
-        """The randomisation together with the disturbances of the task, of which the former overrides the latter."""
+    def disturbances(self) -> Randomisation | None:
+        """Randomisation together with the disturbances of the task, which the randomisation overrides."""
         task, own = dict(getattr(self.task, "disturbances", {})), self.randomisation
         if not task:
             return own
         return Randomisation(**task | (own.given if own else {}))
 
     @property
-    def latest_delay(self) -> int:
+    def max_delay(self) -> int:
         """Largest delay of the torques, control periods."""
-        delay = self.disturbed.delay if self.disturbed else None
+        delay = self.disturbances.delay if self.disturbances else None
         return int(delay[1]) if delay else 0
 
     @property
@@ -436,7 +295,7 @@ class Configuration:
         return None if self.drive_bandwidth is None else first_order_lag(self.control_period, self.drive_bandwidth)
 
     @property
-    def longest(self) -> int:
+    def max_periods(self) -> int:
         """Control periods after which an episode is truncated."""
         return max(1, round(self.horizon / self.control_period))
 
@@ -445,11 +304,11 @@ class Configuration:
         """The `gains`, or those tuned for the arm of the named environment.
 
         Raises:
-            ValueError: for an arm with other links or motors; payload and friction make no difference.
+            ValueError: for an arm with other links or motors; payload and friction may differ.
         """
         named, gains = NAMED_ENVIRONMENTS[self.id], self.gains
         if gains is None:
-            if links_and_motors(self.arm) != links_and_motors(named.arm()):
+            if _tuned_parts(self.arm) != _tuned_parts(named.arm):
                 allowed = f"those of this arm, which flexman tune finds: {self.id} has other links or motors"
                 raise value_error("gains", None, allowed)
             return dict(named.pd)
@@ -459,17 +318,12 @@ class Configuration:
         return {name: vector(f"gains.{name}", each, self.arm.n_joints) for name, each in gains.items()}
 
 
-SETTINGS: dict[str, Setting] = {name: each for name, each in vars(Configuration).items() if isinstance(each, Setting)}
-"""Declared settings of an environment: name -> Setting."""
 _LINES = (f"        {name}: {each.help}" + f" ({each.unit})" * bool(each.unit) for name, each in SETTINGS.items())
 Configuration.__doc__ = "\n".join([f"{Configuration.__doc__}\n    Attributes:", *_LINES])
-RENAMED = {old: name for name, setting in SETTINGS.items() for old in setting.formerly}
-SET_HELP = f"a setting of the environment: {', '.join(SETTINGS)}; arm.payload.mass=0.5 changes a part"
-HINTS = {foreign: hint for setting in SETTINGS.values() for foreign, hint in setting.elsewhere.items()}
 
 
 def current_name(name: str, warn: bool = True) -> str:
-    """Return the present name of a setting; a deprecated one is warned of, at the caller outside of the libraries."""
+    """Return the present name of a setting; warn of a deprecated one at the caller outside the libraries."""
     if name in RENAMED and warn:
         level, frame = 1, sys._getframe()
         while frame.f_back and frame.f_globals["__name__"].partition(".")[0] in LIBRARIES:
@@ -478,7 +332,7 @@ def current_name(name: str, warn: bool = True) -> str:
     return RENAMED.get(name, name)
 
 
-def _present(data: object, warn: bool) -> dict[str, Any]:
+def _rename_keys(data: object, warn: bool) -> dict[str, Any]:
     """Return a mapping with "id" and settings under their present names."""
     if not isinstance(data, dict):
         raise value_error("environment", data, "a mapping with id and settings")
@@ -499,8 +353,37 @@ def _refuse_unknown(settings: Mapping[str, Any], others: Collection[str] = ()) -
     for name, value in settings.items():
         if name not in known:
             near = current_name(get_close_matches(name, sorted(known), 1, 0.0)[0], False)
-            allowed = f"a known setting: the nearest is {near}; all: {' '.join(sorted([*SETTINGS, *others]))}"
+            allowed = f"a setting: the nearest is {near}; all: {' '.join(sorted([*SETTINGS, *others]))}"
             raise value_error(name, value, HINTS.get(name, allowed))
+
+
+def _is_plain(value: object) -> bool:
+    """Return True for texts, numbers, booleans, None, and lists and mappings of these."""
+    if isinstance(value, dict):
+        return all(map(_is_plain, value.values()))
+    if isinstance(value, list | tuple):
+        return all(map(_is_plain, value))
+    return value is None or isinstance(value, bool | int | float | str)
+
+
+def _lists(value: Any) -> Any:
+    """Return tuples as lists, at every level."""
+    if isinstance(value, dict):
+        return {name: _lists(each) for name, each in value.items()}
+    return [_lists(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def _set_entry(data: dict[str, Any], path: list[str], value: object) -> None:
+    """Write a value into nested mappings; any other value on the path becomes a mapping."""
+    for part in path[:-1]:
+        inner = data.get(part)
+        data[part] = data = dict(inner) if isinstance(inner, dict) else {}
+    data[path[-1]] = value
+
+
+def _tuned_parts(arm: Arm) -> tuple[object, ...]:
+    """Return the parts of an arm for which gains of a PD are tuned."""
+    return arm.links, [(joint.axis, joint.rotor_inertia, joint.stiffness) for joint in arm.joints]
 
 
 __getattr__ = deprecated_names(__name__)

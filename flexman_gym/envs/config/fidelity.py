@@ -12,7 +12,7 @@ from flexman_gym.scene.signals import SineTorque
 from flexman_gym.simulation.integrator import default_step
 from flexman_gym.simulation.methods import Method
 
-_SLEW_DURATION, _SLEW_START = 3.0, 0.4  # s and rad; duration and start of the motion for which the model is chosen
+_SLEW_DURATION, _SLEW_START = 3.0, 0.4  # s and rad; motion for which the model is chosen
 
 
 class Fidelity(NamedTuple):
@@ -25,7 +25,7 @@ class Fidelity(NamedTuple):
 
 
 def resolve_fidelity(configuration: Configuration) -> Fidelity:
-    """Build the model of a configuration, or choose it by `choose_model`."""
+    """Build the model of a configuration, or choose it with `choose_model`."""
     if configuration.fidelity == "auto":
         choice = _choose_fidelity(configuration)
         return Fidelity(choice.model, choice.method, choice.step, choice)

@@ -1,40 +1,41 @@
-"""Named environments and their conditions."""
+"""Named environments and their conditions, each a YAML file."""
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Self
 
 from flexman_gym.common import files
-from flexman_gym.common.checks import one_of, value_error
-from flexman_gym.envs.limits import Limits
-from flexman_gym.envs.tasks import Hold, Slew, Task, Track, plain_task
+from flexman_gym.common.checks import mapping, one_of, value_error
+from flexman_gym.envs.limits import Limits, find_limits
+from flexman_gym.envs.tasks import Slew, Task, find_task, plain_task
 from flexman_gym.scene.arm import Arm
-from flexman_gym.scene.catalog import one_joint, paper_rrr, quanser_2dsfl, vertical_2r
-from flexman_gym.scene.rigid_body import Payload
-from flexman_gym.scene.serialization import to_plain
+from flexman_gym.scene.serialization import find_arm, to_plain
 
+ENVIRONMENT_FOLDER = Path(__file__).parents[1] / "named"  # ID.yaml: default settings of a named environment
+CONDITION_FOLDER = Path(__file__).parents[1] / "conditions"  # arm/condition.yaml: changes of settings
+NOMINAL = "nominal"  # condition without changes
+CONDITIONS = (NOMINAL, *sorted({path.stem for path in CONDITION_FOLDER.glob("*/*.yaml")}))
 Gains = dict[str, tuple[float, ...]]
 
 
 @dataclass(frozen=True)
 class NamedEnvironment:
-    """What a named environment is made of where `gym.make` is not told otherwise.
+    """Default settings of a named environment.
 
     Attributes:
-        arm: makes the arm; its joints say the torque limits.
-        pd: gains of the PD controller that was tuned for it: stiffness (N m/rad) and damping (N m s/rad), one for each
-            joint.
+        arm: arm; its joints have torque limits.
+        pd: gains of the PD controller tuned for it by `flexman tune ID`: stiffness (N m/rad) and damping (N m s/rad),
+            one for each joint. The sampled loop has a gain margin of 2 and a phase margin of 30 degrees.
         task: see `Configuration`.
         sensors: see `Configuration`.
         limits: see `Configuration`.
         control_period: s.
-        horizon: s, after which an episode is truncated.
-        conditions: the folder of its environment files under conditions; "" for none.
-        longest_step: s, of the default method; the energy alarm stays silent at it under random torques.
+        horizon: time after which an episode is truncated, s.
+        longest_step: of the default method, s; no energy alarm occurs with it under random torques.
+        conditions: name of the folder of its conditions; "" for none.
     """
 
-    arm: Callable[[], Arm]
+    arm: Arm
     pd: Gains
     task: Task = field(default_factory=Slew)
     sensors: Any = "full"
@@ -44,103 +45,93 @@ class NamedEnvironment:
     longest_step: float = 0.02 / 3.0
     conditions: str = ""
 
-    def value(self, name: str) -> Any:
-        """Return the value of a setting."""
-        return self.arm() if name == "arm" else getattr(self, name)
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Return the named environment of a YAML file with these attributes in plain form.
+
+        The arm is a name or a mapping as for `Configuration`, where lists at "joints" set fields of its joints. The key
+        "extends" names another environment, whose file has the attributes that are missing here.
+
+        Args:
+            path: path of the file; those of other environments are in the same folder.
+
+        Raises:
+            ValueError: one line with file, field, value and the allowed values.
+        """
+        try:
+            data = mapping("environment", _read(path), [each.name for each in fields(cls)])
+            for name, build in {"arm": _arm, "task": find_task, "limits": find_limits}.items():
+                if name in data:
+                    data[name] = build(data[name])
+            gains = {name: tuple(values) for name, values in data.pop("pd").items()}
+            sensors = data.pop("sensors", cls.sensors)
+            return cls(pd=gains, sensors=tuple(sensors) if isinstance(sensors, list) else sensors, **data)
+        except ValueError as error:
+            raise ValueError(f"{path.name}: {error}") from None
 
     def plain(self, name: str) -> Any:
-        """Return the plain form of arm, task or limits; {} for another setting."""
+        """Return the plain form of arm, task or limits; {} for any other setting."""
         forms = {"arm": to_plain, "task": plain_task, "limits": asdict}
-        return forms[name](self.value(name)) if name in forms else {}
+        return forms[name](getattr(self, name)) if name in forms else {}
 
 
-def flex_rrr() -> Arm:
-    """The paper's arm with heavier rotors and modal damping: 1 kg m^2 could not be damped by a motor at 50 Hz."""
-    return paper_rrr(rotor_inertia=10.0, torque_limit=400.0, modal_damping_ratio=0.005)
+def _read(path: Path) -> dict[str, Any]:
+    """Return the content of the file of a named environment, with that of the environment it extends."""
+    data = files.read_data(path)
+    parent = data.pop("extends", None)
+    return data if parent is None else _read(path.with_name(f"{parent}.yaml")) | data
 
 
-def _flex_rrr_gravity() -> Arm:
-    """The paper's arm on the earth with 10 kg at its tip: stiffer joints and motors that hold it outstretched.
+def _arm(value: Any) -> Arm:
+    """Return the arm of a name or a mapping, with the values of fields at "joints" for each of its joints."""
+    if not isinstance(value, dict) or "joints" not in value:
+        return find_arm(value)
+    arm = find_arm({name: each for name, each in value.items() if name != "joints"})
+    return find_arm(_merged(to_plain(arm), {"joints": value["joints"]}))
 
-    Outstretched with 20 kg, joints 2 and 3 carry 4.0 and 1.1 kN m.
+
+def _merged(old: object, change: object) -> object:
+    """Return a value with a change.
+
+    Mappings are merged. If the value is a list of mappings, each of them receives its entry of a list of numbers.
     """
-    arm = paper_rrr(joint_stiffness=6e4, payload=Payload(10.0), gravity=(0.0, 0.0, -9.81), modal_damping_ratio=0.005)
-    motors = ((100.0, 2500.0), (100.0, 7000.0), (40.0, 2000.0))  # kg m^2 and N m
-    joints = [
-        replace(joint, rotor_inertia=rotor, torque_limit=limit)
-        for joint, (rotor, limit) in zip(arm.joints, motors, strict=True)
-    ]
-    return replace(arm, joints=joints)
+    if isinstance(old, dict) and isinstance(change, dict):
+        return {**old, **{name: _merged(old.get(name, {}), each) for name, each in change.items()}}
+    if isinstance(old, list) and isinstance(change, dict):
+        return [
+            {**entry, **{name: each[i] if isinstance(each, list) else each for name, each in change.items()}}
+            for i, entry in enumerate(old)
+        ]
+    return change
 
 
-# Gains: `flexman tune ID`. All have a gain margin of 2 and a phase margin of 30 degrees in the sampled loop.
-RRR_PD: Gains = {"stiffness": (148.0, 144.0, 522.0), "damping": (472.0, 487.0, 366.0)}
-RRR_TRACK_PD: Gains = {"stiffness": (11.4, 9870.0, 4.15), "damping": (487.0, 443.0, 331.0)}
-RRR_HOLD_PD: Gains = {"stiffness": (85.1, 7700.0, 244.0), "damping": (488.0, 294.0, 318.0)}
-GRAVITY_PD: Gains = {"stiffness": (6160.0, 6840.0, 8660.0), "damping": (5690.0, 6470.0, 637.0)}
-PLANAR_PD: Gains = {"stiffness": (39.0, 5.56), "damping": (9.35, 1.33)}
-PLANAR_TRACK_PD: Gains = {"stiffness": (300.0, 13.9), "damping": (9.91, 1.39)}
-PLANAR_HOLD_PD: Gains = {"stiffness": (63.0, 26.1), "damping": (9.83, 3.96)}
-ONE_PD: Gains = {"stiffness": (1.13,), "damping": (0.487,)}
-QUANSER_PD: Gains = {"stiffness": (15.7, 9.38), "damping": (0.353, 0.267)}
-RRR = NamedEnvironment(flex_rrr, RRR_PD, conditions="rrr")
-PLANAR = NamedEnvironment(
-    vertical_2r,
-    PLANAR_PD,
-    task=Slew(reward="distance"),
-    limits=Limits(rate=20.0, twist=0.5, deflection_rate=20.0, tip_speed=20.0),
-    control_period=0.01,
-    longest_step=0.0025,
-    conditions="planar",
-)
-NAMED_ENVIRONMENTS: dict[str, NamedEnvironment] = {
-    "FlexRRR-v0": RRR,
-    "FlexRRR-Track-v0": replace(RRR, pd=RRR_TRACK_PD, task=Track(preview=(0.2, 0.5, 1.0)), horizon=20.0),
-    "FlexRRR-Hold-v0": replace(RRR, pd=RRR_HOLD_PD, task=Hold()),
-    "FlexRRR-Gravity-v0": replace(
-        RRR,
-        arm=_flex_rrr_gravity,
-        pd=GRAVITY_PD,
-        task=Slew(start=0.6, slew=0.6, reward="distance"),
-        control_period=0.01,
-        conditions="gravity",
-    ),
-    "FlexPlanar-v0": PLANAR,
-    "FlexPlanar-Track-v0": replace(PLANAR, pd=PLANAR_TRACK_PD, task=Track(preview=(0.05, 0.1, 0.2))),
-    "FlexPlanar-Hold-v0": replace(
-        PLANAR, pd=PLANAR_HOLD_PD, task=Hold(impulse=(0.02, 0.1), load=(0.0, 0.5), sway=(0.0, 1.0), gap=1.0)
-    ),
-    "FlexOne-v0": NamedEnvironment(
-        one_joint,
-        ONE_PD,
-        task=Slew(start=1.0, slew=1.5, reward="distance"),
-        limits=Limits(rate=20.0, twist=0.5, deflection_rate=20.0, tip_speed=20.0),
-        longest_step=0.00125,
-    ),
-    "FlexQuanser-v0": NamedEnvironment(
-        quanser_2dsfl,
-        QUANSER_PD,
-        task=Slew(start=0.5, slew=0.5, reward="distance"),
-        sensors=({"kind": "motor_encoders", "quantisation": 1e-5}, "strain", "command"),
-        limits=Limits(angle=1.6, rate=10.0, deflection_rate=10.0, tip_speed=10.0),
-        control_period=0.01,
-        longest_step=0.01 / 3.0,
-    ),
+NAMED_ENVIRONMENTS = {
+    id: NamedEnvironment.load(ENVIRONMENT_FOLDER / f"{id}.yaml")
+    for id in (
+        "FlexRRR-v0",
+        "FlexRRR-Track-v0",
+        "FlexRRR-Hold-v0",
+        "FlexRRR-Gravity-v0",
+        "FlexPlanar-v0",
+        "FlexPlanar-Track-v0",
+        "FlexPlanar-Hold-v0",
+        "FlexOne-v0",
+        "FlexQuanser-v0",
+    )
 }
-"""Named environments: id -> values of settings that are not given."""
+"""Named environments: id -> default settings; each id has a file in ENVIRONMENT_FOLDER."""
 DEFAULT_ID = "FlexRRR-v0"
-
-
-NOMINAL = "nominal"  # the condition without changes
-CONDITION_FOLDER = Path(__file__).parents[1] / "conditions"  # arm/condition.yaml: changes of settings
-CONDITIONS = (NOMINAL, *sorted({path.stem for path in CONDITION_FOLDER.glob("*/*.yaml")}))
 
 
 def condition_settings(id: str, condition: object) -> dict[str, Any]:
     """Return the settings of a named environment under one of its conditions; {} for the nominal one.
 
+    Args:
+        id: id of the environment.
+        condition: name of the condition.
+
     Raises:
-        ValueError: for another condition, and for an environment without conditions.
+        ValueError: for an unknown condition, and for an environment without conditions.
     """
     named = NAMED_ENVIRONMENTS[one_of("id", id, NAMED_ENVIRONMENTS)]
     if not named.conditions:
@@ -155,24 +146,14 @@ def condition_settings(id: str, condition: object) -> dict[str, Any]:
 
 
 def refuse_condition(name: str, condition: str, **settings: Any) -> NoReturn:
-    """Refuse an id with a condition behind it, which `rollout` and the commands take and Gymnasium does not.
+    """Refuse an id followed by a condition, a form for `rollout` and the commands but not for Gymnasium.
+
+    Args:
+        name: id of the environment.
+        condition: name of the condition.
+        **settings: keyword arguments of `gym.make`.
 
     Raises:
-        ValueError: one line with the keyword of `gym.make` and `gym.make_vec` in its place.
+        ValueError: always; it names the keyword of `gym.make` and `gym.make_vec` to use.
     """
     raise value_error("id", f"{name}/{condition}", f'gym.make("{name}", condition="{condition}")')
-
-
-def _merged(old: object, change: object) -> object:
-    """Return a value with a change.
-
-    Mappings are merged; of a list of mappings each takes its own entry of a list of numbers.
-    """
-    if isinstance(old, dict) and isinstance(change, dict):
-        return {**old, **{name: _merged(old.get(name, {}), each) for name, each in change.items()}}
-    if isinstance(old, list) and isinstance(change, dict):
-        return [
-            {**entry, **{name: each[i] if isinstance(each, list) else each for name, each in change.items()}}
-            for i, entry in enumerate(old)
-        ]
-    return change

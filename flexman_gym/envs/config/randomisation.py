@@ -6,32 +6,35 @@ from flexman_gym.common.checks import non_negative, positive, text, value_error,
 from flexman_gym.envs.effects import SIGNALS, Range
 from flexman_gym.simulation.parameters import PARAMETERS
 
-DEFAULT_IMPULSE_GAP = 2.0  # s, between two impulses or changes of load where nothing else is said
+DEFAULT_IMPULSE_GAP = 2.0  # s; mean time between two impulses or changes of load
 
 
 class Randomisation:
-    """Ranges (low, high) from which every episode draws anew, uniformly; None switches an effect off.
+    """Ranges (low, high) from which every episode draws uniformly; None disables an effect.
 
-    Each effect has a random stream of its own, seeded by its name and the seed of the environment, so that one that is
-    switched on changes neither the draws of the others nor start and goal. What an episode drew does not depend on
-    those before it.
+    Each effect has its own random generator, seeded by its name and the seed of the environment, so that enabling one
+    changes neither the draws of the others nor start and goal. The draws of an episode do not depend on earlier
+    episodes.
 
     Args:
         impulse_gap: mean time between two impulses, or two changes of load, s; at least a control period. None for 2.
-        ranges: of the physical parameters in `simulation.parameters.PARAMETERS`: payload_mass (kg), joint_damping
-            (N m s/rad), and, as factors > 0 on the nominal values, one of each joint or link, joint_stiffness_factor,
-            rotor_inertia_factor, viscous_friction_factor, coulomb_friction_factor and link_stiffness_factor. And of the
-            effects in `envs.effects.SIGNALS`, whose docstrings say more: torque_limit_factor, sensor_noise (parts of
-            the ranges), delay (whole control periods), initial_vibration (m), tip_impulse (N s), tip_load (N) and
-            base_sway (m/s^2).
+        **ranges: of the physical parameters in `simulation.parameters.PARAMETERS`: payload_mass (kg), joint_damping
+            (N m s/rad) and, as factors > 0 on the nominal values, one for each joint or link, joint_stiffness_factor,
+            rotor_inertia_factor, viscous_friction_factor, coulomb_friction_factor and link_stiffness_factor; and of the
+            effects in `envs.effects.SIGNALS`: torque_limit_factor, sensor_noise (fractions of the ranges), delay (whole
+            control periods), initial_vibration (m), tip_impulse (N s), tip_load (N) and base_sway (m/s^2).
 
     Attributes:
-        effects: names of the parameters and signals that differ, in the order of the tables.
-        ranges: name -> (low, high) of each of them; what was given is also an attribute, None for what is off.
-        given: the arguments that were given, by name.
+        effects: names of the enabled parameters and signals, in the order of the tables.
+        ranges: name -> (low, high) of each of them; each range is also an attribute, None if disabled.
+        given: given arguments, by name.
 
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+    Example:
+        >>> ranges = fm.Randomisation(payload_mass=(0.0, 0.2), delay=(0, 2))
+        >>> env = gym.make("FlexOne-v0", randomisation=ranges)
+        >>> _, info = env.reset(seed=0)
+        >>> sorted(info["drawn"]), 0.0 <= info["drawn"]["payload_mass"] <= 0.2
+        (['delay', 'payload_mass'], True)
     """
 
     def __init__(self, *, impulse_gap: float | None = None, **ranges: Any) -> None:
@@ -62,12 +65,13 @@ class Randomisation:
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
-        on = {name: self.ranges[effect] for name, effect in _range_names().items() if effect in self.ranges}
-        given = on | {"impulse_gap": self.impulse_gap}
+        enabled = {name: self.ranges[effect] for name, effect in _range_names().items() if effect in self.ranges}
+        given = enabled | {"impulse_gap": self.impulse_gap}
         return f"Randomisation({', '.join(f'{name}={value!r}' for name, value in given.items())})"
 
 
 def _range(name: str, value: object) -> Range:
+    """Return a range after a check."""
     field, effect = f"Randomisation.{name}", _range_names()[name]
     low, high = vector(field, value, 2)
     if effect in SIGNALS:
@@ -80,18 +84,18 @@ def _range(name: str, value: object) -> Range:
 
 
 def _range_names() -> dict[str, str]:
-    """The effects that a randomisation has, by the names of their ranges."""
+    """Return the effect for each name of a range."""
     return {range_name(name): name for name in (*PARAMETERS, *SIGNALS)}
 
 
 def range_name(effect: str) -> str:
-    """Return the name of the range of an effect: NAME_factor where the range is one of factors on the nominal value."""
-    of = PARAMETERS[effect] if effect in PARAMETERS else SIGNALS[effect]
-    return f"{effect.removesuffix('_factor')}_factor" if getattr(of, "factor", False) else effect
+    """Return the name of the range of an effect: NAME_factor for factors on the nominal value."""
+    entry = PARAMETERS[effect] if effect in PARAMETERS else SIGNALS[effect]
+    return f"{effect.removesuffix('_factor')}_factor" if getattr(entry, "factor", False) else effect
 
 
 def find_randomisation(value: object) -> Randomisation | None:
-    """Gives a Randomisation, that of a dict of its arguments, or None; raises ValueError for anything else."""
+    """Return a Randomisation from a dict of its arguments, a Randomisation as it is, or None."""
     if isinstance(value, dict):
         return Randomisation(**{text("a key of randomisation", name): each for name, each in value.items()})
     if value is not None and not isinstance(value, Randomisation):

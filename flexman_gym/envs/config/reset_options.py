@@ -15,18 +15,15 @@ from flexman_gym.simulation.parameters import PARAMETERS
 TIP_OPTIONS = {
     "start_tip": "start",
     "goal_tip": "goal_angles",
-}  # option with a place of the tip -> the posture that it sets
-STARTS, ROUNDS = 24, 20  # of the search for postures, and of that for the place beside which a heavy arm rests
-REACHED = 1e-8  # of the reach
+}  # option with a tip position -> posture in its place
+STARTS, MAX_ITERATIONS = 24, 20  # start postures of the search; corrections for the sag under gravity
+TOLERANCE = 1e-8  # accepted distance of the tip, fraction of the reach
 
 
 def replace_tip_positions(plan: Mapping[str, Array], view: View) -> dict[str, Array]:
-    """Gives plans, name -> (r, ...), with postures (r, n) rad in place of the places (r, 3) m of TIPS.
+    """Return plans with postures (r, n), rad, in place of the tip positions (r, 3), m, of TIP_OPTIONS.
 
-    A goal is sought from the start, and a start from zero angles; see `inverse_kinematics`.
-
-    Raises:
-        ValueError: for a place that the tip cannot reach.
+    The search for a goal starts at the start posture, that for a start at zero angles; see `inverse_kinematics`.
     """
     result = dict(plan)
     for name, posture in TIP_OPTIONS.items():
@@ -38,49 +35,58 @@ def replace_tip_positions(plan: Mapping[str, Array], view: View) -> dict[str, Ar
 
 
 def inverse_kinematics(field: str, place: Array, near: Array, view: View) -> Array:
-    """Gives the motor angles (n,) rad with which the tip rests at a place (3,) m of the base frame.
+    """Return motor angles (n,), rad, at which the tip rests at a position (3,) in the base frame, m.
 
-    Where there are several, it is the one from which the joints are turned least (least sum of squares) away from
-    `near`, of those that Newton's method finds from `near` and from 24 postures that are always the same.
+    Newton's method starts from `near` and from 24 fixed postures. Of several solutions the closest to `near` (least sum
+    of squared angle differences) is rechanges.
 
     Args:
-        field: for the error.
-        place: m.
+        field: name of the field in the error message.
+        place: (3,) position of the tip, m.
         near: (n,) rad.
-        view: of the arm, whose nominal weight bends it.
+        view: view of the arm, bent by its nominal weight.
+
+    Returns:
+        The motor angles.
 
     Raises:
-        ValueError: where the tip comes there from none of them.
+        ValueError: if no start leads to a solution.
     """
-    others = near + np.random.default_rng(0).uniform(-np.pi, np.pi, (STARTS, len(near)))
-    found = [angles for start in (near, *others) if (angles := _reached(place, start, view)) is not None]
+    starts = near + np.random.default_rng(0).uniform(-np.pi, np.pi, (STARTS, len(near)))
+    found = [angles for start in (near, *starts) if (angles := _solve(place, start, view)) is not None]
     if not found:
         span = f"{view.reach:.4g} m of links"
-        raise value_error(field, place.tolist(), f"a place (m, base frame) that the tip can reach with {span}")
-    turned = np.array(found) - near
-    turned -= 2.0 * np.pi * np.round(turned / (2.0 * np.pi))
-    result: Array = near + turned[np.argmin((turned**2).sum(axis=1))]
+        raise value_error(field, place.tolist(), f"a position of the tip (m, base frame) within reach of {span}")
+    changes = np.array(found) - near
+    changes -= 2.0 * np.pi * np.round(changes / (2.0 * np.pi))
+    result: Array = near + changes[np.argmin((changes**2).sum(axis=1))]
     return result
 
 
-def _reached(place: Array, start: Array, view: View) -> Array | None:
-    """The posture that is found from a start; None where it does not lead there."""
-    angles, wanted = start, place
-    for _ in range(ROUNDS):
-        (angles,), _ = view.reaching(wanted[None], angles)
-        missed = place - view.rest_tips(angles[None])[0] if np.isfinite(angles).all() else np.full(3, np.inf)
-        if not np.linalg.norm(missed) > REACHED * view.reach:
+def _solve(place: Array, start: Array, view: View) -> Array | None:
+    """Return the solution found from a start; None if there is none."""
+    angles, goal = start, place
+    for _ in range(MAX_ITERATIONS):
+        (angles,), _ = view.inverse_kinematics(goal[None], angles)
+        error = place - view.rest_tips(angles[None])[0] if np.isfinite(angles).all() else np.full(3, np.inf)
+        if not np.linalg.norm(error) > TOLERANCE * view.reach:
             return angles
-        if not np.isfinite(missed).all():
+        if not np.isfinite(error).all():
             return None
-        wanted = wanted + (missed if view.heavy else 0.0)
+        goal = goal + (error if view.has_gravity else 0.0)
     return None
 
 
 def parse_reset_options(
     options: Mapping[str, Any] | None, plan: Mapping[str, Array], size: tuple[int, int]
 ) -> dict[str, Any]:
-    """The options with a leading axis for the arms; `size` is (b, n), how many arms and joints there are."""
+    """Return the options with a leading axis for the arms.
+
+    Args:
+        options: options of a reset.
+        plan: drawn plans by name, whose entries the options may replace.
+        size: (b, n) number of arms and joints.
+    """
     names = [*plan, *(name for name, posture in TIP_OPTIONS.items() if posture in plan), "parameters"]
     if options is not None and not isinstance(options, dict):
         raise value_error("options", options, f"a dict with {', '.join(names[:-1])} or {names[-1]}")
@@ -91,7 +97,7 @@ def parse_reset_options(
             given[name] = _parameters(field, value, size)
         else:
             if TIP_OPTIONS.get(name) in given or name in [TIP_OPTIONS.get(other) for other in given]:
-                raise value_error(field, value, "either a posture or a place of the tip")
+                raise value_error(field, value, "either a posture or a position of the tip")
             shape = (3,) if name in TIP_OPTIONS else plan[name].shape[1:]
             given[name] = _each(
                 field, value, shape, size[0], "m" if name in TIP_OPTIONS else "rad" * (shape == size[1:])
@@ -100,7 +106,7 @@ def parse_reset_options(
 
 
 def check_parameters(options: object, batch: Batch) -> None:
-    """Refuses parameters that a batch could not take, before a reset has changed anything."""
+    """Check parameters in the options before a reset changes anything."""
     if isinstance(options, dict) and "parameters" in options:
         field, arms, model = "options['parameters']", len(batch.rows), batch.model
         for name, values in _parameters(field, options["parameters"], (arms, model.n_joints)).items():
@@ -108,7 +114,7 @@ def check_parameters(options: object, batch: Batch) -> None:
 
 
 def _each(field: str, value: object, shape: tuple[int, ...], arms: int, unit: str) -> Array:
-    """Numbers (b, ...) of all arms from those of one, shape (...), or of each."""
+    """Return numbers (b, ...) of all arms from those of one arm, or of each."""
     if len(shape) != 1:
         return _numbers(field, value, (arms, *shape))
     entries = sequence(field, value, "numbers")
@@ -121,6 +127,7 @@ def _each(field: str, value: object, shape: tuple[int, ...], arms: int, unit: st
 
 
 def _parameters(field: str, value: object, size: tuple[int, int]) -> dict[str, Array]:
+    """Return the parameters of all arms by name."""
     if not isinstance(value, dict):
         raise value_error(field, value, f"a dict with some of {', '.join(PARAMETERS)}")
     given = {}
@@ -131,12 +138,12 @@ def _parameters(field: str, value: object, size: tuple[int, int]) -> dict[str, A
 
 
 def _numbers(field: str, value: object, shape: tuple[int, ...]) -> Array:
-    """Numbers of that shape, or of one arm, which all then have."""
+    """Return numbers of a shape, broadcast from those of one arm."""
     allowed = f"numbers of the shape {shape}, or {shape[1:]}"
     try:
-        listed = value if isinstance(value, numbers.Real | np.ndarray) else sequence(field, value)  # not too long
+        listed = value if isinstance(value, numbers.Real | np.ndarray) else sequence(field, value)  # limits its length
         values = np.broadcast_to(np.asarray(listed), shape)
-    except Exception:  # another shape, lists of different length, an object of somebody's own
+    except Exception:  # wrong shape, ragged lists, or an object of any class
         raise value_error(field, value, allowed) from None
     if values.dtype.kind not in "fiu":
         raise value_error(field, value, allowed)

@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 
 from flexman_gym.common.arrays import Array
+from flexman_gym.control.actions import ActionMode, make_action_mode
 from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.controller import Controller, Plant
 from flexman_gym.control.pd import PD
@@ -20,12 +21,17 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.integrator import default_step
 from flexman_gym.simulation.parameters import PARAMETERS
 
-ROUNDING = 12.0**-0.5  # standard deviation of the error of a number that is rounded, as a part of the step
+ROUNDING = 12.0**-0.5  # standard deviation of a rounding error, as a fraction of the quantisation step
 
 
 def make_plant(configuration: Configuration, model: Model) -> Plant:
-    """Return the specification for controller design of an environment; the model is that of the design."""
-    drawn = configuration.disturbed.ranges if configuration.disturbed else {}
+    """Return the specification for controller design of an environment.
+
+    Args:
+        configuration: configuration of the environment.
+        model: model of the design.
+    """
+    drawn = configuration.disturbances.ranges if configuration.disturbances else {}
     fewest, most = drawn.get("delay", (0, 0))
     longest_step = NAMED_ENVIRONMENTS[configuration.id].longest_step
     return Plant(
@@ -43,33 +49,39 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
 
 
 def make_controller(configuration: Configuration, base: object, model: Model) -> Controller:
-    """Make the controller of a name in BASES, or of a mapping with arguments, for a model of the arm."""
+    """Return the controller of a name in BASES, or of a mapping with arguments, for a model of the arm."""
     return make_base(base, make_plant(configuration, model))
 
 
-def make_base_controller(configuration: Configuration, model: Model) -> Controller | None:
-    """Make the base controller of an environment for its model; None without one.
+def _make_base_controller(configuration: Configuration, model: Model) -> Controller | None:
+    """Return the base controller of an environment for its model; None without one.
 
-    It warns (UserWarning) where sampling and delay make a PD unstable.
+    A PD controller that sampling and delay make unstable causes a UserWarning.
     """
     base = configuration.base
     if not isinstance(base, str | dict):
         return base
     result = make_controller(configuration, base, model)
-    period, delay = configuration.control_period, configuration.latest_delay
+    period, delay = configuration.control_period, configuration.max_delay
     message = result.unstable(model, period, delay) if isinstance(result, PD) else ""
     if message:
         warnings.warn(message, stacklevel=2)
     return result
 
 
+def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Controller | None, ActionMode]:
+    """Return base controller and action mode of the agent of an environment, designed for a model of its arm."""
+    base = _make_base_controller(configuration, model)
+    return base, make_action_mode(configuration.actions, make_plant(configuration, model), base)
+
+
 def _measured(configuration: Configuration, model: Model, noise: float) -> dict[str, Array]:
-    """Range and standard deviation (2, size) of each measured quantity, of the worst instrument that measures it."""
+    """Return range and standard deviation (2, size) of each measured quantity, of the worst instrument."""
     ranges = measurement_ranges(View(Batch(model)), configuration.limits)
-    parts = dict.fromkeys(ranges, noise)
-    for part in configuration.sensors:
-        if isinstance(part, Instrument):
-            own = np.hypot(part.flaws.noise, ROUNDING * part.flaws.quantisation)
-            for name in measured_names([part]):
-                parts[name] = max(parts[name], float(np.hypot(noise, own)))
-    return {name: np.array([span, parts[name] * span]) for name, span in ranges.items()}
+    deviations = dict.fromkeys(ranges, noise)
+    for sensor in configuration.sensors:
+        if isinstance(sensor, Instrument):
+            own = np.hypot(sensor.flaws.noise, ROUNDING * sensor.flaws.quantisation)
+            for name in measured_names([sensor]):
+                deviations[name] = max(deviations[name], float(np.hypot(noise, own)))
+    return {name: np.array([span, deviations[name] * span]) for name, span in ranges.items()}

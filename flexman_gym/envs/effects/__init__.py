@@ -1,4 +1,4 @@
-"""Effects: what a randomisation does to arms and to what passes between them and an agent, a room each."""
+"""Effects: disturbances of torques, measurements, forces and initial states."""
 
 from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.envs.effects.effect import HOOKS, Effect, EffectContext, Range

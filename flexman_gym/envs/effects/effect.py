@@ -1,4 +1,4 @@
-"""Effect: what a randomisation may do to what passes between an agent and its arms."""
+"""Effect protocol: disturbance of the signals between an agent and its arms."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -10,19 +10,20 @@ from flexman_gym.envs.limits import Limits
 from flexman_gym.simulation.batch import Batch
 
 Range = tuple[float, float]
-"""Least and largest value that may be drawn."""
+"""Least and largest value of a draw."""
 
 
 @dataclass(frozen=True, eq=False)
 class EffectContext:
-    """What effects act on.
+    """Arms and signals on which effects act.
 
     Attributes:
-        batch: the arms.
-        limits: their limits.
-        bound: (size,) range of each quantity that is measured.
-        torque_limits: (b, n) N m, which effects may overwrite; `nominal` (n,) is what they are without.
-        impulse_gap: s.
+        batch: simulated arms.
+        limits: limits of their motion.
+        bound: (size,) range of each measured quantity.
+        torque_limits: (b, n) present torque limits, N m; effects may overwrite them.
+        nominal: (n,) torque limits without effects, N m.
+        impulse_gap: mean time between two impulses or two changes of load, s.
     """
 
     batch: Batch
@@ -34,36 +35,39 @@ class EffectContext:
 
 
 HOOKS = ("begin", "change_start", "motor_actions", "add_tip_forces", "add_base_accelerations", "measure")
-"""Methods of an effect, in the order of a control period; each may be left out."""
+"""Optional methods of an effect, in the order of a control period."""
 
 
 class Effect(Protocol):
-    """An effect on b arms. A class with `checked`, `shape`, `draw` and at least one of the HOOKS is one.
+    """Protocol of an effect on b arms: `checked`, `shape`, `draw` and at least one of the HOOKS.
 
-    It may say `factor = True`, where it draws factors on what is nominal: its range is then named "..._factor".
+    With an attribute `factor = True` the effect draws factors on a nominal value, and its range is named "..._factor".
 
-    Its hooks, of which a misspelt one is refused:
-        begin(arms, drawn): after the draws of new episodes of the arms (r,), with what every arm drew (b, ...).
-        change_start(arms, states): changes the states (r, 2 d) from which they start.
-        motor_actions(actions): returns what reaches the motors of actions (b, n).
-        add_tip_forces(forces, over): adds to forces (b, 3) N on the tips of arms whose episode is not over.
-        add_base_accelerations(accelerations, over): adds to accelerations (b, 3) m/s^2 of their bases.
-        measure(values, arms): returns what is measured of the values (r, size) of the arms (r,), before anything is
-            derived from it.
+    Hooks; a misspelt name is refused:
+        begin(arms, drawn): starts new episodes of the arms (r,), with the drawn values (b, ...) of all arms.
+        change_start(arms, states): changes the initial states (r, 2 d) in place.
+        motor_actions(actions): returns the actions (b, n) that reach the motors.
+        add_tip_forces(forces, over): adds forces (b, 3), N, at the tips of arms in an episode.
+        add_base_accelerations(accelerations, over): adds accelerations (b, 3), m/s^2, of their bases.
+        measure(values, arms): returns the measured values (r, size) of the arms (r,), before any quantity is derived
+            from them.
     """
 
-    def __init__(self, stage: EffectContext, span: Range) -> None: ...
+    def __init__(self, context: EffectContext, span: Range) -> None: ...
 
     @staticmethod
     def checked(field: str, value: object) -> float:
-        """One end of the range, checked."""
+        """Return one end of the range after a check."""
         ...
 
     @property
     def shape(self) -> tuple[int, ...] | None:
-        """Of what an episode draws; None where that is not told."""
+        """Shape of the drawn value; None if it is not reported in `info`."""
         ...
 
     def draw(self, arm: int, stream: np.random.Generator) -> Any:
-        """What the episode of an arm draws: one draw of its stream, the rest from a generator that this draw seeds."""
+        """Return the value of an episode of an arm.
+
+        An effect draws once from its stream; a generator seeded by this draw supplies all further random numbers.
+        """
         ...

@@ -1,4 +1,4 @@
-"""Sensors: what an agent sees of the arms, by name, as a mapping, or as objects of one's own."""
+"""Sensors of an agent, as names, mappings or objects."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -31,26 +31,24 @@ SENSORS: dict[str, Callable[[], Sensor]] = {
     "command": GoalCommand,
     "action": LastAction,
 }
-"""Sensors that have a name: name -> what makes one."""
+"""Named sensors: name -> function that returns one."""
 SENSOR_SETS = {"lab": ("motor_encoders", "joint_encoders", "strain", "command")}
 """Sets of sensors: name -> names in `SENSORS`."""
 SENSOR_NAMES = (*SENSORS, *SENSOR_SETS)
-"""All names that the keyword `sensors` of an environment takes."""
+"""All names for the setting `sensors` of an environment."""
 
 
 def find_sensors(value: object) -> tuple[object, ...]:
-    """The sensors that a name, a mapping, a sensor, or several of these mean.
+    """Return the sensors for a name, a mapping, a Sensor, or a list of these.
 
-    A mapping has a name at "kind" and flaws, see `Flaws`: of a set, they belong to all of it that measures.
-
-    Raises:
-        ValueError: one line, for an unknown name or flaw.
+    A mapping has a name at "kind" and flaws, see `Flaws`. The flaws of a set apply to all sensors in it that measure.
     """
     parts = value if isinstance(value, tuple | list) else (value,)
     return tuple(sensor for part in parts for sensor in _found(part))
 
 
 def _found(part: object) -> tuple[object, ...]:
+    """Return the sensors of one name, mapping or object."""
     if isinstance(part, Mapping):
         if "kind" not in part:
             raise value_error("sensors", dict(part), "a mapping with the name of a sensor at kind, and its flaws")
@@ -62,12 +60,13 @@ def _found(part: object) -> tuple[object, ...]:
 
 
 def _named(name: str) -> tuple[Sensor, ...]:
+    """Return the sensors of a name of a sensor or a set."""
     one_of("sensors", name, SENSOR_NAMES)
     return tuple(SENSORS[each]() for each in SENSOR_SETS.get(name, (name,)))
 
 
 def _flawed(sensor: Any, flaws: Mapping[str, Any], of_set: bool) -> Sensor:
-    """The sensor with flaws, which take the place of those that it has."""
+    """Return the sensor with flaws, which override its own."""
     if isinstance(sensor, Instrument):
         return Instrument(sensor.sensor, **{**sensor.settings(), **flaws})
     if not flaws or (of_set and getattr(sensor, "measures", True) == ()):
@@ -76,15 +75,19 @@ def _flawed(sensor: Any, flaws: Mapping[str, Any], of_set: bool) -> Sensor:
 
 
 def plain_sensors(parts: tuple[object, ...]) -> list[Any]:
-    """Names and mappings of sensors, from which `find_sensors` gives the same.
+    """Return the names and mappings from which `find_sensors` makes the same sensors.
+
+    Args:
+        parts: sensors.
 
     Raises:
-        ValueError: for a sensor of one's own.
+        ValueError: for a sensor of the user's own class.
     """
     return [_plain(part) for part in parts]
 
 
 def _plain(part: object) -> Any:
+    """Return the name or the mapping of a sensor."""
     for name, make in SENSORS.items():
         known: Any = make()
         if known == part:
@@ -93,7 +96,7 @@ def _plain(part: object) -> Any:
         if isinstance(part, Instrument) and perfect == part.sensor:
             both = {each: getattr(part.flaws, each) for each in FLAWS}
             return {"kind": name, **{each: value for each, value in both.items() if value != getattr(own, each)}}
-    raise value_error("sensors", part, "something with a name: an object of one's own cannot be kept in a file")
+    raise value_error("sensors", part, "a sensor with a name; a file cannot hold an object of the user")
 
 
 __all__ = [

@@ -20,14 +20,11 @@ from flexman_gym.kernels.layout import LARGEST_STATE
 class Quantities:
     """Measured quantities of the view side by side, such as ("motor_angles", "motor_rates").
 
-    What has a limit is measured as far as that. The rest saturates at its range: the tip and the root strains where an
-    arm within its limits cannot or hardly be, accelerations at 500 m/s^2.
+    A quantity with a limit is measured up to it. The other quantities saturate at their range: tip and root strains at
+    values that an arm within its limits hardly reaches, accelerations at 500 m/s^2.
 
     Attributes:
-        names: of the view, see `View.units`.
-
-    Raises:
-        ValueError: one line, for a name that the view does not have.
+        names: names in `View.units`.
     """
 
     names: Sequence[str]
@@ -38,24 +35,24 @@ class Quantities:
 
     @property
     def measures(self) -> tuple[str, ...]:
-        """Names of what is measured."""
+        """Names of the measured quantities."""
         return tuple(self.names)
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
-        """Says what it reads, in order."""
+        """Return the entries, one for each quantity."""
         ranges = measurement_ranges(view, limits)
         for name in self.names:
             one_of("Quantities.names", name, view.units)
         bounds = [ranges[name] for name in self.names]
         ends = np.cumsum([0, *map(len, bounds)]).tolist()
         places = [slice(*both) for both in pairwise(ends)]
-        # what has a limit needs no clipping: an arm beyond it has no outcome worth seeing
-        ranges_of = [None if name in view.places else bound for name, bound in zip(self.names, bounds, strict=True)]
-        set_fields(self, _plan=list(zip(self.names, places, ranges_of, strict=True)))
+        # a quantity with a limit needs no clipping: beyond it the episode is over
+        clipped = [None if name in view.slices else bound for name, bound in zip(self.names, bounds, strict=True)]
+        set_fields(self, _plan=list(zip(self.names, places, clipped, strict=True)))
         return [Entry(name, len(each), view.units[name], each) for name, each in zip(self.names, bounds, strict=True)]
 
     def read(self, view: View, out: Array) -> None:
-        """Writes into out (b, size)."""
+        """Write the quantities into out (b, size)."""
         for name, place, bound in self._plan:  # type: ignore[attr-defined]
             if bound is None:
                 out[:, place] = getattr(view, name)
@@ -64,23 +61,23 @@ class Quantities:
                 np.minimum(out[:, place], bound, out=out[:, place])
 
 
-NEAR = 0.1 / 8.5  # of the reach: tip error that is half of the way to the largest nearness
+NEAR = 0.1 / 8.5  # fraction of the reach; tip error at half of the largest nearness
 
 
 @dataclass
 class FullState:
-    """The whole mechanical state in physical quantities whose number does not depend on the fidelity of the model.
+    """Full mechanical state in physical quantities; its size does not depend on the fidelity of the model.
 
     For n joints: motor angles and rates, joint twists and their rates, deflections of the links and their rates, then
-    the goal: angle errors, the error of the tip and its nearness, and the velocity of the tip; `FlexManEnv` has units
-    and bounds. The nearness is the error again on a scale that still tells millimetres when normalised by the metres of
-    a slew: error / (NEAR reach + its length).
+    the goal: angle errors, the tip error as a vector and its nearness, and the velocity of the tip. `FlexManEnv` lists
+    units and bounds. The nearness is error / (NEAR reach + |error|): it resolves millimetres even after a normalisation
+    by the metres of a slew.
     """
 
     measures: ClassVar[tuple[str, ...]] = ("motion", "tip")
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
-        """What it reads, in order."""
+        """Return the entries of the state and of the goal."""
         bounds, n = limits.bounds(view), view.n_joints
         speed = bounds.pop("tip_velocity")
         return [
@@ -92,33 +89,34 @@ class FullState:
         ]
 
     def read(self, view: View, out: Array) -> None:
-        """Writes into out (b, 9 n + 9)."""
+        """Write the state and the goal into out (b, 9 n + 9)."""
         full_observation(
             view.motion, view.motor_angles, view.tip_velocity, view.goal_angles, view.target_error, view.tip_error,
             NEAR * view.reach, out,
         )  # fmt: skip
 
 
-# What counts as small: parts of the limits of motors and joints, parts of the reach (and reaches a second) of the rest.
+# Scales: fractions of the limits for motors and joints; fractions of the reach (and reaches per second) for the rest.
 ANGLE, RATE, TWIST, DEFLECTION, LENGTH, SPEED = 1 / 400, 1 / 500, 1 / 250, 1 / 2125, 1 / 425, 1 / 170
 
 
 @dataclass
 class FineScale:
-    """arcsinh(quantity / scale): linear below the scale, logarithmic above, so that a network sees both ends.
+    """arcsinh(quantity / scale): linear below the scale and logarithmic above, so that a network resolves both ranges.
 
-    For n joints: motor rates, joint twists and their rates, deflections of the links and their rates, angle errors,
-    the error of the tip and the velocity of the tip. For `FlexRRR-v0` the scales are 0.02 rad/s, 0.004 rad, 0.02 rad/s,
-    0.004 m, 0.02 m/s, 0.01 rad, 0.02 m and 0.05 m/s; others follow from the limits and the reach of the arm.
+    For n joints: motor rates, joint twists and their rates, deflections of the links and their rates, angle errors, the
+    tip error as a vector and the velocity of the tip. For `FlexRRR-v0` the scales are 0.02 rad/s, 0.004 rad, 0.02
+    rad/s, 0.004 m, 0.02 m/s, 0.01 rad, 0.02 m and 0.05 m/s; for other environments they follow from the limits and the
+    reach of the arm.
     """
 
     measures: ClassVar[tuple[str, ...]] = ("motion", "tip")
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
-        """Says what it reads, in order."""
+        """Return the entries and compute their scales."""
         bounds = limits.bounds(view)
         largest = {
-            **{name: bounds[name] for name in view.places if name not in ("motor_angles", "tip_velocity")},
+            **{name: bounds[name] for name in view.slices if name not in ("motor_angles", "tip_velocity")},
             "angle_errors": np.full(view.n_joints, 2 * limits.angle),
             "target_error": np.full(3, 2 * view.reach),
             "tip_velocity": bounds["tip_velocity"],
@@ -126,14 +124,14 @@ class FineScale:
         self._scales = np.concatenate([np.full(len(largest[name]), scale) for name, scale in _scales(view, limits)])
         fine = np.arcsinh(np.concatenate(list(largest.values())) / self._scales)
         ends = np.cumsum([0, *map(len, largest.values())])
-        # rounding of a quantity on its bound must not lead beyond this one
+        # margin for the rounding of a quantity at its bound
         return [
             Entry(f"fine_{name}", len(bound), "1", 1.0000001 * fine[first : first + len(bound)])
             for (name, bound), first in zip(largest.items(), ends, strict=False)
         ]
 
     def read(self, view: View, out: Array) -> None:
-        """Writes into out (b, 8 n + 6)."""
+        """Write the scaled quantities into out (b, 8 n + 6)."""
         n = view.n_joints
         out[:, : 7 * n] = view.motion[:, n : 8 * n]
         np.subtract(view.goal_angles, view.motor_angles, out=out[:, 7 * n : 8 * n])
@@ -143,7 +141,7 @@ class FineScale:
 
 
 def _scales(view: View, limits: Limits) -> list[tuple[str, float]]:
-    """Names and scales in the order of the entries."""
+    """Return names and scales in the order of the entries."""
     reach = view.reach
     return [
         ("motor_rates", RATE * limits.rate),
@@ -159,12 +157,12 @@ def _scales(view: View, limits: Limits) -> list[tuple[str, float]]:
 
 @dataclass
 class ServoErrors:
-    """Posture errors (goal - angle) and rates of the motors, and the rates of a goal that moves."""
+    """Angle errors (goal - angle) and rates of the motors, and the rates of a moving goal."""
 
     measures: ClassVar[tuple[str, ...]] = ("motor_angles", "motor_rates")
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
-        """Says what it reads, in order."""
+        """Return the entries of errors and rates."""
         return [
             Entry("angle_errors", view.n_joints, "rad", 2 * limits.angle),
             Entry("motor_rates", view.n_joints, "rad/s", limits.rate),
@@ -172,7 +170,7 @@ class ServoErrors:
         ]
 
     def read(self, view: View, out: Array) -> None:
-        """Writes into out (b, 3 n)."""
+        """Write errors and rates into out (b, 3 n)."""
         n = view.n_joints
         np.subtract(view.goal_angles, view.motor_angles, out=out[:, :n])
         out[:, n : 2 * n], out[:, 2 * n :] = view.motor_rates, view.goal_rates
@@ -180,30 +178,30 @@ class ServoErrors:
 
 @dataclass
 class ModelState:
-    """The state (2 d,) of the model in the order of `kernels.layout`; its size depends on the fidelity of the model."""
+    """State (2 d,) of the model in the order of `kernels.layout`; its size depends on the fidelity of the model."""
 
     measures: ClassVar[tuple[str, ...]] = ()
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
-        """Says what it reads, in order."""
+        """Return the entry of the state."""
         return [Entry("state", view.state.shape[-1], "rad, m, rad/s, m/s", LARGEST_STATE)]
 
     def read(self, view: View, out: Array) -> None:
-        """Writes into out (b, 2 d)."""
+        """Write the state into out (b, 2 d)."""
         out[:] = view.state
 
 
 @dataclass
 class GoalCommand:
-    """The goal as it is now: angles and rates of the motors, target of the tip in the base frame and its velocity.
+    """Present goal: angles and rates of the motors, target of the tip in the base frame and its velocity.
 
-    A task with a path may add what comes next, see `Track`.
+    A task with a path may add future positions, see `Track`.
     """
 
     measures: ClassVar[tuple[str, ...]] = ()
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
-        """Says what it reads, in order."""
+        """Return the entries of the goal."""
         return [
             Entry("angle_command", view.n_joints, "rad", limits.angle),
             Entry("rate_command", view.n_joints, "rad/s", limits.rate),
@@ -212,7 +210,7 @@ class GoalCommand:
         ]
 
     def read(self, view: View, out: Array) -> None:
-        """Writes into out (b, 2 n + 6)."""
+        """Write the goal into out (b, 2 n + 6)."""
         n = view.n_joints
         out[:, :n], out[:, n : 2 * n] = view.goal_angles, view.goal_rates
         out[:, -6:-3], out[:, -3:] = view.target, view.target_velocity
@@ -220,17 +218,18 @@ class GoalCommand:
 
 @dataclass
 class LastAction:
-    """The sum of agent and base in the last control period after clipping, parts of the torque limits; 0 at first.
+    """Commanded torques of the last control period as fractions of the torque limits; 0 at first.
 
-    Delays, friction and other effects between a command and the torque of a motor are not in it.
+    They are the sum of agent and base after clipping. Delay, friction and other effects between the command and the
+    torque of a motor are not included.
     """
 
     measures: ClassVar[tuple[str, ...]] = ()
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
-        """Says what it reads, in order."""
+        """Return the entry of the action."""
         return [Entry("action", view.n_joints, "1", 1.0)]
 
     def read(self, view: View, out: Array) -> None:
-        """Writes into out (b, n)."""
+        """Write the action into out (b, n)."""
         out[:] = view.action

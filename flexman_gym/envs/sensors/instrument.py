@@ -1,4 +1,4 @@
-"""Instrument: a sensor with the flaws of a real one, which act on what is measured before anything is derived."""
+"""Instrument: a sensor with flaws that act on the measured quantities before any quantity is derived from them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -13,24 +13,22 @@ from flexman_gym.envs.random_streams import TruncatedNoise
 from flexman_gym.envs.sensors.sensor import DEFAULT_QUANTITIES, Entry, MeasuredView, Sensor
 from flexman_gym.envs.view import View
 
-MIN_QUANTISATION = 1e-12  # quantisation, a part
-MOST_PERIODS = 1000  # of a delay or between two samples
+MIN_QUANTISATION = 1e-12  # fraction of the range
+MAX_PERIODS = 1000  # control periods of a delay or between two samples
 
 
 @dataclass(frozen=True, eq=False)
 class Flaws:
-    """How an instrument differs from a perfect one. Parts are parts of the range of each quantity.
+    """Flaws of an instrument. Fractions refer to the range of each quantity.
 
     Attributes:
-        noise: standard deviation of normal noise on each sample, a part; numbers beyond 4 of them are drawn again.
-        bias: a part up to which, to either side, each quantity is off throughout an episode.
-        quantisation: the step between two numbers that it can give, a part.
-        delay: control periods after which a sample arrives; until the first has arrived, the first counts.
+        noise: standard deviation of normal noise on each sample, a fraction; numbers beyond 4 standard deviations are
+            drawn again.
+        bias: largest bias of each quantity, a fraction; drawn uniformly once per episode.
+        quantisation: smallest difference of two readings, a fraction.
+        delay: control periods until a sample arrives; before that the first sample is read.
         every: control periods between two samples.
-        dropped: probability that a sample is lost; the one before then counts.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+        dropped: probability that a sample is lost and the previous one is read.
     """
 
     noise: float = 0.0
@@ -44,32 +42,34 @@ class Flaws:
         for name in ("noise", "bias", "quantisation", "dropped"):
             part = non_negative(f"sensors.{name}", getattr(self, name))
             if part > 1.0:
-                raise value_error(f"sensors.{name}", part, "a part from 0 to 1")
+                raise value_error(f"sensors.{name}", part, "a fraction from 0 to 1")
             set_fields(self, **{name: part})
         if 0.0 < self.quantisation < MIN_QUANTISATION:
-            raise value_error("sensors.quantisation", self.quantisation, f"0, or a part from {MIN_QUANTISATION:g} to 1")
-        set_fields(self, delay=whole_number("sensors.delay", self.delay, 0, MOST_PERIODS))
-        set_fields(self, every=whole_number("sensors.every", self.every, 1, MOST_PERIODS))
+            raise value_error(
+                "sensors.quantisation", self.quantisation, f"0, or a fraction from {MIN_QUANTISATION:g} to 1"
+            )
+        set_fields(self, delay=whole_number("sensors.delay", self.delay, 0, MAX_PERIODS))
+        set_fields(self, every=whole_number("sensors.every", self.every, 1, MAX_PERIODS))
         if self.dropped >= 1.0:
             raise value_error("sensors.dropped", self.dropped, "a probability from 0 to below 1")
 
 
 FLAWS = tuple(each.name for each in fields(Flaws))
-"""Names of the flaws that a sensor may have, see `Flaws`."""
+"""Names of the flaws of a sensor, see `Flaws`."""
 
 
 class Instrument:
-    """A sensor with flaws: `Instrument(FullState(), noise=0.001, delay=1)`.
+    """Sensor with flaws: `Instrument(FullState(), noise=0.001, delay=1)`.
 
-    What the sensor names in `measures` passes the instrument; without such a list all that the view has of motion, tip
-    and deflection. One that is read several times in a control period gives the same each time.
+    The flaws act on the quantities in the sensor's `measures`; without this attribute on motion, tip and deflection.
+    Several readings in one control period are equal.
 
     Args:
-        sensor: a Sensor, perhaps one of your own.
-        flaws: see `Flaws`.
+        sensor: a Sensor.
+        **flaws: see `Flaws`.
 
     Raises:
-        ValueError: one line, for a flaw that there is not, and for a sensor that measures nothing.
+        ValueError: for an unknown flaw, and for a sensor without measured quantities.
     """
 
     kept = ("measured", "_held", "_late", "_bias", "_ages", "_noise")
@@ -78,9 +78,7 @@ class Instrument:
         self.sensor, self.flaws = sensor, Flaws(**flaws)
         self.measures = tuple(getattr(sensor, "measures", DEFAULT_QUANTITIES))
         if not self.measures:
-            raise value_error(
-                "sensors", sensor, "a sensor that measures: a command has no noise and does not come late"
-            )
+            raise value_error("sensors", sensor, "a sensor that measures: a command has neither noise nor delay")
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Instrument) and self.settings() == other.settings() and self.sensor == other.sensor
@@ -88,25 +86,25 @@ class Instrument:
     __hash__ = None  # type: ignore[assignment]
 
     def settings(self) -> Mapping[str, float]:
-        """The flaws that it has, by name."""
+        """Return the flaws that differ from the defaults, by name."""
         return {name: getattr(self.flaws, name) for name in FLAWS if getattr(self.flaws, name) != getattr(Flaws, name)}
 
-    def fresh(self) -> Self:
-        """An instrument alike that remembers nothing."""
+    def copy(self) -> Self:
+        """Return an equal instrument without stored samples."""
         return type(self)(self.sensor, **self.settings())
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
-        """Says what the sensor reads."""
+        """Return the entries of the sensor and allocate the stored samples."""
         arms, flaws = len(view.motion), self.flaws
         self.measured = MeasuredView(view, limits, self.measures)
         size = len(self.measured.bound)
         self._held, self._bias = np.zeros((arms, size)), np.zeros((arms, size))
-        self._late = np.zeros((flaws.delay, arms, size))  # samples on their way, the oldest first
+        self._late = np.zeros((flaws.delay, arms, size))  # delayed samples, the oldest first
         self._ages, self._noise = np.zeros(arms, dtype=np.int64), TruncatedNoise(arms, size + 1)
         return self.sensor.entries(self.measured, limits)  # type: ignore[arg-type]
 
     def begin(self, arm: int, stream: np.random.Generator) -> None:
-        """Starts an episode of an arm by two draws of its stream."""
+        """Start an episode of an arm with two draws of its stream."""
         self._noise.begin(arm, stream)
         inner = np.random.default_rng(stream.integers(2**63))
         bound = self.measured.bound
@@ -114,13 +112,13 @@ class Instrument:
         self._ages[arm] = 0
 
     def sample(self, arms: IntArray) -> None:
-        """Measures some arms (r,), once a control period, the first time at the start of their episodes."""
+        """Sample the arms (r,), once per control period and once at the start of an episode."""
         if not len(arms):
             return
         measured, flaws = self.measured, self.flaws
-        at: Any = slice(None) if len(arms) == len(self._ages) else arms  # a slice copies less
+        at: Any = slice(None) if len(arms) == len(self._ages) else arms  # a slice avoids a copy
         first = self._ages[at] == 0
-        measured.take(at)
+        measured.copy_true(at)
         new, taken = measured.values[at], self._ages[at] % flaws.every == 0
         if flaws.bias:
             new = new + self._bias[at]
@@ -133,11 +131,11 @@ class Instrument:
             new = np.round(new / step) * step
         self._held[at] = np.where(taken[:, None], new, self._held[at])
         self._ages[at] += 1
-        measured.values[at] = self._arriving(at, first)
-        measured.settle()
+        measured.values[at] = self._delayed(at, first)
+        measured.clip()
 
-    def _arriving(self, at: Any, first: Array) -> Array:
-        """The samples (r, size) that arrive now; those of this period set off."""
+    def _delayed(self, at: Any, first: Array) -> Array:
+        """Return the samples (r, size) that arrive now, and store those of this period."""
         late, held = self._late, self._held[at]
         if not self.flaws.delay:
             return held
@@ -149,16 +147,16 @@ class Instrument:
         return result
 
     def read(self, view: View, out: Array) -> None:
-        """Writes what the sensor reads of what was measured."""
+        """Write the readings of the sensor, from the measured quantities, into out (b, size)."""
         self.sensor.read(self.measured, out)  # type: ignore[arg-type]
 
-    def renew(self) -> None:
-        """Derives anew, after what it keeps was given back."""
-        self.measured.renew()
+    def refresh(self) -> None:
+        """Derive quantities again after the stored state was replaced."""
+        self.measured.refresh()
 
 
 def _uniform(normal: Array) -> Array:
-    """Numbers evenly spread from 0 to 1 of normal ones, by their distribution."""
+    """Map standard normal numbers to uniform ones in [0, 1] by their distribution function."""
     from scipy.special import ndtr
 
     result: Array = ndtr(normal)

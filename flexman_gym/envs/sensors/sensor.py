@@ -11,7 +11,7 @@ from flexman_gym.envs.view import View
 
 
 class Entry(NamedTuple):
-    """A named part of an observation: how many numbers, their unit, and their largest magnitude, one or one of each."""
+    """Named part of an observation: number of values, unit, and largest magnitude (one number, or one per value)."""
 
     name: str
     size: int
@@ -21,39 +21,48 @@ class Entry(NamedTuple):
 
 @runtime_checkable
 class Sensor(Protocol):
-    """An instrument. A class with these two methods is one; it needs no base class.
+    """Protocol of a sensor; a class with these two methods needs no base class.
 
-    It reads the view and nothing else, and keeps nothing of one arm: what it reads of an arm must not depend on the
-    others, to the last bit (no matrix products over the arms). An environment copies it and asks for its `entries`
+    A sensor reads only the view and stores nothing about an arm. Its reading of one arm must not depend on the other
+    arms, to the last bit (no matrix products over the arms). An environment copies the sensor and calls `entries`
     first.
 
-    Noise and other flaws act on what it measures, before it derives anything. `measures`, names of the view, says what
-    that is: () for nothing; a sensor without this attribute measures motion, tip and deflection.
+    Noise and other flaws act on the measured quantities before the sensor derives others from them. The optional
+    attribute `measures` names these quantities: () for none; without it motion, tip and deflection.
     """
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
-        """What it reads, in order. While an arm is within its limits, no number may be beyond the bound given here."""
+        """Return the entries in order.
+
+        While an arm is within its limits, no reading may exceed the bound of its entry.
+        """
         ...
 
     def read(self, view: View, out: Array) -> None:
-        """Writes what it reads into out (b, size), the entries side by side."""
+        """Write the readings into out (b, size), the entries side by side."""
         ...
 
 
-DEFAULT_QUANTITIES = ("motion", "tip", "deflection", "deflection_rate")  # what a sensor measures that does not say it
+DEFAULT_QUANTITIES = ("motion", "tip", "deflection", "deflection_rate")  # measured by a sensor without `measures`
 DERIVED = {"tip": ("target_error", "tip_error"), "deflection_rate": ("tip_vibration",)}
-STRAIN_RANGE = 2.0  # times the root strain of a link that a force on its tip bends to the limit
-ACCELERATION_RANGE = 51.0  # largest acceleration that is measured, 500 m/s^2
+STRAIN_RANGE = 2.0  # ratio to the root strain of a link bent to its limit by a tip force
+ACCELERATION_RANGE = 51.0  # g; 500 m/s^2
 
 
 class MeasuredView:
-    """Has all that a View has; sensors read either. What is measured may differ from the truth, within its range.
+    """View of measured quantities, with the attributes of a View; sensors can read either.
 
-    Errors of tip and angles follow from what is measured: nothing tells more than the instruments do.
+    Measured quantities may differ from the true ones within their ranges. Errors of tip and angles are derived from the
+    measured quantities, so that a sensor contains no more information than the instruments.
+
+    Args:
+        view: view of the true quantities.
+        limits: limits of the arm.
+        names: measured quantities.
 
     Attributes:
-        values: (b, size) the measured quantities side by side; code that measures overwrites them, then calls `settle`.
-        bound: (size,) the largest magnitude that is measured of each.
+        values: (b, size) measured quantities side by side; an instrument overwrites them, then calls `clip`.
+        bound: (size,) largest measured magnitude of each.
     """
 
     kept = ("values",)
@@ -62,7 +71,7 @@ class MeasuredView:
         self._view = view
         ranges = measurement_ranges(view, limits)
         if "motion" in names:
-            names = ["motion", *(name for name in dict.fromkeys(names) if name not in ("motion", *view.places))]
+            names = ["motion", *(name for name in dict.fromkeys(names) if name not in ("motion", *view.slices))]
         self._names = tuple(dict.fromkeys(names))
         self.bound = np.concatenate([np.zeros(0), *(ranges[name] for name in self._names)])
         self.values = np.zeros((len(view.motion), len(self.bound)))
@@ -74,32 +83,32 @@ class MeasuredView:
             self._parts.append((name, part))
             setattr(self, name, part)
         if "motion" in self._names:
-            for name, place in view.places.items():
+            for name, place in view.slices.items():
                 setattr(self, name, self.motion[:, place])
         self._derive = {"tip": self._errors, "deflection_rate": self._vibration}
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.__dict__["_view"], name)
 
-    def take(self, arms: IntArray | slice) -> None:
-        """Copies the truth of some arms."""
+    def copy_true(self, arms: IntArray | slice) -> None:
+        """Copy the true quantities of some arms."""
         for name, part in self._parts:
             part[arms] = getattr(self._view, name)[arms]
 
-    def settle(self) -> None:
-        """Cuts off what is beyond the range of an instrument and derives what follows from what is measured."""
+    def clip(self) -> None:
+        """Clip the values to their ranges and derive other quantities from them."""
         np.maximum(self.values, -self.bound, out=self.values)
         np.minimum(self.values, self.bound, out=self.values)
         self.derive()
 
     def derive(self) -> None:
-        """Derives errors and vibration from what is measured, for the present goals."""
+        """Derive errors and vibration from the measured quantities, for the present goals."""
         for name, derive in self._derive.items():
             if name in self._names:
                 derive()
 
-    def renew(self) -> None:
-        """Derives anew, after the values were given back."""
+    def refresh(self) -> None:
+        """Derive quantities again after the values were replaced."""
         self.derive()
 
     def _errors(self) -> None:
@@ -110,14 +119,8 @@ class MeasuredView:
         self.tip_vibration = np.sqrt(row_dots(self.deflection_rate, self.deflection_rate))
 
 
-def derived_quantities(names: Sequence[str], view: View) -> list[str]:
-    """Names of quantities, and of all that follows from them once they are measured."""
-    derived = [each for name in names for each in DERIVED.get(name, ())]
-    return [*names, *derived, *(view.places if "motion" in names else ())]
-
-
 def measurement_ranges(view: View, limits: Limits) -> dict[str, Array]:
-    """The largest magnitude that instruments measure of each quantity, by name; that of a limit where there is one."""
+    """Return the largest measured magnitude of each quantity, by name; its limit where it has one."""
     limited, n = limits.bounds(view), view.n_joints
     strain = STRAIN_RANGE * 3.0 * limits.deflection * view.gauge_radii / view.lengths[:, None]
     return {

@@ -1,4 +1,4 @@
-"""Tasks: where episodes start, what their goals are and what a step is worth."""
+"""Tasks: start, goal, reward and observed goal of an episode."""
 
 from dataclasses import asdict, fields
 from typing import Any
@@ -10,30 +10,37 @@ from flexman_gym.envs.tasks.task import OPTIONAL_TASK_MEMBERS, TASK_MEMBERS, Goa
 from flexman_gym.envs.tasks.track import Track
 
 TASKS: dict[str, type[Any]] = {"slew": Slew, "track": Track, "hold": Hold}
-"""Tasks that have a name: name -> class."""
+"""Named tasks: name -> class."""
 
 
-def find_task(value: object) -> Any:
-    """Gives the task of a name, or of a mapping with its name at "kind" and its arguments; raises ValueError."""
-    entries = {"kind": value} if isinstance(value, str) else value
-    if not isinstance(entries, dict) or "kind" not in entries:
-        raise value_error("task", value, f"one of {', '.join(TASKS)}, or a mapping with that at kind, or a task")
-    kind = TASKS[one_of("task", text("task.kind", entries["kind"]), TASKS)]
-    arguments = {name: each for name, each in entries.items() if name != "kind"}
-    return kind(**mapping("task", arguments, [each.name for each in fields(kind)]))
+def find_task(value: object) -> Task:
+    """Return a task from its name, a mapping with its name at "kind" and its arguments, or a Task object."""
+    if isinstance(value, str):
+        value = {"kind": value}
+    if isinstance(value, dict) and "kind" in value:
+        kind = TASKS[one_of("task", text("task.kind", value["kind"]), TASKS)]
+        arguments = {name: each for name, each in value.items() if name != "kind"}
+        value = kind(**mapping("task", arguments, [each.name for each in fields(kind)]))
+    if not isinstance(value, Task) or isinstance(value, type):
+        allowed = f"one of {', '.join(TASKS)}, a mapping with that at kind, or a task such as Slew()"
+        raise value_error("task", value, f"{allowed}: an object with {', '.join(TASK_MEMBERS)}")
+    check_member_names("task", value, OPTIONAL_TASK_MEMBERS, TASK_MEMBERS)
+    return value
 
 
 def plain_task(task: Any) -> dict[str, Any]:
-    """Return the mapping of a task, from which `find_task` makes an equal one; raise ValueError for an unnamed one."""
+    """Return the mapping of a task from which `find_task` makes an equal one.
+
+    Args:
+        task: the task.
+
+    Raises:
+        ValueError: for a task of the user's own class.
+    """
     for name, kind in TASKS.items():
         if type(task) is kind:
             return {"kind": name, **asdict(task)}
-    raise value_error("task", task, "something with a name: an object of one's own cannot be kept in a file")
+    raise value_error("task", task, "a task with a name; a file cannot hold an object of the user")
 
 
-def check_task(task: Task) -> None:
-    """Refuses a task one of whose members is nearly named as an optional one."""
-    check_member_names("task", task, OPTIONAL_TASK_MEMBERS, TASK_MEMBERS)
-
-
-__all__ = ["TASKS", "Goal", "Hold", "Slew", "Task", "Track", "check_task", "find_task", "plain_task"]
+__all__ = ["TASKS", "Goal", "Hold", "Slew", "Task", "Track", "find_task", "plain_task"]

@@ -1,4 +1,4 @@
-"""Hold: the task to keep the tip still while it is pushed, loaded and shaken."""
+"""Hold: keep the tip in place under disturbances."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,50 +16,47 @@ from flexman_gym.envs.view import Number, View
 
 @dataclass(frozen=True)
 class Hold:
-    """Hold the tip still under impulses, loads that change and a base that sways.
+    """Hold the tip in place under impulses, changing loads and base motion.
 
     Description
-        The arm rests at a posture when it is disturbed: by impulses on the tip, by a force on the tip that changes at
-        random times and stays until the next change, and by a base that swings to and fro. The tip is to stay where it
-        was. The motors are free without torques, so that an arm that does nothing drifts away.
+        The arm rests at a posture when the disturbances start: impulses at the tip, a force at the tip that changes at
+        random times and is constant in between, and a sinusoidal motion of the base. The tip should stay at its initial
+        position. The motors have no brakes, so that the arm drifts away under zero torque.
 
     Actions
-        As of every environment: motor torques as parts of the torque limits.
+        As in every environment: motor torques as fractions of the torque limits.
 
     Observations
-        As the sensors say; the task itself adds nothing. The disturbances are not seen.
+        Those of the sensors of the environment; the task adds none. The disturbances are not observed.
 
     Reward
-        At most 1 a control period, the sum of these terms:
-            distance       1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2); e is the tip error, v the speed of
-                           the tip, n = R / 425 (20 mm) and f = R / 1.7 (5 m) for a reach R, in brackets for 8.5 m
+        At most 1 per control period, the sum of these terms:
+            distance       1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2) with tip error e, speed v of
+                           the tip, n = R / 425 and f = R / 1.7 for a reach R (20 mm and 5 m for 8.5 m)
             failure        -failure_penalty when the step ended the episode by a limit or a divergence
 
     Start
-        At rest, at motor angles drawn uniformly from +-start. The target is where the tip is then. The option
-        "start" of a reset sets the angles.
+        At rest, at motor angles drawn uniformly from [-start, start]. The target is the initial position of the tip.
+        The option "start" of a reset sets the angles.
 
     End
         Truncated after the horizon of the environment; terminated by a failure.
 
     Arguments
-        Sizes of the disturbances are ranges (low, high) from which each is drawn uniformly; a randomisation may change
-        or switch off each of them by its name.
+        Each disturbance is drawn uniformly from its range (low, high); a randomisation of the environment may change or
+        disable each of them by its name.
 
     Version history
         v0: first version.
 
     Attributes:
-        start: rad.
-        impulse: N s, each a force during one control period.
-        load: N.
-        sway: m/s^2, the amplitude of the base's acceleration; its frequency is between 0.3 and 3 times that of the
-            arm's first mode.
-        gap: mean time between two impulses, and two changes of load, s.
+        start: largest initial motor angle, rad.
+        impulse: range of the impulses, N s; each is a force of one control period.
+        load: range of the load, N.
+        sway: range of the amplitude of the base acceleration, m/s^2; its frequency is 0.3 to 3 times that of the first
+            mode of the arm.
+        gap: mean time between two impulses and between two changes of the load, s.
         failure_penalty: reward lost by a failure, >= 0.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
     """
 
     start: float = 0.8
@@ -84,26 +81,26 @@ class Hold:
 
     @property
     def disturbances(self) -> dict[str, Any]:
-        """Arguments of `Randomisation`, which belong to the task."""
+        """Disturbances of the task, as arguments of `Randomisation`."""
         return {
             "tip_impulse": self.impulse, "tip_load": self.load, "base_sway": self.sway, "impulse_gap": self.gap,
         }  # fmt: skip
 
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
-        """The posture (n,) rad of one episode."""
+        """Draw the initial motor angles (n,), rad, of one episode."""
         return {"start": random.uniform(-self.start, self.start, view.n_joints)}
 
     def goal(self, plan: Mapping[str, Array], time: Array, view: View) -> Goal:
-        """The tip of the arm at rest at its start."""
+        """Return the initial position of the tip as the goal."""
         return Goal(view.rest_tips(plan["start"]), plan["start"])
 
     def reward_terms(self, view: View) -> dict[str, Number]:
-        """Terms of the reward, see the class."""
+        """Return the terms of the reward, see the class."""
         return {
             "distance": distance_reward(view, view.tip_velocity),
             "failure": 0.0 - self.failure_penalty * view.failed,
         }
 
     def info(self, view: View) -> dict[str, Number]:
-        """Nothing beside what every environment says."""
+        """Return no entries of its own."""
         return {}

@@ -1,4 +1,4 @@
-"""Track: the task of following a closed path in space with the tip, and its Fourier series."""
+"""Track: follow a closed path in space with the tip."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,26 +15,30 @@ from flexman_gym.envs.tasks.task import MOVING_METRICS, Goal
 from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels.control_period import fourier_series
 
-HARMONICS, POSTURE_HARMONICS = 3, 12  # of the curve, and of the motors
-COLLOCATION_POINTS = 28  # places at which motors are solved for
-SAG_STRIDE = 4  # of these places, every so many, tell how the arm sags
-RAMP_FRACTION = 0.25  # of a period, in which the target gains speed
+HARMONICS, POSTURE_HARMONICS = 3, 12  # Fourier series of the path, and of the motor angles
+COLLOCATION_POINTS = 28  # points of the path with inverse kinematics
+SAG_STRIDE = 4  # distance of the points at which the sag is computed
+RAMP_FRACTION = 0.25  # time constant of the start of the target, fraction of the period
 COLLOCATION_PHASES = 2.0 * np.pi * np.arange(COLLOCATION_POINTS)[None] / COLLOCATION_POINTS
-TRIES, CENTRES, STEP, ACCURACY = 20, 8, 1e-7, 1e-7  # rad, of differences; of the reach, of a posture
-MIN_SINGULAR_VALUE = 0.1  # of the reach: a tip moves less per radian in directions that a path avoids
-MAX_ANGLE = 2.5  # rad, of a motor on a path
+TRIES, CENTRES = 20, 8  # draws of a path; centres per draw
+STEP, ACCURACY = 1e-7, 1e-7  # rad, of finite differences; accepted tip error, fraction of the reach
+MIN_SINGULAR_VALUE = 0.1  # reaches per radian; a path avoids directions of smaller tip motion
+MAX_ANGLE = 2.5  # rad; largest motor angle on a path
 
 
 def path_phase(time: Array, period: Array) -> Array:
-    """Gives the phase (rad) on paths at times (s): from rest, and steady after a part of the period (s)."""
+    """Return the phase on the path (rad) at times (s).
+
+    The rate is zero at first and constant after a fraction of the period (s).
+    """
     ramp = RAMP_FRACTION * period
     return 2.0 * np.pi / period * (time - ramp * np.tanh(time / ramp))
 
 
 def evaluate_series(series: Array, phases: Array) -> Array:
-    """Gives the values (r, p, size) of Fourier series (r, size, 2 h + 1) at phases (r, p).
+    """Return the values (r, p, size) of Fourier series (r, size, 2 h + 1) at phases (r, p), rad.
 
-    A series is a mean, then a factor of the cosine and one of the sine of each harmonic.
+    A series holds the mean, then the factors of cosine and sine of each harmonic.
     """
     result = np.zeros((*phases.shape, series.shape[1]))
     fourier_series(series, phases, result)
@@ -42,26 +46,26 @@ def evaluate_series(series: Array, phases: Array) -> Array:
 
 
 def _circle(random: np.random.Generator, size: float) -> Array:
-    """Gives the series (3, 2 h + 1) of a circle of a radius (m) in the plane of the first two axes."""
+    """Return the series (3, 2 h + 1) of a circle with a radius (m) in the plane of the first two axes."""
     result = np.zeros((3, 2 * HARMONICS + 1))
     result[0, 1] = result[1, 2] = size
     return result
 
 
 def _lemniscate(random: np.random.Generator, size: float) -> Array:
-    """Gives the series of a lemniscate of Gerono, a figure of eight as long as 2 sizes (m)."""
+    """Return the series of a lemniscate of Gerono, a figure of eight of length 2 size (m)."""
     result = np.zeros((3, 2 * HARMONICS + 1))
     result[0, 1], result[1, 4] = size, 0.5 * size
     return result
 
 
 def _smooth(random: np.random.Generator, size: float) -> Array:
-    """Gives a random series whose harmonic k weighs 1 / k^2; it goes as far as a size (m) from its mean."""
+    """Return a random series with harmonics weighted by 1 / k^2, scaled to a largest distance (m) from its mean."""
     result = np.zeros((3, 2 * HARMONICS + 1))
     weights = np.repeat(np.arange(1, HARMONICS + 1), 2) ** 2
     result[:, 1:] = random.standard_normal((3, 2 * HARMONICS)) / weights
-    places = evaluate_series(result[None], COLLOCATION_PHASES)[0]
-    return result * size / np.sqrt(np.vecdot(places, places).max())
+    points = evaluate_series(result[None], COLLOCATION_PHASES)[0]
+    return result * size / np.sqrt(np.vecdot(points, points).max())
 
 
 PATH_SHAPES: dict[str, Callable[[np.random.Generator, float], Array]] = {
@@ -72,61 +76,64 @@ PATH_SHAPES: dict[str, Callable[[np.random.Generator, float], Array]] = {
 
 
 def _draw_path(shape: str, size: float, reach: float, random: np.random.Generator, view: View) -> tuple[Array, Array]:
-    """Draws a path that an arm can follow, and the motor angles with which it does.
+    """Draw a path that the arm can follow, and the motor angles along it.
 
-    Middles are drawn until the tip can move in at least two directions there and all postures are found. Where an arm
-    has weight, the path sags as the arm does.
+    Centres are drawn until the tip can move in at least two directions there and all postures are found. Under gravity
+    the path includes the sag of the arm.
 
     Args:
-        shape: a name of SHAPES.
-        size: of the path, m.
-        reach: rad, up to which to either side the motors are turned in the middle of the path.
-        random: the generator of the episode.
-        view: of the arm.
+        shape: a name in PATH_SHAPES.
+        size: largest distance from the centre, m.
+        reach: largest motor angle at the centre of the path, rad.
+        random: generator of the episode.
+        view: view of the arm.
 
     Returns:
-        Series (3, 2 h + 1) m of the tip in the base frame, and (n, 2 h + 1) rad of the motors.
+        Series (3, 2 h + 1) of the tip in the base frame, m, and (n, 2 h + 1) of the motor angles, rad.
 
     Raises:
-        ValueError: for an arm whose tip cannot move so far in two directions.
+        ValueError: if the tip of this arm cannot follow a path of that size in two directions.
     """
     for _ in range(TRIES):
-        middles = random.uniform(-reach, reach, (CENTRES, view.n_joints))
-        tips, slopes = _slopes(view, middles)
-        ways, moves, _ = np.linalg.svd(slopes, full_matrices=False)
-        counts = np.count_nonzero(moves >= MIN_SINGULAR_VALUE * view.reach, axis=1)
+        centres = random.uniform(-reach, reach, (CENTRES, view.n_joints))
+        tips, jacobians = _jacobians(view, centres)
+        directions, gains, _ = np.linalg.svd(jacobians, full_matrices=False)
+        counts = np.count_nonzero(gains >= MIN_SINGULAR_VALUE * view.reach, axis=1)
         for i in np.flatnonzero(counts >= 2):
-            curve = _frame(random, ways[i], counts[i]).T @ PATH_SHAPES[shape](random, size)
+            curve = _frame(random, directions[i], counts[i]).T @ PATH_SHAPES[shape](random, size)
             curve[:, 0] += tips[i]
-            postures, left = view.reaching(evaluate_series(curve[None], COLLOCATION_PHASES)[0], middles[i])
-            if left <= ACCURACY * view.reach and np.abs(postures).max() <= MAX_ANGLE:
-                if view.heavy:
-                    places = postures[::SAG_STRIDE]
-                    curve += _series(view.rest_tips(places) - view.rigid_tips(places), HARMONICS)
+            postures, error = view.inverse_kinematics(evaluate_series(curve[None], COLLOCATION_PHASES)[0], centres[i])
+            if error <= ACCURACY * view.reach and np.abs(postures).max() <= MAX_ANGLE:
+                if view.has_gravity:
+                    points = postures[::SAG_STRIDE]
+                    curve += _series(view.rest_tips(points) - view.rigid_tips(points), HARMONICS)
                 return curve, _series(postures, POSTURE_HARMONICS)
     raise value_error("Track.size", size, "m, a path that the tip of this arm can follow in at least two directions")
 
 
-def _frame(random: np.random.Generator, ways: Array, count: int) -> Array:
-    """Axes (3, 3), as rows, of a random frame in the first `count` of ways (3, n), 2 or 3; zero where there is none."""
+def _frame(random: np.random.Generator, directions: Array, count: int) -> Array:
+    """Return the axes (3, 3), as rows, of a random frame in the first `count` directions (2 or 3) of (3, n).
+
+    A missing third axis is zero.
+    """
     if count == 3:
         result: Array = np.linalg.qr(random.standard_normal((3, 3)))[0]
         return result
     angle = random.uniform(0.0, 2.0 * np.pi)
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    return np.vstack([turn @ ways[:, :2].T, np.zeros(3)])
+    rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return np.vstack([rotation @ directions[:, :2].T, np.zeros(3)])
 
 
-def _slopes(view: View, postures: Array) -> tuple[Array, Array]:
-    """Tips (r, 3) of the rigid arm at postures (r, n), and their motion per radian of each motor, (r, 3, n)."""
-    turns = np.vstack([np.zeros(view.n_joints), STEP * np.eye(view.n_joints)])
-    tips = view.rigid_tips((postures[:, None] + turns).reshape(-1, view.n_joints))
-    tips = tips.reshape(len(postures), len(turns), 3)
+def _jacobians(view: View, postures: Array) -> tuple[Array, Array]:
+    """Return the tips (r, 3) of the rigid arm at postures (r, n), and their Jacobians (r, 3, n) by differences."""
+    steps = np.vstack([np.zeros(view.n_joints), STEP * np.eye(view.n_joints)])
+    tips = view.rigid_tips((postures[:, None] + steps).reshape(-1, view.n_joints))
+    tips = tips.reshape(len(postures), len(steps), 3)
     return tips[:, 0], (tips[:, 1:] - tips[:, :1]).transpose(0, 2, 1) / STEP
 
 
 def _series(values: Array, harmonics: int) -> Array:
-    """The Fourier series (n, 2 harmonics + 1) of values (r, n) at equal intervals of a period."""
+    """Return the Fourier series (n, 2 harmonics + 1) of values (r, n) at equal intervals of a period."""
     parts = np.fft.rfft(values, axis=0)[: harmonics + 1].T / len(values)
     result = np.zeros((values.shape[1], 2 * harmonics + 1))
     result[:, 0] = parts[:, 0].real
@@ -139,53 +146,51 @@ ANY = "any"
 
 @dataclass(frozen=True)
 class Track:
-    """Track: lead the tip along a path in space.
+    """Track: follow a closed path in space with the tip.
 
     Description
-        A target runs round a closed path, a circle, a lemniscate (a figure of eight) or a random smooth curve, so fast
-        that the first mode of the arm matters. The tip is to stay on it. The target starts from rest and has its full
-        speed after about half a period.
+        A target moves along a closed path, a circle, a lemniscate (a figure of eight) or a random smooth curve, fast
+        enough to excite the first mode of the arm. The tip should stay on the target. The target starts from rest and
+        reaches its full speed after about half a period.
 
     Actions
-        As of every environment: motor torques as parts of the torque limits.
+        As in every environment: motor torques as fractions of the torque limits.
 
     Observations
-        As the sensors say. With a preview the task adds an entry:
+        Those of the sensors of the environment. With a preview the task adds an entry:
 
         slice    entries     unit  bound
-        preview  3 per time  m     (1 + deflection limit) of the reach   where the target will be, base frame
+        preview  3 per time  m     (1 + deflection limit) of the reach   future positions of the target, base frame
 
     Reward
-        At most 1 a control period, the sum of these terms:
-            distance       1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2); e is the tip error, v the speed of
-                           the tip relative to the target, n = R / 425 (20 mm) and f = R / 1.7 (5 m) for a reach R, in
-                           brackets for 8.5 m
+        At most 1 per control period, the sum of these terms:
+            distance       1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2) with tip error e, speed v of
+                           the tip relative to the target, n = R / 425 and f = R / 1.7 for a reach R (20 mm and 5 m for
+                           8.5 m)
             failure        -failure_penalty when the step ended the episode by a limit or a divergence
 
     Start
-        At rest where the path begins. The middle of the path is where the tip is at motor angles drawn uniformly from
-        +-middle; the path lies in a random plane, or in space, of the directions into which the tip can move there.
+        At rest at the first point of the path. The centre of the path is the position of the tip at motor angles drawn
+        uniformly from [-middle, middle]. The path lies in a random plane, or in space, spanned by the directions in
+        which the tip can move there.
 
     End
         Truncated after the horizon of the environment; terminated by a failure.
 
     Arguments
-        Those below.
+        See the attributes.
 
     Version history
         v0: first version.
 
     Attributes:
         path: "circle", "lemniscate", "smooth", or "any" of them, drawn for each episode.
-        size: how far the path goes from its middle, a part of the reach.
-        period: range (low, high) from which the time for one round is drawn uniformly, in periods of the first mode of
-            the arm with its motors held; in seconds for an arm that does not bend.
-        preview: times (s) ahead at which the target is seen; () for none.
-        middle: rad.
+        size: largest distance of the path from its centre, as a fraction of the reach.
+        period: range (low, high) from which the time of one revolution is drawn uniformly, in periods of the first mode
+            of the arm with locked motors; in seconds for a rigid arm.
+        preview: look-ahead times (s) of the observed target; () for none.
+        middle: largest motor angle at the centre of the path, rad.
         failure_penalty: reward lost by a failure, >= 0.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
     """
 
     path: str = ANY
@@ -213,11 +218,11 @@ class Track:
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
-        """What of the path is seen beside the sensors of the environment."""
+        """Preview of the path, if there is one."""
         return (_Preview(self.preview),) if self.preview else ()
 
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
-        """The path of one episode: series of the tip (m) and of the motors (rad), the time for a round, the start."""
+        """Draw the path of one episode: tip (m), motor angles (rad), time of one revolution (s), and start (rad)."""
         shape = list(PATH_SHAPES)[random.integers(len(PATH_SHAPES))] if self.path == ANY else self.path
         mode = 1.0 / view.first_frequency if np.isfinite(view.first_frequency) else 1.0
         period = random.uniform(self.period[0], self.period[1]) * mode
@@ -226,35 +231,35 @@ class Track:
         return {"start": start, "path": path, "postures": postures, "period": np.array(period)}
 
     def goal(self, plan: Mapping[str, Array], time: Array, view: View) -> Goal:
-        """Where the target is on its path, and the posture that belongs to it."""
+        """Return the position of the target on its path, and the posture for it."""
         phases = path_phase(time, plan["period"])[:, None]
         return Goal(evaluate_series(plan["path"], phases)[:, 0], evaluate_series(plan["postures"], phases)[:, 0])
 
     def reward_terms(self, view: View) -> dict[str, Number]:
-        """Terms of the reward, see the class."""
+        """Return the terms of the reward, see the class."""
         return {
             "distance": distance_reward(view, view.tip_velocity - view.target_velocity),
             "failure": 0.0 - self.failure_penalty * view.failed,
         }
 
     def info(self, view: View) -> dict[str, Number]:
-        """Velocity of the target (3,) m/s, over the last control period."""
+        """Return the mean velocity (3,) of the target in the last control period, m/s."""
         return {"target_velocity": view.target_velocity}
 
 
 class _Preview:
-    """Where the target of `Track` will be at some times (s) ahead."""
+    """Sensor of the future positions of the target of `Track`, at look-ahead times (s)."""
 
     measures: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, times: Vector) -> None:
-        self._ahead = np.array(times)
+        self._times = np.array(times)
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
-        """Says what it reads: three numbers for each time."""
-        return [Entry("preview", 3 * len(self._ahead), "m", (1.0 + limits.deflection) * view.reach)]
+        """Return the entry: three numbers for each look-ahead time."""
+        return [Entry("preview", 3 * len(self._times), "m", (1.0 + limits.deflection) * view.reach)]
 
     def read(self, view: View, out: Array) -> None:
-        """Writes into out (b, 3 times)."""
-        phases = path_phase(view.time[:, None] + self._ahead, view.plan["period"][:, None])
+        """Write the future positions into out (b, 3 times), m."""
+        phases = path_phase(view.time[:, None] + self._times, view.plan["period"][:, None])
         out[:] = evaluate_series(view.plan["path"], phases).reshape(len(out), -1)

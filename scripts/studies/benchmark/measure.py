@@ -312,7 +312,7 @@ def _calls(arms: int) -> dict[str, Callable[[], object]]:
     action, drive = np.zeros(env.action_space.shape or ()), np.zeros((arms, episodes.batch.model.n_joints + 6))
 
     def info() -> None:
-        episodes.forget()
+        episodes.clear_cache()
         episodes.info()
 
     return {

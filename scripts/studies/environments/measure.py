@@ -38,7 +38,7 @@ class Accuracy(NamedTuple):
 def accuracy(name: str, **arguments: Any) -> Accuracy:
     """Moves the arm of a named environment, made with these arguments, by random torques from rest."""
     env = gym.make(name, **arguments).unwrapped
-    setup, model, period = env.setup, env.simulator.model, env.simulator.control_period  # type: ignore[attr-defined]
+    setup, model, period = env.configuration, env.simulator.model, env.simulator.control_period  # type: ignore[attr-defined]
     method, substeps = env.simulator.method, env.simulator.substeps  # type: ignore[attr-defined]
     finest = build_model(setup.arm, **(vars(model.choice) | {"modes": None, "stiffening": True}))
     random, periods = np.random.default_rng(0), round(DURATION / period)

@@ -91,7 +91,7 @@ def _head(name: str) -> list[str]:
 
 def _arm(name: str) -> list[str]:
     env = gym.make(name).unwrapped
-    arm, model = env.setup.arm, env.simulator.model  # type: ignore[attr-defined]
+    arm, model = env.configuration.arm, env.simulator.model  # type: ignore[attr-defined]
     first = frequencies(model, lock_joints=True)[0]
     step = env.simulator.control_period / env.simulator.substeps  # type: ignore[attr-defined]
     load = f"{arm.payload.mass:g} kg" if arm.payload else "none"
@@ -103,13 +103,13 @@ def _arm(name: str) -> list[str]:
             f"{joint.stiffness:g}" if joint.stiffness else "rigid" for joint in arm.joints
         ),
         "rotor inertia (kg m^2)": ", ".join(f"{joint.rotor_inertia:g}" for joint in arm.joints),
-        "torque limits (N m)": ", ".join(f"{limit:g}" for limit in env.setup.torque_limit),  # type: ignore[attr-defined]
+        "torque limits (N m)": ", ".join(f"{limit:g}" for limit in env.configuration.torque_limit),  # type: ignore[attr-defined]
         "payload": load,
         "gravity": weight,
         "first mode at zero angles, motors held": f"{first:.2f} Hz",
         "coordinates of the model": f"{model.n_dof}: {model.n_joints} joints, {model.n_motors} motors, "
         f"{model.n_elastic} elastic",
-        "method": f"`{env.setup.method}`, {1e3 * step:.3g} ms",  # type: ignore[attr-defined]
+        "method": f"`{env.configuration.method}`, {1e3 * step:.3g} ms",  # type: ignore[attr-defined]
     }
     return ["The arm:", "", *markdown_table(("", ""), facts.items()), ""]
 
@@ -159,7 +159,7 @@ def baselines(name: str, runs: dict[str | None, Rollout]) -> list[str]:
 
 def _ends(name: str) -> str:
     """Definitions of the figures of a slew."""
-    band = BAND * sum(link.length for link in gym.make(name).unwrapped.setup.arm.links)  # type: ignore[attr-defined]
+    band = BAND * sum(link.length for link in gym.make(name).unwrapped.configuration.arm.links)  # type: ignore[attr-defined]
     return (
         f"The tip has settled when it stays within {1e3 * band:.3g} mm of its target until the end of the episode, for "
         f"at least {SETTLING_WINDOW:g} s. Settling time and vibration are medians. Vibration is the motion of the tip from peak "

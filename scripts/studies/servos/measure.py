@@ -65,7 +65,7 @@ class ServoRow:
 
 def _arm_of(name: str, springs: float) -> Arm:
     """The arm of a named environment without weight, with joints that many times as stiff."""
-    arm = NAMED_ENVIRONMENTS[name].arm()
+    arm = NAMED_ENVIRONMENTS[name].arm
     joints = [replace(each, stiffness=each.stiffness and springs * each.stiffness) for each in arm.joints]
     return replace(arm, joints=joints, gravity=(0.0, 0.0, 0.0))
 
