@@ -142,7 +142,7 @@ class DAgger:
         strength = _strength(mode)  # checked before the teacher, whose design may take long
         teacher = make_controller(described, chosen["teacher"], model)
         self._student = _StudentMode(self._network(), mode, strength, teacher)
-        self._per_iteration = settings.envs * -(-described.longest // described.action_repeat)
+        self._per_iteration = settings.envs * -(-described.max_periods // described.action_repeat)
         self.steps = self._per_iteration * -(-settings.steps // self._per_iteration)
         self._iterations: list[list[NDArray[np.float32]]] = []  # of each: observations, labels, weights
 
