@@ -1,4 +1,4 @@
-"""flexman_gym: robot arms whose links and joints bend, as Gymnasium environments."""
+"""Gymnasium environments for training and testing controllers of flexible robot arms."""
 
 from importlib.metadata import PackageNotFoundError, version
 

@@ -1,4 +1,4 @@
-"""Command line: flexman COMMAND, each a file in the folder `commands`, which is imported when it runs."""
+"""Command line `flexman COMMAND`. Each command is a file in the folder `commands`, imported only when it runs."""
 
 import argparse
 import ast
@@ -12,7 +12,7 @@ from pathlib import Path
 from flexman_gym import __version__, commands
 from flexman_gym.common.renamed import OPTIONS, warn_deprecated
 
-COMMAND_GROUPS = {  # commands in the order of the help
+COMMAND_GROUPS = {  # group -> commands, in the order of the help
     "start": ("demo", "check", "compile", "list", "verify"),
     "learn": ("train", "imitate", "search", "enjoy"),
     "evaluate": ("evaluate", "league", "certify", "why"),
@@ -20,18 +20,19 @@ COMMAND_GROUPS = {  # commands in the order of the help
     "control": ("tune", "optimise", "resonance"),
     "data": ("record", "replay", "export"),
 }
-MAX_SUMMARY = 65  # letters of what a command does, on a screen of 80 columns
+MAX_SUMMARY = 65  # characters; length of a summary in the help, on a screen of 80 columns
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command and return the exit status."""
     given = _present_options(sys.argv[1:] if arguments is None else arguments)
-    words = "Robot arms that bend, as Gymnasium environments."
+    about = "Simulate, train and test controllers of flexible robot arms."
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(
         prog="flexman",
-        usage="flexman [-h] [--version] command ...",
-        description=f"{words}\n\n{_overview()}",
+        usage="flexman COMMAND [options]",
+        description=f"{about}\n\n{_overview()}",
+        epilog="flexman COMMAND --help shows the arguments of a command.",
         formatter_class=form,
     )
     parser.add_argument("--version", action="version", version=__version__)
@@ -39,27 +40,27 @@ def main(arguments: list[str] | None = None) -> int:
         prog="flexman", dest="command", required=True, metavar="command", help=argparse.SUPPRESS
     )
     for each in pkgutil.iter_modules(commands.__path__):
-        chosen.add_parser(each.name, description=command_summary(each.name))
+        chosen.add_parser(each.name, description=_description(each.name))
     if not given or given[0] not in chosen.choices:
         if given and not given[0].startswith("-"):
             near = get_close_matches(given[0], chosen.choices, 1, 0.0)[0]
-            parser.error(f"command: {given[0]!r} is not allowed; the nearest is {near}, flexman --help has all")
+            parser.error(f"command: {given[0]!r} is not allowed; the nearest is {near}; flexman --help lists all")
         parser.parse_args(given)
-    runs = chosen.choices[given[0]]
+    command_parser = chosen.choices[given[0]]
     try:
         command = importlib.import_module(f"flexman_gym.commands.{given[0]}").COMMAND
-        command.arguments(runs)
-        return int(command.run(parser.parse_args(given, argparse.Namespace(parser=runs))))
+        command.arguments(command_parser)
+        return int(command.run(parser.parse_args(given, argparse.Namespace(parser=command_parser))))
     except ImportError as error:
-        said = (
-            str(error) if error.name != "matplotlib" else "pictures need Matplotlib: pip install 'flexman_gym[render]'"
-        )
-        if "pip install" not in said:  # which rooms say that need more than is installed
+        text = str(error)
+        if error.name == "matplotlib":
+            text = "plots need Matplotlib: pip install 'flexman_gym[render]'"
+        if "pip install" not in text:  # an error of the library; missing extras are named with their installation
             raise
-        if given[0] == "demo":  # which needs both
-            said = re.sub(r"flexman_gym\[\w+\]", "flexman_gym[train,render]", said)
-        print(said, file=sys.stderr)
-    except (ValueError, OSError) as error:  # a refusal, which is one line
+        if given[0] == "demo":  # needs both extras
+            text = re.sub(r"flexman_gym\[\w+\]", "flexman_gym[train,render]", text)
+        print(text, file=sys.stderr)
+    except (ValueError, OSError) as error:  # invalid input; one line
         print(error, file=sys.stderr)
     return 2
 
@@ -76,22 +77,26 @@ def _present_options(given: list[str]) -> list[str]:
 
 
 def _overview() -> str:
-    """Return the commands in groups, a line for each."""
+    """Return the help of all commands in groups, one line per command."""
     lines = []
     for group, names in COMMAND_GROUPS.items():
         lines.append(f"{group}:")
         for name in names:
-            words = command_summary(name).rstrip(".")
-            words = words if len(words) <= MAX_SUMMARY else words.partition(": ")[0]
-            words = words if len(words) <= MAX_SUMMARY else words.partition(", ")[0]
-            lines.append(f"    {name:<11}{words[0].lower()}{words[1:]}")
+            summary = _summary(name).rstrip(".")
+            summary = summary if len(summary) <= MAX_SUMMARY else summary.partition(", ")[0]
+            lines.append(f"    {name:<11}{summary}")
     return "\n".join(lines)
 
 
-def command_summary(name: str) -> str:
-    """Return the first line of the docstring of a command, without importing its file."""
+def _description(name: str) -> str:
+    """Return the docstring of a command, without importing its file."""
     text = (Path(commands.__path__[0]) / f"{name}.py").read_text(encoding="utf-8")
-    return (ast.get_docstring(ast.parse(text)) or name).splitlines()[0]
+    return ast.get_docstring(ast.parse(text)) or name
+
+
+def _summary(name: str) -> str:
+    """Return the first line of the docstring of a command."""
+    return _description(name).splitlines()[0]
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Commands of `flexman`: one file each, whose `COMMAND` adds arguments to a parser and runs."""
+"""Commands of `flexman`, one file each; the `COMMAND` of a file adds its arguments to a parser and runs it."""
 
 import argparse
 from collections.abc import Callable
@@ -27,7 +27,7 @@ def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[st
 
     Args:
         parser: parser of the command.
-        names: "scene", "entrant", "--env", "--episodes", "--seed", "--set" or "--trust".
+        names: "scene", "agent", "--env", "--episodes", "--seed", "--set" or "--trust".
         changes: settings of `add_argument` that differ in this command, by the name without dashes.
     """
     from flexman_gym.envs import NAMED_ENVIRONMENTS
@@ -35,22 +35,33 @@ def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[st
     from flexman_gym.evaluation.agent import AGENTS
     from flexman_gym.evaluation.rollout import TEST_SEEDS
 
-    environment = (
-        f"a file, an id and a condition such as FlexRRR-v0/delay, or one of {', '.join(sorted(NAMED_ENVIRONMENTS))}"
-    )
+    ids = ", ".join(sorted(NAMED_ENVIRONMENTS))
+    environment = f"environment: a file, an id with a condition such as FlexRRR-v0/delay, or {ids}"
     shared: dict[str, dict[str, Any]] = {
-        "scene": {"type": Path, "help": "a scene as a .json or .yaml file"},
-        "entrant": {"help": f"folder of a run or a policy, a zip, or {', '.join(AGENTS)}"},
-        "--env": {"help": f"{environment}; without it that of the agent"},
-        "--episodes": {"type": int, "default": len(TEST_SEEDS)},
-        "--seed": {"type": int, "default": TEST_SEEDS.start, "help": "of the first episode; the next follow"},
+        "scene": {"type": Path, "help": "scene, a .json or .yaml file"},
+        "agent": {
+            "help": f"folder of a run or a policy, a zip of Stable-Baselines3 (with --trust), or {', '.join(AGENTS)}"
+        },
+        "--env": {"help": f"{environment} (default: that of the agent)"},
+        "--episodes": {
+            "type": int,
+            "metavar": "N",
+            "default": len(TEST_SEEDS),
+            "help": "number of episodes (default: %(default)s)",
+        },
+        "--seed": {
+            "type": int,
+            "default": TEST_SEEDS.start,
+            "metavar": "N",
+            "help": "seed of the first episode, the others follow (default: %(default)s)",
+        },
         "--set": {
             "action": "append",
             "default": [],
             "metavar": "NAME=VALUE",
             "help": SET_HELP,
         },
-        "--trust": {"action": "store_true", "help": "read files of Stable-Baselines3, which can run any code"},
+        "--trust": {"action": "store_true", "help": "load files of Stable-Baselines3; they can run any code"},
     }
     for name in names:
         parser.add_argument(name, **shared[name] | changes.get(name.lstrip("-"), {}))

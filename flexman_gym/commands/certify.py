@@ -1,4 +1,8 @@
-"""Certify a policy: `league --agent`, where it fails, written beside it."""
+"""Test a policy under other physics, parameters, delays and noise.
+
+The certificate with all results and the worst episodes is written to the folder of the policy. The exit status is 1 if
+the policy fails a scenario.
+"""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -17,12 +21,12 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Write the certificate; return 0, or 1 where something fails."""
+    """Write the certificate; return 0, or 1 if the policy fails a scenario."""
     return print_certificate(options.policy)
 
 
 def print_certificate(policy: str, jobs: "Workers | int" = 1) -> int:
-    """Write the certificate of a policy and print its rows; return 0, or 1 where something fails."""
+    """Write the certificate of a policy and print its rows; return 0, or 1 if the policy fails a scenario."""
     import json
 
     from flexman_gym.league.certificate import certify

@@ -1,4 +1,7 @@
-"""Check the installation: versions, processor, cache of kernels, and steps of an environment."""
+"""Check the installation and print versions, processor and speed.
+
+Please add the output to a report of a problem.
+"""
 
 import argparse
 import time
@@ -17,16 +20,16 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Print what a report of a problem needs, and step an environment; return 0."""
+    """Print the state of the installation and the speed of an environment; return 0."""
     from flexman_gym.common.computer import computer_info
     from flexman_gym.kernels import CACHE_FOLDER
 
     for name, value in (computer_info(PACKAGES) | {"vector registers": f"{_vector_bits()} bits"}).items():
         print(f"{name}: {value}")
-    print(f"cache folder: {CACHE_FOLDER or 'none that is yours alone can be written'}")
-    for kind, words in KERNEL_KINDS.items():
-        there = _is_compiled(KERNEL_FUNCTIONS[kind])
-        print(f"kernels of {words}: {'compiled' if there else 'not compiled yet'}", flush=True)
+    print(f"cache folder: {CACHE_FOLDER or 'none: no folder that only you can write'}")
+    for kind, name in KERNEL_KINDS.items():
+        compiled = _is_compiled(KERNEL_FUNCTIONS[kind])
+        print(f"kernels of {name}: {'compiled' if compiled else 'not compiled yet'}", flush=True)
     print(f"steps of FlexRRR-v0: {_steps_per_second():,.0f} a second")
     return 0
 
@@ -56,7 +59,7 @@ def _steps_per_second() -> float:
     env = gym.make("FlexRRR-v0")
     env.reset(seed=0)
     env.action_space.seed(0)
-    env.step(env.action_space.sample())  # compiles what is not on disk
+    env.step(env.action_space.sample())  # compiles the kernels that are not in the cache
     started = time.perf_counter()
     for _ in range(TIMED_STEPS):
         *_, terminated, truncated, _ = env.step(env.action_space.sample())

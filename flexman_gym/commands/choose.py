@@ -8,16 +8,18 @@ from flexman_gym.commands import CommandLine, add_options
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     add_options(result, "scene")
-    result.add_argument("--tolerance", type=float, default=1e-3, help="m, the largest error of the tip")
+    result.add_argument(
+        "--tolerance", type=float, metavar="M", default=1e-3, help="largest error of the tip, m (default: %(default)s)"
+    )
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Print the choice, its estimated error and the parts of the model that were left out; return 0."""
+    """Print the chosen method and model, the estimated error, and the omitted parts of the model; return 0."""
     from flexman_gym.fidelity.model_selection import choose_model
     from flexman_gym.scene.scene import Scene
 
     choice = choose_model(Scene.load(options.scene), options.tolerance)
-    step = "its own steps" if choice.step is None else f"steps of {1e3 * choice.step:.4g} ms"
+    step = "variable steps" if choice.step is None else f"steps of {1e3 * choice.step:.4g} ms"
     print(f"method: {getattr(choice.method, 'name', choice.method)}, {step}")
     print(f"coordinates: {choice.model.n_dof}")
     print(f"estimated error of the tip: {1e3 * choice.estimated_error:.3g} mm")

@@ -1,4 +1,7 @@
-"""Compile the kernels ahead of the first environment."""
+"""Compile the kernels ahead of the first environment.
+
+This takes about a minute. The machine code is kept in a cache, from where later runs load it.
+"""
 
 import argparse
 import os
@@ -39,9 +42,9 @@ def _compile_both() -> int:
     ]
     failed = 0
     for process in running:
-        words = process.communicate()[1].strip()
+        errors = process.communicate()[1].strip()
         if process.returncode:
-            print(f"flexman: error: {words.splitlines()[-1] if words else process.returncode}", file=sys.stderr)
+            print(f"flexman: error: {errors.splitlines()[-1] if errors else process.returncode}", file=sys.stderr)
             failed = 1
     if not failed:
         print(f"ready after {time.perf_counter() - started:.1f} s")

@@ -1,4 +1,8 @@
-"""Draw pictures: modes, Bode diagrams, learning curves, and more."""
+"""Draw plots: modes, Bode and Campbell diagrams, learning curves.
+
+Plots and their subjects: modes, map, campbell (an environment, an arm, or a file of one); bode (an environment);
+learning (folders of runs); league, robustness (the folder of a league); episode, side (saved episodes).
+"""
 
 import argparse
 from collections.abc import Callable
@@ -13,19 +17,25 @@ if TYPE_CHECKING:
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    result.add_argument("what", choices=sorted(PLOTS), help="the picture")
-    where = "an environment, an arm or its file (modes, map, bode, campbell); folders of runs (learning); the folder "
-    result.add_argument("subject", nargs="+", help=f"{where}of a league (league, robustness); episodes that were saved")
-    result.add_argument("--out", type=Path, help="file, or folder of a league's pictures; else as they are called")
-    result.add_argument("--angles", type=float, nargs="+", help="rad, of the joints (modes, bode); else zero")
-    result.add_argument("--mode", type=int, default=1, help="of the map, the lowest by default")
-    result.add_argument("--count", type=int, default=6, help="modes at most")
-    result.add_argument("--fastest", type=float, help="rad/s (campbell); else as fast as the lowest mode rings")
-    result.add_argument("--column", help="of progress.csv (learning)")
+    result.add_argument("what", choices=sorted(PLOTS), metavar="plot", help=", ".join(sorted(PLOTS)))
+    result.add_argument("subject", nargs="+", help="environment, arm, file or folder to plot, see above")
+    result.add_argument("--out", type=Path, help="file, or folder for the plots of a league (default: PLOT.png)")
+    result.add_argument(
+        "--angles", type=float, nargs="+", metavar="RAD", help="joint angles, rad (modes, bode; default: zero)"
+    )
+    result.add_argument(
+        "--mode", type=int, metavar="N", default=1, help="number of the mode (map; default: the lowest)"
+    )
+    result.add_argument("--count", type=int, metavar="N", default=6, help="number of modes (default: %(default)s)")
+    result.add_argument(
+        "--fastest", type=float, metavar="RAD/S",
+        help="largest joint speed, rad/s (campbell; default: the lowest angular frequency)",
+    )  # fmt: skip
+    result.add_argument("--column", help="column of progress.csv (learning; default: the mean reward)")
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Draw the pictures and print their paths; return 0."""
+    """Draw the plots and print their paths; return 0."""
     out = options.out or Path(f"{options.what}.{'gif' if options.what == 'side' else 'png'}")
     for path in PLOTS[options.what](options, out):
         print(path)
@@ -114,7 +124,7 @@ def _league(options: argparse.Namespace, out: Path) -> list[Path]:
     folder = Path(options.subject[0])
     book, place = LeagueRows.load(folder), options.out or folder
     if place.suffix:
-        raise ValueError(f"--out: {place} is not allowed; give a folder, as a league has several pictures")
+        raise ValueError(f"--out: {place} is not allowed; give a folder, as a league has several plots")
     place.mkdir(parents=True, exist_ok=True)
     paths = draw_charts(Standings(book), place, options.what == "robustness")
     if not paths:

@@ -1,4 +1,4 @@
-"""Enjoy an episode of a policy: its figures, and a picture."""
+"""Run one episode of an agent, print its metrics and plot it."""
 
 import argparse
 from importlib.util import find_spec
@@ -9,8 +9,16 @@ from flexman_gym.commands import CommandLine, add_options, load_agent
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    add_options(result, "entrant", "--env", "--seed", "--trust", seed={"help": "of the episode"})
-    result.add_argument("--picture", type=Path, default=Path("out/episode.png"), help="of error and torques")
+    add_options(
+        result, "agent", "--env", "--seed", "--trust", seed={"help": "seed of the episode (default: %(default)s)"}
+    )
+    result.add_argument(
+        "--picture",
+        type=Path,
+        metavar="FILE",
+        default=Path("out/episode.png"),
+        help="plot of tip error and torques (default: %(default)s)",
+    )
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -22,18 +30,19 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_gym.evaluation.metrics import task_metrics
 
     named = Configuration.find(options.env) if options.env else None
-    player = load_agent(options.entrant, options.trust, named)
-    environment = common_environment([player], named)
-    (record,) = rollout(player, environment, [options.seed]).records
+    agent = load_agent(options.agent, options.trust, named)
+    environment = common_environment([agent], named)
+    (record,) = rollout(agent, environment, [options.seed]).records
     seconds = record.period * len(record.actions)
     print(
-        f"{options.entrant} on {environment.id}, seed {options.seed}: {record.failure or f'played for {seconds:g} s'}"
+        f"{options.agent} on {environment.id}, seed {options.seed}: "
+        f"{record.failure or f'{seconds:g} s without failure'}"
     )
     for figure in task_metrics(environment.task):
         print(f"  {figure.head:<14}{figure.scale * figure.of(record):.3g}")
     if find_spec("matplotlib"):
-        draw_episodes({options.entrant: record}, options.picture)
-        print(f"{options.picture} shows the distance of the tip from its target, and the torques.")
+        draw_episodes({options.agent: record}, options.picture)
+        print(f"{options.picture} shows the tip error and the torques.")
     return 0
 
 

@@ -8,8 +8,10 @@ from flexman_gym.commands import CommandLine, add_options, load_agent
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    add_options(result, "entrant", "--episodes", "--seed", "--env", "--set", "--trust", entrant={"nargs": "+"})
-    result.add_argument("--save", type=Path, metavar="FOLDER", help="keep each episode there, a file of arrays each")
+    add_options(result, "agent", "--episodes", "--seed", "--env", "--set", "--trust", agent={"nargs": "+"})
+    result.add_argument(
+        "--save", type=Path, metavar="FOLDER", help="save each episode in this folder, as a file of arrays"
+    )
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -21,14 +23,14 @@ def _run(options: argparse.Namespace) -> int:
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
     named = Configuration.find(options.env) if options.env else None
-    entrants = {name: load_agent(name, options.trust, named) for name in options.entrant}
-    environment = change_environment(common_environment(list(entrants.values()), named), options.set)
+    agents = {name: load_agent(name, options.trust, named) for name in options.agent}
+    environment = change_environment(common_environment(list(agents.values()), named), options.set)
     seeds = range(options.seed, options.seed + options.episodes)
-    results = {name: rollout(each, environment, seeds) for name, each in entrants.items()}
+    results = {name: rollout(each, environment, seeds) for name, each in agents.items()}
     print(metrics_table({name: each.records for name, each in results.items()}, environment))
     if options.save is not None:
         files = [path for each in results.values() for path in each.save(options.save)]
-        print(f"{len(files)} episodes are in {options.save}; see some: flexman replay {files[0]} --out page.html")
+        print(f"{len(files)} episodes are in {options.save}; to watch: flexman replay {files[0]} --out page.html")
     return 0
 
 

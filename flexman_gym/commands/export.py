@@ -1,4 +1,4 @@
-"""Export a policy as data or ONNX, an arm for MuJoCo."""
+"""Export a policy as data or ONNX, or an arm for MuJoCo."""
 
 import argparse
 from collections.abc import Callable
@@ -9,9 +9,9 @@ from flexman_gym.commands import CommandLine
 
 
 class _Target(NamedTuple):
-    """Export target: its help text, a function that adds its arguments, and one that exports and returns a message."""
+    """Export target: description, function that adds its arguments, function that exports and returns a message."""
 
-    words: str
+    description: str
     arguments: Callable[[argparse.ArgumentParser], None]
     run: Callable[[argparse.Namespace], str]
 
@@ -20,7 +20,7 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the arguments of each target."""
     chosen = result.add_subparsers(dest="target", required=True, metavar="target")
     for name, target in TARGETS.items():
-        target.arguments(chosen.add_parser(name, help=target.words, description=target.words))
+        target.arguments(chosen.add_parser(name, help=target.description.rstrip("."), description=target.description))
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -31,42 +31,50 @@ def _run(options: argparse.Namespace) -> int:
 
 def _policy_arguments(result: argparse.ArgumentParser) -> None:
     result.add_argument("run", type=Path, help="folder of a training run")
-    result.add_argument("folder", type=Path, help="a new one, or a name: the policy is then one of the package")
-    result.add_argument("--words", required=True, help="one sentence that says what it is")
-    result.add_argument("--recipe", default="", help="name of the recipe")
-    result.add_argument("--env", default="", help="for which it is, where that is not the one of the training")
-    result.add_argument("--licence", default="MIT")
+    result.add_argument("folder", type=Path, help="new folder, or a name, for a policy of the package")
+    result.add_argument("--description", required=True, metavar="TEXT", help="description of the policy, one sentence")
+    result.add_argument("--recipe", default="", help="name of the recipe of the run")
+    result.add_argument("--env", default="", help="environment for which it is meant (default: that of the training)")
+    result.add_argument("--licence", default="MIT", help="licence of the policy (default: %(default)s)")
 
 
 def _policy(options: argparse.Namespace) -> str:
     from flexman_gym.evaluation.export import export_policy, shipped_policy_folder
 
     folder = options.folder if len(options.folder.parts) > 1 else shipped_policy_folder(str(options.folder))
-    figures = export_policy(options.run, folder, options.words, options.recipe, options.env, options.licence)
-    reached = ", ".join(f"{name} {figures[name]:.3g}" for name in ("settled", "settling_time", "vibration"))
-    return f"{folder} holds the policy: {reached}"
+    metrics = export_policy(options.run, folder, options.description, options.recipe, options.env, options.licence)
+    text = ", ".join(f"{name} {metrics[name]:.3g}" for name in ("settled", "settling_time", "vibration"))
+    return f"{folder} holds the policy: {text}"
 
 
 def _onnx_arguments(result: argparse.ArgumentParser) -> None:
-    result.add_argument("entrant", help="name of a policy, or folder of a policy or a run")
-    result.add_argument("path", type=Path, help="of the file")
+    result.add_argument("agent", help="name of a policy, or folder of a policy or a run")
+    result.add_argument("path", type=Path, help="file to write")
 
 
 def _onnx(options: argparse.Namespace) -> str:
     from flexman_gym.evaluation.export import write_onnx
 
-    apart = write_onnx(options.entrant, options.path)
-    return f"{options.path}: actions within {apart:.1g} of those of {options.entrant}"
+    difference = write_onnx(options.agent, options.path)
+    return f"{options.path}: actions within {difference:.1g} of those of {options.agent}"
 
 
 def _mujoco_arguments(result: argparse.ArgumentParser) -> None:
     from flexman_gym.envs.config.named_environments import DEFAULT_ID
     from flexman_gym.model.mjcf import PIECES
 
-    result.add_argument("arm", nargs="?", default=DEFAULT_ID, help="an id, an id and a condition, a name in the "
-                        "catalog, or a file of an environment, an arm or a scene")  # fmt: skip
-    result.add_argument("--pieces", type=int, default=PIECES, help="of each section of a link")
-    result.add_argument("--out", type=Path, default=Path("arm.xml"))
+    result.add_argument("arm", nargs="?", default=DEFAULT_ID, help="environment, named arm, or file of an "
+                        "environment, an arm or a scene (default: %(default)s)")  # fmt: skip
+    result.add_argument(
+        "--pieces",
+        type=int,
+        metavar="N",
+        default=PIECES,
+        help="rigid bodies per section of a link (default: %(default)s)",
+    )
+    result.add_argument(
+        "--out", type=Path, metavar="FILE", default=Path("arm.xml"), help="file to write (default: %(default)s)"
+    )
 
 
 def _mujoco(options: argparse.Namespace) -> str:
@@ -85,9 +93,9 @@ def _mujoco(options: argparse.Namespace) -> str:
 
 
 TARGETS = {
-    "policy": _Target("a policy as arrays and JSON, which NumPy alone runs", _policy_arguments, _policy),
-    "mujoco": _Target("an arm as MJCF, every link rigid pieces between springs", _mujoco_arguments, _mujoco),
-    "onnx": _Target("a policy as ONNX, with its normalisation inside", _onnx_arguments, _onnx),
+    "policy": _Target("Export a policy as arrays and JSON, to be run with NumPy only.", _policy_arguments, _policy),
+    "mujoco": _Target("Export an arm as MJCF, each link as rigid bodies with springs.", _mujoco_arguments, _mujoco),
+    "onnx": _Target("Export a policy as ONNX, including its normalisation.", _onnx_arguments, _onnx),
 }
 
 

@@ -1,4 +1,4 @@
-"""Imitate a controller with a network, from what sensors read."""
+"""Train a policy to imitate a controller (DAgger)."""
 
 import argparse
 
@@ -7,22 +7,16 @@ import yaml
 from flexman_gym.commands import CommandLine, train
 from flexman_gym.common.checks import value_error
 
-TRAIN_ONLY_OPTIONS = (
-    "algo",
-    "engine",
-    "runners",
-    "device",
-    "eval_every",
-    "checkpoint_every",
-)  # that only a training has
+# options of flexman train without use here
+TRAIN_ONLY_OPTIONS = ("algo", "engine", "runners", "device", "eval_every", "checkpoint_every")
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.control.base_controllers import BASES
 
-    known = ", ".join(BASES)
-    result.add_argument("teacher", type=yaml.safe_load, help=f"one of {known}, or a mapping with one at kind")
+    names = ", ".join(BASES)
+    result.add_argument("teacher", type=yaml.safe_load, help=f"controller to imitate: {names}, or a mapping with kind")
     train.COMMAND.arguments(result)
     for action in result._actions:
         if action.dest in TRAIN_ONLY_OPTIONS:
@@ -32,7 +26,7 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Train the student; return the exit status."""
     if options.algo not in (None, "dagger") or options.engine != "sb3":
-        raise value_error("algo", options.algo or options.engine, "nothing: a controller is imitated by DAgger")
+        raise value_error("algo", options.algo or options.engine, "no algorithm: imitation uses DAgger")
     options.algo = "dagger"
     return train.COMMAND.run(options)
 

@@ -1,4 +1,7 @@
-"""Run the league: all agents in the same episodes."""
+"""Compare agents over many scenarios in a league table.
+
+All agents run the same episodes. Rows, page and charts are written to a folder; rows that it has are not run again.
+"""
 
 import argparse
 from pathlib import Path
@@ -10,7 +13,7 @@ if TYPE_CHECKING:
     from flexman_gym.league.rows import LeagueRows
 
 DEFAULT_FOLDER = Path("out/league")
-PHYSICAL_EPISODES = 10  # episodes
+PHYSICAL_EPISODES = 10  # episodes per scenario with --physical
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
@@ -20,30 +23,32 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     from flexman_gym.evaluation.rollout import TEST_SEEDS
     from flexman_gym.league.scenarios import SWEEPS
 
-    result.add_argument("--agents", nargs="+", help=f"folders of runs, or {', '.join(AGENTS)}; without it these")
+    result.add_argument(
+        "--agents", nargs="+", metavar="AGENT", help=f"folders of runs, or {', '.join(AGENTS)} (default: all of these)"
+    )
     result.add_argument(
         "--scenarios", nargs="+",
-        help="ids, ids and conditions, files, or these with a change, such as FlexRRR-v0/delay=3+given; without "
-        "it the usual ones",
+        metavar="SCENARIO", help="environments with a condition or a change, such as FlexRRR-v0/delay=3+given "
+        "(default: the usual ones)",
     )  # fmt: skip
+    result.add_argument("--agent", metavar="POLICY", help="write the certificate of a policy, as flexman certify")
     result.add_argument(
-        "--agent", metavar="POLICY", help="an exported policy alone: its certificate, see flexman certify"
+        "--sweep", nargs="+", default=[], metavar="NAME", help=f"run sweeps of {', '.join(SWEEPS)} instead"
     )
-    result.add_argument("--sweep", nargs="+", default=[], metavar="NAME", help=f"of {', '.join(SWEEPS)}, instead")
     result.add_argument(
-        "--physical", action="store_true", help="other plants instead, see the page; 10 episodes where none are named"
+        "--physical", action="store_true", help="run plants with other physics instead (default: 10 episodes)"
     )
-    result.add_argument("--episodes", type=int, help=f"without it {len(TEST_SEEDS)}, or as many as there are")
-    result.add_argument("--seed", type=int, default=TEST_SEEDS.start, help="of the first episode; the next follow")
+    result.add_argument("--episodes", type=int, metavar="N", help=f"episodes per scenario (default: {len(TEST_SEEDS)})")
+    result.add_argument(
+        "--seed", type=int, metavar="N", default=TEST_SEEDS.start, help="seed of the first episode, the others follow"
+    )
     Workers.arguments(result)
-    result.add_argument(
-        "--folder", type=Path, help=f"of rows, page and charts, without it {DEFAULT_FOLDER}; its rows are kept"
-    )
-    result.add_argument("--add", nargs="+", metavar="RUN", help="run these alone, in the scenarios of the folder")
+    result.add_argument("--folder", type=Path, help=f"folder of rows, page and charts (default: {DEFAULT_FOLDER})")
+    result.add_argument("--add", nargs="+", metavar="AGENT", help="run these agents in the scenarios of the folder")
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Run what the folder does not have yet; return the exit code."""
+    """Run the episodes that the folder does not have yet; return the exit status."""
     from flexman_gym.common.markdown import markdown_table
     from flexman_gym.common.parallel import Workers
     from flexman_gym.evaluation.agent import AGENTS
@@ -52,10 +57,10 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_gym.league.standings import Standings
 
     workers = Workers.of(options)
-    for name, least in (("episodes", 1), ("seed", 0)):
+    for name, minimum in (("episodes", 1), ("seed", 0)):
         given = getattr(options, name)
-        if given is not None and given < least:
-            options.parser.error(f"--{name}: {given} is not allowed; give a whole number >= {least}")
+        if given is not None and given < minimum:
+            options.parser.error(f"--{name}: {given} is not allowed; give a whole number >= {minimum}")
     if options.agent:
         return certify.print_certificate(options.agent, jobs=workers)
     agents, folder = options.add or options.agents or AGENTS, options.folder or DEFAULT_FOLDER
@@ -71,7 +76,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _scenarios(options: argparse.Namespace, results: "LeagueRows") -> dict[int, list[str]]:
-    """Return numbers of episodes, and the scenarios that have this number."""
+    """Return number of episodes -> scenarios with this number."""
     from flexman_gym.envs.config.named_environments import DEFAULT_ID
     from flexman_gym.evaluation.rollout import TEST_SEEDS
     from flexman_gym.league.scenarios import USUAL_SCENARIOS, plant_scenarios, sweep_scenarios

@@ -1,4 +1,4 @@
-"""List what has a name: environments, policies, recipes and more."""
+"""List environments, agents, sensors, methods, arms and recipes."""
 
 import argparse
 import ast
@@ -13,16 +13,16 @@ PACKAGE_FOLDER = Path(__file__).parents[1]
 EXAMPLE_FOLDERS = (
     PACKAGE_FOLDER / "examples",
     PACKAGE_FOLDER.parent / "docs" / "examples",
-)  # of a wheel, and of a checkout
+)  # in a wheel, in a checkout
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    result.add_argument("what", nargs="*", help=f"some of {', '.join(KINDS)}; all of them without it")
+    result.add_argument("what", nargs="*", metavar="kind", help=f"{', '.join(KINDS)} (default: all)")
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Print names with a few words for each; return 0."""
+    """Print the names of each kind with a short description; return 0."""
     for what in options.what:
         if what not in KINDS:
             options.parser.error(f"what: {what} is not allowed; give some of {', '.join(KINDS)}")
@@ -30,13 +30,13 @@ def _run(options: argparse.Namespace) -> int:
         entries = dict(_entries(what))
         print(f"{what}:")
         width = max(map(len, entries), default=0)
-        for name, words in entries.items():
-            print(f"  {name:<{width}}  {words}".rstrip())
+        for name, description in entries.items():
+            print(f"  {name:<{width}}  {description}".rstrip())
     return 0
 
 
 def _entries(what: str) -> Iterable[tuple[str, str]]:
-    """Yield the names of a kind, each with a few words."""
+    """Yield each name of a kind with a short description."""
     from flexman_gym.control.base_controllers import BASES
     from flexman_gym.envs.config.named_environments import CONDITION_FOLDER, CONDITIONS, NAMED_ENVIRONMENTS
     from flexman_gym.envs.sensors import SENSOR_SETS, SENSORS
@@ -48,10 +48,13 @@ def _entries(what: str) -> Iterable[tuple[str, str]]:
         for id, each in NAMED_ENVIRONMENTS.items():
             yield id, f"{type(each.task).__name__.lower()}, {each.control_period:g} s a period, {each.horizon:g} s"
     elif what == "conditions":
-        words = {path.stem: _first_sentence(path) for path in sorted(CONDITION_FOLDER.glob("*/*.yaml"))}
-        yield from ((name, words.get(name, "Nothing is changed.")) for name in CONDITIONS)
+        descriptions = {path.stem: _first_sentence(path) for path in sorted(CONDITION_FOLDER.glob("*/*.yaml"))}
+        yield from ((name, descriptions.get(name, "No change.")) for name in CONDITIONS)
     elif what == "controllers":
-        yield from ((name, f"knows {', '.join(base.information) or 'its motors'}") for name, base in BASES.items())
+        yield from (
+            (name, f"information: {', '.join(base.information) or 'motor angles and rates'}")
+            for name, base in BASES.items()
+        )
     elif what == "policies":
         from flexman_gym.evaluation.policy_files import POLICIES, describe_policy
 
@@ -60,7 +63,7 @@ def _entries(what: str) -> Iterable[tuple[str, str]]:
         parts: Mapping[str, object] = {name: "" for name in SENSORS} | {
             name: " + ".join(SENSOR_SETS[name]) for name in SENSOR_SETS
         }
-        yield from ((name, str(words)) for name, words in parts.items())
+        yield from ((name, str(content)) for name, content in parts.items())
     elif what == "methods":
         yield from ((name, f"{method.kind}, order {method.order}") for name, method in METHODS.items())
     elif what == "arms":

@@ -1,4 +1,4 @@
-"""Print the error of the tip over computing time, method by method, for a scene of your own."""
+"""Compare methods on a scene: error of the tip and computing time."""
 
 import argparse
 
@@ -14,8 +14,16 @@ REFERENCE_METHOD, REFERENCE_RTOL = "dop853", 1e-9
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     add_options(result, "scene")
-    result.add_argument("--method", nargs="+", help="names that `flexman list methods` has")
-    result.add_argument("--step", type=float, default=0.02, help=f"s, the longest; it is halved {HALVINGS} times")
+    result.add_argument(
+        "--method", nargs="+", metavar="METHOD", help="methods, see flexman list methods (default: a selection)"
+    )
+    result.add_argument(
+        "--step",
+        type=float,
+        default=0.02,
+        metavar="S",
+        help=f"longest step, s; it is halved {HALVINGS} times (default: %(default)s)",
+    )
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -26,16 +34,16 @@ def _run(options: argparse.Namespace) -> int:
 
     names = options.method or [name for name in DEFAULT_METHODS if name in KNOWN]
     scene = Scene.load(options.scene)
-    truth = simulate(scene, method=REFERENCE_METHOD, rtol=REFERENCE_RTOL)
-    print(f"{REFERENCE_METHOD}, rtol {REFERENCE_RTOL:g}: {truth.status}, {truth.wall_seconds:.3g} s")
+    reference = simulate(scene, method=REFERENCE_METHOD, rtol=REFERENCE_RTOL)
+    print(f"{REFERENCE_METHOD}, rtol {REFERENCE_RTOL:g}: {reference.status}, {reference.wall_seconds:.3g} s")
     print(f"{'method':<22}{'step, ms':>10}{'status':>16}{'error, m':>12}{'evaluations':>13}{'time, s':>10}")
     for name in names:
         for step in options.step / 2.0 ** np.arange(HALVINGS + 1):
             result = simulate(scene, method=name, step=float(step))
-            rows = min(len(result.tip), len(truth.tip))
-            error = np.linalg.norm(result.tip[:rows] - truth.tip[:rows], axis=1).max()
-            words = f"{error:.3g}" if result.status == "ok" else "-"
-            line = f"{name:<22}{1e3 * step:>10.4g}{result.status:>16}{words:>12}{result.evaluations:>13}"
+            rows = min(len(result.tip), len(reference.tip))
+            error = np.linalg.norm(result.tip[:rows] - reference.tip[:rows], axis=1).max()
+            shown_error = f"{error:.3g}" if result.status == "ok" else "-"
+            line = f"{name:<22}{1e3 * step:>10.4g}{result.status:>16}{shown_error:>12}{result.evaluations:>13}"
             print(f"{line}{result.wall_seconds:>10.3g}", flush=True)
     return 0
 

@@ -1,4 +1,4 @@
-"""Record episodes as Minari datasets, for offline learning."""
+"""Record episodes as Minari datasets for offline learning."""
 
 import argparse
 from pathlib import Path
@@ -10,12 +10,19 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.common.parallel import Workers
 
-    result.add_argument("entrants", nargs="+", help="as of flexman evaluate; a dataset each")
-    env = {"default": "FlexRRR-v0", "help": "an id, an id and a condition, or the path of a file"}
+    result.add_argument("agents", metavar="agent", nargs="+", help="agents as in flexman evaluate; one dataset each")
+    env = {
+        "default": "FlexRRR-v0",
+        "help": "environment: an id, an id with a condition, or a file (default: %(default)s)",
+    }
     shared = "--env", "--set", "--episodes", "--seed"
     add_options(result, *shared, env=env, episodes={"default": 100}, seed={"default": 0})
-    result.add_argument("--name", default="flexman", help="of the datasets, before /ENTRANT-v0")
-    result.add_argument("--form", choices=("hdf5", "arrow"), default="hdf5", help="of the files")
+    result.add_argument(
+        "--name", default="flexman", help="first part of the names NAME/AGENT-v0 (default: %(default)s)"
+    )
+    result.add_argument(
+        "--form", choices=("hdf5", "arrow"), default="hdf5", help="format of the files (default: %(default)s)"
+    )
     Workers.arguments(result)
 
 
@@ -29,9 +36,9 @@ def _run(options: argparse.Namespace) -> int:
     environment = Configuration.find(options.env).changed(options.set)
     first = whole_number("--seed", options.seed, 0, 10**9)
     seeds = range(first, first + whole_number("--episodes", options.episodes, 1, 10**6))
-    for entrant in options.entrants:
-        name = f"{options.name}/{Path(entrant).name}-v0"
-        data = record_dataset(entrant, environment, seeds, name, options.form, Workers.of(options))
+    for agent in options.agents:
+        name = f"{options.name}/{Path(agent).name}-v0"
+        data = record_dataset(agent, environment, seeds, name, options.form, Workers.of(options))
         size = sum(path.stat().st_size for path in Path(data.storage.data_path).rglob("*") if path.is_file())
         print(f"{name}: {data.total_episodes} episodes, {data.total_steps} steps, {size / 1e6:.1f} MB", flush=True)
     return 0

@@ -1,4 +1,8 @@
-"""Tell how an arm rings over postures and payloads, and what input shapers leave of it."""
+"""Compute the vibrations of an arm and compare input shapers.
+
+Frequencies and damping ratios over postures and payloads, the residual vibration behind each input shaper, and a
+recommendation.
+"""
 
 import argparse
 import csv
@@ -14,11 +18,9 @@ if TYPE_CHECKING:
     from flexman_gym.control.input_shaping.shapers import OperatingPoint, ShaperEvaluation
     from flexman_gym.model.model import Model
 
-DEFAULT_POSTURES, MAX_ANGLE = (
-    8,
-    1.2,
-)  # how many are looked at; rad, up to which they are drawn for an arm without a task
-MAX_FREQUENCY = 25.0  # Hz, of the vibrations that the model of an arm without an environment has to show
+DEFAULT_POSTURES = 8  # number of postures
+MAX_ANGLE = 1.2  # rad; largest joint angle of random postures, for an arm without a task
+MAX_FREQUENCY = 25.0  # Hz; highest frequency in the model of an arm without an environment
 MOTOR_STATES = ("held", "free")
 
 
@@ -26,16 +28,24 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.scene.serialization import ARMS
 
-    where = (
-        f"an environment as `flexman evaluate` takes it, an arm ({', '.join(ARMS)}), or a file with an arm or a scene"
-    )
-    result.add_argument("arm", help=where)
-    ends = ("LOW", "HIGH")
-    result.add_argument("--payload", type=float, nargs=2, metavar=ends, help="kg; else what the environment draws")
     result.add_argument(
-        "--postures", type=int, default=DEFAULT_POSTURES, help="goals of an environment's first episodes"
+        "arm", help=f"environment as in flexman evaluate, arm ({', '.join(ARMS)}), or file of an arm or a scene"
     )
-    result.add_argument("--csv", type=Path, metavar="FILE", help="a table of all modes and what is left of them")
+    result.add_argument(
+        "--payload",
+        type=float,
+        nargs=2,
+        metavar=("LOW", "HIGH"),
+        help="range of the payload, kg (default: that of the environment)",
+    )
+    result.add_argument(
+        "--postures",
+        type=int,
+        metavar="N",
+        default=DEFAULT_POSTURES,
+        help="number of postures, the goals of the first episodes (default: %(default)s)",
+    )
+    result.add_argument("--csv", type=Path, metavar="FILE", help="table of all modes and their residual vibrations")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -50,12 +60,12 @@ def _run(options: argparse.Namespace) -> int:
     cases = find_operating_points(model, postures, payloads)
     print(f"{options.arm}: {len(postures)} postures, payloads of {', '.join(f'{mass:g}' for mass in payloads)} kg")
     if not all(len(case.held) for case in cases):
-        print("recommendation: none, for nothing bends that the motors move")
+        print("recommendation: none, as the motors excite no vibration")
         return 0
-    answers = evaluate_shapers(cases)
-    print("\n".join([*_mode_lines(cases), "", *_shaper_lines(answers), "", _recommendation(cases, answers)]))
+    evaluations = evaluate_shapers(cases)
+    print("\n".join([*_mode_lines(cases), "", *_shaper_lines(evaluations), "", _recommendation(cases, evaluations)]))
     if options.csv:
-        _write_table(options.csv, cases, answers)
+        _write_table(options.csv, cases, evaluations)
     return 0
 
 
@@ -97,7 +107,7 @@ def _environment_model(environment: object, count: int) -> "tuple[Model, np.ndar
 
 def _mode_lines(cases: "Sequence[OperatingPoint]") -> list[str]:
     """Return a line for each mode: its frequencies and damping ratios over all cases."""
-    result = [f"{'mode':<18}{'Hz, least':>12}{'median':>10}{'most':>10}{'damping ratio':>22}{'tip, m/rad':>12}"]
+    result = [f"{'mode':<18}{'Hz, lowest':>12}{'median':>10}{'highest':>10}{'damping ratio':>22}{'tip, m/rad':>12}"]
     for motors in MOTOR_STATES:
         found = [getattr(case, motors) for case in cases]
         for number in range(min(map(len, found))):
@@ -109,65 +119,67 @@ def _mode_lines(cases: "Sequence[OperatingPoint]") -> list[str]:
     return result
 
 
-def _shaper_lines(answers: "Sequence[ShaperEvaluation]") -> list[str]:
+def _shaper_lines(evaluations: "Sequence[ShaperEvaluation]") -> list[str]:
     """Return a line for each shaper: delay, tolerated frequency error, residual vibration (median and worst case)."""
     from flexman_gym.control.input_shaping.shapers import TOLERATED_RESIDUAL
 
-    count = answers[0].left.shape[1]
+    count = evaluations[0].left.shape[1]
     heads = "".join(f"{f'mode {number + 1}, %':>16}" for number in range(count))
     result = [
-        f"{'shaper, of modes':<20}{'delay, s':>10}{f'bears for {TOLERATED_RESIDUAL:g} %':>20}{'tip, %':>16}{heads}"
+        f"{'shaper, of modes':<20}{'delay, s':>10}{f'error at {TOLERATED_RESIDUAL:g} %':>20}{'tip, %':>16}{heads}"
     ]
-    for each in answers:
+    for each in evaluations:
         errors = f"{each.borne[0]:+.0%} to {each.borne[1]:+.0%}"
         columns = [each.tip, *each.left.T]
         cells = "".join(f"{f'{np.median(left):.1f} / {left.max():.1f}':>16}" for left in columns)
         result.append(f"{_shaper_name(each):<20}{each.delay:>10.3g}{errors:>20}{cells}")
-    return [*result, "left: median / worst case, in percent of what one step of the motors causes"]
+    return [
+        *result,
+        f"error: change of the frequency with a residual vibration of {TOLERATED_RESIDUAL:g} %",
+        "tip and modes: residual vibration, median / worst case, in percent of that after an unshaped step",
+    ]
 
 
-def _shaper_name(answer: "ShaperEvaluation") -> str:
+def _shaper_name(shaper: "ShaperEvaluation") -> str:
     """Return the name of a shaper with its modes."""
-    return f"{answer.name}, 1" if answer.modes == 1 else f"{answer.name}, 1 + 2"
+    return f"{shaper.name}, 1" if shaper.modes == 1 else f"{shaper.name}, 1 + 2"
 
 
-def _recommendation(cases: "Sequence[OperatingPoint]", answers: "Sequence[ShaperEvaluation]") -> str:
+def _recommendation(cases: "Sequence[OperatingPoint]", evaluations: "Sequence[ShaperEvaluation]") -> str:
     """Return the recommendation with its reason."""
     from flexman_gym.control.input_shaping.shapers import TIP_VIBRATION_LIMIT, median_operating_point, recommend_shaper
 
-    best = recommend_shaper(answers)
+    best = recommend_shaper(evaluations)
     if best is not None:
         return (
-            f"recommendation: {_shaper_name(best)}, designed for the middle case. It leaves {best.tip.max():.1f} % of "
-            f"the "
-            f"tip's vibration at worst. Of all that leave at most {TIP_VIBRATION_LIMIT:g} % it delays least, by "
-            f"{best.delay:.3g} s."
+            f"recommendation: {_shaper_name(best)}, designed for the median case. In the worst case it leaves "
+            f"{best.tip.max():.1f} % of the vibration of the tip. Its delay of {best.delay:.3g} s is the shortest of "
+            f"all shapers that leave at most {TIP_VIBRATION_LIMIT:g} %."
         )
-    least = min(answers, key=lambda answer: float(answer.tip.max()))
-    row = int(least.tip.argmax())
-    number = int((least.left[row] * cases[row].held[: least.left.shape[1], 2]).argmax())
-    here, there = (float(case.held[number, 0]) for case in (median_operating_point(cases), cases[row]))
+    best = min(evaluations, key=lambda each: float(each.tip.max()))
+    row = int(best.tip.argmax())
+    number = int((best.left[row] * cases[row].held[: best.left.shape[1], 2]).argmax())
+    median, worst = (float(case.held[number, 0]) for case in (median_operating_point(cases), cases[row]))
     return (
-        f"recommendation: none. The best, {_shaper_name(least)}, leaves {least.tip.max():.1f} % of the tip's "
-        f"vibration at "
-        f"worst, and {TIP_VIBRATION_LIMIT:g} % is the most that is wanted. There mode {number + 1} is at {there:.3g} "
-        f"Hz, in the "
-        f"middle case at {here:.3g} Hz. Shape for the posture and payload of each slew, or damp by feedback."
+        f"recommendation: none. The best shaper, {_shaper_name(best)}, leaves {best.tip.max():.1f} % of the vibration "
+        f"of the tip in the worst case, more than {TIP_VIBRATION_LIMIT:g} %: there mode {number + 1} is at "
+        f"{worst:.3g} Hz, in the median case at {median:.3g} Hz. Design the shaper for the posture and payload of each "
+        f"slew, or damp the vibration by feedback."
     )
 
 
-def _write_table(path: Path, cases: "Sequence[OperatingPoint]", answers: "Sequence[ShaperEvaluation]") -> None:
+def _write_table(path: Path, cases: "Sequence[OperatingPoint]", evaluations: "Sequence[ShaperEvaluation]") -> None:
     """Write a row for each mode of each case; residual vibrations are those with held motors."""
     heads = [f"motor_angle_{i + 1}" for i in range(len(cases[0].posture))]
-    heads += ["payload", "motors", "mode", "frequency", "damping_ratio", *map(_shaper_name, answers)]
+    heads += ["payload", "motors", "mode", "frequency", "damping_ratio", *map(_shaper_name, evaluations)]
     with path.open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
         table.writerow(heads)
         for row, case in enumerate(cases):
             for motors in MOTOR_STATES:
                 for number, (frequency, ratio, _) in enumerate(getattr(case, motors).tolist()):
-                    known = motors == "held" and number < answers[0].left.shape[1]
-                    left = [f"{each.left[row, number]:.6g}" if known else "" for each in answers]
+                    known = motors == "held" and number < evaluations[0].left.shape[1]
+                    left = [f"{each.left[row, number]:.6g}" if known else "" for each in evaluations]
                     place = [f"{angle:.6g}" for angle in case.posture]
                     cells = [
                         *place,

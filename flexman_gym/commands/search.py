@@ -1,4 +1,4 @@
-"""Search for better settings of a recipe, with Optuna."""
+"""Search for better hyperparameters of a recipe with Optuna."""
 
 import argparse
 from pathlib import Path
@@ -10,11 +10,26 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.common.parallel import Workers
 
-    result.add_argument("recipe", help="a file of settings, or the name of a recipe")
-    result.add_argument("--over", type=Path, required=True, metavar="FILE", help="settings, each with what it may be")
-    result.add_argument("--trials", type=int, default=20, help="in all, those of a search that goes on included")
-    result.add_argument("--seed", type=int, default=0, help="of the search; the runs keep the recipe's")
-    result.add_argument("--folder", type=Path, default=Path("runs/search"), help="of trials; what it has is kept")
+    result.add_argument("recipe", help="name of a recipe (flexman list recipes), or file of settings")
+    result.add_argument(
+        "--over", type=Path, required=True, metavar="FILE", help="settings and their ranges (YAML or JSON)"
+    )
+    result.add_argument(
+        "--trials",
+        type=int,
+        metavar="N",
+        default=20,
+        help="number of trials, earlier ones of the folder included (default: 20)",
+    )
+    result.add_argument(
+        "--seed", type=int, metavar="N", default=0, help="seed of the search; runs use the seed of the recipe"
+    )
+    result.add_argument(
+        "--folder",
+        type=Path,
+        default=Path("runs/search"),
+        help="folder of the trials; a search in it is resumed (default: %(default)s)",
+    )
     Workers.arguments(result)
 
 
@@ -31,7 +46,7 @@ def _run(options: argparse.Namespace) -> int:
         raise value_error("over", str(options.over), "a file with a mapping of settings")
     options_of_search = options.folder, options.trials, Workers.of(options), options.seed
     path = search(find_recipe(options.recipe), over, *options_of_search)
-    print(f"The best is in {path}; train it with other seeds: flexman train {path} --seeds 5")
+    print(f"The best settings are in {path}; to train them with several seeds: flexman train {path} --seeds 5")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Simulate a scene file, and keep its motion as a table."""
+"""Simulate a scene file and write its motion to a table."""
 
 import argparse
 from pathlib import Path
@@ -11,14 +11,23 @@ from flexman_gym.commands import CommandLine, add_options
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     add_options(result, "scene")
-    result.add_argument("--method", default="auto", help="a name that `flexman list methods` has")
-    result.add_argument("--step", type=float, help="s, of a method with fixed steps")
-    result.add_argument("--rtol", type=float, default=1e-6, help="of a method that chooses its steps")
-    result.add_argument("--out", type=Path, help="CSV file: time, tip, angles and energy; .npz: an episode")
+    result.add_argument(
+        "--method", default="auto", help="integration method, see flexman list methods (default: %(default)s)"
+    )
+    result.add_argument("--step", type=float, metavar="S", help="step, s, for a method with fixed steps")
+    result.add_argument(
+        "--rtol", type=float, default=1e-6, help="relative tolerance, for an adaptive method (default: %(default)s)"
+    )
+    result.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help=".csv: table of time, tip, angles and energy; .npz: episode for flexman replay",
+    )
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Simulate; return 0, or 1 if the simulation stops before its end."""
+    """Simulate and print a summary; return 0, or 1 if the simulation fails before its end."""
     from flexman_gym.scene.scene import Scene
     from flexman_gym.simulation.episode import Episode
     from flexman_gym.simulation.scene_simulation import simulate
@@ -35,7 +44,7 @@ def _run(options: argparse.Namespace) -> int:
     last = ", ".join(f"{each:.6g}" for each in result.tip[-1])
     print(f"status: {result.status}, to {result.time[-1]:g} s in {result.wall_seconds:.3g} s")
     print(f"evaluations: {result.evaluations}")
-    print(f"energy: {result.energy[-1]:.6g} J, off by at most {np.abs(result.energy_residual).max():.2g} J")
+    print(f"energy: {result.energy[-1]:.6g} J, largest residual {np.abs(result.energy_residual).max():.2g} J")
     print(f"tip at the end: {last} m")
     return int(result.status != "ok")
 

@@ -1,4 +1,4 @@
-"""Train PPO or SAC on a flexible arm; the run is kept in a folder."""
+"""Train a policy with PPO, SAC or DAgger."""
 
 import argparse
 import sys
@@ -13,8 +13,8 @@ from flexman_gym.common.checks import value_error
 if TYPE_CHECKING:
     from flexman_agents.settings import Settings
 
-AGENT_SETTINGS = ("base", "action_repeat", "sensors")  # settings of an environment without which a recipe learns little
-EXIT_INTERRUPTED = 130  # what a shell says of a process that Ctrl-C has ended
+AGENT_SETTINGS = ("base", "action_repeat", "sensors")  # settings of the agent, on which a recipe relies
+EXIT_INTERRUPTED = 130  # exit status of a process ended by Ctrl-C, as in a shell
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
@@ -22,23 +22,35 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     from flexman_agents.settings import ALGORITHMS
     from flexman_gym.common.parallel import Workers
 
-    result.add_argument("recipe", nargs="?", help="a file of settings, or a name: flexman list recipes")
-    words = f"{', '.join(ALGORITHMS)}; without it the recipe's, or ppo"
-    result.add_argument("--algo", choices=ALGORITHMS, metavar="NAME", help=words)
-    add_options(result, "--env", "--set", env={"help": "a file, or a name: flexman list environments"})
-    result.add_argument("--steps", type=int, help="actions of all arms together; with --resume more")
-    result.add_argument("--seed", type=int, help="of the first run")
-    result.add_argument("--seeds", type=int, default=1, help="so many runs; killed ones go on")
-    result.add_argument("--envs", type=int, help="arms side by side")
-    result.add_argument("--folder", type=Path, default=Path("runs/latest"))
-    result.add_argument("--resume", action="store_true", help="go on with the run in the folder")
-    result.add_argument("--checkpoint-every", type=int, metavar="N", default=100_000, help="steps; 0: only at the end")
+    result.add_argument("recipe", nargs="?", help="recipe (flexman list recipes) or file of settings")
+    algorithms = f"{', '.join(ALGORITHMS)} (default: that of the recipe, or ppo)"
+    result.add_argument("--algo", choices=ALGORITHMS, metavar="NAME", help=algorithms)
+    add_options(result, "--env", "--set", env={"help": "environment (flexman list environments) or file"})
+    result.add_argument("--steps", type=int, metavar="N", help="actions of all arms together")
+    result.add_argument("--seed", type=int, metavar="N", help="seed of the first run")
+    result.add_argument(
+        "--seeds", type=int, metavar="N", default=1, help="number of runs, one per seed; killed ones are resumed"
+    )
+    result.add_argument("--envs", type=int, metavar="N", help="parallel arms")
+    result.add_argument(
+        "--folder", type=Path, default=Path("runs/latest"), help="folder of the run (default: %(default)s)"
+    )
+    result.add_argument("--resume", action="store_true", help="resume the run in the folder")
+    result.add_argument(
+        "--checkpoint-every",
+        type=int,
+        metavar="N",
+        default=100_000,
+        help="steps between checkpoints; 0: at the end only",
+    )
     result.add_argument("--eval-every", type=int, metavar="N", help="steps between evaluations; 0: none")
-    result.add_argument("--device", default="cpu", help="of the networks, as PyTorch names it")
-    result.add_argument("--engine", choices=("sb3", "rllib"), default="sb3", help="Stable-Baselines3, or RLlib for PPO")
-    result.add_argument("--runners", type=int, default=0, help="processes of RLlib that roll out")
+    result.add_argument("--device", default="cpu", help="device of the networks (default: %(default)s)")
+    result.add_argument(
+        "--engine", choices=("sb3", "rllib"), default="sb3", help="Stable-Baselines3 (default), or RLlib for PPO"
+    )
+    result.add_argument("--runners", type=int, metavar="N", default=0, help="environment processes of RLlib")
     Workers.arguments(result)
-    result.add_argument("--quiet", action="store_true", help="no progress bar")
+    result.add_argument("--quiet", action="store_true", help="show no progress bar")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -57,28 +69,28 @@ def _run(options: argparse.Namespace) -> int:
         else:
             folders = _train_runs(options)
     except Interrupted as stop:
-        print(f"{stop}; go on with: flexman train --resume --folder {options.folder}", file=sys.stderr)
+        print(f"{stop}; to resume: flexman train --resume --folder {options.folder}", file=sys.stderr)
         return EXIT_INTERRUPTED
     except KeyboardInterrupt:
-        print("Interrupted; what was saved before stays.", file=sys.stderr)
+        print("Interrupted; the last checkpoint remains.", file=sys.stderr)
         return EXIT_INTERRUPTED
     for folder in folders:
-        print(f"The run is in {folder}; see it with: flexman evaluate {folder} pd")
+        print(f"The run is in {folder}; to evaluate it: flexman evaluate {folder} pd")
     return 0
 
 
 def _refuse_settings(options: argparse.Namespace) -> None:
-    """Raise ValueError for settings given with --resume, which the run has already."""
+    """Raise ValueError for settings given with --resume, as a run keeps its settings."""
     for name in ("recipe", "algo", "env", "set", "seed", "envs"):
         if getattr(options, name) not in (None, []):
-            raise value_error(name, getattr(options, name), "nothing with --resume: the run keeps its settings")
+            raise value_error(name, getattr(options, name), "no value with --resume: a run keeps its settings")
 
 
 def _warn_of_missing_settings(recipe: Mapping[str, Any], own: Mapping[str, Any], env: str) -> None:
-    """Print the settings of a recipe for the agent that an environment in its place does not have."""
-    lost = [f"{name}: {recipe[name]}" for name in AGENT_SETTINGS if name in recipe and name not in own]
-    if lost:
-        print(f"{env} does not have what the recipe learned with: {', '.join(lost)}", file=sys.stderr)
+    """Warn of settings of the agent in a recipe that the given environment lacks."""
+    missing = [f"{name}: {recipe[name]}" for name in AGENT_SETTINGS if name in recipe and name not in own]
+    if missing:
+        print(f"{env} lacks settings of the recipe: {', '.join(missing)}", file=sys.stderr)
 
 
 def _train_with_rllib(options: argparse.Namespace) -> Path:
@@ -86,8 +98,8 @@ def _train_with_rllib(options: argparse.Namespace) -> Path:
     try:
         from flexman_agents.rllib import train_rllib
     except ImportError as error:
-        said = "training with RLlib needs packages of its own: pip install -r requirements-rllib.txt"
-        raise ImportError(f"{said} ({error})") from None
+        text = "training with RLlib needs more packages: pip install -r requirements-rllib.txt"
+        raise ImportError(f"{text} ({error})") from None
     from flexman_agents.settings import Settings
 
     if options.seeds != 1:
@@ -98,7 +110,7 @@ def _train_with_rllib(options: argparse.Namespace) -> Path:
 
 
 def _training_options(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the options that a new and a resumed run have in common."""
+    """Return the options common to new and resumed runs."""
     return {"checkpoint_every": options.checkpoint_every, "progress": not options.quiet, "device": options.device}
 
 
@@ -129,14 +141,14 @@ def _train_runs(options: argparse.Namespace) -> list[Path]:
     from flexman_gym.common.parallel import Workers, parallel_map
     from flexman_gym.evaluation.rollout import compile_kernels
 
-    settings, how = _make_settings(options), _training_options(options)
+    settings, keywords = _make_settings(options), _training_options(options)
     if options.seeds == 1:
-        train(settings, options.folder, **how)
+        train(settings, options.folder, **keywords)
         return [options.folder]
     workers, seeds = Workers.of(options), range(settings.seed, settings.seed + options.seeds)
     if workers != Workers():
-        how |= {"progress": False}  # bars of several runs would be one tangle
-    cells = [(settings.with_seed(seed), str(options.folder / f"seed-{seed}"), how) for seed in seeds]
+        keywords |= {"progress": False}  # progress bars of parallel runs would overwrite each other
+    cells = [(settings.with_seed(seed), str(options.folder / f"seed-{seed}"), keywords) for seed in seeds]
     return [Path(folder) for folder in parallel_map(train_or_resume, cells, workers, prepare=compile_kernels)]
 
 

@@ -1,4 +1,4 @@
-"""Tune the PD controller of an environment: gains with margins."""
+"""Tune the PD gains of an environment, with stability margins."""
 
 import argparse
 import sys
@@ -10,9 +10,9 @@ def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.common.parallel import Workers
 
-    result.add_argument("env", help="an id, an id and a condition such as FlexRRR-v0/delay, or the path of a file")
-    result.add_argument("--no-margins", action="store_true", help="try gains without a gain and a phase margin, too")
-    result.add_argument("--seed", type=int, default=0, help="of the search")
+    result.add_argument("env", help="environment: an id, an id with a condition such as FlexRRR-v0/delay, or a file")
+    result.add_argument("--no-margins", action="store_true", help="also try gains without gain and phase margins")
+    result.add_argument("--seed", type=int, metavar="N", default=0, help="seed of the search (default: %(default)s)")
     Workers.arguments(result)
 
 
@@ -30,7 +30,7 @@ def _run(options: argparse.Namespace) -> int:
     try:
         result = tune(environment, seed=options.seed, margin=not options.no_margins, workers=Workers.of(options))
     except ValueError as error:
-        print(f"{error}, or try --no-margins", file=sys.stderr)
+        print(f"{error}; or give --no-margins", file=sys.stderr)
         return 2
     for name in ("stiffness", "damping"):
         print(f"{name}: {', '.join(f'{gain:.3g}' for gain in getattr(result, name))}")

@@ -1,4 +1,4 @@
-"""Verify the installation against closed-form solutions."""
+"""Verify the model against closed-form solutions."""
 
 import argparse
 from pathlib import Path
@@ -7,19 +7,19 @@ from time import perf_counter
 from flexman_gym.commands import CommandLine
 
 FULL_TABLE_HINT = (
-    "These are the closed forms. docs/verification.md has the full table, with trajectories of independent codes; "
-    "`make verify` in the repository computes it."
+    "These are the closed-form cases. The full table, with trajectories of independent codes, is in "
+    "docs/verification.md; `make verify` in the repository computes it."
 )
 
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    result.add_argument("--quick", action="store_true", help="the closed forms alone, without a word on the full table")
-    result.add_argument("--json", type=Path, help="file for the rows")
+    result.add_argument("--quick", action="store_true", help="do not mention the full table")
+    result.add_argument("--json", type=Path, metavar="FILE", help="write the rows to a JSON file")
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Print one table; return 0, or 1 if a row fails."""
+    """Print the table; return 0, or 1 if a row fails."""
     from flexman_gym.verification.cases import closed_form_rows
     from flexman_gym.verification.table import exit_code, format_json, format_table
 

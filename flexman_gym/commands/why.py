@@ -1,4 +1,7 @@
-"""Tell why a tip is not still after arrival: ringing, limit cycle, offset, transient, noise, failure; and a remedy."""
+"""Diagnose why the tip does not settle, and suggest a remedy.
+
+Causes: ringing, limit cycle, offset, transient, noise, failure; with their shares of the error after arrival.
+"""
 
 import argparse
 from collections import Counter
@@ -15,8 +18,8 @@ DEFAULT_EPISODES = 20
 
 def _arguments(result: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    names = "entrant", "--episodes", "--seed", "--env", "--set", "--trust"
-    add_options(result, *names, entrant={"nargs": "+"}, episodes={"default": DEFAULT_EPISODES})
+    names = "agent", "--episodes", "--seed", "--env", "--set", "--trust"
+    add_options(result, *names, agent={"nargs": "+"}, episodes={"default": DEFAULT_EPISODES})
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -27,19 +30,21 @@ def _run(options: argparse.Namespace) -> int:
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
-    entrants = {name: load_agent(name, options.trust) for name in options.entrant}
+    agents = {name: load_agent(name, options.trust) for name in options.agent}
     named = Configuration.find(options.env) if options.env else None
-    environment = change_environment(common_environment(list(entrants.values()), named), options.set)
+    environment = change_environment(common_environment(list(agents.values()), named), options.set)
     seeds = range(options.seed, options.seed + options.episodes)
-    for name, each in entrants.items():
+    for name, each in agents.items():
         print(
-            "\n".join(diagnosis_lines(f"{name} on {options.env or environment.id}", diagnose(each, environment, seeds)))
+            "\n".join(
+                _diagnosis_lines(f"{name} on {options.env or environment.id}", diagnose(each, environment, seeds))
+            )
         )
     return 0
 
 
-def diagnosis_lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
-    """Return the lines of a report on the diagnoses of some episodes."""
+def _diagnosis_lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
+    """Return the report on the diagnoses of some episodes, as lines."""
     import numpy as np
 
     from flexman_gym.evaluation.diagnosis import REMEDIES
@@ -51,19 +56,19 @@ def diagnosis_lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
     left = f"RMS error after arrival {np.median(rms):.3g} mm (to {rms.max():.3g})"
     failed = f"{failures.total()} failed ({', '.join(failures)})"
     about = [failed] * bool(failures) + [left] * (failures.total() < len(results))
-    said = [f"{title}: {len(results)} episodes, {', '.join(about)}"]
+    lines = [f"{title}: {len(results)} episodes, {', '.join(about)}"]
     for cause, share in sorted(shares.items(), key=lambda entry: -entry[1]):
-        said.append(
+        lines.append(
             f"  {cause:<12}{share:>6.1%}, the largest share of {largest[cause]} "
             f"episodes{_dominant_tone(results, cause)}"
         )
     worst = max(shares, key=lambda cause: shares[cause])
-    words = "nothing is needed, so little is left" if all(each.quiet for each in results) else REMEDIES[worst]
-    return [*said, f"  what would help: {words}"]
+    remedy = "none needed, the error is small" if all(each.quiet for each in results) else REMEDIES[worst]
+    return [*lines, f"  remedy: {remedy}"]
 
 
 def _dominant_tone(results: "Sequence[Diagnosis]", cause: str) -> str:
-    """Return the mode with the largest share of a cause, and the median frequency of its tones; "" without tones."""
+    """Return the mode with the largest share of a cause and the median frequency of its tones; "" without tones."""
     import numpy as np
 
     from flexman_gym.evaluation.diagnosis import OFFSET, TRANSIENT

@@ -96,6 +96,7 @@ RUN_SETTINGS = {"judge_every": "eval_every", "rounds_kept": "iterations_kept", "
 """Old setting or hyperparameter of a training run, in recipes and settings.json -> present name."""
 OPTIONS = {
     "compile": {"abreast": "batch", "one": "single"},
+    "export": {"--words": "--description"},
     "league": {"--entrants": "--agents", "--environments": "--scenarios"},
     "train": {"--judge-every": "--eval-every"},
 }

@@ -16,8 +16,8 @@ from flexman_gym.kernels import batch, control_period, implicit, inverse, runge_
 ROOT = Path(flexman_gym.__file__).parents[1]
 WORDS = "flexman_gym compiles kernels"
 SMALL = """import numpy as np
-from flexman_gym.kernels.control_period import flag_violations, linear_readings
-linear_readings(np.ones((1, 1)), np.array([0, 1]), np.array([0]), np.ones(1), np.ones((1, 1)))
+from flexman_gym.kernels.control_period import flag_violations, sparse_product
+sparse_product(np.ones((1, 1)), np.array([0, 1]), np.array([0]), np.ones(1), np.ones((1, 1)))
 flag_violations(np.ones((1, 1)), np.ones(1), np.ones((1, 1)), np.ones(1), np.zeros(1, dtype=np.int64), np.zeros(1,
 dtype=bool))
 """

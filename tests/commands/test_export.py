@@ -31,7 +31,16 @@ def run(tmp_path_factory):
 
 
 def test_a_run_becomes_a_policy_that_reaches_the_same(run, tmp_path, capsys):
-    words = ["export", "policy", str(run), str(tmp_path / "a"), "--words", "It has not learned.", "--recipe", "none"]
+    words = [
+        "export",
+        "policy",
+        str(run),
+        str(tmp_path / "a"),
+        "--description",
+        "It has not learned.",
+        "--recipe",
+        "none",
+    ]
     assert main(words) == 0 and "holds the policy: settled " in capsys.readouterr().out
     about = read_policy(tmp_path / "a").about
     one, other = find_agent(str(run)), find_agent(str(tmp_path / "a"))
@@ -46,13 +55,22 @@ def test_a_run_becomes_a_policy_that_reaches_the_same(run, tmp_path, capsys):
     picture = tmp_path / "e.png"
     assert main(["enjoy", str(tmp_path / "a"), "--seed", "1", "--picture", str(picture)]) == 0
     said = capsys.readouterr().out
-    assert "on FlexOne-v0, seed 1: played for 0.6 s" in said and "settling, s" in said
+    assert "on FlexOne-v0, seed 1: 0.6 s without failure" in said and "settling, s" in said
     assert f"{1e3 * evaluate(other, other.environment, [1])['error']:.3g}" in said and picture.exists()
 
 
 def test_it_may_be_for_another_environment_with_what_acts_as_it_was(run, tmp_path):
     (tmp_path / "heavy.yaml").write_text("id: FlexOne-v0\nhorizon: 0.4\n")
-    words = ["export", "policy", str(run), str(tmp_path / "a"), "--words", "W.", "--env", str(tmp_path / "heavy.yaml")]
+    words = [
+        "export",
+        "policy",
+        str(run),
+        str(tmp_path / "a"),
+        "--description",
+        "W.",
+        "--env",
+        str(tmp_path / "heavy.yaml"),
+    ]
     assert main(words) == 0
     about = read_policy(tmp_path / "a").about
     assert (about["environment"]["horizon"], about["environment"]["action_repeat"]) == (0.4, 3)

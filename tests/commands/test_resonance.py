@@ -54,13 +54,13 @@ def test_an_arm_of_the_catalog_and_a_scene_of_it_say_the_same(capsys):
     known, of_file = (said(capsys, name, "--payload", "0", "2", "--postures", "1") for name in ("paper_rrr", scene))
     assert known[0].endswith("1 postures, payloads of 0, 1, 2 kg") and known[1:] == of_file[1:]
     assert said(capsys, "one_link")[-1].startswith(
-        "recommendation: zv, 1 + 2, designed for the middle case. It leaves 0.0"
+        "recommendation: zv, 1 + 2, designed for the median case. In the worst case it leaves 0.0"
     )
 
 
 def test_none_is_recommended_with_the_mode_that_is_to_blame(capsys):
     line = said(capsys, "one_joint", "--payload", "0", "1", "--postures", "1")[-1]
-    assert line.startswith("recommendation: none. The best, ") and " There mode 1 is at " in line
+    assert line.startswith("recommendation: none. The best shaper, ") and " there mode 1 is at " in line
 
 
 def test_what_does_not_bend_needs_no_shaper(tmp_path, capsys):
@@ -71,7 +71,7 @@ def test_what_does_not_bend_needs_no_shaper(tmp_path, capsys):
     scene.save(tmp_path / "scene.json")
     file = tmp_path / "rigid.yaml"
     file.write_text("id: FlexPlanar-v0\narm: scene.json\nmodes: 0\ntorque_limit: 5.0\n")
-    assert said(capsys, str(file))[-1] == "recommendation: none, for nothing bends that the motors move"
+    assert said(capsys, str(file))[-1] == "recommendation: none, as the motors excite no vibration"
 
 
 @pytest.mark.parametrize(

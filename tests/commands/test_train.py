@@ -55,7 +55,7 @@ def test_an_environment_without_what_its_recipe_learned_with_is_told(run, tmp_pa
     files.write_data(tmp_path / "own.yaml", {"id": "FlexOne-v0", "action_repeat": 5})
     recipe = "train", "planar_ppo_on_pd", "--env", tmp_path / "own.yaml", "--set", "sensors=full", *SMALL
     _, _, said = run(*recipe, "--folder", tmp_path / "bare")
-    assert said.startswith(f"{tmp_path / 'own.yaml'} does not have what the recipe learned with: base: pd\n")
+    assert said.startswith(f"{tmp_path / 'own.yaml'} lacks settings of the recipe: base: pd\n")
     _, _, said = run(*recipe, "--set", "base=pd", "--folder", tmp_path / "whole")
     assert "learned with" not in said
 
@@ -88,11 +88,11 @@ def test_a_recipe_is_a_start_and_options_go_before_it(run, tmp_path):
         ("train", ["no_recipe"], "recipe: no_recipe is not allowed; give a file, or one of"),
         ("train", ["--set", "action_repeat=0"], "action_repeat: 0 is not allowed; give a whole number from 1 to 1000"),
         ("train", ["--set", "base=pid"], "base: 'pid' is not allowed; give one of pd, lqr, lqr-tracking"),
-        ("train", ["--device", "gpu"], "device: 'gpu' is not allowed; give one that PyTorch has here, such as cpu"),
+        ("train", ["--device", "gpu"], "device: 'gpu' is not allowed; give a device that PyTorch finds on this computer, such as cpu"),
         ("train", ["--checkpoint-every", "-1"], "checkpoint_every: -1 is not allowed; give a whole number from 0"),
         ("train", ["--folder", "/dev/null/run"], "[Errno 20] Not a directory: '/dev/null/run"),
         ("train", ["--folder", 300 * "x"], "[Errno 36] File name too long"),
-        ("train", ["--resume", "--envs", "3"], "envs: 3 is not allowed; give nothing with --resume: the run keeps its"),
+        ("train", ["--resume", "--envs", "3"], "envs: 3 is not allowed; give no value with --resume: a run keeps its"),
         ("train", ["--resume"], "no_folder/settings.json: no such file; give a folder that a training run has written"),
     ],
 )
