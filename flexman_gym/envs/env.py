@@ -110,6 +110,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
             `envs.config.named_environments.CONDITIONS`, which changes some settings that are not given.
 
     Examples:
+        >>> import gymnasium as gym
         >>> env = gym.make("FlexOne-v0", base="pd", action_repeat=5)
         >>> observation, info = env.reset(seed=0)
         >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())

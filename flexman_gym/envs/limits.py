@@ -25,6 +25,7 @@ class Limits:
         tip_speed: of the tip along each base axis, m/s.
 
     Example:
+        >>> import gymnasium as gym
         >>> env = gym.make("FlexOne-v0", limits=fm.Limits(rate=12.0, tip_speed=10.0))
         >>> env.unwrapped.configuration.limits.rate
         12.0

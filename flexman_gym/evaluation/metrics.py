@@ -1,5 +1,6 @@
 """Metrics of episodes: one number each, their mean, median or share over episodes, and a table of agents."""
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -94,7 +95,12 @@ DEFAULT_TASK_METRICS = ("settling_time", "error")  # figures of a task that name
 
 def task_metrics(task: Any) -> tuple[Metric, ...]:
     """Gives the figures that matter for a task: those of every task, and those that it names in `figures`."""
-    own = [one_of("task.figures", name, METRICS) for name in getattr(task, "figures", DEFAULT_TASK_METRICS)]
+    names = getattr(task, "metrics", None)
+    if names is None:
+        names = getattr(task, "figures", DEFAULT_TASK_METRICS)
+        if hasattr(task, "figures"):
+            warnings.warn("task.figures is deprecated; give metrics", DeprecationWarning, stacklevel=2)
+    own = [one_of("task.metrics", name, METRICS) for name in names]
     return tuple(figure for name, figure in METRICS.items() if figure.everywhere or name in own)
 
 

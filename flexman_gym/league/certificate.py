@@ -63,7 +63,7 @@ def certify(
     if place is None:
         raise value_error("name", name, "an exported policy, by its name or folder")
     about, environment = read_policy(place).about, _environment_name(name)
-    if "settling_time" not in getattr(find_scenario(environment).environment.task, "figures", METRIC_NAMES):
+    if "settling_time" not in getattr(find_scenario(environment).environment.task, "metrics", METRIC_NAMES):
         raise value_error("name", name, "a policy for a task in which the arm settles")
     trials = [(each, seeds[: OTHER_PLANTS.get(each.partition("@")[2])]) for each in certificate_scenarios(name)]
     trials.append((environment, range(SEARCH_SEED, SEARCH_SEED + draws)))

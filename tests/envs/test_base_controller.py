@@ -178,10 +178,10 @@ def test_a_controller_that_would_not_be_heard_is_refused(base, line):
     assert refusal(lambda: FlexManEnv(base=base())) == line
 
 
-class Figured(fm.Slew):
-    """A task that names its figures, nearly."""
+class Measured(fm.Slew):
+    """A task with a misspelt name of its metrics."""
 
-    figure = ("reward",)
+    metric = ("reward",)
 
 
 class Measuring(ServoErrors):
@@ -198,8 +198,8 @@ class Pushing(TipLoad):
 
 
 def test_misspelt_members_of_tasks_sensors_and_effects_are_refused(monkeypatch):
-    said = refusal(lambda: FlexManEnv(task=Figured()))
-    assert said == "task.figure: ('reward',) is not allowed; give figures, if it is meant, or another name"
+    said = refusal(lambda: FlexManEnv(task=Measured()))
+    assert said == "task.metric: ('reward',) is not allowed; give metrics, if it is meant, or another name"
     said = refusal(lambda: FlexManEnv(sensors=Measuring()))
     assert said == "sensors.measure: () is not allowed; give measures, if it is meant, or another name"
     monkeypatch.setitem(SIGNALS, "tip_load", Pushing)

@@ -30,6 +30,7 @@ class Randomisation:
         given: given arguments, by name.
 
     Example:
+        >>> import gymnasium as gym
         >>> ranges = fm.Randomisation(payload_mass=(0.0, 0.2), delay=(0, 2))
         >>> env = gym.make("FlexOne-v0", randomisation=ranges)
         >>> _, info = env.reset(seed=0)

@@ -67,7 +67,7 @@ class Hold:
     failure_penalty: float = 10.0
     sensors: ClassVar[tuple[Sensor, ...]] = ()
     moves: ClassVar[bool] = False
-    figures: ClassVar[tuple[str, ...]] = MOVING_METRICS
+    metrics: ClassVar[tuple[str, ...]] = MOVING_METRICS
 
     def __post_init__(self) -> None:
         set_fields(

@@ -64,7 +64,7 @@ class Slew:
         Truncated after the horizon of the environment; terminated by a failure.
 
     Arguments
-        See the attributes.
+        The attributes below.
 
     Version history
         v0: first version.
@@ -78,6 +78,7 @@ class Slew:
             Controllers with planning cache the plans of known pairs, so few pairs speed up training.
 
     Example:
+        >>> import gymnasium as gym
         >>> env = gym.make("FlexOne-v0", task=fm.Slew(slew=0.5, reward="distance"))
         >>> _, info = env.reset(seed=0)
         >>> list(info["reward_terms"])

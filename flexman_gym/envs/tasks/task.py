@@ -10,7 +10,7 @@ from flexman_gym.envs.sensors.sensor import Sensor
 from flexman_gym.envs.view import Number, View
 
 TASK_MEMBERS = ("sensors", "moves", "draw", "goal", "reward_terms", "info")
-OPTIONAL_TASK_MEMBERS = ("figures", "disturbances")
+OPTIONAL_TASK_MEMBERS = ("metrics", "disturbances")
 MOVING_METRICS = ("rms_error",)  # metrics of tasks with a moving goal or a goal at the start
 
 

@@ -178,7 +178,7 @@ class Track:
         Truncated after the horizon of the environment; terminated by a failure.
 
     Arguments
-        See the attributes.
+        The attributes below.
 
     Version history
         v0: first version.
@@ -200,7 +200,7 @@ class Track:
     middle: float = 0.8
     failure_penalty: float = 10.0
     moves: ClassVar[bool] = True
-    figures: ClassVar[tuple[str, ...]] = MOVING_METRICS
+    metrics: ClassVar[tuple[str, ...]] = MOVING_METRICS
 
     def __post_init__(self) -> None:
         times = sequence("Track.preview", self.preview, "times (s)")

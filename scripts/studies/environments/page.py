@@ -45,7 +45,7 @@ def docstring_sections(task: type) -> dict[str, list[str]]:
         KeyError: for a docstring without one of the SECTIONS.
     """
     lines = inspect.cleandoc(task.__doc__ or "").splitlines()
-    titles = [*SECTIONS, "Attributes:", "Raises:"]
+    titles = [*SECTIONS, "Attributes:", "Example:", "Raises:"]
     starts = {title: lines.index(title) for title in titles if title in lines}
     result = {}
     for title in SECTIONS:
@@ -136,7 +136,7 @@ def _arguments(name: str) -> list[str]:
     task = NAMED_ENVIRONMENTS[name].task
     lines = inspect.cleandoc(type(task).__doc__ or "").splitlines()
     first = lines.index("Attributes:") + 1
-    last = next((i for i, line in enumerate(lines) if i > first and line == "Raises:"), len(lines))
+    last = next((i for i, line in enumerate(lines) if i > first and line in ("Example:", "Raises:")), len(lines))
     kind = type(task).__name__.lower()
     text = " ".join(line.strip() if line.startswith("        ") else "\n" + line.strip() for line in lines[first:last])
     given = [f"- `{each.strip().replace(':', '`:', 1)}" for each in text.split("\n") if each.strip()]
@@ -146,7 +146,7 @@ def _arguments(name: str) -> list[str]:
 
 def baselines(name: str, runs: dict[str | None, Rollout]) -> list[str]:
     """Compare the baselines of an environment, in Markdown: a slew by its end, other tasks by the RMS tip error."""
-    own = getattr(NAMED_ENVIRONMENTS[name].task, "figures", SLEW)
+    own = getattr(NAMED_ENVIRONMENTS[name].task, "metrics", SLEW)
     shown = [METRICS[figure] for figure in (*own, "failed")]
     rows = [(BASES[base], *(_cell(figure, each) for figure in shown)) for base, each in runs.items()]
     return [
@@ -162,8 +162,9 @@ def _ends(name: str) -> str:
     band = BAND * sum(link.length for link in gym.make(name).unwrapped.configuration.arm.links)  # type: ignore[attr-defined]
     return (
         f"The tip has settled when it stays within {1e3 * band:.3g} mm of its target until the end of the episode, for "
-        f"at least {SETTLING_WINDOW:g} s. Settling time and vibration are medians. Vibration is the motion of the tip from peak "
-        f"to peak (p-p) in the last {VIBRATION_WINDOW:g} s. The settling time of an episode that does not settle is infinite."
+        f"at least {SETTLING_WINDOW:g} s. Settling time and vibration are medians. Vibration is the motion of the tip "
+        f"from peak to peak (p-p) in the last {VIBRATION_WINDOW:g} s. The settling time of an episode that does not "
+        "settle is infinite."
     )
 
 
