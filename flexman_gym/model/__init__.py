@@ -1,4 +1,4 @@
-"""Model: an arm turned into numbers, and its dynamics at an instant."""
+"""Models of arms: discretisation, equations of motion at a state, linearisation, vibration and deformation."""
 
 from flexman_gym.model.deformation import Curves, curvature, curves, strain
 from flexman_gym.model.dynamics import (

@@ -14,7 +14,7 @@ from flexman_gym.common.checks import value_error
 from flexman_gym.model.beam import Beam
 from flexman_gym.scene.arm import Arm
 
-VANISHING = 1e-12  # of the geometric mean of two diagonal entries: a smaller coupling is rounding
+NEGLIGIBLE = 1e-12  # coupling relative to the geometric mean of the diagonal entries, below which it is rounding
 
 
 def zero_pose_rotations(arm: Arm) -> Array:
@@ -41,10 +41,10 @@ def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:
     rotations = zero_pose_rotations(arm)
     for i in reversed(range(len(beams))):
         result[i] = inertia
-        tip = _carry(np.array([arm.links[i].length, 0.0, 0.0]))
+        tip = _transport(np.array([arm.links[i].length, 0.0, 0.0]))
         total = tip.T @ inertia @ tip
         for mass, position in zip(beams[i].masses, beams[i].positions, strict=True):
-            point = _carry(position)[:3]
+            point = _transport(position)[:3]
             total += mass * point.T @ point
         total[3, 3] += beams[i].polar.sum()
         rotation = np.kron(np.eye(2), rotations[i])
@@ -66,7 +66,7 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
         Angular frequencies (k,) in rad/s, ascending, and shapes (k, k) as columns, normalised to unit modal mass
             including the outboard inertia.
     """
-    from scipy.linalg import eigh  # its import takes long, and not every use of the package needs it
+    from scipy.linalg import eigh  # slow import, which most uses of the package do not need
 
     tip = np.vstack([beam.tip_translation, beam.tip_rotation])
     mass, stiffness = beam.mass_matrix + tip.T @ outboard @ tip, beam.stiffness
@@ -75,14 +75,14 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
         block, columns = np.ix_(group, group), slice(count, count + len(group))
         try:
             squares, shapes[group, columns] = eigh(stiffness[block], mass[block])
-            if not (squares > 0.0).all():  # of a clamped link they are, but for rounding
+            if not (squares > 0.0).all():  # negative only by rounding, as the link is clamped
                 raise np.linalg.LinAlgError
         except (np.linalg.LinAlgError, ValueError):
             allowed = "links and loads whose masses are within fifteen digits of each other"
             raise value_error("arm", "this one", allowed) from None
         frequencies[columns] = np.sqrt(squares)
         count += len(group)
-    # rounding must not decide which of two equal frequencies comes first
+    # rounding must not determine the order of two equal frequencies
     order = np.argsort([float(f"{frequency:.9g}") for frequency in frequencies], kind="stable")
     return frequencies[order], shapes[:, order]
 
@@ -92,9 +92,9 @@ def _uncoupled_groups(*matrices: Array) -> list[np.ndarray]:
     joined = np.zeros(matrices[0].shape, dtype=bool)
     for matrix in matrices:
         size = np.sqrt(np.diag(matrix))
-        joined |= np.abs(matrix) > VANISHING * np.outer(size, size)
+        joined |= np.abs(matrix) > NEGLIGIBLE * np.outer(size, size)
     group, before = np.arange(len(joined)), np.full(len(joined), -1)
-    while not np.array_equal(group, before):  # the lowest number spreads over its group
+    while not np.array_equal(group, before):  # the lowest index spreads over its group
         before, group = group, np.where(joined, group, len(group)).min(axis=1, initial=len(group))
     return [np.flatnonzero(group == number) for number in np.unique(group)]
 
@@ -107,13 +107,13 @@ def spatial_inertia(mass: float, offset: Array, inertia: Array) -> Array:
         offset: (3,) centre of mass relative to the point, m.
         inertia: (3, 3) about the centre of mass, kg m^2.
     """
-    centre = _carry(offset)[:3]
+    centre = _transport(offset)[:3]
     result: Array = mass * centre.T @ centre
     result[3:, 3:] += inertia
     return result
 
 
-def _carry(offset: Array) -> Array:
+def _transport(offset: Array) -> Array:
     """Return the map (6, 6) from the motion (v, w) of the origin to that of a point at an offset: v + w x offset, w."""
     x, y, z = offset
     motion = np.eye(6)

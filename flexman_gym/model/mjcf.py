@@ -221,7 +221,7 @@ def _tips(arm: Arm) -> Array:
 
 def _modes(cut: list[_Piece], carried: Array, masses: Sequence[LumpedMass]) -> tuple[Array, Array]:
     """Return frequencies (k,) in rad/s and modal momenta (k, k) of a clamped link with an inertia at its tip."""
-    from scipy.linalg import eigh  # its import takes long, and not every use of the package needs it
+    from scipy.linalg import eigh  # slow import, which most uses of the package do not need
 
     mass, stiffness = _matrices(cut, carried, masses)
     squares, shapes = eigh(stiffness[6:, 6:], mass[6:, 6:])

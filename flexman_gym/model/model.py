@@ -65,8 +65,8 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
         cross_value=cross.value,
         factor_start=np.concatenate([[0], np.cumsum(sizes * widths)])[:-1].astype(np.int64),
         factor_width=widths,
-        tip_start=_carrying(beams, choice.stiffening),
-        tip_linear_start=_carrying(beams, False),
+        tip_start=_first_moving(beams, choice.stiffening),
+        tip_linear_start=_first_moving(beams, False),
         elastic_mass=_pack([*[part.elastic - _axial_mass(beam, choice.stiffening) for part, beam in pairs], end], 1),
         stiffness=stiffness,
         damping=arm.stiffness_proportional_damping * stiffness + modal,
@@ -190,7 +190,7 @@ def _axial_mass(beam: Beam, stiffening: bool) -> Array:
     return np.einsum("s,sa,sb->ab", beam.stations[:, 0], axial, axial) * stiffening
 
 
-def _carrying(beams: tuple[Beam, ...], stiffening: bool) -> np.ndarray:
+def _first_moving(beams: tuple[Beam, ...], stiffening: bool) -> np.ndarray:
     """Return the index (n,), over all links, of the first elastic coordinate of each link that moves its tip."""
     offset, first = 0, []
     for beam in beams:

@@ -5,9 +5,9 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import check_solvable
 
-SHIFT = 1e-9  # of the largest square, added before the factorisation, so that an arm that turns freely has one
-VANISHING = 1e-10  # of the shift: a square below that is rounding
-TRIES = 6
+SHIFT = 1e-9  # of the largest square; shift that makes the stiffness of a freely turning arm positive definite
+ZERO_SQUARE = 1e-10  # of the shift; a smaller square is a rounded zero
+MAX_SHIFTS = 6  # number of attempts, each with a shift 100 times as large
 
 
 def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
@@ -31,21 +31,21 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     from scipy.linalg import cholesky, solve_triangular, svd
 
     scale = np.sqrt(np.diag(mass))
-    scaled, own = mass / np.outer(scale, scale), stiffness / np.outer(scale, scale)
-    shift = SHIFT * max(np.abs(np.diag(own)).max(initial=0.0), 1e-6)
+    scaled_mass, scaled_stiffness = mass / np.outer(scale, scale), stiffness / np.outer(scale, scale)
+    shift = SHIFT * max(np.abs(np.diag(scaled_stiffness)).max(initial=0.0), 1e-6)
     with check_solvable("natural modes"):
-        inertia = cholesky(scaled, lower=True)
-        for _ in range(TRIES):
+        mass_factor = cholesky(scaled_mass, lower=True)
+        for _ in range(MAX_SHIFTS):
             try:
-                factor = cholesky(own + shift * scaled, lower=True)
+                stiffness_factor = cholesky(scaled_stiffness + shift * scaled_mass, lower=True)
                 break
             except np.linalg.LinAlgError:
                 shift *= 100.0
         else:
             raise np.linalg.LinAlgError
-        left, inverse, _ = svd(solve_triangular(factor, inertia, lower=True).T)
-        shapes = solve_triangular(inertia.T, left) / scale[:, None]
-    squares = 1.0 / inverse**2 - shift
-    squares[np.abs(squares) < VANISHING * shift] = 0.0
+        left, inverse_frequencies, _ = svd(solve_triangular(stiffness_factor, mass_factor, lower=True).T)
+        shapes = solve_triangular(mass_factor.T, left) / scale[:, None]
+    squares = 1.0 / inverse_frequencies**2 - shift
+    squares[np.abs(squares) < ZERO_SQUARE * shift] = 0.0
     order = np.argsort(squares, kind="stable")
     return squares[order], shapes[:, order]

@@ -133,9 +133,8 @@ def _static_rows() -> Iterator[VerificationRow]:
     link = catalog.paper_rrr().links[1].sections[0]
     beam, length, mass = build_beam(link, 2), link.length, link.mass
     bending, twisting = link.youngs_modulus * link.second_moment_z, link.shear_modulus * link.torsion_constant
-    weight = (
-        sum(m * shape[1] for m, shape in zip(beam.masses, beam.shapes, strict=True)) / mass
-    )  # 1 N distributed along the link
+    # 1 N distributed along the link
+    weight = sum(m * shape[1] for m, shape in zip(beam.masses, beam.shapes, strict=True)) / mass
     deflection, rotation = beam.tip_translation[1], beam.tip_rotation
     cases = (
         ("P L^3 / 3 EI, m/N", deflection, deflection, length**3 / (3.0 * bending)),

@@ -1,4 +1,4 @@
-"""Actions: their effort, and the part of their variance above a frequency, of signals made of sines."""
+"""Effort and high-frequency power of sinusoidal actions."""
 
 import numpy as np
 import pytest
@@ -20,13 +20,13 @@ def test_effort_is_the_mean_square_of_all_actions():
 
 
 def sine(frequency, phase=0.0, amplitude=1.0, place=0.0, time=TIME):
-    """Actions (T, 1) that swing about a place."""
+    """Sinusoidal actions (T, 1) with an offset."""
     return place + amplitude * np.sin(2 * np.pi * frequency * time + phase)[:, None]
 
 
 @given(st.floats(0.3, 1.6), st.floats(0.0, 6.28), st.floats(-5.0, 5.0), st.sampled_from([200, 333, 501]))
 def test_a_sine_below_the_frequency_has_no_power_above_and_one_above_has_all(frequency, phase, place, count):
-    """Cycles need not be whole, nor does the place about which it swings matter."""
+    """For any number of cycles and any offset."""
     assert high_frequency_power(sine(frequency, phase, 1.0, place)[-count:], PERIOD, 4.0) < 2e-3
     assert high_frequency_power(sine(frequency + 7.0, phase, 1.0, place)[-count:], PERIOD, 4.0) > 1 - 2e-3
     assert high_frequency_power(sine(24.5, phase, 1.0, place)[-count:], PERIOD, 4.0) > 1 - 2e-3

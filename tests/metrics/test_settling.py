@@ -1,4 +1,4 @@
-"""Settling: times, overshoots and errors of signals whose answer is known."""
+"""Settling times, overshoot and errors of signals with known results."""
 
 import numpy as np
 import pytest
@@ -62,7 +62,7 @@ def test_the_final_error_is_the_median_of_the_last_second():
 
 @given(st.integers(0, 150), st.integers(1, 100), st.integers(1, 200))
 def test_since_the_entry_the_time_of_the_move_does_not_count(entry, inside, outside):
-    """In the band, out again on the other side, and back for good."""
+    """Into the band, out of it on the opposite side, and back until the end."""
     errors = np.full(501, 0.01)
     errors[:entry], errors[entry + inside : entry + inside + outside] = 1.0, 0.05
     last = entry + inside + outside
@@ -105,7 +105,7 @@ def test_an_overshoot_that_is_no_number_is_infinite():
 
 
 def test_the_attained_position_is_where_the_tip_came_to_rest_not_its_target():
-    """A tip that rests 0.1 m beside its target overshoots by 0.3 m, not by 0.4 m."""
+    """A tip at rest 0.1 m from its target overshoots by 0.3 m, not by 0.4 m."""
     tips = np.zeros((501, 3))
     tips[:100, 0], tips[100:, 1] = 2.0, 0.1
     tips[150:160, 1] = 0.4

@@ -1,4 +1,4 @@
-"""Sizes: root mean squares and the integral of squared accelerations, in closed forms."""
+"""Root mean squares and the integral of squared accelerations against closed forms."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def test_the_rms_of_whole_periods_of_a_sine_is_its_amplitude_over_root_two(ampli
 
 
 def test_the_rms_of_vectors_is_that_of_their_lengths():
-    """A circle: its radius, which no mean over all numbers gives."""
+    """For a circle the radius, unlike a mean over all entries."""
     angle = np.linspace(0.0, 5.0, 77)
     assert rms(3.0 * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])) == pytest.approx(3.0)
     assert rms(np.array([[3.0, 4.0]])) == 5.0 and rms(np.array([-2.0])) == 2.0

@@ -1,4 +1,4 @@
-"""Intervals: the median of values that may be infinite, and its bootstrap interval."""
+"""Statistics over episodes: medians, scores and their bootstrap intervals."""
 
 from math import comb
 
@@ -109,7 +109,7 @@ def test_the_interval_of_a_mean_is_that_of_its_standard_error():
 
 
 def test_environments_are_drawn_by_themselves():
-    """Each has one score only, so that no sample differs from another."""
+    """Each stratum has one score, so all samples are equal."""
     assert stratified_interval(np.tile([1.0, 5.0], (20, 1)), mean) == (3.0, 3.0)
 
 
@@ -119,7 +119,7 @@ def test_a_profile_is_the_part_above_each_threshold():
 
 
 def test_who_is_better_is_asked_in_the_same_episode():
-    """Better by little in nine of ten episodes, which differ by much: unpaired it would be a draw."""
+    """Slightly better in nine of ten very different episodes: without pairing there would be no difference."""
     ours = 100.0 * np.arange(10.0)[:, None] + 1.0
     theirs = ours - 0.5
     theirs[0] += 1.0
@@ -147,7 +147,7 @@ def test_ends_that_are_too_close_are_no_scale():
 
 
 def test_a_paired_score_has_no_width_where_all_differ_alike_from_episode_to_episode():
-    """What episodes are worth differs by much; it does not make the score of anybody less sure."""
+    """The level of rewards differs much between episodes; the interval of a score stays narrow."""
     worth = 50.0 * np.random.default_rng(3).standard_normal(30)
     assert paired_score(worth, worth, worth + 200.0) == (0.0, 0.0, 0.0)
     assert paired_score(worth + 200.0, worth, worth + 200.0) == (1.0, 1.0, 1.0)

@@ -1,4 +1,4 @@
-"""Vibration: what is left of it and how it dies away, of sines and decays whose figures are known."""
+"""Residual vibration and damping ratios of sines and decays with known values."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ TIME = PERIOD * np.arange(501)  # 10 s
 
 @given(st.floats(0.001, 1.0), st.integers(1, 5), st.integers(0, 2))
 def test_peak_to_peak_of_a_sine_is_twice_its_amplitude_along_its_axis(amplitude, frequency, axis):
-    """Whole periods in the last 3 s, before which the tip was far away; the sum of two axes would be more."""
+    """Whole periods in the last 3 s, after a large motion; the sum over two axes would be larger."""
     tips = np.zeros((501, 3))
     tips[:, axis] = 7.0 + amplitude * np.cos(2 * np.pi * frequency * TIME)
     tips[:, axis - 1] = 0.5 * amplitude * np.sin(2 * np.pi * frequency * TIME)
@@ -46,7 +46,7 @@ def swinging(amplitude, end, axis=1, period=PERIOD):
 
 @given(st.floats(1e-3, 0.2), st.sampled_from([1.0, 2.5, 4.0]), st.sampled_from([1.0, 2.5, 4.0]), st.integers(0, 2))
 def test_residual_vibration_is_the_ratio_of_the_amplitudes_whenever_the_commands_ended(part, end, other, axis):
-    """The slews, which are larger by far, do not count."""
+    """The much larger slews are excluded."""
     result = residual_vibration(swinging(0.1 * part, end, axis), swinging(0.1, other), PERIOD, end, other)
     assert result == pytest.approx(100.0 * part, rel=1e-6)
 
@@ -58,7 +58,7 @@ def test_residual_vibration_of_a_run_and_itself_is_100_percent_and_of_a_still_ti
 
 
 def test_both_runs_are_looked_at_for_the_same_time():
-    """From the sample at the end of its command on; one swells up after the time that is left to the other one."""
+    """From the sample at the end of the command; the vibration of one run grows after the end of the other record."""
     late, early = swinging(0.1, 6.0), swinging(0.1, 2.0)
     early[301:, 1] = 5.0  # 4 s after its end, and a sample
     assert residual_vibration(late, early, PERIOD, 6.0, 2.0) == pytest.approx(100.0)
@@ -70,7 +70,7 @@ def test_both_runs_are_looked_at_for_the_same_time():
 
 
 def decay(ratio, count=2001, samples=20, phase=0.3, place=0.0):
-    """A free decay of a mode with so many samples in a cycle, about a place."""
+    """Free decay of a mode with a number of samples per cycle, and an offset."""
     angle = 2 * np.pi / samples * np.arange(count)  # of the damped frequency
     return place + np.exp(-ratio / np.sqrt(1 - ratio**2) * angle) * np.cos(angle + phase)
 
@@ -84,7 +84,7 @@ def test_the_damping_ratio_of_one_mode_is_found_wherever_it_rests(ratio, samples
 
 
 def test_many_samples_bring_the_damping_ratio_as_close_as_is_wanted():
-    """At any phase of the samples to the cycles."""
+    """For any phase of the samples in the cycle."""
     errors = []
     for samples in (20.3, 40.6, 81.2, 162.4):
         result = [damping_ratio(decay(0.05, int(20 * samples), samples, phase)) for phase in np.linspace(0.0, 6.0, 20)]
@@ -98,7 +98,7 @@ def test_noise_does_not_count_as_swings():
 
 
 def test_of_two_modes_the_one_that_makes_the_turning_points_counts():
-    """A second mode of a fiftieth of the size, undamped or not, is ripple; of two alike both have a part."""
+    """A second mode of a fiftieth of the size, damped or undamped, has no influence; two equal modes both have."""
     slow = decay(0.02, 4001, 200)
     ripple = decay(0.0, 4001, 33) / 50
     assert damping_ratio(slow + ripple) == pytest.approx(0.02, rel=0.05)

@@ -1,4 +1,4 @@
-"""Beam: finite elements of one link bend, twist, stretch and weigh as the closed forms say."""
+"""Finite-element beam of one link: stiffness, mass, shape functions and stations against closed forms."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def tip_response(beam, load):
 
 
 def close(actual, expected):
-    """Whether two arrays agree to EXACT of the largest entry."""
+    """Return whether two arrays agree to EXACT relative to the largest entry."""
     return np.abs(actual - expected).max() <= EXACT * np.abs(expected).max()
 
 
@@ -88,7 +88,7 @@ def test_its_own_weight_bends_it_exactly(link, elements):
 
 
 def slender(elements):
-    """A link of unit mass per length and unit EI_z, its rotary inertia nought, and its bending matrices in x-y."""
+    """A link of unit mass per length and unit EI_z, with negligible rotary inertia, and its bending matrices in x-y."""
     link = Link(1.0, 1e-12, 1e-24, 1e-24, 1e-24, youngs_modulus=1e24, shear_modulus=1e24, density=1e12)
     beam = build_beam(link, elements)
     bending = np.sort(np.r_[1 : 6 * elements : 6, 5 : 6 * elements : 6])  # v, theta_z of every free node
@@ -151,7 +151,7 @@ def test_axial_and_torsional_frequencies_converge_with_second_order(rows, modulu
 @settings(QUICK)
 @given(links, st.floats(0.0, 1.0), st.tuples(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1)))
 def test_shapes_of_an_element_hold_its_rigid_motions(link, xi, section):
-    """Node values of a small rigid motion move every point by it, and cost no energy."""
+    """Node values of a small rigid motion move every point rigidly and store no elastic energy."""
     length, point = link.length, np.array([xi * link.length, *section])
     stiffness = beam_stiffness(link, length)
     for shift, turn in zip(np.eye(6)[:, :3], np.eye(6)[:, 3:], strict=True):

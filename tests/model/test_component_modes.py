@@ -1,4 +1,4 @@
-"""Reduction: modes of a link that carries the rest of the arm, and a damping that treats all of them alike."""
+"""Loaded component modes and modal damping of links."""
 
 from dataclasses import replace
 
@@ -58,7 +58,7 @@ def test_loaded_modes_of_a_link_with_a_tip_mass_have_its_frequencies(ratio):
 
 
 def test_modes_of_a_round_link_bend_along_one_axis():
-    """Any two planes would do for two equal frequencies, so that rounding must not choose them."""
+    """The planes of two modes of equal frequency are arbitrary, so rounding must not determine them."""
     axial, bending_y, bending_z, torsion = (0,), (1, 5), (2, 4), (3,)  # node coordinates that move
     for basis in fm.build_model(fm.catalog.paper_rrr(), 2, 12).bases[1:]:
         moved = [tuple(np.flatnonzero(shape.reshape(2, 6).any(axis=0))) for shape in basis.T]
@@ -68,7 +68,7 @@ def test_modes_of_a_round_link_bend_along_one_axis():
 
 @pytest.mark.parametrize("change", [-1e-12, 1e-12])
 def test_rounding_does_not_choose_which_of_two_equal_modes_comes_first(change):
-    """A round link whose moments differ as rounding makes them differ: its modes stay in their order."""
+    """A round link with moments that differ by rounding only: its modes keep their order."""
     link = fm.catalog.paper_rrr().links[1]
     assert link.second_moment_y == link.second_moment_z
     beams = [build_beam(replace(link, second_moment_z=part * link.second_moment_y), 2) for part in (1.0, 1.0 + change)]

@@ -1,4 +1,4 @@
-"""Strain: closed forms of beams, and the elastic energy that belongs to it."""
+"""Curvature, strain and centreline curves: closed forms of beams, and the corresponding elastic energy."""
 
 import numpy as np
 import pytest
@@ -112,7 +112,7 @@ POINTS = 7
 
 
 def tip(model, state):
-    """Where the kernels put the tip."""
+    """Tip position computed by the kernels."""
     row, d = np.zeros(layout.OUTPUTS), model.n_dof
     outputs.compute_outputs(model.constants, layout.make_work(model.constants), state[:d].copy(), state[d:].copy(), row)
     return row[layout.TIP]
@@ -189,7 +189,7 @@ def test_curvatures_and_strains_are_those_of_one_place_after_another(sample):
 
 
 def test_a_bent_link_keeps_the_length_of_its_centreline():
-    """To the second order of its slopes, all the way along it."""
+    """To second order in the slopes, along the whole link."""
     load = [
         0.0,
         0.1 * CURVED_LINK.youngs_modulus * CURVED_LINK.second_moment_z * 3 / CURVED_LINK.length**2,

@@ -1,4 +1,4 @@
-"""Dynamics: the recursion says what the dense equations of the paper, closed forms and another library say."""
+"""Dynamics against the dense equations of the paper, closed forms and another library."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ PRECISION = 1e-9  # relative
 
 
 def close(actual, expected, precision=PRECISION):
-    """Whether two arrays agree relative to the largest entry."""
+    """Return whether two arrays agree relative to the largest entry."""
     return np.abs(actual - expected).max(initial=0.0) <= precision * np.abs(expected).max(initial=0.0)
 
 
@@ -133,7 +133,7 @@ def test_forces_of_constant_speeds_have_the_power_that_energy_takes(sample):
 @settings(QUICK)
 @given(samples(flexible_joints=True))
 def test_a_rigid_joint_is_a_spring_that_does_not_move(sample):
-    """Motor angle = joint angle, with the constraint torque that takes, gives the model without motor coordinates."""
+    """With motor angle = joint angle by a constraint torque, the model equals that without motor coordinates."""
     rigid = replace(sample, flexible_joints=False)
     n, d = sample.model.n_joints, rigid.model.n_dof
     joined = np.zeros((sample.model.n_dof, d))  # x = joined @ x of the model of rigid joints
@@ -216,7 +216,7 @@ def test_bad_input_is_refused_in_one_line(call, field):
 
 
 def test_a_sample_is_what_it_says():
-    """The helper itself: a bent link's tip turns by the amplitude."""
+    """Check of the helper: the tip of a bent link turns by the amplitude."""
     sample = Sample(fm.catalog.one_link(), (2,), None, (True,), False, 0.05, 1)
     x, _ = sample.state()
     beam = sample.chain.beams[0]

@@ -1,4 +1,4 @@
-"""Inverse dynamics and tip acceleration: they undo the forward dynamics, and closed forms."""
+"""Inverse dynamics and tip acceleration: consistency with the forward dynamics, and closed forms."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ def undamped(sample):
 
 
 def link_motion(model, state, torque):
-    """Angles, rates, accelerations, jerks and snaps (5, n) of the joints under torques that stay constant."""
+    """Angles, rates, accelerations, jerks and snaps (5, n) of the joints under constant torques."""
     n, d = model.n_joints, model.n_dof
     rates = np.r_[state[d:], fm.acceleration(model, state, torque)]
 
@@ -69,7 +69,7 @@ def test_one_elastic_joint_has_its_closed_form():
 
 
 def test_friction_of_the_motors_is_added_to_what_the_links_ask_for():
-    """At any rate, of which Coulomb friction knows little more than the sign."""
+    """At any rate; Coulomb friction depends on little more than its sign."""
     smooth, rates = fm.catalog.paper_rrr(joint_stiffness=None), np.array([1.5, -0.004, 0.3])
     numbers = {"viscous_friction": (3.0, 5.0, 7.0), "coulomb_friction": (20.0, 40.0, 60.0), "coulomb_rate": (0.01,) * 3}
     rough = [replace(joint, **dict(zip(numbers, each, strict=True)))

@@ -1,4 +1,4 @@
-"""Linear models: against frequencies, closed forms, another library and differences of the compiled accelerations."""
+"""Linear models against frequencies, closed forms, another library and differences of the accelerations."""
 
 from dataclasses import replace
 

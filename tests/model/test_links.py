@@ -1,4 +1,4 @@
-"""Links of several sections: a stepped beam is that of its closed forms, a tapered one the limit of many steps."""
+"""Links of several sections: a stepped beam against its closed form, a tapered beam as the limit of many steps."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ HUB = fm.Joint((0.0, 0.0, 1.0))
 
 
 def close(result, expected, accuracy=1e-9):
-    """Whether two arrays agree to some accuracy of the largest entry."""
+    """Return whether two arrays agree to an accuracy relative to the largest entry."""
     return np.abs(result - expected).max(initial=0.0) <= accuracy * np.abs(expected).max(initial=0.0)
 
 

@@ -1,4 +1,4 @@
-"""Lumped masses: bodies on a link weigh and turn as a payload at its tip does, and as a short heavy section."""
+"""Lumped masses on a link against a payload at its tip and a short heavy section."""
 
 from dataclasses import replace
 
@@ -67,7 +67,7 @@ def test_a_body_at_the_tip_of_straight_links_is_a_payload(seed):
 @pytest.mark.parametrize(("plane", "aside"), [((2, 4), (0.02, 0.05, 0.0)), ((1, 5), (-0.03, 0.0, 0.04))])
 @pytest.mark.parametrize("stiffening", [False, True])
 def test_a_body_beside_a_link_that_bends_in_a_plane_is_a_payload(plane, aside, stiffening):
-    """Turned about an axis, an offset along it stays: there both are exact, but for forces on the other rotations."""
+    """A rotation about an axis preserves an offset along it, so both are exact, except for transverse moments."""
     rng, axis = np.random.default_rng(3), Rotation.random(random_state=5).as_matrix()[0]
     offset = (0.0, *aside[1:])
     lumped, loaded = tip_loaded(STRIP, [replace(HUB, axis=axis)], 0.4, offset=np.array(offset), stiffening=stiffening)
@@ -81,7 +81,7 @@ def test_a_body_beside_a_link_that_bends_in_a_plane_is_a_payload(plane, aside, s
 
 
 def test_a_lumped_mass_is_the_limit_of_a_short_heavy_section():
-    """Bending comes nearer with the square of its width, twist, whose slope jumps at the mass, with the width."""
+    """Bending converges with the square of the width; twist, whose slope jumps at the mass, with the width."""
     mass, at, whole = 0.3, 0.2, replace(STRIP, outline=None)
     about_y, about_z = whole.second_moment_y, whole.second_moment_z
     lump = fm.LumpedMass(mass, at, mass / whole.area * np.diag([about_y + about_z, about_y, about_z]))
@@ -113,7 +113,7 @@ def test_a_rigid_link_with_bodies_is_a_pendulum():
 
 @pytest.mark.parametrize("stiffening", [False, True])
 def test_bodies_keep_energy_and_angular_momentum(stiffening):
-    """Free of gravity and torques, the energy stays, and about the axis of the hub so does the angular momentum."""
+    """Without gravity and torques, the energy and the angular momentum about the axis of the hub are constant."""
     bodies = [fm.LumpedMass(0.2, 0.21, INERTIA, (0.01, 0.04, -0.03)), fm.LumpedMass(0.1, 0.5, None, (0.0, -0.02, 0.05))]
     second = replace(fm.Link.strip(0.4, 0.02, 0.004, "z"), masses=[replace(bodies[1], position=0.3)])
     links = [replace(STRIP, masses=bodies), second]

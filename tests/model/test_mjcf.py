@@ -1,4 +1,4 @@
-"""MJCF: an arm of rigid pieces weighs, rings and decays as ours does; MuJoCo reads the file where it is installed."""
+"""MJCF export: mass, frequencies and decay of an arm of rigid pieces; MuJoCo reads the file where it is installed."""
 
 from dataclasses import replace
 
@@ -98,7 +98,7 @@ def test_the_site_is_the_tip_and_the_masses_are_there(mujoco):
 
 
 def test_motors_hold_the_same_weight(mujoco):
-    """Of a payload beside the tip, too; at an angle of the second joint."""
+    """Including a payload with an offset from the tip, and an angle of the second joint."""
     heavy, angles = replace(ODD, gravity=(0.5, -2.0, -9.81)), [0.0, 0.8]
     model, data = read(mujoco, heavy, 3, angles=angles)
     places = [model.joint(f"motor {i}").dofadr[0] for i in range(2)]
@@ -108,7 +108,7 @@ def test_motors_hold_the_same_weight(mujoco):
 
 @pytest.mark.parametrize("payload", [None, PAYLOAD])
 def test_modes_of_a_link_are_damped_as_they_should(mujoco, payload):
-    """Of one link behind a held motor, all of them are modes of a link; in our model as well."""
+    """For one link behind a held motor, all modes are those of a link, in both models."""
     arm = fm.Arm((LADEN,), (fm.Joint((0.0, 0.0, 1.0), 0.02),), payload, modal_damping_ratio=0.03)
     mass, stiffness, damping = matrices(mujoco, *read(mujoco, arm, 3), motors=False)
     zero, one = np.zeros_like(mass), np.eye(len(mass))

@@ -1,4 +1,4 @@
-"""Rotary inertia: without it links are Euler-Bernoulli's classic beam, with it Rayleigh's, and twist stays the same."""
+"""Rotary inertia: Rayleigh beams with it, classic Euler-Bernoulli beams without it, and equal torsion."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -58,7 +58,7 @@ def without(sample, stiffening=False):
 
 
 def kinetic_energy(model, x, v):
-    """What the outputs say of coordinates and speeds, J."""
+    """Energies of coordinates and speeds in the outputs, J."""
     row = np.zeros(layout.OUTPUTS)
     outputs.compute_outputs(model.constants, layout.make_work(model.constants), x, v, row)
     return row[layout.KINETIC]

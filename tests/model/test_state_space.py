@@ -1,4 +1,4 @@
-"""State space: named outputs and inputs, scaling, sampling and reduction of a linear model keep what it says."""
+"""State-space models: named inputs and outputs, scaling, sampling and reduction."""
 
 import sys
 from pathlib import Path
@@ -84,7 +84,7 @@ def test_about_a_moving_state_the_velocity_of_the_tip_has_its_slope():
 
 
 def test_the_scaled_form_is_the_same_model():
-    """Also where the plain one cannot be trusted: its gains are those of A, B, C and D as far as those have digits."""
+    """Including models whose unscaled form is inaccurate: gains agree with A, B, C and D to their accuracy."""
     scaled = LINEAR.scaled()
     plain = [LINEAR.C @ np.linalg.solve(2j * np.pi * f * np.eye(2 * D) - LINEAR.A, LINEAR.B) + LINEAR.D
              for f in FREQUENCIES[1:]]  # fmt: skip
@@ -106,7 +106,7 @@ def test_a_clamped_strip_bends_by_its_compliance():
 
 @pytest.mark.parametrize("steps", [0, 3, 10, 23, 40])
 def test_a_sampled_model_is_the_flow_under_inputs_that_come_late(steps):
-    """Stepped in tenths of a period, with each input held from its own time on; `steps` tenths of delay."""
+    """Stepped in tenths of a period, with each input constant from its own time on; `steps` tenths of delay."""
     whole = fm.build_model(ARM, modes=1)
     linear, period = fm.linearize(whole, outputs=["tip", "tip_acceleration"]), 0.02
     sampled = linear.discrete(period, steps * period / 10)
@@ -141,7 +141,7 @@ def test_a_reduced_model_keeps_what_is_slow_and_every_static_gain():
 
 @pytest.fixture
 def control(monkeypatch):
-    """The library python-control; a script of ours has its name, too."""
+    """The library python-control; a script of this project has the same name."""
     monkeypatch.setattr(sys, "path", [path for path in sys.path if Path(path).name != "scripts"])
     ours = sys.modules.pop("control", None)
     yield pytest.importorskip("control", reason="the extra control is not installed")

@@ -1,4 +1,4 @@
-"""Statics: an arm rests where nothing accelerates, and a beam sags as published formulas say."""
+"""Static equilibrium: zero accelerations at rest, and the sag of beams against published formulas."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ def observed(model, state):
 @settings(QUICK, max_examples=25)
 @given(samples(most_links=3, stiffening=None), st.integers(0, 100))
 def test_nothing_accelerates_at_rest_under_the_holding_torques(sample, seed):
-    """By the dense equations of the oracle; a fifth of the earth's gravity, which all of these springs can hold."""
+    """By the dense equations of the oracle; a fifth of the earth's gravity, small enough for all of these springs."""
     rng = np.random.default_rng(seed)
     sample = Sample(replace(sample.arm, gravity=rng.uniform(-2.0, 2.0, 3)), *list(vars(sample).values())[1:8])
     model, n = sample.model, len(sample.arm.links)
@@ -66,7 +66,7 @@ def test_a_cantilever_sags_by_the_formulas_of_its_load_and_of_its_own_weight(loa
 
 
 def test_a_small_sag_is_the_formula_to_nine_digits():
-    """A thousandth of a thousandth of the weight, so that nothing of second order is left."""
+    """With a millionth of the weight, so that second-order terms vanish."""
     model = cantilever(0.3, gravity=(0.0, -1e-6 * WEIGHT, 0.0))
     link = model.arm.links[0]
     rigidity, length = link.youngs_modulus * link.second_moment_z, link.length
@@ -112,7 +112,7 @@ def test_tips_at_rest_are_those_of_the_states_at_rest():
 
 
 def test_the_vertical_arm_sags_by_some_seven_centimetres():
-    """As its docstring says."""
+    """Sag stated in the docstring of `catalog.vertical_2r`."""
     model = fm.build_model(fm.catalog.vertical_2r())
     assert rest_tips(model, np.zeros((1, 2)))[0][2] == pytest.approx(-0.07, abs=0.015)
     limits = Configuration.from_keywords({"name": "FlexPlanar-v0"}).torque_limit

@@ -1,4 +1,4 @@
-"""Stiffening: foreshortening against reference solutions, and its identities on random chains."""
+"""Geometric stiffening: foreshortening against reference solutions, and identities on random chains."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Vibration: modes of an arm against closed forms, ring-downs and what changed springs do to them."""
+"""Vibration modes against closed forms and ring-downs, and the effect of changed springs."""
 
 from dataclasses import replace
 
@@ -60,7 +60,7 @@ def test_a_clamped_strip_with_a_tip_mass_has_the_frequencies_of_its_closed_form(
 
 
 def test_slow_modes_are_exact_beside_stiff_ones():
-    """A soft spring beside one 1e14 times as stiff: an eigenvalue solver would keep two digits of the soft one."""
+    """A soft spring and one 1e14 times as stiff: a general eigenvalue solver has two correct digits of the soft one."""
     rng = np.random.default_rng(2)
     turned = np.linalg.qr(rng.standard_normal((6, 6)))[0] * 10.0 ** rng.uniform(-1.0, 1.0, 6)
     squares, shapes = natural_modes(turned.T @ turned, turned.T @ np.diag(10.0 ** np.arange(0.0, 12.0, 2.0)) @ turned)
@@ -70,7 +70,7 @@ def test_slow_modes_are_exact_beside_stiff_ones():
 
 @pytest.mark.parametrize("motors", ["held", "free"])
 def test_damping_ratios_are_those_of_a_ring_down(motors):
-    """The arm starts in a mode, as small as rounding lets; its logarithmic decrement tells the ratio."""
+    """The arm starts in a mode of the smallest amplitude above rounding; its logarithmic decrement gives the ratio."""
     angles = np.array([0.3, 0.5])
     found, rest = fm.modes(SPATIAL, angles, motors), fm.rest_state(SPATIAL, angles)
     for i in (0, 2):
@@ -130,7 +130,7 @@ def test_modes_say_the_first_in_a_few_lines():
 
 
 def test_friction_changes_no_mode_of_free_motors():
-    """A motor that slides is pushed by a constant torque; the slope of its smoothed law at rest would clamp it."""
+    """Friction on a sliding motor is a constant torque; the slope of the smoothed law at rest would clamp the motor."""
     rubbing = [replace(joint, coulomb_friction=2.0) for joint in SPATIAL.arm.joints]
     model = fm.build_model(replace(SPATIAL.arm, joints=rubbing), modes=4)
     for motors in ("held", "free"):

@@ -1,4 +1,4 @@
-"""Closed forms: characteristic equations have the roots that Rayleigh and Ritz's method finds, and the known limits."""
+"""Closed forms: roots of the characteristic equations against the Rayleigh-Ritz method and known limits."""
 
 import pytest
 from hypothesis import given, settings
@@ -62,7 +62,7 @@ def test_a_step_of_nothing_is_no_step(place):
 
 
 def test_limits_of_the_stepped_cantilever():
-    """With a weightless end it is the root alone, a cantilever; on a stiff heavy root the end alone, another one."""
+    """A weightless outboard or a stiff heavy inboard segment leaves the cantilever of the remaining segment."""
     place = 0.6
     weightless = stepped_cantilever_eigenvalues(1, place, 1.0, 1e-9)
     assert weightless == pytest.approx(cantilever_eigenvalues(1) / place**2, rel=1e-6)

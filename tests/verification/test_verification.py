@@ -1,4 +1,4 @@
-"""Verification: the closed forms pass, a wrong number fails, and the table and its files hold every row."""
+"""Verification table: verdicts of correct and wrong values, and the output as text and JSON."""
 
 import json
 from dataclasses import replace
@@ -16,7 +16,7 @@ ROW = VerificationRow("a number, m", "a book", 2.0, 2.001, 1e-3)
 
 @pytest.fixture(scope="module")
 def rows():
-    """The rows of the command."""
+    """Rows of the verify command."""
     return cases.closed_form_rows()
 
 
