@@ -13,7 +13,6 @@ import numpy as np
 
 from flexman_gym.common.checks import short_path
 from flexman_gym.common.files import READ_ERRORS, existing_file, open_arrays, regular_file, write_atomically
-from flexman_gym.common.snapshot import join_arrays, split_arrays
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
 TEXT = "data.json"  # the name of the plain data among the arrays of a file
@@ -22,7 +21,7 @@ TEXT = "data.json"  # the name of the plain data among the arrays of a file
 def write_npz(path: Path, data: dict[str, Any]) -> None:
     """Writes dicts and lists of arrays and plain data, as arrays and JSON in one file (npz); see `write_atomically`."""
     arrays: dict[str, np.ndarray] = {}
-    text = json.dumps(split_arrays(data, arrays)).encode()
+    text = json.dumps(_split_arrays(data, arrays)).encode()
     named: dict[str, Any] = {TEXT: np.frombuffer(text, dtype=np.uint8), **arrays}  # paths begin with a slash
     write_atomically(path, lambda file: np.savez(file, allow_pickle=False, **named))
 
@@ -37,12 +36,31 @@ def read_npz(path: Path) -> Any:
     try:
         with open_arrays(existing_file(path)) as result:
             text = result[TEXT].tobytes().decode("utf-8")
-            return join_arrays(json.loads(text), result)
+            return _join_arrays(json.loads(text), result)
     except FileNotFoundError:
         raise
     except READ_ERRORS as error:
         said = " ".join(str(error).split())[:120] or type(error).__name__
         raise ValueError(f"{short_path(path)}: this is not what a training run has written ({said})") from None
+
+
+def _split_arrays(data: Any, arrays: dict[str, np.ndarray], path: str = "") -> Any:
+    if isinstance(data, np.ndarray):
+        arrays[path] = data
+        return {"array": path}
+    if isinstance(data, dict):
+        return {name: _split_arrays(each, arrays, f"{path}/{name}") for name, each in data.items()}
+    if isinstance(data, list):
+        return [_split_arrays(each, arrays, f"{path}/{i}") for i, each in enumerate(data)]
+    return data
+
+
+def _join_arrays(data: Any, arrays: Any) -> Any:
+    if isinstance(data, dict):
+        if data.keys() == {"array"}:
+            return arrays[data["array"]]
+        return {name: _join_arrays(each, arrays) for name, each in data.items()}
+    return [_join_arrays(each, arrays) for each in data] if isinstance(data, list) else data
 
 
 def read_settings_text(folder: Path) -> str:

@@ -74,7 +74,7 @@ class _Motors:
         reached: (b, n) where drives with a bandwidth are, parts of the limits; they start at 0.
     """
 
-    kept = ("limits", "forces", "accelerations", "reached")
+    state_fields = ("limits", "forces", "accelerations", "reached")
 
     def __init__(self, limits: Sequence[float], arms: int, lag: tuple[float, float] | None = None) -> None:
         joints = len(limits)
@@ -110,7 +110,7 @@ class Episodes:
         watch: called after every control period, also those within an action that is kept; None for nothing.
     """
 
-    kept = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "_ages", "_failed")
+    state_fields = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "_ages", "_failed")
 
     def __init__(self, setup: Configuration, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, setup.task, View(batch)

@@ -117,7 +117,7 @@ def test_trials_are_compared_ten_times_where_the_recipe_does_not_say(asked, ever
     monkeypatch.setattr(module, "_study", lambda folder: study)
     monkeypatch.setattr(module, "_proposed", lambda study, number, over: {"hyperparameters.gamma": 0.7})
     monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
-    monkeypatch.setattr(module, "run_cells", spread)
+    monkeypatch.setattr(module, "parallel_map_unordered", spread)
     search(replace(RECIPE, judge_every=asked), OVER, tmp_path, 1)
     ((settings, _, number),) = cells
     assert (settings.judge_every, settings.hyperparameters["gamma"], number) == (every, 0.7, 0)
@@ -135,7 +135,7 @@ def test_every_trial_is_proposed_by_a_seed_of_its_own(optuna, monkeypatch, tmp_p
     monkeypatch.setattr(module, "_study", lambda folder: study)
     monkeypatch.setattr(module, "_proposed", lambda study, number, over: seeds.append(study.sampler) or {})
     monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
-    monkeypatch.setattr(module, "run_cells", spread)
+    monkeypatch.setattr(module, "parallel_map_unordered", spread)
     search(RECIPE, OVER, tmp_path, 3, workers=2, seed=7)
     assert len(study.trials) == 3 and list(dict.fromkeys(seeds)) == [7, 8, 9]
 
