@@ -184,29 +184,6 @@ def _tree(path: str, data: Any) -> Any:
     return data
 
 
-def parse_json(text: bytes) -> Any:
-    """Return the content of a text in JSON.
-
-    Raises:
-        ValueError: one line, for broken text, a repeated key, and NaN or an infinite number.
-    """
-    try:
-        return json.loads(text.decode("utf-8"), object_pairs_hook=_once, parse_constant=_no_number)
-    except RecursionError:
-        raise ValueError("its mappings lie too deep in each other") from None
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    result = dict(pairs)
-    if len(result) < len(pairs):
-        raise ValueError("a key stands there twice")
-    return result
-
-
-def _no_number(text: str) -> Any:
-    raise ValueError(f"{text} is no number of JSON")
-
-
 def write_atomically(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
     """Write a file atomically: fill a temporary file, flush it to the disk and rename it.
 

@@ -69,7 +69,7 @@ class _RayTasks:
 
     def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
         with ray_cluster(self._jobs, self._address) as ray:
-            own = {"env_vars": {"PYTHONPATH": python_path()}}
+            own = {"env_vars": {"PYTHONPATH": _python_path()}}
             remote = ray.remote(num_cpus=1, max_retries=MAX_DEATHS, runtime_env=own)(_run_prepared)
             waiting = {remote.remote(prepare, task, cell): number for number, cell in enumerate(cells)}
             while waiting:
@@ -78,7 +78,7 @@ class _RayTasks:
 
 
 @contextmanager
-def ray_cluster(jobs: int, address: str = "local", **settings: Any) -> Iterator[Any]:
+def ray_cluster(jobs: int, address: str = "local", **variables: str) -> Iterator[Any]:
     """Gives Ray where it runs; a cluster that is started for it ends here.
 
     Args:
@@ -95,7 +95,8 @@ def ray_cluster(jobs: int, address: str = "local", **settings: Any) -> Iterator[
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         here = {"num_cpus": jobs, "include_dashboard": False, "object_store_memory": OBJECTS}
         there = here if address == "local" else {"address": address}
-        ray.init(log_to_driver=False, logging_level="ERROR", **there, **settings)
+        workers = {"runtime_env": {"env_vars": {"PYTHONPATH": _python_path(), **variables}}} if variables else {}
+        ray.init(log_to_driver=False, logging_level="ERROR", **there, **workers)
     try:
         yield ray
     finally:
@@ -133,7 +134,7 @@ class _ArrayJob:
             room = len(left) if self._cluster == "slurm" else self._jobs
             waiting = [first for first in left if first not in running][: room - len(running)]
             if waiting:
-                os.environ["PYTHONPATH"] = python_path()
+                os.environ["PYTHONPATH"] = _python_path()
                 with executor.batch():
                     running |= {first: executor.submit(_run_share, prepare, task, left[first]) for first in waiting}
             for first in [first for first, job in running.items() if job.done()]:
@@ -164,7 +165,7 @@ def _run_prepared(prepare: Prepare | None, task: Task, cell: Any) -> Any:
     return task(cell)
 
 
-def python_path() -> str:
+def _python_path() -> str:
     """Gives what a process that is started needs as PYTHONPATH to find what this one can import."""
     return os.pathsep.join(filter(None, sys.path))
 

@@ -28,7 +28,7 @@ SCALE = 4.0  # times, from which on a scale is odd
 FILTERED = 0.5  # of the squared residuals, that a filter leaves which is missing
 
 
-def find_undetermined(free: FreeParameters, values: Array, covariance: Array) -> tuple[tuple[str, ...], str]:
+def _find_undetermined(free: FreeParameters, values: Array, covariance: Array) -> tuple[tuple[str, ...], str]:
     """Gives the numbers that the data cannot tell, and one sentence about them.
 
     A number cannot be told where its standard deviation is more than half of it, and of what the fit started from.
@@ -264,7 +264,7 @@ class Fit:
     def score(self, record: Measurement) -> dict[str, float]:
         """Gives R2 of each output of a measurement, which need not be one of those that were fitted."""
         shown, kept = self.predicted(record), record.compared
-        return {name: r_squared(np.asarray(record.outputs[name])[kept], each[kept]) for name, each in shown.items()}
+        return {name: _r_squared(np.asarray(record.outputs[name])[kept], each[kept]) for name, each in shown.items()}
 
     def save(self, path: str | Path) -> None:
         """Writes the arm to a .json, .yaml or .yml file, with the key arm, as a description of an environment has it.
@@ -371,7 +371,7 @@ def _concluded(problem: LeastSquaresProblem, x: Array, said: tuple[str, ...], gi
     covariance, p = _covariance(problem, x), len(free.numbers)
     values, deviations = problem.values(x), np.sqrt(np.diag(covariance))
     own, spread = free.parameters(values), free.parameters(values * deviations[:p], rest=0.0)
-    names, sentence = find_undetermined(free, values, covariance[:p, :p])
+    names, sentence = _find_undetermined(free, values, covariance[:p, :p])
     gains = {
         name.removeprefix("gain of "): (float(x[p + i]), float(deviations[p + i]))
         for i, name in enumerate(problem.nuisances) if name.startswith("gain")
@@ -382,7 +382,7 @@ def _concluded(problem: LeastSquaresProblem, x: Array, said: tuple[str, ...], gi
         if part.record < 0:
             rows.append(np.column_stack([part.measured, shown, part.sigma]))
         else:
-            scores[f"record {part.record}, {part.name}"] = r_squared(part.measured, shown)
+            scores[f"record {part.record}, {part.name}"] = _r_squared(part.measured, shown)
     size = np.sqrt(np.diag(covariance[:p, :p]))
     return Fit(
         free.changed(values), _named(free, own), _named(free, spread), names, sentence, said, gains,
@@ -426,7 +426,7 @@ def _memory(rows: Array) -> float:
     return float(1.0 + 2.0 * alike[1 : ends[0] if len(ends) else size].sum())
 
 
-def r_squared(measured: Array, shown: Array) -> float:
+def _r_squared(measured: Array, shown: Array) -> float:
     """1 less the part of the variance that is left."""
     spread = float(np.sum((measured - measured.mean()) ** 2))
     return 1.0 - float(np.sum((measured - shown) ** 2)) / max(spread, 1e-300)

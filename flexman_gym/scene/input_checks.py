@@ -74,11 +74,6 @@ class _AbsentMember:
         raise AttributeError(self._line)
 
 
-def keyword_hint(kind: str, name: str) -> str:
-    """Return what may be given in place of a keyword of a class, "" for one that is not in the table."""
-    return FOREIGN_KEYWORDS.get(kind, {}).get(name, "")
-
-
 def check_keywords(kind: type[Part]) -> type[Part]:
     """Let the constructor of a dataclass answer unknown keywords, by a TypeError of one line; its signature stays."""
     construct: Callable[..., None] = kind.__init__
@@ -90,7 +85,7 @@ def check_keywords(kind: type[Part]) -> type[Part]:
             if name not in known:
                 near = get_close_matches(name, known, 1, 0.0)[0]
                 nearest = f"a known keyword: the nearest is {near}; all: {' '.join(known)}"
-                allowed = keyword_hint(kind.__name__, name) or nearest
+                allowed = FOREIGN_KEYWORDS.get(kind.__name__, {}).get(name) or nearest
                 raise TypeError(str(value_error(f"{kind.__name__}.{name}", value, allowed)))
         construct(self, *values, **named)
 

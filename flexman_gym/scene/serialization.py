@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of, sequence, short_path, text, value_error, whole_number
 from flexman_gym.scene.arm import Arm
-from flexman_gym.scene.input_checks import keyword_hint
+from flexman_gym.scene.input_checks import FOREIGN_KEYWORDS
 from flexman_gym.scene.joint import Joint, Motor
 from flexman_gym.scene.link import IDENTITY, SHAPES, Link, NonUniformLink, Outline
 from flexman_gym.scene.rigid_body import LumpedMass, Payload
@@ -44,7 +44,7 @@ OPTIONAL: dict[str, tuple[str, ...]] = {
 }
 
 
-def arm_from_plain(data: object) -> Arm:
+def _arm_from_plain(data: object) -> Arm:
     """Return the arm that a mapping describes.
 
     Raises:
@@ -146,7 +146,7 @@ def _check_entries(kind: Any, path: str, data: object, *left_out: str) -> dict[s
     prefix = f"{path}." if path else ""
     for name, value in data.items():
         if name not in names:
-            allowed = keyword_hint(kind.__name__, name) or "only the keys " + ", ".join(names)
+            allowed = FOREIGN_KEYWORDS.get(kind.__name__, {}).get(name) or "only the keys " + ", ".join(names)
             raise value_error(f"{prefix}{name}", value, allowed)
     for name in names:
         if name not in data and name not in ("payload", "note", *OPTIONAL.get(kind.__name__, ())):
@@ -213,9 +213,9 @@ def find_arm(value: object, folder: Path = Path()) -> Arm:
             data = files.read_data(folder / value)
         except ValueError as error:
             raise ValueError(f"{short_path(value)}: {error}") from None
-        return arm_from_plain(data if "links" in data else data.get("arm", data))
+        return _arm_from_plain(data if "links" in data else data.get("arm", data))
     if isinstance(value, dict) and "catalog" not in value:
-        return arm_from_plain(value)
+        return _arm_from_plain(value)
     given = {"catalog": value} if isinstance(value, str) else value
     arguments = {text("a key of arm", name): each for name, each in given.items() if name != "catalog"}
     name = one_of("arm", given["catalog"], ARMS)
@@ -242,7 +242,7 @@ def named_arm(name: str) -> Callable[..., Arm]:
         ValueError: by the returned function, for values that Joint or Arm does not allow.
     """
     data = files.read_data(ARM_FOLDER / f"{name}.yaml")
-    arm, options, values = arm_from_plain(data["arm"]), data.get("options", {}), data.get("values", {})
+    arm, options, values = _arm_from_plain(data["arm"]), data.get("options", {}), data.get("values", {})
     defaults = {option: _default(arm, name, field, values.get(option)) for option, field in options.items()}
     kind = Parameter.POSITIONAL_OR_KEYWORD
     call = Signature([Parameter(option, kind, default=value) for option, value in defaults.items()])

@@ -76,9 +76,7 @@ def test_workers_that_die_again_and_again_end_the_grid(capfd):
 
 def test_a_killed_grid_leaves_no_process_and_goes_on_where_it_was(tmp_path):
     """Cells 0 to 3 are done at once, 4 and 5 take long; then the grid and its workers are killed."""
-    call = (
-        "from pathlib import Path; from oracles import cells; from flexman_gym.common.parallel import parallel_map\n"
-    )
+    call = "from pathlib import Path; from oracles import cells; from flexman_gym.common.parallel import parallel_map\n"
     call += f"if __name__ == '__main__': parallel_map(cells.counted, {{own}}, 2, Path({str(tmp_path / 'kept')!r}))"
     own = [(str(tmp_path), seed, seed >= 4) for seed in range(6)]
     (tmp_path / "study.py").write_text(call.format(own=own))

@@ -20,7 +20,9 @@ def test_an_old_module_has_the_names_of_the_present_one(old, present):
         assert importlib.import_module(old).nothing
 
 
-@pytest.mark.parametrize("module", ["flexman_gym.control", "flexman_gym.envs.sensors", "flexman_gym.evaluation", "flexman_gym.metrics"])
+@pytest.mark.parametrize(
+    "module", ["flexman_gym.control", "flexman_gym.envs.sensors", "flexman_gym.evaluation", "flexman_gym.metrics"]
+)
 def test_an_old_name_of_a_package_is_the_present_one(module):
     package = importlib.import_module(module)
     for old, present in NAMES[module].items():

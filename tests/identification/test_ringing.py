@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 
 import flexman_gym as fm
-from flexman_gym.identification.fit import find_undetermined
+from flexman_gym.identification.fit import _find_undetermined
 from flexman_gym.identification.least_squares import STEP, FreeParameters
 from flexman_gym.identification.ringing import Ringing
 from flexman_gym.model.dynamics import frequencies
@@ -126,8 +126,8 @@ def test_what_frequencies_cannot_tell_is_named():
 
 def test_a_number_is_untold_from_half_of_itself_on():
     free = FreeParameters(fm.catalog.planar_2r(), "link_stiffness_factor")
-    assert find_undetermined(free, free.start, np.diag([0.6**2, 0.4**2]))[0] == ("link_stiffness_factor[0]",)
-    names, sentence = find_undetermined(free, free.start, np.array([[1.0, -0.99], [-0.99, 1.0]]))
+    assert _find_undetermined(free, free.start, np.diag([0.6**2, 0.4**2]))[0] == ("link_stiffness_factor[0]",)
+    names, sentence = _find_undetermined(free, free.start, np.array([[1.0, -0.99], [-0.99, 1.0]]))
     assert names == ("link_stiffness_factor[0]", "link_stiffness_factor[1]")
     assert sentence == "The data cannot tell link_stiffness_factor[0] and link_stiffness_factor[1] apart."
 

@@ -10,7 +10,6 @@ import numpy as np
 
 import flexman_gym as fm
 from flexman_gym.identification import Filter, Measurement
-from flexman_gym.identification.fit import r_squared
 from flexman_gym.identification.least_squares import FreeParameters
 from flexman_gym.identification.measurement import SimulatedResponse
 from flexman_gym.model.dynamics import mass_matrix
@@ -98,6 +97,11 @@ class FitRow:
     value: float
 
 
+def _r_squared(measured: np.ndarray, computed: np.ndarray) -> float:
+    """Return the coefficient of determination."""
+    return 1.0 - float(np.sum((measured - computed) ** 2) / np.sum((measured - measured.mean()) ** 2))
+
+
 def stage_1(folder: Path = DATA, others: bool = True) -> tuple[list[FitRow], dict[str, Any]]:
     """Fits half of the moving runs of the first stage and scores the rest, then the other way round.
 
@@ -123,7 +127,7 @@ def stage_1(folder: Path = DATA, others: bool = True) -> tuple[list[FitRow], dic
             shown = found.predicted(record)[STAGE_1]
             rows.append(FitRow(SCORE, name, label, found.score(record)[STAGE_1]))
             sheet = _sheet(build_model(arm, **ONE), record)  # type: ignore[arg-type]
-            rows.append(FitRow(SHEET, name, label, r_squared(np.asarray(record.outputs[STAGE_1]), sheet)))
+            rows.append(FitRow(SHEET, name, label, _r_squared(np.asarray(record.outputs[STAGE_1]), sheet)))
             lines[name] = [
                 np.asarray(record.times),
                 np.asarray(record.outputs[STAGE_1]) / LENGTHS[0],
@@ -186,7 +190,7 @@ def _by_mujoco(found: fm.Fit, runs: Mapping[str, fm.Measurement]) -> list[FitRow
     for name, record in runs.items():
         started = time.process_time()
         shown = mujoco.deflection(found.arm, record) * found.gains[STAGE_1][0]
-        rows.append(FitRow(MUJOCO, name, "R2", r_squared(np.asarray(record.outputs[STAGE_1]), shown)))
+        rows.append(FitRow(MUJOCO, name, "R2", _r_squared(np.asarray(record.outputs[STAGE_1]), shown)))
         rows.append(FitRow(MUJOCO, name, "CPU s", time.process_time() - started))
     return rows
 
@@ -214,7 +218,7 @@ def _coupled(found: fm.Fit, record: fm.Measurement, part: str) -> Iterator[FitRo
         yield FitRow(part, f"gain of {name}", "deviation", deviation)
     late, shown = np.asarray(record.times) >= HALF, found.predicted(record)
     for name, values in shown.items():
-        yield FitRow(part, name, "R2", r_squared(np.asarray(record.outputs[name])[late], values[late]))
+        yield FitRow(part, name, "R2", _r_squared(np.asarray(record.outputs[name])[late], values[late]))
 
 
 def _currents(found: fm.Fit, path: Path) -> Iterator[FitRow]:
