@@ -89,7 +89,7 @@ def test_what_a_record_cannot_tell_is_named():
     record = made_up(TIMES, {"motor_angle_1": hub}, ("link_deflection_1_y",))
     found = fm.fit(fm.catalog.one_joint(), ["link_stiffness_factor", "viscous_friction"], records=[record], **CHOICE)
     assert found.undetermined == ("viscous_friction[0]",)
-    assert found.explanation == "The data cannot tell viscous_friction[0]."
+    assert found.explanation == "The data do not determine viscous_friction[0]."
     assert found.values["viscous_friction"].shape == (1,)
 
 
@@ -112,7 +112,7 @@ def test_bad_records_are_refused_in_one_line(tmp_path):
     outputs, good = {"motor_angle_1": np.zeros(SAMPLES)}, np.zeros(SAMPLES)
     gap = np.where(TIMES > 0.5, TIMES + 0.3, TIMES)
     for words, arguments in (
-        ("there is a gap behind 0.5 s", (gap, {}, outputs)),
+        ("there is a gap after 0.5 s", (gap, {}, outputs)),
         ("Measurement.outputs['motor_angle_1']", (TIMES, {}, {"motor_angle_1": np.where(TIMES > 1, np.nan, good)})),
         *(
             ("Measurement.inputs: 'torque", (TIMES, {f"torque{end}": good}, outputs))

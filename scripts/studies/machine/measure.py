@@ -280,7 +280,7 @@ def draws(seed: int, count: int) -> list[tuple[str, float, bool]]:
     record, free = _truth(arm, rng), FreeParameters(arm, FREE)
     result = []
     for _ in range(count):
-        start = free.changed(free.start * np.exp(rng.uniform(-FAR, FAR, len(free.start))))
+        start = free.build_arm(free.start * np.exp(rng.uniform(-FAR, FAR, len(free.start))))
         noisy = {
             name: values + NOISE * np.std(values) * rng.standard_normal(SAMPLES)
             for name, values in record.outputs.items()
@@ -292,7 +292,7 @@ def draws(seed: int, count: int) -> list[tuple[str, float, bool]]:
             for a, b in zip(arm.links, start.links, strict=True)
         ]
         for number, true in zip(free.numbers, scale, strict=True):
-            place = number.place or 0
+            place = number.index or 0
             value, deviation = (np.ravel(each[number.parameter])[place] for each in (found.values, found.deviations))
             right = moduli[place] if number.parameter == "link_stiffness_factor" else true
             result.append((str(number), float((value - right) / deviation), str(number) not in found.undetermined))
