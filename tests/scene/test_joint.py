@@ -78,8 +78,11 @@ def test_a_copy_of_a_joint_keeps_its_motor():
 @pytest.mark.parametrize(
     ("make", "line"),
     [
-        (lambda: fm.Joint(Z, 0.1, motor=MOTOR), "Joint.rotor_inertia: 0.1 is not allowed; give nothing beside a motor"),
-        (lambda: fm.Joint(Z, motor=MOTOR, torque_limit=9.0), "Joint.torque_limit: 9.0 is not allowed; give nothing"),
+        (
+            lambda: fm.Joint(Z, 0.1, motor=MOTOR),
+            "Joint.rotor_inertia: 0.1 is not allowed; give none together with a motor",
+        ),
+        (lambda: fm.Joint(Z, motor=MOTOR, torque_limit=9.0), "Joint.torque_limit: 9.0 is not allowed; give none"),
         (lambda: fm.Joint(Z, motor="big"), "Joint.motor: 'big' is not allowed; give a Motor or None"),
         (lambda: replace(MOTOR, efficiency=1.2), "Motor.efficiency: 1.2 is not allowed; give a number > 0 and <= 1"),
         (lambda: replace(MOTOR, gear_ratio=0.0), "Motor.gear_ratio: 0.0 is not allowed; give a finite number > 0"),

@@ -110,7 +110,7 @@ def test_a_file_may_give_sizes():
         (lambda: fm.Link.rod(0.5, 0.01, "wood"), "Link.material: 'wood' is not allowed; give one of aluminium"),
         (lambda: fm.Link.rod(0.5, 0.01, (1e9, 4e8)), "Link.material: (1000000000.0, 400000000.0) is not allowed; give"),
         (lambda: fm.Link.rod(0.5, 0.01, (1e9, 4e8, 0.0)), "Link.density: 0.0 is not allowed; give a finite number > 0"),
-        (lambda: replace(STRIP, area=1e-3), "Link.area: 0.001 is not allowed; give 0.00012, that of its outline"),
+        (lambda: replace(STRIP, area=1e-3), "Link.area: 0.001 is not allowed; give 0.00012, the value of its outline"),
         (lambda: replace(STRIP, outline="strip"), "Link.outline: 'strip' is not allowed; give an Outline or None"),
         (lambda: Outline("tube", 0.1, 0.2, 0.01), "Outline.z: 0.2 is not allowed; give 0.1 (m), the diameter along y"),
         (lambda: Outline("rod", 0.1, 0.1, 0.01), "Outline.wall: 0.01 is not allowed; give None for a rod"),
