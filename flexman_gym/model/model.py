@@ -443,4 +443,4 @@ def _warn_of_modes(rates: list[float]) -> None:
     frequency = min(rates, default=2.0 * np.pi) / (2.0 * np.pi)
     if not MIN_FREQUENCY <= frequency <= MAX_FREQUENCY:
         usual = f"usual is {MIN_FREQUENCY:g} to {MAX_FREQUENCY:g} Hz; look at the units of moduli, sizes and masses"
-        warn_caller(f"arm: its links first bend at {frequency:.3g} Hz, which is unusual; wrong unit? {usual}")
+        warn_caller(f"arm: its links first bend at {frequency:.3g} Hz, which looks like a slip of units; {usual}")
