@@ -1,10 +1,10 @@
-"""Markdown: tables and lists of generated pages."""
+"""Markdown tables of generated pages."""
 
 from collections.abc import Iterable, Sequence
 
 
 def markdown_table(heads: Sequence[object], rows: Iterable[Iterable[object]]) -> list[str]:
-    """The lines of a table with a head for each column."""
+    """Return the lines of a table with a header for each column."""
     return [_line(heads), _line("---" for _ in heads), *map(_line, rows)]
 
 

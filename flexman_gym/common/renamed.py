@@ -1,4 +1,4 @@
-"""Renamed modules and names: the table of release 0.3, and warnings for the old ones until release 0.4."""
+"""Renamed modules and names: the table of release 0.3; old names work with a warning until release 0.4."""
 
 import sys
 import warnings
@@ -61,7 +61,7 @@ NAMES = {
 
 
 def deprecated_names(module: str, old: str = "") -> Callable[[str], Any]:
-    """Return the `__getattr__` of a module that still answers to old names, with a DeprecationWarning.
+    """Return a `__getattr__` for a module that resolves old names with a DeprecationWarning.
 
     Args:
         module: present module of the names.
@@ -80,7 +80,7 @@ def deprecated_names(module: str, old: str = "") -> Callable[[str], Any]:
 
 
 class _OldModules(MetaPathFinder, Loader):
-    """Finder of the old modules, which hold nothing but the way to the present ones."""
+    """Finder and loader of old modules, which forward to the present ones."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         return ModuleSpec(name, self) if name in MODULES else None

@@ -1,4 +1,8 @@
-"""Snapshot: the state of an object as arrays and plain data, and its restoration."""
+"""Snapshot: the state of an object as arrays and plain data, and its restoration.
+
+An object lists the attributes that are its state in `state_fields`. Arrays, random generators, dicts, lists, tuples,
+numbers, strings, booleans and None are supported as well.
+"""
 
 import warnings
 from typing import Any
@@ -11,7 +15,7 @@ GENERATOR = "bit_generator"  # key that marks the state of a random generator
 
 
 def get_state(value: Any) -> Any:
-    """Gives a copy of a value of the kinds above: dicts and lists of arrays, numbers, texts, booleans and None."""
+    """Return a copy of the state of a value, as dicts and lists of arrays, numbers, strings, booleans and None."""
     if isinstance(value, np.ndarray):
         return value.copy()
     if isinstance(value, np.random.Generator):
@@ -26,10 +30,15 @@ def get_state(value: Any) -> Any:
 
 
 def set_state(field: str, old: Any, data: Any) -> Any:
-    """Gives what was taken back to a value made alike; returns the value, `old` itself where it could be written into.
+    """Restore the state of a value; return `old` itself if it could be written in place, or a new value.
+
+    Args:
+        field: field, for errors.
+        old: value to be restored.
+        data: state from `get_state`.
 
     Raises:
-        ValueError: one line, where the data does not fit; what was written before stays written.
+        ValueError: if the data do not fit; one line. What was written before remains written.
     """
     if isinstance(old, np.ndarray):
         if not isinstance(data, np.ndarray) or data.shape != old.shape or data.dtype != old.dtype:
@@ -42,7 +51,7 @@ def set_state(field: str, old: Any, data: Any) -> Any:
         _check_kind(field, data, dict, "a mapping")
         new = {name: set_state(f"{field}.{name}", old.get(name), each) for name, each in data.items()}
         return old if new.keys() == old.keys() and all(new[name] is old[name] for name in new) else new
-    if isinstance(old, list | tuple):  # arrays of a tuple are written into
+    if isinstance(old, list | tuple):  # arrays in a tuple are written in place
         _check_kind(field, data, list, "a list")
         if len(data) != len(old):
             raise value_error(field, f"{len(data)} entries", f"{len(old)} entries")
@@ -71,7 +80,7 @@ def _state_fields(value: Any) -> tuple[str, ...]:
 
 
 def _generator_state(random: np.random.Generator) -> dict[str, Any]:
-    """The state of a generator and the seed from which streams of its own are made."""
+    """Return the state of a random generator, and the seed from which it spawns other generators."""
     seed: Any = random.bit_generator.seed_seq
     entropy = [int(each) for each in seed.entropy] if np.ndim(seed.entropy) else int(seed.entropy)
     key = [int(each) for each in seed.spawn_key]
@@ -79,6 +88,7 @@ def _generator_state(random: np.random.Generator) -> dict[str, Any]:
 
 
 def _generator(field: str, data: dict[str, Any]) -> np.random.Generator:
+    """Return the random generator of a state."""
     try:
         bits = np.random.PCG64(np.random.SeedSequence(data["entropy"], spawn_key=data["spawn_key"]))
         state: Any = {name: each for name, each in data.items() if name not in ("entropy", "spawn_key")}

@@ -71,7 +71,7 @@ def test_the_error_of_a_cell_is_raised_as_it_is(workers):
 def test_workers_that_die_again_and_again_end_the_grid(capfd):
     with pytest.raises(RuntimeError, match="workers died 3 times in a row"):
         parallel_map(cells.deadly, [1, 2], 2)
-    assert capfd.readouterr().err.count("a worker died: its cells are tried again") == 2
+    assert capfd.readouterr().err.count("a worker died: its items are run again") == 2
 
 
 def test_a_killed_grid_leaves_no_process_and_goes_on_where_it_was(tmp_path):
@@ -118,4 +118,6 @@ def test_a_long_grid_says_what_is_left(monkeypatch, capsys):
 def test_workers_that_do_not_exist_are_refused():
     assert refusal(Workers, 0).startswith("jobs: 0 is not allowed; give a whole number from 1")
     assert refusal(Workers, 1, None, "pbs").startswith("submitit: 'pbs' is not allowed; give one of slurm, local")
-    assert refusal(Workers, 1, "auto", "slurm").startswith("ray: 'auto' is not allowed; give nothing beside submitit")
+    assert refusal(Workers, 1, "auto", "slurm").startswith(
+        "ray: 'auto' is not allowed; give no Ray cluster together with submitit"
+    )
