@@ -161,12 +161,15 @@ def mapping(name: str, value: object, keys: Collection[str]) -> dict[str, Any]:
 
 
 def sequence(name: str, value: object, items: str = "values") -> Sequence[Any]:
-    """Return a value that is a list, a tuple or an array; an array is returned as a list.
+    """Check a list, a tuple or an array.
 
     Args:
         name: field, for errors.
         value: the value.
         items: description of the entries, for errors.
+
+    Returns:
+        The value; an array is returned as a list.
     """
     if isinstance(value, np.ndarray) and value.ndim > 0 and value.size <= MAX_ENTRIES:
         return list(value.tolist())
@@ -176,13 +179,16 @@ def sequence(name: str, value: object, items: str = "values") -> Sequence[Any]:
 
 
 def number_array(name: str, value: object, shape: tuple[int, ...], allowed: str) -> NDArray[np.float64]:
-    """Return an array-like of finite numbers as a float array of a given shape; its length is checked first.
+    """Check an array-like of finite numbers; its length is checked before it is converted.
 
     Args:
         name: field, for errors.
         value: the array-like.
         shape: required shape.
         allowed: allowed values, for errors.
+
+    Returns:
+        The numbers as a float array.
     """
     try:
         values = np.asarray(value) if len(value) == shape[0] else None  # type: ignore[arg-type]

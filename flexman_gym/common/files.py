@@ -62,9 +62,16 @@ _Loader.add_constructor("tag:yaml.org,2002:map", lambda loader, node: _Mapping(l
 
 
 def regular_file(path: str | Path, most: int | None = MAX_TEXT_BYTES) -> Path:
-    """Return the path of a regular file of at most `most` bytes (None for any size), without opening it.
+    """Check that a path is a regular file, without opening it.
 
     Reading a device may never end, and reading a pipe may wait for ever.
+
+    Args:
+        path: the path.
+        most: largest size in bytes; None for any size.
+
+    Returns:
+        The path.
 
     Raises:
         FileNotFoundError: if the file does not exist.
@@ -90,12 +97,11 @@ def open_arrays(path: str | Path, packed: bool = False) -> Iterator[Any]:
         packed: whether its arrays may be compressed, with at most 100 MB after decompression.
 
     Yields:
-        The arrays by name.
+        Any: The arrays by name.
 
     Raises:
         FileNotFoundError: if the file does not exist.
-        ValueError: for arrays larger than the file.
-        READ_ERRORS: any of them, for a file that is no regular file of arrays.
+        ValueError: for arrays larger than the file; for other damage, any of READ_ERRORS.
     """
     size = regular_file(path, None).stat().st_size
     with zipfile.ZipFile(path) as parts:
@@ -106,12 +112,19 @@ def open_arrays(path: str | Path, packed: bool = False) -> Iterator[Any]:
 
 
 def read_data(path: Path, kind: type = dict) -> Any:
-    """Read a .json, .yaml or .yml file that contains a mapping, or a list if `kind` is list.
+    """Read a .json, .yaml or .yml file.
+
+    Args:
+        path: path of the file.
+        kind: dict for a file with a mapping, list for a file with a list.
+
+    Returns:
+        The content.
 
     Raises:
         FileNotFoundError: if the file does not exist.
         ValueError: for another suffix, a file that is irregular, larger than 1 MB or not UTF-8, a syntax error, another
-            type, a repeated key and excessive nesting; one line without the name and the text of the file.
+            kind, a repeated key and excessive nesting; one line without the name and the text of the file.
     """
     ending = _check_suffix(path)
     try:
@@ -128,7 +141,13 @@ def read_data(path: Path, kind: type = dict) -> Any:
 
 
 def parse_yaml(text: str) -> Any:
-    """Return the content of a YAML text, under the same restrictions as `read_data`.
+    """Parse a YAML text under the same restrictions as `read_data`.
+
+    Args:
+        text: the text.
+
+    Returns:
+        The content.
 
     Raises:
         ValueError: for a syntax error; one line.
@@ -186,6 +205,10 @@ def _tree(path: str, data: Any) -> Any:
 def write_atomically(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
     """Write a file atomically: fill a temporary file, flush it to disk and rename it.
 
+    Args:
+        path: path of the file.
+        fill: function that writes the content to the open temporary file.
+
     Raises:
         OSError: if the file cannot be written; an existing file remains unchanged.
     """
@@ -205,11 +228,7 @@ def write_atomically(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
 
 
 def existing_file(path: Path) -> Path:
-    """Return the path of a file of a training run, if it exists.
-
-    Raises:
-        FileNotFoundError: if it does not exist.
-    """
+    """Return the path of a file of a training run; raise FileNotFoundError with advice if it does not exist."""
     if not os.path.isfile(path):  # whatever the name is
         raise FileNotFoundError(f"{short_path(path)}: no such file; give a folder that a training run has written")
     return path

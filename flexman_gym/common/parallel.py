@@ -79,15 +79,15 @@ class _RayTasks:
 
 @contextmanager
 def ray_cluster(jobs: int, address: str = "local", **variables: str) -> Iterator[Any]:
-    """Start Ray if it is not running, yield it, and shut it down if it was started here.
+    """Start Ray if it is not running, and shut it down if it was started here.
 
     Args:
         jobs: number of simultaneous tasks on a local cluster.
         address: address of a running cluster, or "local".
-        variables: environment variables of the workers, which then also find the modules importable here.
+        **variables: environment variables of the workers, which then also find the modules importable here.
 
     Yields:
-        The module `ray`.
+        Any: The module `ray`.
 
     Raises:
         ImportError: if Ray is not installed.
@@ -253,7 +253,7 @@ def parallel_map_unordered(
     cache: Path | None = None,
     prepare: Prepare | None = None,
 ) -> Iterator[tuple[int, Result]]:
-    """Run a function for each item; yield index and result of each item in the order of completion.
+    """Run a function for each item, and yield the results in the order of completion.
 
     An item whose worker dies is run again; an item whose function fails ends the map with its error. A line on stderr
     regularly reports the remaining work.
@@ -269,7 +269,7 @@ def parallel_map_unordered(
             process.
 
     Yields:
-        Index and result of an item.
+        tuple[int, Result]: Index and result of an item.
 
     Raises:
         RuntimeError: if workers die repeatedly.

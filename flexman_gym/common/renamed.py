@@ -32,6 +32,7 @@ NAMES = {
     "flexman_agents.sb3": {"write_zoo": "write_zoo_files", "zoo": "zoo_hyperparameters"},
     "flexman_agents.training": {"take_policy": "policy_state"},
     "flexman_agents.vector": {"Arms": "SB3VecEnv"},
+    "flexman_gym.common.run_folder": {"read_data": "read_npz", "write_data": "write_npz"},
     "flexman_gym.control": {
         "Episode": "EpisodeInfo", "Optimised": "OptimisedController", "Shaped": "InputShapedController",
         "Truth": "Oracle",
@@ -61,11 +62,14 @@ NAMES = {
 
 
 def deprecated_names(module: str, old: str = "") -> Callable[[str], Any]:
-    """Return a `__getattr__` for a module that resolves old names with a DeprecationWarning.
+    """Make a `__getattr__` for a module that resolves old names with a DeprecationWarning.
 
     Args:
         module: present module of the names.
         old: old module, for the warning; "" for the present one.
+
+    Returns:
+        The function.
     """
 
     def getattribute(name: str) -> Any:

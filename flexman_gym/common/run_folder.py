@@ -29,6 +29,12 @@ def write_npz(path: Path, data: dict[str, Any]) -> None:
 def read_npz(path: Path) -> Any:
     """Read nested data from a file of `write_npz` without running any code in it.
 
+    Args:
+        path: path of the file.
+
+    Returns:
+        The data.
+
     Raises:
         FileNotFoundError: if the file does not exist.
         ValueError: for a file that is damaged, of another kind, or larger than it appears; one line.
@@ -66,7 +72,13 @@ def _join_arrays(data: Any, arrays: Any) -> Any:
 
 
 def read_settings_text(folder: Path) -> str:
-    """Return the text of the settings of a training run.
+    """Read the settings of a training run as text.
+
+    Args:
+        folder: folder of the run.
+
+    Returns:
+        The text.
 
     Raises:
         FileNotFoundError: if there are no settings.
@@ -80,7 +92,13 @@ def read_settings_text(folder: Path) -> str:
 
 
 def read_settings(folder: Path) -> dict[str, Any]:
-    """Return the settings of a training run, unchecked.
+    """Read the settings of a training run, unchecked.
+
+    Args:
+        folder: folder of the run.
+
+    Returns:
+        The settings.
 
     Raises:
         FileNotFoundError: if there are no settings.
@@ -101,6 +119,9 @@ def read_settings(folder: Path) -> dict[str, Any]:
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
     """Lock a folder for this process; the lock ends with the process, even if it is killed.
+
+    Args:
+        folder: the folder.
 
     Raises:
         ValueError: if another process trains in the folder, and if the lock is a link; one line.

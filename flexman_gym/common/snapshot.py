@@ -30,12 +30,15 @@ def get_state(value: Any) -> Any:
 
 
 def set_state(field: str, old: Any, data: Any) -> Any:
-    """Restore the state of a value; return `old` itself if it could be written in place, or a new value.
+    """Restore the state of a value.
 
     Args:
         field: field, for errors.
         old: value to be restored.
         data: state from `get_state`.
+
+    Returns:
+        `old` itself if it could be written in place, or a new value.
 
     Raises:
         ValueError: if the data do not fit; one line. What was written before remains written.
@@ -73,9 +76,9 @@ def set_state(field: str, old: Any, data: Any) -> Any:
 
 def _state_fields(value: Any) -> tuple[str, ...]:
     """Return the names of the attributes that are the state of an object."""
-    if not hasattr(value, "state_fields") and hasattr(value, "kept"):
+    if isinstance(former := getattr(type(value), "kept", None), tuple):  # of a user's class for version 0.2
         warnings.warn(f"{type(value).__name__}.kept is state_fields now", DeprecationWarning, stacklevel=3)
-        return tuple(value.kept)
+        return former
     return getattr(value, "state_fields", ())
 
 

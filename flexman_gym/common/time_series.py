@@ -63,6 +63,12 @@ def read_time_series(path: str | Path) -> TimeSeries:
 
     The column "time" may be at any position. Units must be in `UNITS`; numbers are converted to SI units.
 
+    Args:
+        path: path of the file.
+
+    Returns:
+        The columns over time.
+
     Raises:
         FileNotFoundError: if the file does not exist.
         ValueError: as in `read_csv_rows`, and for a header without a time, with a repeated name or with an unknown
@@ -88,7 +94,13 @@ def read_time_series(path: str | Path) -> TimeSeries:
 
 
 def read_csv_rows(path: str | Path) -> Iterator[list[str]]:
-    """Yield the lines of a CSV file as lists of strings, the header first.
+    """Read a CSV file line by line.
+
+    Args:
+        path: path of the file.
+
+    Yields:
+        list[str]: The entries of a line, the header first.
 
     Raises:
         FileNotFoundError: if the file does not exist.
@@ -109,10 +121,11 @@ def read_csv_rows(path: str | Path) -> Iterator[list[str]]:
 
 
 def write_csv(path: str | Path, columns: Mapping[str, Vector]) -> None:
-    """Write columns of equal length by header, such as "time (s)", with all digits of their numbers.
+    """Write columns of equal length with all digits of their numbers.
 
-    Raises:
-        OSError: if the file cannot be written.
+    Args:
+        path: path of the file.
+        columns: values by header, such as "time (s)".
     """
     table = np.column_stack(list(columns.values()))
     with Path(path).open("w", encoding="utf-8", newline="") as file:

@@ -30,7 +30,7 @@ FILTER_RESIDUAL = 0.5  # fraction of the squared residuals that a filter may lea
 
 
 def _find_undetermined(free: FreeParameters, values: Array, covariance: Array) -> tuple[tuple[str, ...], str]:
-    """Return the parameters that the data do not determine, and a sentence about them.
+    """Find the parameters that the data do not determine.
 
     A parameter is undetermined if its standard deviation exceeds half of its value and half of its value at the start.
 
@@ -38,6 +38,9 @@ def _find_undetermined(free: FreeParameters, values: Array, covariance: Array) -
         free: the free parameters.
         values: their values (p,).
         covariance: covariance (p, p) of their logarithms.
+
+    Returns:
+        The names of these parameters, and a sentence about them and those that cannot be separated from each other.
     """
     scale = values / np.maximum(values, free.start)
     sizes, directions = np.linalg.eigh(covariance * np.outer(scale, scale))
@@ -148,11 +151,7 @@ MEASURED, COMPUTED = "#8a8f98", "#0072B2"
 
 
 def _write_report(found: "Fit", folder: Path) -> None:
-    """Write fit.md, fit.png and arm.yaml of a Fit to a folder.
-
-    Raises:
-        ImportError: without Matplotlib.
-    """
+    """Write fit.md, fit.png and arm.yaml of a Fit to a folder; the plot needs Matplotlib."""
     folder.mkdir(parents=True, exist_ok=True)
     found.save(folder / "arm.yaml")
     _draw(found, folder / "fit.png")

@@ -42,6 +42,10 @@ class _FreeNumber(NamedTuple):
 class FreeParameters:
     """Free parameters of an arm, as a vector.
 
+    Args:
+        arm: the initial arm.
+        free: names of parameters, see `fit`.
+
     Attributes:
         by_name: the scalars of each name passed to `fit`.
         numbers: all p free scalars.
@@ -84,12 +88,15 @@ class FreeParameters:
         return varied_arm(self.arm, self.parameters(values))
 
     def perturbed(self, model: Model, departures: Array) -> dict[str, Array]:
-        """Return parameters (1 + 2 p, ...) of a nominal arm and of 2 p perturbed arms for central differences.
+        """Perturb the parameters of a model for central differences.
 
         Args:
             model: model of an arm.
             departures: logarithms (p,) of the free values relative to those of the model, the same for all arms; each
                 value is in turn increased and decreased by LOG_STEP.
+
+        Returns:
+            Parameters (1 + 2 p, ...) by name, of a nominal arm and of 2 p perturbed arms.
         """
         count, nominal = 1 + 2 * len(self.numbers), nominal_parameters(model)
         result = {each.parameter: np.array([nominal[each.parameter]] * count) for each in self.numbers}
@@ -163,10 +170,18 @@ class LeastSquaresProblem:
     The parameter vector (u,) holds the logarithms (p,) of the free values relative to their start, then nuisance
     parameters: gains and offsets of sensors, and the corner frequency of a filter.
 
+    Args:
+        free: the free parameters.
+        ringing: measured frequencies and damping ratios.
+        responses: simulated responses of the records.
+        choice: numbers of elements and modes of the model.
+        corner: name of an output with an assumed low-pass filter; "" for none.
+
     Attributes:
         free: the free parameters.
         ringing: measured frequencies and damping ratios.
         responses: simulated responses of the records.
+        choice: numbers of elements and modes of the model.
         blocks: residual blocks.
         nuisances: names of the nuisance parameters.
         start: initial parameter vector (u,).

@@ -223,7 +223,7 @@ class Measurement:
                 so on.
             outputs: column by output name; its unit must fit the output. None selects all columns with the name of an
                 output that are no inputs; a UserWarning names any other columns.
-            more: other arguments of the class, such as filters and gains.
+            **more: other arguments of the class, such as filters and gains.
 
         Returns:
             The record.
@@ -304,11 +304,17 @@ TIP_ACCELERATIONS = {  # column of `kernels.outputs.compute_tip_accelerations` b
 class SimulatedResponse:
     """Simulated response of an arm to the inputs of a measurement.
 
+    Args:
+        arm: the arm.
+        measurement: the measurement.
+        step: time step, s; None for the sampling interval.
+        method: name of the integration method.
+
     Attributes:
         measurement: the measurement.
-        scene: scene with the same inputs.
         method: name of the integration method.
         step: time step, s.
+        scene: scene with the inputs of the measurement.
     """
 
     def __init__(self, arm: Arm, measurement: Measurement, step: float | None, method: str = METHOD) -> None:
@@ -344,11 +350,14 @@ class SimulatedResponse:
         )
 
     def signals(self, model: Model, parameters: Mapping[str, Array]) -> Array:
-        """Return the filtered outputs (b, c, T) of b arms, NaN for an arm whose simulation failed.
+        """Simulate b arms.
 
         Args:
             model: model of the arm.
             parameters: values (b, ...) of at least one parameter, by its name in `simulation.parameters.PARAMETERS`.
+
+        Returns:
+            The filtered outputs (b, c, T), NaN for an arm whose simulation failed.
         """
         count = len(next(iter(parameters.values())))
         varied: dict[str, Any] = dict(parameters)

@@ -75,7 +75,7 @@ class Ringing:
         return self.measured * parts
 
     def predict(self, model: Model, parameters: Mapping[str, Array], h: float) -> tuple[Array, Array]:
-        """Return the values of `measured` for a model, and their Jacobian.
+        """Compute the values of `measured` for a model, and their Jacobian.
 
         A change of mass M, damping C and stiffness K changes an eigenvalue s with shape y by -y (s^2 dM + s dC + dK) y,
         where y (2 s M + C) y = 1. M and K are linear in most parameters, so that their differences are exact.
@@ -85,6 +85,9 @@ class Ringing:
             parameters: values (1 + 2 p, ...) by name: those of the model, then p parameters, each increased and
                 decreased.
             h: half the difference between the increased and the decreased value, in the unit of the Jacobian.
+
+        Returns:
+            Frequencies (k,) or frequencies and damping ratios (2 k,), and their Jacobian with p columns.
         """
         count = len(next(iter(parameters.values())))
         rows = [{name: values[i] for name, values in parameters.items()} for i in range(count)]

@@ -285,6 +285,12 @@ class Scene:
     def load(cls, path: str | Path) -> Self:
         """Read a scene from a .json, .yaml or .yml file.
 
+        Args:
+            path: path of the file.
+
+        Returns:
+            The scene.
+
         Raises:
             FileNotFoundError: if the file does not exist.
             ValueError: for any other error in the file; one line with the file, the field (`arm.links[1].length`), the
@@ -354,12 +360,7 @@ class Scene:
 
 
 def _torque_from_plain(data: object, folder: Path) -> ConstantTorque | SineTorque | SampledTorque:
-    """Return the torque described by a mapping with a `kind`; "csv" may replace the samples of a sampled torque.
-
-    Raises:
-        FileNotFoundError: if the CSV file does not exist in the folder.
-        ValueError: for an entry that is not allowed; one line with the field (`torque.value`).
-    """
+    """Return the torque described by a mapping with a `kind`; "csv" may replace the samples of a sampled torque."""
     if not isinstance(data, dict):
         raise value_error("torque", data, "a mapping with the key kind")
     kinds: dict[str, Any] = {kind.kind: kind for kind in (ConstantTorque, SineTorque, SampledTorque)}
@@ -381,13 +382,15 @@ def _signal_from_plain(
 
     Args:
         path: field of the scene file, for errors.
-        data: the mapping; None stays None.
+        data: the mapping, or None.
         units: units allowed for a column.
         folder: folder to which the path of a CSV file is relative.
 
+    Returns:
+        The signal; None for None.
+
     Raises:
         FileNotFoundError: if the CSV file does not exist.
-        ValueError: for an entry that is not allowed; one line with the field.
     """
     if data is None:
         return None
@@ -446,12 +449,15 @@ def _sampled_signal(record: TimeSeries, column: str, units: tuple[str, ...], mor
 
 
 def _check_signals(name: str, value: object, units: str) -> tuple[Signal | SampledSignal, ...] | None:
-    """Return the signals of the three components of a vector in the base frame as a tuple; None stays None.
+    """Check the signals of the three components of a vector in the base frame.
 
     Args:
         name: field, for errors.
         value: three Signals or SampledSignals along x, y and z, or None.
         units: unit of the vector, for errors.
+
+    Returns:
+        The signals as a tuple, or None.
     """
     if value is None:
         return None

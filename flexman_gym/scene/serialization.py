@@ -45,11 +45,7 @@ OPTIONAL_KEYS: dict[str, tuple[str, ...]] = {
 
 
 def _arm_from_plain(data: object) -> Arm:
-    """Return the arm described by a mapping.
-
-    Raises:
-        ValueError: for an entry that is not allowed; one line with the field (`arm.links[1].length`).
-    """
+    """Return the arm described by a mapping; errors name the field (`arm.links[1].length`)."""
     links, joints = partial(_items, "arm.links", _link), partial(_items, "arm.joints", _joint)
     return from_plain(Arm, "arm", data, links=links, joints=joints, payload=_optional(Payload, "arm.payload"))
 
@@ -119,14 +115,17 @@ def _joint(path: str, data: object) -> Joint:
 def from_plain(
     kind: type[Part], path: str, data: object, left_out: Sequence[str] = (), **parts: Callable[[Any], Any]
 ) -> Part:
-    """Return a dataclass instance from the mapping of its fields.
+    """Build a dataclass from the mapping of its fields.
 
     Args:
         kind: the dataclass.
         path: field of the file that holds the mapping, for errors.
         data: the mapping.
         left_out: names of fields that must not occur.
-        parts: functions that build the values of fields from their plain form, by field name.
+        **parts: functions that build the values of fields from their plain form, by field name.
+
+    Returns:
+        The instance of the dataclass.
 
     Raises:
         ValueError: for unknown and missing keys and for values that are not allowed; one line with the field.
@@ -240,6 +239,9 @@ def named_arm(name: str) -> Callable[..., Arm]:
 
     Args:
         name: name of a file in ARM_FOLDER, without suffix.
+
+    Returns:
+        The function, which raises a ValueError for values that Joint or Arm does not allow.
     """
     data = files.read_data(ARM_FOLDER / f"{name}.yaml")
     arm, options, values = _arm_from_plain(data["arm"]), data.get("options", {}), data.get("values", {})

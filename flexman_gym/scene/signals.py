@@ -135,14 +135,25 @@ class SampledTorque:
     def from_function(
         cls, function: Callable[[float], Vector], duration: float, period: float, hold: str = "linear"
     ) -> Self:
-        """Sample a function of time (s) that returns the torques (n,) in N m, every period (s) until the duration (s).
+        """Sample a function of time before the simulation.
 
-        The function is called once per sample before the simulation, not within the steps of a method. The simulation
-        then stops at every sample, which takes 30 us of one core in addition to the steps and the function itself,
-        whatever the arm. With linear interpolation the error is at most period^2 / 8 times the second derivative.
+        The function is called once per sample, not within the steps of a method. The simulation then stops at every
+        sample, which takes 30 us of one core in addition to the steps and the function itself, whatever the arm. With
+        linear interpolation the error is at most period^2 / 8 times the second derivative.
 
-        Raises:
-            ValueError: for a period that does not divide the duration, and for values that are no torques.
+        Args:
+            function: torques (n,) in N m at a time in s.
+            duration: time of the last sample, s.
+            period: sampling interval, s; it must divide the duration.
+            hold: "zero" or "linear".
+
+        Returns:
+            The torques.
+
+        Examples:
+            >>> torque = fm.SampledTorque.from_function(lambda time: [2.0 * time], duration=1.0, period=0.25)
+            >>> torque.at(0.5)
+            array([1.])
         """
         allowed = "a number of seconds that divides the duration"
         count = whole_ratio("period", positive("period", period, "s"), positive("duration", duration, "s"), allowed)
@@ -378,6 +389,10 @@ def signal_table(drives: Sequence[Signal | None]) -> NDArray[np.float64]:
 
 class PiecewiseSignals:
     """Signals from 0 s to a duration as one table per interval, in which no sample begins or ends.
+
+    Args:
+        drives: the signals; None for a zero signal.
+        duration: end of the last interval, s.
 
     Attributes:
         moments: boundaries (p + 1,) of the p intervals, s; one interval if no signal is sampled.
