@@ -415,7 +415,7 @@ def _by_name(free: FreeParameters, parameters: Mapping[str, Array]) -> dict[str,
     for name, numbers in free.by_name.items():
         kind, scalar = numbers[0].parameter, "[" in name or PARAMETERS[numbers[0].parameter].of == ARM
         values = np.ravel(parameters[kind])
-        result[name] = float(values[numbers[0].index or 0]) if scalar else values
+        result[name] = float(values[numbers[0].joint or 0]) if scalar else values
     return result
 
 

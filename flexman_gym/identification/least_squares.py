@@ -33,10 +33,10 @@ class _FreeNumber(NamedTuple):
     """Free scalar: a parameter in PARAMETERS and the index of its joint or link, None for a parameter of the arm."""
 
     parameter: str
-    index: int | None
+    joint: int | None
 
     def __str__(self) -> str:
-        return self.parameter if self.index is None else f"{self.parameter}[{self.index}]"
+        return self.parameter if self.joint is None else f"{self.parameter}[{self.joint}]"
 
 
 class FreeParameters:
@@ -67,20 +67,20 @@ class FreeParameters:
         for i in np.flatnonzero(start == 0.0):
             number = self.numbers[i]
             typical = np.ravel(TYPICAL_VALUES[number.parameter](model, inertia))
-            start[i] = typical[number.index or 0]
+            start[i] = typical[number.joint or 0]
         self.start, self.arm = start, self.build_arm(start)
         ratios = np.array([number.parameter == "link_damping" for number in self.numbers])
         self.highest = np.where(ratios, np.log(MAX_DAMPING_RATIO / start), MAX_LOG_CHANGE)
 
     def select(self, parameters: Mapping[str, Any]) -> Array:
         """Return the free values (p,) out of parameters by name."""
-        return np.array([np.ravel(parameters[each.parameter])[each.index or 0] for each in self.numbers], dtype=float)
+        return np.array([np.ravel(parameters[each.parameter])[each.joint or 0] for each in self.numbers], dtype=float)
 
     def parameters(self, values: Array, rest: float = 1.0) -> dict[str, Array]:
         """Return parameters by name with free values (p,); the others are `rest` times those of the initial arm."""
         result = {each.parameter: rest * np.array(self._base[each.parameter], ndmin=1) for each in self.numbers}
         for number, value in zip(self.numbers, values, strict=True):
-            result[number.parameter][number.index or 0] = value
+            result[number.parameter][number.joint or 0] = value
         return {name: each if PARAMETERS[name].of != ARM else each[0] for name, each in result.items()}
 
     def build_arm(self, values: Array) -> Arm:
@@ -103,7 +103,7 @@ class FreeParameters:
         for i, number in enumerate(self.numbers):
             logarithms = np.full(count, departures[i])
             logarithms[1 + 2 * i : 3 + 2 * i] += LOG_STEP, -LOG_STEP
-            column = () if number.index is None else (number.index,)
+            column = () if number.joint is None else (number.joint,)
             result[number.parameter][(slice(None), *column)] *= np.exp(logarithms)
         return result
 

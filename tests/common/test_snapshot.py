@@ -1,4 +1,4 @@
-"""Snapshot: the state of an object is restored, and the attribute of version 0.2 that lists it is read with a warning."""
+"""Snapshot: the state of an object is restored; the attribute of version 0.2 that lists it is read with a warning."""
 
 import numpy as np
 import pytest

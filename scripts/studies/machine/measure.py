@@ -292,7 +292,7 @@ def draws(seed: int, count: int) -> list[tuple[str, float, bool]]:
             for a, b in zip(arm.links, start.links, strict=True)
         ]
         for number, true in zip(free.numbers, scale, strict=True):
-            place = number.index or 0
+            place = number.joint or 0
             value, deviation = (np.ravel(each[number.parameter])[place] for each in (found.values, found.deviations))
             right = moduli[place] if number.parameter == "link_stiffness_factor" else true
             result.append((str(number), float((value - right) / deviation), str(number) not in found.undetermined))
