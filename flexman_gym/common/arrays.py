@@ -21,7 +21,7 @@ def pad_rows(values: NDArray[Any], count: int) -> NDArray[Any]:
 
 
 def row_dots(left: NDArray[Any], right: NDArray[Any]) -> Any:
-    """Return the scalar products (...) of rows (..., k), with bits that do not depend on the other rows.
+    """Return the scalar products (...) of rows (..., k), with bits independent of the other rows.
 
     `np.vecdot` calls BLAS, whose last digits depend on the memory address of a row.
     """

@@ -50,7 +50,7 @@ def value_error(name: str, value: object, allowed: str) -> ValueError:
 
 
 def _shortened(value: Any) -> Any:
-    """Return a list, tuple or string without the part that an error would cut off; other values are unchanged."""
+    """Return a list, tuple or string without the part cut off in an error; other values are unchanged."""
     if type(value) in (list, tuple):
         return type(value)(_shortened(entry) for entry in value[:MAX_VALUE_LENGTH])
     return value[:MAX_VALUE_LENGTH] if type(value) in (str, bytes) else value
@@ -121,9 +121,7 @@ def whole_ratio(name: str, part: float, total: float, allowed: str, most: int = 
     """
     ratio = total / positive(name, part, "s")
     if not ratio < most + 0.5:
-        raise value_error(
-            name, part, f"at least {total / most:g} (s), so that {total} s are at most {most} times as long"
-        )
+        raise value_error(name, part, f"at least {total / most:g} (s), at most {most} times in {total} s")
     count = round(ratio)
     if count < 1 or abs(ratio - count) > RATIO_TOLERANCE * ratio:
         raise value_error(name, part, f"{allowed}, {total} s")
@@ -138,14 +136,14 @@ def flag(name: str, value: object) -> bool:
 
 
 def text(name: str, value: object) -> str:
-    """Return a value that is a string."""
+    """Return a string unchanged."""
     if not isinstance(value, str):
         raise value_error(name, value, "a string")
     return value
 
 
 def one_of(name: str, value: object, allowed: Collection[str]) -> str:
-    """Return a value that is one of the `allowed` strings."""
+    """Return one of the `allowed` strings unchanged."""
     if not isinstance(value, str) or value not in allowed:
         raise value_error(name, value, "one of " + ", ".join(allowed))
     return value
@@ -200,7 +198,7 @@ def number_array(name: str, value: object, shape: tuple[int, ...], allowed: str)
 
 
 def instance(name: str, value: object, kind: type[Kind], allowed: str) -> Kind:
-    """Return a value that is an instance of `kind`; the error lists the `allowed` values."""
+    """Return an instance of `kind` unchanged; the error lists the `allowed` values."""
     if not isinstance(value, kind):
         raise value_error(name, value, allowed)
     return value

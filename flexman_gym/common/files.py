@@ -17,7 +17,7 @@ import yaml
 
 from flexman_gym.common.checks import one_of, short_path, short_repr
 
-# Errors that may occur while reading a damaged file of text or arrays.
+# Possible errors while reading a damaged file of text or arrays.
 READ_ERRORS = (
     ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, MemoryError, RecursionError, OverflowError,
     NotImplementedError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
@@ -123,8 +123,8 @@ def read_data(path: Path, kind: type = dict) -> Any:
 
     Raises:
         FileNotFoundError: if the file does not exist.
-        ValueError: for another suffix, a file that is irregular, larger than 1 MB or not UTF-8, a syntax error, another
-            kind, a repeated key and excessive nesting; one line without the name and the text of the file.
+        ValueError: for another suffix, an irregular file, more than 1 MB, text other than UTF-8, a syntax error,
+            another kind, a repeated key and excessive nesting; one line without the name and the text of the file.
     """
     ending = _check_suffix(path)
     try:
@@ -207,7 +207,7 @@ def write_atomically(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
 
     Args:
         path: path of the file.
-        fill: function that writes the content to the open temporary file.
+        fill: function to write the content to the open temporary file.
 
     Raises:
         OSError: if the file cannot be written; an existing file remains unchanged.

@@ -162,7 +162,7 @@ def _run_share(prepare: Prepare | None, task: Task, cells: Sequence[Any]) -> lis
 
 
 def _run_prepared(prepare: Prepare | None, task: Task, cell: Any) -> Any:
-    """Run a task in a process that may not have been prepared yet."""
+    """Run a task in a process after preparing it."""
     if prepare is not None:
         prepare()
     return task(cell)

@@ -62,7 +62,7 @@ NAMES = {
 
 
 def deprecated_names(module: str, old: str = "") -> Callable[[str], Any]:
-    """Make a `__getattr__` for a module that resolves old names with a DeprecationWarning.
+    """Make the `__getattr__` of a module, for old names with a DeprecationWarning.
 
     Args:
         module: present module of the names.

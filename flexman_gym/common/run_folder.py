@@ -37,7 +37,7 @@ def read_npz(path: Path) -> Any:
 
     Raises:
         FileNotFoundError: if the file does not exist.
-        ValueError: for a file that is damaged, of another kind, or larger than it appears; one line.
+        ValueError: for a damaged file, another kind of file, or arrays larger than the file; one line.
     """
     try:
         with open_arrays(existing_file(path)) as result:
@@ -102,7 +102,7 @@ def read_settings(folder: Path) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: if there are no settings.
-        ValueError: for a file that is no JSON mapping; one line.
+        ValueError: for a file without a JSON mapping; one line.
     """
     text = read_settings_text(folder)
     try:

@@ -1,6 +1,6 @@
 """Snapshot: the state of an object as arrays and plain data, and its restoration.
 
-An object lists the attributes that are its state in `state_fields`. Arrays, random generators, dicts, lists, tuples,
+An object lists the attributes of its state in `state_fields`. Arrays, random generators, dicts, lists, tuples,
 numbers, strings, booleans and None are supported as well.
 """
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from flexman_gym.common.checks import value_error
 
-GENERATOR = "bit_generator"  # key that marks the state of a random generator
+GENERATOR = "bit_generator"  # key of the state of a random generator
 
 
 def get_state(value: Any) -> Any:
@@ -75,7 +75,7 @@ def set_state(field: str, old: Any, data: Any) -> Any:
 
 
 def _state_fields(value: Any) -> tuple[str, ...]:
-    """Return the names of the attributes that are the state of an object."""
+    """Return the names of the attributes that form the state of an object."""
     if isinstance(former := getattr(type(value), "kept", None), tuple):  # of a user's class for version 0.2
         warnings.warn(f"{type(value).__name__}.kept is state_fields now", DeprecationWarning, stacklevel=3)
         return former

@@ -30,7 +30,7 @@ FILTER_RESIDUAL = 0.5  # fraction of the squared residuals that a filter may lea
 
 
 def _find_undetermined(free: FreeParameters, values: Array, covariance: Array) -> tuple[tuple[str, ...], str]:
-    """Find the parameters that the data do not determine.
+    """Find the parameters left undetermined by the data.
 
     A parameter is undetermined if its standard deviation exceeds half of its value and half of its value at the start.
 
@@ -40,7 +40,7 @@ def _find_undetermined(free: FreeParameters, values: Array, covariance: Array) -
         covariance: covariance (p, p) of their logarithms.
 
     Returns:
-        The names of these parameters, and a sentence about them and those that cannot be separated from each other.
+        The names of these parameters, and a sentence about them and any inseparable ones.
     """
     scale = values / np.maximum(values, free.start)
     sizes, directions = np.linalg.eigh(covariance * np.outer(scale, scale))
@@ -95,7 +95,7 @@ def _find_spikes(label: str, problem: LeastSquaresProblem, block: ResidualBlock,
 
 
 def _check_scale(label: str, block: ResidualBlock, computed: Array) -> str:
-    """Return a line about a unit or a sign that contradicts the initial arm, "" for none."""
+    """Return a line about a unit or a sign in contradiction to the initial arm, "" for none."""
     a, b = computed - computed.mean(), block.measured - block.measured.mean()
     sizes = np.linalg.norm(a), np.linalg.norm(b)
     if min(sizes) == 0.0:
@@ -112,7 +112,7 @@ def _check_scale(label: str, block: ResidualBlock, computed: Array) -> str:
 
 
 def _check_filter(problem: LeastSquaresProblem, x: Array, name: str) -> list[str]:
-    """Return a line about a low-pass filter that the record does not specify but that explains most of the residual."""
+    """Return a line about a low-pass filter missing in the record, if it explains most of the residual."""
     filtered = LeastSquaresProblem(problem.free, problem.ringing, problem.responses, problem.choice, corner=name)
     start = filtered.start.copy()
     index = len(problem.free.numbers) + filtered.nuisances.index(f"corner of {name}")
@@ -210,10 +210,10 @@ class Fit:
         values: fitted values by the names passed to `fit`; a number, or (n,) with one value per joint or link. Units
             are those of `simulation.parameters.PARAMETERS`; link_stiffness_factor is a factor on the moduli of the
             initial arm.
-        deviations: standard deviations of the values by the same names; 0 for values that were not free. Coloured
+        deviations: standard deviations of the values by the same names; 0 for fixed values. Coloured
             residuals count as a correspondingly smaller number of samples.
-        undetermined: parameters that the data do not determine, such as "joint_stiffness[1]".
-        explanation: one sentence that names these parameters and those that cannot be separated from each other.
+        undetermined: parameters left undetermined by the data, such as "joint_stiffness[1]".
+        explanation: sentence about these parameters and about parameters that cannot be separated from each other.
         warnings: likely errors in the data: a unit, a sign, a missing filter, single samples.
         gains: gain and standard deviation of each output with an unknown gain, by the name of the output.
         scores: coefficient of determination R2 of each output, by a name such as "record 0, motor_angle_1".
@@ -384,7 +384,7 @@ def _is_poor(problem: LeastSquaresProblem, x: Array) -> bool:
 
 
 def _make_fit(problem: LeastSquaresProblem, x: Array, warnings: tuple[str, ...], arguments: tuple[Any, ...]) -> Fit:
-    """Return the Fit that belongs to a parameter vector."""
+    """Return the Fit of a parameter vector."""
     residuals, free = problem.evaluate(x)[0], problem.free
     covariance, p = _covariance(problem, x), len(free.numbers)
     values, deviations = problem.values(x), np.sqrt(np.diag(covariance))
@@ -420,7 +420,7 @@ def _by_name(free: FreeParameters, parameters: Mapping[str, Array]) -> dict[str,
 
 
 def _covariance(problem: LeastSquaresProblem, x: Array) -> Array:
-    """Return the covariance (u, u) of the parameter vector, valid for noise that is coloured or differs by record."""
+    """Return the covariance (u, u) of the parameter vector, also for coloured noise that differs by record."""
     residuals, jacobian = problem.evaluate(x)
     prior = WEAK_PRIOR * np.eye(len(x)) * np.maximum((jacobian**2).sum(axis=0).max(), 1.0) * 1e-4
     inverse = np.linalg.inv(jacobian.T @ jacobian + prior)
@@ -433,7 +433,7 @@ def _covariance(problem: LeastSquaresProblem, x: Array) -> Array:
 
 
 def _correlation_length(rows: Array) -> float:
-    """Return the number of samples that count as one: 1 for white noise, more for correlated residuals."""
+    """Return the number of samples equivalent to one: 1 for white noise, more for correlated residuals."""
     centred = rows - rows.mean()
     size, power = len(centred), float(centred @ centred)
     if power <= 0.0:

@@ -38,12 +38,12 @@ from flexman_gym.simulation.trajectory import Trajectory
 
 INTERVAL_TOLERANCE = 1e-3  # largest relative deviation of a sampling interval
 MIN_SAMPLES = 16
-INPUT = re.compile(r"(torque|current)_[1-9][0-9]*")  # columns that are inputs by default
+INPUT = re.compile(r"(torque|current)_[1-9][0-9]*")  # default inputs
 OUTPUT = re.compile(
     r"(tip|tip_velocity|tip_acceleration|specific_force|deflection)_[xyz]"
     r"|((joint|motor)_(angle|rate)|joint_twist|joint_twist_rate)_[1-9][0-9]*"
     r"|link_deflection(_rate)?_[1-9][0-9]*_[yz]|root_strain_[1-9][0-9]*_(y|z|torsion)"
-)  # columns that are outputs by default
+)  # default outputs
 INPUTS = {"torque": "N m", "current": "A", "motor_angle": "rad"}  # followed by the number of the joint, from 1
 
 
@@ -58,7 +58,7 @@ class Filter:
             negative real part.
 
     Raises:
-        ValueError: for coefficients that are empty or not finite, and for a filter that is improper or unstable.
+        ValueError: for empty or infinite coefficients, and for an improper or unstable filter.
 
     Examples:
         >>> smooth = fm.Filter.low_pass(10.0)
@@ -120,7 +120,7 @@ class Measurement:
             (rad, for a motor with prescribed motion); joints count from 1. Motors without an input are free.
         outputs: outputs (T,) by name, with the names and units of `Trajectory.columns`, such as "motor_angle_1" (rad),
             "link_deflection_1_y" (m) or "root_strain_1_z" (1), and "tip_acceleration_x" and "specific_force_x" (m/s^2).
-        filters: Filter, or several in series, by the name of the output that passed through it.
+        filters: Filter, or several in series, by the name of the filtered output.
         gains: outputs whose sensor has an unknown gain. It is estimated, one value per output over all records.
         offsets: outputs with an unknown constant offset.
         deviations: standard deviation of the noise of an output, or of the rounding of a prescribed angle, by name, in
@@ -389,7 +389,7 @@ class SimulatedResponse:
         return result
 
     def _tip_accelerations(self, model: Model, runs: list[Trajectory], parameters: Mapping[str, Array]) -> Array:
-        """Return the tip accelerations (b, T, TIP_ACCELERATIONS), under the drive that acts just before each sample."""
+        """Return the tip accelerations (b, T, TIP_ACCELERATIONS), under the drive just before each sample."""
         own, size = varied_constants(model, len(runs), parameters), len(self.measurement.times)
         flags = prescribed_flags(model.n_joints, prescribed_joints(self.scene))
         pieces, d = self.scene.pieces, model.n_dof

@@ -120,7 +120,7 @@ class Arm:
 
 
 def _warn_of_loads(name: str, mass: float, inertia: Any, offset: Any, arm: tuple[float, float]) -> None:
-    """Warn (UserWarning) of a body whose mass or size is out of proportion to the arm that carries it.
+    """Warn (UserWarning) of a body whose mass or size is out of proportion to its arm.
 
     Args:
         name: field of the body, for the message.

@@ -65,7 +65,7 @@ ABSENT_MEMBERS = {
 
 
 class _AbsentMember:
-    """Attribute that a class does not have; reading it raises an AttributeError with an explanation."""
+    """Missing attribute of a class; reading it raises an AttributeError with an explanation."""
 
     def __init__(self, line: str) -> None:
         self._line = line
@@ -98,7 +98,7 @@ def check_keywords(kind: type[Part]) -> type[Part]:
     return kind
 
 
-# Field -> smallest and largest usual value with a wide margin, unit, units that are often used by mistake.
+# Field -> smallest and largest usual value with a wide margin, unit, units often used by mistake.
 USUAL_RANGES: dict[str, tuple[float, float, str, str]] = {
     "Link.length": (1e-3, 100.0, "m", "mm"),
     "Link.youngs_modulus": (1e5, 2e12, "Pa", "GPa or MPa; 69 GPa is 69e9"),
@@ -114,7 +114,7 @@ USUAL_RANGES: dict[str, tuple[float, float, str, str]] = {
     "control_period": (0.0, 1.0, "s", "ms"),
     "horizon": (0.0, 300.0, "s", "steps; 500 steps of 0.02 s are 10 s"),
 }
-OWN_PACKAGES = ("flexman_gym", "gymnasium")  # packages that are skipped in the search for the caller
+OWN_PACKAGES = ("flexman_gym", "gymnasium")  # packages skipped in the search for the caller
 
 
 def warn_unusual_units(owner: str, values: Mapping[str, Any]) -> None:
@@ -122,7 +122,7 @@ def warn_unusual_units(owner: str, values: Mapping[str, Any]) -> None:
 
     Args:
         owner: class of the values, such as "Link", or "" for none.
-        values: numbers by field name; values that are no floats are ignored.
+        values: numbers by field name; all values except floats are ignored.
     """
     for name, value in values.items():
         field = f"{owner}.{name}".removeprefix(".")
@@ -134,7 +134,7 @@ def warn_unusual_units(owner: str, values: Mapping[str, Any]) -> None:
 
 
 def warn_caller(line: str) -> None:
-    """Issue a UserWarning that points at the first caller outside this package and Gymnasium."""
+    """Issue a UserWarning at the line of the first caller outside this package and Gymnasium."""
     frame, depth = sys._getframe(1), 2
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in OWN_PACKAGES:
         frame, depth = frame.f_back, depth + 1

@@ -18,10 +18,10 @@ class Motor:
     Attributes:
         gear_ratio: turns of the motor per turn of the joint; 1 without a gear.
         torque_constant: motor torque per current, N m/A.
-        rotor_inertia: inertia of the rotor and of the parts that turn with it before the gear, kg m^2; may be 0.
+        rotor_inertia: inertia of the rotor and the parts rotating with it before the gear, kg m^2; may be 0.
         current_limit: largest current, A; None if unknown.
         speed_limit: largest speed of the motor, rad/s; None if unknown.
-        efficiency: fraction of the torque that the gear transmits, greater than 0 and at most 1.
+        efficiency: fraction of the torque transmitted by the gear, greater than 0 and at most 1.
         encoder_resolution: motor angle per count of the encoder, rad; None without an encoder.
 
     Raises:
@@ -95,7 +95,7 @@ class Joint:
         rotor_inertia: inertia about the axis on the link side of any gear, kg m^2. An elastic joint needs one, because
             the coordinate of its rotor would have no mass.
         stiffness: stiffness of the spring between rotor and link, N m/rad; None for a rigid joint.
-        damping: damping of the damper parallel to that spring, N m s/rad; 0 for a rigid joint.
+        damping: damping of a damper parallel to this spring, N m s/rad; 0 for a rigid joint.
         viscous_friction: viscous friction of the rotor in its bearings and gear, or of the link in a rigid joint, N m
             s/rad.
         coulomb_friction: Coulomb friction of the rotor in its bearings and gear, N m. It opposes the rate r of the
@@ -108,7 +108,7 @@ class Joint:
 
     Raises:
         ValueError: for a value outside its range, for a damper without a spring, for a spring without a rotor inertia,
-            and for a rotor inertia or torque limit that contradicts the motor.
+            and for a rotor inertia or torque limit in contradiction to the motor.
 
     Examples:
         >>> fm.Joint((0, 0, 1), rotor_inertia=0.01, stiffness=30.0).axis
@@ -163,7 +163,7 @@ class Joint:
 
     @property
     def speed_limit(self) -> float | None:
-        """Largest speed of the joint that its motor permits, rad/s; None if unknown."""
+        """Largest speed of the joint, as limited by its motor, rad/s; None if unknown."""
         return None if self.motor is None else self.motor.joint_speed_limit
 
 

@@ -138,7 +138,7 @@ class Outline:
 
 
 def _strip_outline(width: float, thickness: float, thin: str) -> Outline:
-    """Return the outline of a strip that is thin along "y" or "z", from its width and thickness in m."""
+    """Return the outline of a strip, thin along "y" or "z", from its width and thickness in m."""
     width, thickness = physical("Link.width", width, "m"), physical("Link.thickness", thickness, "m")
     if thickness > width:
         raise value_error("Link.thickness", thickness, f"at most the width {width} (m); thin sets its direction")
@@ -147,7 +147,7 @@ def _strip_outline(width: float, thickness: float, thin: str) -> Outline:
 
 
 def _round_outline(diameter: float, wall: float | None = None) -> Outline:
-    """Return the outline of a rod of a diameter (m), or of a tube with that outer diameter and a wall thickness (m)."""
+    """Return the outline of a rod of a diameter (m), or of a tube with this outer diameter and a wall thickness (m)."""
     diameter = physical("Link.diameter", diameter, "m")
     if wall is None:
         return Outline("rod", diameter, diameter)
@@ -227,8 +227,8 @@ class Link:
         outline: outline of the cross-section for plots; None if only the numbers above are known.
 
     Raises:
-        ValueError: for a number outside 1e-30 to 1e30, for an orientation that is no rotation, for a mass beyond the
-            tip, and for an outline that contradicts the area or the second moments of area.
+        ValueError: for a number outside 1e-30 to 1e30, for an invalid rotation matrix, for a mass beyond the tip, and
+            for an outline in contradiction to the area or the second moments of area.
 
     Examples:
         >>> link = fm.Link(0.8, 6e-5, 2.88e-11, 5e-9, 1.15e-10, 69e9, 26e9, 2700.0)
@@ -278,8 +278,8 @@ class Link:
     ) -> Self:
         """Build a flat strip of rectangular cross-section.
 
-        A strip that is thin along "y" is like a ruler standing on its edge: its width is along z, and it bends easily
-        in its x-y plane. A strip that is thin along "z" is like a diving board: its width is along y, and it bends
+        A strip with thin="y" is like a ruler standing on its edge: its width is along z, and it bends easily
+        in its x-y plane. A strip with thin="z" is like a diving board: its width is along y, and it bends
         easily in its x-z plane.
 
         Args:
@@ -421,8 +421,8 @@ class NonUniformLink:
         masses: LumpedMass instances at positions along the link as a whole; stored as a tuple.
 
     Raises:
-        ValueError: for a section with an orientation or lumped masses, for an orientation that is no rotation within
-            1e-9, and for a mass beyond the tip.
+        ValueError: for a section with an orientation or lumped masses, for an invalid rotation matrix, and for a mass
+            beyond the tip.
 
     Examples:
         >>> thick, thin = fm.Link.rod(0.3, diameter=0.012), fm.Link.rod(0.2, diameter=0.008)

@@ -66,7 +66,7 @@ class LumpedMass:
             axis.
 
     Raises:
-        ValueError: for a value outside its range and for an inertia that no rigid body can have.
+        ValueError: for a value outside its range and for an inertia impossible for a rigid body.
 
     Examples:
         >>> hub = fm.LumpedMass(mass=0.4, position=0.44)
@@ -94,7 +94,7 @@ class LumpedMass:
 class Payload:
     """Point mass or rigid body at the tip of the last link.
 
-    Inertia and offset refer to the frame that a next joint would have, which is parallel to the base frame at zero
+    Inertia and offset refer to the frame of an imaginary next joint, which is parallel to the base frame at zero
     angles.
 
     Attributes:
@@ -103,8 +103,8 @@ class Payload:
         offset: vector (3,) from the tip to the centre of mass, m; None for a centre of mass at the tip.
 
     Raises:
-        ValueError: for a value outside its range, for an inertia or offset without a mass, and for an inertia that no
-            rigid body can have.
+        ValueError: for a value outside its range, for an inertia or offset without a mass, and for an inertia
+            impossible for a rigid body.
 
     Examples:
         >>> fm.Payload(0.1, offset=(0.0, 0.02, 0.0)).mass

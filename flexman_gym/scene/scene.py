@@ -156,10 +156,10 @@ class Initial:
 @check_keywords
 @dataclass(frozen=True)
 class Scene:
-    """Everything that defines a simulation except its integration method.
+    """Complete definition of a simulation except its integration method.
 
     Attributes:
-        arm: Arm, or anything that `scene.serialization.find_arm` accepts, such as the name of an arm in the catalog.
+        arm: Arm, or any argument of `scene.serialization.find_arm`, such as the name of an arm in the catalog.
         model: level of detail of the model.
         torque: torques of the motors.
         initial: state at t = 0.
@@ -177,7 +177,7 @@ class Scene:
 
     Raises:
         ValueError: for a part of the wrong type or of another number of joints than the arm, for a torque on a motor
-            with prescribed motion, and for samples that do not cover the whole duration.
+            with prescribed motion, and for samples shorter than the duration.
 
     Examples:
         >>> choice = fm.ModelChoice(flexible_links=(True,), elements=(2,))
@@ -221,7 +221,7 @@ class Scene:
             set_fields(self, initial=self._initial_state())
 
     def _check_part(self, part: str, *kinds: type) -> None:
-        """Check the type of a part, and that its tuples have one entry for each joint."""
+        """Check the type of a part, and its number of joints."""
         value = getattr(self, part)
         if not isinstance(value, kinds):
             raise value_error(f"Scene.{part}", value, " or ".join(kind.__name__ for kind in kinds))
@@ -249,7 +249,7 @@ class Scene:
         return motions if any(motions) else None
 
     def _check_samples(self) -> None:
-        """Check that all samples cover the time from 0 to the duration."""
+        """Check whether all samples cover the time from 0 to the duration."""
         for name in ("torque", "prescribed", "tip_force", "base_acceleration"):
             part = getattr(self, name)
             for i, item in enumerate(part.signals() if name == "torque" else part or ()):
@@ -314,7 +314,7 @@ class Scene:
 
     @classmethod
     def from_dict(cls, data: object, folder: Path = Path()) -> Self:
-        """Build the scene that is described by the mapping of a scene file.
+        """Build the scene described by the mapping of a scene file.
 
         A CSV file outside the folder is read with a FutureWarning; the next release will require explicit permission.
 

@@ -56,7 +56,7 @@ def _items(path: str, build: Callable[[str, object], Any], data: object) -> list
 
 
 def _optional(kind: type[Part], path: str) -> Callable[[object], Part | None]:
-    """Return a function that builds a `kind` from a mapping, and returns None for None."""
+    """Return a function to build a `kind` from a mapping, and None from None."""
     return lambda data: None if data is None else from_plain(kind, path, data)
 
 
@@ -119,16 +119,16 @@ def from_plain(
 
     Args:
         kind: the dataclass.
-        path: field of the file that holds the mapping, for errors.
+        path: field of the mapping in the file, for errors.
         data: the mapping.
-        left_out: names of fields that must not occur.
-        **parts: functions that build the values of fields from their plain form, by field name.
+        left_out: names of forbidden fields.
+        **parts: functions to build the values of fields from their plain form, by field name.
 
     Returns:
         The instance of the dataclass.
 
     Raises:
-        ValueError: for unknown and missing keys and for values that are not allowed; one line with the field.
+        ValueError: for unknown or missing keys and for forbidden values; one line with the field.
     """
     entries = _check_entries(kind, path, data, *left_out)
     for name, build in parts.items():
@@ -138,7 +138,7 @@ def from_plain(
 
 
 def _check_entries(kind: Any, path: str, data: object, *left_out: str) -> dict[str, Any]:
-    """Return a copy of a mapping after checking that its keys are fields of a dataclass, except those left out."""
+    """Return a copy of a mapping after comparing its keys with the fields of a dataclass, except those left out."""
     names = [field.name for field in fields(kind) if field.name not in left_out]
     if not isinstance(data, dict):
         raise value_error(path or "scene", data, "a mapping with the keys " + ", ".join(names))
@@ -192,7 +192,7 @@ ArmLike = Arm | Mapping[str, Any] | str
 
 
 def find_arm(value: object, folder: Path = Path()) -> Arm:
-    """Return the arm that is given by an Arm, a name, a file or a mapping.
+    """Return the arm for an Arm, a name, a file or a mapping.
 
     Args:
         value: an Arm; the name of an arm in the catalog; a mapping with this name under "catalog" and the arguments of
@@ -234,14 +234,14 @@ def named_arm(name: str) -> Callable[..., Arm]:
     """Return the function that builds an arm of the catalog, with the options of its file as arguments.
 
     The file holds `description` (docstring of the function), `source`, `arm` (plain form), `options` (mapping from the
-    name of an option to the field that it sets: "payload", "links[0].area", "joints.stiffness" for every joint, or
+    name of an option to its field: "payload", "links[0].area", "joints.stiffness" for every joint, or
     "file" for another arm), and `values` (allowed values of options by name, or by number from 1 for a list).
 
     Args:
         name: name of a file in ARM_FOLDER, without suffix.
 
     Returns:
-        The function, which raises a ValueError for values that Joint or Arm does not allow.
+        The function; it raises a ValueError for values forbidden by Joint or Arm.
     """
     data = files.read_data(ARM_FOLDER / f"{name}.yaml")
     arm, options, values = _arm_from_plain(data["arm"]), data.get("options", {}), data.get("values", {})
@@ -277,7 +277,7 @@ def _default(arm: Arm, name: str, field: str, values: Any) -> Any:
 
 
 def _option_value(option: str, value: Any, values: Any) -> Any:
-    """Return the value of an option that is given by name or number where the file lists its values."""
+    """Return the value of an option, which may be a name or a number if the file lists its values."""
     if isinstance(values, list):
         return values[whole_number(option, value, 1, len(values)) - 1]
     return values[one_of(option, value, values)] if values else value

@@ -76,7 +76,7 @@ class SampledSignal:
         return self.times[-1] + (self.times[-1] - self.times[-2] if self.hold == "zero" else 0.0)
 
     def lines(self, moments: Array) -> tuple[Array, Array]:
-        """Return value at time 0 and slope (per s) of the straight line that the signal follows at times (p,), s."""
+        """Return value at time 0 and slope (per s) of the straight line followed at times (p,), s."""
         times, values = np.array(self.times), np.array(self.values)
         j = np.clip(np.searchsorted(times, moments, "right") - 1, 0, len(times) - 1)
         if self.hold == "zero":
