@@ -223,7 +223,7 @@ class Evaluation(BaseCallback):
         latest: metrics of the latest evaluation.
     """
 
-    kept = ("_best", "_next", "_warned")
+    state_fields = ("_best", "_next", "_warned")
 
     def __init__(self, settings: Settings, law: Law, save_best: Callable[[], None]) -> None:
         super().__init__()

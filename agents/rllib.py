@@ -20,7 +20,7 @@ from ray.tune.registry import register_env
 
 from flexman_agents.settings import DEFAULT_HYPERPARAMETERS, EXPLORATION_SCHEDULES, Settings, write_settings
 from flexman_gym.common.checks import value_error, whole_number
-from flexman_gym.common.parallel import python_path, ray_cluster
+from flexman_gym.common.parallel import ray_cluster
 from flexman_gym.common.run_folder import NEWEST, lock_folder, write_npz
 from flexman_gym.control.normalisation import RunningMeanStd
 from flexman_gym.envs.config.configuration import Configuration
@@ -279,8 +279,7 @@ def train_rllib(settings: Settings, folder: Path, runners: int = 0, every: int =
     if not resume and folder.exists() and any(folder.iterdir()):
         raise value_error("folder", folder, "a new one, or resume the run in it")
     place.mkdir(parents=True, exist_ok=True)
-    here = {"env_vars": {"PYTHONPATH": python_path(), "OMP_NUM_THREADS": "1"}}
-    with ray_cluster(runners + 1, runtime_env=here), lock_folder(folder):
+    with ray_cluster(runners + 1, OMP_NUM_THREADS="1"), lock_folder(folder):
         write_settings(settings, folder, 0)
         _train(config.build_algo(), settings, place, every, int(checkpoints[-1].name) if resume else 0)
 

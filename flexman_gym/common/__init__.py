@@ -1,1 +1,1 @@
-"""Helpers of all folders: arrays, checks, files, snapshots, run folders, grids of computations."""
+"""Common: arrays, checks of arguments, files, snapshots, run folders and parallel computation."""

@@ -1,4 +1,4 @@
-"""Array types, and row products whose bits do not depend on the number of rows."""
+"""Array types, and row operations whose bits do not depend on the number of rows."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-Vector = Sequence[float] | NDArray[Any]  # what a person may give where numbers are wanted
+Vector = Sequence[float] | NDArray[Any]  # accepted wherever a vector is an argument
 Matrix = Sequence[Sequence[float]] | NDArray[Any]
 
 
 def pad_rows(values: NDArray[Any], count: int) -> NDArray[Any]:
-    """Gives the values with as many rows as arms, new ones zero."""
+    """Return values (b, ...) extended to `count` rows by rows of zeros."""
     if count <= len(values):
         return values
     return np.concatenate([values, np.zeros((count - len(values), *values.shape[1:]), dtype=values.dtype)])
 
 
 def row_dots(left: NDArray[Any], right: NDArray[Any]) -> Any:
-    """Gives the scalar products (...) of rows (..., k), each to the bits that it has alone.
+    """Return the scalar products (...) of rows (..., k), with bits independent of the other rows.
 
-    `np.vecdot` does not: it is a product of BLAS, whose last digits depend on where in memory a row begins.
+    `np.vecdot` calls BLAS, whose last digits depend on the memory address of a row.
     """
     return np.multiply(left, right, order="C").sum(axis=-1)

@@ -11,53 +11,53 @@ import numpy as np
 from numpy.typing import NDArray
 
 Kind = TypeVar("Kind")
-UNIT_TOLERANCE = 1e-9  # how far a unit vector or a rotation may be from exact
-MIN_SIZE, MAX_SIZE = 1e-30, 1e30  # of the size of anything, in SI units
+UNIT_TOLERANCE = 1e-9  # largest error of a unit vector or a rotation matrix
+MIN_SIZE, MAX_SIZE = 1e-30, 1e30  # SI units; range of a physical quantity
 MAX_FIELD_LENGTH = 60  # characters of a field in an error
 MAX_PATH_LENGTH = 160  # characters of a path in an error
-MAX_VALUE_LENGTH = 80  # characters of a value in an error, and so entries of a list
-MAX_ENTRIES = 10**6  # of any list
-MIN_SIMILARITY = 0.75  # likeness of a name to that of a member, from which on it is taken for a slip
-MAX_DIGITS = 18  # of a whole number in a name
-RATIO_TOLERANCE = 1e-9  # how far a ratio of two times may be from a whole number, relative to itself
+MAX_VALUE_LENGTH = 80  # characters of a value in an error, and therefore entries of a list
+MAX_ENTRIES = 10**6  # of a list
+MIN_SIMILARITY = 0.75  # similarity of two names (difflib) from which on one is probably a misspelling of the other
+MAX_DIGITS = 18  # of a whole number within a name; larger numbers exceed 64 bits
+RATIO_TOLERANCE = 1e-9  # largest relative difference of a ratio of two times from a whole number
 
 
 def short_repr(value: object) -> str:
-    """Gives a value as at most 80 characters on one line, whatever it is."""
+    """Return the `repr` of any value on one line of at most 80 characters."""
     try:
         text = " ".join(repr(_shortened(value)).split())
-    except Exception:  # an integer of thousands of digits, a list nested without end, a repr of somebody's own
+    except Exception:  # an integer of thousands of digits, endless nesting, or a faulty user-defined repr
         text = f"this {type(value).__name__}"
     return text if len(text) <= MAX_VALUE_LENGTH else text[: MAX_VALUE_LENGTH - 3] + "..."
 
 
 def short_path(path: object, most: int = MAX_PATH_LENGTH) -> str:
-    """Return a path on one line of at most `most` characters; a longer one is cut in its middle."""
+    """Return a path on one line of at most `most` characters; a longer path is cut in the middle."""
     text = str(path) if str(path).isprintable() else repr(str(path))
     half = (most - 3) // 2
     return text if len(text) <= most else f"{text[:half]}...{text[-half:]}"
 
 
 def is_decimal_integer(text: str) -> bool:
-    """Return whether a text is a whole number of 1 to 18 digits 0 to 9; `str.isdigit` is true of superscripts too."""
+    """Return whether a string is a whole number of 1 to 18 digits 0 to 9; `str.isdigit` also accepts superscripts."""
     return text.isascii() and text.isdecimal() and len(text) <= MAX_DIGITS
 
 
 def value_error(name: str, value: object, allowed: str) -> ValueError:
-    """Builds the error that says on one line that the field `name` may not be `value`, and what is `allowed`."""
-    field = name if name.isprintable() else repr(name)  # a key of somebody's file may be in it
+    """Return a one-line error for a value of a field, with the allowed values."""
+    field = name if name.isprintable() else repr(name)  # it may contain a key of an untrusted file
     return ValueError(f"{field[:MAX_FIELD_LENGTH]}: {short_repr(value)} is not allowed; give {allowed}")
 
 
 def _shortened(value: Any) -> Any:
-    """Gives a long list, tuple or text without its end, which nobody would see, and everything else as it is."""
+    """Return a list, tuple or string without the part cut off in an error; other values are unchanged."""
     if type(value) in (list, tuple):
         return type(value)(_shortened(entry) for entry in value[:MAX_VALUE_LENGTH])
     return value[:MAX_VALUE_LENGTH] if type(value) in (str, bytes) else value
 
 
 def _real(value: object) -> float:
-    """Gives a real number as float, and NaN for everything else (a bool, a string, an overflow)."""
+    """Return a real number as float, and NaN for anything else (a bool, a string, an overflow)."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
         return math.nan
     try:
@@ -67,11 +67,7 @@ def _real(value: object) -> float:
 
 
 def finite(name: str, value: object, unit: str = "") -> float:
-    """Gives a value as a finite float.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Return a value as a finite float."""
     number = _real(value)
     if not math.isfinite(number):
         raise value_error(name, value, "a finite number" + _in(unit))
@@ -79,11 +75,7 @@ def finite(name: str, value: object, unit: str = "") -> float:
 
 
 def positive(name: str, value: object, unit: str = "") -> float:
-    """Gives a value as a finite float > 0.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Return a value as a finite float > 0."""
     number = _real(value)
     if not 0.0 < number < math.inf:
         raise value_error(name, value, "a finite number > 0" + _in(unit))
@@ -91,11 +83,7 @@ def positive(name: str, value: object, unit: str = "") -> float:
 
 
 def non_negative(name: str, value: object, unit: str = "") -> float:
-    """Gives a value as a finite float >= 0.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Return a value as a finite float >= 0."""
     number = _real(value)
     if not 0.0 <= number < math.inf:
         raise value_error(name, value, "a finite number >= 0" + _in(unit))
@@ -103,11 +91,7 @@ def non_negative(name: str, value: object, unit: str = "") -> float:
 
 
 def physical(name: str, value: object, unit: str = "", zero: bool = False) -> float:
-    """Gives the size of something as a float from 1e-30 to 1e30, or 0 where `zero` has a meaning.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Return a physical quantity as a float from 1e-30 to 1e30, or 0 if `zero` is true."""
     number = non_negative(name, value, unit) if zero else positive(name, value, unit)
     if number != 0.0 and not MIN_SIZE <= number <= MAX_SIZE:
         raise value_error(
@@ -117,36 +101,27 @@ def physical(name: str, value: object, unit: str = "", zero: bool = False) -> fl
 
 
 def whole_number(name: str, value: object, low: int, high: int) -> int:
-    """Gives a value as an int from `low` to `high`.
-
-    Raises:
-        ValueError: for anything else, 2.0 and True included.
-    """
+    """Return a value as an int from `low` to `high`; 2.0 and True are no whole numbers."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not low <= int(value) <= high:
         raise value_error(name, value, f"a whole number from {low} to {high}")
     return int(value)
 
 
 def check_magnitudes(name: str, values: Iterable[float], most: float, unit: str = "") -> None:
-    """Refuses numbers of which a magnitude is larger than `most`.
-
-    Raises:
-        ValueError: it names the first of them.
-    """
+    """Check that no number exceeds `most` in magnitude."""
     for i, value in enumerate(values):
         if not abs(value) <= most:
             raise value_error(f"{name}[{i}]", value, f"a number from {-most:g} to {most:g}" + _in(unit))
 
 
 def whole_ratio(name: str, part: float, total: float, allowed: str, most: int = 10**9) -> int:
-    """Gives the whole number of times, at most `most`, that the time `part` (s) goes into `total` (s).
+    """Return the number of times that `part` (s) fits into `total` (s), if it is a whole number from 1 to `most`.
 
-    Raises:
-        ValueError: where that is no whole number, or a larger one; it says what is `allowed`.
+    The error lists the `allowed` values.
     """
     ratio = total / positive(name, part, "s")
     if not ratio < most + 0.5:
-        raise value_error(name, part, f"at least {total / most:g} (s): at most {most} go into {total} s")
+        raise value_error(name, part, f"at least {total / most:g} (s), at most {most} times in {total} s")
     count = round(ratio)
     if count < 1 or abs(ratio - count) > RATIO_TOLERANCE * ratio:
         raise value_error(name, part, f"{allowed}, {total} s")
@@ -154,44 +129,28 @@ def whole_ratio(name: str, part: float, total: float, allowed: str, most: int = 
 
 
 def flag(name: str, value: object) -> bool:
-    """Gives a value as a bool.
-
-    Raises:
-        ValueError: for anything else, 0 and 1 included.
-    """
+    """Return a value as a bool; 0 and 1 are no booleans."""
     if not isinstance(value, bool | np.bool_):
         raise value_error(name, value, "true or false")
     return bool(value)
 
 
 def text(name: str, value: object) -> str:
-    """Gives a value that is a string.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Return a string unchanged."""
     if not isinstance(value, str):
-        raise value_error(name, value, "a text")
+        raise value_error(name, value, "a string")
     return value
 
 
 def one_of(name: str, value: object, allowed: Collection[str]) -> str:
-    """Gives a value that is one of the `allowed` strings.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Return one of the `allowed` strings unchanged."""
     if not isinstance(value, str) or value not in allowed:
         raise value_error(name, value, "one of " + ", ".join(allowed))
     return value
 
 
 def mapping(name: str, value: object, keys: Collection[str]) -> dict[str, Any]:
-    """Gives a dict whose keys are some of `keys`.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Return a dict whose keys are among `keys`."""
     if not isinstance(value, dict):
         raise value_error(name, value, f"a mapping with some of {', '.join(keys)}")
     for key in value:
@@ -200,10 +159,15 @@ def mapping(name: str, value: object, keys: Collection[str]) -> dict[str, Any]:
 
 
 def sequence(name: str, value: object, items: str = "values") -> Sequence[Any]:
-    """Gives a value that is a list, a tuple or an array; an array comes back as a list.
+    """Check a list, a tuple or an array.
 
-    Raises:
-        ValueError: for anything else; it says which `items` the list has.
+    Args:
+        name: field, for errors.
+        value: the value.
+        items: description of the entries, for errors.
+
+    Returns:
+        The value; an array is returned as a list.
     """
     if isinstance(value, np.ndarray) and value.ndim > 0 and value.size <= MAX_ENTRIES:
         return list(value.tolist())
@@ -213,14 +177,20 @@ def sequence(name: str, value: object, items: str = "values") -> Sequence[Any]:
 
 
 def number_array(name: str, value: object, shape: tuple[int, ...], allowed: str) -> NDArray[np.float64]:
-    """Gives an array-like of finite numbers as an array of that shape; its length is looked at first.
+    """Check an array-like of finite numbers; its length is checked before it is converted.
 
-    Raises:
-        ValueError: for anything else; it says what is `allowed`.
+    Args:
+        name: field, for errors.
+        value: the array-like.
+        shape: required shape.
+        allowed: allowed values, for errors.
+
+    Returns:
+        The numbers as a float array.
     """
     try:
         values = np.asarray(value) if len(value) == shape[0] else None  # type: ignore[arg-type]
-    except Exception:  # no list, or lists of different length
+    except Exception:  # no list, or lists of different lengths
         values = None
     if values is None or values.shape != shape or values.dtype.kind not in "fiu" or not np.isfinite(values).all():
         raise value_error(name, value, allowed)
@@ -228,22 +198,14 @@ def number_array(name: str, value: object, shape: tuple[int, ...], allowed: str)
 
 
 def instance(name: str, value: object, kind: type[Kind], allowed: str) -> Kind:
-    """Gives a value of a kind.
-
-    Raises:
-        ValueError: for anything else; it says what is `allowed`.
-    """
+    """Return an instance of `kind` unchanged; the error lists the `allowed` values."""
     if not isinstance(value, kind):
         raise value_error(name, value, allowed)
     return value
 
 
 def instances(name: str, value: object, *kinds: type) -> tuple[Any, ...]:
-    """Return a list of at least one item, each of one of the `kinds`, as a tuple.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Return a non-empty list of instances of any of the `kinds` as a tuple."""
     names = " or ".join(kind.__name__ for kind in kinds)
     items = sequence(name, value, f"at least one {names}")
     if not items:
@@ -255,11 +217,7 @@ def instances(name: str, value: object, *kinds: type) -> tuple[Any, ...]:
 
 
 def vector(name: str, value: object, length: int | None = None, unit: str = "") -> tuple[float, ...]:
-    """Gives an array-like of finite numbers as a tuple of floats, (length,).
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Return an array-like of finite numbers as a tuple of floats, (length,)."""
     entries = sequence(name, value, "numbers")
     if not entries or (length is not None and len(entries) != length):
         raise value_error(name, value, f"{length or 'at least 1'} numbers" + _in(unit))
@@ -267,11 +225,7 @@ def vector(name: str, value: object, length: int | None = None, unit: str = "") 
 
 
 def rotation(name: str, value: object) -> tuple[tuple[float, ...], ...]:
-    """Gives a (3, 3) proper rotation, orthonormal within 1e-9, as a tuple of rows.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Return a rotation matrix (3, 3), orthonormal within 1e-9 with determinant +1, as a tuple of rows."""
     rows = sequence(name, value, "3 rows of 3 numbers")
     if len(rows) != 3:
         raise value_error(name, value, "3 rows of 3 numbers")
@@ -279,26 +233,30 @@ def rotation(name: str, value: object) -> tuple[tuple[float, ...], ...]:
     matrix = np.array(rows)
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.abs(matrix @ matrix.T - np.eye(3)).max()
-    # Of the orthonormal matrices the reflections have a determinant of -1.
+    # Reflections are orthonormal, too, with determinant -1.
     if not error <= UNIT_TOLERANCE or np.linalg.det(matrix) < 0.0:
         raise value_error(name, value, "a rotation matrix: orthonormal within 1e-9, determinant +1")
     return rows
 
 
 def check_member_names(field: str, value: object, optional: Collection[str], others: Collection[str]) -> None:
-    """Refuses an object one of whose members is nearly named as an optional one; it would never be used.
+    """Raise a ValueError for a member whose name resembles that of an optional member and would silently be ignored.
 
-    Raises:
-        ValueError: one line with field, member and the name that may be meant.
+    Args:
+        field: field of the object, for errors.
+        value: the object.
+        optional: names of optional members.
+        others: further permitted names.
     """
     for name in sorted({*dir(value)} - {*optional, *others}):
-        near = [] if name.startswith("_") else get_close_matches(name, optional, 1, MIN_SIMILARITY)
-        if near:
-            raise value_error(f"{field}.{name}", getattr(value, name), f"{near[0]}, if it is meant, or another name")
+        similar = [] if name.startswith("_") else get_close_matches(name, optional, 1, MIN_SIMILARITY)
+        if similar:
+            allowed = f"{similar[0]}, if it is meant, or another name"
+            raise value_error(f"{field}.{name}", getattr(value, name), allowed)
 
 
 def set_fields(instance: object, **values: object) -> None:
-    """Writes checked values over the fields of a frozen dataclass that is being created."""
+    """Set fields of a frozen dataclass during its construction."""
     for name, value in values.items():
         object.__setattr__(instance, name, value)
 
@@ -309,14 +267,10 @@ def _in(unit: str) -> str:
 
 @contextmanager
 def check_solvable(what: str) -> Iterator[None]:
-    """Refuses an arm for which rounding leaves no solution of `what` is calculated within.
-
-    Raises:
-        ValueError: in place of the errors of linear algebra, and of numbers that are not finite.
-    """
+    """Raise a ValueError about the arm if its extreme values prevent the computation of `what` in this block."""
     try:
         with np.errstate(divide="raise", over="raise", invalid="raise"):
             yield
     except (FloatingPointError, ValueError):
-        allowed = f"one for which there are {what}: masses, stiffness and torques of sizes that go together"
+        allowed = f"one with computable {what}: masses, stiffness and torques of compatible magnitudes"
         raise value_error("arm", "this one", allowed) from None

@@ -1,4 +1,4 @@
-"""Computer: processor, Python, and versions of the packages that computed a result."""
+"""Computer: processor, Python version and package versions behind a result."""
 
 import platform
 import re
@@ -10,15 +10,15 @@ CORE_PACKAGES = ("flexman_gym", "numba", "numpy", "scipy")
 
 
 def computer_info(more: Iterable[str] = ()) -> dict[str, str]:
-    """Processor, Python, and the versions of our packages and of more of them, of those that are installed."""
-    information = Path("/proc/cpuinfo")
-    result = re.search(r"model name\s*: (.*)", information.read_text() if information.exists() else "")
-    processor = result[1] if result else platform.processor() or platform.machine()
+    """Return the processor and the versions of Python, of the core packages and of `more` packages, if installed."""
+    file = Path("/proc/cpuinfo")
+    match = re.search(r"model name\s*: (.*)", file.read_text() if file.exists() else "")
+    processor = match[1] if match else platform.processor() or platform.machine()
     return {"processor": processor, "python": platform.python_version()} | _versions((*CORE_PACKAGES, *more))
 
 
 def computer_text(more: Iterable[str] = ()) -> str:
-    """The same as names and values in a row."""
+    """Return the entries of `computer_info` on one line."""
     return ", ".join(f"{name} {value}" for name, value in computer_info(more).items())
 
 

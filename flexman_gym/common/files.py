@@ -1,4 +1,4 @@
-"""Files: atomic writes, strict JSON and YAML, and checked reading of arrays."""
+"""Files: atomic writes, strict JSON and YAML, and safe reading of arrays."""
 
 import json
 import os
@@ -17,23 +17,23 @@ import yaml
 
 from flexman_gym.common.checks import one_of, short_path, short_repr
 
-# errors that reading a damaged file of text or arrays may raise
+# Possible errors while reading a damaged file of text or arrays.
 READ_ERRORS = (
     ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, MemoryError, RecursionError, OverflowError,
     NotImplementedError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
 )  # fmt: skip
 MAX_TEXT_BYTES = 1_000_000  # bytes of a text file
-MAX_UNPACKED_BYTES = 100_000_000  # bytes of all arrays of a compressed file
+MAX_UNPACKED_BYTES = 100_000_000  # bytes of all arrays of a file after decompression
 
 
 class _Mapping(list[tuple[Any, Any]]):
-    """The pairs of a mapping as they stand in the file, so that a key given twice is still seen."""
+    """Pairs of a mapping in the order of the file, which may repeat a key."""
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML with the words and numbers of JSON and nothing else: no anchors, aliases or tags.
+    """YAML loader restricted to the words and numbers of JSON, without anchors, aliases and tags.
 
-    YAML 1.1 would read 1:30 as 90, 010 as 8 and 2e9 as a text, and aliases let a small file grow without bound.
+    YAML 1.1 would read 1:30 as 90, 010 as 8 and 2e9 as a string, and aliases permit a small file to grow without bound.
     """
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012
@@ -46,7 +46,7 @@ class _Loader(yaml.SafeLoader):
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML in which a text is quoted where `_Loader` or a reader of YAML 1.1 would take it for another type."""
+    """YAML dumper that quotes a string wherever `_Loader` or a reader of YAML 1.1 would read another type."""
 
 
 _NUMBER = r"-?(0|[1-9][0-9]*)"
@@ -62,17 +62,24 @@ _Loader.add_constructor("tag:yaml.org,2002:map", lambda loader, node: _Mapping(l
 
 
 def regular_file(path: str | Path, most: int | None = MAX_TEXT_BYTES) -> Path:
-    """Return the path of a regular file of at most `most` bytes, any number for None, before it is opened.
+    """Check that a path is a regular file, without opening it.
 
-    A device can be read without end, and a pipe into which nobody writes is waited for.
+    Reading a device may never end, and reading a pipe may wait for ever.
+
+    Args:
+        path: the path.
+        most: largest size in bytes; None for any size.
+
+    Returns:
+        The path.
 
     Raises:
-        FileNotFoundError: when there is no such file.
-        ValueError: for a directory, a device or a pipe, and for a larger file; the line does not name it.
+        FileNotFoundError: if the file does not exist.
+        ValueError: for a directory, a device, a pipe or a larger file; the line does not name the file.
     """
     try:
         status = os.stat(path)
-    except (OSError, ValueError):  # also a name that is too long, or that has a zero byte
+    except (OSError, ValueError):  # also for a name that is too long or contains a zero byte
         raise FileNotFoundError(f"{short_path(path)}: there is no such file") from None
     if not stat.S_ISREG(status.st_mode):
         raise ValueError("this is a directory, a device or a pipe; give a file")
@@ -83,15 +90,18 @@ def regular_file(path: str | Path, most: int | None = MAX_TEXT_BYTES) -> Path:
 
 @contextmanager
 def open_arrays(path: str | Path, packed: bool = False) -> Iterator[Any]:
-    """Open a file of arrays (npz); nothing in it is run.
+    """Open a file of arrays (npz) without running any code in it.
 
     Args:
         path: path of the file.
-        packed: whether its arrays may be compressed, of at most 100 MB unpacked.
+        packed: whether its arrays may be compressed, with at most 100 MB after decompression.
+
+    Yields:
+        Any: The arrays by name.
 
     Raises:
-        FileNotFoundError: when there is no such file.
-        one of READ_ERRORS: for anything else than a regular file of arrays, and for arrays larger than they look.
+        FileNotFoundError: if the file does not exist.
+        ValueError: for arrays larger than the file; for other damage, any of READ_ERRORS.
     """
     size = regular_file(path, None).stat().st_size
     with zipfile.ZipFile(path) as parts:
@@ -102,13 +112,19 @@ def open_arrays(path: str | Path, packed: bool = False) -> Iterator[Any]:
 
 
 def read_data(path: Path, kind: type = dict) -> Any:
-    """Read a .json, .yaml or .yml file that holds a mapping, or a list for `kind` list.
+    """Read a .json, .yaml or .yml file.
+
+    Args:
+        path: path of the file.
+        kind: dict for a file with a mapping, list for a file with a list.
+
+    Returns:
+        The content.
 
     Raises:
-        FileNotFoundError: when there is no such file.
-        ValueError: for another suffix, for a file that is not a plain file of at most 1 MB or not UTF-8, for broken
-            text, for anything else than this kind, for a repeated key, and for a nesting without end; one line says
-            which, without the name of the file and without its text.
+        FileNotFoundError: if the file does not exist.
+        ValueError: for another suffix, an irregular file, more than 1 MB, text other than UTF-8, a syntax error,
+            another kind, a repeated key and excessive nesting; one line without the name and the text of the file.
     """
     ending = _check_suffix(path)
     try:
@@ -125,21 +141,23 @@ def read_data(path: Path, kind: type = dict) -> Any:
 
 
 def parse_yaml(text: str) -> Any:
-    """Gives what a text of YAML holds, by the same strict reading.
+    """Parse a YAML text under the same restrictions as `read_data`.
+
+    Args:
+        text: the text.
+
+    Returns:
+        The content.
 
     Raises:
-        ValueError: for broken text; one line says why.
-        RecursionError: for a nesting without end.
+        ValueError: for a syntax error; one line.
+        RecursionError: for excessive nesting.
     """
     return _tree("", _parse(text, ".yaml"))
 
 
 def write_data(path: Path, data: Any) -> None:
-    """Writes dicts, lists, texts, numbers, booleans and None to a file.
-
-    Raises:
-        ValueError: for an unknown suffix.
-    """
+    """Write a tree of dicts, lists, strings, numbers, booleans and None to a .json, .yaml or .yml file."""
     if _check_suffix(path) == ".json":
         text = json.dumps(data, indent=1) + "\n"
     else:
@@ -148,12 +166,12 @@ def write_data(path: Path, data: Any) -> None:
 
 
 def _check_suffix(path: Path) -> str:
-    """Return the suffix of a JSON or YAML file; raise ValueError for another suffix."""
+    """Return the suffix of a JSON or YAML file."""
     return one_of(f"the suffix of {short_path(path, 40)}", path.suffix, (".json", ".yaml", ".yml"))
 
 
 def _parse(text: str, ending: str) -> Any:
-    """Gives the content of the file, with `_Mapping` for every mapping."""
+    """Return the content of a text, with `_Mapping` for every mapping."""
     try:
         if ending == ".json":
             return json.loads(text, object_pairs_hook=_Mapping)
@@ -166,7 +184,7 @@ def _parse(text: str, ending: str) -> Any:
 
 
 def _tree(path: str, data: Any) -> Any:
-    """Gives `data` with dicts for its mappings; `path` is the name of the field that holds it."""
+    """Return data with dicts in place of `_Mapping`; `path` is the field of the data, for errors."""
     if isinstance(data, _Mapping):
         tree: dict[str, Any] = {}
         for key, value in data:
@@ -175,7 +193,7 @@ def _tree(path: str, data: Any) -> Any:
             field = f"{path}.{key}" if path else key
             if key in tree:
                 raise ValueError(
-                    f"{field}: {short_repr(value)} is not allowed; this key was given before, give it once"
+                    f"{field}: {short_repr(value)} is not allowed; this key was given before; give it once"
                 )
             tree[key] = _tree(field, value)
         return tree
@@ -184,63 +202,40 @@ def _tree(path: str, data: Any) -> Any:
     return data
 
 
-def parse_json(text: bytes) -> Any:
-    """Return the content of a text in JSON.
-
-    Raises:
-        ValueError: one line, for broken text, a repeated key, and NaN or an infinite number.
-    """
-    try:
-        return json.loads(text.decode("utf-8"), object_pairs_hook=_once, parse_constant=_no_number)
-    except RecursionError:
-        raise ValueError("its mappings lie too deep in each other") from None
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    result = dict(pairs)
-    if len(result) < len(pairs):
-        raise ValueError("a key stands there twice")
-    return result
-
-
-def _no_number(text: str) -> Any:
-    raise ValueError(f"{text} is no number of JSON")
-
-
 def write_atomically(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
-    """Write a file atomically: fill a temporary file, flush it to the disk and rename it.
+    """Write a file atomically: fill a temporary file, flush it to disk and rename it.
+
+    Args:
+        path: path of the file.
+        fill: function to write the content to the open temporary file.
 
     Raises:
-        OSError: when it cannot be written; the file that was there stays.
+        OSError: if the file cannot be written; an existing file remains unchanged.
     """
-    beside = path.with_name(f".{path.name}.part")
+    temporary = path.with_name(f".{path.name}.part")
     try:
-        beside.unlink(missing_ok=True)  # of a process that was killed, or a link to somebody's file
-        with beside.open("xb") as file:
+        temporary.unlink(missing_ok=True)  # left by a killed process, or a link to another file
+        with temporary.open("xb") as file:
             fill(file)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(beside, path)
+        os.replace(temporary, path)
     except OSError:
         with suppress(OSError):
-            beside.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
         raise
     _sync(path.parent)
 
 
 def existing_file(path: Path) -> Path:
-    """Return the path of a file that exists.
-
-    Raises:
-        FileNotFoundError: one clear line.
-    """
+    """Return the path of a file of a training run; raise FileNotFoundError with advice if it does not exist."""
     if not os.path.isfile(path):  # whatever the name is
         raise FileNotFoundError(f"{short_path(path)}: no such file; give a folder that a training run has written")
     return path
 
 
 def _sync(folder: Path) -> None:
-    """Flush the directory entries of a folder to the disk, where the file system supports it."""
+    """Flush the directory entries of a folder to disk, where the file system supports it."""
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:

@@ -1,4 +1,4 @@
-"""Parallel map: independent items of work run serially, in processes, on a Ray cluster or as a SLURM array job."""
+"""Parallel map: a function over independent items, serially, in processes, on a Ray cluster or as a SLURM array job."""
 
 import argparse
 import hashlib
@@ -24,20 +24,20 @@ from flexman_gym.common.run_folder import read_npz, write_npz
 Task = Callable[[Any], Any]
 Prepare = Callable[[], object]
 Results = Iterator[tuple[int, Any]]
-MAX_DEATHS = 3  # of workers in a row, without a cell that was done in between
-SHARES = 2  # of an array job's tasks, for each that runs at once: a killed one loses no more than its share
-MOST_SHARES = 1000  # tasks of an array job that SLURM takes by default
-MINUTES = 24 * 60  # of an array job's task, where SBATCH_TIMELIMIT does not say
-OBJECTS = 200_000_000  # bytes of a local Ray cluster for what tasks hand over
+MAX_DEATHS = 3  # workers that die in a row, without a finished item in between
+SHARES_PER_JOB = 2  # shares of an array job per simultaneous task; a killed task loses at most one share
+MAX_SHARES = 1000  # tasks of an array job; the default limit of SLURM
+TIME_LIMIT = 24 * 60  # min; of a task of an array job unless SBATCH_TIMELIMIT is set
+OBJECT_STORE_BYTES = 200_000_000  # shared memory of a local Ray cluster
 
 
 def _run_serially(task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
-    """Run the cells in this process, one after the other."""
+    """Run the items in this process, one after the other."""
     yield from enumerate(map(task, cells))
 
 
 class _Processes:
-    """Processes of this machine, which end with the one that started them, however that ends."""
+    """Processes on this computer, which end with their parent even if it is killed."""
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
@@ -62,14 +62,14 @@ class _Processes:
 
 
 class _RayTasks:
-    """Tasks of a Ray cluster, one a cell; of a local one, so many at once."""
+    """Tasks on a Ray cluster, one per item; a local cluster runs a limited number at once."""
 
     def __init__(self, jobs: int, address: str) -> None:
         self._jobs, self._address = jobs, address
 
     def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
         with ray_cluster(self._jobs, self._address) as ray:
-            own = {"env_vars": {"PYTHONPATH": python_path()}}
+            own = {"env_vars": {"PYTHONPATH": _python_path()}}
             remote = ray.remote(num_cpus=1, max_retries=MAX_DEATHS, runtime_env=own)(_run_prepared)
             waiting = {remote.remote(prepare, task, cell): number for number, cell in enumerate(cells)}
             while waiting:
@@ -78,24 +78,28 @@ class _RayTasks:
 
 
 @contextmanager
-def ray_cluster(jobs: int, address: str = "local", **settings: Any) -> Iterator[Any]:
-    """Gives Ray where it runs; a cluster that is started for it ends here.
+def ray_cluster(jobs: int, address: str = "local", **variables: str) -> Iterator[Any]:
+    """Start Ray if it is not running, and shut it down if it was started here.
 
     Args:
-        jobs: tasks at once of a local cluster.
-        address: of one that runs already, or "local".
-        settings: what else `ray.init` takes.
+        jobs: number of simultaneous tasks on a local cluster.
+        address: address of a running cluster, or "local".
+        **variables: environment variables of the workers, which then also find the modules importable here.
+
+    Yields:
+        Any: The module `ray`.
 
     Raises:
-        ImportError: without Ray.
+        ImportError: if Ray is not installed.
     """
     ray = _import_package("ray")
     own = not ray.is_initialized()
     if own:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        here = {"num_cpus": jobs, "include_dashboard": False, "object_store_memory": OBJECTS}
-        there = here if address == "local" else {"address": address}
-        ray.init(log_to_driver=False, logging_level="ERROR", **there, **settings)
+        local = {"num_cpus": jobs, "include_dashboard": False, "object_store_memory": OBJECT_STORE_BYTES}
+        cluster = local if address == "local" else {"address": address}
+        workers = {"runtime_env": {"env_vars": {"PYTHONPATH": _python_path(), **variables}}} if variables else {}
+        ray.init(log_to_driver=False, logging_level="ERROR", **cluster, **workers)
     try:
         yield ray
     finally:
@@ -104,7 +108,7 @@ def ray_cluster(jobs: int, address: str = "local", **settings: Any) -> Iterator[
 
 
 def _ray_result(ray: Any, done: Any) -> Any:
-    """A result; the error of a cell as it was there."""
+    """Return the result of a task, or raise its original error."""
     try:
         return ray.get(done)
     except ray.exceptions.RayTaskError as error:
@@ -112,10 +116,10 @@ def _ray_result(ray: Any, done: Any) -> Any:
 
 
 class _ArrayJob:
-    """Tasks of an array job of SLURM, or processes that submitit starts, each with a share of the cells.
+    """Tasks of a SLURM array job, or processes started by submitit, each with a share of the items.
 
-    What SLURM asks beside is said as its environment variables say it: SBATCH_PARTITION, SBATCH_ACCOUNT,
-    SBATCH_TIMELIMIT. Logs are in the folder `submitit`, which all nodes see.
+    Further options of SLURM are read from its environment variables: SBATCH_PARTITION, SBATCH_ACCOUNT,
+    SBATCH_TIMELIMIT. Logs are written to the folder `submitit`, which all nodes must see.
     """
 
     def __init__(self, jobs: int, cluster: str, logs: str | Path = "submitit", every: float = 0.5) -> None:
@@ -124,16 +128,16 @@ class _ArrayJob:
     def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
         submitit = _import_package("submitit")
         executor = submitit.AutoExecutor(self._logs, cluster=self._cluster)
-        executor.update_parameters(name="flexman", timeout_min=MINUTES, cpus_per_task=1,
+        executor.update_parameters(name="flexman", timeout_min=TIME_LIMIT, cpus_per_task=1,
                                    slurm_array_parallelism=self._jobs)  # fmt: skip
-        shares = min(len(cells), SHARES * self._jobs, MOST_SHARES)
+        shares = min(len(cells), SHARES_PER_JOB * self._jobs, MAX_SHARES)
         left, deaths = {first: cells[first::shares] for first in range(shares)}, 0
         running: dict[int, Any] = {}
         while left:
-            room = len(left) if self._cluster == "slurm" else self._jobs
-            waiting = [first for first in left if first not in running][: room - len(running)]
+            slots = len(left) if self._cluster == "slurm" else self._jobs
+            waiting = [first for first in left if first not in running][: slots - len(running)]
             if waiting:
-                os.environ["PYTHONPATH"] = python_path()
+                os.environ["PYTHONPATH"] = _python_path()
                 with executor.batch():
                     running |= {first: executor.submit(_run_share, prepare, task, left[first]) for first in waiting}
             for first in [first for first, job in running.items() if job.done()]:
@@ -150,7 +154,7 @@ class _ArrayJob:
 
 
 def _run_share(prepare: Prepare | None, task: Task, cells: Sequence[Any]) -> list[Any] | Exception:
-    """Run a share of the cells; return the error of one that fails, which submitit would turn into a text."""
+    """Return the results of a share of the items, or the error of one of them, which submitit would convert to text."""
     try:
         return [_run_prepared(prepare, task, cell) for cell in cells]
     except Exception as error:
@@ -158,27 +162,27 @@ def _run_share(prepare: Prepare | None, task: Task, cells: Sequence[Any]) -> lis
 
 
 def _run_prepared(prepare: Prepare | None, task: Task, cell: Any) -> Any:
-    """Run a task in a process that may not have been prepared yet."""
+    """Run a task in a process after preparing it."""
     if prepare is not None:
         prepare()
     return task(cell)
 
 
-def python_path() -> str:
-    """Gives what a process that is started needs as PYTHONPATH to find what this one can import."""
+def _python_path() -> str:
+    """Return the value of PYTHONPATH with which a new process finds the modules importable here."""
     return os.pathsep.join(filter(None, sys.path))
 
 
 def _count_death(deaths: int) -> int:
-    """Counts the death of a worker; raises RuntimeError for too many in a row."""
+    """Return the number of workers that died in a row; raise RuntimeError at MAX_DEATHS."""
     if deaths + 1 == MAX_DEATHS:
-        raise RuntimeError(f"workers died {MAX_DEATHS} times in a row: memory may be short, or a cell may crash")
-    print("a worker died: its cells are tried again", file=sys.stderr, flush=True)
+        raise RuntimeError(f"workers died {MAX_DEATHS} times in a row: memory may be short, or an item may crash")
+    print("a worker died: its items are run again", file=sys.stderr, flush=True)
     return deaths + 1
 
 
 def _import_package(name: str) -> Any:
-    """A package that this way needs; raises ImportError, one line, where it is not installed."""
+    """Return an optional package; raise an ImportError with advice if it is not installed."""
     try:
         return __import__(name)
     except ImportError:
@@ -186,11 +190,12 @@ def _import_package(name: str) -> Any:
 
 
 def _end_with_parent() -> None:
-    """Ends this process when the one that asked for it is gone, also where that was killed."""
-    threading.Thread(target=_outlive, daemon=True).start()
+    """End this process when its parent ends, even if the parent is killed."""
+    threading.Thread(target=_exit_after_parent, daemon=True).start()
 
 
-def _outlive() -> None:
+def _exit_after_parent() -> None:
+    """Wait for the end of the parent process, then end this process."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()
@@ -199,21 +204,18 @@ def _outlive() -> None:
 
 Cell = TypeVar("Cell")
 Result = TypeVar("Result")
-MOST_JOBS = 10_000
+MAX_JOBS = 10_000
 PACKAGE = Path(__file__).parents[1]
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Who works off the cells of a grid: this process alone, or one of the following.
+    """Workers of a parallel map: this process, local processes, a Ray cluster or an array job.
 
     Attributes:
-        jobs: cells at once, in processes of this machine, or in tasks of Ray or SLURM; 1 for this process.
-        ray: address of a Ray cluster, or "local" for one of this machine that ends with the grid; None for none.
-        submitit: "slurm" for an array job, or "local" for the same on this machine; None for none.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+        jobs: number of items processed at once, in local processes or in tasks of Ray or SLURM; 1 for this process.
+        ray: address of a Ray cluster, "local" for a temporary cluster on this computer, or None.
+        submitit: "slurm" for an array job, "local" for the same on this computer, or None.
     """
 
     jobs: int = 1
@@ -221,22 +223,26 @@ class Workers:
     submitit: str | None = None
 
     def __post_init__(self) -> None:
-        set_fields(self, jobs=whole_number("jobs", self.jobs, 1, MOST_JOBS))
+        set_fields(self, jobs=whole_number("jobs", self.jobs, 1, MAX_JOBS))
         if self.submitit is not None:
             one_of("submitit", self.submitit, ("slurm", "local"))
             if self.ray is not None:
-                raise value_error("ray", self.ray, "nothing beside submitit")
+                raise value_error("ray", self.ray, "no Ray cluster together with submitit")
 
     @staticmethod
     def arguments(parser: argparse.ArgumentParser) -> None:
-        """Says what the command line of a grid takes."""
-        parser.add_argument("--jobs", type=int, default=1, help="cells at once, in processes")
-        parser.add_argument("--ray", metavar="ADDRESS", help="in tasks of a Ray cluster, or of a local one: local")
-        parser.add_argument("--submitit", metavar="CLUSTER", help="in an array job: slurm, or local")
+        """Add the command-line arguments of the workers to a parser."""
+        parser.add_argument("--jobs", type=int, default=1, help="number of simultaneous processes or tasks")
+        parser.add_argument(
+            "--ray",
+            metavar="ADDRESS",
+            help="use a Ray cluster at this address, or a new one: local",
+        )
+        parser.add_argument("--submitit", metavar="CLUSTER", help="use an array job: slurm, or local")
 
     @classmethod
     def of(cls, options: argparse.Namespace) -> "Workers":
-        """Gives those that a command line asks for."""
+        """Return the workers selected on a command line."""
         return cls(options.jobs, options.ray, options.submitit)
 
 
@@ -244,29 +250,33 @@ def parallel_map_unordered(
     task: Callable[[Cell], Result],
     cells: Sequence[Cell],
     workers: Workers | int = 1,
-    kept: Path | None = None,
+    cache: Path | None = None,
     prepare: Prepare | None = None,
 ) -> Iterator[tuple[int, Result]]:
-    """Run a task for each cell; yield the number of the cell and its result, in the order in which they end.
+    """Run a function for each item, and yield the results in the order of completion.
 
-    A cell whose worker dies is tried again; one that fails ends the grid with its error. A line on stderr shows from
-    time to time how much is left.
+    An item whose worker dies is run again; an item whose function fails ends the map with its error. A line on stderr
+    regularly reports the remaining work.
 
     Args:
-        task: a function of a module; what it gives follows from the cell alone.
-        cells: of at least a second each, since handing one over takes milliseconds.
-        workers: who does it, or so many processes.
-        kept: a folder for what is done, from which a grid that was killed goes on; the results are then plain data and
-            arrays, the cells have a `repr` that tells them apart. None keeps nothing.
-        prepare: a function of a module, called before workers start: once on this computer for local processes, before
-            each cell in tasks of Ray and SLURM, which run on other computers. Cells in this process need none.
+        task: function of a module; its result depends on the item alone.
+        cells: the items, each of at least a second of work, because transferring an item takes milliseconds.
+        workers: the workers, or a number of local processes.
+        cache: folder for results, from which an interrupted map resumes. The results must then be plain data and
+            arrays, and the `repr` of each item must be unique. None stores nothing.
+        prepare: function of a module to be called before the work starts: once on this computer for local processes,
+            before each item in tasks of Ray and SLURM, which run on other computers, and never for items in this
+            process.
+
+    Yields:
+        tuple[int, Result]: Index and result of an item.
 
     Raises:
-        RuntimeError: where workers die again and again.
-        ImportError: where Ray or submitit is asked for and not installed.
+        RuntimeError: if workers die repeatedly.
+        ImportError: if Ray or submitit is requested but not installed.
     """
     chosen = workers if isinstance(workers, Workers) else Workers(workers)
-    files = [kept / f"{_key(task, cell)}.npz" if kept else None for cell in cells]
+    files = [cache / f"{_key(task, cell)}.npz" if cache else None for cell in cells]
     known = [number for number, file in enumerate(files) if file and file.is_file()]
     for number in known:
         yield number, read_npz(files[number])["result"]  # type: ignore[arg-type]
@@ -284,16 +294,16 @@ def parallel_map(
     task: Callable[[Cell], Result],
     cells: Sequence[Cell],
     workers: Workers | int = 1,
-    kept: Path | None = None,
+    cache: Path | None = None,
     prepare: Prepare | None = None,
 ) -> list[Result]:
-    """Return the results of all cells, in their order; arguments and errors as of `parallel_map_unordered`."""
-    results = dict(parallel_map_unordered(task, cells, workers, kept, prepare))
+    """Return the results of all items in their order; arguments and errors as in `parallel_map_unordered`."""
+    results = dict(parallel_map_unordered(task, cells, workers, cache, prepare))
     return [results[number] for number in range(len(cells))]
 
 
 def _executor(workers: Workers) -> Callable[..., Iterator[tuple[int, Any]]]:
-    """What hands cells over."""
+    """Return the executor of the workers."""
     if workers.ray is not None:
         return _RayTasks(workers.jobs, workers.ray)
     if workers.submitit is not None:
@@ -302,7 +312,7 @@ def _executor(workers: Workers) -> Callable[..., Iterator[tuple[int, Any]]]:
 
 
 def _key(task: Callable[..., Any], cell: object) -> str:
-    """Hash of all that a result follows from: task, cell, sources and versions."""
+    """Return a hash of everything that determines a result: task, item, sources and versions."""
     own = sys.modules[task.__module__].__file__ or ""
     parts = (task.__module__, task.__qualname__, repr(cell), _digest(Path(own).parent), computer_text())
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:20]
@@ -310,6 +320,6 @@ def _key(task: Callable[..., Any], cell: object) -> str:
 
 @cache
 def _digest(folder: Path) -> str:
-    """Hash of the sources of the package and of the folder of a task."""
+    """Return a hash of the sources of the package and of the folder of a task."""
     files = sorted({*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.yaml"), *folder.glob("*.py")})
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()

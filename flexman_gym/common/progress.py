@@ -1,4 +1,4 @@
-"""Progress of a long computation: a line on stderr every ten seconds."""
+"""Progress of a long computation, reported on stderr every ten seconds."""
 
 import os
 import sys
@@ -8,26 +8,26 @@ INTERVAL = 10.0  # s between two lines
 
 
 class Progress:
-    """Counter of the parts of a long computation; a line on stderr every 10 s says how far it is.
+    """Counter that reports the progress of a long computation on stderr every 10 s.
 
     FLEXMAN_QUIET=1 silences it.
 
     Args:
-        what: the parts, in the plural.
-        total: how many there are; None where that is open.
+        what: name of the counted items, in the plural.
+        total: number of items; None if unknown.
     """
 
     def __init__(self, what: str, total: int | None = None) -> None:
         self._what, self._total, self._done = what, total, 0
-        self._begun = self._said = monotonic()
+        self._start = self._last = monotonic()
 
     def count(self) -> None:
-        """Count a part that is done."""
+        """Count one finished item."""
         self._done += 1
         now = monotonic()
-        if now - self._said < INTERVAL or self._done == self._total or os.environ.get("FLEXMAN_QUIET"):
+        if now - self._last < INTERVAL or self._done == self._total or os.environ.get("FLEXMAN_QUIET"):
             return
-        self._said, elapsed = now, now - self._begun
+        self._last, elapsed = now, now - self._start
         if self._total is None:
             line = f"{self._done} {self._what} after {elapsed:.0f} s"
         else:

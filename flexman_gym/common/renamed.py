@@ -1,4 +1,4 @@
-"""Renamed modules and names: the table of release 0.3, and warnings for the old ones until release 0.4."""
+"""Renamed modules and names: the table of release 0.3; old names work with a warning until release 0.4."""
 
 import re
 import sys
@@ -37,6 +37,7 @@ NAMES = {
     "flexman_agents.sb3": {"write_zoo": "write_zoo_files", "zoo": "zoo_hyperparameters"},
     "flexman_agents.training": {"take_policy": "policy_state"},
     "flexman_agents.vector": {"Arms": "SB3VecEnv"},
+    "flexman_gym.common.run_folder": {"read_data": "read_npz", "write_data": "write_npz"},
     "flexman_gym.control": {
         "Episode": "EpisodeInfo", "Optimised": "OptimisedController", "Shaped": "InputShapedController",
         "Truth": "Oracle",
@@ -131,11 +132,14 @@ def rename_keys(data: Mapping[str, Any], names: Mapping[str, str], warn: bool = 
 
 
 def deprecated_names(module: str, old: str = "") -> Callable[[str], Any]:
-    """Return the `__getattr__` of a module that still answers to old names, with a DeprecationWarning.
+    """Make the `__getattr__` of a module, for old names with a DeprecationWarning.
 
     Args:
         module: present module of the names.
         old: old module, for the warning; "" for the present one.
+
+    Returns:
+        The function.
     """
 
     def getattribute(name: str) -> Any:
@@ -174,7 +178,7 @@ def deprecated_arguments(**names: str) -> Callable[[Function], Function]:
 
 
 class _OldModules(MetaPathFinder, Loader):
-    """Finder of the old modules, which hold nothing but the way to the present ones."""
+    """Finder and loader of old modules, which forward to the present ones."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         return ModuleSpec(name, self) if name in MODULES else None

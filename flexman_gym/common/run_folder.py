@@ -1,4 +1,4 @@
-"""Run folder: settings, arrays with plain data, and a lock."""
+"""Run folder: settings, states as arrays with plain data, and a lock."""
 
 import fcntl
 import json
@@ -14,43 +14,76 @@ import numpy as np
 from flexman_gym.common.checks import short_path
 from flexman_gym.common.files import READ_ERRORS, existing_file, open_arrays, regular_file, write_atomically
 from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
-from flexman_gym.common.snapshot import join_arrays, split_arrays
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
-TEXT = "data.json"  # the name of the plain data among the arrays of a file
+PLAIN_DATA = "data.json"  # name of the plain data among the arrays of a file
 
 
 def write_npz(path: Path, data: dict[str, Any]) -> None:
-    """Writes dicts and lists of arrays and plain data, as arrays and JSON in one file (npz); see `write_atomically`."""
+    """Write nested dicts and lists of arrays and plain data to one npz file, as arrays and JSON, atomically."""
     arrays: dict[str, np.ndarray] = {}
-    text = json.dumps(split_arrays(data, arrays)).encode()
-    named: dict[str, Any] = {TEXT: np.frombuffer(text, dtype=np.uint8), **arrays}  # paths begin with a slash
+    text = json.dumps(_split_arrays(data, arrays)).encode()
+    named: dict[str, Any] = {PLAIN_DATA: np.frombuffer(text, dtype=np.uint8), **arrays}  # paths begin with a slash
     write_atomically(path, lambda file: np.savez(file, allow_pickle=False, **named))
 
 
 def read_npz(path: Path) -> Any:
-    """Reads such a file; nothing in it is run.
+    """Read nested data from a file of `write_npz` without running any code in it.
+
+    Args:
+        path: path of the file.
+
+    Returns:
+        The data.
 
     Raises:
-        FileNotFoundError: when there is none.
-        ValueError: one line, for a file that is something else, broken, or larger than it looks.
+        FileNotFoundError: if the file does not exist.
+        ValueError: for a damaged file, another kind of file, or arrays larger than the file; one line.
     """
     try:
         with open_arrays(existing_file(path)) as result:
-            text = result[TEXT].tobytes().decode("utf-8")
-            return join_arrays(json.loads(text), result)
+            text = result[PLAIN_DATA].tobytes().decode("utf-8")
+            return _join_arrays(json.loads(text), result)
     except FileNotFoundError:
         raise
     except READ_ERRORS as error:
-        said = " ".join(str(error).split())[:120] or type(error).__name__
-        raise ValueError(f"{short_path(path)}: this is not what a training run has written ({said})") from None
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise ValueError(f"{short_path(path)}: this is no file of a training run ({reason})") from None
+
+
+def _split_arrays(data: Any, arrays: dict[str, np.ndarray], path: str = "") -> Any:
+    """Move the arrays of nested data into `arrays` by path; return the data with references in their place."""
+    if isinstance(data, np.ndarray):
+        arrays[path] = data
+        return {"array": path}
+    if isinstance(data, dict):
+        return {name: _split_arrays(each, arrays, f"{path}/{name}") for name, each in data.items()}
+    if isinstance(data, list):
+        return [_split_arrays(each, arrays, f"{path}/{i}") for i, each in enumerate(data)]
+    return data
+
+
+def _join_arrays(data: Any, arrays: Any) -> Any:
+    """Return nested data with its references replaced by arrays; raise KeyError for a missing array."""
+    if isinstance(data, dict):
+        if data.keys() == {"array"}:
+            return arrays[data["array"]]
+        return {name: _join_arrays(each, arrays) for name, each in data.items()}
+    return [_join_arrays(each, arrays) for each in data] if isinstance(data, list) else data
 
 
 def _read_settings_text(folder: Path) -> str:
-    """Return the text of the settings of a training run.
+    """Read the settings of a training run as text.
+
+    Args:
+        folder: folder of the run.
+
+    Returns:
+        The text.
 
     Raises:
-        FileNotFoundError, ValueError: one line, where there are none, and for a file of more than 1 MB.
+        FileNotFoundError: if there are no settings.
+        ValueError: for a file of more than 1 MB; one line.
     """
     path = existing_file(folder / SETTINGS)
     try:
@@ -60,10 +93,17 @@ def _read_settings_text(folder: Path) -> str:
 
 
 def read_settings(folder: Path) -> dict[str, Any]:
-    """Return the settings of a training run, unchecked, under their present names.
+    """Read the settings of a training run, unchecked, under their present names.
+
+    Args:
+        folder: folder of the run.
+
+    Returns:
+        The settings.
 
     Raises:
-        FileNotFoundError, ValueError: one line, for a file that is no mapping in JSON.
+        FileNotFoundError: if there are no settings.
+        ValueError: for a file without a JSON mapping; one line.
     """
     text, place = _read_settings_text(folder), short_path(folder / SETTINGS)
     try:
@@ -77,11 +117,14 @@ def read_settings(folder: Path) -> dict[str, Any]:
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Holds a folder for this process alone; the lock ends with the process, however that ends.
+    """Lock a folder for this process; the lock ends with the process, even if it is killed.
+
+    Args:
+        folder: the folder.
 
     Raises:
-        ValueError: one line, when another process trains in the folder, and where the lock is a link.
-        OSError: when nothing can be written there.
+        ValueError: if another process trains in the folder, and if the lock is a link; one line.
+        OSError: if the folder is not writable.
     """
     path = folder / LOCK
     if path.is_symlink():
@@ -93,7 +136,10 @@ def lock_folder(folder: Path) -> Iterator[None]:
             raise ValueError(f"folder: {folder} is not allowed; process {_holder(file)} trains in it") from None
         holder = _holder(file)
         if holder:
-            print(f"Process {holder}, which trained in {folder}, is gone: this one takes over.", file=sys.stderr)
+            print(
+                f"Process {holder}, which trained in {folder}, has ended; this process takes over the folder.",
+                file=sys.stderr,
+            )
         file.seek(0)
         file.truncate()
         file.write(str(os.getpid()))
@@ -105,6 +151,6 @@ def lock_folder(folder: Path) -> Iterator[None]:
 
 
 def _holder(file: Any) -> str:
-    """The process whose number is in a lock, "" for none."""
+    """Return the process id in a lock file, "" for none."""
     file.seek(0)
     return str(file.read(20)).strip()

@@ -1,38 +1,51 @@
-"""Snapshot: the state of an object as arrays and plain data, and its restoration."""
+"""Snapshot: the state of an object as arrays and plain data, and its restoration.
 
+An object lists the attributes of its state in `state_fields`. Arrays, random generators, dicts, lists, tuples,
+numbers, strings, booleans and None are supported as well.
+"""
+
+import warnings
 from typing import Any
 
 import numpy as np
 
 from flexman_gym.common.checks import value_error
 
-GENERATOR = "bit_generator"  # the key by which the state of a random generator is known
+GENERATOR = "bit_generator"  # key of the state of a random generator
 
 
 def get_state(value: Any) -> Any:
-    """Gives a copy of a value of the kinds above: dicts and lists of arrays, numbers, texts, booleans and None."""
+    """Return a copy of the state of a value, as dicts and lists of arrays, numbers, strings, booleans and None."""
     if isinstance(value, np.ndarray):
         return value.copy()
     if isinstance(value, np.random.Generator):
-        return _of_generator(value)
+        return _generator_state(value)
     if isinstance(value, dict):
         return {name: get_state(each) for name, each in value.items()}
     if isinstance(value, list | tuple):
         return [get_state(each) for each in value]
     if value is None or isinstance(value, bool | int | float | str):
         return value
-    return {name: get_state(getattr(value, name)) for name in getattr(value, "kept", ())}
+    return {name: get_state(getattr(value, name)) for name in _state_fields(value)}
 
 
 def set_state(field: str, old: Any, data: Any) -> Any:
-    """Gives what was taken back to a value made alike; returns the value, `old` itself where it could be written into.
+    """Restore the state of a value.
+
+    Args:
+        field: field, for errors.
+        old: value to be restored.
+        data: state from `get_state`.
+
+    Returns:
+        `old` itself if it could be written in place, or a new value.
 
     Raises:
-        ValueError: one line, where the data does not fit; what was written before stays written.
+        ValueError: if the data do not fit; one line. What was written before remains written.
     """
     if isinstance(old, np.ndarray):
         if not isinstance(data, np.ndarray) or data.shape != old.shape or data.dtype != old.dtype:
-            raise value_error(field, _sort(data), f"an array {old.shape} of {old.dtype}")
+            raise value_error(field, _kind_name(data), f"an array {old.shape} of {old.dtype}")
         old[...] = data
         return old
     if isinstance(data, dict) and GENERATOR in data:
@@ -41,15 +54,15 @@ def set_state(field: str, old: Any, data: Any) -> Any:
         _check_kind(field, data, dict, "a mapping")
         new = {name: set_state(f"{field}.{name}", old.get(name), each) for name, each in data.items()}
         return old if new.keys() == old.keys() and all(new[name] is old[name] for name in new) else new
-    if isinstance(old, list | tuple):  # arrays of a tuple are written into
+    if isinstance(old, list | tuple):  # arrays in a tuple are written in place
         _check_kind(field, data, list, "a list")
         if len(data) != len(old):
             raise value_error(field, f"{len(data)} entries", f"{len(old)} entries")
-        fresh = [set_state(f"{field}[{i}]", *both) for i, both in enumerate(zip(old, data, strict=True))]
-        return old if all(one is other for one, other in zip(fresh, old, strict=True)) else fresh
+        new_list = [set_state(f"{field}[{i}]", *both) for i, both in enumerate(zip(old, data, strict=True))]
+        return old if all(one is other for one, other in zip(new_list, old, strict=True)) else new_list
     if old is None or isinstance(old, bool | int | float | str | np.random.Generator):
         return get_state(data)
-    names = getattr(old, "kept", ())
+    names = _state_fields(old)
     _check_kind(field, data, dict, "a mapping")
     if set(data) != set(names):
         raise value_error(field, sorted(map(str, data)), f"a mapping with {', '.join(sorted(names)) or 'nothing'}")
@@ -61,29 +74,16 @@ def set_state(field: str, old: Any, data: Any) -> Any:
     return old
 
 
-def split_arrays(data: Any, arrays: dict[str, np.ndarray], path: str = "") -> Any:
-    """Gives the data without its arrays, which go into `arrays`; names of theirs take their place."""
-    if isinstance(data, np.ndarray):
-        arrays[path] = data
-        return {"array": path}
-    if isinstance(data, dict):
-        return {name: split_arrays(each, arrays, f"{path}/{name}") for name, each in data.items()}
-    if isinstance(data, list):
-        return [split_arrays(each, arrays, f"{path}/{i}") for i, each in enumerate(data)]
-    return data
+def _state_fields(value: Any) -> tuple[str, ...]:
+    """Return the names of the attributes that form the state of an object."""
+    if isinstance(former := getattr(type(value), "kept", None), tuple):  # of a user's class for version 0.2
+        warnings.warn(f"{type(value).__name__}.kept is state_fields now", DeprecationWarning, stacklevel=3)
+        return former
+    return getattr(value, "state_fields", ())
 
 
-def join_arrays(data: Any, arrays: Any) -> Any:
-    """Gives the data with its arrays again; raises KeyError for one that is not there."""
-    if isinstance(data, dict):
-        if data.keys() == {"array"}:
-            return arrays[data["array"]]
-        return {name: join_arrays(each, arrays) for name, each in data.items()}
-    return [join_arrays(each, arrays) for each in data] if isinstance(data, list) else data
-
-
-def _of_generator(random: np.random.Generator) -> dict[str, Any]:
-    """The state of a generator and the seed from which streams of its own are made."""
+def _generator_state(random: np.random.Generator) -> dict[str, Any]:
+    """Return the state of a random generator, and the seed from which it spawns other generators."""
     seed: Any = random.bit_generator.seed_seq
     entropy = [int(each) for each in seed.entropy] if np.ndim(seed.entropy) else int(seed.entropy)
     key = [int(each) for each in seed.spawn_key]
@@ -91,22 +91,23 @@ def _of_generator(random: np.random.Generator) -> dict[str, Any]:
 
 
 def _generator(field: str, data: dict[str, Any]) -> np.random.Generator:
+    """Return the random generator of a state."""
     try:
-        made = np.random.PCG64(np.random.SeedSequence(data["entropy"], spawn_key=data["spawn_key"]))
+        bits = np.random.PCG64(np.random.SeedSequence(data["entropy"], spawn_key=data["spawn_key"]))
         state: Any = {name: each for name, each in data.items() if name not in ("entropy", "spawn_key")}
-        made.state = state
+        bits.state = state
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        said = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(f"{field}: this is not the state of a generator ({said}); give one that was taken") from None
-    return np.random.Generator(made)
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ValueError(f"{field}: this is no state of a random generator ({reason}); give one of get_state") from None
+    return np.random.Generator(bits)
 
 
 def _check_kind(field: str, data: Any, kind: type, words: str) -> None:
     if not isinstance(data, kind):
-        raise value_error(field, _sort(data), words)
+        raise value_error(field, _kind_name(data), words)
 
 
-def _sort(data: Any) -> str | None:
+def _kind_name(data: Any) -> str | None:
     if data is None:
         return None
     return f"array {data.shape} of {data.dtype}" if isinstance(data, np.ndarray) else type(data).__name__

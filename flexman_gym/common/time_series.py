@@ -15,11 +15,11 @@ from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import MAX_ENTRIES, one_of, sequence, short_path, value_error
 from flexman_gym.common.files import regular_file
 
-MAX_CSV_BYTES = 200_000_000  # of a file
-LONGEST_LINE, LONGEST_HEAD = 100_000, 100  # characters of a line, and of the head of a column
-LONGEST_NAME = 40  # characters of the name of a file in a refusal
+MAX_CSV_BYTES = 200_000_000
+MAX_LINE_LENGTH, MAX_HEADER_LENGTH = 100_000, 100  # characters of a line, and of the header of a column
+MAX_NAME_LENGTH = 40  # characters of the name of a file in an error
 DEGREE = math.pi / 180.0
-# What a unit is in SI units, and how many of these.
+# Unit -> SI unit and conversion factor.
 UNITS: dict[str, tuple[str, float]] = {
     "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6),
     "N m": ("N m", 1.0), "Nm": ("N m", 1.0), "mN m": ("N m", 1e-3), "kN m": ("N m", 1e3),
@@ -34,12 +34,12 @@ UNITS: dict[str, tuple[str, float]] = {
 
 
 class TimeSeries(NamedTuple):
-    """Columns against time.
+    """Columns over time.
 
     Attributes:
-        path: of the file.
-        times: (T,) s.
-        columns: name -> its SI unit, and its values (T,) in it.
+        path: path of the file.
+        times: times (T,), s.
+        columns: SI unit and values (T,) of each column, by its name.
     """
 
     path: Path
@@ -47,63 +47,73 @@ class TimeSeries(NamedTuple):
     columns: Mapping[str, tuple[str, NDArray[np.float64]]]
 
     def values(self, units: Sequence[str], names: object = None) -> NDArray[np.float64]:
-        """Gives columns (T, c) whose unit is one of `units`: those with these names, or all for None.
-
-        Raises:
-            ValueError: where there are none, and for a name that is not there or has another unit.
-        """
-        fitting = [name for name, (unit, _) in self.columns.items() if unit in units]
-        if not fitting:
-            raise value_error(f"{_name(self.path)}: the head", list(self.columns), f"a column in {' or '.join(units)}")
-        chosen = fitting if names is None else sequence("columns", names, "names")
-        listed = [one_of(f"{_name(self.path)}: columns[{i}]", name, fitting) for i, name in enumerate(chosen)]
+        """Return columns (T, c) in any of the given units: the named columns, or all with such a unit for None."""
+        available = [name for name, (unit, _) in self.columns.items() if unit in units]
+        if not available:
+            raise value_error(
+                f"{_name(self.path)}: the header", list(self.columns), f"a column in {' or '.join(units)}"
+            )
+        chosen = available if names is None else sequence("columns", names, "names")
+        listed = [one_of(f"{_name(self.path)}: columns[{i}]", name, available) for i, name in enumerate(chosen)]
         return np.column_stack([self.columns[name][1] for name in listed])
 
 
 def read_time_series(path: str | Path) -> TimeSeries:
-    """Reads a CSV file: a head such as "time (s),torque_1 (N m)", then a line of numbers for each moment.
+    """Read a CSV file with a header such as "time (s),torque_1 (N m)" and one line of numbers per time.
 
-    The column "time" may stand anywhere. Units are those of `UNITS`; numbers come back in SI units.
+    The column "time" may be at any position. Units must be in `UNITS`; numbers are converted to SI units.
+
+    Args:
+        path: path of the file.
+
+    Returns:
+        The columns over time.
 
     Raises:
-        FileNotFoundError: when there is none.
-        ValueError: for what `read_csv_rows` refuses, for a head without a time, with a name given twice or with an
-            unknown unit, and for a line that has not a finite number in each column; one line names file, line and
-            what is allowed. The text of a file in whose head no column has a unit is not shown.
+        FileNotFoundError: if the file does not exist.
+        ValueError: as in `read_csv_rows`, and for a header without a time, with a repeated name or with an unknown
+            unit, and for a line without a finite number in each column; one line with the file, the line number and
+            what is allowed. The text of a file without any unit in its header is not shown.
     """
-    file, lines, numbers = _name(path), read_csv_rows(path), array("d")
-    heads = _heads(file, next(lines, []))
-    names = [name for name, _, _ in heads]
+    file, rows, numbers = _name(path), read_csv_rows(path), array("d")
+    headers = _headers(file, next(rows, []))
+    names = [name for name, _, _ in headers]
     if "time" not in names or len(set(names)) < len(names) or len(names) < 2:
-        raise value_error(f"{file}: the head", names, "a column time (s) and others, each name once")
-    for number, row in enumerate(lines, 2):
+        raise value_error(f"{file}: the header", names, "a column time (s) and other columns, each name once")
+    for number, row in enumerate(rows, 2):
         if row:
             numbers.extend(_numbers(file, number, row, len(names)))
     count = len(numbers) // len(names)
     if not 0 < count <= MAX_ENTRIES:
         raise value_error(file, f"{count} lines", f"1 to {MAX_ENTRIES} of numbers")
-    table = np.array(numbers).reshape(count, -1) * [factor for _, _, factor in heads]
-    columns = {name: (unit, table[:, i]) for i, (name, unit, _) in enumerate(heads)}
+    table = np.array(numbers).reshape(count, -1) * [factor for _, _, factor in headers]
+    columns = {name: (unit, table[:, i]) for i, (name, unit, _) in enumerate(headers)}
     unit, times = columns.pop("time")
     one_of(f"{file}: the unit of time", unit, ("s",))
     return TimeSeries(Path(path), times, columns)
 
 
 def read_csv_rows(path: str | Path) -> Iterator[list[str]]:
-    """Yield the lines of a CSV file, the head first, as lists of texts.
+    """Read a CSV file line by line.
+
+    Args:
+        path: path of the file.
+
+    Yields:
+        list[str]: The entries of a line, the header first.
 
     Raises:
-        FileNotFoundError: when there is none.
-        ValueError: for a directory, a device or a pipe, for more than 200 MB, for more than a million lines (which are
-            counted before one is parsed), for a line of more than 100,000 characters, and for bytes that are not UTF-8;
-            one line with the name of the file and without its text.
+        FileNotFoundError: if the file does not exist.
+        ValueError: for a directory, a device or a pipe, more than 200 MB, more than a million lines (counted before
+            parsing), a line of more than 100,000 characters and bytes that are not UTF-8; one line with the name of the
+            file but without its text.
     """
     try:
         content = regular_file(path, MAX_CSV_BYTES).read_bytes()
         count = max(content.count(b"\n"), content.count(b"\r"))
         if count > MAX_ENTRIES + 1:
             raise ValueError(f"{count} lines are not allowed; give 1 to {MAX_ENTRIES} of numbers")
-        yield from csv.reader(_short(io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig", newline="")))
+        yield from csv.reader(_short_lines(io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig", newline="")))
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{_name(path)}: {error}; give UTF-8 text with commas") from None
     except ValueError as error:
@@ -111,10 +121,11 @@ def read_csv_rows(path: str | Path) -> Iterator[list[str]]:
 
 
 def write_csv(path: str | Path, columns: Mapping[str, Vector]) -> None:
-    """Write columns of the same length under their heads, such as "time (s)", with all digits of their numbers.
+    """Write columns of equal length with all digits of their numbers.
 
-    Raises:
-        OSError: where the file cannot be written.
+    Args:
+        path: path of the file.
+        columns: values by header, such as "time (s)".
     """
     table = np.column_stack(list(columns.values()))
     with Path(path).open("w", encoding="utf-8", newline="") as file:
@@ -124,33 +135,33 @@ def write_csv(path: str | Path, columns: Mapping[str, Vector]) -> None:
 
 
 def _name(path: str | Path) -> str:
-    """Return the name of a file, short enough to be followed by a field of it in a refusal."""
-    return short_path(Path(path).name, LONGEST_NAME)
+    """Return the name of a file, shortened for an error message."""
+    return short_path(Path(path).name, MAX_NAME_LENGTH)
 
 
-def _short(file: io.TextIOWrapper) -> Iterator[str]:
-    """Yield the lines of a file, none of which may be longer than LONGEST_LINE."""
-    while line := file.readline(LONGEST_LINE + 1):
-        if len(line) > LONGEST_LINE:
-            raise ValueError(f"a line of more than {LONGEST_LINE} characters is not allowed; give shorter ones")
+def _short_lines(file: io.TextIOWrapper) -> Iterator[str]:
+    """Yield the lines of a file after checking that none is longer than MAX_LINE_LENGTH."""
+    while line := file.readline(MAX_LINE_LENGTH + 1):
+        if len(line) > MAX_LINE_LENGTH:
+            raise ValueError(f"a line of more than {MAX_LINE_LENGTH} characters is not allowed; give shorter lines")
         yield line
 
 
-def _heads(file: str, heads: Sequence[str]) -> list[tuple[str, str, float]]:
-    """Return name, SI unit and factor of each column."""
-    parted = [_parted(each) for each in heads]
-    if not any(unit in UNITS for _, unit in parted):
-        raise ValueError(f"{file}: this is no table; give a head of names and units in brackets, such as time (s)")
-    for head, (name, unit) in zip(heads, parted, strict=True):
-        if not name or unit not in UNITS or len(head) > LONGEST_HEAD:
+def _headers(file: str, headers: Sequence[str]) -> list[tuple[str, str, float]]:
+    """Return name, SI unit and conversion factor of each column."""
+    pairs = [_split_header(each) for each in headers]
+    if not any(unit in UNITS for _, unit in pairs):
+        raise ValueError(f"{file}: this is no table; give a header of names and units in brackets, such as time (s)")
+    for header, (name, unit) in zip(headers, pairs, strict=True):
+        if not name or unit not in UNITS or len(header) > MAX_HEADER_LENGTH:
             allowed = f"a name and a unit in brackets, one of {', '.join(UNITS)}"
-            raise value_error(f"{file}: the head", head, allowed)
-    return [(name, *UNITS[unit]) for name, unit in parted]
+            raise value_error(f"{file}: the header", header, allowed)
+    return [(name, *UNITS[unit]) for name, unit in pairs]
 
 
-def _parted(head: str) -> tuple[str, str]:
-    """Return name and unit of a head such as "torque_1 (N m)", "" for what it does not have."""
-    whole = head.strip()
+def _split_header(header: str) -> tuple[str, str]:
+    """Return name and unit of a header such as "torque_1 (N m)", "" where missing."""
+    whole = header.strip()
     start = max(whole.rfind("("), whole.rfind("["))
     if start < 0 or whole[-1] not in ")]":
         return whole, ""
@@ -159,7 +170,7 @@ def _parted(head: str) -> tuple[str, str]:
 
 
 def _numbers(file: str, line: int, row: Sequence[str], count: int) -> list[float]:
-    """The numbers of a line."""
+    """Return the numbers of a line."""
     try:
         numbers = [float(entry) for entry in row]
     except ValueError:

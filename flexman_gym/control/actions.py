@@ -39,7 +39,7 @@ class _ServoMode:
         period: of control, s.
     """
 
-    kept = ("_reference",)
+    state_fields = ("_reference",)
     sensors: tuple[object, ...] = ("motor_encoders",)
 
     def __init__(self, kind: str, gains: PD, span: Vector, period: float) -> None:
@@ -243,7 +243,7 @@ class _ReferenceShapingMode:
 class ActionMode(Protocol):
     """The protocol of what k numbers from -1 to 1 of an agent mean for b arms of n joints, in every control period.
 
-    What it does to an arm must not depend on the others, to the last bit. An optional member is `kept`, as of a
+    What it does to an arm must not depend on the others, to the last bit. An optional member is `state_fields`, as of a
     Controller; the base is not among it. A mode that shows its agent something beside what its sensors see has two
     more: `shown`, name -> how many numbers, and `look(readings, applied, playing)`, which gives them side by side,
     (b, size), of the arms that are playing anew. It is asked before an agent acts, in the same control period. A mode

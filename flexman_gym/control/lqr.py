@@ -302,7 +302,7 @@ class TrackingLQR(LQR):
         law: of the slew, "minimum-jerk", "trapezoid" or "double-s".
     """
 
-    kept = ("_now",)
+    state_fields = ("_now",)
 
     def __init__(
         self,

@@ -104,7 +104,7 @@ class MPC:
     """
 
     sensors: tuple[str, ...] = ("state",)
-    kept = ("_planned", "_now")
+    state_fields = ("_planned", "_now")
 
     def __init__(
         self,

@@ -36,7 +36,7 @@ class ActiveEffects:
         ValueError: for an effect that does not apply to the model, or that exceeds the limits.
     """
 
-    kept = ("drawn", "_streams", "_signals")
+    state_fields = ("drawn", "_streams", "_signals")
 
     def __init__(self, randomisation: Randomisation, context: EffectContext) -> None:
         self._batch, self._ranges = context.batch, randomisation.ranges

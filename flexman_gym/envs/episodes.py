@@ -66,7 +66,7 @@ class _Motors:
         reached: (b, n) state of the lag of the drives, as fractions of the limits; 0 at a reset.
     """
 
-    kept = ("limits", "forces", "accelerations", "reached")
+    state_fields = ("limits", "forces", "accelerations", "reached")
 
     def __init__(self, limits: Sequence[float], arms: int, lag: tuple[float, float] | None = None) -> None:
         joints = len(limits)
@@ -109,7 +109,7 @@ class Episodes:
         watch: function called after every control period, also within an action repeat; None for none.
     """
 
-    kept = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "_ages", "_failed")
+    state_fields = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "_ages", "_failed")
 
     def __init__(self, configuration: Configuration, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, configuration.task, View(batch)

@@ -26,7 +26,7 @@ class Measurements:
         sensors: sensors of the agent; their `observations` have no history.
     """
 
-    kept = ("_measured", "sensors", "_base_sensors")
+    state_fields = ("_measured", "sensors", "_base_sensors")
 
     def __init__(
         self,

@@ -19,7 +19,7 @@ class RandomStreams:
     episode.
     """
 
-    kept = ("_streams",)
+    state_fields = ("_streams",)
 
     def __init__(self, names: Sequence[str], arms: int) -> None:
         self._parents: list[np.random.Generator | None] = [None] * arms
@@ -41,7 +41,7 @@ class RandomStreams:
 class TruncatedNoise:
     """Standard normal numbers (size,) per sample for each of b arms; numbers beyond TRUNCATION are drawn again."""
 
-    kept = ("_inner", "_block", "_used")
+    state_fields = ("_inner", "_block", "_used")
 
     def __init__(self, arms: int, size: int) -> None:
         self._inner: list[Any] = [None] * arms

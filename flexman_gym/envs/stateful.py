@@ -22,7 +22,7 @@ Observations = NDArray[np.float32]
 class StatefulEnv:
     """Base class of the single and the vector environment: get, set and copy their complete state."""
 
-    kept: ClassVar[tuple[str, ...]]
+    state_fields: ClassVar[tuple[str, ...]]
     spaces: ClassVar[tuple[str, ...]]
     configuration: Configuration
     episodes: Episodes
@@ -42,7 +42,7 @@ class StatefulEnv:
         random generators. From this state, another environment with the same arguments continues bit for bit.
         """
         spaces = {name: get_state(_space(self, name)._np_random) for name in self.spaces}
-        own = {name: get_state(getattr(self, name)) for name in self.kept}
+        own = {name: get_state(getattr(self, name)) for name in self.state_fields}
         return {**own, **spaces, "episodes": get_state(self.episodes), "agent": get_state(self.episodes.agent)}
 
     def set_state(self, state: dict[str, Any]) -> Observations:
@@ -58,11 +58,11 @@ class StatefulEnv:
             ValueError: for the state of a different environment; the episodes are then over.
         """
         state = _renamed(state, np.zeros_like(self.episodes.agent.command))
-        names = {*self.kept, *self.spaces, "episodes", "agent"}
+        names = {*self.state_fields, *self.spaces, "episodes", "agent"}
         if not isinstance(state, dict) or state.keys() != names:
             result = sorted(map(str, state)) if isinstance(state, dict) else state
             raise value_error("state", result, f"what get_state gave: {', '.join(sorted(names))}")
-        own = {name: set_state(f"state.{name}", getattr(self, name), state[name]) for name in self.kept}
+        own = {name: set_state(f"state.{name}", getattr(self, name), state[name]) for name in self.state_fields}
         spaces = {name: set_state(f"state.{name}", None, state[name]) for name in self.spaces}
         for name, random in {**own, **spaces}.items():
             if not isinstance(random, list | int | np.random.Generator | None):

@@ -88,7 +88,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         **settings: the attributes of `Configuration`, and "condition"; see `FlexManEnv`.
     """
 
-    kept, spaces = ("_randoms", "_seeds"), ("action_space", "single_action_space")
+    state_fields, spaces = ("_randoms", "_seeds"), ("action_space", "single_action_space")
     metadata = FlexManEnv.metadata | {"render_modes": ["rgb_array"], "autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(

@@ -81,7 +81,7 @@ class View:
 
     alone, heavy = _deprecated("alone", "single"), _deprecated("heavy", "has_gravity")
     places, reaching = _deprecated("places", "slices"), _deprecated("reaching", "inverse_kinematics")
-    kept = ("goal_angles", "goal_rates", "target", "target_velocity", "plan", "effort", "action", "failed")
+    state_fields = ("goal_angles", "goal_rates", "target", "target_velocity", "plan", "effort", "action", "failed")
 
     def __init__(self, batch: Batch) -> None:
         model, constants, arms = batch.model, batch.model.constants, len(batch.rows)

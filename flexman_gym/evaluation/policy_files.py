@@ -9,17 +9,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
 
-from flexman_gym.common.checks import short_path, value_error
-from flexman_gym.common.files import READ_ERRORS, existing_file, parse_json, regular_file, write_atomically
+from flexman_gym.common.checks import one_of, short_path, short_repr, value_error
+from flexman_gym.common.files import READ_ERRORS, existing_file, regular_file, write_atomically
 from flexman_gym.common.renamed import current_methods
-from flexman_gym.common.safetensors import MAX_BYTES, read_tensors, write_tensors
 from flexman_gym.control.network import Network, policy_parameters
 
 FOLDER = Path(__file__).parents[1] / "policies"
 ABOUT, ARRAYS, CERTIFICATE = "policy.json", "policy.safetensors", "certificate.json"
 POLICIES = tuple(sorted(path.parent.name for path in FOLDER.glob(f"*/{ABOUT}")))
 FORMAT = "flexman_gym policy 1"
+DTYPES = ("float32", "float64")  # of arrays
+MAX_BYTES = 10**6  # bytes; largest size of a file
 KEYS = (
     "format", "words", "licence", "commit", "versions", "recipe", "training_seconds", "environment",
     "environment_hash", "settings_hash", "observation", "league", "arrays_hash",
@@ -62,7 +65,7 @@ def read_policy(folder: Path) -> _ExportedPolicy:
         content = _read_bytes(path)
         if hashlib.sha256(content).hexdigest() != about["arrays_hash"]:
             raise value_error("arrays_hash", about["arrays_hash"], "that of the arrays: one of them was changed")
-        return _ExportedPolicy(about, _check_network(about, read_tensors(content)))
+        return _ExportedPolicy(about, _check_network(about, _read_tensors(content)))
     except FileNotFoundError:
         raise
     except READ_ERRORS as error:
@@ -78,7 +81,7 @@ def write_policy(folder: Path, about: Mapping[str, Any], arrays: dict[str, NDArr
         OSError: when the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    write_tensors(folder / ARRAYS, arrays)
+    _write_tensors(folder / ARRAYS, arrays)
     own = {
         "format": FORMAT,
         "environment_hash": json_hash(about["environment"]),
@@ -105,7 +108,7 @@ def read_certificate(folder: Path) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     try:
-        result = _present_keys(parse_json(_read_bytes(path)))
+        result = _present_keys(_parse_json(_read_bytes(path)))
         if not isinstance(result, dict) or not all(
             isinstance(result.get(name), kind) for name, kind in CERTIFICATE_KEYS
         ):
@@ -116,7 +119,7 @@ def read_certificate(folder: Path) -> dict[str, Any] | None:
     for row in result["rows"]:
         row["scenario"] = current_methods(str(row["scenario"]))
     result["fails"] = [current_methods(str(each)) for each in result["fails"]]
-    return result if result["arrays_hash"] == parse_json(_read_bytes(folder / ABOUT)).get("arrays_hash") else None
+    return result if result["arrays_hash"] == _parse_json(_read_bytes(folder / ABOUT)).get("arrays_hash") else None
 
 
 def _present_keys(data: Any) -> Any:
@@ -126,7 +129,7 @@ def _present_keys(data: Any) -> Any:
 
 def describe_policy(name: str) -> str:
     """Says in words what a shipped policy is, and whether its certificate recommends it."""
-    about, said = parse_json(_read_bytes(FOLDER / name / ABOUT)), read_certificate(FOLDER / name)
+    about, said = _parse_json(_read_bytes(FOLDER / name / ABOUT)), read_certificate(FOLDER / name)
     if said is None:
         return f"{about['words']} It has no certificate."
     fails = ", ".join(map(str, said["fails"]))
@@ -139,7 +142,7 @@ def _read_bytes(path: Path) -> bytes:
 
 def _check_description(content: bytes) -> dict[str, Any]:
     """What is said of a policy, once it is all there, and the environment is the one that it was exported with."""
-    about = parse_json(content)
+    about = _parse_json(content)
     if not isinstance(about, dict) or set(about) != set(KEYS):
         raise value_error("keys", sorted(about) if isinstance(about, dict) else about, ", ".join(KEYS))
     if about["format"] != FORMAT:
@@ -169,3 +172,61 @@ def _check_network(about: dict[str, Any], arrays: dict[str, NDArray[np.floating]
             "check", f"actions {apart:.2g} from those that were kept", f"a network that is within {CHECK_TOLERANCE}"
         )
     return network
+
+
+def _parse_json(text: bytes) -> Any:
+    """Return the content of a JSON text.
+
+    Raises:
+        ValueError: for a syntax error, a repeated key, NaN and an infinite number; one line.
+    """
+    try:
+        return json.loads(text.decode("utf-8"), object_pairs_hook=_unique_keys, parse_constant=_refuse_constant)
+    except RecursionError:
+        raise ValueError("mappings are nested too deeply") from None
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    result = dict(pairs)
+    if len(result) < len(pairs):
+        raise ValueError("a key is repeated")
+    return result
+
+
+def _refuse_constant(text: str) -> Any:
+    raise ValueError(f"{text} is no JSON number")
+
+
+def _write_tensors(path: Path, arrays: Mapping[str, NDArray[np.floating]]) -> None:
+    """Write arrays of float32 or float64 to a file in the format of safetensors, atomically.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    _check_dtypes(arrays)
+    content = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+    write_atomically(path, lambda file: file.write(content))
+
+
+def _read_tensors(content: bytes) -> dict[str, NDArray[np.floating]]:
+    """Return the arrays in the content of a file of safetensors.
+
+    Raises:
+        ValueError: for a damaged header, arrays of another type, and bytes that belong to no array; one line.
+    """
+    if len(content) > MAX_BYTES:
+        raise value_error("file", f"{len(content)} bytes", f"at most {MAX_BYTES}")
+    try:
+        arrays = load(content)
+    except KeyError as error:
+        raise value_error("dtype", error.args[0], " or ".join(DTYPES)) from None
+    except SafetensorError as error:
+        reason = short_repr(str(error).removeprefix("Error while deserializing: "))
+        raise ValueError(f"file: {reason}; give arrays in the format of safetensors") from None
+    _check_dtypes(arrays)
+    return arrays
+
+
+def _check_dtypes(arrays: Mapping[str, NDArray[np.generic]]) -> None:
+    for name, array in arrays.items():
+        one_of(f"{name}.dtype", array.dtype.name, DTYPES)

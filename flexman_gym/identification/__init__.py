@@ -1,4 +1,4 @@
-"""Identification: physical parameters of an arm from measurements."""
+"""Identification: estimation of the physical parameters of an arm from measurements."""
 
 from flexman_gym.identification.fit import Fit, fit
 from flexman_gym.identification.measurement import Filter, Measurement

@@ -1,6 +1,4 @@
-"""Fit of an arm to measurements: estimates, covariance, undetermined parameters, warnings about the data, and a
-report.
-"""
+"""Fit of an arm to measurements: estimates, covariance, undetermined parameters, data warnings and report."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common import files as scene_file
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import instance, mapping, positive, value_error, whole_number
+from flexman_gym.common.files import write_data
 from flexman_gym.identification.least_squares import FreeParameters, LeastSquaresProblem, ResidualBlock
 from flexman_gym.identification.measurement import Measurement, SimulatedResponse, output_unit
 from flexman_gym.identification.ringing import KEYS, Ringing
@@ -20,135 +18,140 @@ from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.serialization import to_plain
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters
 
-LIMIT, INVOLVED = 0.5, 0.3  # of a number: a deviation that tells nothing; of a direction: a part that counts
-LOUD, ALIKE, CLEAN = 10.0, 0.7, 0.995  # usual errors; least correlation of a scale; R2 at which no filter is looked for
-SCALES = {"rad": {57.29578: "deg", 1e3: "mrad"}, "m": {1e3: "mm", 1e2: "cm"}, "m/s^2": {1.0 / 9.80665: "g"},
-          "1": {1e6: "um/m", 1e2: "percent"}}  # fmt: skip
-SCALE = 4.0  # times, from which on a scale is odd
-FILTERED = 0.5  # of the squared residuals, that a filter leaves which is missing
+MAX_RELATIVE_DEVIATION = 0.5  # above it a parameter is undetermined
+MIN_COMPONENT = 0.3  # of an eigenvector of the covariance, for a parameter to take part in it
+SPIKE_FACTOR = 10.0  # a spike over the robust standard deviation of the residual
+MIN_CORRELATION = 0.7  # of measured and computed output, for a check of unit and sign
+MAX_SCORE = 0.995  # R2 above which no missing filter is suspected
+UNIT_SCALES = {"rad": {57.29578: "deg", 1e3: "mrad"}, "m": {1e3: "mm", 1e2: "cm"}, "m/s^2": {1.0 / 9.80665: "g"},
+               "1": {1e6: "um/m", 1e2: "percent"}}  # fmt: skip
+MAX_SCALE = 4.0  # ratio of measured to computed output above which a wrong unit is suspected
+FILTER_RESIDUAL = 0.5  # fraction of the squared residuals that a filter may leave to be reported as missing
 
 
-def find_undetermined(free: FreeParameters, values: Array, covariance: Array) -> tuple[tuple[str, ...], str]:
-    """Gives the numbers that the data cannot tell, and one sentence about them.
+def _find_undetermined(free: FreeParameters, values: Array, covariance: Array) -> tuple[tuple[str, ...], str]:
+    """Find the parameters left undetermined by the data.
 
-    A number cannot be told where its standard deviation is more than half of it, and of what the fit started from.
+    A parameter is undetermined if its standard deviation exceeds half of its value and half of its value at the start.
 
     Args:
-        free: what is free.
-        values: (p,).
-        covariance: (p, p) of their logarithms.
+        free: the free parameters.
+        values: their values (p,).
+        covariance: covariance (p, p) of their logarithms.
+
+    Returns:
+        The names of these parameters, and a sentence about them and any inseparable ones.
     """
     scale = values / np.maximum(values, free.start)
     sizes, directions = np.linalg.eigh(covariance * np.outer(scale, scale))
-    wide = np.sqrt(np.diag(covariance)) * scale > LIMIT
-    names = tuple(str(number) for number, each in zip(free.numbers, wide, strict=True) if each)
-    said, alone = [], set(names)
+    uncertain = np.sqrt(np.diag(covariance)) * scale > MAX_RELATIVE_DEVIATION
+    names = tuple(str(number) for number, each in zip(free.numbers, uncertain, strict=True) if each)
+    phrases, single = [], set(names)
     for size, direction in sorted(zip(sizes, directions.T, strict=True), key=lambda pair: -pair[0]):
-        together = [str(free.numbers[i]) for i in np.flatnonzero(wide & (np.abs(direction) > INVOLVED))]
-        if np.sqrt(max(size, 0.0)) > LIMIT and len(together) > 1 and alone & set(together):
-            said.append(f"{' and '.join(together)} apart")
-            alone -= set(together)
-    said = [*(name for name in names if name in alone), *said]
-    return names, f"The data cannot tell {', nor '.join(said)}." if said else "The data tell every free number."
+        together = [str(free.numbers[i]) for i in np.flatnonzero(uncertain & (np.abs(direction) > MIN_COMPONENT))]
+        if np.sqrt(max(size, 0.0)) > MAX_RELATIVE_DEVIATION and len(together) > 1 and single & set(together):
+            phrases.append(f"{' and '.join(together)} separately")
+            single -= set(together)
+    phrases = [*(name for name in names if name in single), *phrases]
+    if not phrases:
+        return names, "The data determine every free parameter."
+    return names, f"The data do not determine {', nor '.join(phrases)}."
 
 
 def _data_warnings(problem: LeastSquaresProblem, x: Array) -> tuple[str, ...]:
-    """Gives a line for each thing that looks wrong with the records."""
-    said = []
-    first = problem.divided(problem.evaluated(problem.start)[0])
-    last = problem.divided(problem.evaluated(x)[0])
-    muddy = set()
-    for part, before, after in zip(problem.parts, first, last, strict=True):
-        if part.record < 0:
+    """Return a line for each likely error in the records."""
+    lines = []
+    first = problem.split(problem.evaluate(problem.start)[0])
+    last = problem.split(problem.evaluate(x)[0])
+    unexplained = set()
+    for block, before, after in zip(problem.blocks, first, last, strict=True):
+        if block.record < 0:
             continue
-        where, left = f"record {part.record}, {part.name}", after * part.sigma
-        said += _spikes(where, problem, part, left)
-        odd = _scale(where, part, part.measured + before * part.sigma) if part.gain < 0 else ""
-        said += [odd] if odd else []
-        score = 1.0 - np.mean(left**2) / max(float(np.var(part.measured)), 1e-300)
-        if score < CLEAN and not odd and not problem.responses[part.record].measurement.filters.get(part.name):
-            muddy.add(part.name)
+        label, residual = f"record {block.record}, {block.name}", after * block.sigma
+        lines += _find_spikes(label, problem, block, residual)
+        wrong = _check_scale(label, block, block.measured + before * block.sigma) if block.gain < 0 else ""
+        lines += [wrong] if wrong else []
+        score = 1.0 - np.mean(residual**2) / max(float(np.var(block.measured)), 1e-300)
+        if score < MAX_SCORE and not wrong and not problem.responses[block.record].measurement.filters.get(block.name):
+            unexplained.add(block.name)
         if score < 0.5:
-            said.append(
-                f"{where}: the arm explains {max(score, 0.0):.0%} of it; the model or the record lacks something"
+            lines.append(
+                f"{label}: the arm explains only {max(score, 0.0):.0%} of it; the model or the record is incomplete"
             )
-    return (*said, *(line for name in sorted(muddy) for line in _filter(problem, x, name)))
+    return (*lines, *(line for name in sorted(unexplained) for line in _check_filter(problem, x, name)))
 
 
-def _spikes(where: str, problem: LeastSquaresProblem, part: ResidualBlock, left: Array) -> list[str]:
-    """Samples far beyond their neighbours."""
-    jumps = np.abs(left[1:-1] - 0.5 * (left[2:] + left[:-2]))
-    loud, beside = LOUD * max(1.4826 * float(np.median(jumps)), 1e-9 * np.ptp(part.measured)), np.pad(jumps, 1)
-    found = np.flatnonzero((jumps > loud) & (jumps >= beside[:-2]) & (jumps >= beside[2:])) + 1
-    if not len(found) or len(found) > 0.02 * len(left):
+def _find_spikes(label: str, problem: LeastSquaresProblem, block: ResidualBlock, residual: Array) -> list[str]:
+    """Return a line about samples of the residual far outside their neighbourhood, if there are any."""
+    jumps = np.abs(residual[1:-1] - 0.5 * (residual[2:] + residual[:-2]))
+    limit = SPIKE_FACTOR * max(1.4826 * float(np.median(jumps)), 1e-9 * np.ptp(block.measured))
+    padded = np.pad(jumps, 1)
+    found = np.flatnonzero((jumps > limit) & (jumps >= padded[:-2]) & (jumps >= padded[2:])) + 1
+    if not len(found) or len(found) > 0.02 * len(residual):
         return []
-    data = problem.responses[part.record].measurement
+    data = problem.responses[block.record].measurement
     time = np.asarray(data.times)[data.compared][found[0]]
-    return [f"{where}: single samples stand out of what is left, the first at {time:g} s; is the record damaged?"]
+    return [f"{label}: single samples have large residuals, the first at {time:g} s; is the record damaged?"]
 
 
-def _scale(where: str, part: ResidualBlock, shown: Array) -> str:
-    """A unit or a sign that looks wrong beside the arm as it was given."""
-    a, b = shown - shown.mean(), part.measured - part.measured.mean()
+def _check_scale(label: str, block: ResidualBlock, computed: Array) -> str:
+    """Return a line about a unit or a sign in contradiction to the initial arm, "" for none."""
+    a, b = computed - computed.mean(), block.measured - block.measured.mean()
     sizes = np.linalg.norm(a), np.linalg.norm(b)
     if min(sizes) == 0.0:
         return ""
-    alike, ratio = float(a @ b) / (sizes[0] * sizes[1]), float(sizes[1] / sizes[0])
-    if alike < -ALIKE:
-        return f"{where}: it moves against the arm; is a sign wrong?"
-    if alike < ALIKE or 1.0 / SCALE < ratio < SCALE:
+    correlation, ratio = float(a @ b) / (sizes[0] * sizes[1]), float(sizes[1] / sizes[0])
+    if correlation < -MIN_CORRELATION:
+        return f"{label}: it moves opposite to the arm; is a sign wrong?"
+    if correlation < MIN_CORRELATION or 1.0 / MAX_SCALE < ratio < MAX_SCALE:
         return ""
-    unit = output_unit(part.name)
-    near = [name for factor, name in SCALES.get(unit, {}).items() if 0.5 < ratio / factor < 2.0]
-    other = f" in {near[0]}" if near else " or an input in another unit"
-    return f"{where}: it is {ratio:.3g} times what the arm shows in {unit}; is it{other}?"
+    unit = output_unit(block.name)
+    near = [name for factor, name in UNIT_SCALES.get(unit, {}).items() if 0.5 < ratio / factor < 2.0]
+    guess = f" in {near[0]}" if near else " or an input in another unit"
+    return f"{label}: it is {ratio:.3g} times the computed value in {unit}; is it{guess}?"
 
 
-def _filter(problem: LeastSquaresProblem, x: Array, name: str) -> list[str]:
-    """A low-pass that the record does not name, where one explains most of what is left."""
-    other = LeastSquaresProblem(problem.free, problem.ringing, problem.responses, problem.choice, corner=name)
-    start = other.start.copy()
-    at = len(problem.free.numbers) + other.nuisances.index(f"corner of {name}")
-    data = other.responses[0].measurement
-    start[at] = np.log(2.0 * np.pi / data.period * np.sqrt(0.5 / len(data.times)))  # between slowest and fastest
-    found = other.solved(start)
-    left = [_left(each, y, name) for each, y in ((problem, x), (other, found))]
-    corner = float(np.exp(found[at]) / (2.0 * np.pi))
-    if left[1] > FILTERED * left[0] or corner > 0.4 / data.period:
+def _check_filter(problem: LeastSquaresProblem, x: Array, name: str) -> list[str]:
+    """Return a line about a low-pass filter missing in the record, if it explains most of the residual."""
+    filtered = LeastSquaresProblem(problem.free, problem.ringing, problem.responses, problem.choice, corner=name)
+    start = filtered.start.copy()
+    index = len(problem.free.numbers) + filtered.nuisances.index(f"corner of {name}")
+    data = filtered.responses[0].measurement
+    start[index] = np.log(2.0 * np.pi / data.period * np.sqrt(0.5 / len(data.times)))  # between slowest and fastest
+    found = filtered.solve(start)
+    sums = [_squared_residuals(each, y, name) for each, y in ((problem, x), (filtered, found))]
+    corner = float(np.exp(found[index]) / (2.0 * np.pi))
+    if sums[1] > FILTER_RESIDUAL * sums[0] or corner > 0.4 / data.period:
         return []
-    return [f"{name}: a low-pass of about {corner:.2g} Hz, which the record does not name, explains it better; "
-            f"did the signal pass one?"]  # fmt: skip
+    return [f"{name}: a low-pass of about {corner:.2g} Hz, which the record does not specify, explains it better; "
+            f"was the signal filtered?"]  # fmt: skip
 
 
-def _left(problem: LeastSquaresProblem, x: Array, name: str) -> float:
-    """Squared residuals of an output in all records."""
-    parts = zip(problem.parts, problem.divided(problem.evaluated(x)[0]), strict=True)
-    return float(sum(np.sum((rows * part.sigma) ** 2) for part, rows in parts if part.name == name))
+def _squared_residuals(problem: LeastSquaresProblem, x: Array, name: str) -> float:
+    """Return the sum of squared residuals of an output over all records."""
+    pairs = zip(problem.blocks, problem.split(problem.evaluate(x)[0]), strict=True)
+    return float(sum(np.sum((rows * block.sigma) ** 2) for block, rows in pairs if block.name == name))
 
 
-PAGE = """# An arm fitted to measurements
+REPORT = """# Arm fitted to measurements
 
 {explanation}
 
-| number | value | deviation |
+| parameter | value | standard deviation |
 | --- | --- | --- |
 {numbers}
 
 {compared}
 {warnings}
-![measured and computed](fit.png)
+![Measured and computed](fit.png)
 
-The arm is in `arm.yaml`.
+The arm is stored in `arm.yaml`.
 """
 MEASURED, COMPUTED = "#8a8f98", "#0072B2"
 
 
 def _write_report(found: "Fit", folder: Path) -> None:
-    """Writes fit.md, fit.png and arm.yaml of a Fit into a folder.
-
-    Raises:
-        ImportError: without Matplotlib.
-    """
+    """Write fit.md, fit.png and arm.yaml of a Fit to a folder; the plot needs Matplotlib."""
     folder.mkdir(parents=True, exist_ok=True)
     found.save(folder / "arm.yaml")
     _draw(found, folder / "fit.png")
@@ -161,7 +164,7 @@ def _write_report(found: "Fit", folder: Path) -> None:
     compared = [f"- {name}: R2 {score:.4f}" for name, score in found.scores.items()]
     compared += [f"- measured {row[0]:.5g}, computed {row[1]:.5g} ({row[2]:.2g})" for row in found.frequencies]
     warnings = [f"- **{line}**" for line in found.warnings]
-    text = PAGE.format(
+    text = REPORT.format(
         explanation=found.explanation, numbers="\n".join(lines), compared="\n".join(compared) + "\n",
         warnings="\n".join(warnings) + "\n" * bool(warnings),
     )  # fmt: skip
@@ -169,20 +172,20 @@ def _write_report(found: "Fit", folder: Path) -> None:
 
 
 def _draw(found: "Fit", file: Path) -> None:
-    """Each output of each record, measured and computed."""
+    """Plot each output of each record, measured and computed, to a file."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise ImportError("pictures need Matplotlib: pip install 'flexman_gym[render]'") from error
+        raise ImportError("plots need Matplotlib: pip install 'flexman_gym[render]'") from error
     panels = [(i, record, name) for i, record in enumerate(found.records) for name in record.outputs]
-    shown = [found.predicted(record) for record in found.records]
+    computed = [found.predicted(record) for record in found.records]
     figure = Figure(figsize=(9.0, 2.4 * max(1, len(panels))), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(max(1, len(panels)), 1, squeeze=False)[:, 0]
     for axes, (i, record, name) in zip(grid, panels, strict=False):
         axes.plot(record.times, record.outputs[name], color=MEASURED, linewidth=2.0, label="measured")
-        axes.plot(record.times, shown[i][name], color=COMPUTED, linewidth=1.0, label="computed")
+        axes.plot(record.times, computed[i][name], color=COMPUTED, linewidth=1.0, label="computed")
         axes.set(title=f"record {i}, {name}", xlabel="time (s)")
         axes.legend(frameon=False)
     if not panels:
@@ -191,38 +194,43 @@ def _draw(found: "Fit", file: Path) -> None:
     figure.savefig(file)
 
 
-POOR, FAR = 0.9, 3.0  # R2 below which, and deviations of a frequency beyond which, other starts are tried
-SPREAD, FEW = 1.0, 3  # of the logarithms of other starts, and how many of the best are followed
-WEAK = 1e-8  # of a prior that nobody feels, in place of an infinite deviation
+MIN_SCORE = 0.9  # R2 below which a fit is poor and other starts are tried
+MAX_DEVIATIONS = 3.0  # standard deviations of a frequency residual beyond which a fit is poor
+SPREAD = 1.0  # of the logarithms of other starts, to either side
+MAX_STARTS = 3  # number of best starts from which the problem is solved
+WEAK_PRIOR = 1e-8  # relative weight of a prior that keeps the covariance finite
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """An arm that was fitted to measurements.
+    """Arm fitted to measurements, with the uncertainty of its parameters.
 
     Attributes:
-        arm: with the fitted numbers.
-        values: name as it was given to `fit` -> a number, or (n,) one for each joint or link; in the units of
-            `simulation.parameters.PARAMETERS`, link_stiffness_factor as a factor on the moduli of the arm that was
-            given.
-        deviations: name -> their standard deviations, 0 of what was not free. Residuals that are not white count as so
-            many fewer samples.
-        undetermined: the numbers that the data cannot tell, such as "joint_stiffness[1]".
-        explanation: one sentence that says which these are, and which cannot be told apart.
-        warnings: what looks wrong with the data: a unit, a sign, a filter, single samples.
-        gains: name of an output with an unknown gain -> gain and standard deviation.
-        scores: "record 0, motor_angle_1" -> R2 of an output, the part of its variance that the arm explains.
-        frequencies: what was measured of ringing, computed, and the standard deviation, (k, 3) rows.
-        correlation: (p, p) of the free numbers in their order.
-        choice: elements and modes of the model.
-        records: that were fitted.
-        step: s, of the simulation; None for the interval between samples.
+        arm: the arm with the fitted parameters.
+        values: fitted values by the names passed to `fit`; a number, or (n,) with one value per joint or link. Units
+            are those of `simulation.parameters.PARAMETERS`; link_stiffness_factor is a factor on the moduli of the
+            initial arm.
+        deviations: standard deviations of the values by the same names; 0 for fixed values. Coloured
+            residuals count as a correspondingly smaller number of samples.
+        undetermined: parameters left undetermined by the data, such as "joint_stiffness[1]".
+        explanation: sentence about these parameters and about parameters that cannot be separated from each other.
+        warnings: likely errors in the data: a unit, a sign, a missing filter, single samples.
+        gains: gain and standard deviation of each output with an unknown gain, by the name of the output.
+        scores: coefficient of determination R2 of each output, by a name such as "record 0, motor_angle_1".
+        frequencies: rows (k, 3) of measured value, computed value and standard deviation of the frequencies and damping
+            ratios.
+        correlation: correlation matrix (p, p) of the free parameters, in their order.
+        choice: numbers of elements and modes of the model.
+        records: the fitted records.
+        step: time step of the simulation, s; None for the sampling interval.
 
     Examples:
         >>> arm = fm.catalog.one_joint()
         >>> found = fm.fit(arm, "joint_stiffness", frequencies=[1.3, 11.2], elements=1)
         >>> found.arm.joints[0].stiffness < arm.joints[0].stiffness
         True
+        >>> found.undetermined
+        ()
     """
 
     arm: Arm
@@ -247,9 +255,9 @@ class Fit:
         return "\n".join(["<Fit", *numbers, *(f"  {each}" for each in (self.explanation, *self.warnings))]) + ">"
 
     def predicted(self, record: Measurement) -> dict[str, Array]:
-        """Gives the outputs (T,) of a measurement, by name, as the fitted arm and its sensors show them.
+        """Return the outputs (T,) of a record, by name, predicted by the fitted arm and its sensors.
 
-        Offsets are those of the record itself: the mean of what is left.
+        An offset is the mean residual of the record itself.
         """
         model = build_model(self.arm, **self.choice)
         nominal = {"payload_mass": nominal_parameters(model)["payload_mass"][None]}
@@ -257,25 +265,23 @@ class Fit:
         result = {}
         for name, values in zip(record.outputs, signals, strict=True):
             shown = values * self.gains.get(name, (1.0, 0.0))[0]
-            left = (np.asarray(record.outputs[name]) - shown)[record.compared]
-            result[name] = shown + (left.mean() if name in record.offsets else 0.0)
+            residual = (np.asarray(record.outputs[name]) - shown)[record.compared]
+            result[name] = shown + (residual.mean() if name in record.offsets else 0.0)
         return result
 
     def score(self, record: Measurement) -> dict[str, float]:
-        """Gives R2 of each output of a measurement, which need not be one of those that were fitted."""
-        shown, kept = self.predicted(record), record.compared
-        return {name: r_squared(np.asarray(record.outputs[name])[kept], each[kept]) for name, each in shown.items()}
+        """Return the coefficient of determination R2 of each output of a record, fitted or not."""
+        outputs, samples = self.predicted(record), record.compared
+        return {
+            name: _r_squared(np.asarray(record.outputs[name])[samples], each[samples]) for name, each in outputs.items()
+        }
 
     def save(self, path: str | Path) -> None:
-        """Writes the arm to a .json, .yaml or .yml file, with the key arm, as a description of an environment has it.
-
-        Raises:
-            ValueError: for another suffix.
-        """
-        scene_file.write_data(Path(path), {"arm": to_plain(self.arm)})
+        """Write the arm to a .json, .yaml or .yml file under the key `arm`, as in a file of an environment."""
+        write_data(Path(path), {"arm": to_plain(self.arm)})
 
     def report(self, folder: str | Path) -> None:
-        """Writes fit.md, fit.png and arm.yaml into a folder; the picture needs Matplotlib."""
+        """Write fit.md, fit.png and arm.yaml to a folder; the plot needs Matplotlib."""
         _write_report(self, Path(folder))
 
 
@@ -292,28 +298,41 @@ def fit(
     starts: int = 12,
     check: bool = True,
 ) -> Fit:
-    """Fits physical parameters of an arm to what was measured of it.
+    """Estimate physical parameters of an arm from measured frequencies, damping ratios and time records.
 
-    Least squares over the residuals in standard deviations, by Gauss-Newton steps in a region of trust. Slopes of
-    frequencies are exact; those of time records are central differences of arms that move side by side. A fit that
-    remains poor is started anew from other places. Steps of the simulation are halved until they matter no more.
+    The squared residuals, in units of their standard deviations, are minimised by Gauss-Newton steps in a trust region.
+    The Jacobian of frequencies is exact; that of time records is computed by central differences of perturbed arms
+    simulated together. A poor fit is repeated from other starting points. The time step of the simulation is halved
+    until the estimates no longer change.
 
     Args:
-        arm: where the fit starts.
-        free: names in `simulation.parameters.PARAMETERS`; "joint_stiffness[1]" is that of one joint, counted from 0.
-        frequencies: (k,) Hz, the lowest ones at zero angles with held motors, to 0.5 %; or a mapping of the arguments
-            of `Ringing`, which says other postures, motors and deviations; or several mappings.
-        damping: (k,) damping ratios of these frequencies, to 10 %.
-        records: of Measurement.
-        elements: of the model, see `build_model`.
-        modes: of the model, see `build_model`.
-        step: s, of the simulation, to begin with; None takes the interval between samples.
-        starts: other places that are tried where the fit is poor, within a factor of e.
-        check: check units, signs, filters and single samples of the records; takes a further fit with a filter for
-            each output that is not explained well and passed none.
+        arm: initial arm.
+        free: names of free parameters from `simulation.parameters.PARAMETERS`; "joint_stiffness[1]" is that of one
+            joint, counted from 0.
+        frequencies: the k lowest frequencies (k,) at zero angles with locked motors, Hz, with a standard deviation of
+            0.5 %; or one or several mappings of arguments of `Ringing`, for other postures, free motors and other
+            deviations.
+        damping: damping ratios (k,) of these frequencies, with a standard deviation of 10 %.
+        records: time records.
+        elements: finite elements, see `build_model`.
+        modes: component modes, see `build_model`.
+        step: initial time step of the simulation, s; None for the sampling interval.
+        starts: number of other starting points for a poor fit, within a factor e of the initial values.
+        check: whether to check units, signs, filters and single samples of the records. This takes a further fit for
+            each poorly explained output without a filter.
+
+    Returns:
+        The fitted arm, with its uncertainty.
 
     Raises:
-        ValueError: one line with field, value and what is allowed; where there are fewer data than free numbers.
+        ValueError: for an invalid argument, and for fewer data than free parameters.
+
+    Examples:
+        >>> arm = fm.catalog.one_joint()
+        >>> measured = 0.9 * fm.frequencies(fm.build_model(arm, 1), lock_joints=True)[:2]
+        >>> found = fm.fit(arm, ["joint_stiffness", "link_stiffness_factor"], measured, elements=1)
+        >>> round(float(found.values["link_stiffness_factor"][0]), 2)
+        0.81
     """
     parameters = FreeParameters(instance("arm", arm, Arm, "an Arm"), free)
     ringing = _parse_ringings(frequencies, damping)
@@ -323,124 +342,119 @@ def fit(
     choice = {"elements": elements, "modes": modes}
     responses = [SimulatedResponse(parameters.arm, each, step) for each in records]
     problem = LeastSquaresProblem(parameters, ringing, responses, choice)
-    if (count := sum(len(part.measured) for part in problem.parts)) < len(parameters.numbers):
-        allowed = f"at least as many as free numbers, {len(parameters.numbers)}"
+    if (count := sum(len(part.measured) for part in problem.blocks)) < len(parameters.numbers):
+        allowed = f"at least as many as free parameters, {len(parameters.numbers)}"
         raise value_error("frequencies, damping and records", f"{count} numbers", allowed)
-    x = problem.refined(_best(problem, starts, np.random.default_rng(0)))
-    given = records, choice, min((each.step for each in responses), default=None)
-    return _concluded(problem, x, _data_warnings(problem, x) if check else (), given)
+    x = problem.refine(_solve_from_starts(problem, starts, np.random.default_rng(0)))
+    arguments = records, choice, min((each.step for each in responses), default=None)
+    return _make_fit(problem, x, _data_warnings(problem, x) if check else (), arguments)
 
 
-def _best(problem: LeastSquaresProblem, starts: int, rng: np.random.Generator) -> Array:
-    """The unknowns of the best fit, from the start of the problem, and from others where that is poor."""
-    x = problem.solved(problem.start)
-    if not _poor(problem, x) or not starts:
+def _solve_from_starts(problem: LeastSquaresProblem, starts: int, rng: np.random.Generator) -> Array:
+    """Return the parameter vector of the best fit; other starts are tried only if the first fit is poor."""
+    x = problem.solve(problem.start)
+    if not _is_poor(problem, x) or not starts:
         return x
     places = [problem.start.copy() for _ in range(starts)]
     for place in places:
         place[: len(problem.free.numbers)] += rng.uniform(-SPREAD, SPREAD, len(problem.free.numbers))
     places.sort(key=lambda place: _misfit(problem, place))
-    found = [x, *(problem.solved(place) for place in places[:FEW])]
+    found = [x, *(problem.solve(place) for place in places[:MAX_STARTS])]
     return min(found, key=lambda place: _misfit(problem, place))
 
 
 def _misfit(problem: LeastSquaresProblem, x: Array) -> float:
-    """What can be compared between weights: the parts of variances and squared deviations that are left, summed."""
+    """Return a misfit independent of the weights: mean squared residuals relative to variances or deviations."""
     total = 0.0
-    for part, rows in zip(problem.parts, problem.divided(problem.evaluated(x)[0]), strict=True):
-        left = rows if part.record < 0 else rows * part.sigma / max(float(np.std(part.measured)), 1e-300)
-        total += float(np.mean(left**2))
+    for block, rows in zip(problem.blocks, problem.split(problem.evaluate(x)[0]), strict=True):
+        residual = rows if block.record < 0 else rows * block.sigma / max(float(np.std(block.measured)), 1e-300)
+        total += float(np.mean(residual**2))
     return total
 
 
-def _poor(problem: LeastSquaresProblem, x: Array) -> bool:
-    for part, rows in zip(problem.parts, problem.divided(problem.evaluated(x)[0]), strict=True):
-        if part.record < 0 and np.abs(rows).max() > FAR:
-            return True
-        if (
-            part.record >= 0
-            and 1.0 - np.mean((rows * part.sigma) ** 2) / max(float(np.var(part.measured)), 1e-300) < POOR
-        ):
+def _is_poor(problem: LeastSquaresProblem, x: Array) -> bool:
+    """Return whether an output has a low R2, or a frequency is far from its measured value."""
+    for block, rows in zip(problem.blocks, problem.split(problem.evaluate(x)[0]), strict=True):
+        if block.record < 0:
+            if np.abs(rows).max() > MAX_DEVIATIONS:
+                return True
+        elif 1.0 - np.mean((rows * block.sigma) ** 2) / max(float(np.var(block.measured)), 1e-300) < MIN_SCORE:
             return True
     return False
 
 
-def _concluded(problem: LeastSquaresProblem, x: Array, said: tuple[str, ...], given: tuple[Any, ...]) -> Fit:
-    """What follows from the unknowns."""
-    residuals, free = problem.evaluated(x)[0], problem.free
+def _make_fit(problem: LeastSquaresProblem, x: Array, warnings: tuple[str, ...], arguments: tuple[Any, ...]) -> Fit:
+    """Return the Fit of a parameter vector."""
+    residuals, free = problem.evaluate(x)[0], problem.free
     covariance, p = _covariance(problem, x), len(free.numbers)
     values, deviations = problem.values(x), np.sqrt(np.diag(covariance))
     own, spread = free.parameters(values), free.parameters(values * deviations[:p], rest=0.0)
-    names, sentence = find_undetermined(free, values, covariance[:p, :p])
+    names, sentence = _find_undetermined(free, values, covariance[:p, :p])
     gains = {
         name.removeprefix("gain of "): (float(x[p + i]), float(deviations[p + i]))
         for i, name in enumerate(problem.nuisances) if name.startswith("gain")
     }  # fmt: skip
     scores, rows = {}, [np.zeros((0, 3))]
-    for part, own_rows in zip(problem.parts, problem.divided(residuals), strict=True):
-        shown = part.measured + own_rows * part.sigma
-        if part.record < 0:
-            rows.append(np.column_stack([part.measured, shown, part.sigma]))
+    for block, residual in zip(problem.blocks, problem.split(residuals), strict=True):
+        computed = block.measured + residual * block.sigma
+        if block.record < 0:
+            rows.append(np.column_stack([block.measured, computed, block.sigma]))
         else:
-            scores[f"record {part.record}, {part.name}"] = r_squared(part.measured, shown)
+            scores[f"record {block.record}, {block.name}"] = _r_squared(block.measured, computed)
     size = np.sqrt(np.diag(covariance[:p, :p]))
     return Fit(
-        free.changed(values), _named(free, own), _named(free, spread), names, sentence, said, gains,
+        free.build_arm(values), _by_name(free, own), _by_name(free, spread), names, sentence, warnings, gains,
         scores,
-        np.vstack(rows), covariance[:p, :p] / np.outer(size, size), given[1], given[0], given[2],
+        np.vstack(rows), covariance[:p, :p] / np.outer(size, size), arguments[1], arguments[0], arguments[2],
     )  # fmt: skip
 
 
-def _named(free: FreeParameters, parameters: Mapping[str, Array]) -> dict[str, Any]:
-    """Values by the names that were given."""
+def _by_name(free: FreeParameters, parameters: Mapping[str, Array]) -> dict[str, Any]:
+    """Return values by the names passed to `fit`."""
     result: dict[str, Any] = {}
-    for name, numbers in free.asked.items():
-        kind, one = numbers[0].parameter, "[" in name or PARAMETERS[numbers[0].parameter].of == ARM
+    for name, numbers in free.by_name.items():
+        kind, scalar = numbers[0].parameter, "[" in name or PARAMETERS[numbers[0].parameter].of == ARM
         values = np.ravel(parameters[kind])
-        result[name] = float(values[numbers[0].place or 0]) if one else values
+        result[name] = float(values[numbers[0].joint or 0]) if scalar else values
     return result
 
 
 def _covariance(problem: LeastSquaresProblem, x: Array) -> Array:
-    """Covariance (u, u) of the unknowns: noise that is not white or differs between records counts as it is."""
-    residuals, slopes = problem.evaluated(x)
-    weak = WEAK * np.eye(len(x)) * np.maximum((slopes**2).sum(axis=0).max(), 1.0) * 1e-4
-    inverse = np.linalg.inv(slopes.T @ slopes + weak)
+    """Return the covariance (u, u) of the parameter vector, also for coloured noise that differs by record."""
+    residuals, jacobian = problem.evaluate(x)
+    prior = WEAK_PRIOR * np.eye(len(x)) * np.maximum((jacobian**2).sum(axis=0).max(), 1.0) * 1e-4
+    inverse = np.linalg.inv(jacobian.T @ jacobian + prior)
     share = len(x) / len(residuals)
     middle = np.zeros_like(inverse)
-    for part, rows, own in zip(problem.parts, problem.divided(residuals), problem.divided(slopes), strict=True):
-        noise = 1.0 if part.record < 0 else float(np.mean(rows**2)) / max(1.0 - share, 0.1) * _memory(rows)
+    for block, rows, own in zip(problem.blocks, problem.split(residuals), problem.split(jacobian), strict=True):
+        noise = 1.0 if block.record < 0 else float(np.mean(rows**2)) / max(1.0 - share, 0.1) * _correlation_length(rows)
         middle += noise * own.T @ own
-    return np.asarray(inverse @ (middle + weak) @ inverse)
+    return np.asarray(inverse @ (middle + prior) @ inverse)
 
 
-def _memory(rows: Array) -> float:
-    """Samples that count as one: 1 of white noise, more where neighbours are alike."""
-    left = rows - rows.mean()
-    size, power = len(left), float(left @ left)
+def _correlation_length(rows: Array) -> float:
+    """Return the number of samples equivalent to one: 1 for white noise, more for correlated residuals."""
+    centred = rows - rows.mean()
+    size, power = len(centred), float(centred @ centred)
     if power <= 0.0:
         return 1.0
-    spectrum = np.abs(np.fft.rfft(left, 2 * size)) ** 2
-    alike = np.fft.irfft(spectrum)[:size] / power
-    ends = np.flatnonzero(alike < 2.0 / np.sqrt(size))
-    return float(1.0 + 2.0 * alike[1 : ends[0] if len(ends) else size].sum())
+    spectrum = np.abs(np.fft.rfft(centred, 2 * size)) ** 2
+    autocorrelation = np.fft.irfft(spectrum)[:size] / power
+    ends = np.flatnonzero(autocorrelation < 2.0 / np.sqrt(size))  # where it is lost in the noise
+    return float(1.0 + 2.0 * autocorrelation[1 : ends[0] if len(ends) else size].sum())
 
 
-def r_squared(measured: Array, shown: Array) -> float:
-    """1 less the part of the variance that is left."""
+def _r_squared(measured: Array, computed: Array) -> float:
+    """Return the coefficient of determination, 1 minus the residual variance over the variance of the measurement."""
     spread = float(np.sum((measured - measured.mean()) ** 2))
-    return 1.0 - float(np.sum((measured - shown) ** 2)) / max(spread, 1e-300)
+    return 1.0 - float(np.sum((measured - computed) ** 2)) / max(spread, 1e-300)
 
 
 def _parse_ringings(frequencies: Any, damping: Any) -> list[Ringing]:
-    """Gives what the arguments `frequencies` and `damping` of a fit say.
-
-    Raises:
-        ValueError: for what is neither a list of numbers nor a mapping, or a list of these.
-    """
+    """Return the `frequencies` and `damping` arguments of a fit as a list of Ringing."""
     if frequencies is None:
         if damping is not None:
-            raise value_error("damping", damping, "frequencies beside it, which say of what")
+            raise value_error("damping", damping, "the frequencies of the same modes, too")
         return []
     several = isinstance(frequencies, list | tuple) and frequencies and isinstance(frequencies[0], Mapping | Ringing)
     result = []
@@ -452,5 +466,5 @@ def _parse_ringings(frequencies: Any, damping: Any) -> list[Ringing]:
         else:
             result.append(Ringing(each, damping))
     if damping is not None and (several or isinstance(frequencies, Mapping | Ringing)):
-        raise value_error("damping", damping, "it as an entry of the mapping that has the frequencies")
+        raise value_error("damping", damping, "damping as an entry of the mapping with the frequencies")
     return result

@@ -1,4 +1,4 @@
-"""Least-squares problem of a fit: free parameters in logarithms, residuals of the data, and their Jacobian."""
+"""Least-squares problem of a fit: logarithms of free parameters, residuals of the data, and their Jacobian."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -15,39 +15,43 @@ from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters, rename_old_keys, varied_arm
 
-WIDEST = 7.0  # largest departure of a logarithm from its start: a factor of 1100
-CRITICAL = 0.99  # largest damping ratio of a link
-STEP = 1e-3  # of a logarithm, to either side, over which responses are differentiated
-SLOW = 2.0 * np.pi  # rad/s, of the usual sizes below
-USUAL: dict[str, Callable[[Model, Array], Array | float]] = {  # where the arm says 0, a size to start from
+MAX_LOG_CHANGE = 7.0  # largest change of a logarithm from its start: a factor of 1100
+MAX_DAMPING_RATIO = 0.99  # of a link
+LOG_STEP = 1e-3  # change of a logarithm, to either side, for finite differences
+TYPICAL_RATE = 2.0 * np.pi  # rad/s; for the values below
+TYPICAL_VALUES: dict[str, Callable[[Model, Array], Array | float]] = {  # start of a parameter that is 0 in the arm
     "payload_mass": lambda model, inertia: 0.1 * sum(link.mass for link in model.arm.links),
     "joint_damping": lambda model, inertia: 0.02 * np.sqrt(model.constants.joint_stiffness * inertia),
     "rotor_inertia": lambda model, inertia: 0.1 * inertia,
-    "viscous_friction": lambda model, inertia: 0.02 * SLOW * inertia,
-    "coulomb_friction": lambda model, inertia: 0.01 * SLOW**2 * inertia,
+    "viscous_friction": lambda model, inertia: 0.02 * TYPICAL_RATE * inertia,
+    "coulomb_friction": lambda model, inertia: 0.01 * TYPICAL_RATE**2 * inertia,
     "link_damping": lambda model, inertia: np.full(model.n_joints, 0.01),
 }
 
 
 class _FreeNumber(NamedTuple):
-    """A number that is free: a parameter in PARAMETERS, and of which joint or link, from 0; None of the arm."""
+    """Free scalar: a parameter in PARAMETERS and the index of its joint or link, None for a parameter of the arm."""
 
     parameter: str
-    place: int | None
+    joint: int | None
 
     def __str__(self) -> str:
-        return self.parameter if self.place is None else f"{self.parameter}[{self.place}]"
+        return self.parameter if self.joint is None else f"{self.parameter}[{self.joint}]"
 
 
 class FreeParameters:
-    """What of an arm is free.
+    """Free parameters of an arm, as a vector.
+
+    Args:
+        arm: the initial arm.
+        free: names of parameters, see `fit`.
 
     Attributes:
-        asked: the names as they were given, name -> its Numbers.
-        numbers: all of them, p.
-        arm: that the fit starts from; where it had 0 in place of a free number, it has one of a usual size.
-        start: (p,) their values there.
-        highest: (p,) by how much their logarithms may grow.
+        by_name: the scalars of each name passed to `fit`.
+        numbers: all p free scalars.
+        arm: initial arm, with a typical value wherever a free parameter was 0.
+        start: initial values (p,).
+        highest: largest increase (p,) of their logarithms.
     """
 
     def __init__(self, arm: Arm, free: str | Sequence[str]) -> None:
@@ -55,91 +59,99 @@ class FreeParameters:
         if not names:
             raise value_error("free", free, f"at least one of {', '.join(PARAMETERS)}")
         model = build_model(arm, 1, flexible_links=False)
-        self.asked = {str(name): _numbers(str(name), model) for name in names}
-        self.numbers = list(dict.fromkeys(number for some in self.asked.values() for number in some))
+        self.by_name = {str(name): _numbers(str(name), model) for name in names}
+        self.numbers = list(dict.fromkeys(number for some in self.by_name.values() for number in some))
         self.arm, self._base = arm, nominal_parameters(model)
         inertia = np.diag(mass_matrix(model, np.zeros(2 * model.n_dof)))[: model.n_joints]
-        start = self.of(self._base)
+        start = self.select(self._base)
         for i in np.flatnonzero(start == 0.0):
             number = self.numbers[i]
-            usual = np.ravel(USUAL[number.parameter](model, inertia))
-            start[i] = usual[number.place or 0]
-        self.start, self.arm = start, self.changed(start)
+            typical = np.ravel(TYPICAL_VALUES[number.parameter](model, inertia))
+            start[i] = typical[number.joint or 0]
+        self.start, self.arm = start, self.build_arm(start)
         ratios = np.array([number.parameter == "link_damping" for number in self.numbers])
-        self.highest = np.where(ratios, np.log(CRITICAL / start), WIDEST)
+        self.highest = np.where(ratios, np.log(MAX_DAMPING_RATIO / start), MAX_LOG_CHANGE)
 
-    def of(self, parameters: Mapping[str, Any]) -> Array:
-        """Gives the free numbers (p,) of parameters by name."""
-        return np.array([np.ravel(parameters[each.parameter])[each.place or 0] for each in self.numbers], dtype=float)
+    def select(self, parameters: Mapping[str, Any]) -> Array:
+        """Return the free values (p,) out of parameters by name."""
+        return np.array([np.ravel(parameters[each.parameter])[each.joint or 0] for each in self.numbers], dtype=float)
 
     def parameters(self, values: Array, rest: float = 1.0) -> dict[str, Array]:
-        """Gives parameters of the starting arm by name, `rest` times what they are, but for the free numbers (p,)."""
+        """Return parameters by name with free values (p,); the others are `rest` times those of the initial arm."""
         result = {each.parameter: rest * np.array(self._base[each.parameter], ndmin=1) for each in self.numbers}
         for number, value in zip(self.numbers, values, strict=True):
-            result[number.parameter][number.place or 0] = value
+            result[number.parameter][number.joint or 0] = value
         return {name: each if PARAMETERS[name].of != ARM else each[0] for name, each in result.items()}
 
-    def changed(self, values: Array) -> Arm:
-        """Gives the arm with free numbers (p,)."""
+    def build_arm(self, values: Array) -> Arm:
+        """Return the arm with free values (p,)."""
         return varied_arm(self.arm, self.parameters(values))
 
-    def lanes(self, model: Model, departures: Array) -> dict[str, Array]:
-        """Gives parameters (1 + 2 p, ...) of arms beside a model's.
+    def perturbed(self, model: Model, departures: Array) -> dict[str, Array]:
+        """Perturb the parameters of a model for central differences.
 
         Args:
-            model: of an arm.
-            departures: (p,) of the logarithms from those of this arm, of all; each number is once larger by STEP, and
-                once smaller.
+            model: model of an arm.
+            departures: logarithms (p,) of the free values relative to those of the model, the same for all arms; each
+                value is in turn increased and decreased by LOG_STEP.
+
+        Returns:
+            Parameters (1 + 2 p, ...) by name, of a nominal arm and of 2 p perturbed arms.
         """
         count, nominal = 1 + 2 * len(self.numbers), nominal_parameters(model)
         result = {each.parameter: np.array([nominal[each.parameter]] * count) for each in self.numbers}
         for i, number in enumerate(self.numbers):
-            own = np.full(count, departures[i])
-            own[1 + 2 * i : 3 + 2 * i] += STEP, -STEP
-            result[number.parameter][(slice(None), *(() if number.place is None else (number.place,)))] *= np.exp(own)
+            logarithms = np.full(count, departures[i])
+            logarithms[1 + 2 * i : 3 + 2 * i] += LOG_STEP, -LOG_STEP
+            column = () if number.joint is None else (number.joint,)
+            result[number.parameter][(slice(None), *column)] *= np.exp(logarithms)
         return result
 
 
 def _numbers(name: str, model: Model) -> list[_FreeNumber]:
-    """The numbers of a name, such as joint_stiffness or joint_stiffness[1]."""
-    kind, _, place = name.partition("[")
+    """Return the free scalars of a name, such as joint_stiffness or joint_stiffness[1]."""
+    kind, _, index = name.partition("[")
     kind = next(iter(rename_old_keys("free", {kind: None})))
     if PARAMETERS[one_of("free", kind, PARAMETERS)].of == ARM:
-        if place:
+        if index:
             raise value_error("free", name, kind)
         return [_FreeNumber(kind, None)]
-    sprung = kind in ("joint_stiffness", "joint_damping")
-    there = np.flatnonzero(model.constants.motor >= 0).tolist() if sprung else list(range(model.n_joints))
-    if place:
-        if not (place.endswith("]") and is_decimal_integer(place[:-1])):
+    elastic = kind in ("joint_stiffness", "joint_damping")
+    indices = np.flatnonzero(model.constants.motor >= 0).tolist() if elastic else list(range(model.n_joints))
+    if index:
+        if not (index.endswith("]") and is_decimal_integer(index[:-1])):
             raise value_error("free", name, f"{kind}, or {kind}[0] and so on")
-        there = [each for each in there if each == whole_number("free", int(place[:-1]), 0, model.n_joints - 1)]
-    if not there:
+        indices = [each for each in indices if each == whole_number("free", int(index[:-1]), 0, model.n_joints - 1)]
+    if not indices:
         raise value_error("free", name, "a parameter that this arm has: the joint is rigid")
-    return [_FreeNumber(kind, each) for each in there]
+    return [_FreeNumber(kind, each) for each in indices]
 
 
-ROUGH = 0.1  # of the rms of a signal: its noise, before a first fit knows better
-QUIET = 1e-12  # in any unit: the least noise of a signal, beyond which is rounding
-LOST = 1e3  # deviations by which an arm that diverges is off
-ROUNDS, PATIENCE = 4, 40  # of estimating the noise and building the model, and evaluations in each
-SETTLED = 1e-4  # change of the unknowns in a round that is the last
-FINE, ROUNDED, HALVINGS = 0.5, 1e-3, 5  # deviations; of a signal, its least noise here; of the step
-EDGE = 1e-3  # from a bound, where a search may start
-ORDER = 0.7  # damping ratio of a filter that a record may have left out
+INITIAL_NOISE = 0.1  # assumed noise as a fraction of the standard deviation of a signal, before the first fit
+MIN_NOISE = 1e-12  # in the unit of the signal; below it is rounding
+FAILED_RESIDUAL = 1e3  # standard deviations; residual of an arm whose simulation fails
+MAX_ROUNDS = 4  # alternations of solving for the parameters and updating noise and model
+MAX_EVALUATIONS = 40  # in each round
+ROUND_TOLERANCE = 1e-4  # change of the parameter vector below which a round is the last
+STEP_TOLERANCE = 0.5  # standard deviations; largest change of a parameter by halving the time step
+MIN_RELATIVE_NOISE = 1e-3  # least noise of a signal in this comparison, as a fraction of its standard deviation
+MAX_HALVINGS = 5  # of the time step
+BOUND_MARGIN = 1e-3  # least distance of a start from a bound
+FILTER_DAMPING_RATIO = 0.7  # of a filter that a record may lack
 
 
 class ResidualBlock(NamedTuple):
-    """An output of a record, or what was measured of the ringing at a posture.
+    """Residuals of one output of a record, or of the frequencies and damping ratios at one posture.
 
     Attributes:
-        record: its number, -1 of ringing.
-        name: of the output.
-        measured: (m,).
-        sigma: (m,) standard deviations that are assumed.
-        known: whether they were given.
-        gain, offset: numbers of these among the nuisances, or -1.
-        corner: of the corner of a filter that is looked for, or -1.
+        record: index of the record, -1 for frequencies.
+        name: name of the output.
+        measured: measured values (m,).
+        sigma: assumed standard deviations (m,).
+        known: whether the standard deviations were given.
+        gain: index of the gain among the nuisance parameters, or -1.
+        offset: index of the offset among the nuisance parameters, or -1.
+        corner: index of the corner frequency of an assumed filter among the nuisance parameters, or -1.
     """
 
     record: int
@@ -153,17 +165,26 @@ class ResidualBlock(NamedTuple):
 
 
 class LeastSquaresProblem:
-    """Residuals of an arm.
+    """Residuals of an arm as a function of the parameter vector.
 
-    The unknowns are logarithms of the free numbers over their start (p,), then nuisances: gains and offsets of sensors.
+    The parameter vector (u,) holds the logarithms (p,) of the free values relative to their start, then nuisance
+    parameters: gains and offsets of sensors, and the corner frequency of a filter.
+
+    Args:
+        free: the free parameters.
+        ringing: measured frequencies and damping ratios.
+        responses: simulated responses of the records.
+        choice: numbers of elements and modes of the model.
+        corner: name of an output with an assumed low-pass filter; "" for none.
 
     Attributes:
-        free: what is free.
-        ringing: what is known of frequencies.
-        responses: what is known of motions.
-        parts: of the data.
-        nuisances: their names.
-        start: of all unknowns.
+        free: the free parameters.
+        ringing: measured frequencies and damping ratios.
+        responses: simulated responses of the records.
+        choice: numbers of elements and modes of the model.
+        blocks: residual blocks.
+        nuisances: names of the nuisance parameters.
+        start: initial parameter vector (u,).
     """
 
     def __init__(
@@ -177,12 +198,12 @@ class LeastSquaresProblem:
         self.free, self.ringing, self.responses, self.choice = free, ringing, responses, choice
         self.nuisances: list[str] = []
         start = [0.0] * len(free.numbers)
-        self.parts = [ResidualBlock(-1, "ringing", each.measured, each.deviations, True) for each in ringing]
+        self.blocks = [ResidualBlock(-1, "ringing", each.measured, each.deviations, True) for each in ringing]
         for number, response in enumerate(responses):
             data = response.measurement
             for name, values in data.outputs.items():
                 measured = values[data.compared]
-                places = [-1, -1, -1]
+                indices = [-1, -1, -1]
                 wanted = (name in data.gains, name in data.offsets, name == corner)
                 labels = (f"gain of {name}", f"offset of {name} in record {number}", f"corner of {name}")
                 sizes = (1.0, 0.0, np.log(2.0 * np.pi * 0.02 / data.period))
@@ -190,25 +211,25 @@ class LeastSquaresProblem:
                     if wanted[i] and label not in self.nuisances:
                         self.nuisances.append(label)
                         start.append(float(size))
-                    places[i] = self.nuisances.index(label) if wanted[i] else -1
+                    indices[i] = self.nuisances.index(label) if wanted[i] else -1
                 known = name in data.deviations
-                size = data.deviations[name] if known else max(ROUGH * float(np.std(measured)), QUIET)
-                self.parts.append(ResidualBlock(number, name, measured, np.full(len(measured), size), known, *places))
+                size = data.deviations[name] if known else max(INITIAL_NOISE * float(np.std(measured)), MIN_NOISE)
+                self.blocks.append(ResidualBlock(number, name, measured, np.full(len(measured), size), known, *indices))
         self.start = np.array(start)
         self._last: tuple[Array, Array, Array] | None = None
         self._progress = Progress("evaluations of the fit")
-        self._anchor, self._model = self.start, self.model(self.start)
+        self._model_point, self._model = self.start, self.model(self.start)
 
     def model(self, x: Array) -> Model:
-        """Gives the model of the arm at unknowns x."""
-        return build_model(self.free.changed(self.values(x)), **self.choice)
+        """Return the model of the arm at a parameter vector."""
+        return build_model(self.free.build_arm(self.values(x)), **self.choice)
 
     def values(self, x: Array) -> Array:
-        """Gives the free numbers (p,)."""
+        """Return the free values (p,) at a parameter vector."""
         return np.asarray(self.free.start * np.exp(x[: len(self.free.start)]))
 
-    def evaluated(self, x: Array) -> tuple[Array, Array]:
-        """Gives residuals (m,) in standard deviations, and their slopes (m, u) by the unknowns."""
+    def evaluate(self, x: Array) -> tuple[Array, Array]:
+        """Return the residuals (m,) in standard deviations, and their Jacobian (m, u)."""
         if self._last is None or not np.array_equal(self._last[0], x):
             self._last = (x.copy(), *self._evaluate(x))
             self._progress.count()
@@ -216,122 +237,130 @@ class LeastSquaresProblem:
 
     def _evaluate(self, x: Array) -> tuple[Array, Array]:
         p, model = len(self.free.numbers), self._model
-        lanes = self.free.lanes(model, (x - self._anchor)[:p])
-        ringing = [each.computed(model, lanes, STEP) for each in self.ringing]
-        signals = [response.signals(model, lanes) for response in self.responses]
+        perturbed = self.free.perturbed(model, (x - self._model_point)[:p])
+        ringing = [each.predict(model, perturbed, LOG_STEP) for each in self.ringing]
+        signals = [response.signals(model, perturbed) for response in self.responses]
         names = [list(response.measurement.outputs) for response in self.responses]
         residuals, rows = [], []
-        for number, part in enumerate(self.parts):
-            slopes = np.zeros((len(part.measured), len(x)))
-            if part.record < 0:
-                computed, slopes[:, :p] = ringing[number]
+        for number, block in enumerate(self.blocks):
+            jacobian = np.zeros((len(block.measured), len(x)))
+            if block.record < 0:
+                computed, jacobian[:, :p] = ringing[number]
             else:
-                computed = self._shown(x, part, signals[part.record][:, names[part.record].index(part.name)], slopes)
-            if np.isfinite(computed).all() and np.isfinite(slopes).all():
-                residuals.append((computed - part.measured) / part.sigma)
-                rows.append(slopes / part.sigma[:, None])
+                own = signals[block.record][:, names[block.record].index(block.name)]
+                computed = self._predict(x, block, own, jacobian)
+            if np.isfinite(computed).all() and np.isfinite(jacobian).all():
+                residuals.append((computed - block.measured) / block.sigma)
+                rows.append(jacobian / block.sigma[:, None])
             else:
-                residuals.append(np.full(len(part.measured), LOST))
-                rows.append(np.zeros_like(slopes))
+                residuals.append(np.full(len(block.measured), FAILED_RESIDUAL))
+                rows.append(np.zeros_like(jacobian))
         return np.concatenate(residuals), np.vstack(rows)
 
-    def _shown(self, x: Array, part: ResidualBlock, signals: Array, slopes: Array) -> Array:
-        """What the sensor of a part shows, of signals (1 + 2 p, T); fills the slopes."""
-        p, data = len(self.free.numbers), self.responses[part.record].measurement
-        if part.corner >= 0:
-            corner, h = x[p + part.corner], 0.01
-            over = [_low_pass(corner + sign * h).applied(signals[0], data.period) for sign in (1.0, -1.0)]
+    def _predict(self, x: Array, block: ResidualBlock, signals: Array, jacobian: Array) -> Array:
+        """Return the output of the sensor of a block from signals (1 + 2 p, T); fill in its Jacobian."""
+        p, data = len(self.free.numbers), self.responses[block.record].measurement
+        if block.corner >= 0:
+            corner, h = x[p + block.corner], 0.01
+            shifted = [_low_pass(corner + sign * h).applied(signals[0], data.period) for sign in (1.0, -1.0)]
             signals = _low_pass(corner).applied(signals, data.period)
         signals = signals[:, data.compared]
-        gain = x[p + part.gain] if part.gain >= 0 else 1.0
-        slopes[:, :p] = gain * (signals[1::2] - signals[2::2]).T / (2.0 * STEP)
-        if part.gain >= 0:
-            slopes[:, p + part.gain] = signals[0]
-        if part.offset >= 0:
-            slopes[:, p + part.offset] = 1.0
-        if part.corner >= 0:
-            slopes[:, p + part.corner] = gain * ((over[0] - over[1]) / (2.0 * h))[data.compared]
-        return np.asarray(gain * signals[0] + (x[p + part.offset] if part.offset >= 0 else 0.0))
+        gain = x[p + block.gain] if block.gain >= 0 else 1.0
+        jacobian[:, :p] = gain * (signals[1::2] - signals[2::2]).T / (2.0 * LOG_STEP)
+        if block.gain >= 0:
+            jacobian[:, p + block.gain] = signals[0]
+        if block.offset >= 0:
+            jacobian[:, p + block.offset] = 1.0
+        if block.corner >= 0:
+            jacobian[:, p + block.corner] = gain * ((shifted[0] - shifted[1]) / (2.0 * h))[data.compared]
+        return np.asarray(gain * signals[0] + (x[p + block.offset] if block.offset >= 0 else 0.0))
 
-    def divided(self, rows: Array) -> list[Array]:
-        """Gives what belongs to each part."""
-        return np.split(rows, np.cumsum([len(part.measured) for part in self.parts])[:-1])
+    def split(self, rows: Array) -> list[Array]:
+        """Return the rows of each block."""
+        return np.split(rows, np.cumsum([len(block.measured) for block in self.blocks])[:-1])
 
-    def solved(self, x: Array) -> Array:
-        """Gives the unknowns nearest to the data, from x on: Gauss-Newton in a region of trust (SciPy).
+    def solve(self, x: Array) -> Array:
+        """Return the least-squares parameter vector from a start, by Gauss-Newton steps in a trust region (SciPy).
 
-        Noise that is not known is estimated in turn with them, of one name the same in all records. So is the model.
+        Unknown noise levels, one per output over all records, and the model are updated alternately with the
+        parameters.
         """
         from scipy.optimize import least_squares
 
         low, high = np.full(len(x), -np.inf), np.full(len(x), np.inf)
-        low[: len(self.free.numbers)], high[: len(self.free.numbers)] = -WIDEST, self.free.highest
-        self._drop_anchor(x)
-        x = self._geared(x)
-        for _ in range(ROUNDS):
+        low[: len(self.free.numbers)], high[: len(self.free.numbers)] = -MAX_LOG_CHANGE, self.free.highest
+        self._update_model(x)
+        x = self._solve_sensors(x)
+        for _ in range(MAX_ROUNDS):
             before = x
             found = least_squares(
-                lambda y: self.evaluated(y)[0], np.clip(x, low + EDGE, high - EDGE), lambda y: self.evaluated(y)[1],
-                (low, high), max_nfev=PATIENCE, xtol=1e-7, ftol=1e-8, gtol=1e-12,
+                lambda y: self.evaluate(y)[0], np.clip(x, low + BOUND_MARGIN, high - BOUND_MARGIN),
+                lambda y: self.evaluate(y)[1], (low, high), max_nfev=MAX_EVALUATIONS, xtol=1e-7, ftol=1e-8, gtol=1e-12,
             )  # fmt: skip
             x = found.x
-            self._weigh(x)
-            self._drop_anchor(x)
-            if np.abs(x - before).max() < SETTLED:
+            self._estimate_noise(x)
+            self._update_model(x)
+            if np.abs(x - before).max() < ROUND_TOLERANCE:
                 break
         return np.asarray(x)
 
-    def _drop_anchor(self, x: Array) -> None:
-        """Builds the model anew: as long as it stays, modes and modal damping do, and slopes are those of residuals."""
-        self._anchor, self._model, self._last = x.copy(), self.model(x), None
+    def _update_model(self, x: Array) -> None:
+        """Rebuild the model at a parameter vector.
 
-    def refined(self, x: Array) -> Array:
-        """The unknowns by steps of which half would move no number by more than half a deviation.
+        Between updates the component modes and the modal damping are constant, so that the Jacobian is that of the
+        residuals.
+        """
+        self._model_point, self._model, self._last = x.copy(), self.model(x), None
 
-        The worst that a difference of the signals does is its norm in deviations.
+    def refine(self, x: Array) -> Array:
+        """Return the parameter vector for time steps whose halving changes no parameter by half a standard deviation.
+
+        The largest possible change is bounded by the norm of the change of the signals in standard deviations.
         """
         nominal = nominal_parameters(self.model(x))
-        alone = {"payload_mass": np.array([nominal["payload_mass"]])}
-        for _ in range(HALVINGS):
+        nominal_only = {"payload_mass": np.array([nominal["payload_mass"]])}
+        for _ in range(MAX_HALVINGS):
             coarse = False
             for number, response in enumerate(self.responses):
-                model, parts = self.model(x), [part for part in self.parts if part.record == number]
-                before = response.signals(model, alone)[0]
+                model, blocks = self.model(x), [block for block in self.blocks if block.record == number]
+                before = response.signals(model, nominal_only)[0]
                 response.step /= 2.0
-                moved = (response.signals(model, alone)[0] - before)[:, response.measurement.compared]
-                sizes = [max(part.sigma[0], ROUNDED * float(np.std(part.measured))) for part in parts]
-                fine = all(np.linalg.norm(each) < FINE * size for each, size in zip(moved, sizes, strict=True))
+                moved = (response.signals(model, nominal_only)[0] - before)[:, response.measurement.compared]
+                sizes = [max(block.sigma[0], MIN_RELATIVE_NOISE * float(np.std(block.measured))) for block in blocks]
+                fine = all(
+                    np.linalg.norm(each) < STEP_TOLERANCE * size for each, size in zip(moved, sizes, strict=True)
+                )
                 response.step *= 2.0 if fine else 1.0
                 coarse = coarse or not fine
             if not coarse:
                 break
             self._last = None
-            x = self.solved(x)
+            x = self.solve(x)
         return x
 
-    def _geared(self, x: Array) -> Array:
-        """The unknowns with the gains and offsets that suit them best, in which residuals are linear."""
+    def _solve_sensors(self, x: Array) -> Array:
+        """Return a parameter vector with optimal gains and offsets, in which the residuals are linear."""
         linear = [len(self.free.numbers) + i for i, name in enumerate(self.nuisances) if not name.startswith("corner")]
         result = x.copy()
         if linear:
-            residuals, slopes = self.evaluated(x)
-            result[linear] -= np.linalg.lstsq(slopes[:, linear], residuals, rcond=None)[0]
+            residuals, jacobian = self.evaluate(x)
+            result[linear] -= np.linalg.lstsq(jacobian[:, linear], residuals, rcond=None)[0]
         return np.asarray(result)
 
-    def _weigh(self, x: Array) -> None:
-        """Takes the noise of each name from its residuals."""
-        divided, pooled = self.divided(self.evaluated(x)[0]), {}
-        for part in self.parts:
-            if not part.known:
-                own = [r * p.sigma for r, p in zip(divided, self.parts, strict=True) if p.name == part.name]
+    def _estimate_noise(self, x: Array) -> None:
+        """Estimate the noise level of each output from its residuals."""
+        rows, pooled = self.split(self.evaluate(x)[0]), {}
+        for block in self.blocks:
+            if not block.known:
+                own = [r * b.sigma for r, b in zip(rows, self.blocks, strict=True) if b.name == block.name]
                 rms = float(np.sqrt(np.mean(np.concatenate(own) ** 2)))
-                pooled[part.name] = max(rms, QUIET)
-        self.parts = [
-            part if part.known else part._replace(sigma=np.full(len(part.measured), pooled[part.name]))
-            for part in self.parts
+                pooled[block.name] = max(rms, MIN_NOISE)
+        self.blocks = [
+            block if block.known else block._replace(sigma=np.full(len(block.measured), pooled[block.name]))
+            for block in self.blocks
         ]
 
 
 def _low_pass(corner: float) -> Filter:
-    """A filter by the logarithm of its corner, rad/s."""
-    return Filter.low_pass(float(np.exp(np.clip(corner, -20.0, 20.0))) / (2.0 * np.pi), ORDER)
+    """Return a low-pass filter given the logarithm of its corner frequency in rad/s."""
+    return Filter.low_pass(float(np.exp(np.clip(corner, -20.0, 20.0))) / (2.0 * np.pi), FILTER_DAMPING_RATIO)

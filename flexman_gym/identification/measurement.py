@@ -1,6 +1,4 @@
-"""Measurements: time records with the filters of their signals, and the simulated response of an arm to their
-inputs.
-"""
+"""Measurements: time records, the filters of their signals, and the simulated response of an arm to their inputs."""
 
 import re
 import warnings
@@ -38,28 +36,34 @@ from flexman_gym.simulation.parameters import varied_constants
 from flexman_gym.simulation.scene_simulation import prescribed_joints, simulate_all
 from flexman_gym.simulation.trajectory import Trajectory
 
-STEADY = 1e-3  # of the interval between samples: by how much one may differ from the next
-LEAST = 16  # samples
-DRIVE = re.compile(r"(torque|current)_[1-9][0-9]*")  # columns that are inputs where no mapping is given
+INTERVAL_TOLERANCE = 1e-3  # largest relative deviation of a sampling interval
+MIN_SAMPLES = 16
+INPUT = re.compile(r"(torque|current)_[1-9][0-9]*")  # default inputs
 OUTPUT = re.compile(
     r"(tip|tip_velocity|tip_acceleration|specific_force|deflection)_[xyz]"
     r"|((joint|motor)_(angle|rate)|joint_twist|joint_twist_rate)_[1-9][0-9]*"
     r"|link_deflection(_rate)?_[1-9][0-9]*_[yz]|root_strain_[1-9][0-9]*_(y|z|torsion)"
-)  # columns that are outputs where no mapping is given
-INPUTS = {"torque": "N m", "current": "A", "motor_angle": "rad"}  # with the number of the joint behind, from 1
+)  # default outputs
+INPUTS = {"torque": "N m", "current": "A", "motor_angle": "rad"}  # followed by the number of the joint, from 1
 
 
 @dataclass(frozen=True)
 class Filter:
-    """A linear filter that a signal passed, by the coefficients of its transfer function in s, highest power first.
+    """Linear filter in the path of a measured signal, as a transfer function in s.
 
     Attributes:
-        numerator: coefficients, the highest power of s first, such as (1.0,). It has no higher power than the
-            denominator: a filter does not amplify fast signals without end.
-        denominator: coefficients, the highest power first, such as (0.1, 1.0) for 1 / (0.1 s + 1).
+        numerator: coefficients, highest power of s first, such as (1.0,). Its degree does not exceed that of the
+            denominator, because the gain at high frequencies must be finite.
+        denominator: coefficients, highest power of s first, such as (0.1, 1.0) for 1 / (0.1 s + 1). All poles have a
+            negative real part.
 
     Raises:
-        ValueError: for lists that are empty, not finite, or make no such filter, and for one that is not stable.
+        ValueError: for empty or infinite coefficients, and for an improper or unstable filter.
+
+    Examples:
+        >>> smooth = fm.Filter.low_pass(10.0)
+        >>> smooth.denominator[1] == 2.0 * 3.141592653589793 * 10.0
+        True
     """
 
     numerator: Vector
@@ -73,21 +77,23 @@ class Filter:
             set_fields(self, **{name: tuple(array.tolist())})
         if self.denominator[0] == 0.0 or len(self.numerator) > len(self.denominator):
             raise value_error(
-                "Filter.denominator", self.denominator, "a first number other than 0, and as many as above"
+                "Filter.denominator",
+                self.denominator,
+                "a first number other than 0, and as many as above",
             )
         if len(self.denominator) > 1 and np.roots(self.denominator).real.max() >= 0.0:
             raise value_error("Filter.denominator", self.denominator, "poles with negative real part")
 
     @classmethod
     def low_pass(cls, frequency: float, damping_ratio: float | None = None) -> Self:
-        """Gives a low-pass of first order with a corner (Hz), or of second order with a damping ratio."""
+        """Return a low-pass filter of first order, or of second order if a damping ratio is given; frequency in Hz."""
         corner = 2.0 * np.pi * positive("frequency", frequency, "Hz")
         if damping_ratio is None:
             return cls((corner,), (1.0, corner))
         return cls((corner**2,), (1.0, 2.0 * positive("damping_ratio", damping_ratio) * corner, corner**2))
 
     def applied(self, values: Array, period: float) -> Array:
-        """Gives signals (..., T) behind the filter: straight lines between samples a period (s) apart."""
+        """Return signals (..., T), linear between samples a period (s) apart, after the filter."""
         from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
         if len(self.denominator) == 1:
@@ -98,7 +104,7 @@ class Filter:
 
 
 class _InputChannel(NamedTuple):
-    """An input: its kind in INPUTS, and the joint, from 0."""
+    """Input: its kind in INPUTS, and the index of its joint from 0."""
 
     kind: str
     joint: int
@@ -106,27 +112,34 @@ class _InputChannel(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """Signals of a machine at T moments, equally far apart.
+    """Signals of a real arm at T equally spaced times.
 
     Attributes:
-        times: (T,) s.
-        inputs: what drove the arm, name -> (T,): "torque_1" (N m), "current_1" (A, of a joint with a motor) or
-            "motor_angle_1" (rad, a hub whose motion is given); joints count from 1. Motors without one are free.
-        outputs: what it did, name -> (T,), by the names and units of `Trajectory.columns`, such as "motor_angle_1"
-            (rad), "link_deflection_1_y" (m) or "root_strain_1_z" (1); and "tip_acceleration_x", "specific_force_x"
-            (m/s^2).
-        filters: name of an output -> the Filter that it passed, or several; what has none passed none.
-        gains: outputs whose sensor has an unknown gain, which is fitted; of one name it is the same in all records.
-        offsets: outputs with an unknown constant beside them.
-        deviations: name -> standard deviation of the noise of an output, or of the rounding of an input's angles, in
-            its unit. That of an output which is not given is estimated.
-        settling: s at the start that are not compared, while what the arm did before dies away.
-        start: (n,) angles at which the motors rest at first, rad; None for the first sample of each motor angle in the
-            outputs, and 0 of others. Where encoders are noisy, say them: what is wrong at the start stays.
-        hold: "zero" or "linear", what torques and currents do between samples.
+        times: times (T,), s.
+        inputs: inputs (T,) by name: "torque_1" (N m), "current_1" (A, for a joint with a motor) or "motor_angle_1"
+            (rad, for a motor with prescribed motion); joints count from 1. Motors without an input are free.
+        outputs: outputs (T,) by name, with the names and units of `Trajectory.columns`, such as "motor_angle_1" (rad),
+            "link_deflection_1_y" (m) or "root_strain_1_z" (1), and "tip_acceleration_x" and "specific_force_x" (m/s^2).
+        filters: Filter, or several in series, by the name of the filtered output.
+        gains: outputs whose sensor has an unknown gain. It is estimated, one value per output over all records.
+        offsets: outputs with an unknown constant offset.
+        deviations: standard deviation of the noise of an output, or of the rounding of a prescribed angle, by name, in
+            its unit. For an output without an entry it is estimated.
+        settling: time at the start, s, that is not compared, so that the response to the previous motion can decay.
+        start: initial angles (n,) of the motors at rest, rad. None for the first sample of each motor angle among the
+            outputs, and 0 for the others. Give them if encoders are noisy, because an error of the start does not
+            decay.
+        hold: "zero" or "linear", the course of torques and currents between samples.
 
     Raises:
-        ValueError: one line with field, value and what is allowed; a damaged record has NaN in it, or times with a gap.
+        ValueError: one line with field, value and allowed values, for example for NaN in a damaged record and for a gap
+            in its times.
+
+    Examples:
+        >>> times = [0.01 * i for i in range(100)]
+        >>> record = fm.Measurement(times, {"torque_1": [0.1] * 100}, {"motor_angle_1": [0.0] * 100})
+        >>> record.period
+        0.01
     """
 
     times: Any
@@ -142,20 +155,20 @@ class Measurement:
 
     def __post_init__(self) -> None:
         name, count = "Measurement.times", len(sequence("Measurement.times", self.times, "times (s)"))
-        allowed = f"{LEAST} to {MAX_ENTRIES} finite numbers (s), equally far apart"
-        if not LEAST <= count <= MAX_ENTRIES:
+        allowed = f"{MIN_SAMPLES} to {MAX_ENTRIES} finite numbers (s), equally spaced"
+        if not MIN_SAMPLES <= count <= MAX_ENTRIES:
             raise value_error(name, f"{count} times", allowed)
         times = number_array(name, self.times, (count,), allowed)
         steps = np.diff(times)
-        odd = np.flatnonzero(np.abs(steps - np.median(steps)) > STEADY * np.median(steps))
-        if np.median(steps) <= 0.0 or len(odd):
-            i = int(odd[0]) if len(odd) else 0
+        gaps = np.flatnonzero(np.abs(steps - np.median(steps)) > INTERVAL_TOLERANCE * np.median(steps))
+        if np.median(steps) <= 0.0 or len(gaps):
+            i = int(gaps[0]) if len(gaps) else 0
             raise value_error(
-                f"{name}[{i + 1}]", float(times[i + 1]), f"{allowed}: there is a gap behind {times[i]:g} s"
+                f"{name}[{i + 1}]", float(times[i + 1]), f"{allowed}: there is a gap after {times[i]:g} s"
             )
         set_fields(self, times=times, inputs=self._signals("inputs", count), outputs=self._signals("outputs", count))
         for each in self.inputs:
-            self.head(each)
+            self.channel(each)
         if not self.outputs:
             raise value_error("Measurement.outputs", {}, "at least one")
         for part in ("filters", "gains", "offsets"):
@@ -175,7 +188,7 @@ class Measurement:
             raise value_error("Measurement.settling", self.settling, f"less than {times[-1] - times[0]:g} (s)")
 
     def _signals(self, part: str, count: int) -> dict[str, Array]:
-        """Inputs or outputs as arrays."""
+        """Return inputs or outputs as arrays."""
         given = getattr(self, part)
         if not isinstance(given, Mapping):
             raise value_error(f"Measurement.{part}", given, "a mapping from names to numbers")
@@ -186,8 +199,8 @@ class Measurement:
             name: number_array(f"Measurement.{part}[{name!r}]", each, (count,), allowed) for name, each in given.items()
         }
 
-    def head(self, name: str) -> _InputChannel:
-        """Gives kind and joint of an input; raises ValueError for what is none."""
+    def channel(self, name: str) -> _InputChannel:
+        """Return kind and joint of an input."""
         kind, _, number = name.rpartition("_")
         if kind not in INPUTS or not is_decimal_integer(number) or int(number) == 0:
             allowed = "torque_1, current_1 or motor_angle_1, with the number of the joint from 1"
@@ -202,21 +215,24 @@ class Measurement:
         outputs: Mapping[str, str] | None = None,
         **more: Any,
     ) -> Self:
-        """Read a file with units in its head, such as "time (s),hub (deg)"; see `common.time_series.read_time_series`.
+        """Read a CSV file with units in its header, such as "time (s),hub (deg)"; see `read_time_series`.
 
         Args:
-            path: of the file.
-            inputs: name -> column of the file. One in a unit that is not its own is refused. None for the columns
-                torque_1, current_1 and so on.
-            outputs: name -> column of the file. One whose unit no output of this name has is refused. None for all
-                columns with the name of an output that are no inputs; other columns are warned of (UserWarning).
-            more: filters, gains and so on.
+            path: path of the file.
+            inputs: column by input name; its unit must fit the input. None selects the columns torque_1, current_1 and
+                so on.
+            outputs: column by output name; its unit must fit the output. None selects all columns with the name of an
+                output that are no inputs; a UserWarning names any other columns.
+            **more: other arguments of the class, such as filters and gains.
+
+        Returns:
+            The record.
 
         Raises:
-            FileNotFoundError, ValueError: one line.
+            FileNotFoundError: if the file does not exist.
         """
         record = read_time_series(path)
-        inputs, outputs = _named(record, inputs, outputs)
+        inputs, outputs = _select_columns(record, inputs, outputs)
         signals: list[dict[str, Any]] = []
         for part in (inputs, outputs):
             read = {}
@@ -227,49 +243,50 @@ class Measurement:
         return cls(record.times, signals[0], signals[1], **more)
 
     def part(self, start: float, stop: float) -> Self:
-        """Gives the record from start to stop (s) of its own times."""
-        kept = (self.times >= start) & (self.times <= stop)
-        cut = {part: {name: each[kept] for name, each in getattr(self, part).items()} for part in ("inputs", "outputs")}
-        return replace(self, times=np.asarray(self.times)[kept], inputs=cut["inputs"], outputs=cut["outputs"])
+        """Return the record from start to stop, s, in its own times."""
+        inside = (self.times >= start) & (self.times <= stop)
+        inputs = {name: each[inside] for name, each in self.inputs.items()}
+        outputs = {name: each[inside] for name, each in self.outputs.items()}
+        return replace(self, times=np.asarray(self.times)[inside], inputs=inputs, outputs=outputs)
 
     @property
     def period(self) -> float:
-        """Time from one sample to the next, s."""
+        """Sampling interval, s."""
         return float((self.times[-1] - self.times[0]) / (len(self.times) - 1))
 
     @property
     def compared(self) -> slice:
-        """The samples behind the settling."""
+        """Samples after the settling time."""
         return slice(round(self.settling / self.period), len(self.times))
 
 
-def _named(
+def _select_columns(
     record: TimeSeries, inputs: Mapping[str, str] | None, outputs: Mapping[str, str] | None
 ) -> tuple[Mapping[str, str], Mapping[str, str]]:
-    """Return both mappings; one that is None has the columns with known names that the other leaves."""
+    """Return both mappings; None is replaced by the remaining columns with known names."""
     used = {*(inputs or {}).values(), *(outputs or {}).values()}
-    left = [name for name in record.columns if name not in used]
+    remaining = [name for name in record.columns if name not in used]
     if inputs is None:
-        inputs = {name: name for name in left if DRIVE.fullmatch(name)}
+        inputs = {name: name for name in remaining if INPUT.fullmatch(name)}
     if outputs is None:
-        outputs = {name: name for name in left if OUTPUT.fullmatch(name)}
-        unknown = [name for name in left if not (name in inputs or name in outputs or DRIVE.fullmatch(name))]
+        outputs = {name: name for name in remaining if OUTPUT.fullmatch(name)}
+        unknown = [name for name in remaining if not (name in inputs or name in outputs or INPUT.fullmatch(name))]
         if not outputs:
             allowed = "columns with names such as motor_angle_1 or root_strain_1_y, or outputs={name: column}"
-            raise value_error(f"{record.path.name}: the head", [*record.columns], allowed)
+            raise value_error(f"{record.path.name}: the header", [*record.columns], allowed)
         if unknown:
-            line = f"{record.path.name}: {', '.join(unknown)} not read: no known names, see Measurement.outputs"
+            line = f"{record.path.name}: {', '.join(unknown)} not read: unknown names, see Measurement.outputs"
             warnings.warn(line, UserWarning, stacklevel=3)
     return inputs, outputs
 
 
 def output_unit(name: str) -> str:
-    """Gives the SI unit of an output by its name, or that of an angle where the name says none."""
-    ends = (
+    """Return the SI unit of an output, rad by default."""
+    units = (
         ("acceleration", "m/s^2"), ("specific_force", "m/s^2"), ("deflection_rate", "m/s"), ("deflection", "m"),
         ("strain", "1"), ("tip_velocity", "m/s"), ("tip", "m"), ("rate", "rad/s"),
     )  # fmt: skip
-    return next((unit for part, unit in ends if part in name), "rad")
+    return next((unit for part, unit in units if part in name), "rad")
 
 
 METHOD = "gauss_3"  # of order 4, in lanes: its error stays below that of the data
@@ -277,7 +294,7 @@ STACKED = (
     "time", "tip", "tip_velocity", "joint_angles", "motor_angles", "energy", "moving_energy", "work", "dissipation",
     "states", "deflection",
 )  # fmt: skip
-FELT = {  # column of `kernels.outputs.compute_tip_accelerations` by name
+TIP_ACCELERATIONS = {  # column of `kernels.outputs.compute_tip_accelerations` by name
     f"{name}_{axis}": part.start + i
     for name, part in (("tip_acceleration", layout.TIP_ACCELERATION), ("specific_force", layout.SPECIFIC_FORCE))
     for i, axis in enumerate("xyz")
@@ -285,13 +302,19 @@ FELT = {  # column of `kernels.outputs.compute_tip_accelerations` by name
 
 
 class SimulatedResponse:
-    """How an arm answers the inputs of a measurement.
+    """Simulated response of an arm to the inputs of a measurement.
+
+    Args:
+        arm: the arm.
+        measurement: the measurement.
+        step: time step, s; None for the sampling interval.
+        method: name of the integration method.
 
     Attributes:
-        measurement: what was recorded.
-        scene: the same inputs, for the simulator.
-        method: its name.
-        step: s.
+        measurement: the measurement.
+        method: name of the integration method.
+        step: time step, s.
+        scene: scene with the inputs of the measurement.
     """
 
     def __init__(self, arm: Arm, measurement: Measurement, step: float | None, method: str = METHOD) -> None:
@@ -303,21 +326,23 @@ class SimulatedResponse:
         if measurement.start is not None:
             starts = list(vector("Measurement.start", measurement.start, arm.n_joints, "rad"))
         for name, values in measurement.inputs.items():
-            head = measurement.head(name)
-            if head.joint >= arm.n_joints:
+            channel = measurement.channel(name)
+            if channel.joint >= arm.n_joints:
                 raise value_error("Measurement.inputs", name, f"joints from 1 to {arm.n_joints}")
-            if head.kind == "motor_angle":
-                motions[head.joint] = SampledAngles(times, values, measurement.deviations.get(name, 0.0))  # type: ignore[call-overload]
+            if channel.kind == "motor_angle":
+                deviation = measurement.deviations.get(name, 0.0)
+                motions[channel.joint] = SampledAngles(times, values, deviation)  # type: ignore[call-overload]
             else:
-                torques[:, head.joint] += values * (1.0 if head.kind == "torque" else _per_ampere(arm, head.joint))
-        still = ConstantTorque(np.zeros(arm.n_joints).tolist())
-        kept = np.ones(len(times), dtype=bool)
-        if measurement.hold == "zero":  # a simulation stops at every sample, and only changes matter
-            kept[1:-1] = (np.diff(torques, axis=0)[:-1] != 0.0).any(axis=1)
+                factor = 1.0 if channel.kind == "torque" else _per_ampere(arm, channel.joint)
+                torques[:, channel.joint] += values * factor
+        zero = ConstantTorque(np.zeros(arm.n_joints).tolist())
+        changes = np.ones(len(times), dtype=bool)
+        if measurement.hold == "zero":  # fewer samples: the simulation stops at each of them
+            changes[1:-1] = (np.diff(torques, axis=0)[:-1] != 0.0).any(axis=1)
         self.scene = Scene(
             arm,
             ModelChoice((True,) * arm.n_joints, (1,) * arm.n_joints),
-            SampledTorque(times[kept], torques[kept], measurement.hold) if torques.any() else still,  # type: ignore[arg-type]
+            SampledTorque(times[changes], torques[changes], measurement.hold) if torques.any() else zero,  # type: ignore[arg-type]
             Initial(starts, np.zeros(arm.n_joints).tolist()),
             duration=measurement.period * (len(times) - 1),
             output_step=measurement.period,
@@ -325,42 +350,46 @@ class SimulatedResponse:
         )
 
     def signals(self, model: Model, parameters: Mapping[str, Array]) -> Array:
-        """Gives the outputs (b, c, T) of b arms behind their filters, NaN of an arm that failed.
+        """Simulate b arms.
 
         Args:
-            model: of the arm.
-            parameters: values (b, ...) by their name in `simulation.parameters.PARAMETERS`, at least one.
+            model: model of the arm.
+            parameters: values (b, ...) of at least one parameter, by its name in `simulation.parameters.PARAMETERS`.
+
+        Returns:
+            The filtered outputs (b, c, T), NaN for an arm whose simulation failed.
         """
         count = len(next(iter(parameters.values())))
-        given: dict[str, Any] = dict(parameters)
-        runs = simulate_all([self.scene] * count, model, self.method, self.step, **given)
+        varied: dict[str, Any] = dict(parameters)
+        runs = simulate_all([self.scene] * count, model, self.method, self.step, **varied)
         size, period = len(self.measurement.times), self.measurement.period
-        whole = [run for run in runs if len(run.time) == size]
+        complete = [run for run in runs if len(run.time) == size]
         result = np.full((count, len(self.measurement.outputs), size), np.nan)
-        if not whole:
+        if not complete:
             return result
-        rows: dict[str, Any] = {each: np.concatenate([getattr(run, each) for run in whole]) for each in STACKED}
-        stacked = replace(whole[0], **rows)
-        columns = {head.partition(" (")[0]: values for head, values in stacked.columns().items()}
-        felt = None
+        rows: dict[str, Any] = {each: np.concatenate([getattr(run, each) for run in complete]) for each in STACKED}
+        stacked = replace(complete[0], **rows)
+        columns = {header.partition(" (")[0]: values for header, values in stacked.columns().items()}
+        accelerations = None
         good = [i for i, run in enumerate(runs) if len(run.time) == size]
         for c, name in enumerate(self.measurement.outputs):
-            if name in FELT:
-                felt = self._felt(model, runs, parameters) if felt is None else felt
-                result[:, c] = felt[:, :, FELT[name]]
+            if name in TIP_ACCELERATIONS:
+                if accelerations is None:
+                    accelerations = self._tip_accelerations(model, runs, parameters)
+                result[:, c] = accelerations[:, :, TIP_ACCELERATIONS[name]]
             else:
                 if name not in columns:
-                    near = ", ".join(get_close_matches(name, [*columns, *FELT], 3, 0.0))
+                    near = ", ".join(get_close_matches(name, [*columns, *TIP_ACCELERATIONS], 3, 0.0))
                     raise value_error(
-                        "Measurement.outputs", name, f"a name of Trajectory.columns; the nearest are {near}"
+                        "Measurement.outputs", name, f"a name in Trajectory.columns; the nearest are {near}"
                     )
-                result[good, c] = columns[name].reshape(len(whole), size)
+                result[good, c] = columns[name].reshape(len(complete), size)
             for each in self.measurement.filters.get(name, ()):
                 result[good, c] = each.applied(result[good, c], period)
         return result
 
-    def _felt(self, model: Model, runs: list[Trajectory], parameters: Mapping[str, Array]) -> Array:
-        """Tip accelerations (b, T, TIP_ACCELERATIONS), under the drive up to each sample."""
+    def _tip_accelerations(self, model: Model, runs: list[Trajectory], parameters: Mapping[str, Array]) -> Array:
+        """Return the tip accelerations (b, T, TIP_ACCELERATIONS), under the drive just before each sample."""
         own, size = varied_constants(model, len(runs), parameters), len(self.measurement.times)
         flags = prescribed_flags(model.n_joints, prescribed_joints(self.scene))
         pieces, d = self.scene.pieces, model.n_dof
@@ -379,7 +408,7 @@ class SimulatedResponse:
 
 
 def _per_ampere(arm: Arm, joint: int) -> float:
-    """Torque at a joint for each ampere, N m/A."""
+    """Return the joint torque per current, N m/A."""
     motor = arm.joints[joint].motor
     if motor is None:
         raise value_error(f"Measurement.inputs['current_{joint + 1}']", None, "torques: this joint has no Motor")

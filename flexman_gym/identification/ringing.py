@@ -1,6 +1,4 @@
-"""Ringing: measured frequencies and damping ratios of an arm, and their exact derivatives by its physical
-parameters.
-"""
+"""Ringing: measured frequencies and damping ratios, and their exact derivatives with respect to physical parameters."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,25 +12,30 @@ from flexman_gym.model.model import Model
 from flexman_gym.model.vibration import EquilibriumMatrices, equilibrium_matrices, oscillatory_modes
 from flexman_gym.simulation.parameters import varied_model
 
-FREQUENCY_DEVIATION, DAMPING_DEVIATION = 0.005, 0.1  # parts of a measured frequency and of a damping ratio
+FREQUENCY_DEVIATION = 0.005  # relative standard deviation of a measured frequency
+DAMPING_DEVIATION = 0.1  # relative standard deviation of a measured damping ratio
 KEYS = ("frequencies", "damping", "joint_angles", "lock_joints", "numbers", "deviation", "damping_deviation")
 
 
 @dataclass(frozen=True)
 class Ringing:
-    """Frequencies and damping ratios that were measured at one posture.
+    """Frequencies and damping ratios measured at one posture.
 
     Attributes:
-        frequencies: (k,) Hz, as a ring-down or a spectrum shows them (damped).
-        damping: (k,) damping ratios z of the same, or None; of a logarithmic decrement D, z = D / sqrt(4 pi^2 + D^2).
-        joint_angles: (n,) rad; None for zero.
-        lock_joints: whether the motors were held, else free.
-        numbers: (k,) which vibrations of the model these are, from 0, the lowest first; None for the lowest k.
-        deviation: standard deviation of the frequencies, a part of them.
-        damping_deviation: standard deviation of the damping ratios, a part of them.
+        frequencies: damped frequencies (k,) from a ring-down or a spectrum, Hz.
+        damping: damping ratios (k,) of the same modes, or None. For a logarithmic decrement D the ratio is D / sqrt(4
+            pi^2 + D^2).
+        joint_angles: posture (n,), rad; None for zero.
+        lock_joints: whether the motors were locked during the measurement; otherwise they are free.
+        numbers: numbers (k,) of these modes in the model, from 0 for the lowest frequency; None for the k lowest.
+        deviation: standard deviation of the frequencies as a fraction of them.
+        damping_deviation: standard deviation of the damping ratios as a fraction of them.
 
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+    Examples:
+        >>> ringing = fm.Ringing(frequencies=(1.3, 11.2), damping=(0.008, 0.007), joint_angles=(0.5,))
+        >>> found = fm.fit(fm.catalog.one_joint(), "joint_stiffness", ringing, elements=1)
+        >>> found.frequencies.shape
+        (4, 3)
     """
 
     frequencies: Vector
@@ -58,11 +61,11 @@ class Ringing:
         numbers = range(count) if self.numbers is None else sequence("numbers", self.numbers)
         set_fields(self, numbers=tuple(whole_number("numbers", each, 0, 10**4) for each in numbers))
         if len(self.numbers) != count:  # type: ignore[arg-type]
-            raise value_error("numbers", self.numbers, f"{count}, one for each frequency")
+            raise value_error("numbers", self.numbers, f"{count} mode numbers, one for each frequency")
 
     @property
     def measured(self) -> Array:
-        """Frequencies, then damping ratios where there are, (k,) or (2 k,)."""
+        """Measured frequencies followed by the damping ratios, if any, (k,) or (2 k,)."""
         return np.array([*self.frequencies, *(self.damping or ())])
 
     @property
@@ -71,43 +74,49 @@ class Ringing:
         parts = [self.deviation] * len(self.frequencies) + [self.damping_deviation] * len(self.damping or ())
         return self.measured * parts
 
-    def computed(self, model: Model, parameters: Mapping[str, Array], h: float) -> tuple[Array, Array]:
-        """Gives the same numbers of a model, and their slopes.
+    def predict(self, model: Model, parameters: Mapping[str, Array], h: float) -> tuple[Array, Array]:
+        """Compute the values of `measured` for a model, and their Jacobian.
 
-        A change of mass, damping and stiffness moves an eigenvalue s with shape y by -y (s^2 dM + s dC + dK) y, where
-        y (2 s M + C) y = 1. Masses and stiffness are linear in most parameters, so that their differences are exact.
+        A change of mass M, damping C and stiffness K changes an eigenvalue s with shape y by -y (s^2 dM + s dC + dK) y,
+        where y (2 s M + C) y = 1. M and K are linear in most parameters, so that their differences are exact.
 
         Args:
             model: the model.
-            parameters: values (1 + 2 p, ...) by name: the model's, then p parameters each a little larger and smaller.
-            h: half the distance between these two, in the unit of the slopes.
+            parameters: values (1 + 2 p, ...) by name: those of the model, then p parameters, each increased and
+                decreased.
+            h: half the difference between the increased and the decreased value, in the unit of the Jacobian.
+
+        Returns:
+            Frequencies (k,) or frequencies and damping ratios (2 k,), and their Jacobian with p columns.
         """
         count = len(next(iter(parameters.values())))
         rows = [{name: values[i] for name, values in parameters.items()} for i in range(count)]
-        lanes = [self._resting(varied_model(model, **row)) for row in rows]
-        kept = lanes[0].free if self.lock_joints else np.arange(model.n_dof)
-        found = oscillatory_modes(lanes[0], kept)
+        matrices = [self._equilibrium(varied_model(model, **row)) for row in rows]
+        columns = matrices[0].free if self.lock_joints else np.arange(model.n_dof)
+        found = oscillatory_modes(matrices[0], columns)
         chosen = list(self.numbers or ())
         if len(found.values) <= max(chosen):
             raise value_error(
-                "frequencies", self.frequencies, f"at most {len(found.values)}, as this model has no more"
+                "frequencies",
+                self.frequencies,
+                f"at most {len(found.values)}, the number of modes of this model",
             )
         s, y = found.values[chosen], found.shapes[chosen]
-        slopes = []
-        for ahead, behind in zip(lanes[1::2], lanes[2::2], strict=True):
-            pairs = zip(ahead[:3], behind[:3], strict=True)
-            mass, damping, stiffness = ((a - b)[np.ix_(kept, kept)] / (2.0 * h) for a, b in pairs)
-            moved = -(y * (s[:, None] ** 2 * (y @ mass) + s[:, None] * (y @ damping) + y @ stiffness)).sum(axis=1)
-            ratio = -(moved * np.abs(s) - s * (np.conj(s) * moved).real / np.abs(s)).real / np.abs(s) ** 2
-            slopes.append(self._of(moved.imag / (2.0 * np.pi), ratio))
-        return self._of(s.imag / (2.0 * np.pi), -s.real / np.abs(s)), np.transpose(slopes)
+        jacobian = []
+        for plus, minus in zip(matrices[1::2], matrices[2::2], strict=True):
+            pairs = zip(plus[:3], minus[:3], strict=True)
+            mass, damping, stiffness = ((a - b)[np.ix_(columns, columns)] / (2.0 * h) for a, b in pairs)
+            change = -(y * (s[:, None] ** 2 * (y @ mass) + s[:, None] * (y @ damping) + y @ stiffness)).sum(axis=1)
+            ratio = -(change * np.abs(s) - s * (np.conj(s) * change).real / np.abs(s)).real / np.abs(s) ** 2
+            jacobian.append(self._join(change.imag / (2.0 * np.pi), ratio))
+        return self._join(s.imag / (2.0 * np.pi), -s.real / np.abs(s)), np.transpose(jacobian)
 
-    def _of(self, frequencies: Array, ratios: Array) -> Array:
-        """Frequencies, with damping ratios where they were measured."""
+    def _join(self, frequencies: Array, ratios: Array) -> Array:
+        """Return frequencies, followed by damping ratios if they were measured."""
         return np.append(frequencies, ratios) if self.damping else np.asarray(frequencies)
 
-    def _resting(self, model: Model) -> EquilibriumMatrices:
-        """The arm at rest; without weight it needs not be looked for."""
+    def _equilibrium(self, model: Model) -> EquilibriumMatrices:
+        """Return the matrices of the arm at rest; without gravity the equilibrium is known."""
         angles = np.zeros(model.n_joints) if self.joint_angles is None else self.joint_angles
         if any(model.arm.gravity):
             return equilibrium_matrices(model, angles)

@@ -1,4 +1,4 @@
-"""Scene: an arm and its drive, as a person describes them, and the files that keep them."""
+"""Scene: descriptions of an arm, its drive and its initial state, and their files."""
 
 from flexman_gym.scene import catalog
 from flexman_gym.scene.arm import Arm

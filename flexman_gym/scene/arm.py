@@ -20,26 +20,32 @@ from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link, NonUniformLink
 from flexman_gym.scene.rigid_body import LumpedMass, Payload
 
+# Limits beyond which a value is probably in a wrong unit.
 MAX_GRAVITY = 300.0  # m/s^2
-MAX_MASS_RATIO, MAX_REACH_RATIO = 100.0, 20.0  # of a carried body to the links: mass, and distance to their length
+MAX_MASS_RATIO = 100.0  # mass of a lumped mass or payload over the mass of the links
+MAX_REACH_RATIO = 20.0  # distance of its centre of mass, or its radius of gyration, over the length of the links
 
 
 @check_keywords
 @dataclass(frozen=True)
 class Arm:
-    """A serial arm on a fixed base: joint i turns link i, joint i + 1 sits on the tip of link i.
+    """Serial arm of links and revolute joints on a fixed base.
+
+    Joint i drives link i, and joint i + 1 is mounted at the tip of link i.
 
     Attributes:
-        links: n of Link or NonUniformLink, base to tip; stored as a tuple.
-        joints: n of Joint; stored as a tuple.
-        payload: Payload at the last tip. A payload without mass is stored as None, as it is the same arm.
-        gravity: (3,) acceleration of gravity in the base frame, m/s^2.
-        stiffness_proportional_damping: beta in C = beta K of every link, s.
-        modal_damping_ratio: damping ratio of every mode of a link, 0 <= ratio < 1; one number, or (n,) for each link.
+        links: n instances of Link or NonUniformLink, from base to tip; stored as a tuple.
+        joints: n instances of Joint; stored as a tuple.
+        payload: Payload at the tip of the last link, or None. A payload of zero mass is stored as None, because both
+            describe the same arm.
+        gravity: acceleration of gravity (3,) in the base frame, m/s^2.
+        stiffness_proportional_damping: coefficient beta of the damping C = beta K of every link, s; not negative.
+        modal_damping_ratio: damping ratio of every mode of a link, at least 0 and less than 1; one number for all
+            links, or (n,).
 
     Raises:
-        ValueError: when there is no link, when links and joints differ in number or hold something else, when gravity
-            is not three finite numbers, and when a damping is outside its range.
+        ValueError: for an arm without links, for different numbers of links and joints, and for a value outside its
+            range.
 
     Examples:
         >>> joint = fm.Joint((0, 0, 1), rotor_inertia=0.01, stiffness=30.0)
@@ -75,9 +81,9 @@ class Arm:
             raise value_error("Arm.payload", self.payload, "a Payload or None")
         if self.payload == Payload(0.0):
             set_fields(self, payload=None)
-        self._warn_of_slips()
+        self._warn_of_wrong_units()
 
-    def _warn_of_slips(self) -> None:
+    def _warn_of_wrong_units(self) -> None:
         warn_unusual_units("Arm", vars(self))
         _warn_of_gravity(tuple(self.gravity))
         length = sum(link.length for link in self.links)
@@ -93,51 +99,51 @@ class Arm:
             _warn_of_loads(name, each.mass, each.inertia, each.offset, (beams, length))
 
     def _checked_ratio(self) -> float | Vector:
-        """One damping ratio, or one for each link."""
-        given, field = self.modal_damping_ratio, "Arm.modal_damping_ratio"
-        several = isinstance(given, list | tuple) or getattr(given, "ndim", 0) > 0
-        ratios = vector(field, given, len(self.links)) if several else (non_negative(field, given),)
+        """Return the modal damping ratio as one number, or as a tuple with one number for each link."""
+        value, field = self.modal_damping_ratio, "Arm.modal_damping_ratio"
+        several = isinstance(value, list | tuple) or getattr(value, "ndim", 0) > 0
+        ratios = vector(field, value, len(self.links)) if several else (non_negative(field, value),)
         if not all(0.0 <= ratio < 1.0 for ratio in ratios):
-            raise value_error(field, given, "numbers >= 0 and < 1" if several else "a number >= 0 and < 1")
+            raise value_error(field, value, "numbers >= 0 and < 1" if several else "a number >= 0 and < 1")
         return ratios if several else ratios[0]
 
     @property
     def damping_ratios(self) -> tuple[float, ...]:
-        """The modal damping ratio of each link, (n,)."""
+        """Modal damping ratio of each link, (n,)."""
         ratio = self.modal_damping_ratio
         return ratio if isinstance(ratio, tuple) else (float(ratio),) * self.n_joints  # type: ignore[arg-type]
 
     @property
     def n_joints(self) -> int:
-        """Number of joints, equal to the number of links."""
+        """Number n of joints, which equals the number of links."""
         return len(self.joints)
 
 
 def _warn_of_loads(name: str, mass: float, inertia: Any, offset: Any, arm: tuple[float, float]) -> None:
-    """Warn (UserWarning) of a body that is far too heavy or too large for an arm.
+    """Warn (UserWarning) of a body whose mass or size is out of proportion to its arm.
 
     Args:
-        name: of the body.
-        mass: kg.
-        inertia: (3, 3) kg m^2, None where there is none.
-        offset: (3,) m, None where there is none.
-        arm: mass of its links (kg) and their length (m).
+        name: field of the body, for the message.
+        mass: mass of the body, kg.
+        inertia: inertia matrix (3, 3), kg m^2, or None.
+        offset: position (3,) of the centre of mass, m, or None.
+        arm: total mass (kg) and total length (m) of the links.
     """
     size = math.sqrt(max(inertia[i][i] for i in range(3)) / mass) if inertia is not None and mass > 0.0 else 0.0
-    away = max(map(abs, offset)) if offset is not None else 0.0
+    distance = max(map(abs, offset)) if offset is not None else 0.0
     if mass > MAX_MASS_RATIO * arm[0]:
-        said = f"{name}.mass: {mass:g} (kg) is {mass / arm[0]:.3g} times what the links weigh, a slip of units; in g?"
-    elif away > MAX_REACH_RATIO * arm[1]:
-        said = f"{name}.offset: {away:g} (m) is far beyond an arm of {arm[1]:g} m, a slip of units; was it in mm?"
+        line = f"{name}.mass: {mass:g} (kg) is {mass / arm[0]:.3g} times the mass of the links; wrong unit? is it in g?"
+    elif distance > MAX_REACH_RATIO * arm[1]:
+        line = f"{name}.offset: {distance:g} (m) is far beyond an arm of {arm[1]:g} m; wrong unit? is it in mm?"
     elif size > MAX_REACH_RATIO * arm[1]:
-        said = f"{name}.inertia: the body would reach {size:.3g} m, a slip of units; was it in g cm^2 or kg mm^2?"
+        line = f"{name}.inertia: its radius of gyration is {size:.3g} m; wrong unit? is it in g cm^2 or kg mm^2?"
     else:
         return
-    warn_caller(said)
+    warn_caller(line)
 
 
 def _warn_of_gravity(gravity: tuple[float, ...]) -> None:
-    """Warn (UserWarning) of a gravity (m/s^2) that no place has where arms are."""
+    """Warn (UserWarning) of a gravity (3,) m/s^2 beyond MAX_GRAVITY."""
     size = math.hypot(*gravity)
     if size > MAX_GRAVITY:
-        warn_caller(f"Arm.gravity: {size:g} (m/s^2) looks like a slip of units; was it in mm/s^2? 9810 mm/s^2 are 9.81")
+        warn_caller(f"Arm.gravity: {size:g} (m/s^2) is unusual; wrong unit? is it in mm/s^2? 9810 mm/s^2 are 9.81")

@@ -1,10 +1,12 @@
-"""Catalog: named arms and scenes, each with its source.
+"""Catalog: named arms and scenes, with their sources.
 
-Each named arm is a file in scene/arms, in the plain form of an arm file, with its options; a new arm needs such a file
-and an entry here. `fm.catalog.NAME(...)` returns an Arm, `paper_scene` a Scene, in SI units: m, kg, s, rad, N m; second
-moments of area in m^4, stiffness of joints in N m/rad, damping in N m s/rad, rotor inertia in kg m^2, gravity in m/s^2.
-Frequencies (Hz) are those of the model: `fm.frequencies(fm.build_model(fm.catalog.one_link()))`. `flexman list arms`
-prints the names, `help(fm.catalog.paper_rrr)` prints the options of an arm and its source.
+Each named arm is a YAML file in scene/arms, in the plain form of an arm file, together with its options; to add an arm,
+write such a file and add an entry here. `fm.catalog.NAME(...)` returns an Arm and `paper_scene` returns a Scene, in SI
+units: m, kg, s, rad, N m, m^4 (second moments of area), N m/rad (joint stiffness), N m s/rad (joint damping), kg m^2
+(rotor inertia) and m/s^2 (gravity).
+
+The frequencies (Hz) of an arm are those of its model: `fm.frequencies(fm.build_model(fm.catalog.one_link()))`. `flexman
+list arms` prints the names, and `help(fm.catalog.paper_rrr)` prints the options of an arm and its source.
 """
 
 from flexman_gym.common.checks import one_of
@@ -54,7 +56,7 @@ TOOL = Payload(0.1)
 LIGHT_TOOL = Payload(0.05)
 """Payload of `one_joint`, 0.05 kg."""
 
-_PAPER_CASES = {  # case: (flexible links, flexible joints)
+_PAPER_CASES = {  # case -> flexible links, flexible joints
     "rr": (False, False),
     "fr": (True, False),
     "ff": (True, True),
@@ -62,16 +64,17 @@ _PAPER_CASES = {  # case: (flexible links, flexible joints)
 
 
 def paper_scene(case: str = "ff") -> Scene:
-    """Builds a scene of the paper: `paper_rrr` from rest at zero angles under 400 N m at each joint, for 2 s.
+    """Build a scene of the paper: `paper_rrr` from rest at zero angles under 400 N m at each joint, for 2 s.
 
-    It has two elements a link, as in the paper. The paper leaves pose and duration to its figures; the scene has our
-    reading of them. The output step of 0.01 s is our choice too.
+    The model has two finite elements per link, as in the paper. The paper shows pose and duration in figures only; both
+    are read from there. The output step of 0.01 s is our choice.
 
     Args:
-        case: "rr" rigid links and joints, "fr" flexible links and rigid joints, "ff" flexible links and joints.
+        case: "rr" for rigid links and joints, "fr" for flexible links and rigid joints, "ff" for flexible links and
+            joints.
 
-    Raises:
-        ValueError: for another `case`.
+    Returns:
+        The scene, ready for `fm.simulate`.
     """
     flexible_links, flexible_joints = _PAPER_CASES[one_of("case", case, _PAPER_CASES)]
     return Scene(

@@ -13,27 +13,27 @@ from flexman_gym.common.checks import value_error
 
 Part = TypeVar("Part")
 
-_REVOLUTE = "nothing: every joint is revolute; for prismatic and other joints take MuJoCo, Drake or Pinocchio"
-_SERIAL = "nothing: an arm is one serial chain, in the order of its links; for trees and loops take MuJoCo or Drake"
+_REVOLUTE = "nothing: every joint is revolute; for prismatic and other joints use MuJoCo, Drake or Pinocchio"
+_SERIAL = "nothing: an arm is a serial chain in the order of its links; for trees and loops use MuJoCo or Drake"
 _FIXED = (
-    "nothing: the base of an arm is fixed, or has a given motion, fm.Scene(base_acceleration=...); for a free base "
-    "take MuJoCo or Drake"
+    "nothing: the base of an arm is fixed, or has a prescribed motion, fm.Scene(base_acceleration=...); for a free "
+    "base use MuJoCo or Drake"
 )
 _CONTACT = (
-    "nothing: arms touch nothing, a force on the tip may be given as tip_force; for contact take MuJoCo (flexman "
+    "nothing: contact is not modelled, a force on the tip is set by tip_force; for contact use MuJoCo (flexman "
     "export mujoco) or Drake"
 )
 _SHAPE = "it to fm.Link.strip, fm.Link.tube or fm.Link.rod, which compute a section from sizes and a material"
 _RUN = "it to fm.simulate(scene, method=..., step=...)"
 _LIMITS = "fm.Limits(angle=...) to an environment: a joint turns without stops"
 
-# Class -> keyword -> what may be given instead, behind the word "give".
+# Class -> keyword -> advice, which follows the word "give" in the error.
 FOREIGN_KEYWORDS: dict[str, dict[str, str]] = {
     "Joint": {
         **dict.fromkeys(("kind", "type", "joint_type", "prismatic"), _REVOLUTE),
         **dict.fromkeys(("limits", "limit", "range", "lower", "upper"), _LIMITS),
         **dict.fromkeys(("parent", "child"), _SERIAL),
-        "backlash": "nothing: a gear is a linear spring and a damper with friction; for backlash take Modelica "
+        "backlash": "nothing: a gear is a linear spring and a damper with friction; for backlash use Modelica "
         "(ElastoBacklash)",
         "friction": "viscous_friction (N m s/rad) or coulomb_friction (N m)",
         "gear_ratio": "motor=fm.Motor(gear_ratio=..., torque_constant=..., rotor_inertia=...)",
@@ -55,17 +55,17 @@ FOREIGN_KEYWORDS: dict[str, dict[str, str]] = {
     },
     "Link": dict.fromkeys(("material", "width", "thickness", "diameter", "radius", "wall"), _SHAPE),
 }
-# Class -> member that it does not have -> what to do instead.
+# Class -> attribute that it does not have -> advice.
 ABSENT_MEMBERS = {
     "Arm": {
-        "from_urdf": "a URDF has rigid bodies, without sections and springs; build fm.Arm(links, joints), or take "
+        "from_urdf": "a URDF has rigid bodies, without sections and springs; build fm.Arm(links, joints), or use "
         "Pinocchio, MuJoCo or Drake for its rigid arm"
     }
 }
 
 
 class _AbsentMember:
-    """A member that a class does not have: reading it raises an AttributeError with one line."""
+    """Missing attribute of a class; reading it raises an AttributeError with an explanation."""
 
     def __init__(self, line: str) -> None:
         self._line = line
@@ -74,13 +74,11 @@ class _AbsentMember:
         raise AttributeError(self._line)
 
 
-def keyword_hint(kind: str, name: str) -> str:
-    """Return what may be given in place of a keyword of a class, "" for one that is not in the table."""
-    return FOREIGN_KEYWORDS.get(kind, {}).get(name, "")
-
-
 def check_keywords(kind: type[Part]) -> type[Part]:
-    """Let the constructor of a dataclass answer unknown keywords, by a TypeError of one line; its signature stays."""
+    """Wrap the constructor of a dataclass so that unknown keywords raise a TypeError of one line with advice.
+
+    The signature of the constructor is preserved.
+    """
     construct: Callable[..., None] = kind.__init__
     known = [field.name for field in fields(kind)]  # type: ignore[arg-type]
 
@@ -90,7 +88,7 @@ def check_keywords(kind: type[Part]) -> type[Part]:
             if name not in known:
                 near = get_close_matches(name, known, 1, 0.0)[0]
                 nearest = f"a known keyword: the nearest is {near}; all: {' '.join(known)}"
-                allowed = keyword_hint(kind.__name__, name) or nearest
+                allowed = FOREIGN_KEYWORDS.get(kind.__name__, {}).get(name) or nearest
                 raise TypeError(str(value_error(f"{kind.__name__}.{name}", value, allowed)))
         construct(self, *values, **named)
 
@@ -100,7 +98,7 @@ def check_keywords(kind: type[Part]) -> type[Part]:
     return kind
 
 
-# least and most of what is usual with room to spare, and what is often given in its place
+# Field -> smallest and largest usual value with a wide margin, unit, units often used by mistake.
 USUAL_RANGES: dict[str, tuple[float, float, str, str]] = {
     "Link.length": (1e-3, 100.0, "m", "mm"),
     "Link.youngs_modulus": (1e5, 2e12, "Pa", "GPa or MPa; 69 GPa is 69e9"),
@@ -116,28 +114,28 @@ USUAL_RANGES: dict[str, tuple[float, float, str, str]] = {
     "control_period": (0.0, 1.0, "s", "ms"),
     "horizon": (0.0, 300.0, "s", "steps; 500 steps of 0.02 s are 10 s"),
 }
-OWN = ("flexman_gym", "gymnasium")  # packages whose lines are not the cause of a slip
+OWN_PACKAGES = ("flexman_gym", "gymnasium")  # packages skipped in the search for the caller
 
 
 def warn_unusual_units(owner: str, values: Mapping[str, Any]) -> None:
-    """Warn (UserWarning) of the first of some values by name that is not usual, in one line.
+    """Warn (UserWarning) in one line of the first value outside its usual range.
 
     Args:
-        owner: whose values they are, such as "Link"; "" for none.
-        values: numbers by name; others and None are left alone.
+        owner: class of the values, such as "Link", or "" for none.
+        values: numbers by field name; all values except floats are ignored.
     """
     for name, value in values.items():
         field = f"{owner}.{name}".removeprefix(".")
-        least, most, unit, other = USUAL_RANGES.get(field, (-math.inf, math.inf, "", ""))
-        if isinstance(value, float) and not least <= value <= most:
-            usual = f"at most {most:g}" if value > most else f"at least {least:g}"
-            warn_caller(f"{field}: {value:g} ({unit}) looks like a slip of units, usual is {usual}; was it in {other}?")
+        low, high, unit, hint = USUAL_RANGES.get(field, (-math.inf, math.inf, "", ""))
+        if isinstance(value, float) and not low <= value <= high:
+            usual = f"at most {high:g}" if value > high else f"at least {low:g}"
+            warn_caller(f"{field}: {value:g} ({unit}) is unusual, expected {usual}; wrong unit ({hint})?")
             return
 
 
 def warn_caller(line: str) -> None:
-    """Warn (UserWarning) with the line of the first caller outside this package and Gymnasium."""
+    """Issue a UserWarning at the line of the first caller outside this package and Gymnasium."""
     frame, depth = sys._getframe(1), 2
-    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in OWN:
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in OWN_PACKAGES:
         frame, depth = frame.f_back, depth + 1
     warnings.warn(line, UserWarning, stacklevel=depth)

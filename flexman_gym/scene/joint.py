@@ -1,4 +1,4 @@
-"""Revolute joints, rigid or elastic, and the geared motors that drive them."""
+"""Joints: rigid or elastic revolute joints, and the geared motors that drive them."""
 
 import math
 from dataclasses import dataclass
@@ -11,20 +11,21 @@ from flexman_gym.scene.input_checks import check_keywords, warn_unusual_units
 @check_keywords
 @dataclass(frozen=True)
 class Motor:
-    """A motor that turns a joint through a gear; its own numbers are those of its shaft, before the gear.
+    """Motor with a gear that drives a joint.
+
+    The values refer to the motor shaft, before the gear.
 
     Attributes:
-        gear_ratio: turns of the motor for one turn of the joint; 1 without a gear.
-        torque_constant: torque of the motor for each ampere, N m/A.
-        rotor_inertia: of the rotor, and of what turns with it before the gear, kg m^2.
-        current_limit: A; None where it is unknown.
-        speed_limit: of the motor, rad/s; None where it is unknown.
-        efficiency: part of the torque that the gear passes on, > 0 and at most 1.
-        encoder_resolution: angle of the motor between two counts of its encoder, rad; None without one.
+        gear_ratio: turns of the motor per turn of the joint; 1 without a gear.
+        torque_constant: motor torque per current, N m/A.
+        rotor_inertia: inertia of the rotor and the parts rotating with it before the gear, kg m^2; may be 0.
+        current_limit: largest current, A; None if unknown.
+        speed_limit: largest speed of the motor, rad/s; None if unknown.
+        efficiency: fraction of the torque transmitted by the gear, greater than 0 and at most 1.
+        encoder_resolution: motor angle per count of the encoder, rad; None without an encoder.
 
     Raises:
-        ValueError: for a number that is not from 1e-30 to 1e30 (the rotor inertia may be 0), and for an efficiency
-            outside its range.
+        ValueError: for a number outside 1e-30 to 1e30 and for an efficiency outside its range.
 
     Examples:
         >>> motor = fm.Motor(gear_ratio=100, torque_constant=0.05, rotor_inertia=2e-6, current_limit=1.5)
@@ -44,7 +45,7 @@ class Motor:
     def __post_init__(self) -> None:
         set_fields(
             self,
-            gear_ratio=physical("Motor.gear_ratio", self.gear_ratio, "turns of the motor for one of the joint"),
+            gear_ratio=physical("Motor.gear_ratio", self.gear_ratio, "turns of the motor per turn of the joint"),
             torque_constant=physical("Motor.torque_constant", self.torque_constant, "N m/A"),
             rotor_inertia=physical("Motor.rotor_inertia", self.rotor_inertia, "kg m^2", zero=True),
             efficiency=physical("Motor.efficiency", self.efficiency),
@@ -59,54 +60,55 @@ class Motor:
 
     @property
     def reflected_inertia(self) -> float:
-        """Inertia of the rotor as the joint feels it, gear_ratio^2 rotor_inertia, kg m^2."""
+        """Rotor inertia reflected to the joint, gear_ratio^2 rotor_inertia, kg m^2."""
         return self.gear_ratio**2 * self.rotor_inertia
 
     @property
     def torque_per_ampere(self) -> float:
-        """Torque at the joint for each ampere, gear_ratio torque_constant efficiency, N m/A."""
+        """Joint torque per current, gear_ratio torque_constant efficiency, N m/A."""
         return self.gear_ratio * self.torque_constant * self.efficiency
 
     @property
     def joint_torque_limit(self) -> float | None:
-        """The most torque at the joint, N m; None without a current limit."""
+        """Largest torque at the joint, N m; None without a current limit."""
         return None if self.current_limit is None else self.torque_per_ampere * self.current_limit
 
     @property
     def joint_speed_limit(self) -> float | None:
-        """The most speed of the joint, rad/s; None without a speed limit."""
+        """Largest speed of the joint, rad/s; None without a speed limit."""
         return None if self.speed_limit is None else self.speed_limit / self.gear_ratio
 
     @property
     def joint_resolution(self) -> float | None:
-        """Angle of the joint between two counts of the encoder, rad; None without one."""
+        """Joint angle per count of the encoder, rad; None without an encoder."""
         return None if self.encoder_resolution is None else self.encoder_resolution / self.gear_ratio
 
 
 @check_keywords
 @dataclass(frozen=True)
 class Joint:
-    """A revolute joint: a rotor that turns the link behind it directly, or through a spring and a damper (Eq. 23).
+    """Revolute joint: a rotor that drives its link directly, or through a spring and a damper (Eq. 23).
 
     Attributes:
-        axis: (3,) unit vector in the frame of the previous link's tip; for the first joint, in the base frame. It is
-            not normalised.
-        rotor_inertia: about the axis, on the link's side of any gear, kg m^2.
-        stiffness: of the spring between rotor and link, N m/rad; None for a rigid joint.
-        damping: of the damper parallel to that spring, N m s/rad.
-        viscous_friction: of the rotor in its bearings and gear, N m s/rad; of the link where the joint is rigid.
-        coulomb_friction: of the rotor in its bearings and gear, N m. It opposes the rate r of the rotor with the torque
-            coulomb_friction tanh(r / coulomb_rate).
-        coulomb_rate: rate at which the Coulomb friction has reached three quarters of its full size, rad/s.
-        torque_limit: the most that the motor gives, N m; None where it is unknown. Environments scale actions by it; a
-            simulation applies any torque that it is given.
-        motor: a Motor with its gear; None where the numbers above say what it does. Its `reflected_inertia` becomes the
-            rotor_inertia and its `joint_torque_limit` the torque_limit, which are then left out.
+        axis: unit vector (3,) in the tip frame of the previous link, or in the base frame for the first joint. Its
+            length must be 1 within 1e-9; it is not normalised.
+        rotor_inertia: inertia about the axis on the link side of any gear, kg m^2. An elastic joint needs one, because
+            the coordinate of its rotor would have no mass.
+        stiffness: stiffness of the spring between rotor and link, N m/rad; None for a rigid joint.
+        damping: damping of a damper parallel to this spring, N m s/rad; 0 for a rigid joint.
+        viscous_friction: viscous friction of the rotor in its bearings and gear, or of the link in a rigid joint, N m
+            s/rad.
+        coulomb_friction: Coulomb friction of the rotor in its bearings and gear, N m. It opposes the rate r of the
+            rotor with the torque coulomb_friction tanh(r / coulomb_rate).
+        coulomb_rate: rate at which the Coulomb friction has reached three quarters of its full value, rad/s.
+        torque_limit: largest torque of the motor, N m; None if unknown. Environments scale actions by it; a simulation
+            applies any torque without a limit.
+        motor: Motor with its gear, or None. Its `reflected_inertia` then defines rotor_inertia and its
+            `joint_torque_limit` defines torque_limit, so leave out both.
 
     Raises:
-        ValueError: for an axis whose length is not 1 within 1e-9, for a number that is negative or not finite, for a
-            damper without a spring, for a spring without a rotor (its coordinate would have no mass), and for a rotor
-            inertia or a torque limit beside a motor that says another one.
+        ValueError: for a value outside its range, for a damper without a spring, for a spring without a rotor inertia,
+            and for a rotor inertia or torque limit in contradiction to the motor.
 
     Examples:
         >>> fm.Joint((0, 0, 1), rotor_inertia=0.01, stiffness=30.0).axis
@@ -149,28 +151,24 @@ class Joint:
         warn_unusual_units("Joint", vars(self))
 
     def _take_from_motor(self, motor: Motor) -> None:
-        """Takes rotor inertia and torque limit from the motor; a copy of a joint gives them once more."""
+        """Set rotor inertia and torque limit from the motor; equal values, as in a copy of a joint, are accepted."""
         inertia, limit = motor.reflected_inertia, motor.joint_torque_limit
         if self.rotor_inertia not in (0.0, inertia):
-            allowed = f"nothing beside a motor, whose rotor gives the joint {inertia:.6g} (kg m^2)"
+            allowed = f"none together with a motor, whose rotor inertia at the joint is {inertia:.6g} (kg m^2)"
             raise value_error("Joint.rotor_inertia", self.rotor_inertia, allowed)
         if self.torque_limit not in (None, limit) and limit is not None:
-            allowed = f"nothing beside a motor with a current limit, which gives {limit:.6g} (N m)"
+            allowed = f"none together with a motor with a current limit, which sets {limit:.6g} (N m)"
             raise value_error("Joint.torque_limit", self.torque_limit, allowed)
         set_fields(self, rotor_inertia=inertia, torque_limit=self.torque_limit if limit is None else limit)
 
     @property
     def speed_limit(self) -> float | None:
-        """The most speed that its motor gives the joint, rad/s; None where it is unknown."""
+        """Largest speed of the joint, as limited by its motor, rad/s; None if unknown."""
         return None if self.motor is None else self.motor.joint_speed_limit
 
 
 def _unit_vector(name: str, value: object) -> tuple[float, ...]:
-    """Return a (3,) vector of length 1 within 1e-9 as a tuple of floats; it is not normalised.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Return a (3,) vector of length 1 within 1e-9 as a tuple of floats, without normalising it."""
     entries = vector(name, value, 3)
     length = math.hypot(*entries)
     if not abs(length - 1.0) <= UNIT_TOLERANCE:

@@ -1,4 +1,4 @@
-"""Links: cross-sections and materials, uniform and stepped beams, and the lumped masses clamped to them."""
+"""Links: cross-sections, materials, uniform and stepped beams, and their lumped masses."""
 
 import math
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ from flexman_gym.scene.input_checks import check_keywords, warn_caller, warn_unu
 from flexman_gym.scene.rigid_body import LumpedMass
 
 SHAPES = ("strip", "tube", "rod")
-ACROSS = {"y": "z", "z": "y"}
-MATCHING = 1e-6  # part by which the numbers of a link may differ from those of its outline
-TERMS = 60  # of the series for a rectangle, whose rest is below rounding from some 30 on
+OTHER_AXIS = {"y": "z", "z": "y"}
+OUTLINE_TOLERANCE = 1e-6  # largest relative difference between the values of a link and those of its outline
+SERIES_TERMS = 60  # of the torsion constant of a rectangle; the remainder is below rounding from about 30 terms on
 
 
 class _Material(NamedTuple):
-    """What a link is made of: Young's modulus and shear modulus in Pa, density in kg/m^3."""
+    """Young's modulus and shear modulus (Pa) and density (kg/m^3) of a link."""
 
     youngs_modulus: float
     shear_modulus: float
@@ -42,14 +42,11 @@ MATERIALS = {
 
 
 def _find_material(value: object) -> _Material:
-    """Return a material by its name, or by its three numbers as a list or a mapping.
+    """Return a material given by name, or by its three numbers as a list or a mapping.
 
-    The names are typical alloys with the numbers of the data sheets of ASM (Aerospace Specification Metals): aluminium
-    6061-T6 (68.9 GPa, 26 GPa, 2700 kg/m^3), steel 4130 (205 GPa, 80 GPa, 7850 kg/m^3) and titanium Ti-6Al-4V (113.8
-    GPa, 44 GPa, 4430 kg/m^3). A measured modulus is better than any of them.
-
-    Raises:
-        ValueError: for another name, and for anything but three numbers from 1e-30 to 1e30.
+    The names stand for typical alloys with values from the data sheets of ASM (Aerospace Specification Metals):
+    aluminium 6061-T6 (68.9 GPa, 26 GPa, 2700 kg/m^3), steel 4130 (205 GPa, 80 GPa, 7850 kg/m^3) and titanium Ti-6Al-4V
+    (113.8 GPa, 44 GPa, 4430 kg/m^3). Prefer a measured modulus to any of them.
     """
     if isinstance(value, str):
         return MATERIALS[one_of("Link.material", value, MATERIALS)]
@@ -66,15 +63,13 @@ def _find_material(value: object) -> _Material:
 
 @dataclass(frozen=True)
 class Outline:
-    """The outline of a cross-section, centred on the axis of its link, in the link's own y and z.
+    """Outline of a cross-section, centred on the axis of its link, along the y and z axes of the link.
 
     Attributes:
-        shape: "strip", a rectangle; "tube" or "rod", hollow and solid and round.
-        y, z: its outer sizes along y and z, m; equal for a round one.
-        wall: thickness of the wall of a tube, m; None for the others.
-
-    Raises:
-        ValueError: for another shape, for sizes that are not positive, and for a wall that does not fit.
+        shape: "strip" (rectangle), "tube" (hollow circle) or "rod" (solid circle).
+        y: outer size along y, m.
+        z: outer size along z, m; equal to y for a tube or rod.
+        wall: wall thickness of a tube, m, at most half of its diameter; None for the other shapes.
     """
 
     shape: str
@@ -96,43 +91,43 @@ class Outline:
 
     @property
     def hollow(self) -> float:
-        """Diameter of the hole of a tube, m; 0 for the others."""
+        """Inner diameter of a tube, m; 0 for the other shapes."""
         return self.y - 2.0 * self.wall if self.wall else 0.0
 
     @property
     def area(self) -> float:
-        """Area, m^2."""
+        """Area of the cross-section, m^2."""
         if self.shape == "strip":
             return self.y * self.z
         return math.pi / 4.0 * (self.y + self.hollow) * (self.y - self.hollow)
 
     @property
     def second_moment_y(self) -> float:
-        """Integral of z^2 over the area, m^4."""
+        """Second moment of area about y, the integral of z^2 over the area, m^4."""
         return self.area * (self.z**2 / 12.0 if self.shape == "strip" else (self.y**2 + self.hollow**2) / 16.0)
 
     @property
     def second_moment_z(self) -> float:
-        """Integral of y^2 over the area, m^4."""
+        """Second moment of area about z, the integral of y^2 over the area, m^4."""
         return self.area * (self.y**2 / 12.0 if self.shape == "strip" else (self.y**2 + self.hollow**2) / 16.0)
 
     @property
     def torsion_constant(self) -> float:
         """Torsion constant J of St Venant, m^4.
 
-        That of a rectangle is the series of Timoshenko and Goodier (Theory of Elasticity, article on the torsion of
-        rectangular bars); that of a round section is its polar moment.
+        For a rectangle it is the series of Timoshenko and Goodier (Theory of Elasticity, article on the torsion of
+        rectangular bars); for a round section it is the polar moment of area.
         """
         if self.shape != "strip":
             return 2.0 * self.second_moment_y
         thin, wide = sorted((self.y, self.z))
-        odd = range(1, 2 * TERMS, 2)
-        lost = sum(math.tanh(n * math.pi * wide / (2.0 * thin)) / n**5 for n in odd)
-        return wide * thin**3 * (1.0 - 192.0 * thin * lost / (math.pi**5 * wide)) / 3.0
+        odd = range(1, 2 * SERIES_TERMS, 2)
+        series = sum(math.tanh(n * math.pi * wide / (2.0 * thin)) / n**5 for n in odd)
+        return wide * thin**3 * (1.0 - 192.0 * thin * series / (math.pi**5 * wide)) / 3.0
 
     @property
-    def words(self) -> str:
-        """Its sizes in plain words, and for a strip which way it is thin."""
+    def description(self) -> str:
+        """Description of the sizes, and of the thin direction of a strip."""
         if self.shape != "strip":
             return f"{self.y:g} m across" + (f", wall {self.wall:g} m" if self.wall else "")
         sizes = f"{self.y:g} m along y, {self.z:g} m along z"
@@ -143,24 +138,16 @@ class Outline:
 
 
 def _strip_outline(width: float, thickness: float, thin: str) -> Outline:
-    """Return the outline of a strip that is thin along "y" or "z".
-
-    Raises:
-        ValueError: for sizes that are not positive, a thickness above the width, and another axis.
-    """
+    """Return the outline of a strip, thin along "y" or "z", from its width and thickness in m."""
     width, thickness = physical("Link.width", width, "m"), physical("Link.thickness", thickness, "m")
     if thickness > width:
-        raise value_error("Link.thickness", thickness, f"at most the width {width} (m); thin says which way it is thin")
-    sizes = {one_of("Link.thin", thin, ACROSS): thickness, ACROSS[thin]: width}
+        raise value_error("Link.thickness", thickness, f"at most the width {width} (m); thin sets its direction")
+    sizes = {one_of("Link.thin", thin, OTHER_AXIS): thickness, OTHER_AXIS[thin]: width}
     return Outline("strip", sizes["y"], sizes["z"])
 
 
 def _round_outline(diameter: float, wall: float | None = None) -> Outline:
-    """Return the outline of a rod, or of a tube with a wall.
-
-    Raises:
-        ValueError: for sizes that are not positive, and for a wall above half of the diameter.
-    """
+    """Return the outline of a rod of a diameter (m), or of a tube with this outer diameter and a wall thickness (m)."""
     diameter = physical("Link.diameter", diameter, "m")
     if wall is None:
         return Outline("rod", diameter, diameter)
@@ -170,27 +157,19 @@ def _round_outline(diameter: float, wall: float | None = None) -> Outline:
 
 
 def _check_outline(outline: object, numbers: dict[str, float]) -> None:
-    """Raise a ValueError for an outline that has not the area and the second moments of area of its link.
-
-    Raises:
-        ValueError: one line with the first number that differs; also for something else than an Outline.
-    """
+    """Check that an outline has the area and the second moments of area of its link."""
     own = instance("Link.outline", outline, Outline, "an Outline or None")
     for name in ("area", "second_moment_y", "second_moment_z"):
-        if not math.isclose(numbers[name], getattr(own, name), rel_tol=MATCHING):
-            allowed = f"{getattr(own, name):.6g}, that of its outline, or the link without an outline"
+        if not math.isclose(numbers[name], getattr(own, name), rel_tol=OUTLINE_TOLERANCE):
+            allowed = f"{getattr(own, name):.6g}, the value of its outline, or a link without an outline"
             raise value_error(f"Link.{name}", numbers[name], allowed)
 
 
-MAX_MASSES = 64  # on a link
+MAX_MASSES = 64  # lumped masses on a link
 
 
 def _lumped_masses(name: str, value: object, length: float) -> tuple[LumpedMass, ...]:
-    """Gives the lumped masses of a link of a length (m) as a tuple.
-
-    Raises:
-        ValueError: for something else, for more than 64 and for a position beyond the tip.
-    """
+    """Return the lumped masses of a link of a length (m) as a tuple of at most 64, none beyond the tip."""
     masses = tuple(sequence(name, value, "LumpedMass"))
     if len(masses) > MAX_MASSES:
         raise value_error(name, f"{len(masses)} masses", f"at most {MAX_MASSES}")
@@ -203,15 +182,14 @@ def _lumped_masses(name: str, value: object, length: float) -> tuple[LumpedMass,
 
 
 def _total_mass(masses: Sequence[LumpedMass]) -> float:
-    """Return the mass of all lumped masses, kg."""
+    """Return the sum of all lumped masses, kg."""
     return sum(mass.mass for mass in masses)
 
 
-MAX_WIDTH = 5.0  # lengths of a link that no section exceeds
-MAX_TORSION = 10.0  # polar moments of area that no torsion constant exceeds
-MAX_SECTIONS = 64  # of a link, as a model has at most so many finite elements of it
+MAX_WIDTH = 5.0  # width of a cross-section over the length of its link; above it the unit is probably wrong
+MAX_TORSION = 10.0  # torsion constant over polar moment of area; above it the unit is probably wrong
+MAX_SECTIONS = 64  # sections of a link: at least one finite element each, of at most 64
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-UP = ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))  # turns the x axis of a beam to +Z
 
 _LINK_UNITS = {
     "length": "m",
@@ -228,28 +206,29 @@ _LINK_UNITS = {
 @check_keywords
 @dataclass(frozen=True)
 class Link:
-    """A straight uniform beam along the x axis of its own frame, from its joint to its tip.
+    """Straight uniform beam along the x axis of its own frame, from its joint to its tip.
 
-    It warns (UserWarning) when second_moment_y + second_moment_z is less than area^2 / (2 pi). No section can have so
-    little: of all sections of one area a solid disc has the least polar moment. It also warns of numbers that can only
-    be in another unit.
+    A UserWarning is issued if second_moment_y + second_moment_z is less than area^2 / (2 pi). No cross-section has such
+    values, because a solid disc has the smallest polar moment of all sections with the same area. Values that are only
+    plausible in another unit cause a UserWarning, too.
 
     Attributes:
-        length: m.
-        area: of the cross-section, m^2.
-        second_moment_y: int z^2 dA, m^4; it resists bending in the x-z plane.
-        second_moment_z: int y^2 dA, m^4; it resists bending in the x-y plane.
-        torsion_constant: J in G J, m^4; it resists twist. For a round section it is the polar moment.
-        youngs_modulus: Pa.
-        shear_modulus: Pa.
-        density: kg/m^3.
-        orientation: (3, 3) rotation whose columns are the beam's axes in the joint's frame; stored as rows of floats.
-        masses: of LumpedMass, bodies that sit on the link; stored as a tuple.
-        outline: of its section, for pictures; None for a link of which only the numbers above are known.
+        length: length, m.
+        area: area of the cross-section, m^2.
+        second_moment_y: second moment of area about y, the integral of z^2, m^4; it resists bending in the x-z plane.
+        second_moment_z: second moment of area about z, the integral of y^2, m^4; it resists bending in the x-y plane.
+        torsion_constant: torsion constant J in the torsional stiffness G J, m^4; for a round section, the polar moment.
+        youngs_modulus: Young's modulus E, Pa.
+        shear_modulus: shear modulus G, Pa.
+        density: density, kg/m^3.
+        orientation: rotation matrix (3, 3), orthonormal within 1e-9, whose columns are the beam axes in the joint
+            frame; stored as rows of floats.
+        masses: LumpedMass instances on the link; stored as a tuple.
+        outline: outline of the cross-section for plots; None if only the numbers above are known.
 
     Raises:
-        ValueError: for a number that is not from 1e-30 to 1e30, for an orientation that is not a rotation within 1e-9,
-            for a mass beyond the tip, and for an outline of another area or other second moments of area.
+        ValueError: for a number outside 1e-30 to 1e30, for an invalid rotation matrix, for a mass beyond the tip, and
+            for an outline in contradiction to the area or the second moments of area.
 
     Examples:
         >>> link = fm.Link(0.8, 6e-5, 2.88e-11, 5e-9, 1.15e-10, 69e9, 26e9, 2700.0)
@@ -281,8 +260,8 @@ class Link:
         polar, least = self.second_moment_y + self.second_moment_z, self.area * self.area / (2.0 * math.pi)
         if polar < (1.0 - 1e-9) * least:
             warn_caller(
-                f"Link.second_moment_y + second_moment_z: {polar:.6g} is less than any section of the area "
-                f"{self.area:.6g} m^2 has; the least is {least:.6g} (m^4), area^2 / (2 pi) of a solid disc"
+                f"Link.second_moment_y + second_moment_z: {polar:.6g} (m^4) is impossible for an area of "
+                f"{self.area:.6g} m^2; the smallest value is {least:.6g}, area^2 / (2 pi) of a solid disc"
             )
         _warn_of_section(self.length, self.area, polar, self.torsion_constant)
 
@@ -297,24 +276,25 @@ class Link:
         orientation: Matrix = IDENTITY,
         masses: Sequence[LumpedMass] = (),
     ) -> Self:
-        """Builds a flat strip of rectangular section.
+        """Build a flat strip of rectangular cross-section.
 
-        Thin along "y" it is like a ruler that stands on its edge: its width is along z, and it bends easily in its x-y
-        plane. Thin along "z" it is like a diving board: its width is along y, and it bends easily in its x-z plane.
+        A strip with thin="y" is like a ruler standing on its edge: its width is along z, and it bends easily
+        in its x-y plane. A strip with thin="z" is like a diving board: its width is along y, and it bends
+        easily in its x-z plane.
 
         Args:
-            length: m.
-            width: larger size of the section, m.
-            thickness: smaller size of the section, m.
-            thin: "y" or "z", the axis of the link along which it is thin.
-            material: "aluminium" 6061-T6, "steel" 4130 or "titanium" Ti-6Al-4V, with the numbers of the data sheets of
-                ASM (Aerospace Specification Metals); or three numbers: Young's modulus (Pa), shear modulus (Pa) and
-                density (kg/m^3).
-            orientation: as of any Link.
-            masses: as of any Link.
+            length: length, m.
+            width: larger size of the cross-section, m.
+            thickness: smaller size of the cross-section, m.
+            thin: axis of the link along which the strip is thin, "y" or "z".
+            material: "aluminium" (6061-T6), "steel" (4130) or "titanium" (Ti-6Al-4V), with values from the data sheets
+                of ASM (Aerospace Specification Metals); or Young's modulus (Pa), shear modulus (Pa) and density
+                (kg/m^3).
+            orientation: rotation matrix (3, 3), see `Link`.
+            masses: LumpedMass instances, see `Link`.
 
-        Raises:
-            ValueError: for a size that is not positive, a thickness above the width, another axis or material.
+        Returns:
+            The link, with its outline.
 
         Examples:
             >>> ruler = fm.Link.strip(length=0.8, width=0.05, thickness=0.001)
@@ -333,18 +313,22 @@ class Link:
         orientation: Matrix = IDENTITY,
         masses: Sequence[LumpedMass] = (),
     ) -> Self:
-        """Builds a round tube.
+        """Build a round tube.
 
         Args:
-            length: m.
-            diameter: outer one, m.
-            wall: thickness of the wall, m.
-            material: as of `strip`.
-            orientation: as of `strip`.
-            masses: as of `strip`.
+            length: length, m.
+            diameter: outer diameter, m.
+            wall: wall thickness, m, at most half of the diameter.
+            material: name or numbers, see `strip`.
+            orientation: rotation matrix (3, 3), see `Link`.
+            masses: LumpedMass instances, see `Link`.
 
-        Raises:
-            ValueError: for a size that is not positive, and for a wall above half of the diameter.
+        Returns:
+            The link, with its outline.
+
+        Examples:
+            >>> round(fm.Link.tube(1.0, diameter=0.05, wall=0.002).mass, 3)
+            0.814
         """
         return cls._outlined(length, _round_outline(diameter, wall), material, orientation, masses)
 
@@ -357,17 +341,17 @@ class Link:
         orientation: Matrix = IDENTITY,
         masses: Sequence[LumpedMass] = (),
     ) -> Self:
-        """Builds a solid round rod.
+        """Build a solid round rod.
 
         Args:
-            length: m.
-            diameter: m.
-            material: as of `strip`.
-            orientation: as of `strip`.
-            masses: as of `strip`.
+            length: length, m.
+            diameter: diameter, m.
+            material: name or numbers, see `strip`.
+            orientation: rotation matrix (3, 3), see `Link`.
+            masses: LumpedMass instances, see `Link`.
 
-        Raises:
-            ValueError: for a size that is not positive.
+        Returns:
+            The link, with its outline.
         """
         return cls._outlined(length, _round_outline(diameter), material, orientation, masses)
 
@@ -375,10 +359,11 @@ class Link:
     def _outlined(
         cls, length: float, outline: Outline, material: Any, orientation: Matrix, masses: Sequence[LumpedMass]
     ) -> Self:
+        """Build a link from an outline and a material."""
         names = ("area", "second_moment_y", "second_moment_z", "torsion_constant")
         numbers = {name: getattr(outline, name) for name in names}
-        whole = _find_material(material)._asdict()
-        return cls(length, orientation=orientation, masses=masses, outline=outline, **numbers, **whole)
+        moduli = _find_material(material)._asdict()
+        return cls(length, orientation=orientation, masses=masses, outline=outline, **numbers, **moduli)
 
     def __repr__(self) -> str:
         if self.outline is None:
@@ -386,7 +371,7 @@ class Link:
             return f"Link({', '.join(f'{each.name}={getattr(self, each.name)!r}' for each in shown)})"
         moduli = f"E {self.youngs_modulus:g} Pa, G {self.shear_modulus:g} Pa, {self.density:g} kg/m^3"
         carried = f", lumped masses of {_total_mass(self.masses):g} kg" if self.masses else ""
-        return f"<Link: a {self.outline.shape} {self.length:g} m long, {self.outline.words}\n  {moduli}{carried}>"
+        return f"<Link: a {self.outline.shape} {self.length:g} m long, {self.outline.description}\n  {moduli}{carried}>"
 
     @property
     def mass(self) -> float:
@@ -400,42 +385,49 @@ class Link:
 
 
 def _warn_of_section(length: float, area: float, polar: float, torsion: float) -> None:
-    """Warn (UserWarning) of a section that is far too large for the length (m) of its link.
+    """Warn (UserWarning) of a cross-section that is out of proportion to the length of its link.
 
     Args:
-        length: m.
-        area: m^2.
+        length: length of the link, m.
+        area: area, m^2.
         polar: sum of both second moments of area, m^4.
         torsion: torsion constant, m^4.
     """
     radius, size = math.sqrt(polar / area), math.sqrt(area)
     if size > MAX_WIDTH * length:
-        said = f"Link.area: {area:g} (m^2) is wider than the link is long, a slip of units; in mm^2, sizes in mm?"
+        line = f"Link.area: {area:g} (m^2) is too wide for the length; wrong unit? is it in mm^2, or the sizes in mm?"
     elif radius > MAX_WIDTH * length:
-        said = (
-            f"Link.second_moment_y + second_moment_z: {polar:g} (m^4) reaches {radius:.3g} m, a slip of units; in mm^4?"
+        line = (
+            f"Link.second_moment_y + second_moment_z: {polar:g} (m^4) has a radius of gyration of {radius:.3g} m; "
+            "wrong unit? is it in mm^4?"
         )
     elif torsion > MAX_TORSION * polar:
-        said = f"Link.torsion_constant: {torsion:g} (m^4) exceeds the polar moment {polar:g}, a slip of units?"
+        line = f"Link.torsion_constant: {torsion:g} (m^4) exceeds the polar moment {polar:g}; wrong unit?"
     else:
         return
-    warn_caller(said)
+    warn_caller(line)
 
 
 @dataclass(frozen=True)
 class NonUniformLink:
-    """A straight beam of uniform sections end to end, with their centroids on one line.
+    """Straight beam of uniform sections in series, with their centroids on one line.
 
-    Sections of different size make a stepped beam; many short ones approximate a tapered beam.
+    Sections of different size form a stepped beam; many short sections approximate a tapered beam.
 
     Attributes:
-        sections: 1 to 64 of Link, base to tip, each with its own length, cross-section and material; stored as a tuple.
-        orientation: (3, 3) rotation, as of a Link. The orientation of each section must be the identity.
-        masses: of LumpedMass, as of a Link, at positions along the link as a whole. The sections have none.
+        sections: 1 to 64 instances of Link, from base to tip, each with its own length, cross-section and material;
+            stored as a tuple. They have no lumped masses, and their orientation is the identity.
+        orientation: rotation matrix (3, 3) of the link as a whole, see `Link`.
+        masses: LumpedMass instances at positions along the link as a whole; stored as a tuple.
 
     Raises:
-        ValueError: for sections that are not links, a section with an orientation or masses, an orientation that is not
-            a rotation within 1e-9, and for a mass beyond the tip.
+        ValueError: for a section with an orientation or lumped masses, for an invalid rotation matrix, and for a mass
+            beyond the tip.
+
+    Examples:
+        >>> thick, thin = fm.Link.rod(0.3, diameter=0.012), fm.Link.rod(0.2, diameter=0.008)
+        >>> fm.NonUniformLink([thick, thin]).length
+        0.5
     """
 
     sections: Sequence[Link]

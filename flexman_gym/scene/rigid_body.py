@@ -22,8 +22,7 @@ from flexman_gym.scene.input_checks import check_keywords
 def _checked_fields(name: str, inertia: Matrix | None, offset: Vector | None) -> dict[str, Any]:
     """Return the inertia and the offset of a rigid body in their stored form; None stays None.
 
-    Raises:
-        ValueError: for an inertia that no rigid body has, and for an offset that is not three numbers up to 1e30.
+    The offset is three numbers (m) of at most 1e30.
     """
     if inertia is not None:
         inertia = _inertia_matrix(f"{name}.inertia", inertia)
@@ -34,14 +33,11 @@ def _checked_fields(name: str, inertia: Matrix | None, offset: Vector | None) ->
 
 
 def _inertia_matrix(name: str, value: object) -> tuple[tuple[float, ...], ...]:
-    """Return the (3, 3) inertia of a rigid body in kg m^2 as a tuple of rows.
+    """Return the inertia matrix (3, 3) of a rigid body, kg m^2, as a tuple of rows.
 
-    It is symmetric, its principal moments are not negative, and none exceeds the sum of the other two.
-
-    Raises:
-        ValueError: for anything else.
+    It must be symmetric with non-negative principal moments, none of which exceeds the sum of the other two.
     """
-    allowed = "a symmetric inertia (kg m^2) whose principal moments are >= 0, none above the sum of the others"
+    allowed = "a symmetric inertia matrix (kg m^2) with principal moments >= 0, none above the sum of the others"
     rows = sequence(name, value, "3 rows of 3 numbers")
     if len(rows) != 3:
         raise value_error(name, value, "3 rows of 3 numbers")
@@ -58,18 +54,25 @@ def _inertia_matrix(name: str, value: object) -> tuple[tuple[float, ...], ...]:
 
 @dataclass(frozen=True)
 class LumpedMass:
-    """A point mass or a rigid body that is clamped to one section of a link.
+    """Point mass or rigid body clamped to one cross-section of a link.
 
-    Inertia and offset are in the link's own frame. The body stiffens nothing.
+    Inertia and offset refer to the frame of the link. The body does not stiffen the link.
 
     Attributes:
-        mass: kg.
-        position: of its section along the link, from the joint, m.
-        inertia: (3, 3) about the centre of mass, kg m^2; None for a point mass.
-        offset: (3,) from the axis at its section to the centre of mass, m; None for a centre on the axis.
+        mass: mass, kg; greater than 0.
+        position: distance of its cross-section from the joint, along the link, m.
+        inertia: inertia matrix (3, 3) about the centre of mass, kg m^2; None for a point mass.
+        offset: vector (3,) from the beam axis at the cross-section to the centre of mass, m; None for a centre on the
+            axis.
 
     Raises:
-        ValueError: for a mass that is not positive, a position that is negative, and an inertia that no rigid body has.
+        ValueError: for a value outside its range and for an inertia impossible for a rigid body.
+
+    Examples:
+        >>> hub = fm.LumpedMass(mass=0.4, position=0.44)
+        >>> link = fm.Link.rod(0.44, diameter=0.01, masses=[hub])
+        >>> round(link.mass, 3)
+        0.493
     """
 
     mass: float
@@ -89,18 +92,19 @@ class LumpedMass:
 @check_keywords
 @dataclass(frozen=True)
 class Payload:
-    """A point mass or a rigid body at the tip of the last link.
+    """Point mass or rigid body at the tip of the last link.
 
-    Inertia and offset are in the frame that a next joint would have: parallel to the base frame at zero angles.
+    Inertia and offset refer to the frame of an imaginary next joint, which is parallel to the base frame at zero
+    angles.
 
     Attributes:
-        mass: kg.
-        inertia: (3, 3) about the centre of mass, kg m^2; None for a point mass.
-        offset: (3,) from the tip to the centre of mass, m; None for a centre of mass at the tip.
+        mass: mass, kg; not negative.
+        inertia: inertia matrix (3, 3) about the centre of mass, kg m^2; None for a point mass.
+        offset: vector (3,) from the tip to the centre of mass, m; None for a centre of mass at the tip.
 
     Raises:
-        ValueError: for a mass that is negative or not finite, for an inertia or an offset without a mass, and for an
-            inertia that no rigid body has.
+        ValueError: for a value outside its range, for an inertia or offset without a mass, and for an inertia
+            impossible for a rigid body.
 
     Examples:
         >>> fm.Payload(0.1, offset=(0.0, 0.02, 0.0)).mass

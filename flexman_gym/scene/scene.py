@@ -1,4 +1,4 @@
-"""Scene: an arm, its model choice, its torque, its initial state and a duration, kept in a JSON or YAML file."""
+"""Scene: arm, model choice, torques, initial state and duration of a simulation, stored in a JSON or YAML file."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -10,7 +10,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.common import files as scene_file
 from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import (
     RATIO_TOLERANCE,
@@ -26,6 +25,7 @@ from flexman_gym.common.checks import (
     vector,
     whole_number,
 )
+from flexman_gym.common.files import read_data, write_data
 from flexman_gym.common.time_series import TimeSeries, read_time_series, write_csv
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import check_keywords
@@ -41,34 +41,40 @@ from flexman_gym.scene.signals import (
 )
 
 MAX_ELEMENTS = 64  # finite elements of a link
-MAX_INLINE_SAMPLES = 100  # samples in a scene file; more go to a CSV file beside it
+MAX_INLINE_SAMPLES = 100  # samples of a signal in a scene file; more are written to a CSV file
 
 
 @dataclass(frozen=True)
 class ModelChoice:
-    """How finely the arm of a scene is modelled; one value for all links or a tuple of one value per link.
+    """Level of detail of the model of an arm.
 
-    Within 2 s, spinning rotors move the tip of the paper's arm by 103 mm with everything flexible and by 78 mm with
-    rigid joints. Rotary inertia moves it by 7.2 mm with everything rigid and by 6.9 mm with everything flexible.
+    `flexible_links`, `elements` and `modes` are one value for all links, or a tuple with one value per link.
+
+    For the arm of the paper under its torques, spinning rotors change the position of the tip within 2 s by 103 mm if
+    everything is flexible and by 78 mm with rigid joints. Rotary inertia changes it by 7.2 mm if everything is rigid
+    and by 6.9 mm if everything is flexible.
 
     Attributes:
-        flexible_links: whether links bend; a rigid link has no elastic coordinate.
-        elements: finite elements of a Link, or of each section of a NonUniformLink, 1 to 64; a link as a whole has at
-            most 64. A link has 6 * elements * number of sections coordinates. None leaves them to `choose_model`.
-        modes: modes kept of a link; None keeps every coordinate. A number keeps so many of the lowest frequencies, 0 to
-            the number of coordinates (at most 384). In a tuple for all links, a tuple gives the ascending numbers of
-            the modes, the lowest being 0: (4, (0, 1, 3), 0) keeps four modes of the first link, modes 0, 1 and 3 of the
-            second and none of the third.
+        flexible_links: whether links deform; a rigid link has no elastic coordinates.
+        elements: number of finite elements, 1 to 64, of a Link or of each section of a NonUniformLink; a whole link has
+            at most 64. A link has 6 * elements * (number of sections) elastic coordinates. None lets `choose_model`
+            decide.
+        modes: component modes of a link; None uses all elastic coordinates. A number m uses the m modes of lowest
+            frequency, from 0 to the number of coordinates (at most 384). In a tuple for all links, a tuple lists mode
+            numbers in ascending order, from 0 for the lowest: (4, (0, 1, 3), 0) uses four modes of the first link,
+            modes 0, 1 and 3 of the second and none of the third.
         flexible_joints: False makes every joint rigid, whatever its stiffness.
-        stiffening: foreshortening (geometric stiffening) of the links.
-        spinning_rotors: a rotor spins as a body in the frame that carries its joint; only its inertia about the axis
-            counts. False neglects the rotation of that frame, as the paper does (Eq. 23).
-        rotary_inertia: the sections of a link resist rotation about their transverse axes (Rayleigh's term). False is
-            the classic Euler-Bernoulli beam: in rigid and in elastic motion its sections resist rotation about the beam
-            axis only.
+        stiffening: whether the foreshortening of the links (geometric stiffening) is included.
+        spinning_rotors: whether the rotation of the frame that carries a joint acts on its rotor, of which only the
+            inertia about the axis counts. False neglects it, as the paper does (Eq. 23).
+        rotary_inertia: whether the cross-sections of a link resist rotation about their transverse axes (Rayleigh's
+            term). False is the classical Euler-Bernoulli beam, whose sections resist rotation about the beam axis only,
+            in rigid and in elastic motion.
 
-    Raises:
-        ValueError: for another type or a number outside its range.
+    Examples:
+        >>> choice = fm.ModelChoice(flexible_links=True, elements=2, modes=(4, (0, 1, 3), 0))
+        >>> choice.modes
+        (4, (0, 1, 3), 0)
     """
 
     flexible_links: bool | tuple[bool, ...]
@@ -96,7 +102,7 @@ class ModelChoice:
 
 
 def _one_or_each(name: str, value: object, check: Callable[..., Any], *limits: int) -> Any:
-    """Checks one value for all links, or a list with one for each link."""
+    """Check one value for all links, or a list with one value for each link."""
     if not isinstance(value, list | tuple | np.ndarray):
         return check(name, value, *limits)
     entries = sequence(name, value)
@@ -106,31 +112,33 @@ def _one_or_each(name: str, value: object, check: Callable[..., Any], *limits: i
 
 
 def _modes(name: str, value: object, most: int) -> int | tuple[int, ...]:
-    """Checks a number of modes, or their numbers."""
+    """Check a number of modes, or a list of mode numbers."""
     if not isinstance(value, list | tuple | np.ndarray):
         return whole_number(name, value, 0, most)
     numbers = tuple(whole_number(f"{name}[{i}]", entry, 0, most - 1) for i, entry in enumerate(sequence(name, value)))
     if not numbers or list(numbers) != sorted({*numbers}):
-        raise value_error(name, value, "a number of modes, or mode numbers that ascend, at least one")
+        raise value_error(name, value, "a number of modes, or at least one mode number in ascending order")
     return numbers
 
 
 MAX_OUTPUT_STEPS = 10_000_000
-UNITS = {"prescribed": ("rad", "rad/s^2"), "tip_force": ("N",), "base_acceleration": ("m/s^2",)}  # of columns of a CSV
+COLUMN_UNITS = {"prescribed": ("rad", "rad/s^2"), "tip_force": ("N",), "base_acceleration": ("m/s^2",)}  # in CSV files
 
 
 @dataclass(frozen=True)
 class Initial:
-    """The state at t = 0: motors at the angles and rates of the joints, links undeformed and at rest in their frames.
+    """State at t = 0: joints and motors at given angles and rates, links undeformed.
 
     Attributes:
-        joint_angles: (n,) rad.
-        joint_rates: (n,) rad/s.
-        state: (2 d,) a whole state of the scene's model that takes the place of both, with bent links and wound
-            springs; None without one. Its order is that of `kernels.layout`.
+        joint_angles: angles (n,) of the joints and their motors, rad.
+        joint_rates: rates (n,) of the joints and their motors, rad/s.
+        state: complete state (2 d,) of the scene's model, in the order of `kernels.layout`, in place of both, for an
+            arm that starts with deformed links or springs; None without one.
 
-    Raises:
-        ValueError: for an attribute that is not a list of finite numbers, and for lists of different length.
+    Examples:
+        >>> start = fm.Initial(joint_angles=(0.5, -0.2), joint_rates=(0.0, 0.0))
+        >>> start.joint_angles
+        (0.5, -0.2)
     """
 
     joint_angles: Vector
@@ -148,34 +156,35 @@ class Initial:
 @check_keywords
 @dataclass(frozen=True)
 class Scene:
-    """One run: everything that a simulation needs except its method.
+    """Complete definition of a simulation except its integration method.
 
     Attributes:
-        arm: the arm, or what `scene.serialization.find_arm` takes for one.
-        model: how finely the arm is modelled.
-        torque: of the motors.
-        initial: the state at t = 0.
-        duration: s.
-        output_step: time between outputs, s. The duration is a whole number of output steps (to 1e-9 of itself), at
+        arm: Arm, or any argument of `scene.serialization.find_arm`, such as the name of an arm in the catalog.
+        model: level of detail of the model.
+        torque: torques of the motors.
+        initial: state at t = 0.
+        duration: duration, s.
+        output_step: time between outputs, s. The duration is a whole number of output steps within a relative 1e-9, at
             most 10 million.
-        note: free text for the reader.
-        prescribed: (n,) a Signal or SampledSignal in rad/s^2 for a motor whose motion is given (a joint where it is
-            rigid), the acceleration, or SampledAngles, which set its part of `initial`, too; None for a motor that its
-            torque drives. None in place of the list where torques drive all motors.
-        tip_force: three Signals or SampledSignals in N, the force on the tip of the last link in the base frame; None
+        note: free text.
+        prescribed: motors with prescribed motion (the joints themselves where rigid), (n,): a Signal or SampledSignal
+            of the acceleration in rad/s^2; SampledAngles, which also replace the angle and rate in `initial`; or None
+            for a motor driven by its torque. None if torques drive all motors.
+        tip_force: force on the tip of the last link in the base frame, three Signals or SampledSignals in N; None
             without one.
-        base_acceleration: the same in m/s^2, the acceleration of the base as a whole in the base frame.
+        base_acceleration: acceleration of the base in the base frame, three Signals or SampledSignals in m/s^2; None
+            without one.
 
     Raises:
-        ValueError: for a part that has the wrong type or does not fit the number of joints of the arm, for a torque on
-            a motor whose motion is prescribed, and for samples that do not last from 0 to the duration.
+        ValueError: for a part of the wrong type or of another number of joints than the arm, for a torque on a motor
+            with prescribed motion, and for samples shorter than the duration.
 
     Examples:
         >>> choice = fm.ModelChoice(flexible_links=(True,), elements=(2,))
         >>> start = fm.Initial(joint_angles=(0.0,), joint_rates=(0.0,))
         >>> scene = fm.Scene(fm.catalog.one_joint(), choice, fm.ConstantTorque((0.1,)), start, 1.0, output_step=0.01)
-        >>> scene.duration
-        1.0
+        >>> fm.simulate(scene).tip.shape
+        (101, 3)
     """
 
     arm: Arm
@@ -209,10 +218,10 @@ class Scene:
             raise value_error("Scene.output_step", self.output_step, allowed)
         self._check_samples()
         if any(isinstance(motion, SampledAngles) for motion in self.prescribed or ()):
-            set_fields(self, initial=self._started())
+            set_fields(self, initial=self._initial_state())
 
     def _check_part(self, part: str, *kinds: type) -> None:
-        """Refuses a part of another kind, or one whose tuples do not hold one entry for each joint."""
+        """Check the type of a part, and its number of joints."""
         value = getattr(self, part)
         if not isinstance(value, kinds):
             raise value_error(f"Scene.{part}", value, " or ".join(kind.__name__ for kind in kinds))
@@ -224,14 +233,14 @@ class Scene:
                 raise value_error(f"Scene.{part}.{name}", entry, f"{self.arm.n_joints} values, one for each joint")
 
     def _checked_motion(self) -> tuple[Signal | SampledSignal | SampledAngles | None, ...] | None:
-        """Checks the prescribed motions; it refuses a motion and a torque on the same motor."""
+        """Return the prescribed motions as a tuple, after checking that no such motor has a torque as well."""
         if self.prescribed is None:
             return None
         name, count = "Scene.prescribed", self.arm.n_joints
         motions = tuple(sequence(name, self.prescribed, "a Signal or None for each joint"))
         kinds = Signal | SampledSignal | SampledAngles | None
         if len(motions) != count or not all(isinstance(motion, kinds) for motion in motions):
-            allowed = f"{count} of Signal or None, one for each joint, or of SampledSignal or SampledAngles"
+            allowed = f"{count} of Signal, SampledSignal, SampledAngles or None, one for each joint"
             raise value_error(name, self.prescribed, allowed)
         for i, (motion, torque) in enumerate(zip(motions, self.torque.signals(), strict=True)):
             if motion is not None and torque.largest != 0.0:
@@ -240,7 +249,7 @@ class Scene:
         return motions if any(motions) else None
 
     def _check_samples(self) -> None:
-        """Refuses samples that begin late or end early."""
+        """Check whether all samples cover the time from 0 to the duration."""
         for name in ("torque", "prescribed", "tip_force", "base_acceleration"):
             part = getattr(self, name)
             for i, item in enumerate(part.signals() if name == "torque" else part or ()):
@@ -248,11 +257,11 @@ class Scene:
                     continue
                 end = item.times[-1] if isinstance(item, SampledAngles) else item.end
                 if item.times[0] > 0.0 or end < self.duration * (1.0 - RATIO_TOLERANCE):
-                    said = f"samples from {item.times[0]:g} to {end:g} s"
-                    raise value_error(f"Scene.{name}[{i}]", said, f"samples from 0 to {self.duration:g} s or longer")
+                    span = f"samples from {item.times[0]:g} to {end:g} s"
+                    raise value_error(f"Scene.{name}[{i}]", span, f"samples from 0 to {self.duration:g} s or longer")
 
-    def _started(self) -> Initial:
-        """The initial state, with angles and rates of the prescribed motions that know theirs."""
+    def _initial_state(self) -> Initial:
+        """Return the initial state with the angles and rates of motions prescribed by SampledAngles."""
         angles, rates = list(self.initial.joint_angles), list(self.initial.joint_rates)
         for i, motion in enumerate(self.prescribed or ()):
             if isinstance(motion, SampledAngles):
@@ -261,54 +270,64 @@ class Scene:
 
     @property
     def pieces(self) -> PiecewiseSignals:
-        """The drive as the kernels read it."""
+        """All n motor, 3 tip force and 3 base acceleration signals, in the form of the kernels."""
         motions, none = self.prescribed or [None] * self.arm.n_joints, [None] * 3
-        given = [motion.acceleration if isinstance(motion, SampledAngles) else motion for motion in motions]
-        motors = [motion or torque for motion, torque in zip(given, self.torque.signals(), strict=True)]
+        accelerations = [motion.acceleration if isinstance(motion, SampledAngles) else motion for motion in motions]
+        motors = [motion or torque for motion, torque in zip(accelerations, self.torque.signals(), strict=True)]
         return PiecewiseSignals([*motors, *(self.tip_force or none), *(self.base_acceleration or none)], self.duration)
 
     @property
     def output_times(self) -> NDArray[np.float64]:
-        """Times of the output (duration / output_step + 1,), from 0 to the duration, s."""
+        """Times of the outputs from 0 to the duration, (duration / output_step + 1,), s."""
         return np.linspace(0.0, self.duration, round(self.duration / self.output_step) + 1)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Reads a scene from a .json, .yaml or .yml file.
+        """Read a scene from a .json, .yaml or .yml file.
+
+        Args:
+            path: path of the file.
+
+        Returns:
+            The scene.
 
         Raises:
-            FileNotFoundError: when there is no such file.
-            ValueError: for anything else that is wrong with it; one line names the file, the field
-                (`arm.links[1].length`), the value and what is allowed.
+            FileNotFoundError: if the file does not exist.
+            ValueError: for any other error in the file; one line with the file, the field (`arm.links[1].length`), the
+                value and the allowed values.
         """
         try:
-            return cls.from_dict(scene_file.read_data(Path(path)), Path(path).parent)
+            return cls.from_dict(read_data(Path(path)), Path(path).parent)
         except ValueError as error:
             raise ValueError(f"{short_path(path)}: {error}") from None
 
     def save(self, path: str | Path) -> None:
-        """Write the scene to a .json, .yaml or .yml file, from which `load` returns an equal one.
+        """Write the scene to a .json, .yaml or .yml file, from which `load` returns an equal scene.
 
-        More than a hundred samples go to CSV files next to it, such as scene_torque.csv for scene.json.
-
-        Raises:
-            ValueError: for another suffix.
+        Signals of more than a hundred samples are written to CSV files next to it, such as scene_torque.csv for
+        scene.json.
         """
         data, tables = _split_samples(Path(path), self.to_dict())
-        scene_file.write_data(Path(path), data)
+        write_data(Path(path), data)
         for file, columns in tables.items():
             write_csv(file, columns)
 
     @classmethod
     def from_dict(cls, data: object, folder: Path = Path()) -> Self:
-        """Builds the scene that the mapping of a scene file describes; CSV files are meant against the folder.
+        """Build the scene described by the mapping of a scene file.
 
-        A CSV file outside the folder is read with a FutureWarning; the next release reads it only where this is asked
-        for.
+        A CSV file outside the folder is read with a FutureWarning; the next release will require explicit permission.
+
+        Args:
+            data: mapping as in a scene file.
+            folder: folder to which the paths of CSV files are relative.
+
+        Returns:
+            The scene.
 
         Raises:
-            FileNotFoundError: where a CSV file is missing.
-            ValueError: one line that names the field (`arm.links[1].length`), the value and what is allowed.
+            FileNotFoundError: if a CSV file does not exist.
+            ValueError: one line with the field (`arm.links[1].length`), the value and the allowed values.
         """
 
         def signals(name: str) -> Callable[[Any], Any]:
@@ -316,7 +335,7 @@ class Scene:
                 None
                 if value is None
                 else [
-                    _signal_from_plain(f"{name}[{i}]", item, UNITS[name], folder)
+                    _signal_from_plain(f"{name}[{i}]", item, COLUMN_UNITS[name], folder)
                     for i, item in enumerate(sequence(name, value, "a list of mappings"))
                 ]
             )
@@ -329,11 +348,11 @@ class Scene:
             model=partial(from_plain, ModelChoice, "model"),
             torque=partial(_torque_from_plain, folder=folder),
             initial=partial(from_plain, Initial, "initial"),
-            **{name: signals(name) for name in UNITS},  # type: ignore[arg-type]
+            **{name: signals(name) for name in COLUMN_UNITS},  # type: ignore[arg-type]
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Gives the scene as the mapping of a scene file, of dicts, lists, numbers and texts."""
+        """Return the scene as the mapping of a scene file, made of dicts, lists, numbers and strings."""
         data: dict[str, Any] = to_plain(self)
         if self.arm.payload is None:
             data["arm"]["payload"] = {"mass": 0.0}
@@ -341,12 +360,7 @@ class Scene:
 
 
 def _torque_from_plain(data: object, folder: Path) -> ConstantTorque | SineTorque | SampledTorque:
-    """Return the torque that a mapping with a `kind` describes; of a sampled one "csv" may stand for times and values.
-
-    Raises:
-        FileNotFoundError: where a CSV file is missing in the folder.
-        ValueError: for entries that are not allowed; it names the field (`torque.value`).
-    """
+    """Return the torque described by a mapping with a `kind`; "csv" may replace the samples of a sampled torque."""
     if not isinstance(data, dict):
         raise value_error("torque", data, "a mapping with the key kind")
     kinds: dict[str, Any] = {kind.kind: kind for kind in (ConstantTorque, SineTorque, SampledTorque)}
@@ -364,17 +378,19 @@ def _torque_from_plain(data: object, folder: Path) -> ConstantTorque | SineTorqu
 def _signal_from_plain(
     path: str, data: object, units: tuple[str, ...], folder: Path
 ) -> Signal | SampledSignal | SampledAngles | None:
-    """Return the signal of a mapping: None of None, samples of one with times, or with "csv" and a "column" in it.
+    """Return the signal described by a mapping, by samples if it has times, or from a "column" of a "csv" file.
 
     Args:
-        path: the name of the field of the file that holds the mapping.
-        data: the mapping.
-        units: in which a column may be.
-        folder: against which the name of a CSV file is meant.
+        path: field of the scene file, for errors.
+        data: the mapping, or None.
+        units: units allowed for a column.
+        folder: folder to which the path of a CSV file is relative.
+
+    Returns:
+        The signal; None for None.
 
     Raises:
-        FileNotFoundError: where the CSV file is missing.
-        ValueError: for entries that are not allowed; it names the field.
+        FileNotFoundError: if the CSV file does not exist.
     """
     if data is None:
         return None
@@ -391,17 +407,17 @@ def _signal_from_plain(
 
 
 def _warn_outside(field: str, name: str, folder: Path) -> None:
-    """Warn of a CSV file outside the folder of the scene file that names it, which may be somebody else's."""
+    """Warn (FutureWarning) of a CSV file outside the folder of its scene file, which may be untrusted."""
     if not (folder / name).resolve().is_relative_to(folder.resolve()):
-        said = f"{field}: {short_path(name)} is outside the folder of the scene file"
-        warnings.warn(f"{said}; the next release reads it only where this is asked for", FutureWarning, stacklevel=2)
+        line = f"{field}: {short_path(name)} is outside the folder of the scene file"
+        warnings.warn(f"{line}; the next release will require explicit permission", FutureWarning, stacklevel=2)
 
 
 def _split_samples(path: Path, data: dict[str, Any]) -> tuple[dict[str, Any], dict[Path, dict[str, Any]]]:
-    """Return a scene's mapping with CSV files next to the path for many samples, and the columns of these files."""
+    """Return the mapping of a scene with CSV files in place of many samples, and the columns of these files."""
     result, tables = dict(data), {}
 
-    def kept(label: str, item: dict[str, Any], columns: dict[str, Any]) -> dict[str, Any]:
+    def move(label: str, item: dict[str, Any], columns: dict[str, Any]) -> dict[str, Any]:
         file = path.with_name(f"{path.stem}_{label}.csv")
         tables[file] = {"time (s)": item["times"], **columns}
         more = {name: value for name, value in item.items() if name not in ("times", "values", "angles")}
@@ -410,23 +426,19 @@ def _split_samples(path: Path, data: dict[str, Any]) -> tuple[dict[str, Any], di
     if len(data["torque"].get("times", ())) > MAX_INLINE_SAMPLES:
         heads = [f"torque_{i} (N m)" for i in range(1, len(data["torque"]["values"][0]) + 1)]
         columns = dict(zip(heads, zip(*data["torque"]["values"], strict=True), strict=True))
-        result["torque"] = kept("torque", data["torque"], columns)
+        result["torque"] = move("torque", data["torque"], columns)
     for name, unit in (("prescribed", "rad/s^2"), ("tip_force", "N"), ("base_acceleration", "m/s^2")):
         for i, item in enumerate(data.get(name) or ()):
             if item is not None and len(item.get("times", ())) > MAX_INLINE_SAMPLES:
-                label, turned = f"{name}_{i}", "angles" in item
-                columns = {f"{label} ({'rad' if turned else unit})": item["angles" if turned else "values"]}
+                label, is_angle = f"{name}_{i}", "angles" in item
+                columns = {f"{label} ({'rad' if is_angle else unit})": item["angles" if is_angle else "values"]}
                 result[name] = list(result[name])
-                result[name][i] = kept(label, item, columns) | {"column": label}
+                result[name][i] = move(label, item, columns) | {"column": label}
     return result, tables
 
 
 def _sampled_signal(record: TimeSeries, column: str, units: tuple[str, ...], more: dict[str, Any]) -> Any:
-    """Return the signal that a column holds: SampledAngles of one in rad where that is allowed, else a SampledSignal.
-
-    Raises:
-        ValueError: one line, for another column, or settings that the signal does not have.
-    """
+    """Return the signal in a column of a record: SampledAngles if the unit is rad, otherwise a SampledSignal."""
     values = record.values(units, [column])[:, 0]
     kind: Any = SampledAngles if record.columns[column][0] == "rad" else SampledSignal
     try:
@@ -437,15 +449,15 @@ def _sampled_signal(record: TimeSeries, column: str, units: tuple[str, ...], mor
 
 
 def _check_signals(name: str, value: object, units: str) -> tuple[Signal | SampledSignal, ...] | None:
-    """Return the three signals of the components of a vector in the base frame, or None.
+    """Check the signals of the three components of a vector in the base frame.
 
     Args:
-        name: of the field, for the error.
-        value: None, or three of Signal or SampledSignal along x, y and z; they come back as a tuple.
-        units: of the vector, for the error.
+        name: field, for errors.
+        value: three Signals or SampledSignals along x, y and z, or None.
+        units: unit of the vector, for errors.
 
-    Raises:
-        ValueError: for any other value.
+    Returns:
+        The signals as a tuple, or None.
     """
     if value is None:
         return None

@@ -1,4 +1,4 @@
-"""Plain form of arms, signals and model choices (dicts, lists, numbers, texts), and arms by name or file."""
+"""Plain form (dicts, lists, numbers, strings) of arms, signals and model choices, and arms given by name or file."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of, sequence, short_path, text, value_error, whole_number
 from flexman_gym.scene.arm import Arm
-from flexman_gym.scene.input_checks import keyword_hint
+from flexman_gym.scene.input_checks import FOREIGN_KEYWORDS
 from flexman_gym.scene.joint import Joint, Motor
 from flexman_gym.scene.link import IDENTITY, SHAPES, Link, NonUniformLink, Outline
 from flexman_gym.scene.rigid_body import LumpedMass, Payload
@@ -19,13 +19,13 @@ from flexman_gym.scene.signals import Signal
 
 Part = TypeVar("Part")
 
-# Sections of arms in the catalog that no section can have; each says why there, and a file of it need not warn again.
-SECTION = ("area", "second_moment_y", "second_moment_z")
-KNOWN_SECTIONS = ((0.028, 8.33e-7, 8.33e-7), (4e-4, 1.3e-8, 4e-9))
+# Impossible cross-sections of arms in the catalog, whose descriptions explain them; no warning is issued for them.
+SECTION_FIELDS = ("area", "second_moment_y", "second_moment_z")
+IMPOSSIBLE_SECTIONS = ((0.028, 8.33e-7, 8.33e-7), (4e-4, 1.3e-8, 4e-9))
 
-# Keys that a scene file may leave out; they are written where they differ from the default. A payload or a note may
-# be left out as well, but is always written.
-OPTIONAL: dict[str, tuple[str, ...]] = {
+# Optional keys of a scene file by class; they are written only if they differ from the default. Payload and note are
+# optional too, but always written.
+OPTIONAL_KEYS: dict[str, tuple[str, ...]] = {
     "Arm": ("modal_damping_ratio",),
     "Link": ("masses", "outline"),
     "NonUniformLink": ("masses",),
@@ -44,46 +44,42 @@ OPTIONAL: dict[str, tuple[str, ...]] = {
 }
 
 
-def arm_from_plain(data: object) -> Arm:
-    """Return the arm that a mapping describes.
-
-    Raises:
-        ValueError: for entries that are not allowed; it names the field (`arm.links[1].length`).
-    """
+def _arm_from_plain(data: object) -> Arm:
+    """Return the arm described by a mapping; errors name the field (`arm.links[1].length`)."""
     links, joints = partial(_items, "arm.links", _link), partial(_items, "arm.joints", _joint)
     return from_plain(Arm, "arm", data, links=links, joints=joints, payload=_optional(Payload, "arm.payload"))
 
 
 def _items(path: str, build: Callable[[str, object], Any], data: object) -> list[Any]:
-    """Return a list with a part built from each mapping of a list."""
+    """Return the parts built from the mappings of a list."""
     return [build(f"{path}[{i}]", item) for i, item in enumerate(sequence(path, data, "mappings"))]
 
 
 def _optional(kind: type[Part], path: str) -> Callable[[object], Part | None]:
-    """Return a function that builds a `kind` from its mapping, None from None."""
+    """Return a function to build a `kind` from a mapping, and None from None."""
     return lambda data: None if data is None else from_plain(kind, path, data)
 
 
 def _link(path: str, data: object) -> Link | NonUniformLink:
-    """Return a Link from a mapping, or a NonUniformLink from one with `sections`, which have no orientation.
+    """Return a Link from a mapping, or a NonUniformLink from a mapping with `sections`.
 
-    A mapping with a `shape` has the sizes and the material of `Link.strip`, `Link.tube` or `Link.rod`.
+    A mapping with a `shape` holds the arguments of `Link.strip`, `Link.tube` or `Link.rod`.
     """
     entries = _with_masses(path, data)
     if "shape" in entries:
-        maker = getattr(Link, one_of(f"{path}.shape", entries.pop("shape"), SHAPES))
-        mapping(path, entries, list(signature(maker).parameters))
+        build = getattr(Link, one_of(f"{path}.shape", entries.pop("shape"), SHAPES))
+        mapping(path, entries, list(signature(build).parameters))
         try:
-            link: Link = maker(**entries)
+            link: Link = build(**entries)
             return link
         except TypeError as error:
             raise value_error(
-                path, entries, f"what {maker.__qualname__} takes: {str(error).split('() ')[-1]}"
+                path, entries, f"the arguments of {build.__qualname__}: {str(error).split('() ')[-1]}"
             ) from None
         except ValueError as error:
             raise ValueError(path + str(error).removeprefix("Link")) from None
     if "sections" not in entries:
-        return _uniform(path, entries)
+        return _uniform_link(path, entries)
     return from_plain(NonUniformLink, path, entries, sections=partial(_items, f"{path}.sections", _section))
 
 
@@ -96,19 +92,20 @@ def _with_masses(path: str, data: object) -> dict[str, Any]:
 
 
 def _section(path: str, data: object) -> Link:
-    """Return a section, which has no orientation and no masses; `dataclasses.asdict` writes them as they are here."""
-    nothing = {"orientation": [list(row) for row in IDENTITY], "masses": []}
+    """Return a section, which has no orientation and no masses except the defaults written by `dataclasses.asdict`."""
+    defaults = {"orientation": [list(row) for row in IDENTITY], "masses": []}
     if isinstance(data, dict):
-        data = {name: value for name, value in data.items() if name not in nothing or value != nothing[name]}
-    return _uniform(path, data, *nothing)
+        data = {name: value for name, value in data.items() if name not in defaults or value != defaults[name]}
+    return _uniform_link(path, data, *defaults)
 
 
-def _uniform(path: str, data: object, *left_out: str) -> Link:
+def _uniform_link(path: str, data: object, *left_out: str) -> Link:
+    """Return a Link from a mapping with the fields of the class, except those left out."""
     return from_plain(Link, path, data, left_out, outline=_optional(Outline, f"{path}.outline"))
 
 
 def _joint(path: str, data: object) -> Joint:
-    """Return a Joint from a mapping; a motor defines its rotor inertia."""
+    """Return a Joint from a mapping; its rotor inertia may be missing if it has a motor."""
     if not isinstance(data, dict) or data.get("motor") is None:
         return from_plain(Joint, path, data)
     motor = partial(from_plain, Motor, f"{path}.motor")
@@ -118,18 +115,20 @@ def _joint(path: str, data: object) -> Joint:
 def from_plain(
     kind: type[Part], path: str, data: object, left_out: Sequence[str] = (), **parts: Callable[[Any], Any]
 ) -> Part:
-    """Return a `kind` from the mapping of its fields.
+    """Build a dataclass from the mapping of its fields.
 
     Args:
-        kind: a dataclass.
-        path: name of the field of the file that holds the mapping.
+        kind: the dataclass.
+        path: field of the mapping in the file, for errors.
         data: the mapping.
-        left_out: names of fields that must not be keys.
-        parts: functions that build the values of fields from their plain form, by the name of the field.
+        left_out: names of forbidden fields.
+        **parts: functions to build the values of fields from their plain form, by field name.
+
+    Returns:
+        The instance of the dataclass.
 
     Raises:
-        ValueError: for something else than a mapping, for unknown and missing keys, and for values that are not
-            allowed; one line with the name of the field.
+        ValueError: for unknown or missing keys and for forbidden values; one line with the field.
     """
     entries = _check_entries(kind, path, data, *left_out)
     for name, build in parts.items():
@@ -139,26 +138,26 @@ def from_plain(
 
 
 def _check_entries(kind: Any, path: str, data: object, *left_out: str) -> dict[str, Any]:
-    """Return a copy of a mapping after a check of its keys, the fields of a dataclass without those left out."""
+    """Return a copy of a mapping after comparing its keys with the fields of a dataclass, except those left out."""
     names = [field.name for field in fields(kind) if field.name not in left_out]
     if not isinstance(data, dict):
         raise value_error(path or "scene", data, "a mapping with the keys " + ", ".join(names))
     prefix = f"{path}." if path else ""
     for name, value in data.items():
         if name not in names:
-            allowed = keyword_hint(kind.__name__, name) or "only the keys " + ", ".join(names)
+            allowed = FOREIGN_KEYWORDS.get(kind.__name__, {}).get(name) or "only the keys " + ", ".join(names)
             raise value_error(f"{prefix}{name}", value, allowed)
     for name in names:
-        if name not in data and name not in ("payload", "note", *OPTIONAL.get(kind.__name__, ())):
+        if name not in data and name not in ("payload", "note", *OPTIONAL_KEYS.get(kind.__name__, ())):
             raise ValueError(f"{prefix}{name}: missing; give the keys " + ", ".join(names))
     return dict(data)
 
 
 def _build_part(kind: type[Part], path: str, entries: dict[str, Any]) -> Part:
-    """Return a `kind` from its entries; an error names arm.links[1].length, for example, in place of Link.length."""
+    """Return a `kind` from its entries; errors name the path arm.links[1].length, for example, for Link.length."""
     try:
         with warnings.catch_warnings():
-            if tuple(entries.get(name) for name in SECTION) in KNOWN_SECTIONS:
+            if tuple(entries.get(name) for name in SECTION_FIELDS) in IMPOSSIBLE_SECTIONS:
                 warnings.simplefilter("ignore", UserWarning)
             return kind(**entries)
     except ValueError as error:
@@ -166,7 +165,7 @@ def _build_part(kind: type[Part], path: str, entries: dict[str, Any]) -> Part:
 
 
 def to_plain(value: Any) -> Any:
-    """Return dataclasses as dicts and tuples as lists, all the way down."""
+    """Return a value with dataclasses as dicts and tuples as lists, recursively."""
     if isinstance(value, tuple):
         return [to_plain(entry) for entry in value]
     if not is_dataclass(value):
@@ -174,7 +173,7 @@ def to_plain(value: Any) -> Any:
     entries: dict[str, Any] = {"kind": value.kind} if hasattr(value, "kind") else {}
     for field in fields(value):
         entry = getattr(value, field.name)
-        if field.name not in OPTIONAL.get(type(value).__name__, ()) or entry != field.default:
+        if field.name not in OPTIONAL_KEYS.get(type(value).__name__, ()) or entry != field.default:
             entries[field.name] = to_plain(entry)
     if isinstance(value, Joint) and value.motor:
         del entries["rotor_inertia"]
@@ -193,16 +192,19 @@ ArmLike = Arm | Mapping[str, Any] | str
 
 
 def find_arm(value: object, folder: Path = Path()) -> Arm:
-    """Return an Arm, or the arm that a name, a file or a mapping stands for.
+    """Return the arm for an Arm, a name, a file or a mapping.
 
     Args:
-        value: an Arm; the name of an arm of the catalog; a mapping with that name at "catalog" and its arguments; the
-            path of a file with an arm or a scene; or a mapping as in such a file.
-        folder: against which a path is meant.
+        value: an Arm; the name of an arm in the catalog; a mapping with this name under "catalog" and the arguments of
+            the arm; the path of a file with an arm or a scene; or a mapping as in such a file.
+        folder: folder to which a path is relative.
+
+    Returns:
+        The arm.
 
     Raises:
-        FileNotFoundError: for a file that does not exist.
-        ValueError: for anything else; one line with field, value and what is allowed.
+        FileNotFoundError: if the file does not exist.
+        ValueError: for any other value; one line with the field, the value and the allowed values.
     """
     if isinstance(value, Arm):
         return value
@@ -213,50 +215,50 @@ def find_arm(value: object, folder: Path = Path()) -> Arm:
             data = files.read_data(folder / value)
         except ValueError as error:
             raise ValueError(f"{short_path(value)}: {error}") from None
-        return arm_from_plain(data if "links" in data else data.get("arm", data))
+        return _arm_from_plain(data if "links" in data else data.get("arm", data))
     if isinstance(value, dict) and "catalog" not in value:
-        return arm_from_plain(value)
-    given = {"catalog": value} if isinstance(value, str) else value
-    arguments = {text("a key of arm", name): each for name, each in given.items() if name != "catalog"}
-    name = one_of("arm", given["catalog"], ARMS)
+        return _arm_from_plain(value)
+    entries = {"catalog": value} if isinstance(value, str) else value
+    arguments = {text("a key of arm", name): each for name, each in entries.items() if name != "catalog"}
+    name = one_of("arm", entries["catalog"], ARMS)
     if isinstance(arguments.get("payload"), dict):
         arguments["payload"] = from_plain(Payload, "arm.payload", arguments["payload"])
     try:
         return named_arm(name)(**arguments)
     except TypeError as error:
-        raise value_error("arm", arguments, f"what {name} takes: {str(error).split('() ')[-1]}") from None
+        raise value_error("arm", arguments, f"the arguments of {name}: {str(error).split('() ')[-1]}") from None
 
 
 @cache
 def named_arm(name: str) -> Callable[..., Arm]:
-    """Return the function that builds a named arm, with the options of its file as arguments.
+    """Return the function that builds an arm of the catalog, with the options of its file as arguments.
 
-    The file holds `description` (the docstring of the function), `source`, `arm` in plain form, `options`, a mapping
-    from the name of each option to the field that it sets ("payload", "links[0].area", "joints.stiffness" of every
-    joint, or "file" for another arm), and `values`, the named (mapping) or numbered (list, from 1) values of options.
+    The file holds `description` (docstring of the function), `source`, `arm` (plain form), `options` (mapping from the
+    name of an option to its field: "payload", "links[0].area", "joints.stiffness" for every joint, or
+    "file" for another arm), and `values` (allowed values of options by name, or by number from 1 for a list).
 
     Args:
         name: name of a file in ARM_FOLDER, without suffix.
 
-    Raises:
-        ValueError: by the returned function, for values that Joint or Arm does not allow.
+    Returns:
+        The function; it raises a ValueError for values forbidden by Joint or Arm.
     """
     data = files.read_data(ARM_FOLDER / f"{name}.yaml")
-    arm, options, values = arm_from_plain(data["arm"]), data.get("options", {}), data.get("values", {})
+    arm, options, values = _arm_from_plain(data["arm"]), data.get("options", {}), data.get("values", {})
     defaults = {option: _default(arm, name, field, values.get(option)) for option, field in options.items()}
     kind = Parameter.POSITIONAL_OR_KEYWORD
     call = Signature([Parameter(option, kind, default=value) for option, value in defaults.items()])
 
     def build(*positional: Any, **named: Any) -> Arm:
         try:
-            given = call.bind(*positional, **named).arguments
+            arguments = call.bind(*positional, **named).arguments
         except TypeError as error:
             raise TypeError(f"{name}() {error}; give {', '.join(options) or 'no arguments'}") from None
         changes: dict[str, dict[str, Any]] = {}
-        for option, value in given.items():
+        for option, value in arguments.items():
             part, _, field = options[option].rpartition(".")
             changes.setdefault(part, {})[field] = _option_value(option, value, values.get(option))
-        return _changed(arm, name, changes)
+        return _change_fields(arm, name, changes)
 
     build.__name__ = build.__qualname__ = name
     build.__module__, build.__doc__ = "flexman_gym.scene.catalog", f"{data['description']}\nSource: {data['source']}.\n"
@@ -265,36 +267,36 @@ def named_arm(name: str) -> Callable[..., Arm]:
 
 
 def _default(arm: Arm, name: str, field: str, values: Any) -> Any:
-    """Return the value of an option that the file of an arm holds; of the first joint for a field of every joint."""
+    """Return the value of an option in the file of an arm; for a field of every joint, the value of the first joint."""
     if field == "file":
         return values.index(name) + 1
     part, _, own = field.rpartition(".")
-    whole, indices = _chosen(arm, part) if part else ("", [])
-    value = getattr(getattr(arm, whole)[indices[0]] if part else arm, own)
+    parts, indices = _select_parts(arm, part) if part else ("", [])
+    value = getattr(getattr(arm, parts)[indices[0]] if part else arm, own)
     return next(each for each, number in values.items() if number == value) if values else value
 
 
 def _option_value(option: str, value: Any, values: Any) -> Any:
-    """Return the value that an option stands for: that of its name or of its number, where it has such."""
+    """Return the value of an option, which may be a name or a number if the file lists its values."""
     if isinstance(values, list):
         return values[whole_number(option, value, 1, len(values)) - 1]
     return values[one_of(option, value, values)] if values else value
 
 
-def _chosen(arm: Arm, part: str) -> tuple[str, list[int]]:
-    """Return "links" or "joints", and the indices that "joints" (all of them) or "links[0]" stands for."""
+def _select_parts(arm: Arm, part: str) -> tuple[str, list[int]]:
+    """Return "links" or "joints", and the indices selected by "joints" (all joints) or "links[0]"."""
     name, _, index = part.rstrip("]").partition("[")
     return name, [int(index)] if index else list(range(arm.n_joints))
 
 
-def _changed(arm: Arm, name: str, changes: dict[str, dict[str, Any]]) -> Arm:
-    """Return an arm with other values of fields, by the part that has the fields; "" is the arm itself."""
+def _change_fields(arm: Arm, name: str, changes: dict[str, dict[str, Any]]) -> Arm:
+    """Return an arm with other values of some fields, by the part to which the fields belong; "" is the arm itself."""
     own = changes.pop("", {})
     if (file := own.pop("file", name)) != name:
         return named_arm(file)()
     for part, entries in changes.items():
-        whole, indices = _chosen(arm, part)
-        parts = own[whole] = list(getattr(arm, whole))
+        name, indices = _select_parts(arm, part)
+        parts = own[name] = list(getattr(arm, name))
         for i in indices:
             parts[i] = _build_part(type(parts[i]), type(parts[i]).__name__, vars(parts[i]) | entries)
     return _build_part(Arm, "Arm", vars(arm) | own)

@@ -1,4 +1,4 @@
-"""Signals of torque, motion, force and acceleration over time: constants, sines and samples."""
+"""Signals over time for torques, motions, forces and accelerations: constants, sines and samples."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -26,25 +26,27 @@ from flexman_gym.common.checks import (
 from flexman_gym.common.time_series import read_time_series, write_csv
 
 HOLDS = ("zero", "linear")
-LEAST_OF_SPLINE = 4  # samples
+MIN_SPLINE_SAMPLES = 4
 
 
 @dataclass(frozen=True)
 class SampledSignal:
-    """A signal that is known at T moments; it takes the place of a Signal.
+    """Signal given by T samples, usable wherever a Signal is.
 
-    From each sample to the next it keeps the value (hold="zero", as a converter puts out), or goes in a straight line
-    (hold="linear"). The last value of hold="zero" lasts as long as the one before it. Nothing is known outside these
-    times: a scene that begins earlier or ends later is refused. Steps of a simulation end at every sample, so that none
-    goes over a jump or a bend.
+    Between samples it is constant (hold="zero", the output of a digital-to-analogue converter) or linear
+    (hold="linear"). With hold="zero" the last value lasts as long as the previous one. The signal is undefined outside
+    these times, so that a scene must not begin earlier or end later. The steps of a simulation end at every sample:
+    none crosses a jump or a kink.
 
     Attributes:
-        times: (T,) s, ascending, at least two.
-        values: (T,) in the unit of the driven quantity.
+        times: times (T,) of the samples, s, ascending, at least two.
+        values: values (T,) in the unit of the quantity.
         hold: "zero" or "linear".
 
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+    Examples:
+        >>> gust = fm.SampledSignal(times=[0.0, 0.5, 1.0], values=[0.0, 2.0, 0.0], hold="linear")
+        >>> gust.end
+        1.0
     """
 
     times: Vector
@@ -59,22 +61,22 @@ class SampledSignal:
 
     @classmethod
     def from_csv(cls, path: str | Path, column: str, unit: str, hold: str = "zero") -> Self:
-        """Reads a column in a unit, or one that is a part of it; see `read_time_series`."""
+        """Read a column in a unit, or in a multiple of it such as mN for N, from a CSV file; see `read_time_series`."""
         record = read_time_series(path)
         return cls(record.times, record.values((unit,), [column])[:, 0], hold)
 
     @property
     def largest(self) -> float:
-        """The value of largest size."""
+        """Value of largest magnitude."""
         return max(self.values, key=abs)
 
     @property
     def end(self) -> float:
-        """Time until which it is known, s."""
+        """Time at which the signal ends, s."""
         return self.times[-1] + (self.times[-1] - self.times[-2] if self.hold == "zero" else 0.0)
 
     def lines(self, moments: Array) -> tuple[Array, Array]:
-        """Gives value at time 0 and slope (per s) of the straight line on which it is at moments (p,) s."""
+        """Return value at time 0 and slope (per s) of the straight line followed at times (p,), s."""
         times, values = np.array(self.times), np.array(self.values)
         j = np.clip(np.searchsorted(times, moments, "right") - 1, 0, len(times) - 1)
         if self.hold == "zero":
@@ -86,20 +88,17 @@ class SampledSignal:
 
 @dataclass(frozen=True)
 class SampledTorque:
-    """Torques of n motors (of the links where joints are rigid) that are known at T moments; see `SampledSignal`.
+    """Torques of n motors (of the links in rigid joints) given by T samples; between samples like `SampledSignal`.
 
     Attributes:
-        times: (T,) s, ascending, at least two.
-        values: (T, n) N m.
+        times: times (T,) of the samples, s, ascending, at least two.
+        values: torques (T, n), N m.
         hold: "zero" or "linear".
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
 
     Examples:
         >>> torque = fm.SampledTorque(times=[0.0, 0.5, 1.0], values=[[0.1], [-0.1], [0.0]], hold="zero")
-        >>> torque.times
-        (0.0, 0.5, 1.0)
+        >>> torque.at(0.7)
+        array([-0.1])
     """
 
     kind: ClassVar[str] = "sampled"
@@ -115,15 +114,19 @@ class SampledTorque:
 
     @classmethod
     def from_csv(cls, path: str | Path, columns: Sequence[str] | None = None, hold: str = "zero") -> Self:
-        """Reads a CSV file with a head such as "time (s),torque_1 (N m)"; see `read_time_series`.
+        """Read a CSV file with a header such as "time (s),torque_1 (N m)"; see `read_time_series`.
 
         Args:
-            path: of the file.
-            columns: names, such as "torque_1", in the order of the joints; None takes all torques of the file.
+            path: path of the file.
+            columns: names of columns, such as "torque_1", in the order of the joints; None reads all torques of the
+                file.
             hold: "zero" or "linear".
 
+        Returns:
+            The torques.
+
         Raises:
-            FileNotFoundError, ValueError: one line, see `read_time_series`.
+            FileNotFoundError: if the file does not exist.
         """
         record = read_time_series(path)
         return cls(record.times, record.values(("N m",), columns), hold)  # type: ignore[arg-type]
@@ -132,14 +135,25 @@ class SampledTorque:
     def from_function(
         cls, function: Callable[[float], Vector], duration: float, period: float, hold: str = "linear"
     ) -> Self:
-        """Samples a function of time, s, that gives torques (n,) N m, once every period (s) until the duration (s).
+        """Sample a function of time before the simulation.
 
-        The function is called once a sample, before the simulation, and not in the steps of a method. A simulation then
-        stops at every sample, which takes 30 us of one core beside the steps and what the function takes, whatever the
-        arm. Between samples a straight line is off by at most period^2 / 8 times the second derivative.
+        The function is called once per sample, not within the steps of a method. The simulation then stops at every
+        sample, which takes 30 us of one core in addition to the steps and the function itself, whatever the arm. With
+        linear interpolation the error is at most period^2 / 8 times the second derivative.
 
-        Raises:
-            ValueError: for a period that does not divide the duration, and for what is no torque.
+        Args:
+            function: torques (n,) in N m at a time in s.
+            duration: time of the last sample, s.
+            period: sampling interval, s; it must divide the duration.
+            hold: "zero" or "linear".
+
+        Returns:
+            The torques.
+
+        Examples:
+            >>> torque = fm.SampledTorque.from_function(lambda time: [2.0 * time], duration=1.0, period=0.25)
+            >>> torque.at(0.5)
+            array([1.])
         """
         allowed = "a number of seconds that divides the duration"
         count = whole_ratio("period", positive("period", period, "s"), positive("duration", duration, "s"), allowed)
@@ -149,15 +163,15 @@ class SampledTorque:
         return cls(times, [function(time) for time in times.tolist()], hold)
 
     def to_csv(self, path: str | Path) -> None:
-        """Writes a file from which `from_csv` gives an equal one, but for the hold."""
-        write_csv(path, {"time (s)": self.times, **_heads("torque", "N m", self.values)})
+        """Write a CSV file, from which `from_csv` reads equal torques if it is given the same hold."""
+        write_csv(path, {"time (s)": self.times, **_headed_columns("torque", "N m", self.values)})
 
     def signals(self) -> list[Any]:
-        """Gives the torque of each motor, n of them."""
+        """Return the torque of each motor as a signal, n in all."""
         return [SampledSignal(self.times, column, self.hold) for column in np.array(self.values).T]
 
     def at(self, time: float) -> NDArray[np.float64]:
-        """Gives the torques (n,) in N m at a time in s; raises ValueError for one at which they are not known."""
+        """Return the torques (n,), N m, at a time (s) within the samples."""
         signals = self.signals()
         if not self.times[0] <= time <= signals[0].end:
             raise value_error("time", time, f"one from {self.times[0]} to {signals[0].end} (s)")
@@ -168,21 +182,23 @@ class SampledTorque:
 
 @dataclass(frozen=True)
 class SampledAngles:
-    """The motion of a prescribed motor (a joint where it is rigid), known by its angles at T moments.
+    """Prescribed motion of a motor (of the joint itself if rigid), given by its angle at T times.
 
-    The motor moves along a cubic spline, twice smoothly differentiable: through the angles, or near them where these
-    have noise. It starts at the angle and rate of the spline, whatever `Initial` says of this joint. Where angles are
-    exact samples of a smooth motion, the spline is off by a part of the interval to the fourth power.
+    The motor follows a cubic spline with continuous acceleration, through the angles or, if they are noisy, close to
+    them. It starts at the angle and rate of the spline, whatever `Initial` contains for this joint. For exact samples
+    of a smooth motion, the error of the spline is proportional to the fourth power of the sampling interval.
 
     Attributes:
-        times: (T,) s, ascending, at least four.
-        angles: (T,) rad.
-        deviation: rad, standard deviation of the noise or rounding of the angles. With one, the spline has as few
-            pieces as leave it so far from the angles (FITPACK's smoothing); 0 goes through all of them, and what two
-            derivatives make of an encoder's rounding shakes the arm.
+        times: times (T,) of the samples, s, ascending, at least four.
+        angles: angles (T,), rad.
+        deviation: standard deviation of the noise or rounding of the angles, rad. If positive, the spline has as few
+            pieces as this deviation from the angles permits (smoothing of FITPACK). If 0, it passes through all angles;
+            the rounding of an encoder, differentiated twice, then shakes the arm.
 
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+    Examples:
+        >>> motion = fm.SampledAngles(times=[0.0, 0.1, 0.2, 0.3], angles=[0.0, 0.01, 0.04, 0.09])
+        >>> round(motion.acceleration.values[0], 6)
+        2.0
     """
 
     times: Vector
@@ -192,21 +208,21 @@ class SampledAngles:
     def __post_init__(self) -> None:
         times = _moments("SampledAngles.times", self.times)
         angles = number_array("SampledAngles.angles", self.angles, times.shape, f"{len(times)} finite numbers (rad)")
-        if len(times) < LEAST_OF_SPLINE:
-            raise value_error("SampledAngles.times", self.times, f"at least {LEAST_OF_SPLINE} times (s)")
+        if len(times) < MIN_SPLINE_SAMPLES:
+            raise value_error("SampledAngles.times", self.times, f"at least {MIN_SPLINE_SAMPLES} times (s)")
         deviation = non_negative("SampledAngles.deviation", self.deviation, "rad")
         set_fields(self, times=tuple(times.tolist()), angles=tuple(angles.tolist()), deviation=deviation)
 
     @classmethod
     def from_csv(cls, path: str | Path, column: str, deviation: float = 0.0) -> Self:
-        """Reads a column of angles of a CSV file, such as "hub" of "time (s),hub (deg)"; see `read_time_series`."""
+        """Read a column of angles from a CSV file, such as "hub" in "time (s),hub (deg)"; see `read_time_series`."""
         record = read_time_series(path)
         return cls(record.times, record.values(("rad",), [column])[:, 0], deviation)
 
     @cached_property
     def _spline(self) -> tuple[Any, Array]:
-        """The spline, and the times at which its pieces meet."""
-        from scipy.interpolate import CubicSpline, UnivariateSpline  # a third of a second, which few need
+        """Spline of the angles, and the times of its knots."""
+        from scipy.interpolate import CubicSpline, UnivariateSpline  # imported here because it takes 0.3 s
 
         if self.deviation == 0.0:
             return CubicSpline(self.times, self.angles), np.array(self.times)
@@ -216,23 +232,23 @@ class SampledAngles:
 
     @property
     def acceleration(self) -> SampledSignal:
-        """The acceleration, rad/s^2: straight lines between the ends of the pieces of the spline."""
+        """Acceleration, rad/s^2, linear between the knots of the spline."""
         spline, knots = self._spline
         return SampledSignal(knots, spline.derivative(2)(knots), "linear")
 
     def start(self, time: float = 0.0) -> tuple[float, float]:
-        """Gives angle (rad) and rate (rad/s) of the spline at a time (s)."""
+        """Return angle (rad) and rate (rad/s) of the spline at a time (s)."""
         spline, _ = self._spline
         return float(spline(time)), float(spline.derivative()(time))
 
 
-def _heads(name: str, unit: str, values: Sequence[Vector]) -> dict[str, Any]:
-    """Columns by heads that count from 1."""
+def _headed_columns(name: str, unit: str, values: Sequence[Vector]) -> dict[str, Any]:
+    """Return columns by header, such as "torque_1 (N m)", numbered from 1."""
     return {f"{name}_{i} ({unit})": column for i, column in enumerate(zip(*values, strict=True), 1)}
 
 
 def _moments(name: str, value: object) -> Array:
-    """Times (T,) in ascending order."""
+    """Return times (T,) in ascending order as an array."""
     allowed = f"2 to {MAX_ENTRIES} finite numbers (s), each larger than the one before"
     count = len(value) if isinstance(value, list | tuple | np.ndarray) else 0
     times = number_array(name, value, (count,), allowed) if 2 <= count <= MAX_ENTRIES else np.zeros(2)
@@ -242,34 +258,36 @@ def _moments(name: str, value: object) -> Array:
 
 
 def _rows(name: str, value: object, count: int) -> Array:
-    """Values (T, n)."""
+    """Return values (T, n) as an array."""
     allowed = f"{count} lists of finite numbers (N m), one for each time, all of the same length"
     try:
         joints = len(value[0])  # type: ignore[index]
-    except Exception:  # nothing that has a first list
+    except Exception:  # no list of lists
         joints = 0
     if joints < 1:
         raise value_error(name, value, allowed)
     return number_array(name, value, (count, joints), allowed)
 
 
-SAME = 1e-12  # of the duration: moments that are one
+TIME_TOLERANCE = 1e-12  # of the duration; times closer than this are equal
 
 
 @dataclass(frozen=True)
 class Signal:
-    """A sine with an offset: offset + amplitude sin(2 pi frequency_hz t + phase) for start <= t < stop, and 0 outside.
+    """Sine with an offset: offset + amplitude sin(2 pi frequency_hz t + phase) for start <= t < stop, and 0 otherwise.
 
     Attributes:
-        offset: mean, in the unit of the driven quantity.
-        amplitude: in that unit.
-        frequency_hz: Hz, >= 0.
-        phase: rad.
-        start: s, >= 0.
-        stop: s, > start; None for a signal without end.
+        offset: mean value, in the unit of the quantity.
+        amplitude: amplitude, in the unit of the quantity.
+        frequency_hz: frequency, Hz, not negative.
+        phase: phase, rad.
+        start: start time, s, not negative.
+        stop: end time, s, after the start; None for a signal without end.
 
-    Raises:
-        ValueError: for a number that is not finite or outside its range.
+    Examples:
+        >>> push = fm.Signal(offset=5.0, start=0.2, stop=0.3)
+        >>> push.offset * (push.stop - push.start)
+        0.4999999999999999
     """
 
     offset: float = 0.0
@@ -290,25 +308,26 @@ class Signal:
                 raise value_error("Signal.stop", self.stop, f"a time after the start {self.start} (s), or None")
 
     def column(self) -> NDArray[np.float64]:
-        """Gives its column (7,) in the table of a drive, see `kernels.layout`."""
+        """Return the column (7,) of the signal in the signal table of the kernels, see `kernels.layout`."""
         stop = math.inf if self.stop is None else self.stop
         return np.array([self.offset, self.amplitude, self.frequency_hz, self.phase, self.start, stop, 0.0])
 
     @property
     def largest(self) -> float:
-        """The larger one of offset and amplitude."""
+        """Offset or amplitude, whichever has the larger magnitude."""
         return max(self.offset, self.amplitude, key=abs)
 
 
 @dataclass(frozen=True)
 class ConstantTorque:
-    """Torques that do not change, on the motors (on the links where joints are rigid).
+    """Constant torques on the motors (on the links in rigid joints).
 
     Attributes:
-        value: (n,) N m.
+        value: torques (n,), N m.
 
-    Raises:
-        ValueError: for a value that is not a list of finite numbers.
+    Examples:
+        >>> fm.ConstantTorque((400.0, 400.0, 400.0)).value
+        (400.0, 400.0, 400.0)
     """
 
     kind: ClassVar[str] = "constant"
@@ -318,26 +337,27 @@ class ConstantTorque:
         set_fields(self, value=vector("ConstantTorque.value", self.value, unit="N m"))
 
     def signals(self) -> list[Signal | SampledSignal]:
-        """Gives the torque of each motor as a Signal, n of them."""
+        """Return the torque of each motor as a Signal, n in all."""
         return [Signal(value) for value in self.value]
 
     def at(self, time: float) -> NDArray[np.float64]:
-        """Gives the torques (n,) in N m at a time in s."""
+        """Return the torques (n,), N m, at a time (s)."""
         return np.array(self.value)
 
 
 @dataclass(frozen=True)
 class SineTorque:
-    """Torques amplitude sin(2 pi frequency_hz t + phase), on the motors (on the links where joints are rigid).
+    """Sinusoidal torques amplitude sin(2 pi frequency_hz t + phase) on the motors (on the links in rigid joints).
 
     Attributes:
-        amplitude: (n,) N m.
-        frequency_hz: (n,) Hz, >= 0.
-        phase: (n,) rad.
+        amplitude: amplitudes (n,), N m.
+        frequency_hz: frequencies (n,), Hz, not negative.
+        phase: phases (n,), rad.
 
-    Raises:
-        ValueError: for an attribute that is not a list of finite numbers, for lists of different length, and for a
-            negative frequency.
+    Examples:
+        >>> torque = fm.SineTorque(amplitude=(2.0,), frequency_hz=(0.5,), phase=(0.0,))
+        >>> torque.at(0.5)
+        array([2.])
     """
 
     kind: ClassVar[str] = "sine"
@@ -354,24 +374,28 @@ class SineTorque:
         set_fields(self, amplitude=amplitude, frequency_hz=frequency_hz, phase=phase)
 
     def signals(self) -> list[Signal | SampledSignal]:
-        """Gives the torque of each motor as a Signal, n of them."""
+        """Return the torque of each motor as a Signal, n in all."""
         return [Signal(0.0, *numbers) for numbers in zip(self.amplitude, self.frequency_hz, self.phase, strict=True)]
 
     def at(self, time: float) -> NDArray[np.float64]:
-        """Gives the torques (n,) in N m at a time in s."""
+        """Return the torques (n,), N m, at a time (s)."""
         return self.amplitude * np.sin(2.0 * np.pi * time * np.array(self.frequency_hz) + self.phase)
 
 
 def signal_table(drives: Sequence[Signal | None]) -> NDArray[np.float64]:
-    """Gives the table (7, n + 6) of a drive from its n + 6 signals; None stands for a signal that is always zero."""
+    """Return the signal table (7, n + 6) of n + 6 signals; None stands for a zero signal."""
     return np.column_stack([(drive or Signal()).column() for drive in drives])
 
 
 class PiecewiseSignals:
-    """A drive from 0 s to a duration as a table for each piece of this time, in which no sample ends.
+    """Signals from 0 s to a duration as one table per interval, in which no sample begins or ends.
+
+    Args:
+        drives: the signals; None for a zero signal.
+        duration: end of the last interval, s.
 
     Attributes:
-        moments: (p + 1,) s, where the p pieces begin and end; one piece for a drive without samples.
+        moments: boundaries (p + 1,) of the p intervals, s; one interval if no signal is sampled.
     """
 
     def __init__(self, drives: Sequence[Signal | SampledSignal | None], duration: float) -> None:
@@ -379,13 +403,13 @@ class PiecewiseSignals:
         self._table = signal_table([None if isinstance(drive, SampledSignal) else drive for drive in drives])
         moments = np.unique(np.concatenate([[0.0, duration], *(drive.times for drive in sampled.values())]))
         moments = moments[(moments >= 0.0) & (moments <= duration)]
-        apart = np.append(True, np.diff(moments) > SAME * duration)
+        apart = np.append(True, np.diff(moments) > TIME_TOLERANCE * duration)
         self.moments = moments[apart] if apart[-1] else np.append(moments[apart][:-1], duration)
         middles = 0.5 * (self.moments[1:] + self.moments[:-1])
         self._lines: dict[int, tuple[Array, Array]] = {i: drive.lines(middles) for i, drive in sampled.items()}
 
     def table(self, piece: int = 0) -> NDArray[np.float64]:
-        """Gives the table (7, n + 6) of a piece, see `kernels.layout`."""
+        """Return the signal table (7, n + 6) of an interval, see `kernels.layout`."""
         result = self._table.copy()
         for i, (values, slopes) in self._lines.items():
             result[0, i], result[-1, i] = values[piece], slopes[piece]

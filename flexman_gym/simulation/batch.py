@@ -60,7 +60,7 @@ class Batch:
         threads: largest number of threads, 1 to 256.
     """
 
-    kept = (
+    state_fields = (
         "rows", "outputs", "status", "_periods", "energy_turnover", "start_energy", "_mover", "_drive", "_felt",
         "_known",
     )  # fmt: skip

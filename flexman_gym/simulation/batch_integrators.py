@@ -148,7 +148,7 @@ class BatchIntegrator(Protocol):
 class SequentialIntegrator(BatchIntegrator):
     """Batch integrator with one `Integrator` for each arm, which integrates one arm after the other."""
 
-    kept = ("own",)
+    state_fields = ("own",)
 
     def __init__(self, runs: list[Integrator], period: tuple[float, int]) -> None:
         self._runs = runs
@@ -219,7 +219,7 @@ class LaneIntegrator(BatchIntegrator):
     bits.
     """
 
-    kept = ("own",)
+    state_fields = ("own",)
 
     def __init__(
         self,

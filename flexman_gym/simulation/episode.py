@@ -18,7 +18,7 @@ from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.common.time_series import write_csv
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import ModelChoice
-from flexman_gym.scene.serialization import arm_from_plain, from_plain, to_plain
+from flexman_gym.scene.serialization import find_arm, from_plain, to_plain
 from flexman_gym.simulation.trajectory import Trajectory
 
 FORMAT = 1  # version of the file format
@@ -96,7 +96,7 @@ class Episode:
             ValueError: for an invalid arm or model.
         """
         choice = from_plain(ModelChoice, "model", self.about["model"])
-        return build_model(arm_from_plain(self.about["arm"]), **vars(choice))
+        return build_model(find_arm(self.about["arm"]), **vars(choice))
 
     @property
     def name(self) -> str:

@@ -63,7 +63,7 @@ class ExternalIntegrator(BatchIntegrator):
     The replaced integrator holds the constants of the arms and computes outputs and tip accelerations.
     """
 
-    kept = ()
+    state_fields = ()
 
     def __init__(self, model: Model, integrator: BatchIntegrator, simulator: ExternalSimulator) -> None:
         self._model, self._integrator, self._simulator = model, integrator, simulator

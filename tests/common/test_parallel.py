@@ -71,15 +71,13 @@ def test_the_error_of_a_cell_is_raised_as_it_is(workers):
 def test_workers_that_die_again_and_again_end_the_grid(capfd):
     with pytest.raises(RuntimeError, match="workers died 3 times in a row"):
         parallel_map(cells.deadly, [1, 2], 2)
-    assert capfd.readouterr().err.count("a worker died: its cells are tried again") == 2
+    assert capfd.readouterr().err.count("a worker died: its items are run again") == 2
 
 
 def test_a_killed_grid_leaves_no_process_and_goes_on_where_it_was(tmp_path):
     """Cells 0 to 3 are done at once, 4 and 5 take long; then the grid and its workers are killed."""
-    call = (
-        "from pathlib import Path; from oracles import cells; from flexman_gym.common.parallel import collect_cells\n"
-    )
-    call += f"if __name__ == '__main__': collect_cells(cells.counted, {{own}}, 2, Path({str(tmp_path / 'kept')!r}))"
+    call = "from pathlib import Path; from oracles import cells; from flexman_gym.common.parallel import parallel_map\n"
+    call += f"if __name__ == '__main__': parallel_map(cells.counted, {{own}}, 2, Path({str(tmp_path / 'kept')!r}))"
     own = [(str(tmp_path), seed, seed >= 4) for seed in range(6)]
     (tmp_path / "study.py").write_text(call.format(own=own))
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -120,4 +118,6 @@ def test_a_long_grid_says_what_is_left(monkeypatch, capsys):
 def test_workers_that_do_not_exist_are_refused():
     assert refusal(Workers, 0).startswith("jobs: 0 is not allowed; give a whole number from 1")
     assert refusal(Workers, 1, None, "pbs").startswith("submitit: 'pbs' is not allowed; give one of slurm, local")
-    assert refusal(Workers, 1, "auto", "slurm").startswith("ray: 'auto' is not allowed; give nothing beside submitit")
+    assert refusal(Workers, 1, "auto", "slurm").startswith(
+        "ray: 'auto' is not allowed; give no Ray cluster together with submitit"
+    )

@@ -33,7 +33,7 @@ def test_a_folder_is_trained_in_by_one_process(tmp_path, capsys):
         other.wait()
     with lock_folder(tmp_path):
         assert (
-            f"Process {other.pid}, which trained in {tmp_path}, is gone: this one takes over."
+            f"Process {other.pid}, which trained in {tmp_path}, has ended; this process takes over the folder."
             in capsys.readouterr().err
         )
     with lock_folder(tmp_path):
@@ -103,7 +103,7 @@ def test_nothing_that_is_read_runs(run, tmp_path):
     for bomb in ("bomb.npz", "bomb.pkl"):
         (tmp_path / NEWEST).write_bytes((tmp_path / bomb).read_bytes())
         line = refusal(find_agent, str(tmp_path))
-        assert "this is not what a training run has written" in line and "FLEXMAN_BOMB" not in os.environ
+        assert "this is no file of a training run" in line and "FLEXMAN_BOMB" not in os.environ
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ SETTINGS = {"name": "FlexPlanar-v0", "horizon": 0.3}
 class Winding:
     """A mode of one's own with a memory: a single number turns all motors, more with each control period."""
 
-    kept = ("wound",)
+    state_fields = ("wound",)
     names, sensors = ("winding",), ("servo",)
 
     def __init__(self, plant, base, rate=0.01):

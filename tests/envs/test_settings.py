@@ -57,7 +57,7 @@ def test_an_arm_may_be_named_wherever_one_is_taken(tmp_path):
     for value, line in (
         (3, "arm: 3 is not allowed; give an Arm, a mapping, a file, or a name in the catalog: de_luca_siciliano"),
         ("planar", "arm: 'planar' is not allowed; give one of de_luca_siciliano, flexarm_rome"),
-        ({"catalog": "one_link", "links": 2}, "arm: {'links': 2} is not allowed; give what one_link takes"),
+        ({"catalog": "one_link", "links": 2}, "arm: {'links': 2} is not allowed; give the arguments of one_link"),
     ):
         assert refusal(lambda value=value: find_arm(value)).startswith(line)
         assert refusal(lambda value=value: gym.make("FlexOne-v0", arm=value)).startswith(line)
@@ -88,8 +88,8 @@ def test_a_control_period_in_ms_is_warned_of_once():
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         gym.make("FlexOne-v0", control_period=20.0, horizon=200.0, step=20.0 / 3000, disable_env_checker=True)
-    lines = [str(each.message) for each in caught if "slip of units" in str(each.message)]
-    assert lines == ["control_period: 20 (s) looks like a slip of units, usual is at most 1; was it in ms?"]
+    lines = [str(each.message) for each in caught if "wrong unit" in str(each.message)]
+    assert lines == ["control_period: 20 (s) is unusual, expected at most 1; wrong unit (ms)?"]
 
 
 def test_models_trajectories_and_choices_print_few_lines():

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.common.safetensors import MAX_BYTES, read_tensors, write_tensors
 from flexman_gym.control.base_controllers import BASES
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import find_agent, policy_files, rollout
@@ -19,7 +18,10 @@ from flexman_gym.evaluation.agent_info import check_seeds_unseen, required_infor
 from flexman_gym.evaluation.policy_files import (
     ABOUT,
     ARRAYS,
+    MAX_BYTES,
     POLICIES,
+    _read_tensors,
+    _write_tensors,
     json_hash,
     policy_folder,
     read_certificate,
@@ -55,9 +57,9 @@ def settings(about, **given):
 
 def forged(folder, change):
     """Changes its arrays, and the hash beside them too."""
-    arrays = {name: each.copy() for name, each in read_tensors((folder / ARRAYS).read_bytes()).items()}
+    arrays = {name: each.copy() for name, each in _read_tensors((folder / ARRAYS).read_bytes()).items()}
     change(arrays)
-    write_tensors(folder / ARRAYS, arrays)
+    _write_tensors(folder / ARRAYS, arrays)
     changed(folder, lambda about: about.__setitem__("arrays_hash", policy_files.hashlib.sha256(
         (folder / ARRAYS).read_bytes()).hexdigest()))  # fmt: skip
 

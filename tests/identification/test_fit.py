@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.identification.fit import r_squared
+from flexman_gym.identification.fit import _r_squared
 from flexman_gym.identification.measurement import SimulatedResponse
 from flexman_gym.simulation.parameters import PARAMETERS, varied_arm, varied_model
 
@@ -75,7 +75,7 @@ def test_hub_motion_in_deflection_out_with_an_unknown_gain():
     assert found.values["joint_stiffness"] == pytest.approx(TRUE["joint_stiffness"], rel=1e-4)
     assert found.gains[name][0] == pytest.approx(1.7, rel=1e-3)
     assert found.score(record)[name] > 0.99999
-    assert r_squared(record.outputs[name], found.predicted(record)[name]) > 0.99999
+    assert _r_squared(record.outputs[name], found.predicted(record)[name]) > 0.99999
     # the same without the filter in the record: damping and stiffness are nonsense, and the filter is told
     bare = replace(record, filters={})
     found = fm.fit(start, "joint_stiffness", records=[bare], starts=0, **CHOICE)
@@ -89,7 +89,7 @@ def test_what_a_record_cannot_tell_is_named():
     record = made_up(TIMES, {"motor_angle_1": hub}, ("link_deflection_1_y",))
     found = fm.fit(fm.catalog.one_joint(), ["link_stiffness_factor", "viscous_friction"], records=[record], **CHOICE)
     assert found.undetermined == ("viscous_friction[0]",)
-    assert found.explanation == "The data cannot tell viscous_friction[0]."
+    assert found.explanation == "The data do not determine viscous_friction[0]."
     assert found.values["viscous_friction"].shape == (1,)
 
 
@@ -112,7 +112,7 @@ def test_bad_records_are_refused_in_one_line(tmp_path):
     outputs, good = {"motor_angle_1": np.zeros(SAMPLES)}, np.zeros(SAMPLES)
     gap = np.where(TIMES > 0.5, TIMES + 0.3, TIMES)
     for words, arguments in (
-        ("there is a gap behind 0.5 s", (gap, {}, outputs)),
+        ("there is a gap after 0.5 s", (gap, {}, outputs)),
         ("Measurement.outputs['motor_angle_1']", (TIMES, {}, {"motor_angle_1": np.where(TIMES > 1, np.nan, good)})),
         *(
             ("Measurement.inputs: 'torque", (TIMES, {f"torque{end}": good}, outputs))

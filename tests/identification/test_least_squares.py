@@ -8,7 +8,14 @@ import pytest
 from scipy.signal import lfilter
 
 import flexman_gym as fm
-from flexman_gym.identification.fit import SPREAD, _best, _covariance, _memory, _misfit, _poor
+from flexman_gym.identification.fit import (
+    SPREAD,
+    _correlation_length,
+    _covariance,
+    _is_poor,
+    _misfit,
+    _solve_from_starts,
+)
 from flexman_gym.identification.least_squares import FreeParameters, LeastSquaresProblem, ResidualBlock
 from flexman_gym.identification.measurement import SimulatedResponse
 from flexman_gym.identification.ringing import Ringing
@@ -32,9 +39,9 @@ def test_slopes_are_those_of_the_residuals(corner):
     problem = problem_of(turned((BENT,), gains=(BENT,), offsets=(BENT,)), corner=corner)
     x = problem.start + np.array([0.1, 0.7, 2e-3, 0.3])[: len(problem.start)]
     assert len(x) == (4 if corner else 3)
-    slopes = problem.evaluated(x)[1].copy()
+    slopes = problem.evaluate(x)[1].copy()
     for i, unit in enumerate(np.eye(len(x))):
-        ahead, behind = (problem.evaluated(x + sign * 1e-3 * unit)[0].copy() for sign in (1.0, -1.0))
+        ahead, behind = (problem.evaluate(x + sign * 1e-3 * unit)[0].copy() for sign in (1.0, -1.0))
         difference = (ahead - behind) / 2e-3
         assert slopes[:, i] == pytest.approx(difference, abs=2e-3 * np.abs(difference).max())
         assert np.abs(difference).max() > 0.1
@@ -63,10 +70,10 @@ def test_noise_is_that_of_each_output_over_all_records():
                                 for name, each in clean.outputs.items()}) for size in sizes
     ]  # fmt: skip
     problem = problem_of(*records)
-    problem.solved(problem.start)
-    assert [(part.record, part.name) for part in problem.parts] == [(0, BENT), (0, STRAIN), (1, BENT), (1, STRAIN)]
+    problem.solve(problem.start)
+    assert [(part.record, part.name) for part in problem.blocks] == [(0, BENT), (0, STRAIN), (1, BENT), (1, STRAIN)]
     expected = np.array([np.sqrt(10.0) * 1e-4, 3e-6] * 2)
-    assert np.array([part.sigma[0] for part in problem.parts]) == pytest.approx(expected, rel=0.15)
+    assert np.array([part.sigma[0] for part in problem.blocks]) == pytest.approx(expected, rel=0.15)
 
 
 @pytest.mark.parametrize("hold", ["zero", "linear"])
@@ -97,18 +104,18 @@ def test_one_frequency_that_is_wrong_is_a_poor_fit():
     known = frequencies(fm.build_model(arm, **CHOICE), lock_joints=True)[:2]
     for factors, poor in (((1.0, 1.0), False), ((1.0, 1.012), False), ((1.0, 1.03), True), ((0.97, 1.0), True)):
         problem = LeastSquaresProblem(FreeParameters(arm, "joint_stiffness"), [Ringing(known * factors)], [], CHOICE)
-        assert _poor(problem, problem.start) == poor
+        assert _is_poor(problem, problem.start) == poor
 
 
 def test_the_best_of_other_starts_is_followed(monkeypatch):
     """Where no place can be left, the result is the best of all that may be tried."""
     free = FreeParameters(fm.catalog.planar_2r(), "link_stiffness_factor")
-    known = frequencies(fm.build_model(free.changed(np.array([2.0, 0.5])), 1), lock_joints=True)
+    known = frequencies(fm.build_model(free.build_arm(np.array([2.0, 0.5])), 1), lock_joints=True)
     problem, random = LeastSquaresProblem(free, [Ringing(known[:2])], [], {"elements": 1}), np.random.default_rng(0)
-    monkeypatch.setattr(problem, "solved", lambda x: x)
+    monkeypatch.setattr(problem, "solve", lambda x: x)
     places = [problem.start, *(problem.start + random.uniform(-SPREAD, SPREAD, 2) for _ in range(12))]
     misfits = [_misfit(problem, place) for place in places]
-    found = _best(problem, 12, np.random.default_rng(0))
+    found = _solve_from_starts(problem, 12, np.random.default_rng(0))
     assert _misfit(problem, found) == min(misfits) < 0.5 * misfits[0]
 
 
@@ -116,14 +123,14 @@ def test_gains_and_offsets_are_solved_for_at_once():
     """Residuals are linear in them."""
     clean = turned((BENT,), gains=(BENT,), offsets=(BENT,))
     problem = problem_of(replace(clean, outputs={BENT: 1.7 * clean.outputs[BENT] - 2e-3}))
-    assert problem._geared(problem.start) == pytest.approx([0.0, 1.7, -2e-3], abs=1e-9)
+    assert problem._solve_sensors(problem.start) == pytest.approx([0.0, 1.7, -2e-3], abs=1e-9)
 
 
 def test_an_arm_that_diverges_fits_worse_than_any(monkeypatch):
     problem = problem_of(turned())
-    far = np.sum(problem.evaluated(problem.start + 2.0)[0] ** 2)
+    far = np.sum(problem.evaluate(problem.start + 2.0)[0] ** 2)
     monkeypatch.setattr(problem.responses[0], "signals", lambda *_: np.full((3, 1, len(TIMES)), np.nan))
-    residuals, slopes = problem.evaluated(problem.start)
+    residuals, slopes = problem.evaluate(problem.start)
     assert np.sum(residuals**2) > 10.0 * far and not slopes.any()
 
 
@@ -216,14 +223,14 @@ def coloured(random, size, kept):
 def test_the_memory_of_an_autoregression_is_that_of_its_closed_form(kept):
     """The sum over all lags of kept^|lag|: (1 + kept) / (1 - kept)."""
     rows = coloured(np.random.default_rng(0), 200_000, kept)
-    assert _memory(rows) == pytest.approx((1.0 + kept) / (1.0 - kept), rel=0.1)
-    assert _memory(3.0 * rows + 5.0) == pytest.approx(_memory(rows))
+    assert _correlation_length(rows) == pytest.approx((1.0 + kept) / (1.0 - kept), rel=0.1)
+    assert _correlation_length(3.0 * rows + 5.0) == pytest.approx(_correlation_length(rows))
 
 
 def linear(rows, slopes, record=0):
     """A problem that is linear in its unknowns, at their place of the least residuals."""
     part = ResidualBlock(record, "linear", rows, np.ones(len(rows)), False)
-    return SimpleNamespace(parts=[part], evaluated=lambda x: (rows, slopes), divided=lambda values: [values])
+    return SimpleNamespace(blocks=[part], evaluate=lambda x: (rows, slopes), split=lambda values: [values])
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.8])
@@ -243,7 +250,7 @@ def test_numbers_that_a_fit_uses_up_count():
     for _ in range(300):
         rows = random.standard_normal(m)
         rows -= slopes @ (slopes.T @ rows)
-        found.append(_covariance(linear(rows, slopes), np.zeros(u))[0, 0] / _memory(rows))
+        found.append(_covariance(linear(rows, slopes), np.zeros(u))[0, 0] / _correlation_length(rows))
     assert np.mean(found) == pytest.approx(1.0, rel=0.05)
 
 

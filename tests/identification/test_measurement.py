@@ -53,7 +53,7 @@ def test_columns_with_other_names_are_warned_of_and_a_file_without_known_ones_is
         assert list(fm.Measurement.from_csv(some).outputs) == ["motor_angle_1"]
     none = written(tmp_path / "none.csv", ("time (s)", "hub (rad)"), [TIMES] * 2)
     line = refusal(fm.Measurement.from_csv, none)
-    assert line.startswith("none.csv: the head: ['hub']") and "motor_angle_1" in line and "outputs=" in line
+    assert line.startswith("none.csv: the header: ['hub']") and "motor_angle_1" in line and "outputs=" in line
 
 
 def test_a_known_name_in_a_wrong_unit_is_refused(tmp_path):

@@ -8,8 +8,8 @@ import pytest
 from scipy.optimize import least_squares
 
 import flexman_gym as fm
-from flexman_gym.identification.fit import find_undetermined
-from flexman_gym.identification.least_squares import STEP, FreeParameters
+from flexman_gym.identification.fit import _find_undetermined
+from flexman_gym.identification.least_squares import LOG_STEP, FreeParameters
 from flexman_gym.identification.ringing import Ringing
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import build_model
@@ -73,8 +73,8 @@ def test_slopes_are_those_of_the_numbers_themselves(locked):
     known = Ringing([1.0, 2.0, 3.0], [0.01, 0.02, 0.03], (0.2, -0.7), locked)
 
     def numbers(x):
-        model = build_model(free.changed(free.start * np.exp(x)), 1)
-        return known.computed(model, free.lanes(model, np.zeros(len(x))), STEP)
+        model = build_model(free.build_arm(free.start * np.exp(x)), 1)
+        return known.predict(model, free.perturbed(model, np.zeros(len(x))), LOG_STEP)
 
     _, slopes = numbers(np.zeros(len(free.start)))
     for i, unit in enumerate(np.eye(len(free.start))):
@@ -87,7 +87,7 @@ def test_slopes_are_those_of_the_numbers_themselves(locked):
 def test_an_arm_with_weight_rings_as_its_modes_do():
     model = build_model(fm.catalog.vertical_2r(), 1)
     known = Ringing([1.0, 2.0], [0.01, 0.02], (0.2, -0.7), lock_joints=False)
-    result, _ = known.computed(model, {"payload_mass": np.array([0.1])}, 1.0)
+    result, _ = known.predict(model, {"payload_mass": np.array([0.1])}, 1.0)
     modes = fm.modes(model, (0.2, -0.7), motors="free")
     assert result == pytest.approx([*modes.frequencies[:2], *modes.damping_ratios[:2]], rel=1e-9)
 
@@ -98,12 +98,12 @@ def test_slow_frequencies_are_exact_up_to_rounding_beside_fast_ones():
     model = build_model(arm)
     free = FreeParameters(arm, "link_stiffness_factor")
     before, after = (
-        frequencies(build_model(free.changed(np.full(2, each))), lock_joints=True)[0] for each in (1, 1 + 1e-7)
+        frequencies(build_model(free.build_arm(np.full(2, each))), lock_joints=True)[0] for each in (1, 1 + 1e-7)
     )
     assert (after / before - 1.0) / 5e-8 == pytest.approx(1.0, rel=1e-6)
-    known = frequencies(build_model(free.changed(np.array([1.3, 0.8]))), lock_joints=True)[:3]
+    known = frequencies(build_model(free.build_arm(np.array([1.3, 0.8]))), lock_joints=True)[:3]
     found = least_squares(
-        lambda x: frequencies(build_model(free.changed(x)), lock_joints=True)[:3] / known - 1.0, np.ones(2)
+        lambda x: frequencies(build_model(free.build_arm(x)), lock_joints=True)[:3] / known - 1.0, np.ones(2)
     )
     assert found.x == pytest.approx([1.3, 0.8], rel=1e-5)
     assert model.n_dof > 20
@@ -112,24 +112,24 @@ def test_slow_frequencies_are_exact_up_to_rounding_beside_fast_ones():
 def test_what_frequencies_cannot_tell_is_named():
     arm = fm.catalog.one_joint()
     known = frequencies(build_model(arm, 1), lock_joints=True)[:3]
-    with pytest.raises(ValueError, match="at least as many as free numbers, 4"):
+    with pytest.raises(ValueError, match="at least as many as free parameters, 4"):
         fm.fit(arm, ["joint_stiffness", "joint_damping", "link_stiffness_factor", "payload_mass"], known, elements=1)
     found = fm.fit(arm, ["joint_stiffness", "joint_damping"], known, elements=1)
     assert found.undetermined == ("joint_damping[0]",)
-    assert found.explanation == "The data cannot tell joint_damping[0]."
+    assert found.explanation == "The data do not determine joint_damping[0]."
     found = fm.fit(
         arm, ["link_stiffness_factor", "payload_mass"], {"frequencies": [known[0]] * 2, "numbers": [0, 0]}, elements=1
     )
     assert found.undetermined == ("link_stiffness_factor[0]", "payload_mass")
-    assert found.explanation == "The data cannot tell link_stiffness_factor[0] and payload_mass apart."
+    assert found.explanation == "The data do not determine link_stiffness_factor[0] and payload_mass separately."
 
 
 def test_a_number_is_untold_from_half_of_itself_on():
     free = FreeParameters(fm.catalog.planar_2r(), "link_stiffness_factor")
-    assert find_undetermined(free, free.start, np.diag([0.6**2, 0.4**2]))[0] == ("link_stiffness_factor[0]",)
-    names, sentence = find_undetermined(free, free.start, np.array([[1.0, -0.99], [-0.99, 1.0]]))
+    assert _find_undetermined(free, free.start, np.diag([0.6**2, 0.4**2]))[0] == ("link_stiffness_factor[0]",)
+    names, sentence = _find_undetermined(free, free.start, np.array([[1.0, -0.99], [-0.99, 1.0]]))
     assert names == ("link_stiffness_factor[0]", "link_stiffness_factor[1]")
-    assert sentence == "The data cannot tell link_stiffness_factor[0] and link_stiffness_factor[1] apart."
+    assert sentence == "The data do not determine link_stiffness_factor[0] and link_stiffness_factor[1] separately."
 
 
 def test_a_fit_shows_its_numbers_with_deviations():

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
 from flexman_gym.model.dynamics import inertial_forces
-from flexman_gym.scene.serialization import arm_from_plain, to_plain
+from flexman_gym.scene.serialization import find_arm, to_plain
 
 from oracles.assertions import refusal
 from oracles.chains import QUICK, random_link
@@ -147,9 +147,9 @@ def test_lumped_masses_come_back_from_a_mapping_and_refuse_what_they_are_not():
     stepped = fm.NonUniformLink([STRIP, replace(STRIP, outline=None)], masses=bodies)
     arm = fm.Arm([replace(STRIP, masses=bodies), stepped], [HUB, HUB])
     data = to_plain(arm)
-    assert arm_from_plain(data) == arm and data["links"][0]["masses"][1] == {"mass": 0.2, "position": 0.5}
+    assert find_arm(data) == arm and data["links"][0]["masses"][1] == {"mass": 0.2, "position": 0.5}
     data["links"][1]["masses"][0]["position"] = 1.2
-    assert refusal(lambda: arm_from_plain(data)).startswith(
+    assert refusal(lambda: find_arm(data)).startswith(
         "arm.links[1].masses[0].position: 1.2 is not allowed; give at most"
     )
     for make, line in (

@@ -19,7 +19,7 @@ from flexman_gym.scene.rigid_body import Payload
 
 from oracles.assertions import offenders
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*slip of units")  # of any numbers
+pytestmark = pytest.mark.filterwarnings("ignore:.*wrong unit")  # of any numbers
 LINK = Link(1.0, 0.002, 6e-7, 5e-7, 1e-6, 206e9, 79e9, 8253.0)
 JOINT = Joint((0.0, 0.0, 1.0))
 LINK_NUMBERS = [field.name for field in fields(Link) if field.name not in ("orientation", "masses", "outline")]

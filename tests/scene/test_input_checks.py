@@ -105,7 +105,7 @@ def inertia(size):
     return size * np.eye(3)
 
 
-SLIPS = {
+WRONG_UNITS = {
     "E in GPa": lambda: fm.Link(**STRIP | {"youngs_modulus": 69.0}),
     "E in MPa": lambda: fm.Link(**STRIP | {"youngs_modulus": 69e3}),
     "G in GPa": lambda: fm.Link(**STRIP | {"shear_modulus": 26.0}),
@@ -136,11 +136,11 @@ SLIPS = {
 }
 
 
-@pytest.mark.parametrize("name", SLIPS)
-def test_a_slip_of_units_is_warned_of_in_one_line(name):
+@pytest.mark.parametrize("name", WRONG_UNITS)
+def test_a_wrong_unit_is_warned_of_in_one_line(name):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        SLIPS[name]()
+        WRONG_UNITS[name]()
     lines = [str(each.message) for each in caught if each.category is UserWarning]
     assert len(lines) == 1 and "\n" not in lines[0] and len(lines[0]) < 200, lines
     assert caught[0].filename.endswith(("test_input_checks.py", "link.py"))

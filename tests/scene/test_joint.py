@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym.scene.serialization import arm_from_plain, to_plain
+from flexman_gym.scene.serialization import find_arm, to_plain
 
 from oracles.assertions import refusal
 
@@ -60,7 +60,7 @@ def test_an_arm_with_motors_comes_back_from_its_mapping(motor, limit, tmp_path):
         limit = motor.joint_torque_limit
     arm = fm.Arm([LINK, LINK], [fm.Joint(Z, motor=motor, torque_limit=limit), fm.Joint(Z, rotor_inertia=0.1)])
     data = to_plain(arm)
-    assert arm_from_plain(data) == arm and "rotor_inertia" not in data["joints"][0] and "motor" not in data["joints"][1]
+    assert find_arm(data) == arm and "rotor_inertia" not in data["joints"][0] and "motor" not in data["joints"][1]
     still = fm.Scene(
         arm, fm.ModelChoice(True, 2), fm.ConstantTorque([0.0, 0.0]), fm.Initial([0.0, 0.0], [0.0, 0.0]), 1.0, 0.1
     )
@@ -78,8 +78,11 @@ def test_a_copy_of_a_joint_keeps_its_motor():
 @pytest.mark.parametrize(
     ("make", "line"),
     [
-        (lambda: fm.Joint(Z, 0.1, motor=MOTOR), "Joint.rotor_inertia: 0.1 is not allowed; give nothing beside a motor"),
-        (lambda: fm.Joint(Z, motor=MOTOR, torque_limit=9.0), "Joint.torque_limit: 9.0 is not allowed; give nothing"),
+        (
+            lambda: fm.Joint(Z, 0.1, motor=MOTOR),
+            "Joint.rotor_inertia: 0.1 is not allowed; give none together with a motor",
+        ),
+        (lambda: fm.Joint(Z, motor=MOTOR, torque_limit=9.0), "Joint.torque_limit: 9.0 is not allowed; give none"),
         (lambda: fm.Joint(Z, motor="big"), "Joint.motor: 'big' is not allowed; give a Motor or None"),
         (lambda: replace(MOTOR, efficiency=1.2), "Motor.efficiency: 1.2 is not allowed; give a number > 0 and <= 1"),
         (lambda: replace(MOTOR, gear_ratio=0.0), "Motor.gear_ratio: 0.0 is not allowed; give a finite number > 0"),
@@ -94,6 +97,6 @@ def test_what_no_motor_is(make, line):
 def test_an_error_in_a_file_names_the_motor_of_the_joint():
     data = to_plain(fm.Arm([LINK], [fm.Joint(Z, motor=MOTOR)]))
     data["joints"][0]["motor"]["gear_ratio"] = -2.0
-    assert refusal(lambda: arm_from_plain(data)).startswith("arm.joints[0].motor.gear_ratio: -2.0 is not allowed")
+    assert refusal(lambda: find_arm(data)).startswith("arm.joints[0].motor.gear_ratio: -2.0 is not allowed")
     data["joints"][0]["motor"] = {"gear_ratio": 2.0, "torque_constant": 0.1}
-    assert refusal(lambda: arm_from_plain(data)).startswith("arm.joints[0].motor.rotor_inertia: missing")
+    assert refusal(lambda: find_arm(data)).startswith("arm.joints[0].motor.rotor_inertia: missing")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import flexman_gym as fm
 from flexman_gym.scene.link import MATERIALS, Outline
-from flexman_gym.scene.serialization import arm_from_plain, to_plain
+from flexman_gym.scene.serialization import find_arm, to_plain
 
 from oracles.assertions import refusal
 
@@ -79,7 +79,7 @@ def test_words_say_which_way_a_strip_is_thin():
 def test_a_link_with_an_outline_comes_back_from_its_mapping(link):
     stepped = fm.NonUniformLink([link, link])
     arm = fm.Arm([link, stepped], JOINTS * 2)
-    again = arm_from_plain(to_plain(arm))
+    again = find_arm(to_plain(arm))
     assert again == arm and again.links[0].outline == link.outline is not None
     assert again.links[1].sections[1].outline == link.outline
 
@@ -87,19 +87,17 @@ def test_a_link_with_an_outline_comes_back_from_its_mapping(link):
 def test_a_file_may_give_sizes():
     data = to_plain(fm.Arm([STRIP], JOINTS))
     data["links"] = [{"shape": "strip", "length": 0.5, "width": 0.04, "thickness": 0.003}]
-    assert arm_from_plain(data).links[0] == STRIP
+    assert find_arm(data).links[0] == STRIP
     data["links"][0] |= {"material": {"youngs_modulus": 1e9, "shear_modulus": 4e8, "density": 900.0}, "thin": "z"}
-    assert arm_from_plain(data).links[0] == fm.Link.strip(0.5, 0.04, 0.003, "z", (1e9, 4e8, 900.0))
+    assert find_arm(data).links[0] == fm.Link.strip(0.5, 0.04, 0.003, "z", (1e9, 4e8, 900.0))
     for change, line in (
         ({"thickness": 0.05}, "arm.links[0].thickness: 0.05 is not allowed; give at most the width 0.04"),
         ({"diameter": 0.05}, "arm.links[0]: 'diameter' is not allowed; give one of length, width"),
         ({"shape": "beam"}, "arm.links[0].shape: 'beam' is not allowed; give one of strip, tube, rod"),
     ):
-        assert refusal(lambda change=change: arm_from_plain(data | {"links": [data["links"][0] | change]})).startswith(
-            line
-        )
+        assert refusal(lambda change=change: find_arm(data | {"links": [data["links"][0] | change]})).startswith(line)
     del data["links"][0]["width"]
-    assert "missing 1 required" in refusal(lambda: arm_from_plain(data))
+    assert "missing 1 required" in refusal(lambda: find_arm(data))
 
 
 @pytest.mark.parametrize(
@@ -112,7 +110,7 @@ def test_a_file_may_give_sizes():
         (lambda: fm.Link.rod(0.5, 0.01, "wood"), "Link.material: 'wood' is not allowed; give one of aluminium"),
         (lambda: fm.Link.rod(0.5, 0.01, (1e9, 4e8)), "Link.material: (1000000000.0, 400000000.0) is not allowed; give"),
         (lambda: fm.Link.rod(0.5, 0.01, (1e9, 4e8, 0.0)), "Link.density: 0.0 is not allowed; give a finite number > 0"),
-        (lambda: replace(STRIP, area=1e-3), "Link.area: 0.001 is not allowed; give 0.00012, that of its outline"),
+        (lambda: replace(STRIP, area=1e-3), "Link.area: 0.001 is not allowed; give 0.00012, the value of its outline"),
         (lambda: replace(STRIP, outline="strip"), "Link.outline: 'strip' is not allowed; give an Outline or None"),
         (lambda: Outline("tube", 0.1, 0.2, 0.01), "Outline.z: 0.2 is not allowed; give 0.1 (m), the diameter along y"),
         (lambda: Outline("rod", 0.1, 0.1, 0.01), "Outline.wall: 0.01 is not allowed; give None for a rod"),

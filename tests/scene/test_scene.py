@@ -123,7 +123,7 @@ def test_sine_torques_agree_in_length_and_have_no_negative_frequency():
 
 REFERENCES = sorted(REFERENCE.glob("*.json"))
 # Of the printed area of link 1 in the reference scenes, and of sections of any numbers.
-pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning", "ignore:.*slip of units")
+pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning", "ignore:.*wrong unit")
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", UserWarning)
     SCENE = Scene.load(REFERENCES[0])

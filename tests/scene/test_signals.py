@@ -120,23 +120,26 @@ def test_angles_are_those_of_a_spline_through_them_or_near_them():
     [
         (
             "time (s),torque_1\n0,1\n",
-            "record.csv: the head: 'torque_1' is not allowed; give a name and a unit in brackets",
+            "record.csv: the header: 'torque_1' is not allowed; give a name and a unit in brackets",
         ),
-        ("time (s),torque_1 (lb ft)\n0,1\n", "record.csv: the head: 'torque_1 (lb ft)' is not allowed"),
+        ("time (s),torque_1 (lb ft)\n0,1\n", "record.csv: the header: 'torque_1 (lb ft)' is not allowed"),
         (
             "t (s),torque_1 (N m)\n0,1\n",
-            "record.csv: the head: ['t', 'torque_1'] is not allowed; give a column time (s)",
+            "record.csv: the header: ['t', 'torque_1'] is not allowed; give a column time (s)",
         ),
-        ("time (s),a (N m),a (N m)\n0,1,1\n", "record.csv: the head: ['time', 'a', 'a'] is not allowed"),
+        ("time (s),a (N m),a (N m)\n0,1,1\n", "record.csv: the header: ['time', 'a', 'a'] is not allowed"),
         ("time (N),a (N m)\n0,1\n", "record.csv: the unit of time: 'N' is not allowed; give one of s"),
-        ("time,a\n0,1\n", "record.csv: this is no table; give a head of names and units in brackets, such as time (s)"),
-        (f"time (s),{'a' * 100} (N m)\n0,1\n", "record.csv: the head: 'aaaaaaaaaa"),
-        ("time (s),(N m)\n0,1\n", "record.csv: the head: '(N m)' is not allowed; give a name and a unit in brackets"),
+        (
+            "time,a\n0,1\n",
+            "record.csv: this is no table; give a header of names and units in brackets, such as time (s)",
+        ),
+        (f"time (s),{'a' * 100} (N m)\n0,1\n", "record.csv: the header: 'aaaaaaaaaa"),
+        ("time (s),(N m)\n0,1\n", "record.csv: the header: '(N m)' is not allowed; give a name and a unit in brackets"),
         ("time (s),a (N m)\n0,1\n1,two\n", "record.csv: line 3: '1,two' is not allowed; give 2 finite numbers"),
         ("time (s),a (N m)\n0,1\n1\n", "record.csv: line 3: '1' is not allowed"),
         ("time (s),a (N m)\n0,nan\n1,1\n", "record.csv: line 2: '0,nan' is not allowed"),
         ("time (s),a (N m)\n", "record.csv: '0 lines' is not allowed"),
-        ("time (s),a (rad)\n0,1\n1,1\n", "record.csv: the head: ['a'] is not allowed; give a column in N m"),
+        ("time (s),a (rad)\n0,1\n1,1\n", "record.csv: the header: ['a'] is not allowed; give a column in N m"),
         (
             "time (s),a (N m)\n1,0\n0,0\n",
             "SampledTorque.times: array([1., 0.]) is not allowed; give 2 to 1000000 finite",
@@ -150,7 +153,10 @@ def test_a_file_that_is_no_record_is_refused_in_one_line(tmp_path, text, said):
 
 def test_the_name_of_a_file_leaves_room_for_what_is_wrong_with_it(tmp_path):
     path = tmp_path / f"{'bench' * 40}.csv"
-    for text, said in (("time (s),a (b)\n0,1\n", ": the head: 'a (b)'"), ("time (s),a (1)\n0,x\n", ": line 2: '0,x'")):
+    for text, said in (
+        ("time (s),a (b)\n0,1\n", ": the header: 'a (b)'"),
+        ("time (s),a (1)\n0,x\n", ": line 2: '0,x'"),
+    ):
         path.write_text(text)
         assert said in refusal(read_time_series, path)
     for name in ("bench" * 2000, "a\0b", "a\nb"):

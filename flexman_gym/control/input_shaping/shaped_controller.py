@@ -60,7 +60,7 @@ class InputShapedController:
         ValueError: one line with field, value and what is allowed.
     """
 
-    kept = ("_now", "inner")
+    state_fields = ("_now", "inner")
 
     def __init__(
         self,

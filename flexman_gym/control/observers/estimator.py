@@ -57,7 +57,7 @@ class Estimator:
         "numbers", "delays", "_origin", "_states", "_information", "_change", "_ages", "_readings",
         "_torques", "_steps", "_apart", "_pushed",
     )  # fmt: skip
-    kept = (*_arrays, "_innovations", "_prediction", "_residuals")
+    state_fields = (*_arrays, "_innovations", "_prediction", "_residuals")
 
     def __init__(
         self,

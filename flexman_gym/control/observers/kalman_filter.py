@@ -111,7 +111,7 @@ class KalmanFilter:
         ValueError: one line with field, value and what is allowed.
     """
 
-    kept = ("states", "covariance", "_transition", "_noise", "_prediction", "_ages")
+    state_fields = ("states", "covariance", "_transition", "_noise", "_prediction", "_ages")
 
     def __init__(
         self,

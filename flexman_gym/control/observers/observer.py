@@ -32,7 +32,7 @@ class Estimate(NamedTuple):
 class Observer(Protocol):
     """The protocol of an observer of b arms. Its estimate of an arm must not depend on the others, to the last bit.
 
-    An optional member is `kept`, as of a Controller.
+    An optional member is `state_fields`, as of a Controller.
 
     Attributes:
         sensors: names of the sensors that it reads.

@@ -26,7 +26,7 @@ class Oracle:
     """
 
     sensors: tuple[str, ...] = ("state",)
-    kept = ("_prediction", "_ages")
+    state_fields = ("_prediction", "_ages")
 
     def __init__(self, plant: Plant, doubt: bool = False) -> None:
         self._prediction, self._delays = DelayCompensation(plant), np.zeros(0, dtype=np.int64)

@@ -60,7 +60,7 @@ class SlewReferences:
         "start", "way", "shift", "coefficients", "begun", "lasting", "_coordinates", "_torques", "_soft", "_friction",
         "_own_coordinates", "_own_torques", "pace", "quickening",
     )  # fmt: skip
-    kept = _rows
+    state_fields = _rows
 
     def __init__(self, model: Model, limits: Array, share: float, payloads: Sequence[float]) -> None:
         self.model, self._limits, self._share = model, limits, share
@@ -269,7 +269,7 @@ class PathReferences:
         payloads: kg, one or three, ascending.
     """
 
-    kept = ("_weights", "_soft", "_friction")
+    state_fields = ("_weights", "_soft", "_friction")
 
     def __init__(self, model: Model, period: float, payloads: Sequence[float]) -> None:
         self.model, self._period, self._payloads = model, period, np.array(payloads, dtype=float)
@@ -285,7 +285,7 @@ class PathReferences:
         straight[:, self.model.n_dof :] = np.gradient(straight[:, : self.model.n_dof], self._period, axis=0)
         departures = np.array([plan.states - straight for plan in plans])
         self._plans[arm] = straight, departures, np.array([plan.torques for plan in plans])
-        for name in self.kept:
+        for name in self.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), arm + 1))
 
     def adapt(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:

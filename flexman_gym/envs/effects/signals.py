@@ -44,7 +44,7 @@ class _SensorNoise:
     """
 
     kind: ClassVar[type] = float
-    kept = ("_noise", "_deviation")
+    state_fields = ("_noise", "_deviation")
     shape = ()
 
     def __init__(self, context: EffectContext, span: Range) -> None:
@@ -81,7 +81,7 @@ class _Delay:
     """Delay of the torques in whole control periods; the torques are zero until the first command arrives."""
 
     kind: ClassVar[type] = int
-    kept = ("_past", "_late", "_now")
+    state_fields = ("_past", "_late", "_now")
     shape = ()
 
     def __init__(self, context: EffectContext, span: Range) -> None:
@@ -190,7 +190,7 @@ class _TipImpulse:
     """Impulses, N s, of random directions at random times; each is a force at the tip during one control period."""
 
     kind: ClassVar[type] = float
-    kept = ("_inner", "_wait")
+    state_fields = ("_inner", "_wait")
     shape = None
 
     def __init__(self, context: EffectContext, span: Range) -> None:
@@ -230,7 +230,7 @@ class TipLoad:
     """
 
     kind: ClassVar[type] = float
-    kept = ("_inner", "_wait", "_forces")
+    state_fields = ("_inner", "_wait", "_forces")
     shape = None
 
     def __init__(self, context: EffectContext, span: Range) -> None:
@@ -271,7 +271,7 @@ class _BaseSway:
     """
 
     kind: ClassVar[type] = float
-    kept = ("_sway",)
+    state_fields = ("_sway",)
     shape = ()
 
     def __init__(self, context: EffectContext, span: Range) -> None:

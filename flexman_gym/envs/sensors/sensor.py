@@ -65,7 +65,7 @@ class MeasuredView:
         bound: (size,) largest measured magnitude of each.
     """
 
-    kept = ("values",)
+    state_fields = ("values",)
 
     def __init__(self, view: Any, limits: Limits, names: Sequence[str]) -> None:
         self._view = view

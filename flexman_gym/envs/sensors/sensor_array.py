@@ -38,7 +38,7 @@ class SensorArray:
         ValueError: for an object that is not a sensor, and for two entries with the same name.
     """
 
-    kept = ("_instruments", "_streams")
+    state_fields = ("_instruments", "_streams")
 
     def __init__(
         self,

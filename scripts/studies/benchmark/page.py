@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from flexman_gym.common.markdown import bullets, markdown_table
+from flexman_gym.common.markdown import markdown_table
 from studies.benchmark.measure import (
     COLD,
     ENVIRONMENTS,
@@ -23,6 +23,7 @@ from studies.benchmark.measure import (
     BenchmarkRow,
 )
 from studies.benchmark.measure import PARTS_NOTE as PARTS_NOTE
+from studies.markdown import bullets
 
 PAGE = "benchmark.md"
 ENDURANCE = "## Endurance"  # the last section, which the room endurance writes

@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import astuple, fields
 
-from flexman_gym.common.markdown import bullets, markdown_table
+from flexman_gym.common.markdown import markdown_table
 from studies.fidelity.measure import GRID_METHODS, GRID_PARTS, OPEN_METHODS, FidelityRow
+from studies.markdown import bullets
 
 NEAR = 5.0  # a choice knows its error when the estimate is right within this factor
 CHEAP = 2.0  # times the cost of the cheapest plain run: a choice that costs no more is cheap

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from statistics import median
 
-from flexman_gym.common.markdown import bullets, markdown_table
+from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.metrics import task_metrics
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, TEST_SEEDS, TRAINING_SEEDS_STRIDE
@@ -23,6 +23,7 @@ from studies.learning.measure import (
     VENUES,
     LearningRow,
 )
+from studies.markdown import bullets
 
 PAGE = """# What the recipes reach
 

@@ -10,7 +10,6 @@ import numpy as np
 
 import flexman_gym as fm
 from flexman_gym.identification import Filter, Measurement
-from flexman_gym.identification.fit import r_squared
 from flexman_gym.identification.least_squares import FreeParameters
 from flexman_gym.identification.measurement import SimulatedResponse
 from flexman_gym.model.dynamics import mass_matrix
@@ -98,6 +97,11 @@ class FitRow:
     value: float
 
 
+def _r_squared(measured: np.ndarray, computed: np.ndarray) -> float:
+    """Return the coefficient of determination."""
+    return 1.0 - float(np.sum((measured - computed) ** 2) / np.sum((measured - measured.mean()) ** 2))
+
+
 def stage_1(folder: Path = DATA, others: bool = True) -> tuple[list[FitRow], dict[str, Any]]:
     """Fits half of the moving runs of the first stage and scores the rest, then the other way round.
 
@@ -123,7 +127,7 @@ def stage_1(folder: Path = DATA, others: bool = True) -> tuple[list[FitRow], dic
             shown = found.predicted(record)[STAGE_1]
             rows.append(FitRow(SCORE, name, label, found.score(record)[STAGE_1]))
             sheet = _sheet(build_model(arm, **ONE), record)  # type: ignore[arg-type]
-            rows.append(FitRow(SHEET, name, label, r_squared(np.asarray(record.outputs[STAGE_1]), sheet)))
+            rows.append(FitRow(SHEET, name, label, _r_squared(np.asarray(record.outputs[STAGE_1]), sheet)))
             lines[name] = [
                 np.asarray(record.times),
                 np.asarray(record.outputs[STAGE_1]) / LENGTHS[0],
@@ -186,7 +190,7 @@ def _by_mujoco(found: fm.Fit, runs: Mapping[str, fm.Measurement]) -> list[FitRow
     for name, record in runs.items():
         started = time.process_time()
         shown = mujoco.deflection(found.arm, record) * found.gains[STAGE_1][0]
-        rows.append(FitRow(MUJOCO, name, "R2", r_squared(np.asarray(record.outputs[STAGE_1]), shown)))
+        rows.append(FitRow(MUJOCO, name, "R2", _r_squared(np.asarray(record.outputs[STAGE_1]), shown)))
         rows.append(FitRow(MUJOCO, name, "CPU s", time.process_time() - started))
     return rows
 
@@ -214,7 +218,7 @@ def _coupled(found: fm.Fit, record: fm.Measurement, part: str) -> Iterator[FitRo
         yield FitRow(part, f"gain of {name}", "deviation", deviation)
     late, shown = np.asarray(record.times) >= HALF, found.predicted(record)
     for name, values in shown.items():
-        yield FitRow(part, name, "R2", r_squared(np.asarray(record.outputs[name])[late], values[late]))
+        yield FitRow(part, name, "R2", _r_squared(np.asarray(record.outputs[name])[late], values[late]))
 
 
 def _currents(found: fm.Fit, path: Path) -> Iterator[FitRow]:
@@ -276,7 +280,7 @@ def draws(seed: int, count: int) -> list[tuple[str, float, bool]]:
     record, free = _truth(arm, rng), FreeParameters(arm, FREE)
     result = []
     for _ in range(count):
-        start = free.changed(free.start * np.exp(rng.uniform(-FAR, FAR, len(free.start))))
+        start = free.build_arm(free.start * np.exp(rng.uniform(-FAR, FAR, len(free.start))))
         noisy = {
             name: values + NOISE * np.std(values) * rng.standard_normal(SAMPLES)
             for name, values in record.outputs.items()
@@ -288,7 +292,7 @@ def draws(seed: int, count: int) -> list[tuple[str, float, bool]]:
             for a, b in zip(arm.links, start.links, strict=True)
         ]
         for number, true in zip(free.numbers, scale, strict=True):
-            place = number.place or 0
+            place = number.joint or 0
             value, deviation = (np.ravel(each[number.parameter])[place] for each in (found.values, found.deviations))
             right = moduli[place] if number.parameter == "link_stiffness_factor" else true
             result.append((str(number), float((value - right) / deviation), str(number) not in found.undetermined))

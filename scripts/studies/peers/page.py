@@ -9,8 +9,8 @@ from pathlib import Path
 
 import flexman_gym as fm
 from flexman_gym.common.computer import computer_text
-from flexman_gym.common.markdown import introduced_table
 from flexman_gym.draw.style import BLUE, GREEN, MIDDLE, ORANGE, RED, SKY
+from studies.markdown import introduced_table
 from studies.methods import BLACK, PINE, PINK, PURPLE
 from studies.peers.measure import PEERS, ROUNDS, decays, of_peers
 from studies.peers.newton import cables

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from flexman_gym.common.computer import computer_text
-from flexman_gym.common.markdown import introduced_table
 from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.evaluation.rollout import compile_kernels
 from flexman_gym.simulation.methods import METHODS
 from studies.files import read_rows, write_rows
+from studies.markdown import introduced_table
 from studies.methods import extrapolations_of, largest_growth, methods_of
 from studies.precision.charts import time_error_chart, total_error_chart
 from studies.precision.measure import (

@@ -5,9 +5,10 @@ from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 
-from flexman_gym.common.markdown import introduced_table, markdown_table
+from flexman_gym.common.markdown import markdown_table
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.stability import stability_limit
+from studies.markdown import introduced_table
 from studies.methods import methods_of
 from studies.stability.measure import (
     DIVERGED,

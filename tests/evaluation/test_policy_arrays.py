@@ -1,12 +1,12 @@
-"""Tensors: arrays go into a file and come back, and a file that says something else is refused in one line."""
+"""Arrays and JSON of a policy: arrays survive the file to the bit, and a damaged file is refused in one line."""
 
 import json
 
 import numpy as np
 import pytest
 
-from flexman_gym.common.safetensors import MAX_BYTES, read_tensors, write_tensors
 from flexman_gym.evaluation import policy_files
+from flexman_gym.evaluation.policy_files import MAX_BYTES, _parse_json, _read_tensors, _write_tensors
 
 from oracles.assertions import refusal
 
@@ -31,9 +31,9 @@ def entry(first, last, shape, dtype="F32"):
 
 
 def test_arrays_come_back_to_the_bit(tmp_path):
-    write_tensors(tmp_path / "a", ARRAYS)
+    _write_tensors(tmp_path / "a", ARRAYS)
     content = (tmp_path / "a").read_bytes()
-    result = read_tensors(content)
+    result = _read_tensors(content)
     assert result.keys() == ARRAYS.keys()
     for name, array in ARRAYS.items():
         assert result[name].dtype == array.dtype and result[name].shape == array.shape
@@ -46,7 +46,7 @@ def test_the_file_is_the_one_that_the_format_describes():
     """By hand, from the description of safetensors: a length of 8 bytes, JSON that may end in spaces, and numbers."""
     numbers = np.array([1.5, -2.0], dtype="<f4").tobytes()
     content = packed('{"x":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}}  ', numbers)
-    assert read_tensors(content)["x"].tolist() == [1.5, -2.0]
+    assert _read_tensors(content)["x"].tolist() == [1.5, -2.0]
 
 
 @pytest.mark.parametrize(
@@ -80,23 +80,37 @@ def test_the_file_is_the_one_that_the_format_describes():
     ],
 )
 def test_a_file_that_says_something_else_is_refused(content, said):
-    assert said in refusal(read_tensors, content)
+    assert said in refusal(_read_tensors, content)
 
 
 def test_other_members_of_a_header_do_not_change_the_arrays():
     header = {"__metadata__": {"format": "np"}, "x": {**entry(0, 4, [1]), "code": "1"}}
-    result = read_tensors(packed(header, np.float32(3.0).tobytes()))
+    result = _read_tensors(packed(header, np.float32(3.0).tobytes()))
     assert result.keys() == {"x"} and result["x"].tolist() == [3.0]
 
 
 def test_arrays_of_other_numbers_are_not_written(tmp_path):
     for wrong in (np.zeros(2, dtype=int), np.array(["a"]), np.zeros(2, dtype=np.float16)):
-        assert refusal(write_tensors, tmp_path / "a", {"x": wrong}).startswith("x.dtype: ")
+        assert refusal(_write_tensors, tmp_path / "a", {"x": wrong}).startswith("x.dtype: ")
     assert not (tmp_path / "a").exists()
 
 
 @pytest.mark.parametrize("name", policy_files.POLICIES)
 def test_shipped_policies_are_written_with_the_same_bytes(name, tmp_path):
     content = (policy_files.policy_folder(name) / policy_files.ARRAYS).read_bytes()
-    write_tensors(tmp_path / "a", read_tensors(content))
+    _write_tensors(tmp_path / "a", _read_tensors(content))
     assert (tmp_path / "a").read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (b'{"x": 1, "x": 2}', "a key is repeated"),
+        (b'{"x": NaN}', "NaN is no JSON number"),
+        (b'{"x": -Infinity}', "-Infinity is no JSON number"),
+        (b"[" * 100_000, "too deeply"),
+        (b"{", "Expecting property name"),
+    ],
+)
+def test_broken_json_is_refused(text, said):
+    assert said in refusal(_parse_json, text)
