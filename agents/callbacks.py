@@ -191,7 +191,7 @@ class Evaluation(BaseCallback):
         latest: figures of the last evaluation.
     """
 
-    kept = ("_best", "_next", "_warned")
+    state_fields = ("_best", "_next", "_warned")
 
     def __init__(self, settings: Settings, law: Law, keep: Callable[[], None]) -> None:
         super().__init__()

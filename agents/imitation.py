@@ -236,7 +236,7 @@ class DAggerRun:
     def __init__(self, settings: Settings, folder: Path) -> None:
         self._imitation, self._settings, self._folder = DAgger(settings), settings, folder
 
-    def give(self, data: dict[str, Any], another: bool) -> None:
+    def set_state(self, data: dict[str, Any], another: bool) -> None:
         """Refuses to go on after its end."""
         raise value_error("steps", self._settings.steps, f"nothing: the imitation in {self._folder} is finished")
 

@@ -321,7 +321,7 @@ def resume(
         if data is None:
             print(f"Nothing was kept in {folder} yet: the run begins again.", file=sys.stderr)
         else:
-            run.give(data, finished)
+            run.set_state(data, finished)
         write_settings(settings, folder, run.done)
         return run.learn(checkpoint_every, progress, hook)
 
@@ -383,7 +383,7 @@ class _Run:
         """Steps that have been taken, those of runs before this one included."""
         return self._before + int(self.model.num_timesteps)
 
-    def give(self, data: dict[str, Any], another: bool) -> None:
+    def set_state(self, data: dict[str, Any], another: bool) -> None:
         """Puts everything where it was when it was saved; another run counts its steps from there."""
         path = self.folder / NEWEST
         try:

@@ -1,11 +1,14 @@
 """Snapshot: the state of an object as arrays and plain data, and its restoration."""
 
+import warnings
 from typing import Any
 
 import numpy as np
 
 from flexman_gym.common.checks import value_error
 
+FORMER_FIELDS = {}
+"""State field of release 0.2 -> present field: snapshots of older releases are read under their present names."""
 GENERATOR = "bit_generator"  # the key by which the state of a random generator is known
 
 
@@ -21,7 +24,7 @@ def get_state(value: Any) -> Any:
         return [get_state(each) for each in value]
     if value is None or isinstance(value, bool | int | float | str):
         return value
-    return {name: get_state(getattr(value, name)) for name in getattr(value, "kept", ())}
+    return {name: get_state(getattr(value, name)) for name in _state_fields(value)}
 
 
 def set_state(field: str, old: Any, data: Any) -> Any:
@@ -49,8 +52,10 @@ def set_state(field: str, old: Any, data: Any) -> Any:
         return old if all(one is other for one, other in zip(fresh, old, strict=True)) else fresh
     if old is None or isinstance(old, bool | int | float | str | np.random.Generator):
         return get_state(data)
-    names = getattr(old, "kept", ())
+    names = _state_fields(old)
     _check_kind(field, data, dict, "a mapping")
+    if set(data) != set(names):
+        data = {FORMER_FIELDS.get(name, name): each for name, each in data.items()}
     if set(data) != set(names):
         raise value_error(field, sorted(map(str, data)), f"a mapping with {', '.join(sorted(names)) or 'nothing'}")
     for name in names:
@@ -59,6 +64,15 @@ def set_state(field: str, old: Any, data: Any) -> Any:
         if after is not before:
             setattr(old, name, after)
     return old
+
+
+def _state_fields(value: Any) -> tuple[str, ...]:
+    """Return the names of the attributes that make up the state of an object; () for an object without state."""
+    if hasattr(value, "kept") and not hasattr(value, "state_fields"):
+        said = f"{type(value).__name__}.kept is deprecated; name it state_fields"
+        warnings.warn(said, DeprecationWarning, stacklevel=3)
+        return tuple(value.kept)
+    return tuple(getattr(value, "state_fields", ()))
 
 
 def split_arrays(data: Any, arrays: dict[str, np.ndarray], path: str = "") -> Any:

@@ -17,7 +17,7 @@ from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.pd import PD
 from flexman_gym.control.reference_shaping import ReferenceShaping, ShapingLimits
 from flexman_gym.control.tracking import OutputFeedback
-from flexman_gym.model.linearization import LinearMeasurements as Quantities
+from flexman_gym.model.linearization import LinearMeasurements
 
 UNSTABLE_RADIUS = 1.0 + 1e-6  # spectral radius; modes without damping that no motor moves have 1, to rounding
 
@@ -39,7 +39,7 @@ class _ServoMode:
         period: of control, s.
     """
 
-    kept = ("_reference",)
+    state_fields = ("_reference",)
     sensors: tuple[object, ...] = ("motor_encoders",)
 
     def __init__(self, kind: str, gains: PD, span: Vector, period: float) -> None:
@@ -147,7 +147,7 @@ class _ReferenceShapingMode:
         self._columns = np.flatnonzero(np.repeat([far.pace, far.offset, far.torque], [1, n, n]) > 0.0)
         self.names = tuple(every[column] for column in self._columns)
         self.sensors: tuple[object, ...] = tuple(base.sensors)
-        self._quantities = Quantities(plant.model)
+        self._quantities = LinearMeasurements(plant.model)
         self._ranges = np.concatenate([plant.measured()[name][0] for name in self._quantities.places])
         sizes = {"estimate": 8 * n, "departures": 8 * n, "angle_errors": 2 * n, "reference": 2 * n, "way": 3 * n}
         sizes |= {"clock": 6, "offsets": 2 * n, "applied": n, "action": len(self.names)}
@@ -243,7 +243,7 @@ class _ReferenceShapingMode:
 class ActionMode(Protocol):
     """The protocol of what k numbers from -1 to 1 of an agent mean for b arms of n joints, in every control period.
 
-    What it does to an arm must not depend on the others, to the last bit. An optional member is `kept`, as of a
+    What it does to an arm must not depend on the others, to the last bit. An optional member is `state_fields`, as of a
     Controller; the base is not among it. A mode that shows its agent something beside what its sensors see has two
     more: `shown`, name -> how many numbers, and `look(readings, applied, playing)`, which gives them side by side,
     (b, size), of the arms that are playing anew. It is asked before an agent acts, in the same control period. A mode
@@ -287,54 +287,40 @@ class ActionMode(Protocol):
 
 
 class TorqueMode:
-    """Torques of the motors as parts of their limits, added to those of a base; the sum ends at -1 and 1.
+    """Action mode of motor torques, added to the torques of a base controller; the sum is saturated at -1 and 1.
 
     Args:
-        joints: n, of the arm.
-        base: what acts beside the agent; None for nothing.
+        joints: n.
+        base: controller whose torques are added; None for none.
+        strength: part of the torque limits that an action of 1 commands, for all joints or for each (n,).
+        quantity: "torque", or "current" for motor currents as parts of their limits.
     """
 
-    def __init__(self, joints: int, base: Controller | None = None) -> None:
-        self._base, self.joints = base, joints
-        self.strength: float | Array = 1.0
-        self.names = tuple(f"torque_{joint + 1}" for joint in range(joints))
+    def __init__(
+        self, joints: int, base: Controller | None = None, strength: float | Array = 1.0, quantity: str = "torque"
+    ) -> None:
+        self._base, self.joints, self.strength = base, joints, strength
+        self.names = tuple(f"{quantity}_{joint + 1}" for joint in range(joints))
         self.sensors: tuple[object, ...] = tuple(base.sensors) if base else ()
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,)."""
+        """Start new episodes of the arms (r,)."""
         if self._base:
             self._base.reset(arms, episode, count)
 
     def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        """Gives the sum (b, n) of actions (b, n) and what the base asks for."""
+        """Return the commanded torques (b, n) for actions (b, n): their sum with those of the base controller."""
+        if isinstance(self.strength, np.ndarray):
+            actions = np.clip(actions * self.strength, -1.0, 1.0)
         if self._base is None:
             return actions
-        beside = np.asarray(self._base.act(readings, applied, playing), dtype=np.float64)
-        result: Array = np.clip(beside + actions, -1.0, 1.0)
+        base_torques = np.asarray(self._base.act(readings, applied, playing), dtype=np.float64)
+        result: Array = np.clip(base_torques + actions, -1.0, 1.0)
         return result
 
 
-class CurrentMode(TorqueMode):
-    """Currents of the motors as parts of their limits, which are torques by gear and torque constant.
-
-    Args:
-        joints: as of `TorqueMode`.
-        base: as of `TorqueMode`.
-        largest: (n,) torque at the current limit, a part of the torque limit, at which it is cut off.
-    """
-
-    def __init__(self, joints: int, base: Controller | None, largest: Array) -> None:
-        super().__init__(joints, base)
-        self._largest = self.strength = largest
-        self.names = tuple(f"current_{joint + 1}" for joint in range(joints))
-
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        """Gives the torques (b, n) of currents (b, n), with those of a base."""
-        return super().act(np.clip(actions * self._largest, -1.0, 1.0), readings, applied, playing)
-
-
 @dataclass(frozen=True)
-class ActionModeEntry:
+class _ActionModeEntry:
     """A mode with a name.
 
     Attributes:
@@ -346,23 +332,23 @@ class ActionModeEntry:
     takes: tuple[str, ...] = ()
 
 
-def _make_current(plant: Plant, base: Controller | None) -> CurrentMode:
+def _make_current(plant: Plant, base: Controller | None) -> TorqueMode:
     """The mode for currents; raises ValueError for an arm of which a motor is missing, or has no current limit."""
     motors = [joint.motor for joint in plant.model.arm.joints]
     limits = [motor.joint_torque_limit if motor else None for motor in motors]
     if None in limits:
         allowed = "it for an arm each of whose joints has a motor (fm.Motor) with a current_limit"
         raise value_error("actions", "current", allowed)
-    return CurrentMode(len(limits), base, np.array(limits) / plant.torque_limit)
+    return TorqueMode(len(limits), base, np.array(limits) / plant.torque_limit, "current")
 
 
 SERVO_ARGUMENTS = ("stiffness", "damping", "range")
-ACTIONS: dict[str, ActionModeEntry] = {
-    "torque": ActionModeEntry(lambda plant, base: TorqueMode(len(plant.torque_limit), base)),
-    "current": ActionModeEntry(_make_current),
-    "velocity": ActionModeEntry(partial(_make_servo, "velocity"), SERVO_ARGUMENTS),
-    "position": ActionModeEntry(partial(_make_servo, "position"), SERVO_ARGUMENTS),
-    "shaping": ActionModeEntry(_ReferenceShapingMode, ShapingLimits._fields),
+ACTIONS: dict[str, _ActionModeEntry] = {
+    "torque": _ActionModeEntry(lambda plant, base: TorqueMode(len(plant.torque_limit), base)),
+    "current": _ActionModeEntry(_make_current),
+    "velocity": _ActionModeEntry(partial(_make_servo, "velocity"), SERVO_ARGUMENTS),
+    "position": _ActionModeEntry(partial(_make_servo, "position"), SERVO_ARGUMENTS),
+    "shaping": _ActionModeEntry(_ReferenceShapingMode, ShapingLimits._fields),
 }
 
 

@@ -27,7 +27,7 @@ class _History:
         size: of an observation.
     """
 
-    kept = ("_memory",)
+    state_fields = ("_memory",)
 
     def __init__(self, kind: int | tuple[float, ...], interval: float, arms: int, size: int) -> None:
         self._gains = None if isinstance(kind, int) else 1.0 - np.exp(-interval / np.array(kind))[:, None]
@@ -97,7 +97,7 @@ class Agent:
         command: (b, k).
     """
 
-    kept = ("base", "mode", "_history", "observations", "command", "_ages")
+    state_fields = ("base", "mode", "_history", "observations", "command", "_ages")
 
     def __init__(
         self,

@@ -49,7 +49,7 @@ class Plant(NamedTuple):
 
 
 Readings = Mapping[str, NDArray[Any]]
-OPTIONAL_MEMBERS = ("kept", "estimates")  # members that a controller may leave out
+OPTIONAL_MEMBERS = ("state_fields", "estimates")  # members that a controller may leave out
 METHOD_ARGUMENTS = {"reset": ("arms", "episode", "count"), "act": ("readings", "applied", "playing")}
 
 
@@ -86,7 +86,7 @@ class Controller(Protocol):
     arm must not depend on the other arms, to the last bit. Products therefore go row by row (`arrays.row_dots`,
     elementwise): products of BLAS have other last digits for other numbers of arms.
 
-    Optional members are `kept`, () by default: names of attributes, arrays or numbers, that it remembers of an episode
+    Optional members are `state_fields`, () by default: names of attributes, arrays or numbers, that it remembers of an episode
     beside what `reset` gives it; states of environments then hold them. And `estimates`, {} by default: what it says of
     the arms, name -> (b, ...), which goes to `info`.
 
@@ -148,7 +148,7 @@ def _takes(takes: Signature, arguments: Sequence[str]) -> bool:
 class _FormerController:
     """Adapter of a controller with `reset(arms, episode)`, the protocol of version 0.2."""
 
-    kept = ("inner",)
+    state_fields = ("inner",)
 
     def __init__(self, inner: Any, field: str) -> None:
         said = f"{field}.reset(arms, episode) is deprecated; give reset(arms, episode, count), with the number of arms"

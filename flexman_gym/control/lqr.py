@@ -36,11 +36,6 @@ class CostWeights(NamedTuple):
     motor: float
 
 
-def zero_order_hold(linear: LinearModel, period: float) -> tuple[Array, Array]:
-    """Gives the transition of states (2 d, 2 d) and of torques (2 d, n) over a period (s) of constant torques."""
-    return discretize(linear.A, linear.B, period)
-
-
 def lqr_gain(linear: LinearModel, motors: Array, limits: Array, weights: CostWeights, period: float) -> Array:
     """Gives the gain K (n, 2 d) of the sampled LQR: torques -K x, for departures x from the place of the model.
 
@@ -70,7 +65,7 @@ def performance_outputs(linear: LinearModel, motors: Array, weights: CostWeights
 def _riccati_gain(linear: LinearModel, motors: Array, limits: Array, weights: CostWeights, period: float) -> Array:
     from scipy.linalg import solve_discrete_are
 
-    transition, inputs = zero_order_hold(linear, period)
+    transition, inputs = discretize(linear.A, linear.B, period)
     n, outputs = len(limits), performance_outputs(linear, motors, weights)
     cost = np.diag(1.0 / limits**2)
     # torques in parts of their limits, so that the equation is well scaled
@@ -302,7 +297,7 @@ class TrackingLQR(LQR):
         law: of the slew, "minimum-jerk", "trapezoid" or "double-s".
     """
 
-    kept = ("_now",)
+    state_fields = ("_now",)
 
     def __init__(
         self,

@@ -82,13 +82,6 @@ def sampled_loops(
     return [_loop(model, linear, stuck, period, delay, bandwidth) for stuck in _stuck_sets(model)]
 
 
-def sampled_loop(
-    model: Model, joint_angles: Vector, period: float, delay: int = 0, bandwidth: float | None = None
-) -> SampledLoop:
-    """Return the loop of an arm at rest whose motors all slide; arguments are those of `sampled_loops`."""
-    return _loop(model, _at_rest(model, joint_angles), (), period, delay, bandwidth)
-
-
 def _at_rest(model: Model, joint_angles: Vector) -> LinearModel:
     """Return the linear model about rest at joint angles (n,) rad, with motors that slide."""
     return linearize(model, state=rest_state(model, joint_angles), torque=holding_torques(model, joint_angles))
@@ -203,7 +196,7 @@ def open_loop_responses(
     """Gives the responses (n, f) of a PD's loops, each opened at one motor while the others act.
 
     Args:
-        loop: of `sampled_loop`.
+        loop: of `sampled_loops`.
         stiffness: (n,) N m/rad.
         damping: (n,) N m s/rad.
         frequencies: (f,) Hz, below half the sampling frequency.

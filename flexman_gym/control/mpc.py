@@ -9,12 +9,13 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import value_error
 from flexman_gym.control.controller import EpisodeInfo, Readings
-from flexman_gym.control.lqr import MOTOR_WEIGHT, CostWeights, performance_outputs, zero_order_hold
+from flexman_gym.control.lqr import MOTOR_WEIGHT, CostWeights, performance_outputs
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import plan_slew
 from flexman_gym.kernels.layout import TIP, TIP_VELOCITY
 from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, check_model
+from flexman_gym.model.state_space import discretize
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
@@ -48,14 +49,14 @@ class _Horizon(NamedTuple):
     ending: Array
 
 
-def design_horizon(
+def _design_horizon(
     model: Model, posture: Array, limits: Array, weights: CostWeights, period: float, blocks: Sequence[int]
 ) -> _Horizon:
     """Designs for a posture (n,) rad of the motors; blocks are numbers of control periods, whose sum is N."""
     from scipy.linalg import solve_discrete_are
 
     linear = linearize(model, state=rest_state(model, posture), torque=holding_torques(model, posture))
-    transition, inputs = zero_order_hold(linear, period)
+    transition, inputs = discretize(linear.A, linear.B, period)
     inputs, d, n = inputs * limits, model.n_dof, len(limits)
     outputs = performance_outputs(linear, model.motor_columns, weights)
     squares, axes = np.linalg.eigh(solve_discrete_are(transition, inputs, outputs.T @ outputs, np.eye(n)))
@@ -104,7 +105,7 @@ class MPC:
     """
 
     sensors: tuple[str, ...] = ("state",)
-    kept = ("_planned", "_now")
+    state_fields = ("_planned", "_now")
 
     def __init__(
         self,
@@ -144,7 +145,7 @@ class MPC:
         batch.reset(np.arange(len(states)), states)
         postures = start + np.linspace(0.0, 1.0, LINEARISATION_POSTURES)[:, None] * (goal - start)
         each = [
-            design_horizon(self.model, one, self.limits, self._weights, self.period, MOVE_BLOCKS) for one in postures
+            _design_horizon(self.model, one, self.limits, self._weights, self.period, MOVE_BLOCKS) for one in postures
         ]
         horizons = _Horizon(*(np.array(parts) for parts in zip(*each, strict=True)))
         return _Plan(horizons, start, goal - start, states, batch.outputs, torques / self.limits)
@@ -175,7 +176,7 @@ class MPC:
             mean = (np.add.reduceat(planned, firsts) / np.array(MOVE_BLOCKS)[:, None]).ravel()
             slope = row_dots(horizon.slopes, gap) + beyond
             low, high = np.maximum(-1.0 - mean, -MAX_CHANGE), np.minimum(1.0 - mean, MAX_CHANGE)
-            changes = solve_quadratic_program(self._daqp, horizon.curvature, slope, low, high)
+            changes = _solve_quadratic_program(self._daqp, horizon.curvature, slope, low, high)
             planned = np.clip(planned + np.repeat(changes.reshape(-1, n), MOVE_BLOCKS, axis=0), -1.0, 1.0)
         self._planned[arm] = np.vstack([planned[1:], np.clip(plan.torques[rows[-1]], -1.0, 1.0)])
         self._now[arm] += 1
@@ -198,7 +199,7 @@ class MPC:
         return np.concatenate([np.hstack(near).ravel(), row_dots(horizon.ending, states[-1])])
 
 
-def solve_quadratic_program(daqp: ModuleType, curvature: Array, slope: Array, low: Array, high: Array) -> Array:
+def _solve_quadratic_program(daqp: ModuleType, curvature: Array, slope: Array, low: Array, high: Array) -> Array:
     """Gives the changes (m,) from low to high of least cost, zero where the solver finds none."""
     changes, _, status, _ = daqp.solve(curvature, slope, np.zeros((0, len(slope))), high, low)
     return np.array(changes) if status > 0 else np.clip(np.zeros(len(slope)), low, high)

@@ -26,7 +26,7 @@ class RunningMeanStd:
         shape: of one of them, such as that of an observation; () for a number.
     """
 
-    kept = ("count", "mean", "squares")
+    state_fields = ("count", "mean", "squares")
 
     def __init__(self, shape: tuple[int, ...] = ()) -> None:
         self.count, self.mean, self.squares = 0.0, np.zeros(shape), np.zeros(shape)
@@ -80,7 +80,7 @@ class RunningMeanStd:
         """
         try:
             with open_arrays(path) as file:
-                state = {name: file[name] for name in cls.kept}
+                state = {name: file[name] for name in cls.state_fields}
             result = cls(state["mean"].shape)
             result.set_state(state | {"count": float(state["count"])})
         except FileNotFoundError:

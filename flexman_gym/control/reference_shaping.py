@@ -42,7 +42,7 @@ class ReferenceShaping:
         wanted: (b, 1 + 2 n) of the agent, from -1 to 1: pace, offsets, torques.
     """
 
-    kept = ("ahead", "offsets", "wanted")
+    state_fields = ("ahead", "offsets", "wanted")
 
     def __init__(self, slews: SlewReferences, limits: Array, period: float, authority: ShapingLimits) -> None:
         self._slews, self._limits, self._period, self._authority = slews, limits, period, authority
@@ -51,7 +51,7 @@ class ReferenceShaping:
 
     def reset(self, arms: IntArray, count: int) -> None:
         """Begins anew for the arms (r,)."""
-        for name in self.kept:
+        for name in self.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), count))
             getattr(self, name)[arms] = 0.0
 

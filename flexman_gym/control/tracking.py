@@ -39,7 +39,7 @@ class Tracking:
         shape: what an agent makes of them; None for nothing.
     """
 
-    kept = ("slews", "_following", "_ages", "_tight", "_goal", "_planned", "shape")
+    state_fields = ("slews", "_following", "_ages", "_tight", "_goal", "_planned", "shape")
 
     def __init__(self, plant: Plant, weights: CostWeights | None = None, retimed: bool = True) -> None:
         model, self._retimed = plant.model, RETIMING_PERIODS if retimed else ()
@@ -154,7 +154,7 @@ class OutputFeedback:
         fallback: that needs no model, such as a PD; None for none.
     """
 
-    kept = ("observer", "law", "fallback", "_given_up", "_looked", "_known")
+    state_fields = ("observer", "law", "fallback", "_given_up", "_looked", "_known")
 
     def __init__(self, observer: Observer, law: Tracking, fallback: Controller | None = None) -> None:
         self.observer, self.law, self.fallback = observer, law, fallback

@@ -32,7 +32,7 @@ class ActiveEffects:
         ValueError: for an effect that the model or the limits leave no room for.
     """
 
-    kept = ("drawn", "_streams", "_signals")
+    state_fields = ("drawn", "_streams", "_signals")
 
     def __init__(self, randomisation: Randomisation, stage: EffectContext) -> None:
         self._batch, self._ranges = stage.batch, randomisation.ranges

@@ -121,7 +121,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
     """
 
     _spec: EnvSpec | None = None
-    kept, spaces = ("_np_random", "_np_random_seed"), ("action_space",)
+    state_fields, spaces = ("_np_random", "_np_random_seed"), ("action_space",)
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012
 
     def __init__(

@@ -74,7 +74,7 @@ class _Motors:
         reached: (b, n) where drives with a bandwidth are, parts of the limits; they start at 0.
     """
 
-    kept = ("limits", "forces", "accelerations", "reached")
+    state_fields = ("limits", "forces", "accelerations", "reached")
 
     def __init__(self, limits: Sequence[float], arms: int, lag: tuple[float, float] | None = None) -> None:
         joints = len(limits)
@@ -110,7 +110,7 @@ class Episodes:
         watch: called after every control period, also those within an action that is kept; None for nothing.
     """
 
-    kept = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "_ages", "_failed")
+    state_fields = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "_ages", "_failed")
 
     def __init__(self, setup: Configuration, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, setup.task, View(batch)
@@ -158,8 +158,8 @@ class Episodes:
         """What is seen of the arms."""
         return self.measurements.sensors
 
-    def give(self, data: object, agent: object, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Puts all arms, and what acts on them, where they were when `snapshot.take` took the data of both.
+    def set_state(self, data: object, agent: object, randoms: Sequence[np.random.Generator | None]) -> None:
+        """Puts all arms, and what acts on them, where they were when `snapshot.get_state` read the data of both.
 
         Args:
             data: what was taken of the arms.

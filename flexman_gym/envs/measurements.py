@@ -26,7 +26,7 @@ class Measurements:
         sensors: of the agent; their `observations` are the newest alone.
     """
 
-    kept = ("_measured", "sensors", "_base_sensors")
+    state_fields = ("_measured", "sensors", "_base_sensors")
 
     def __init__(
         self,

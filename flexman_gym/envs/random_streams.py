@@ -18,7 +18,7 @@ class RandomStreams:
     Nothing is drawn from the arm's own generator, so that a purpose more changes neither the others nor the episode.
     """
 
-    kept = ("_streams",)
+    state_fields = ("_streams",)
 
     def __init__(self, names: Sequence[str], arms: int) -> None:
         self._parents: list[np.random.Generator | None] = [None] * arms
@@ -40,7 +40,7 @@ class RandomStreams:
 class TruncatedNoise:
     """Standard normal numbers, (size,) a sample, for each of b arms; a number beyond TRUNCATION is drawn again."""
 
-    kept = ("_inner", "_block", "_used")
+    state_fields = ("_inner", "_block", "_used")
 
     def __init__(self, arms: int, size: int) -> None:
         self._inner: list[Any] = [None] * arms

@@ -21,11 +21,11 @@ class StatefulEnv:
     """What the single environment and the vector environment have in common: their state can be taken and given back.
 
     Attributes:
-        kept: names of what an environment remembers beside its episodes.
+        state_fields: names of what an environment remembers beside its episodes.
         spaces: names of the spaces whose generators belong to its state.
     """
 
-    kept: ClassVar[tuple[str, ...]]
+    state_fields: ClassVar[tuple[str, ...]]
     spaces: ClassVar[tuple[str, ...]]
     episodes: Episodes
     spec: Any
@@ -38,7 +38,7 @@ class StatefulEnv:
         random generator. An environment made alike goes on from it as this one would, to the last bit.
         """
         spaces = {name: get_state(_space(self, name)._np_random) for name in self.spaces}
-        own = {name: get_state(getattr(self, name)) for name in self.kept}
+        own = {name: get_state(getattr(self, name)) for name in self.state_fields}
         return {**own, **spaces, "episodes": get_state(self.episodes), "agent": get_state(self.episodes.agent)}
 
     def set_state(self, state: dict[str, Any]) -> Observations:
@@ -48,16 +48,16 @@ class StatefulEnv:
             ValueError: one line, for the state of another environment; the episodes are then over.
         """
         state = _renamed(state, np.zeros_like(self.episodes.agent.command))
-        names = {*self.kept, *self.spaces, "episodes", "agent"}
+        names = {*self.state_fields, *self.spaces, "episodes", "agent"}
         if not isinstance(state, dict) or state.keys() != names:
             result = sorted(map(str, state)) if isinstance(state, dict) else state
             raise value_error("state", result, f"what get_state gave: {', '.join(sorted(names))}")
-        own = {name: set_state(f"state.{name}", getattr(self, name), state[name]) for name in self.kept}
+        own = {name: set_state(f"state.{name}", getattr(self, name), state[name]) for name in self.state_fields}
         spaces = {name: set_state(f"state.{name}", None, state[name]) for name in self.spaces}
         for name, random in {**own, **spaces}.items():
             if not isinstance(random, list | int | np.random.Generator | None):
                 raise value_error(f"state.{name}", random, "what get_state gave")
-        self.episodes.give(state["episodes"], state["agent"], self._generators(own))
+        self.episodes.set_state(state["episodes"], state["agent"], self._generators(own))
         for name, value in own.items():
             setattr(self, name, value)
         for name, random in spaces.items():

@@ -90,7 +90,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         ValueError: one line with field, value and what is allowed.
     """
 
-    kept, spaces = ("_randoms", "_seeds"), ("action_space", "single_action_space")
+    state_fields, spaces = ("_randoms", "_seeds"), ("action_space", "single_action_space")
     metadata = FlexManEnv.metadata | {"render_modes": ["rgb_array"], "autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(

@@ -67,7 +67,7 @@ class View:
         failed: (b,) whether the last step ended the episode by a limit or a divergence.
     """
 
-    kept = ("goal_angles", "goal_rates", "target", "target_velocity", "plan", "effort", "action", "failed")
+    state_fields = ("goal_angles", "goal_rates", "target", "target_velocity", "plan", "effort", "action", "failed")
 
     def __init__(self, batch: Batch) -> None:
         model, constants, arms = batch.model, batch.model.constants, len(batch.rows)

@@ -51,7 +51,7 @@ class Batch:
         ValueError: one line with field, value and what is allowed.
     """
 
-    kept = (
+    state_fields = (
         "rows", "outputs", "status", "_periods", "energy_turnover", "start_energy", "_mover", "_drive", "_felt",
         "_known",
     )  # fmt: skip

@@ -106,10 +106,10 @@ class BatchIntegrator(Protocol):
     overwritten.
 
     Attributes:
-        kept: names of the attributes that a snapshot of the batch stores.
+        state_fields: names of the attributes that a snapshot of the batch stores.
     """
 
-    kept: ClassVar[tuple[str, ...]]
+    state_fields: ClassVar[tuple[str, ...]]
 
     def vary(self, arms: IntArray, constants: dict[str, Array]) -> None:
         """Set constants (r, ...), by their name in PER_ARM, of the arms (r,)."""
@@ -146,7 +146,7 @@ class BatchIntegrator(Protocol):
 class SequentialIntegrator(BatchIntegrator):
     """Batch integrator with one `Integrator` for each arm, which integrates one arm after the other."""
 
-    kept = ("own",)
+    state_fields = ("own",)
 
     def __init__(self, runs: list[Integrator], period: tuple[float, int]) -> None:
         self._runs = runs
@@ -216,7 +216,7 @@ class LaneIntegrator(BatchIntegrator):
     A single arm without foreshortening is integrated by the kernels of one arm, faster and with the same bits.
     """
 
-    kept = ("own",)
+    state_fields = ("own",)
 
     def __init__(
         self,

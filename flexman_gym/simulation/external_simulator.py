@@ -56,7 +56,7 @@ class ExternalIntegrator(BatchIntegrator):
     The integrator that it replaces keeps the constants of the arms and computes outputs and tip accelerations.
     """
 
-    kept = ()
+    state_fields = ()
 
     def __init__(self, model: Model, integrator: BatchIntegrator, double: ExternalSimulator) -> None:
         self._model, self._integrator, self._double = model, integrator, double

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flexman_gym.common.arrays import pad_rows
-from flexman_gym.control.actions import ACTIONS, ActionModeEntry, TorqueMode
+from flexman_gym.control.actions import ACTIONS, TorqueMode
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.network import Network
 from flexman_gym.envs.config.specification import make_controller, make_plant
@@ -19,7 +19,7 @@ SETTINGS = {"name": "FlexPlanar-v0", "horizon": 0.3}
 class Winding:
     """A mode of one's own with a memory: a single number turns all motors, more with each control period."""
 
-    kept = ("wound",)
+    state_fields = ("wound",)
     names, sensors = ("winding",), ("servo",)
 
     def __init__(self, plant, base, rate=0.01):
@@ -39,7 +39,7 @@ class Winding:
 
 @pytest.fixture
 def winding(monkeypatch):
-    monkeypatch.setitem(ACTIONS, "winding", ActionModeEntry(Winding, ("rate",)))
+    monkeypatch.setitem(ACTIONS, "winding", type(ACTIONS["torque"])(Winding, ("rate",)))
     return {**SETTINGS, "actions": {"kind": "winding", "rate": 0.02}, "base": "pd"}
 
 

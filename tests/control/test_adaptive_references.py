@@ -9,10 +9,8 @@ import flexman_gym as fm
 from flexman_gym.control.references.adaptive_references import (
     CANDIDATE_DURATIONS,
     SlewReferences,
-    compliance_factors,
-    friction_coefficients,
+    adaptation_factors,
     friction_torques,
-    payload_interpolation_weights,
 )
 from flexman_gym.control.references.trajectories import slew_path
 from flexman_gym.model.dynamics import acceleration
@@ -142,14 +140,22 @@ def test_arms_on_their_ways_do_not_touch_each_other():
     assert np.array_equal(run(np.arange(3)), np.concatenate([run(np.array([arm])) for arm in range(3)]))
 
 
+NODE = np.array([0.1])
+
+
+def weights_of(nodes, masses):
+    """Interpolation weights of arms with payloads (r,) kg."""
+    return adaptation_factors(model(), nodes, {"payload_mass": masses}, np.arange(len(masses)))[0]
+
+
 def test_payloads_between_nodes_are_weighed_by_a_parabola():
     nodes = np.array([1.0, 2.0, 4.0])
     masses = np.array([1.0, 2.0, 4.0, 3.3, 9.0])
-    weights = payload_interpolation_weights(nodes, masses)
+    weights = weights_of(nodes, masses)
     assert weights[:3] == pytest.approx(np.eye(3)) and np.array_equal(weights[4], weights[2]), "none beyond the last"
     assert weights @ nodes**2 == pytest.approx(np.minimum(masses, 4.0) ** 2)
-    assert np.array_equal(payload_interpolation_weights(nodes, masses[3:4]), weights[3:4])
-    assert payload_interpolation_weights(nodes[:1], masses).tolist() == [[1.0]] * 5
+    assert np.array_equal(weights_of(nodes, masses[3:4]), weights[3:4])
+    assert weights_of(nodes[:1], masses).tolist() == [[1.0]] * 5
 
 
 TRUE = {"payload_mass": 0.13, "joint_stiffness": [0.8, 1.25], "link_stiffness_factor": [0.75, 1.3]}
@@ -184,26 +190,25 @@ def test_the_tip_of_an_arm_that_is_known_rests_where_that_of_the_model_would():
 def test_softness_is_how_much_further_springs_and_links_bend():
     """The same load: a rigid joint and links' sides of joints stay."""
     own = model()
-    assert compliance_factors(own, {}, ONE).tolist() == [[1.0] * own.n_dof]
+    assert adaptation_factors(own, NODE, {}, ONE)[1].tolist() == [[1.0] * own.n_dof]
     true = true_parameters(own)
-    result = compliance_factors(own, {name: true[name] for name in ("joint_stiffness", "link_stiffness_factor")}, ONE)[
-        0
-    ]
+    estimated = {name: true[name] for name in ("joint_stiffness", "link_stiffness_factor")}
+    result = adaptation_factors(own, NODE, estimated, ONE)[1][0]
     assert result[:2] == pytest.approx([1.25, 0.8]) and result[own.motor_columns] == pytest.approx([1.25, 0.8])
     for link, factor in enumerate(TRUE["link_stiffness_factor"]):
         assert result[own.elastic_columns(link)] == pytest.approx(1.0 / factor)
     stiff = fm.build_model(arm(stiffness=None, damping=0.0), 1, 1)
     given = {"joint_stiffness": np.zeros((1, 2))}
-    assert compliance_factors(stiff, given, ONE).tolist() == [[1.0] * stiff.n_dof]
+    assert adaptation_factors(stiff, NODE, given, ONE)[1].tolist() == [[1.0] * stiff.n_dof]
 
 
 def test_friction_is_that_of_the_estimate_and_where_there_is_none_that_of_the_model():
     own = model(**RUBBING)
-    assert friction_coefficients(own, {}, ONE)[0].tolist() == [[0.4, 0.4], [0.3, 0.3]]
+    assert adaptation_factors(own, NODE, {}, ONE)[2][0].tolist() == [[0.4, 0.4], [0.3, 0.3]]
     found = {"coulomb_friction": np.array([[0.0, 0.0], [0.1, 0.2]])}
-    assert friction_coefficients(own, found, np.array([1]))[0].tolist() == [[0.4, 0.4], [0.1, 0.2]]
+    assert adaptation_factors(own, NODE, found, np.array([1]))[2][0].tolist() == [[0.4, 0.4], [0.1, 0.2]]
     rates = np.array([[5.0, -5.0]])
-    result = friction_torques(own, friction_coefficients(own, found, np.array([1])), rates)
+    result = friction_torques(own, adaptation_factors(own, NODE, found, np.array([1]))[2], rates)
     assert result[0] == pytest.approx([0.4 * 5.0 + 0.1, -0.4 * 5.0 - 0.2])
 
 

@@ -19,7 +19,7 @@ WEIGHTS, PAYLOADS = CostWeights(0.02, 0.1, 0.4), (0.05, 0.1, 0.2)
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     """Where the tables of a test are kept."""
-    monkeypatch.setattr(lqr, "find_folder", lambda: str(tmp_path))
+    monkeypatch.setattr(lqr, "find_cache_folder", lambda: str(tmp_path))
     return tmp_path
 
 
@@ -126,7 +126,7 @@ def test_other_designs_are_kept_apart(folder):
 
 
 def test_without_a_folder_it_keeps_nothing(monkeypatch):
-    monkeypatch.setattr(lqr, "find_folder", lambda: None)
+    monkeypatch.setattr(lqr, "find_cache_folder", lambda: None)
     own = table()
     asked(own, PLACES[:1])
     own.save()

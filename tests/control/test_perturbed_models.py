@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.observers.observer import make_measurement_model
+from flexman_gym.control.observers.observer import MeasurementModel
 from flexman_gym.control.observers.perturbed_models import (
     PARAMETER_STEP,
     RANGE_MARGIN,
     PerturbedModels,
     Prior,
     Resimulation,
+    UncertainParameters,
     levenberg_marquardt_step,
-    make_uncertain_parameters,
     solve_scaled,
 )
 from flexman_gym.simulation.batch import Batch
@@ -35,7 +35,7 @@ def model(**changes):
 def test_numbers_are_parameters_in_their_units():
     """Masses and dampings as they are, stiffness as parts of the nominal one of each joint."""
     own = model(stiffness=500.0)
-    unknowns = make_uncertain_parameters(own, RANGES)
+    unknowns = UncertainParameters(own, RANGES)
     assert unknowns.names == ("payload_mass", *["joint_stiffness"] * 2, *["joint_damping"] * 2)
     assert unknowns.joints.tolist() == [0, 0, 1, 0, 1]
     values = unknowns.values(own, np.array([[3.0, 0.8, 1.1, 0.2, 0.4], [1.0, 1.0, 1.0, 0.5, 0.6]]))
@@ -47,20 +47,20 @@ def test_numbers_are_parameters_in_their_units():
 
 def test_what_the_model_has_no_coordinate_for_stays_as_it_is():
     own = model(stiffness=None, damping=0.0)
-    unknowns = make_uncertain_parameters(own, RANGES)
+    unknowns = UncertainParameters(own, RANGES)
     assert unknowns.names == ("payload_mass", "joint_stiffness", "joint_damping")
     values = unknowns.values(own, np.array([[1.0, 0.5, 0.3]]))
     assert values["joint_stiffness"][0] == pytest.approx([0.5, 1.0] * own.constants.joint_stiffness)
     assert values["joint_damping"][0].tolist() == [0.3, own.constants.joint_damping[1]]
     rubbing = model(viscous_friction=0.2)
-    parts = make_uncertain_parameters(rubbing, {"viscous_friction_factor": (0.5, 1.5)})
+    parts = UncertainParameters(rubbing, {"viscous_friction_factor": (0.5, 1.5)})
     assert parts.joints.tolist() == [1], "a factor on nothing says nothing"
     assert parts.values(rubbing, np.array([[1.5]]))["viscous_friction"] == pytest.approx(np.array([[0.0, 0.3]]))
 
 
 def test_beforehand_all_of_a_range_is_as_likely():
     """Mean and deviation are those of numbers drawn from it; an estimate may leave it a little, not below 0."""
-    unknowns = make_uncertain_parameters(model(), RANGES)
+    unknowns = UncertainParameters(model(), RANGES)
     drawn = np.random.default_rng(0).uniform(0.7, 1.3, 100_000)
     assert unknowns.mean[1] == pytest.approx(drawn.mean(), abs=3e-3)
     assert unknowns.deviation[1] == pytest.approx(drawn.std(), rel=5e-3)
@@ -71,25 +71,25 @@ def test_beforehand_all_of_a_range_is_as_likely():
 
 def test_nothing_unknown_is_no_number():
     own = model()
-    unknowns = make_uncertain_parameters(own, {})
+    unknowns = UncertainParameters(own, {})
     assert unknowns.values(own, np.zeros((3, 0))) == {} and unknowns.mean.shape == (0,)
 
 
 def test_a_range_has_the_name_and_the_unit_that_it_has_in_a_randomisation():
     """A factor is called one, and the parameter that follows from it has its own unit."""
     own = model(stiffness=500.0)
-    found = make_uncertain_parameters(own, {"joint_stiffness_factor": (0.5, 1.5), "link_stiffness_factor": (0.5, 1.5)})
+    found = UncertainParameters(own, {"joint_stiffness_factor": (0.5, 1.5), "link_stiffness_factor": (0.5, 1.5)})
     values = found.values(own, np.full((1, 4), 0.5))
     assert values["joint_stiffness"][0] == pytest.approx(0.5 * own.constants.joint_stiffness)
     assert values["link_stiffness_factor"].tolist() == [[0.5, 0.5]]
     with pytest.warns(DeprecationWarning, match="unknown.joint_stiffness: this is called joint_stiffness_factor now"):
-        assert make_uncertain_parameters(own, {"joint_stiffness": (0.5, 1.5)}).scales == pytest.approx(found.scales[:2])
+        assert UncertainParameters(own, {"joint_stiffness": (0.5, 1.5)}).scales == pytest.approx(found.scales[:2])
 
 
 @pytest.mark.parametrize("span", [(0.13, 0.13), (0.0, 0.0)])
 def test_a_range_of_one_number_is_a_number_that_is_known(span):
     """To a thousandth, or to a gram."""
-    unknowns = make_uncertain_parameters(model(), {"payload_mass": span})
+    unknowns = UncertainParameters(model(), {"payload_mass": span})
     assert unknowns.mean == pytest.approx(span[:1]) and 0.0 < unknowns.deviation[0] < 1e-3
     assert 0.0 <= unknowns.low[0] <= span[0] < unknowns.high[0] and unknowns.step[0] > 0.0
 
@@ -108,7 +108,7 @@ def test_a_range_of_one_number_is_a_number_that_is_known(span):
     ],
 )
 def test_what_is_no_range_is_refused_in_one_line(ranges, line):
-    said = refusal(make_uncertain_parameters, model(), ranges)
+    said = refusal(UncertainParameters, model(), ranges)
     assert said.startswith(line), said
 
 
@@ -119,8 +119,8 @@ SENSORS = ("motor_encoders", "joint_encoders", "strain")
 
 
 def made(biased=False):
-    unknowns = make_uncertain_parameters(PLANT.model, PLANT.unknown)
-    read = make_measurement_model(PLANT, SENSORS)
+    unknowns = UncertainParameters(PLANT.model, PLANT.unknown)
+    read = MeasurementModel(PLANT, SENSORS)
     return PerturbedModels(PLANT, unknowns, read.matrix, biased), read
 
 

@@ -95,7 +95,7 @@ class Silent(Listener):
 class Forgetful(Listener):
     """One that means to say what it keeps."""
 
-    keep = ("told",)
+    state_field = ("told",)
 
 
 class Slotted:
@@ -120,7 +120,7 @@ def test_a_controller_needs_no_dictionary():
 class Former(Listener):
     """A controller of version 0.2, with a memory."""
 
-    kept = ("count",)
+    state_fields = ("count",)
 
     def __init__(self):
         super().__init__()
@@ -171,7 +171,7 @@ def test_a_controller_is_told_how_many_arms_there_are():
     ("base", "line"),
     [
         (Silent, "base.act: '(readings)' is not allowed; give (readings, applied, playing)"),
-        (Forgetful, "base.keep: ('told',) is not allowed; give kept, if it is meant, or another name"),
+        (Forgetful, "base.state_field: ('told',) is not allowed; give state_fields, if it is meant, or another name"),
     ],
 )
 def test_a_controller_that_would_not_be_heard_is_refused(base, line):

@@ -182,7 +182,7 @@ def test_what_a_controller_remembers_is_kept():
     """One that turns round after every action names what it remembers."""
 
     class Turning:
-        sensors, kept = ("servo",), ("way",)
+        sensors, state_fields = ("servo",), ("way",)
 
         def __init__(self):
             self.way = np.ones(3)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from flexman_gym.control.controller import EpisodeInfo
-from flexman_gym.control.observers.observer import make_measurement_model
+from flexman_gym.control.observers.observer import MeasurementModel
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
@@ -110,7 +110,7 @@ class World:
         self.plant, self.count = given, len(postures)
         self.batch, self.goals = Batch(given.model, *given.moved, given.period, arms=self.count), postures
         self.batch.place(np.arange(self.count), rest_states(given.model, postures))
-        self.instruments, self.arms = make_measurement_model(given, ALL), np.arange(self.count)
+        self.instruments, self.arms = MeasurementModel(given, ALL), np.arange(self.count)
         self.last, self.asked = np.zeros((self.count, 2)), [np.zeros((self.count, 2))] * (given.delay[0] + 1)
         self.offset, self.force, self.bias, self.noise = (0.0,) * 4
 

@@ -18,7 +18,7 @@ from flexman_gym.control.input_shaping.shapers import (
     sample_shaper,
 )
 from flexman_gym.control.lqr import LQR
-from flexman_gym.control.references.trajectories import minimum_jerk
+from flexman_gym.control.references.trajectories import TIMING_LAWS
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import rest_states, rest_tips
 
@@ -60,7 +60,7 @@ class InputShapedController:
         ValueError: one line with field, value and what is allowed.
     """
 
-    kept = ("_now", "inner")
+    state_fields = ("_now", "inner")
 
     def __init__(
         self,
@@ -133,7 +133,7 @@ class InputShapedController:
         if path is None:
             count = int(np.ceil(self.duration / period)) + 1
             times = period * np.arange(count, dtype=np.float64)
-            parts = minimum_jerk(times / self.duration)[0] if self.duration else np.ones(count)
+            parts = TIMING_LAWS["minimum-jerk"].at(times / self.duration)[0] if self.duration else np.ones(count)
             plain, before = start + parts[:, None] * (goal - start), start
             way = start + np.array(self.places)[:, None] * (goal - start)
         else:

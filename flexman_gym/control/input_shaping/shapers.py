@@ -5,7 +5,6 @@ after the first. With its motors held, the lowest mode of `FlexRRR-v0` is at abo
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import reduce
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import flag, non_negative, one_of, physical, positive, value_error
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.vibration import Eigenpairs, equilibrium_matrices, oscillatory_modes
-from flexman_gym.simulation.parameters import varied_constants
+from flexman_gym.simulation.parameters import varied_model
 
 RIGID_MODE_RATIO = 0.5  # of the lowest mode with held motors: what is slower still is the arm turning about its motors
 RATIO_ROUNDING = 1e-9  # of a damping ratio
@@ -223,17 +222,11 @@ def find_operating_points(model: Model, postures: Array, payloads: Sequence[floa
     """Finds the lowest modes for each of the postures (p, n) rad with each of the payloads (kg)."""
     result = []
     for payload in payloads:
-        loaded = with_payload(model, payload)
+        loaded = varied_model(model, payload_mass=payload)
         for posture in postures:
             modes = (excited_modes(loaded, posture, held)[:EVALUATED_MODES] for held in (True, False))
             result.append(OperatingPoint(posture, float(payload), *modes))
     return result
-
-
-def with_payload(model: Model, mass: float) -> Model:
-    """Gives a model with the same coordinates and a payload of another mass (kg), its inertia in proportion."""
-    rows = varied_constants(model, 1, {"payload_mass": [mass]})
-    return replace(model, constants=model.constants._replace(**{name: values[0] for name, values in rows.items()}))
 
 
 def median_operating_point(cases: Sequence[OperatingPoint]) -> OperatingPoint:
@@ -270,11 +263,11 @@ def _evaluate_shaper(name: str, modes: Array, cases: Sequence[OperatingPoint]) -
         tips.append(float(each @ case.held[:, 2] / case.held[:, 2].sum()))
     delay = float(shaper.times[-1])
     return ShaperEvaluation(
-        name, len(modes), delay, tolerated_frequency_errors(shaper, modes), np.array(left), np.array(tips)
+        name, len(modes), delay, _tolerated_frequency_errors(shaper, modes), np.array(left), np.array(tips)
     )
 
 
-def tolerated_frequency_errors(shaper: Shaper, modes: Array) -> tuple[float, float]:
+def _tolerated_frequency_errors(shaper: Shaper, modes: Array) -> tuple[float, float]:
     """Gives how much lower and higher all of the modes (k, 3) may be together, as parts, see
     `ShaperEvaluation.borne`.
     """

@@ -8,12 +8,12 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.innovations import ChangeDetector, InnovationGains
 from flexman_gym.control.observers.internal_model import DelayCompensation, DiscreteJacobians
-from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, make_measurement_model
+from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, MeasurementModel
 from flexman_gym.control.observers.perturbed_models import (
     PerturbedModels,
     Prior,
+    UncertainParameters,
     levenberg_marquardt_step,
-    make_uncertain_parameters,
     solve_scaled,
     standard_deviations,
 )
@@ -57,7 +57,7 @@ class Estimator:
         "numbers", "delays", "_origin", "_states", "_information", "_change", "_ages", "_readings",
         "_torques", "_steps", "_apart", "_pushed",
     )  # fmt: skip
-    kept = (*_arrays, "_innovations", "_prediction", "_residuals")
+    state_fields = (*_arrays, "_innovations", "_prediction", "_residuals")
 
     def __init__(
         self,
@@ -68,8 +68,8 @@ class Estimator:
     ) -> None:
         self.sensors, self._plant = tuple(sensors), plant
         model, n = plant.model, plant.model.n_joints
-        read = self._instruments = make_measurement_model(plant, self.sensors)
-        unknowns = self.unknowns = make_uncertain_parameters(model, plant.unknown if unknown is None else unknown)
+        read = self._instruments = MeasurementModel(plant, self.sensors)
+        unknowns = self.unknowns = UncertainParameters(model, plant.unknown if unknown is None else unknown)
         trials = self._trials = PerturbedModels(plant, unknowns, read.matrix, biased)
         self._innovations = InnovationGains(DiscreteJacobians(plant), read, plant.push)
         self._encoders = None if biased else read.places["motor_angles"]

@@ -23,7 +23,7 @@ class InnovationGains:
         push: N, how large forces on the tip may be at any time.
     """
 
-    kept = ("covariance", "_transition", "_noise", "_designed")
+    state_fields = ("covariance", "_transition", "_noise", "_designed")
 
     def __init__(self, slopes: DiscreteJacobians, instruments: MeasurementModel, push: float) -> None:
         self._slopes, self._matrix, self._push = slopes, instruments.matrix, push
@@ -33,7 +33,7 @@ class InnovationGains:
 
     def grow(self, count: int) -> None:
         """Makes room for so many arms."""
-        for name in self.kept:
+        for name in self.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), count))
 
     def begin(self, arms: IntArray, states: Array, torques: Array, sudden: bool) -> BoolArray:
@@ -107,7 +107,7 @@ class ChangeDetector:
         misfit: (b,) mean square, 1 where all is as it was assumed.
     """
 
-    kept = ("misfit", "_mean")
+    state_fields = ("misfit", "_mean")
 
     def __init__(self, readings: int) -> None:
         self.misfit, self._mean = np.zeros(0), np.zeros((0, readings))

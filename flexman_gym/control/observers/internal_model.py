@@ -118,7 +118,7 @@ class DelayCompensation:
         past: (b, late + 1, n) torques that were asked for, N m, the newest first.
     """
 
-    kept = ("past",)
+    state_fields = ("past",)
 
     def __init__(self, plant: Plant) -> None:
         self._twins, self._usual = InternalModels(plant), np.array(plant.torque_limit)

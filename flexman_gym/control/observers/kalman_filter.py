@@ -8,7 +8,7 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_ro
 from flexman_gym.common.checks import flag, non_negative, value_error, vector
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.internal_model import DelayCompensation, DiscreteJacobians, InternalModels
-from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, make_measurement_model
+from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, MeasurementModel
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import holding_torques, rest_states
 
@@ -111,7 +111,7 @@ class KalmanFilter:
         ValueError: one line with field, value and what is allowed.
     """
 
-    kept = ("states", "covariance", "_transition", "_noise", "_prediction", "_ages")
+    state_fields = ("states", "covariance", "_transition", "_noise", "_prediction", "_ages")
 
     def __init__(
         self,
@@ -122,7 +122,7 @@ class KalmanFilter:
         biased: bool = False,
         fixed: bool = False,
     ) -> None:
-        self._instruments = read = make_measurement_model(plant, sensors)
+        self._instruments = read = MeasurementModel(plant, sensors)
         self.sensors, self._plant, self._slopes = tuple(sensors), plant, DiscreteJacobians(plant)
         self._prediction, self._twins = DelayCompensation(plant), InternalModels(plant)
         self._disturbed, self._biased, self._fixed = (

@@ -8,7 +8,7 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.internal_model import DelayCompensation
 from flexman_gym.control.observers.observer import Estimate
-from flexman_gym.control.observers.perturbed_models import make_uncertain_parameters
+from flexman_gym.control.observers.perturbed_models import UncertainParameters
 from flexman_gym.simulation.parameters import PARAMETERS, UNCERTAIN
 
 # s and powers by which 1 / (1 + (t / s)^power) of the deviation is left: medians of the Estimator on 24 arms of
@@ -26,14 +26,14 @@ class Oracle:
     """
 
     sensors: tuple[str, ...] = ("state",)
-    kept = ("_prediction", "_ages")
+    state_fields = ("_prediction", "_ages")
 
     def __init__(self, plant: Plant, doubt: bool = False) -> None:
         self._prediction, self._delays = DelayCompensation(plant), np.zeros(0, dtype=np.int64)
         self._parameters: dict[str, Array] = {}
         self._plant, self._ages = plant, np.zeros(0, dtype=np.int64)
         ranges = {name: span for name, span in plant.unknown.items() if UNCERTAIN.get(name) in DEVIATION_DECAY}
-        self._unknowns = make_uncertain_parameters(plant.model, ranges) if doubt and ranges else None
+        self._unknowns = UncertainParameters(plant.model, ranges) if doubt and ranges else None
         self._numbers = np.zeros((0, 2, len(self._unknowns.names) if self._unknowns else 0))  # true ones, and errors
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:

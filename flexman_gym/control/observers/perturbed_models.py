@@ -1,12 +1,11 @@
 """Perturbed models: uncertain parameters, simulations with one parameter changed each, and least-squares steps."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, BoolArray, IntArray, row_dots
+from flexman_gym.common.arrays import Array, BoolArray, row_dots
 from flexman_gym.common.checks import mapping, number_array, value_error
 from flexman_gym.control.controller import Plant
 from flexman_gym.control.observers.internal_model import InternalModels
@@ -20,27 +19,47 @@ RANGE_MARGIN = 0.08  # of a range, by which an estimate may leave it
 KNOWN_RANGE = 1e-3  # of a number that is known, or of 1 where it is 0: the range in which it is
 
 
-@dataclass(frozen=True, eq=False)
-class _UncertainParameters:
-    """p unknown numbers of an arm: entries of its physical parameters.
+class UncertainParameters:
+    """Uncertain parameters of an arm as p numbers, one for each entry of a physical parameter.
+
+    Args:
+        model: of the arm.
+        ranges: name -> (low, high), with names as in `simulation.parameters.UNCERTAIN`: in the unit of the parameter, or
+            1 for factors on the nominal value, one per joint or link.
 
     Attributes:
-        names: (p,) of the parameters, once for each of their entries.
-        joints: (p,) of which joint or link an entry is; 0 of an arm.
-        scales: (p,) values of an entry where its number is 1: nominal ones where the number is a factor.
-        mean, deviation: (p,) of what is known beforehand: of numbers spread evenly over their range.
-        step: (p,) by which a number is changed to see what follows.
-        low, high: (p,) between which an estimate stays.
+        names: (p,) name of the parameter of each number.
+        joints: (p,) joint or link of each number; 0 for a parameter of the whole arm.
+        scales: (p,) value of the entry per unit of the number: the nominal value where the number is a factor.
+        mean: (p,) of a uniform distribution over the range.
+        deviation: (p,) standard deviation of that distribution.
+        step: (p,) perturbation for finite differences.
+        low: (p,) least estimate.
+        high: (p,) largest estimate.
     """
 
-    names: tuple[str, ...]
-    joints: IntArray
-    scales: Array
-    mean: Array
-    deviation: Array
-    step: Array
-    low: Array
-    high: Array
+    def __init__(self, model: Model, ranges: Mapping[str, tuple[float, float]]) -> None:
+        names, joints, scales, spans = [], [], [], []
+        former = {name: key for key, name in UNCERTAIN.items() if key != name}
+        former |= {"link_stiffness": "link_stiffness_factor"}
+        for key, span in mapping("unknown", rename_old_keys("unknown", ranges, former), tuple(UNCERTAIN)).items():
+            low, high = number_array(f"unknown.{key}", span, (2,), "a range (low, high)")
+            if not 0.0 <= low <= high:
+                raise value_error(f"unknown.{key}", span, "a range (low, high) with 0 <= low <= high")
+            name, row = UNCERTAIN[key], PARAMETERS[UNCERTAIN[key]]
+            nominal = np.atleast_1d(row.nominal(model))
+            free = ~row.fixed(model) if row.shape(model.n_joints) else np.ones(1, dtype=bool)
+            for joint in np.flatnonzero(free & (nominal > 0.0 if row.factor else free)):
+                names.append(name)
+                joints.append(int(joint))
+                scales.append(float(nominal[joint]) if row.factor else 1.0)
+                spans.append((low, high))
+        low, high = np.array(spans).reshape(-1, 2).T
+        width = np.where(high > low, high - low, KNOWN_RANGE * np.where(high > 0.0, high, 1.0))
+        self.names, self.joints, self.scales = tuple(names), np.array(joints, dtype=np.int64), np.array(scales)
+        self.mean, self.deviation, self.step = 0.5 * (low + high), width / np.sqrt(12.0), PARAMETER_STEP * width
+        self.low: Array = np.maximum(low - RANGE_MARGIN * width, 0.0)
+        self.high: Array = high + RANGE_MARGIN * width
 
     def values(self, model: Model, numbers: Array) -> dict[str, Array]:
         """Gives the parameters, name -> (r, ...) in their units, of numbers (r, p)."""
@@ -64,41 +83,6 @@ class _UncertainParameters:
             values = numbers[:, columns] * self.scales[columns]
             result[f"{name}_deviation"] = values[:, 0] if PARAMETERS[name].of == ARM else values
         return result
-
-
-def make_uncertain_parameters(model: Model, ranges: Mapping[str, tuple[float, float]]) -> _UncertainParameters:
-    """Gives the unknowns of an arm.
-
-    Args:
-        model: of the arm.
-        ranges: name -> (low, high), names as in `simulation.parameters.UNCERTAIN`: the unit of the parameter, or 1 for
-            the factors on the nominal value, one for each joint or link.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
-    """
-    names, joints, scales, spans = [], [], [], []
-    renamed = {name: key for key, name in UNCERTAIN.items() if key != name} | {
-        "link_stiffness": "link_stiffness_factor"
-    }
-    for key, span in mapping("unknown", rename_old_keys("unknown", ranges, renamed), tuple(UNCERTAIN)).items():
-        low, high = number_array(f"unknown.{key}", span, (2,), "a range (low, high)")
-        if not 0.0 <= low <= high:
-            raise value_error(f"unknown.{key}", span, "a range (low, high) with 0 <= low <= high")
-        name, row = UNCERTAIN[key], PARAMETERS[UNCERTAIN[key]]
-        nominal = np.atleast_1d(row.nominal(model))
-        free = ~row.fixed(model) if row.shape(model.n_joints) else np.ones(1, dtype=bool)
-        for joint in np.flatnonzero(free & (nominal > 0.0 if row.factor else free)):
-            names.append(name)
-            joints.append(int(joint))
-            scales.append(float(nominal[joint]) if row.factor else 1.0)
-            spans.append((low, high))
-    low, high = np.array(spans).reshape(-1, 2).T
-    wide = np.where(high > low, high - low, KNOWN_RANGE * np.where(high > 0.0, high, 1.0))
-    return _UncertainParameters(
-        tuple(names), np.array(joints, dtype=np.int64), np.array(scales), 0.5 * (low + high), wide / np.sqrt(12.0),
-        PARAMETER_STEP * wide, np.maximum(low - RANGE_MARGIN * wide, 0.0), high + RANGE_MARGIN * wide,
-    )  # fmt: skip
 
 
 ANGLE_STEP = 1e-3  # rad, by which an angle at the start is changed to see what follows
@@ -164,7 +148,7 @@ class PerturbedModels:
     def __init__(
         self,
         plant: Plant,
-        unknowns: _UncertainParameters,
+        unknowns: UncertainParameters,
         matrix: Array,
         biased: bool,
     ) -> None:

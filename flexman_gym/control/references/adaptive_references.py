@@ -60,7 +60,7 @@ class SlewReferences:
         "start", "way", "shift", "coefficients", "begun", "lasting", "_coordinates", "_torques", "_soft", "_friction",
         "_own_coordinates", "_own_torques", "pace", "quickening",
     )  # fmt: skip
-    kept = _rows
+    state_fields = _rows
 
     def __init__(self, model: Model, limits: Array, share: float, payloads: Sequence[float]) -> None:
         self.model, self._limits, self._share = model, limits, share
@@ -123,11 +123,11 @@ class SlewReferences:
         """Takes the physical parameters (b, ...) of the arms (r,) as they are estimated, see `Estimate`."""
         if not len(arms):
             return
-        weights = payload_interpolation_weights(self._payloads, estimated_payloads(self.model, parameters, arms))
+        weights, self._soft[arms], self._friction[arms] = adaptation_factors(
+            self.model, self._payloads, parameters, arms
+        )
         for own, every in ((self._own_coordinates, self._coordinates), (self._own_torques, self._torques)):
             own[arms] = (weights[:, :, None, None, None] * every[arms]).sum(axis=1)
-        self._soft[arms] = compliance_factors(self.model, parameters, arms)
-        self._friction[arms] = friction_coefficients(self.model, parameters, arms)
         if self.model.constants.gravity.any():
             self._aim(arms)
 
@@ -222,36 +222,39 @@ def estimated_payloads(model: Model, parameters: Mapping[str, Array], arms: IntA
     return np.full(len(arms), model.constants.payload_mass[0])
 
 
-def payload_interpolation_weights(nodes: Array, payloads: Array) -> Array:
-    """Gives the weights (r, p) of nodes (p,) kg between which payloads (r,) are interpolated."""
-    masses = np.clip(payloads, nodes[0], nodes[-1])
-    result = np.ones((len(payloads), len(nodes)))
+def adaptation_factors(
+    model: Model, nodes: Array, parameters: Mapping[str, Array], arms: IntArray
+) -> tuple[Array, Array, Array]:
+    """Return the factors by which the references of arms (r,) are adapted to estimated parameters.
+
+    Args:
+        model: nominal model of the arm.
+        nodes: (p,) payloads for which references are tabulated, kg.
+        parameters: name -> (b, ...) estimated physical parameters; the nominal value where a name is missing.
+        arms: (r,).
+
+    Returns:
+        Weights (r, p) of the Lagrange interpolation between the payloads; ratios (r, d) of the elastic deflections to
+        those of the nominal arm; viscous (N m s/rad) and Coulomb friction (N m) of the motors, (r, 2, n).
+    """
+    masses = np.clip(estimated_payloads(model, parameters, arms), nodes[0], nodes[-1])
+    weights = np.ones((len(arms), len(nodes)))
     for i, node in enumerate(nodes):
         for other in np.delete(nodes, i):
-            result[:, i] *= (masses - other) / (node - other)
-    return result
-
-
-def compliance_factors(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
-    """Gives factors (r, d) by which bent coordinates of the arms (r,) are larger than those of the model."""
-    n, stiff = model.n_joints, model.constants.motor >= 0
-    result = np.ones((len(arms), model.n_dof))
+            weights[:, i] *= (masses - other) / (node - other)
+    n, flexible = model.n_joints, model.constants.motor >= 0
+    compliance = np.ones((len(arms), model.n_dof))
     if "joint_stiffness" in parameters:
-        stiffness = np.where(stiff, parameters["joint_stiffness"][arms], 1.0)
-        part = np.where(stiff, model.constants.joint_stiffness / stiffness, 1.0)
-        result[:, :n] = result[:, model.motor_columns] = part
+        stiffness = np.where(flexible, parameters["joint_stiffness"][arms], 1.0)
+        ratio = np.where(flexible, model.constants.joint_stiffness / stiffness, 1.0)
+        compliance[:, :n] = compliance[:, model.motor_columns] = ratio
     if "link_stiffness_factor" in parameters:
         links = np.repeat(np.arange(n), np.diff(model.constants.elastic_start))
-        result[:, model.n_dof - len(links) :] = 1.0 / parameters["link_stiffness_factor"][arms][:, links]
-    return result
-
-
-def friction_coefficients(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
-    """Gives viscous (N m s/rad) and Coulomb friction (N m) of the motors of the arms (r,), (r, 2, n)."""
-    result = np.zeros((len(arms), 2, model.n_joints))
+        compliance[:, model.n_dof - len(links) :] = 1.0 / parameters["link_stiffness_factor"][arms][:, links]
+    friction = np.zeros((len(arms), 2, n))
     for i, name in enumerate(("viscous_friction", "coulomb_friction")):
-        result[:, i] = parameters[name][arms] if name in parameters else getattr(model.constants, name)
-    return result
+        friction[:, i] = parameters[name][arms] if name in parameters else getattr(model.constants, name)
+    return weights, compliance, friction
 
 
 def friction_torques(model: Model, coefficients: Array, rates: Array) -> Array:
@@ -269,7 +272,7 @@ class PathReferences:
         payloads: kg, one or three, ascending.
     """
 
-    kept = ("_weights", "_soft", "_friction")
+    state_fields = ("_weights", "_soft", "_friction")
 
     def __init__(self, model: Model, period: float, payloads: Sequence[float]) -> None:
         self.model, self._period, self._payloads = model, period, np.array(payloads, dtype=float)
@@ -285,18 +288,16 @@ class PathReferences:
         straight[:, self.model.n_dof :] = np.gradient(straight[:, : self.model.n_dof], self._period, axis=0)
         departures = np.array([plan.states - straight for plan in plans])
         self._plans[arm] = straight, departures, np.array([plan.torques for plan in plans])
-        for name in self.kept:
+        for name in self.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), arm + 1))
 
     def adapt(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
         """Takes the physical parameters (b, ...) of the arms (r,) as they are estimated, see `Estimate`."""
         if not len(arms):
             return
-        self._weights[arms] = payload_interpolation_weights(
-            self._payloads, estimated_payloads(self.model, parameters, arms)
+        self._weights[arms], self._soft[arms], self._friction[arms] = adaptation_factors(
+            self.model, self._payloads, parameters, arms
         )
-        self._soft[arms] = compliance_factors(self.model, parameters, arms)
-        self._friction[arms] = friction_coefficients(self.model, parameters, arms)
 
     def at(self, now: Array, arms: IntArray) -> tuple[Array, Array]:
         """Gives the states (r, 2 d) of arms (r,) at times (r,) s and their torques (r, n) N m in the period after."""

@@ -359,7 +359,7 @@ class OptimisedController(LQR):
             an episode that the table does not have.
     """
 
-    kept = ("_now",)
+    state_fields = ("_now",)
 
     def __init__(self, table: SlewTable, model: Model, torque_limit: float | Vector, period: float) -> None:
         super().__init__(model, torque_limit, period)

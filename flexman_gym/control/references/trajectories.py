@@ -37,30 +37,6 @@ class _TimingLaw(NamedTuple):
         return place, speed, np.where(inside == times, acceleration, 0.0)
 
 
-def trapezoid(way: float, speed: float, acceleration: float) -> _TimingLaw:
-    """Gives the quickest motion over a way within limits of speed (1/s) and acceleration (1/s^2).
-
-    Biagiotti and Melchiorri, Trajectory planning for automatic machines and robots, 2008, section 3.2.
-
-    Raises:
-        ValueError: for what is no number from 1e-30 to 1e30.
-    """
-    limits = physical("speed", speed, "1/s"), physical("acceleration", acceleration, "1/s^2"), np.inf
-    return _constant_jerk_law(physical("way", way), *limits)
-
-
-def double_s(way: float, speed: float, acceleration: float, jerk: float) -> _TimingLaw:
-    """Gives the double S over a way: also within a limit of jerk (1/s^3).
-
-    Biagiotti and Melchiorri, Trajectory planning for automatic machines and robots, 2008, section 3.4.
-
-    Raises:
-        ValueError: for what is no number from 1e-30 to 1e30.
-    """
-    limits = physical("speed", speed, "1/s"), physical("acceleration", acceleration, "1/s^2")
-    return _constant_jerk_law(physical("way", way), *limits, physical("jerk", jerk, "1/s^3"))
-
-
 def quintic_coefficients(place: Array, speed: Array, change: Array, durations: Array) -> Array:
     """Gives coefficients (..., 6), lowest power first, of the polynomial in time that comes to rest at place 1.
 
@@ -88,14 +64,31 @@ def evaluate_polynomials(coefficients: Array, times: Array) -> tuple[Array, Arra
     return place, speed, 2.0 * c + times * (6.0 * d + times * (12.0 * e + times * 20.0 * f))
 
 
-def _constant_jerk_law(way: float, speed: float, acceleration: float, jerk: float) -> _TimingLaw:
-    """Seven phases of constant jerk, less those that take no time; where jerk is infinite, acceleration jumps."""
+def constant_jerk_law(distance: float, speed: float, acceleration: float, jerk: float | None = None) -> _TimingLaw:
+    """Plan the fastest motion from rest to rest over a distance, within limits of its derivatives.
+
+    With a jerk limit this is the double-S law of up to seven phases of constant jerk; without one, the trapezoidal law,
+    whose acceleration jumps (Biagiotti and Melchiorri, Trajectory planning for automatic machines and robots, 2008,
+    sections 3.2 and 3.4).
+
+    Args:
+        distance: 1, along the path.
+        speed: 1/s, largest.
+        acceleration: 1/s^2, largest.
+        jerk: 1/s^3, largest; None for no limit.
+
+    Returns:
+        Timing law without phases of zero duration.
+    """
+    distance, speed = physical("distance", distance), physical("speed", speed, "1/s")
+    acceleration = physical("acceleration", acceleration, "1/s^2")
+    jerk = np.inf if jerk is None else physical("jerk", jerk, "1/s^3")
     most = min(acceleration, np.sqrt(speed * jerk))
     gaining = most / jerk + speed / most  # s, of speed
-    steady = way / speed - gaining
+    steady = distance / speed - gaining
     if steady < 0.0:  # the speed is not reached
-        most, steady = min(acceleration, np.cbrt(0.5 * way * jerk**2)), 0.0
-        gaining = 0.5 * most / jerk + np.sqrt((0.5 * most / jerk) ** 2 + way / most)
+        most, steady = min(acceleration, np.cbrt(0.5 * distance * jerk**2)), 0.0
+        gaining = 0.5 * most / jerk + np.sqrt((0.5 * most / jerk) ** 2 + distance / most)
     ramp = most / jerk
     full = max(gaining - 2.0 * ramp, 0.0)
     lasting = np.array([ramp, full, ramp, steady, ramp, full, ramp])
@@ -110,14 +103,9 @@ def _constant_jerk_law(way: float, speed: float, acceleration: float, jerk: floa
 
 TIMING_LAWS = {  # of slews from 0 to 1 in a duration of 1; the phases of each last as long as each other
     "minimum-jerk": _TimingLaw(np.zeros(1), quintic_coefficients(*np.array([[0.0], [0.0], [0.0], [1.0]])), 1.0),
-    "trapezoid": trapezoid(1.0, 1.5, 4.5),
-    "double-s": double_s(1.0, 1.75, 6.125, 42.875),
+    "trapezoid": constant_jerk_law(1.0, 1.5, 4.5),
+    "double-s": constant_jerk_law(1.0, 1.75, 6.125, 42.875),
 }
-
-
-def minimum_jerk(parts: Array) -> tuple[Array, Array, Array]:
-    """Gives position, speed and acceleration of the minimum-jerk motion from 0 to 1 at parts (T,) of its duration."""
-    return TIMING_LAWS["minimum-jerk"].at(parts)
 
 
 DEFLECTION_PASSES = 3  # of bending under the inertia of the bent arm

@@ -44,7 +44,7 @@ class _SensorNoise:
     """
 
     kind: ClassVar[type] = float
-    kept = ("_noise", "_deviation")
+    state_fields = ("_noise", "_deviation")
     shape = ()
 
     def __init__(self, stage: EffectContext, span: Range) -> None:
@@ -81,7 +81,7 @@ class _Delay:
     """Whole control periods by which torques come late; before the first there is none."""
 
     kind: ClassVar[type] = int
-    kept = ("_past", "_late", "_now")
+    state_fields = ("_past", "_late", "_now")
     shape = ()
 
     def __init__(self, stage: EffectContext, span: Range) -> None:
@@ -187,7 +187,7 @@ class _TipImpulse:
     """Impulses, N s, of random directions, each a force on the tip during one control period, at random times."""
 
     kind: ClassVar[type] = float
-    kept = ("_inner", "_wait")
+    state_fields = ("_inner", "_wait")
     shape = None
 
     def __init__(self, stage: EffectContext, span: Range) -> None:
@@ -227,7 +227,7 @@ class TipLoad:
     """
 
     kind: ClassVar[type] = float
-    kept = ("_inner", "_wait", "_forces")
+    state_fields = ("_inner", "_wait", "_forces")
     shape = None
 
     def __init__(self, stage: EffectContext, span: Range) -> None:
@@ -268,7 +268,7 @@ class _BaseSway:
     """
 
     kind: ClassVar[type] = float
-    kept = ("_sway",)
+    state_fields = ("_sway",)
     shape = ()
 
     def __init__(self, stage: EffectContext, span: Range) -> None:

@@ -72,7 +72,7 @@ class Instrument:
         ValueError: one line, for a flaw that there is not, and for a sensor that measures nothing.
     """
 
-    kept = ("measured", "_held", "_late", "_bias", "_ages", "_noise")
+    state_fields = ("measured", "_held", "_late", "_bias", "_ages", "_noise")
 
     def __init__(self, sensor: Sensor, **flaws: Any) -> None:
         self.sensor, self.flaws = sensor, Flaws(**flaws)

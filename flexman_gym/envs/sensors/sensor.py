@@ -56,7 +56,7 @@ class MeasuredView:
         bound: (size,) the largest magnitude that is measured of each.
     """
 
-    kept = ("values",)
+    state_fields = ("values",)
 
     def __init__(self, view: Any, limits: Limits, names: Sequence[str]) -> None:
         self._view = view

@@ -38,7 +38,7 @@ class SensorArray:
         ValueError: for something else than sensors, and for two entries of one name.
     """
 
-    kept = ("_instruments", "_streams")
+    state_fields = ("_instruments", "_streams")
 
     def __init__(
         self,
