@@ -53,13 +53,13 @@ class _StudentMode:
     Attributes:
         led: (b,) arms that the teacher leads.
         notes: of each instant at which a command begins: the observations (b, size), the commands (b, n) with which the
-            motors would get the torques of the teacher, and which arms (b,) are playing.
+            motors would get the torques of the teacher, and which arms (b,) are active.
     """
 
     def __init__(self, network: Network, mode: ActionMode, strength: float | Array, teacher: Controller) -> None:
         self.network, self._mode, self._strength, self._teacher = network, mode, strength, teacher
         self.joints, self.names, self.sensors = mode.joints, mode.names, (*mode.sensors, *teacher.sensors)
-        self.shown: Mapping[str, int] = getattr(mode, "shown", {})
+        self.observation_sizes: Mapping[str, int] = getattr(mode, "observation_sizes", {})
         self.led: BoolArray = np.zeros(0, dtype=bool)
         self._observations: NDArray[np.float32] | None = None
         self.notes: list[tuple[NDArray[np.float32], Array, BoolArray]] = []
@@ -77,18 +77,18 @@ class _StudentMode:
         self._teacher.reset(arms, episode, count)
         self._mode.reset(arms, episode, count)
 
-    def look(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
+    def observe(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return what the mode shows the student, (b, size)."""
-        shown: Array = self._mode.look(readings, applied, playing)  # type: ignore[attr-defined]
+        shown: Array = self._mode.observe(readings, applied, active)  # type: ignore[attr-defined]
         return shown
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
+    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the torques (b, n) of the teacher where it leads, of the student elsewhere, parts of the limits."""
-        wanted = np.clip(self._teacher.act(readings, applied, playing), -1.0, 1.0)
-        asked = self._mode.act(actions, readings, applied, playing)
+        wanted = np.clip(self._teacher.act(readings, applied, active), -1.0, 1.0)
+        asked = self._mode.act(actions, readings, applied, active)
         if self._observations is not None:
             better = actions + (wanted - asked) / self._strength
-            self.notes.append((self._observations, np.clip(better, -1.0, 1.0), playing.copy()))
+            self.notes.append((self._observations, np.clip(better, -1.0, 1.0), active.copy()))
             self._observations = None
         result: Array = np.where(self.led[:, None], wanted, asked)
         return result

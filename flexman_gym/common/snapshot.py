@@ -7,7 +7,13 @@ import numpy as np
 
 from flexman_gym.common.checks import value_error
 
-FORMER_FIELDS = {}
+FORMER_FIELDS = {
+    "_apart": "_perturbations_reduced", "_following": "_paths", "_given_up": "_fallback_active", "_known": "_latest",
+    "_looked": "_updated", "_own_coordinates": "_adapted_coordinates", "_own_torques": "_adapted_torques",
+    "_pushed": "_filtering", "_residuals": "_detector", "_soft": "_compliance", "_tight": "_holding",
+    "ahead": "clock_offset", "begun": "start_time", "lasting": "duration", "pace": "time_scaling",
+    "quickening": "pace_rate", "shape": "shaping", "wanted": "action", "way": "displacement",
+}  # fmt: skip
 """State field of release 0.2 -> present field: snapshots of older releases are read under their present names."""
 GENERATOR = "bit_generator"  # the key by which the state of a random generator is known
 

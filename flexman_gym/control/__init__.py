@@ -1,4 +1,5 @@
-"""Control: controllers with one call signature, and the observers and laws that some are made of."""
+"""Controllers with one protocol, the observers and reference trajectories from which they are built, and action
+modes."""
 
 from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.control.agent import Agent

@@ -55,13 +55,13 @@ class _ServoMode:
         self._reference = pad_rows(self._reference, count)
         self._reference[arms] = episode.start
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
+    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Gives the torques (b, n) for references (b, n), parts of the torque limits from -1 to 1."""
         angles, asked = readings["motor_angles"], actions * self._span
         if self._moves:
             error, wanted = self._reference - angles, asked
             onward = np.clip(self._reference + asked * self._period, angles - self._most, angles + self._most)
-            self._reference[playing] = onward[playing]
+            self._reference[active] = onward[active]
         else:
             error, wanted = asked - angles, 0.0
         torque = self._gains.stiffness * error + self._gains.damping * (wanted - readings["motor_rates"])
@@ -142,7 +142,7 @@ class _ReferenceShapingMode:
         far = ShapingLimits(**{name: non_negative(f"actions.{name}", value) for name, value in authority.items()})
         self.strength = far.torque if far.fading == 0.0 else None
         n = self.joints = len(plant.torque_limit)
-        self._shape = self._law.shape = ReferenceShaping(self._law.slews, self._law.limits, plant.period, far)
+        self._shape = self._law.shaping = ReferenceShaping(self._law.slews, self._law.limits, plant.period, far)
         every = ("pace", *(f"{part}_{joint + 1}" for part in ("offset", "torque") for joint in range(n)))
         self._columns = np.flatnonzero(np.repeat([far.pace, far.offset, far.torque], [1, n, n]) > 0.0)
         self.names = tuple(every[column] for column in self._columns)
@@ -152,7 +152,7 @@ class _ReferenceShapingMode:
         sizes = {"estimate": 8 * n, "departures": 8 * n, "angle_errors": 2 * n, "reference": 2 * n, "way": 3 * n}
         sizes |= {"clock": 6, "offsets": 2 * n, "applied": n, "action": len(self.names)}
         sizes |= {"parameters": 1 + 2 * n, "deviations": 1 + 2 * n}
-        self.shown: Mapping[str, int] = sizes
+        self.observation_sizes: Mapping[str, int] = sizes
         self._seen = np.zeros((0, sum(sizes.values())))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
@@ -168,19 +168,19 @@ class _ReferenceShapingMode:
         self._shape.reset(arms, count)
         self._base.reset(arms, episode, count)
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
+    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Gives what the motors (b, n) are asked for, parts of the torque limits."""
-        arms = np.flatnonzero(playing)
-        self._shape.wanted[arms[:, None], self._columns] = actions[arms]
-        return self._base.act(readings, applied, playing)
+        arms = np.flatnonzero(active)
+        self._shape.action[arms[:, None], self._columns] = actions[arms]
+        return self._base.act(readings, applied, active)
 
-    def look(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        """Gives what it shows of all arms, (b, sum of the sizes in `shown`), anew of those that are playing (b,)."""
-        if len(self._seen) < len(playing):
-            self._seen = np.zeros((len(playing), self._seen.shape[1]))
-        if playing.any():
-            estimate, arms = self._base.look(readings, applied, playing), np.flatnonzero(playing)
-            self._law.plan(estimate, playing)
+    def observe(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Gives what it shows of all arms, (b, sum of the sizes in `shown`), anew of those that are active (b,)."""
+        if len(self._seen) < len(active):
+            self._seen = np.zeros((len(active), self._seen.shape[1]))
+        if active.any():
+            estimate, arms = self._base.update_estimate(readings, applied, active), np.flatnonzero(active)
+            self._law.plan(estimate, active)
             shown = np.concatenate(list(self._parts(estimate, applied, arms).values()), axis=1)
             self._seen[arms] = np.clip(np.nan_to_num(shown), -MAX_OBSERVATION, MAX_OBSERVATION)
         return self._seen
@@ -190,11 +190,18 @@ class _ReferenceShapingMode:
         law, slews, model, d = self._law, self._law.slews, self._plant.model, self._plant.model.n_dof
         states, reference, now = estimate.states[arms], law.reference(estimate, arms), law.clock(estimate, arms)
         motors, (place, speed, change) = model.motor_columns, slews.at(now, arms)
-        way, left = slews.way[arms], slews.begun[arms] + slews.lasting[arms] - now
+        way, left = slews.displacement[arms], slews.start_time[arms] + slews.duration[arms] - now
         errors = slews.start[arms] + way + slews.shift[arms] - states[:, motors]
         departures = np.arcsinh(self._read(states - reference) / (SMALL_DEPARTURE * self._ranges))
         ways = [way * (1.0 - place)[:, None], way * speed[:, None], way * change[:, None]]
-        clock = [place, speed, change, np.maximum(left, 0.0), slews.pace[arms], slews.begun[arms] + slews.lasting[arms]]
+        clock = [
+            place,
+            speed,
+            change,
+            np.maximum(left, 0.0),
+            slews.time_scaling[arms],
+            slews.start_time[arms] + slews.duration[arms],
+        ]
         return {
             "estimate": self._read(states),
             "departures": departures,
@@ -204,7 +211,7 @@ class _ReferenceShapingMode:
             "clock": np.stack(clock, axis=1),
             "offsets": self._shape.offsets[arms].reshape(len(arms), 2 * self.joints),
             "applied": applied[arms],
-            "action": self._shape.wanted[arms][:, self._columns],
+            "action": self._shape.action[arms][:, self._columns],
             "parameters": self._parameters(estimate, arms),
             "deviations": self._deviations(arms),
         }
@@ -245,8 +252,8 @@ class ActionMode(Protocol):
 
     What it does to an arm must not depend on the others, to the last bit. An optional member is `state_fields`, as of a
     Controller; the base is not among it. A mode that shows its agent something beside what its sensors see has two
-    more: `shown`, name -> how many numbers, and `look(readings, applied, playing)`, which gives them side by side,
-    (b, size), of the arms that are playing anew. It is asked before an agent acts, in the same control period. A mode
+    more: `shown`, name -> how many numbers, and `look(readings, applied, active)`, which gives them side by side,
+    (b, size), of the arms that are active anew. It is asked before an agent acts, in the same control period. A mode
     of torques says as `strength` which part of the torque limits an action of 1 adds, of all joints or of each (n,).
 
     Attributes:
@@ -274,14 +281,14 @@ class ActionMode(Protocol):
         """Starts new episodes of the arms with the indices (r,), of its base too."""
         ...
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
+    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Gives what the motors (b, n) are asked for, parts of the torque limits from -1 to 1.
 
         Args:
             actions: (b, k) of the agent, which holds each for one control period or several.
             readings: as of `Controller.act`.
             applied: as of `Controller.act`.
-            playing: as of `Controller.act`.
+            active: as of `Controller.act`.
         """
         ...
 
@@ -308,13 +315,13 @@ class TorqueMode:
         if self._base:
             self._base.reset(arms, episode, count)
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
+    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the commanded torques (b, n) for actions (b, n): their sum with those of the base controller."""
         if isinstance(self.strength, np.ndarray):
             actions = np.clip(actions * self.strength, -1.0, 1.0)
         if self._base is None:
             return actions
-        base_torques = np.asarray(self._base.act(readings, applied, playing), dtype=np.float64)
+        base_torques = np.asarray(self._base.act(readings, applied, active), dtype=np.float64)
         result: Array = np.clip(base_torques + actions, -1.0, 1.0)
         return result
 
@@ -329,7 +336,7 @@ class _ActionModeEntry:
     """
 
     make: Callable[..., ActionMode]
-    takes: tuple[str, ...] = ()
+    arguments: tuple[str, ...] = ()
 
 
 def _make_current(plant: Plant, base: Controller | None) -> TorqueMode:
@@ -354,7 +361,7 @@ ACTIONS: dict[str, _ActionModeEntry] = {
 
 def mode_observation_size(mode: ActionMode) -> int:
     """Gives how many numbers a mode shows its agent."""
-    return sum(getattr(mode, "shown", {}).values())
+    return sum(getattr(mode, "observation_sizes", {}).values())
 
 
 def parse_action_mode(value: object) -> tuple[str, dict[str, Any]]:
@@ -363,7 +370,7 @@ def parse_action_mode(value: object) -> tuple[str, dict[str, Any]]:
     Raises:
         ValueError: one line with field, value and what is allowed.
     """
-    return parse_kind("actions", value, {name: mode.takes for name, mode in ACTIONS.items()})
+    return parse_kind("actions", value, {name: mode.arguments for name, mode in ACTIONS.items()})
 
 
 def make_action_mode(value: object, plant: Plant, base: Controller | None) -> ActionMode:
@@ -373,6 +380,10 @@ def make_action_mode(value: object, plant: Plant, base: Controller | None) -> Ac
         ValueError: one line with field, value and what is allowed.
     """
     if isinstance(value, ActionMode):
+        if hasattr(value, "shown") and not hasattr(value, "observation_sizes"):
+            said = f"{type(value).__name__}.shown and look are deprecated; name them observation_sizes and observe"
+            warnings.warn(said, DeprecationWarning, stacklevel=2)
+            value.observation_sizes, value.observe = value.shown, value.look  # type: ignore[attr-defined]
         return value
     name, arguments = parse_action_mode(value)
     return ACTIONS[name].make(plant, base, **arguments)

@@ -1,4 +1,4 @@
-"""Base controllers: name, description, required information and construction of each controller."""
+"""Base controllers by name: construction, required information and description."""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -17,15 +17,12 @@ from flexman_gym.control.tracking import OutputFeedback, Tracking
 
 
 def parse_kind(name: str, value: object, known: Mapping[str, Collection[str]]) -> tuple[str, dict[str, Any]]:
-    """Gives name and arguments of a value that is a name, or a mapping with one at "kind" and its arguments.
+    """Return name and arguments of a value that is a name, or a mapping with the name under "kind" and its arguments.
 
     Args:
-        name: of the field.
-        value: what was given.
-        known: names, and the arguments that each takes.
-
-    Raises:
-        ValueError: for anything else.
+        name: name of the field, for error messages.
+        value: any value.
+        known: allowed names, each with the names of its arguments.
     """
     if isinstance(value, str):
         return one_of(name, value, known), {}
@@ -41,19 +38,19 @@ DEFAULT_TUNING = "none: usual weights for every arm"  # tuning of the controller
 
 @dataclass(frozen=True)
 class _BaseEntry:
-    """Controller with a name.
+    """Base controller by name.
 
     Attributes:
         make: function of a Plant and the arguments that returns the controller.
-        information: what the controller needs beside the measurements of the motors.
-        takes: names of the arguments that a mapping may give.
-        description: noun phrase of the league page.
-        tuning: how the controller is tuned.
+        information: information beyond motor measurements that the controller requires.
+        arguments: names of the arguments that a mapping may contain.
+        description: noun phrase for the league page.
+        tuning: origin of the gains.
     """
 
     make: Callable[..., Controller]
     information: tuple[str, ...]
-    takes: tuple[str, ...]
+    arguments: tuple[str, ...]
     description: str
     tuning: str = DEFAULT_TUNING
 
@@ -80,7 +77,7 @@ def _regulator(law: type[LQR]) -> Callable[..., LQR]:
 def _mpc(plant: Plant) -> Controller:
     from flexman_gym.control.mpc import MPC
 
-    return MPC(plant.model, plant.torque_limit, plant.period, plant.moved)
+    return MPC(plant.model, plant.torque_limit, plant.period, plant.integration)
 
 
 def _optimised(plant: Plant, table: object = None) -> OptimisedController:
@@ -101,7 +98,7 @@ def _adaptive(plant: Plant, weights: object = None, unknown: Any = None, **optio
 
 
 def _safe(plant: Plant) -> PD | None:
-    """The PD that was tuned for the arm and its delay, None for an arm for which none was."""
+    """Return the PD tuned for the arm and its delay; None if no gains are tuned for it."""
     try:
         return _pd(plant)
     except ValueError:
@@ -177,19 +174,11 @@ BASES: dict[str, _BaseEntry] = {
 
 
 def parse_base(value: object) -> tuple[str, dict[str, Any]]:
-    """Gives name and arguments of a base that is a name, or a mapping with one at "kind" and its arguments.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
-    """
-    return parse_kind("base", value, {name: base.takes for name, base in BASES.items()})
+    """Return name and arguments of a base controller given as a name, or as a mapping with the name under "kind"."""
+    return parse_kind("base", value, {name: base.arguments for name, base in BASES.items()})
 
 
 def make_base(value: object, plant: Plant) -> Controller:
-    """Makes a base for a plant; see `parse_base`.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
-    """
+    """Make a base controller for a plant; see `parse_base`."""
     name, arguments = parse_base(value)
     return BASES[name].make(plant, **arguments)

@@ -256,7 +256,7 @@ class LQR:
             self._rest[arm], self._held[arm] = rest_state(self.model, angles), holding_torques(self.model, angles)
 
     def act(
-        self, readings: Readings, applied: Array | None = None, playing: BoolArray | None = None
+        self, readings: Readings, applied: Array | None = None, active: BoolArray | None = None
     ) -> NDArray[np.floating]:
         """Gives actions (b, n), or (n,), for the state."""
         state = readings["state"]

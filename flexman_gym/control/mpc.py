@@ -44,9 +44,9 @@ class _Horizon(NamedTuple):
         ending: (2 d, 2 d) outputs of the last state.
     """
 
-    slopes: Array
+    jacobian: Array
     curvature: Array
-    ending: Array
+    terminal: Array
 
 
 def _design_horizon(
@@ -78,7 +78,7 @@ class _Plan(NamedTuple):
 
     horizons: _Horizon
     start: Array
-    way: Array
+    displacement: Array
     states: Array
     outputs: Array
     torques: Array
@@ -112,19 +112,19 @@ class MPC:
         model: Model,
         torque_limit: float | Vector,
         period: float,
-        moved: tuple[str | Method, float | str] = (DEFAULT_METHOD, "auto"),
+        integration: tuple[str | Method, float | str] = (DEFAULT_METHOD, "auto"),
     ) -> None:
         self._daqp = _import_solver()
         reach = float(check_model(model).constants.length.sum())
-        self.model, self.period, self._moved = model, period, moved
+        self.model, self.period, self._integration = model, period, integration
         self.limits = np.array(torque_limits("torque_limit", torque_limit, model.n_joints))
         self._weights = CostWeights(TIP_WEIGHT * reach, TIP_SPEED_WEIGHT * reach, MOTOR_WEIGHT)
         self._plans: list[_Plan] = []
         self._planned, self._now = np.zeros((0, sum(MOVE_BLOCKS), model.n_joints)), np.zeros(0, dtype=np.int64)
-        self._batch = self._arms(1)
+        self._batch = self._make_batch(1)
 
-    def _arms(self, count: int) -> Batch:
-        return Batch(self.model, *self._moved, self.period, arms=count)
+    def _make_batch(self, count: int) -> Batch:
+        return Batch(self.model, *self._integration, self.period, arms=count)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Plans the slews of the arms (r,), and designs for postures on their ways."""
@@ -141,7 +141,7 @@ class MPC:
         slew, rest = plan_slew(self.model, start, goal, self.limits, SLEW_SHARE, self.period), sum(MOVE_BLOCKS) + 1
         states = np.vstack([slew.states, np.repeat(slew.states[-1:], rest, axis=0)])
         torques = np.vstack([slew.torques, np.repeat(holding_torques(self.model, goal)[None], rest + 1, axis=0)])
-        batch = self._arms(len(states))
+        batch = self._make_batch(len(states))
         batch.reset(np.arange(len(states)), states)
         postures = start + np.linspace(0.0, 1.0, LINEARISATION_POSTURES)[:, None] * (goal - start)
         each = [
@@ -150,17 +150,17 @@ class MPC:
         horizons = _Horizon(*(np.array(parts) for parts in zip(*each, strict=True)))
         return _Plan(horizons, start, goal - start, states, batch.outputs, torques / self.limits)
 
-    def act(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
+    def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Gives actions (b, n) for the state; 0 for arms that do not play."""
         states = np.asarray(readings["state"], dtype=np.float64)
         if len(self._batch.rows) != len(states):
-            self._batch = self._arms(len(states))
-        self._batch.reset(np.arange(len(states)), np.where(playing[:, None], states, 0.0))
+            self._batch = self._make_batch(len(states))
+        self._batch.reset(np.arange(len(states)), np.where(active[:, None], states, 0.0))
         drives = np.zeros((*self._planned.shape[:2], self.model.n_joints + 6))
         drives[..., : len(self.limits)] = self._planned * self.limits
         predicted = self._batch.roll(drives)
         actions = np.zeros((len(states), len(self.limits)))
-        for arm in np.flatnonzero(playing).tolist():
+        for arm in np.flatnonzero(active).tolist():
             actions[arm] = self._step(arm, predicted[0][arm], predicted[1][arm])
         return actions
 
@@ -170,11 +170,11 @@ class MPC:
         rows = np.minimum(now + np.arange(sum(MOVE_BLOCKS) + 1), len(plan.states) - 1)
         planned, firsts = self._planned[arm], np.cumsum((0, *MOVE_BLOCKS[:-1]))
         if np.isfinite(states).all():  # it cannot be told where an arm goes that comes apart
-            horizon = self._between(plan, states[LINEARISATION_PERIOD])
-            gap = self._gap(horizon, states - plan.states[rows[1:]], outputs - plan.outputs[rows[1:]])
+            horizon = self._interpolate(plan, states[LINEARISATION_PERIOD])
+            gap = self._residuals(horizon, states - plan.states[rows[1:]], outputs - plan.outputs[rows[1:]])
             beyond = np.add.reduceat(planned - plan.torques[rows[:-1]], firsts).ravel()
             mean = (np.add.reduceat(planned, firsts) / np.array(MOVE_BLOCKS)[:, None]).ravel()
-            slope = row_dots(horizon.slopes, gap) + beyond
+            slope = row_dots(horizon.jacobian, gap) + beyond
             low, high = np.maximum(-1.0 - mean, -MAX_CHANGE), np.minimum(1.0 - mean, MAX_CHANGE)
             changes = _solve_quadratic_program(self._daqp, horizon.curvature, slope, low, high)
             planned = np.clip(planned + np.repeat(changes.reshape(-1, n), MOVE_BLOCKS, axis=0), -1.0, 1.0)
@@ -182,21 +182,21 @@ class MPC:
         self._now[arm] += 1
         return planned[0]
 
-    def _between(self, plan: _Plan, state: Array) -> _Horizon:
+    def _interpolate(self, plan: _Plan, state: Array) -> _Horizon:
         """The horizon of the place on its way that an arm has come to."""
-        come = row_dots(state[self.model.motor_columns] - plan.start, plan.way) / max(
-            row_dots(plan.way, plan.way), MIN_SQUARED_LENGTH
+        come = row_dots(state[self.model.motor_columns] - plan.start, plan.displacement) / max(
+            row_dots(plan.displacement, plan.displacement), MIN_SQUARED_LENGTH
         )
         place = float(np.clip(come, 0.0, 1.0)) * (LINEARISATION_POSTURES - 1)
         lower = min(int(place), LINEARISATION_POSTURES - 2)
         part = place - lower
         return _Horizon(*(each[lower] + part * (each[lower + 1] - each[lower]) for each in plan.horizons))
 
-    def _gap(self, horizon: _Horizon, states: Array, outputs: Array) -> Array:
+    def _residuals(self, horizon: _Horizon, states: Array, outputs: Array) -> Array:
         """What is to be small, see `_Horizon`, for departures of states (N, 2 d) and outputs (N, OUTPUTS)."""
         weights, motors = self._weights, states[:-1, self.model.motor_columns]
         near = outputs[:-1, TIP] / weights.tip, outputs[:-1, TIP_VELOCITY] / weights.tip_speed, motors / weights.motor
-        return np.concatenate([np.hstack(near).ravel(), row_dots(horizon.ending, states[-1])])
+        return np.concatenate([np.hstack(near).ravel(), row_dots(horizon.terminal, states[-1])])
 
 
 def _solve_quadratic_program(daqp: ModuleType, curvature: Array, slope: Array, low: Array, high: Array) -> Array:

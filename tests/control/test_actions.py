@@ -31,10 +31,10 @@ class Winding:
         self.wound[arms] = 0.0
         self.base.reset(arms, episode, count)
 
-    def act(self, actions, readings, applied, playing):
-        self.wound += self.rate * actions[:, 0] * playing
+    def act(self, actions, readings, applied, active):
+        self.wound += self.rate * actions[:, 0] * active
         turned = self.wound[:, None] - 0.01 * readings["motor_rates"]
-        return np.clip(self.base.act(readings, applied, playing) + turned, -1.0, 1.0)
+        return np.clip(self.base.act(readings, applied, active) + turned, -1.0, 1.0)
 
 
 @pytest.fixture
@@ -101,13 +101,13 @@ def test_torques_are_added_to_a_base_up_to_the_limits():
         def reset(self, arms, episode, count):
             pass
 
-        def act(self, readings, applied, playing):
+        def act(self, readings, applied, active):
             return np.full((2, 2), 0.75)
 
     given = np.array([[0.5, -0.5], [-1.0, 0.125]])
-    playing = np.ones(2, dtype=bool)
-    assert TorqueMode(2).act(given, {}, given, playing) is given, "without a base they are what they are"
-    assert TorqueMode(2, Half()).act(given, {}, given, playing).tolist() == [[1.0, 0.25], [-0.25, 0.875]]
+    active = np.ones(2, dtype=bool)
+    assert TorqueMode(2).act(given, {}, given, active) is given, "without a base they are what they are"
+    assert TorqueMode(2, Half()).act(given, {}, given, active).tolist() == [[1.0, 0.25], [-0.25, 0.875]]
     assert TorqueMode(2).names == ("torque_1", "torque_2")
 
 

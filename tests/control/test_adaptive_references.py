@@ -37,7 +37,7 @@ def model(rigid=False, **joint):
 def begun(own, payloads=PAYLOADS, parameters=None, start=START, goal=GOAL):
     """A slew of one arm that begins at 0 s."""
     slews = SlewReferences(own, LIMITS, SHARE, payloads)
-    slews.grow(1)
+    slews.allocate(1)
     slews.begin(ONE, start, goal)
     slews.adapt(ONE, parameters or {})
     slews.time(ONE, np.zeros(1), first=True)
@@ -45,7 +45,7 @@ def begun(own, payloads=PAYLOADS, parameters=None, start=START, goal=GOAL):
 
 
 def times(slews, count=60):
-    return np.linspace(0.0, slews.begun[0] + slews.lasting[0], count)
+    return np.linspace(0.0, slews.start_time[0] + slews.duration[0], count)
 
 
 def test_torques_of_a_rigid_arm_are_those_that_accelerate_it_so():
@@ -59,7 +59,7 @@ def test_torques_of_a_rigid_arm_are_those_that_accelerate_it_so():
         state = np.concatenate([START[0] + place * way, speed * way])
         gone.append(acceleration(own, state, slews.torques(now, ONE)[0]) - change * way)
         assert slews.states(now, ONE)[0] == pytest.approx(state, abs=5e-3)
-    assert np.abs(gone).max() < 0.02 * np.abs(slews.way).max() * 5.77 / slews.lasting[0] ** 2
+    assert np.abs(gone).max() < 0.02 * np.abs(slews.displacement).max() * 5.77 / slews.duration[0] ** 2
 
 
 def test_a_slew_without_an_estimate_of_the_payload_is_that_of_the_model():
@@ -74,11 +74,11 @@ def test_a_flexible_arm_is_bent_as_on_a_minimum_jerk_slew():
     """Without weight; what `slew_path` solves for at each moment comes from tables here, linear in the inertia."""
     own = fm.build_model(replace(arm(), gravity=(0.0, 0.0, 0.0)), 1, 1)
     slews = begun(own, (own.constants.payload_mass[0],))
-    path, lasting, d = slew_path(own, START[0], GOAL[0]), slews.lasting[0], own.n_dof
+    path, lasting, d = slew_path(own, START[0], GOAL[0]), slews.duration[0], own.n_dof
     result, expected = [], []
     for now in times(slews, 21)[:, None]:
         state = slews.states(now, ONE)[0]
-        assert state[d : d + 2] == pytest.approx(slews.at(now, ONE)[1] * slews.way[0], abs=0.01)
+        assert state[d : d + 2] == pytest.approx(slews.at(now, ONE)[1] * slews.displacement[0], abs=0.01)
         result.append(np.concatenate([state[:d], slews.torques(now, ONE)[0]]))
         expected.append(np.concatenate([each[0] for each in path.at(now / lasting, lasting)]))
     bent = np.array(expected)
@@ -94,7 +94,7 @@ def test_no_torque_is_above_the_share_of_the_limits_and_the_way_is_not_slower_th
     slews = begun(model(**rubbing), parameters={"payload_mass": np.array([payload])})
     shares = [np.abs(slews.torques(np.array([now]), ONE)[0] / LIMITS).max() for now in times(slews, 200)]
     assert 0.85 * SHARE < max(shares) < 1.01 * SHARE
-    assert CANDIDATE_DURATIONS[0] < slews.lasting[0] < CANDIDATE_DURATIONS[-1]
+    assert CANDIDATE_DURATIONS[0] < slews.duration[0] < CANDIDATE_DURATIONS[-1]
 
 
 @pytest.mark.parametrize("part", [0.2, 0.5, 0.7])
@@ -102,7 +102,7 @@ def test_timed_anew_on_its_way_it_goes_on_without_a_jump_and_stops_at_the_end(pa
     own = model()
     slews = begun(own, parameters={"payload_mass": np.array([0.2])})
     slews.adapt(ONE, {"payload_mass": np.array([0.02])})
-    now, before = part * slews.lasting, slews.lasting.copy()
+    now, before = part * slews.duration, slews.duration.copy()
     motion, state, torque = np.array(slews.at(now, ONE)), slews.states(now, ONE), slews.torques(now, ONE)
     slews.time(ONE, now, first=False)
     assert np.array(slews.at(now, ONE)) == pytest.approx(motion, rel=1e-9)
@@ -111,8 +111,8 @@ def test_timed_anew_on_its_way_it_goes_on_without_a_jump_and_stops_at_the_end(pa
     again, links = slews.states(now, ONE), slice(d, d + 2)  # whose speed has no part of the third derivative
     assert again[:, :d] == pytest.approx(state[:, :d], abs=1e-9)
     assert again[:, links] == pytest.approx(state[:, links], abs=0.02 * np.abs(state[:, links]).max())
-    end = slews.begun + slews.lasting
-    assert slews.begun == pytest.approx(now) and (end < before).all(), "a lighter arm is there sooner"
+    end = slews.start_time + slews.duration
+    assert slews.start_time == pytest.approx(now) and (end < before).all(), "a lighter arm is there sooner"
     assert np.array(slews.at(end - 1e-6, ONE))[:, 0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-2)
     assert np.array(slews.at(end + 0.5, ONE))[:, 0].tolist() == [1.0, 0.0, 0.0]
     assert not slews.states(end + 0.5, ONE)[0, d:].any()
@@ -126,7 +126,7 @@ def test_arms_on_their_ways_do_not_touch_each_other():
 
     def run(arms):
         slews = SlewReferences(own, LIMITS, SHARE, PAYLOADS)
-        slews.grow(3)
+        slews.allocate(3)
         slews.begin(arms, starts[arms], goals[arms])
         slews.adapt(arms, {})
         slews.time(arms, np.zeros(len(arms)), first=True)
@@ -214,7 +214,7 @@ def test_friction_is_that_of_the_estimate_and_where_there_is_none_that_of_the_mo
 
 def test_a_slew_knows_the_friction_that_was_found():
     slews = begun(model(**RUBBING))
-    now = 0.5 * slews.lasting
-    before, rates = slews.torques(now, ONE), slews.at(now, ONE)[1][:, None] * slews.way
+    now = 0.5 * slews.duration
+    before, rates = slews.torques(now, ONE), slews.at(now, ONE)[1][:, None] * slews.displacement
     slews.adapt(ONE, {"viscous_friction": np.array([[0.5, 0.7]])})
     assert slews.torques(now, ONE) - before == pytest.approx(rates * [0.1, 0.3])

@@ -35,7 +35,7 @@ def test_instruments_read_what_the_view_shows():
 
 
 def test_slopes_at_rest_are_the_exact_hold():
-    given = plant(moved=("gauss_3_sweeps", 0.00005))
+    given = plant(integration=("gauss_3_sweeps", 0.00005))
     held = np.array([fm.holding_torques(given.model, posture) for posture in POSTURES])
     slopes, good = DiscreteJacobians(given)(rest_states(given.model, POSTURES), held)
     size = 2 * given.model.n_dof
@@ -52,7 +52,7 @@ def test_slopes_of_moving_arms_are_those_to_both_sides():
     """Of many arms, by a small change of states, torques and a force on the tip at once."""
     given, count, random = plant(), 20, np.random.default_rng(0)
     size = 2 * given.model.n_dof
-    batch, arms = Batch(given.model, *given.moved, given.period, arms=count), np.arange(count)
+    batch, arms = Batch(given.model, *given.integration, given.period, arms=count), np.arange(count)
     states, torques = 1e-3 * random.normal(size=(count, size)), random.normal(size=(count, 2))
     states[:, :4] *= 500.0
     slopes, good = DiscreteJacobians(given)(states, torques)
@@ -85,7 +85,7 @@ def test_motors_with_coulomb_friction_slide():
     states[:, given.model.n_dof + np.arange(4)] = 1.0, -2.0, 1.0, -2.0
     sliding, batch = (
         DiscreteJacobians(rubbing)(states, torques)[0],
-        Batch(rubbing.model, *given.moved, given.period, arms=3),
+        Batch(rubbing.model, *given.integration, given.period, arms=3),
     )
     size, ends = 2 * given.model.n_dof, []
     for change in (0.0, 1e-3):

@@ -182,7 +182,7 @@ def textbook(given, postures, actions, readings, noise):
     """The extended Kalman filter of one arm as books have it, with differences to both sides; states after readings."""
     model, limits = given.model, np.array(given.torque_limit)
     read, size = MeasurementModel(given, ALL), 2 * given.model.n_dof
-    batch = Batch(model, *given.moved, given.period)
+    batch = Batch(model, *given.integration, given.period)
     scales = np.append(limits, np.full(3, limits.max() / model.constants.length.sum()))
     variances = np.diag(read.deviations**2)
 
@@ -249,9 +249,9 @@ def test_what_the_tip_may_be_pushed_by_is_reckoned_with():
     """A task that pushes says how much; the noise is then that of as large a force in place of what is usual."""
     given = plant("FlexPlanar-Hold-v0")
     scale = DiscreteJacobians(given).scales[-1]
-    said = np.hypot(FORCE_NOISE, given.push / scale)
+    said = np.hypot(FORCE_NOISE, given.tip_force / scale)
     one, other = KalmanFilter(given), KalmanFilter(given, noise=(TORQUE_NOISE, said))
-    assert given.push == 0.5 and said > 2.0 * FORCE_NOISE and plant().push == 0.0
+    assert given.tip_force == 0.5 and said > 2.0 * FORCE_NOISE and plant().tip_force == 0.0
     for kalman in (one, other):
         world = World(given)
         world.begin(kalman)
@@ -267,7 +267,7 @@ def test_innovations_on_the_simulator_are_as_large_as_they_should_be():
         KalmanFilter(given),
         DiscreteJacobians(given),
     )
-    beside, read, size = Batch(given.model, *given.moved, given.period, arms=count), world.instruments, 20
+    beside, read, size = Batch(given.model, *given.integration, given.period, arms=count), world.instruments, 20
     parts, drive, total = np.repeat((TORQUE_NOISE, FORCE_NOISE), (2, 3)) * slopes.scales, np.zeros((count, 8)), 0.0
     world.noise = read.deviations * random.normal(size=(count, len(read.ranges)))
     world.begin(kalman)
@@ -303,7 +303,7 @@ def corrections(kalman, world, errors):
 
 def test_a_fixed_gain_is_the_stationary_one_at_the_goal():
     """Of SciPy's Riccati equation of the exact hold there; at another posture it is another one."""
-    given = plant(moved=("gauss_3_sweeps", 0.0005))
+    given = plant(integration=("gauss_3_sweeps", 0.0005))
     read = MeasurementModel(given, ALL)
     m, gains = len(read.matrix), []
     for posture in POSTURES[:2]:
@@ -418,11 +418,11 @@ def test_an_arm_among_many_gets_what_an_arm_alone_gets_to_the_bit(options):
                 singles[arm].reset(np.array([0]), EpisodeInfo(POSTURES[[arm]], POSTURES[[arm]], given.period), 1)
         values = 0.05 * random.normal(size=(3, m))
         read = {name: values[:, place] for name, place in many._instruments.places.items()}
-        playing = np.array([rest.get(period) != arm for arm in range(3)])
-        estimate = many.estimate(read, last, playing)
-        for arm in np.flatnonzero(playing).tolist():
+        active = np.array([rest.get(period) != arm for arm in range(3)])
+        estimate = many.estimate(read, last, active)
+        for arm in np.flatnonzero(active).tolist():
             own = {name: each[[arm]] for name, each in read.items()}
-            alone = singles[arm].estimate(own, last[[arm]], playing[[arm]])
+            alone = singles[arm].estimate(own, last[[arm]], active[[arm]])
             assert np.array_equal(alone.states[0], estimate.states[arm])
             assert np.array_equal(alone.disturbance[0], estimate.disturbance[arm])
         last = random.uniform(-1.0, 1.0, (3, 2))
@@ -436,14 +436,14 @@ def test_it_goes_on_from_what_it_kept(options):
     world.play(one, random_actions(7))
     world.begin(other)
     set_state("observer", other, get_state(one))
-    readings, playing = world.readings(), np.ones(3, dtype=bool)
+    readings, active = world.readings(), np.ones(3, dtype=bool)
     for last in random_actions(6, seed=3):
-        estimates = [kalman.estimate(readings, last, playing) for kalman in (one, other)]
+        estimates = [kalman.estimate(readings, last, active) for kalman in (one, other)]
         assert np.array_equal(estimates[0].states, estimates[1].states)
 
 
 def test_bad_arguments_are_refused_in_one_line():
-    allowed = "give motor_encoders, beside which may stand joint_encoders, strain: what else there is does not follow"
+    allowed = "give motor_encoders, and any of joint_encoders, strain: other sensors are not linear"
     for sensors in (("motor_encoders", "accelerometer"), ("strain",), "lab", ()):
         said = refusal(KalmanFilter, plant(), sensors)
         assert said.startswith("sensors: ") and allowed in said

@@ -96,7 +96,7 @@ def test_slopes_are_those_of_errors():
     model = fm.build_model(fm.catalog.one_joint(), flexible_links=False, flexible_joints=False)
     search = shooting(model, 1.0, 0.01, [0.0], [0.05])
     knots = np.zeros((6, 1))
-    errors, slopes = search._slopes(knots, 25)
+    errors, slopes = search._jacobian(knots, 25)
     moved = 0.01 * np.array([1.0, -2.0, 0.5, 0.0, 1.0, -1.0])[:, None]
     expected = (errors + np.tensordot(moved.ravel(), slopes, 1))[:, 1]
     assert search.errors(moved[None], 25)[0, :, 1] == pytest.approx(expected, rel=1e-3, abs=1e-3 * np.abs(moved).max())
@@ -120,7 +120,7 @@ def test_a_stretched_slew_holds_as_before_and_moves_with_the_square_of_its_speed
     moving = np.concatenate([held + np.sin(2.0 * np.pi * parts), np.repeat(ends[1:], 2 * tail, axis=0)])
     known = SlewTorques(moving, len(moving) - 1, 50)
     for arrival, factor in ((50, 1.0), (25, 4.0), (100, 0.25)):
-        knots = search._stretched(known, arrival)
+        knots = search._rescale(known, arrival)
         come = np.minimum(np.linspace(0.0, arrival + tail, len(knots)) / arrival, 1.0)[:, None]
         expected = ends[0] + come * (ends[1] - ends[0]) + factor * np.sin(2.0 * np.pi * come)
         assert knots == pytest.approx(expected, abs=1e-2 * factor)
@@ -133,7 +133,7 @@ def test_errors_in_the_inner_band_weigh_nothing_and_others_what_is_beyond_it():
     errors[0, :, 3] = [0.0, 0.97, -0.98, 0.0, 0.0, 0.0, 0.0, 0.99]
     ways = [[0, 0, 0], [0, pytest.approx(-1.0), 0], [0, 0, 0]]
     rates = [0, 0, pytest.approx(-0.5), 0, 0, 0, 0, pytest.approx(1.0)]
-    assert search._beyond(errors, 4)[0].tolist() == [*ways[0], *ways[1], *ways[2], *rates]
+    assert search._residuals(errors, 4)[0].tolist() == [*ways[0], *ways[1], *ways[2], *rates]
 
 
 @pytest.mark.parametrize("name", ["FlexOne-v0", "FlexPlanar-v0"])

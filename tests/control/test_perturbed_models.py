@@ -126,7 +126,7 @@ def made(biased=False):
 
 def numbers_of(trials, seed=0):
     """Numbers (ARMS, p) that are not where the prior has its mean."""
-    random, unknowns = np.random.default_rng(seed), trials.unknowns
+    random, unknowns = np.random.default_rng(seed), trials.uncertain
     result = np.zeros((ARMS, trials.size))
     known = len(unknowns.names)
     result[:, :known] = unknowns.mean + unknowns.deviation * random.uniform(-1.0, 1.0, (ARMS, known))
@@ -143,10 +143,10 @@ ORIGIN = PLANT.model.at_rest(np.random.default_rng(2).uniform(-0.6, 0.6, (ARMS, 
 
 def simulated(trials, numbers, torques, origin):
     """Readings (T + 1, m) of one arm with numbers (p,) by the model with its parameters, alone."""
-    known = len(trials.unknowns.names)
-    values = trials.unknowns.values(PLANT.model, numbers[None])
+    known = len(trials.uncertain.names)
+    values = trials.uncertain.values(PLANT.model, numbers[None])
     model = varied_model(PLANT.model, **{name: each[0] for name, each in values.items()})
-    alone, start = Batch(model, *PLANT.moved, PLANT.period), origin.copy()
+    alone, start = Batch(model, *PLANT.integration, PLANT.period), origin.copy()
     for joint in range(2):  # both sides of the spring turn
         start[[joint, PLANT.model.motor_columns[joint]]] += numbers[known + joint]
     alone.reset(np.array([0]), start[None])
@@ -154,7 +154,7 @@ def simulated(trials, numbers, torques, origin):
     for torque in torques:
         alone.step(np.concatenate([torque, np.zeros(6)])[None])
         states.append(alone.state[0].copy())
-    biases = numbers[trials.moving :] if trials.size > trials.moving else 0.0
+    biases = numbers[trials.dynamic :] if trials.size > trials.dynamic else 0.0
     return np.array(states) @ trials.matrix.T + biases
 
 
@@ -166,8 +166,8 @@ def test_what_a_sweep_says_is_a_sum_over_readings_of_arms_simulated_one_by_one(b
     readings = random.standard_normal((ARMS, PERIODS + 1, len(read.ranges))) * 0.01 * read.ranges
     weights = random.uniform(0.5, 2.0, readings.shape) / read.deviations**2
     weights[:, 0, :2] = 0.0
-    sweep = trials.sweep(ORIGIN, numbers, torques, readings, weights)
-    steps = np.concatenate([trials.steps, np.ones(trials.size - trials.moving)])
+    sweep = trials.resimulate(ORIGIN, numbers, torques, readings, weights)
+    steps = np.concatenate([trials.steps, np.ones(trials.size - trials.dynamic)])
     for arm in range(ARMS):
         base = simulated(trials, numbers[arm], torques[arm], ORIGIN[arm])
         slopes = [
@@ -187,7 +187,7 @@ def test_what_a_sweep_says_is_a_sum_over_readings_of_arms_simulated_one_by_one(b
         assert sweep.gradient[arm] / size == pytest.approx(gradient / size, rel=1e-6, abs=1e-6 * np.sqrt(cost))
         assert sweep.cost[arm] == pytest.approx(cost, rel=1e-8)
         assert trials.matrix @ sweep.states[arm, 0] == pytest.approx(
-            base[-1] - (numbers[arm, trials.moving :] if biased else 0.0), abs=1e-9
+            base[-1] - (numbers[arm, trials.dynamic :] if biased else 0.0), abs=1e-9
         )
 
 
@@ -196,8 +196,8 @@ def test_slopes_of_the_trials_are_those_of_central_differences():
     trials, read = made()
     numbers, torques = numbers_of(trials), torques_of()
     readings = np.zeros((ARMS, PERIODS + 1, len(read.ranges)))
-    sweep = trials.sweep(ORIGIN, numbers, torques, readings, np.ones_like(readings))
-    slopes = trials.reading_slopes(trials.slopes(sweep.states, np.tile(trials.steps, (ARMS, 1))))
+    sweep = trials.resimulate(ORIGIN, numbers, torques, readings, np.ones_like(readings))
+    slopes = trials.measurement_jacobian(trials.jacobian(sweep.states, np.tile(trials.steps, (ARMS, 1))))
     for number in range(trials.size):
         change = np.zeros(trials.size)
         change[number] = 3.0 * trials.steps[number]
@@ -212,8 +212,8 @@ def test_a_fit_finds_the_numbers_from_readings_without_noise(biased):
     trials, read = made(biased)
     true, torques = numbers_of(trials, seed=5), np.tile(torques_of(), (1, 5, 1))
     readings = np.array([simulated(trials, *each) for each in zip(true, torques, ORIGIN, strict=True)])
-    deviation = np.concatenate([trials.unknowns.deviation, np.full(trials.size - len(trials.unknowns.names), 1e-2)])
-    mean = np.concatenate([trials.unknowns.mean, np.zeros(trials.size - len(trials.unknowns.names))])
+    deviation = np.concatenate([trials.uncertain.deviation, np.full(trials.size - len(trials.uncertain.names), 1e-2)])
+    mean = np.concatenate([trials.uncertain.mean, np.zeros(trials.size - len(trials.uncertain.names))])
     prior = Prior(mean, 1e4 * deviation, mean - 10.0 * deviation, mean + 10.0 * deviation)
     prior.low[0] = 0.0
     weights = np.broadcast_to((1e-4 * read.deviations) ** -2.0, readings.shape)
@@ -222,7 +222,7 @@ def test_a_fit_finds_the_numbers_from_readings_without_noise(biased):
         found, sweep = trials.fit(ORIGIN, found, prior, (torques, readings, weights))
     found += levenberg_marquardt_step(sweep, found, prior)[0]
     error = np.abs(found - true)
-    assert error[:, : len(trials.unknowns.names)].max() < 1e-6
+    assert error[:, : len(trials.uncertain.names)].max() < 1e-6
     assert error.max() < (1e-6 if not biased else 1e-5)
 
 
@@ -230,14 +230,14 @@ def test_a_fit_stays_between_its_bounds_and_never_gets_worse():
     trials, read = made()
     true, torques = numbers_of(trials, seed=6), torques_of()
     readings = np.array([simulated(trials, *each) for each in zip(true, torques, ORIGIN, strict=True)])
-    mean = np.concatenate([trials.unknowns.mean, np.zeros(2)])
-    spread = np.concatenate([trials.unknowns.deviation, np.full(2, 1e-3)])
+    mean = np.concatenate([trials.uncertain.mean, np.zeros(2)])
+    spread = np.concatenate([trials.uncertain.deviation, np.full(2, 1e-3)])
     prior = Prior(mean, spread, mean - 0.1 * spread, mean + 0.1 * spread)
     weights = np.broadcast_to(read.deviations**-2.0, readings.shape)
     start = np.tile(mean, (ARMS, 1))
     found, sweep = trials.fit(ORIGIN, start, prior, (torques, readings, weights))
     assert (found >= prior.low).all() and (found <= prior.high).all()
-    assert (sweep.cost < trials.sweep(ORIGIN, start, torques, readings, weights).cost).all()
+    assert (sweep.cost < trials.resimulate(ORIGIN, start, torques, readings, weights).cost).all()
 
 
 def test_an_arm_is_fitted_as_alone_whatever_others_need():
@@ -246,8 +246,8 @@ def test_an_arm_is_fitted_as_alone_whatever_others_need():
     true, torques, random = numbers_of(trials, seed=5), torques_of(), np.random.default_rng(0)
     readings = np.array([simulated(trials, *each) for each in zip(true, torques, ORIGIN, strict=True)])
     readings += read.deviations * random.standard_normal(readings.shape)
-    mean = np.concatenate([trials.unknowns.mean, np.zeros(2)])
-    spread = np.concatenate([trials.unknowns.deviation, np.full(2, 1e-2)])
+    mean = np.concatenate([trials.uncertain.mean, np.zeros(2)])
+    spread = np.concatenate([trials.uncertain.deviation, np.full(2, 1e-2)])
     prior = Prior(mean, spread, mean - 10.0 * spread, mean + 10.0 * spread)
     weights = np.broadcast_to(read.deviations**-2.0, readings.shape)
     start = np.vstack([true[:2], mean[None]])
@@ -268,9 +268,9 @@ def test_many_arms_are_swept_as_each_alone():
     torques = random.uniform(-2.0, 2.0, (many, 3, 2))
     readings = random.standard_normal((many, 4, len(trials.matrix)))
     data = origin, numbers, torques, readings, np.ones_like(readings)
-    together = trials.sweep(*data)
+    together = trials.resimulate(*data)
     for arm in (0, 31, 34):
-        alone = trials.sweep(*(each[arm : arm + 1] for each in data))
+        alone = trials.resimulate(*(each[arm : arm + 1] for each in data))
         for one, other in zip(together, alone, strict=True):
             assert np.array_equal(one[arm], other[0])
 

@@ -31,7 +31,7 @@ class Listener:
     def reset(self, arms, episode, count):
         self.episodes.append(episode)
 
-    def act(self, readings, applied, playing):
+    def act(self, readings, applied, active):
         self.heard.append({name: values.copy() for name, values in readings.items()})
         return np.zeros_like(applied)
 

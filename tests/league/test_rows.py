@@ -264,7 +264,7 @@ def test_a_controller_without_a_description_fails_at_import():
     """The entry of BASES is constructed when its module is imported."""
     entry = BASES["pd"]
     with pytest.raises(TypeError, match="description"):
-        type(entry)(entry.make, entry.information, entry.takes)
+        type(entry)(entry.make, entry.information, entry.arguments)
 
 
 def test_who_cannot_play_says_why(scenario):

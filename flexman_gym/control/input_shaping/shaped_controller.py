@@ -97,7 +97,7 @@ class InputShapedController:
             self._commands[arm] = command
             self.inner.reset(np.array([arm]), EpisodeInfo(start[None], goal[None], episode.period, command.path), count)
 
-    def act(self, readings: Readings, applied: Array, playing: BoolArray) -> NDArray[Any]:
+    def act(self, readings: Readings, applied: Array, active: BoolArray) -> NDArray[Any]:
         """Gives the actions (b, n) of the controller inside, which reads the shaped command.
 
         Raises:
@@ -112,8 +112,8 @@ class InputShapedController:
             if name in SHIFTED_QUANTITIES or (name == "state" and type(self.inner) is LQR):
                 places = zip(self._commands, self._now.tolist(), strict=True)
                 seen[name] = values + np.array([command.move(name)[min(now, command.last)] for command, now in places])
-        self._now += playing
-        return self.inner.act(seen, applied, playing)
+        self._now += active
+        return self.inner.act(seen, applied, active)
 
     def combined(self, postures: Array) -> Shaper:
         """Gives the shaper of all modes that are shaped, for postures (p, n) rad of whose modes the mean is taken."""

@@ -55,9 +55,9 @@ class Estimator:
 
     _arrays = (
         "numbers", "delays", "_origin", "_states", "_information", "_change", "_ages", "_readings",
-        "_torques", "_steps", "_apart", "_pushed",
+        "_torques", "_steps", "_perturbations_reduced", "_filtering",
     )  # fmt: skip
-    state_fields = (*_arrays, "_innovations", "_prediction", "_residuals")
+    state_fields = (*_arrays, "_innovations", "_prediction", "_detector")
 
     def __init__(
         self,
@@ -69,9 +69,9 @@ class Estimator:
         self.sensors, self._plant = tuple(sensors), plant
         model, n = plant.model, plant.model.n_joints
         read = self._instruments = MeasurementModel(plant, self.sensors)
-        unknowns = self.unknowns = UncertainParameters(model, plant.unknown if unknown is None else unknown)
-        trials = self._trials = PerturbedModels(plant, unknowns, read.matrix, biased)
-        self._innovations = InnovationGains(DiscreteJacobians(plant), read, plant.push)
+        unknowns = self.uncertain = UncertainParameters(model, plant.unknown if unknown is None else unknown)
+        trials = self._models = PerturbedModels(plant, unknowns, read.matrix, biased)
+        self._innovations = InnovationGains(DiscreteJacobians(plant), read, plant.tip_force)
         self._encoders = None if biased else read.places["motor_angles"]
         starts = np.full(n, START_ANGLE_DEVIATION) if self._encoders is None else read.deviations[self._encoders]
         biases = MAX_BIAS * read.ranges if biased else np.zeros(0)
@@ -88,90 +88,94 @@ class Estimator:
 
     def _allocate(self) -> None:
         """Makes the memory of no arm."""
-        (m, size), p, trials = self._trials.matrix.shape, self._trials.size, 1 + self._trials.moving
+        (m, size), p, trials = self._models.matrix.shape, self._models.size, 1 + self._models.dynamic
         n, late, rows = self._plant.model.n_joints, self._plant.delay[1], len(self._weights)
         self.numbers, self._change = np.zeros((0, p)), np.zeros((0, p))
         self._origin, self._states = np.zeros((0, size)), np.zeros((0, trials, size))
         self.delays, self._ages = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
         self._information, self._readings = np.zeros((0, p, p)), np.zeros((0, rows, m))
         self._torques = np.zeros((0, late + rows, n))
-        self._told, self._prediction = np.zeros((0, n)), DelayCompensation(self._plant)
-        self._residuals = ChangeDetector(m)
-        self._steps, self._informed = np.zeros((0, trials - 1)), np.zeros((0, p + trials - 1))
-        self._apart, self._pushed = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
+        self._given_angles, self._prediction = np.zeros((0, n)), DelayCompensation(self._plant)
+        self._detector = ChangeDetector(m)
+        self._steps, self._simulated_numbers = np.zeros((0, trials - 1)), np.zeros((0, p + trials - 1))
+        self._perturbations_reduced, self._filtering = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Starts new episodes of the arms (r,)."""
         if count > len(self._ages):
-            for name in (*self._arrays, "_told", "_informed"):
+            for name in (*self._arrays, "_given_angles", "_simulated_numbers"):
                 setattr(self, name, pad_rows(getattr(self, name), count))
-            self._innovations.grow(count)
-        self._ages[arms], self._told[arms], self._pushed[arms] = 0, episode.start, False
+            self._innovations.allocate(count)
+        self._ages[arms], self._given_angles[arms], self._filtering[arms] = 0, episode.start, False
         self.numbers[arms], self._change[arms] = self._prior.mean, 0.0
         self._information[arms] = self._prior.information
-        self._torques[arms], self._informed[arms] = 0.0, np.nan
-        self._residuals.reset(arms, count)
+        self._torques[arms], self._simulated_numbers[arms] = 0.0, np.nan
+        self._detector.reset(arms, count)
         self._prediction.reset(arms, count)
 
-    def estimate(self, readings: Readings, applied: Array, playing: BoolArray) -> Estimate:
+    def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
         """Gives what is known now; see `Observer`."""
         now = self._instruments.read(readings)
-        fresh, later = (np.flatnonzero(playing & flags) for flags in (self._ages == 0, self._ages > 0))
+        fresh, later = (np.flatnonzero(active & flags) for flags in (self._ages == 0, self._ages > 0))
         if len(fresh):
             self._begin(fresh, now[fresh])
         if len(later):
             self._advance(later, applied[later])
             kept = later[self._ages[later] < len(self._weights)]
             self._readings[kept, self._ages[kept]] = now[kept]
-            again = np.isin(self._ages[later], RESIMULATION_PERIODS) & ~self._apart[later] & ~self._pushed[later]
+            again = (
+                np.isin(self._ages[later], RESIMULATION_PERIODS)
+                & ~self._perturbations_reduced[later]
+                & ~self._filtering[later]
+            )
             for age in np.unique(self._ages[later[again]]).tolist():
-                self._replay(later[again & (self._ages[later] == age)], age)
-            self._recur(later[~again], now[later[~again]])
-            if (changed := self._residuals.changed(later) & (self._ages[later] > DETECTION_START)).any():
-                self._change_over(later[changed])
-        self._ages += playing
-        return self._predicted(np.flatnonzero(playing))
+                self._refit(later[again & (self._ages[later] == age)], age)
+            self._update_fit(later[~again], now[later[~again]])
+            if (changed := self._detector.detect(later) & (self._ages[later] > DETECTION_START)).any():
+                self._restart_after_change(later[changed])
+        self._ages += active
+        return self._state_at_effect(np.flatnonzero(active))
 
     @property
-    def wrong(self) -> BoolArray:
+    def inconsistent(self) -> BoolArray:
         """Which arms (b,) nothing known explains, after their change or push has been looked for."""
-        return self._residuals.wrong & ((self._ages > DETECTION_START) | self._pushed)
+        return self._detector.inconsistent & ((self._ages > DETECTION_START) | self._filtering)
 
     @property
     def estimates(self) -> dict[str, Array]:
         """Physical parameters by name, (b, ...), their standard deviations by name_deviation, `delay` and `misfit`."""
-        values = self._trials.parameters(self._prior.clip(self.numbers + self._change))
-        spread = self._trials.unknowns.deviations(standard_deviations(self._information))
-        return values | spread | {"delay": self.delays.astype(float), "misfit": self._residuals.misfit}
+        values = self._models.parameters(self._prior.clip(self.numbers + self._change))
+        spread = self._models.uncertain.deviations(standard_deviations(self._information))
+        return values | spread | {"delay": self.delays.astype(float), "misfit": self._detector.misfit}
 
     def _begin(self, arms: IntArray, now: Array) -> None:
         """Begins the fits of arms (r,) with their first readings (r, m)."""
-        angles = self._told[arms] if self._encoders is None else now[:, self._encoders]
+        angles = self._given_angles[arms] if self._encoders is None else now[:, self._encoders]
         self._origin[arms] = rest_states(self._plant.model, angles)
         self._readings[arms, 0] = now
         self.delays[arms] = (sum(self._plant.delay) + 1) // 2
-        self._states[arms] = self._trials.starts(self._origin[arms], self.numbers[arms])
-        self._steps[arms], self._apart[arms] = self._trials.steps, False
-        if self._plant.push:
-            self._pushed[arms] = self._filtered(arms, sudden=False)
+        self._states[arms] = self._models.initial_states(self._origin[arms], self.numbers[arms])
+        self._steps[arms], self._perturbations_reduced[arms] = self._models.steps, False
+        if self._plant.tip_force:
+            self._filtering[arms] = self._start_filter(arms, sudden=False)
 
-    def _change_over(self, arms: IntArray) -> None:
+    def _restart_after_change(self, arms: IntArray) -> None:
         """Lets arms (r,) that their fit explains no longer begin anew: a load was picked up, or something pushes."""
-        known, states = len(self.unknowns.names), self._present(arms)
+        known, states = len(self.uncertain.names), self._current_states(arms)
         self.numbers[arms] = self._prior.clip(self.numbers[arms] + self._change[arms])
-        self.numbers[arms, known : self._trials.moving], self._change[arms] = 0.0, 0.0
-        self._states[arms], self._steps[arms] = states[:, None], self._trials.steps
+        self.numbers[arms, known : self._models.dynamic], self._change[arms] = 0.0, 0.0
+        self._states[arms], self._steps[arms] = states[:, None], self._models.steps
         self._information[arms] = self._prior.information
-        self._ages[arms], self._apart[arms] = 1, True  # there is no start to which a replay goes back
-        self._residuals.reset(arms, len(self._ages))
-        self._pushed[arms] = self._filtered(arms, sudden=True)
+        self._ages[arms], self._perturbations_reduced[arms] = 1, True  # there is no start to which a replay goes back
+        self._detector.reset(arms, len(self._ages))
+        self._filtering[arms] = self._start_filter(arms, sudden=True)
 
-    def _filtered(self, arms: IntArray, sudden: bool) -> BoolArray:
+    def _start_filter(self, arms: IntArray, sudden: bool) -> BoolArray:
         """Begins to correct the states of arms (r,) by their readings; says for which of them it can."""
         torques = self._prediction.past[arms, self.delays[arms]]
-        return self._innovations.begin(arms, self._present(arms), torques, sudden)
+        return self._innovations.begin(arms, self._current_states(arms), torques, sudden)
 
-    def _draw_together(self, arms: IntArray) -> None:
+    def _reduce_perturbations(self, arms: IntArray) -> None:
         """Lets trials of arms (r,) that have come too far from the first differ by smaller steps."""
         states, motors = self._states[arms], self._plant.model.motor_columns
         spread = np.abs(states[:, 1:, motors] - states[:, :1, motors]).max(axis=2) / MAX_PERTURBATION
@@ -180,22 +184,22 @@ class Estimator:
             part = np.where(far, 1.0 / np.maximum(spread, 1.0), 1.0)
             self._states[arms, 1:] = states[:, :1] + part[..., None] * (states[:, 1:] - states[:, :1])
             self._steps[arms] *= part
-            self._apart[arms] |= far.any(axis=1)
+            self._perturbations_reduced[arms] |= far.any(axis=1)
 
-    def _inform(self, arms: IntArray) -> None:
+    def _set_parameters(self, arms: IntArray) -> None:
         """Gives the simulated arms beside arms (r,) the numbers as they are, where they have others."""
         wanted = np.hstack([self.numbers[arms], self._steps[arms]])
-        stale = (wanted != self._informed[arms]).any(axis=1)
+        stale = (wanted != self._simulated_numbers[arms]).any(axis=1)
         if stale.any():
             arms = arms[stale]
             numbers = self.numbers[arms]
-            all_numbers = self._trials.changed(numbers, self._steps[arms]).reshape(-1, numbers.shape[1])
-            self._trials.twins(*self._all_trials).vary(self._rows(arms).ravel(), **self._trials.parameters(all_numbers))
-            self._prediction.vary(arms, self._trials.parameters(numbers))
-            self._informed[arms] = wanted[stale]
+            all_numbers = self._models.perturb(numbers, self._steps[arms]).reshape(-1, numbers.shape[1])
+            self._models.models(*self._batch_key).vary(self._rows(arms).ravel(), **self._models.parameters(all_numbers))
+            self._prediction.vary(arms, self._models.parameters(numbers))
+            self._simulated_numbers[arms] = wanted[stale]
 
     @property
-    def _all_trials(self) -> tuple[str, int]:
+    def _batch_key(self) -> tuple[str, int]:
         """Purpose and number of the trials of all arms."""
         return "beside", self._states.shape[0] * self._states.shape[1]
 
@@ -204,94 +208,96 @@ class Estimator:
 
     def _advance(self, arms: IntArray, actions: Array) -> None:
         """Moves the trials of arms (r,) by a period, and keeps what was asked for in it, parts of the limits (r, n)."""
-        self._inform(arms)
-        self._prediction.take(arms, actions)
+        self._set_parameters(arms)
+        self._prediction.record(arms, actions)
         past, few = self._prediction.past, arms[self._ages[arms] <= len(self._weights)]
         self._torques[few, self._plant.delay[1] + self._ages[few] - 1] = past[few, 0]
         rows, torques = self._rows(arms), past[arms, self.delays[arms]]
         states = self._states[arms].reshape(rows.size, -1)
-        moved = self._trials.twins.moved(self._all_trials, rows.ravel(), states, torques.repeat(rows.shape[1], axis=0))
+        moved = self._models.models.step(self._batch_key, rows.ravel(), states, torques.repeat(rows.shape[1], axis=0))
         self._states[arms] = moved.reshape(*rows.shape, -1)
         lost = arms[~(np.abs(self._states[arms]) < MAX_STATE).all(axis=(1, 2))]
-        self._states[lost], self._residuals.misfit[lost] = self._origin[lost][:, None], MAX_STATE
+        self._states[lost], self._detector.misfit[lost] = self._origin[lost][:, None], MAX_STATE
 
-    def _recur(self, arms: IntArray, now: Array) -> None:
+    def _update_fit(self, arms: IntArray, now: Array) -> None:
         """Takes the readings (r, m) of arms (r,) into their fits."""
-        slopes = self._trials.reading_slopes(self._trials.slopes(self._states[arms], self._steps[arms]))
-        error = now - self._trials.read(self._states[arms, 0], self.numbers[arms])
+        slopes = self._models.measurement_jacobian(self._models.jacobian(self._states[arms], self._steps[arms]))
+        error = now - self._models.read(self._states[arms, 0], self.numbers[arms])
         error -= row_dots(slopes, self._change[arms][:, None])
         certain = np.repeat(self._weights[-1:], len(arms), axis=0)
-        pushed = self._pushed[arms]
+        pushed = self._filtering[arms]
         if pushed.any():
             certain[pushed] = 1.0 / self._innovations.variances(arms[pushed])
         weighted = (slopes * certain[..., None]).transpose(0, 2, 1)
         self._information[arms] += weighted @ slopes
         gradient = row_dots(weighted, error[:, None])
         self._change[arms] += solve_scaled(self._information[arms], gradient)
-        self._residuals.take(arms, error * np.sqrt(certain))
+        self._detector.update(arms, error * np.sqrt(certain))
         if pushed.any():
             self._correct(arms[pushed], now[pushed])
         due = arms[self._ages[arms] % UPDATE_INTERVAL == 0]
         if len(due):
-            self._shift(due)
+            self._apply_change(due)
 
     def _correct(self, arms: IntArray, now: Array) -> None:
         """Moves all trials of arms (r,) towards what was read (r, m), each by its own error."""
-        states, numbers = self._states[arms], self._trials.changed(self.numbers[arms], self._steps[arms])
-        error = now[:, None] - self._trials.read(
+        states, numbers = self._states[arms], self._models.perturb(self.numbers[arms], self._steps[arms])
+        error = now[:, None] - self._models.read(
             states.reshape(-1, states.shape[2]), numbers.reshape(-1, numbers.shape[2])
         ).reshape(*states.shape[:2], -1)
         gain = self._innovations.gains(arms, states[:, 0], self._prediction.past[arms, self.delays[arms]])
         self._states[arms] = states + row_dots(gain[:, None], error[:, :, None])
 
-    def _shift(self, arms: IntArray) -> None:
+    def _apply_change(self, arms: IntArray) -> None:
         """Lets the trials of arms (r,) take over what was estimated since they last did."""
         before = self.numbers[arms]
         self.numbers[arms] = self._prior.clip(before + self._change[arms])
-        moved = (self.numbers[arms] - before)[:, None, : self._trials.moving]
-        self._states[arms] += row_dots(self._trials.slopes(self._states[arms], self._steps[arms]), moved)[:, None]
+        moved = (self.numbers[arms] - before)[:, None, : self._models.dynamic]
+        self._states[arms] += row_dots(self._models.jacobian(self._states[arms], self._steps[arms]), moved)[:, None]
         self._change[arms] = 0.0
-        self._draw_together(arms)
+        self._reduce_perturbations(arms)
 
-    def _replay(self, arms: IntArray, age: int) -> None:
+    def _refit(self, arms: IntArray, age: int) -> None:
         """Fits the numbers of arms (r,) to all readings since their start."""
         self.numbers[arms] = self._prior.clip(self.numbers[arms] + self._change[arms])
         start, read = (self._origin[arms], self.numbers[arms]), self._readings[arms, : age + 1]
         weights = np.broadcast_to(self._weights[: age + 1], read.shape)
         fewest, late = self._plant.delay
         if late > fewest and age <= LAST_DELAY_SEARCH:
-            tried = [self._arrived(arms, age, np.full(len(arms), delay)) for delay in range(fewest, late + 1)]
-            costs = [self._trials.sweep(*start, torques, read, weights).cost for torques in tried]
+            tried = [self._delayed_torques(arms, age, np.full(len(arms), delay)) for delay in range(fewest, late + 1)]
+            costs = [self._models.resimulate(*start, torques, read, weights).cost for torques in tried]
             self.delays[arms] = fewest + np.nan_to_num(np.array(costs), nan=np.inf).argmin(axis=0)
-        data = self._arrived(arms, age, self.delays[arms]), read, weights
-        numbers, sweep = self._trials.fit(*start, self._prior, data)
+        data = self._delayed_torques(arms, age, self.delays[arms]), read, weights
+        numbers, sweep = self._models.fit(*start, self._prior, data)
         well = np.isfinite(sweep.cost) & (np.abs(sweep.states) < MAX_STATE).all(axis=(1, 2))
         if not well.all():  # the recursion goes on with them
-            self._recur(arms[~well], self._readings[arms[~well], age])
+            self._update_fit(arms[~well], self._readings[arms[~well], age])
         arms, numbers, sweep = arms[well], numbers[well], sweep.of(well)
         self.numbers[arms] = numbers
-        self._states[arms], self._steps[arms] = sweep.states, self._trials.steps
+        self._states[arms], self._steps[arms] = sweep.states, self._models.steps
         self._information[arms] = sweep.information + self._prior.information
         if age <= 2 * DETECTION_START:
-            self._residuals.reset(arms, len(self._ages))  # which were those of the linearisation
-        self._residuals.misfit[arms] = sweep.cost / self._weights[: age + 1].size
+            self._detector.reset(arms, len(self._ages))  # which were those of the linearisation
+        self._detector.misfit[arms] = sweep.cost / self._weights[: age + 1].size
         self._change[arms], _ = levenberg_marquardt_step(sweep, self.numbers[arms], self._prior)
-        self._shift(arms)
+        self._apply_change(arms)
 
-    def _arrived(self, arms: IntArray, periods: int, delays: IntArray) -> Array:  # (r, k, n) in their first k periods
+    def _delayed_torques(
+        self, arms: IntArray, periods: int, delays: IntArray
+    ) -> Array:  # (r, k, n) in their first k periods
         return self._torques[arms[:, None], self._plant.delay[1] + np.arange(periods) - delays[:, None]]
 
-    def _present(self, arms: IntArray) -> Array:
+    def _current_states(self, arms: IntArray) -> Array:
         """States (r, 2 d) of arms (r,) now, as they are estimated."""
-        moved = self._change[arms][:, None, : self._trials.moving]
+        moved = self._change[arms][:, None, : self._models.dynamic]
         result: Array = self._states[arms, 0]
-        return result + row_dots(self._trials.slopes(self._states[arms], self._steps[arms]), moved)
+        return result + row_dots(self._models.jacobian(self._states[arms], self._steps[arms]), moved)
 
-    def _predicted(self, arms: IntArray) -> Estimate:
+    def _state_at_effect(self, arms: IntArray) -> Estimate:
         """What is known of all arms when torques that the arms (r,) are asked for now begin to act."""
         states = self._states[:, 0].copy()
-        states[arms] = self._present(arms)
+        states[arms] = self._current_states(arms)
         numbers = self._prior.clip(self.numbers + self._change)
-        self._inform(arms)
+        self._set_parameters(arms)
         states[arms] = self._prediction(arms, states[arms], self.delays[arms])
-        return Estimate(states, self.delays, self._trials.parameters(numbers))
+        return Estimate(states, self.delays, self._models.parameters(numbers))

@@ -26,12 +26,12 @@ class InnovationGains:
     state_fields = ("covariance", "_transition", "_noise", "_designed")
 
     def __init__(self, slopes: DiscreteJacobians, instruments: MeasurementModel, push: float) -> None:
-        self._slopes, self._matrix, self._push = slopes, instruments.matrix, push
+        self._jacobians, self._matrix, self._push = slopes, instruments.matrix, push
         self._variances, size = instruments.deviations**2, instruments.matrix.shape[1]
         self.covariance, self._transition, self._noise = (np.zeros((0, size, size)) for _ in range(3))
         self._designed = np.zeros((0, size))
 
-    def grow(self, count: int) -> None:
+    def allocate(self, count: int) -> None:
         """Makes room for so many arms."""
         for name in self.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), count))
@@ -54,7 +54,7 @@ class InnovationGains:
 
     def _linearise(self, arms: IntArray, states: Array, torques: Array) -> tuple[Array, BoolArray]:
         """Takes the slopes of the motion of arms (r,); gives those by forces, and says where they are good."""
-        slopes, good = self._slopes(states, torques)
+        slopes, good = self._jacobians(states, torques)
         some, inputs = arms[good], slopes[..., states.shape[1] :]
         self._transition[some] = slopes[good][..., : states.shape[1]]
         self._noise[some] = self._noise_of(inputs[good], PROCESS_NOISE)
@@ -63,7 +63,7 @@ class InnovationGains:
 
     def _noise_of(self, inputs: Array, parts: tuple[float, float]) -> Array:
         """The covariance (r, 2 d, 2 d) of what forces, parts of their scales, add in a period."""
-        scales = self._slopes.scales
+        scales = self._jacobians.scales
         forces = np.repeat(parts, (len(scales) - 3, 3)) * scales
         forces[-3:] = np.hypot(forces[-3:], self._push)
         result: Array = (inputs * forces**2) @ inputs.mT
@@ -77,7 +77,8 @@ class InnovationGains:
     def gains(self, arms: IntArray, states: Array, torques: Array) -> Array:
         """Gives the gains (r, 2 d, m) of arms (r,) for the errors of readings, and moves on by a period."""
         turned = (
-            np.abs(states - self._designed[arms])[:, : len(self._slopes.scales) - 3].max(axis=1) > RELINEARISATION_ANGLE
+            np.abs(states - self._designed[arms])[:, : len(self._jacobians.scales) - 3].max(axis=1)
+            > RELINEARISATION_ANGLE
         )
         if turned.any():
             self._linearise(arms[turned], states[turned], torques[turned])
@@ -117,12 +118,12 @@ class ChangeDetector:
         self.misfit, self._mean = pad_rows(self.misfit, count), pad_rows(self._mean, count)
         self.misfit[arms], self._mean[arms] = 1.0, 0.0
 
-    def take(self, arms: IntArray, errors: Array) -> None:
+    def update(self, arms: IntArray, errors: Array) -> None:
         """Takes the last errors (r, m) of arms (r,)."""
         self.misfit[arms] += SQUARE_FORGETTING * ((errors**2).mean(axis=1) - self.misfit[arms])
         self._mean[arms] += MEAN_FORGETTING * (errors - self._mean[arms])
 
-    def changed(self, arms: IntArray) -> BoolArray:
+    def detect(self, arms: IntArray) -> BoolArray:
         """Says which of the arms (r,) have errors that noise does not explain."""
         drift = np.abs(self._mean[arms]).max(axis=1) / np.sqrt(MEAN_FORGETTING / (2.0 - MEAN_FORGETTING))
         square = (self.misfit[arms] - 1.0) / np.sqrt(2.0 / self._mean.shape[1])
@@ -130,7 +131,7 @@ class ChangeDetector:
         return result
 
     @property
-    def wrong(self) -> BoolArray:
+    def inconsistent(self) -> BoolArray:
         """Which arms (b,) have errors, or none that are numbers, that nothing explains."""
         result: BoolArray = ~(self.misfit < MAX_MISFIT)
         return result

@@ -28,10 +28,10 @@ class InternalModels:
         key = purpose, arms
         if key not in self._batches:
             plant = self._plant
-            self._batches[key] = Batch(plant.model, *plant.moved, plant.period, arms=arms)
+            self._batches[key] = Batch(plant.model, *plant.integration, plant.period, arms=arms)
         return self._batches[key]
 
-    def moved(self, twins: tuple[str, int], arms: IntArray, states: Array, forces: Array) -> Array:
+    def step(self, twins: tuple[str, int], arms: IntArray, states: Array, forces: Array) -> Array:
         """Gives the states (r, 2 d) a control period after others.
 
         Args:
@@ -78,7 +78,7 @@ class DiscreteJacobians:
         self._around = np.vstack([np.zeros(len(self._changes)), np.diag(self._changes)])  # the arm, its neighbours
         none = np.zeros(model.n_joints)
         smooth = model.constants._replace(coulomb_friction=none, rubbing=none.astype(np.int64))
-        self._twins = InternalModels(plant._replace(model=replace(model, constants=smooth)))
+        self._models = InternalModels(plant._replace(model=replace(model, constants=smooth)))
 
     def __call__(self, states: Array, torques: Array) -> tuple[Array, BoolArray]:
         """Gives the slopes (r, 2 d, 2 d + n + 3) by states, torques and forces on the tip; where they are good (r,).
@@ -94,7 +94,7 @@ class DiscreteJacobians:
         return result, good
 
     def _differences(self, states: Array, torques: Array) -> tuple[Array, BoolArray]:
-        batch = self._twins("slopes", BATCH_ARMS * len(self._around))
+        batch = self._models("slopes", BATCH_ARMS * len(self._around))
         shape, n = (len(states), len(self._around)), len(self.scales)
         used = np.arange(shape[0] * shape[1])
         place = np.concatenate([states, torques, np.zeros((len(states), 3))], axis=1)
@@ -121,7 +121,7 @@ class DelayCompensation:
     state_fields = ("past",)
 
     def __init__(self, plant: Plant) -> None:
-        self._twins, self._usual = InternalModels(plant), np.array(plant.torque_limit)
+        self._models, self._usual = InternalModels(plant), np.array(plant.torque_limit)
         self.past, self._limits = np.zeros((0, plant.delay[1] + 1, len(self._usual))), np.zeros((0, len(self._usual)))
 
     def reset(self, arms: IntArray, count: int, limits: Array | None = None) -> None:
@@ -138,9 +138,9 @@ class DelayCompensation:
     def vary(self, arms: IntArray, parameters: dict[str, Array]) -> None:
         """Takes physical parameters, name -> (r, ...), of the arms (r,)."""
         if parameters:
-            self._twins("prediction", len(self.past)).vary(arms, **parameters)
+            self._models("prediction", len(self.past)).vary(arms, **parameters)
 
-    def take(self, arms: IntArray, actions: Array) -> None:
+    def record(self, arms: IntArray, actions: Array) -> None:
         """Takes what the motors of arms (r,) were asked for in the last period, parts of the limits (r, n)."""
         self.past[arms, 1:] = self.past[arms, :-1]
         self.past[arms, 0] = actions * self._limits[arms]
@@ -153,7 +153,7 @@ class DelayCompensation:
         longest = int(delays.max(initial=0))
         if not longest:
             return states
-        batch = self._twins("prediction", len(self.past))
+        batch = self._models("prediction", len(self.past))
         drive, moving = np.zeros((len(self.past), len(self._usual) + 6)), np.zeros(len(self.past), dtype=bool)
         batch.place(arms, states)
         for period in range(longest):

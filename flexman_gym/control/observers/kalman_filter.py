@@ -123,8 +123,8 @@ class KalmanFilter:
         fixed: bool = False,
     ) -> None:
         self._instruments = read = MeasurementModel(plant, sensors)
-        self.sensors, self._plant, self._slopes = tuple(sensors), plant, DiscreteJacobians(plant)
-        self._prediction, self._twins = DelayCompensation(plant), InternalModels(plant)
+        self.sensors, self._plant, self._jacobians = tuple(sensors), plant, DiscreteJacobians(plant)
+        self._prediction, self._models = DelayCompensation(plant), InternalModels(plant)
         self._disturbed, self._biased, self._fixed = (
             flag(name, value) for name, value in (("disturbed", disturbed), ("biased", biased), ("fixed", fixed))
         )
@@ -132,17 +132,17 @@ class KalmanFilter:
         self.delay, self._size, self._limits = (sum(plant.delay) + 1) // 2, 2 * plant.model.n_dof, limits
         usual = (TORQUE_NOISE, MISMATCH_FORCE_NOISE if plant.unknown else FORCE_NOISE)
         parts = usual if noise is None else [non_negative("noise", each) for each in vector("noise", noise, 2)]
-        self._forces = (np.repeat(parts, (n, 3)) * self._slopes.scales) ** 2
+        self._forces = (np.repeat(parts, (n, 3)) * self._jacobians.scales) ** 2
         if noise is None:
-            self._forces[n:] += plant.push**2
+            self._forces[n:] += plant.tip_force**2
         self._variances, motors, all_read = read.deviations**2, self._disturbed * n, len(read.ranges)
         self._offsets = slice(self._size, self._size + motors)
         biases = np.eye(all_read, self._biased * all_read)
         self._matrix = np.hstack([read.matrix, np.zeros((all_read, motors)), biases])
         bias, kept = (MAX_BIAS * biases.T @ read.ranges) ** 2 / 3.0, np.exp(-period / BIAS_TIME_CONSTANT)
-        self._keeping = np.append(np.ones(motors), np.full(len(bias), kept))  # of the constants in a period
+        self._decay = np.append(np.ones(motors), np.full(len(bias), kept))  # of the constants in a period
         self._drift = np.append((OFFSET_DRIFT * limits[:motors]) ** 2 * period, (1.0 - kept**2) * bias)
-        self._spread = np.append((OFFSET_DEVIATION * limits[:motors]) ** 2, bias)  # at the start
+        self._initial_variance = np.append((OFFSET_DEVIATION * limits[:motors]) ** 2, bias)  # at the start
         self._allocate()
 
     def _allocate(self) -> None:
@@ -163,7 +163,7 @@ class KalmanFilter:
         self._prediction.reset(arms, count)
         self._ages[arms], self.states[arms] = 0, 0.0
         if self._fixed:
-            covariance = self._settled(*self._system(*self._rest(episode.goal))[:2], slice(None))
+            covariance = self._stationary(*self._system(*self._rest(episode.goal))[:2], slice(None))
             self._gain[arms] = measurement_update(covariance, self._matrix, self._variances)[0]
 
     def _rest(self, postures: Array) -> tuple[Array, Array]:
@@ -173,17 +173,17 @@ class KalmanFilter:
 
     def _system(self, states: Array, torques: Array) -> tuple[Array, Array, BoolArray]:
         """Transition and noise (r, s, s) in a period of all that is estimated, and where they are good (r,)."""
-        slopes, good = self._slopes(states, torques)
+        slopes, good = self._jacobians(states, torques)
         size, count, s = self._size, len(states), self._matrix.shape[1]
         transition, noise, inputs = np.zeros((count, s, s)), np.zeros((count, s, s)), slopes[..., size:]
         transition[:, :size, :size] = slopes[..., :size]
         transition[:, :size, self._offsets] = inputs[..., : self._offsets.stop - size]
         noise[:, :size, :size] = (inputs * self._forces) @ inputs.mT
         each = np.arange(size, s)
-        transition[:, each, each], noise[:, each, each] = self._keeping, self._drift
+        transition[:, each, each], noise[:, each, each] = self._decay, self._drift
         return transition, noise, good
 
-    def _settled(self, transition: Array, noise: Array, part: slice) -> Array:
+    def _stationary(self, transition: Array, noise: Array, part: slice) -> Array:
         """The stationary covariance before readings of a part of what is estimated."""
         result = stationary_covariance(
             transition[:, part, part], noise[:, part, part], self._matrix[:, part], self._variances
@@ -192,22 +192,22 @@ class KalmanFilter:
             raise value_error("sensors", self.sensors, "ones that tell where the arm is")
         return result
 
-    def estimate(self, readings: Readings, applied: Array, playing: BoolArray) -> Estimate:
+    def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
         """Gives what is known now; see `Observer`.
 
         Raises:
             ValueError: for sensors that do not tell the state.
         """
         now = self._instruments.read(readings)
-        fresh, later = (np.flatnonzero(playing & flags) for flags in (self._ages == 0, self._ages > 0))
+        fresh, later = (np.flatnonzero(active & flags) for flags in (self._ages == 0, self._ages > 0))
         if len(fresh):
             self._begin(fresh, now[fresh])
         if len(later):
-            self._prediction.take(later, applied[later])
-            self._follow(later)
+            self._prediction.record(later, applied[later])
+            self._predict(later)
             self._correct(later, now[later])
-        self._ages += playing
-        ahead, arms = self.states[:, : self._size].copy(), np.flatnonzero(playing)
+        self._ages += active
+        ahead, arms = self.states[:, : self._size].copy(), np.flatnonzero(active)
         delays, offset = np.full(len(ahead), self.delay), self._offset(np.arange(len(ahead)))
         ahead[arms] = self._prediction(arms, ahead[arms], delays[arms], offset[arms])
         return Estimate(ahead, delays, {}, offset)
@@ -219,12 +219,12 @@ class KalmanFilter:
         self._transition[arms], self._noise[arms], _ = self._system(self.states[arms, core], held)
         turns = model.at_rest(np.eye(model.n_joints))
         covariance, each = np.zeros_like(self._noise[arms]), np.arange(self._size, len(self._noise[0]))
-        covariance[:, core, core] = self._settled(self._transition[arms], self._noise[arms], core)
+        covariance[:, core, core] = self._stationary(self._transition[arms], self._noise[arms], core)
         covariance[:, core, core] += (turns.T * self._variances[places]) @ turns
-        covariance[:, each, each] = self._spread
+        covariance[:, each, each] = self._initial_variance
         self.covariance[arms] = covariance
 
-    def _follow(self, arms: IntArray) -> None:
+    def _predict(self, arms: IntArray) -> None:
         """Moves arms (r,) on through the period that is over."""
         states, torques = self.states[arms, : self._size], self._prediction.past[arms, self.delay] + self._offset(arms)
         if not self._fixed:
@@ -234,8 +234,8 @@ class KalmanFilter:
                 again = arms[due][good]
                 self._transition[again], self._noise[again] = transition[good], noise[good]
             self.covariance[arms] = time_update(self.covariance[arms], self._transition[arms], self._noise[arms])
-        self.states[arms, : self._size] = self._twins.moved(("filter", len(self._ages)), arms, states, torques)
-        self.states[arms, self._size :] *= self._keeping
+        self.states[arms, : self._size] = self._models.step(("filter", len(self._ages)), arms, states, torques)
+        self.states[arms, self._size :] *= self._decay
 
     def _offset(self, arms: IntArray) -> Array:
         """Constant torques (r, n) N m on the motors of arms (r,) as they are estimated."""

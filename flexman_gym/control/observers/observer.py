@@ -46,7 +46,7 @@ class Observer(Protocol):
         """Starts new episodes of the arms (r,)."""
         ...
 
-    def estimate(self, readings: Readings, applied: Array, playing: BoolArray) -> Estimate:
+    def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
         """Gives what is known now; arguments are those of `Controller.act`, and it is asked once a control period."""
         ...
 

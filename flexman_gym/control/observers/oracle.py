@@ -33,8 +33,8 @@ class Oracle:
         self._parameters: dict[str, Array] = {}
         self._plant, self._ages = plant, np.zeros(0, dtype=np.int64)
         ranges = {name: span for name, span in plant.unknown.items() if UNCERTAIN.get(name) in DEVIATION_DECAY}
-        self._unknowns = UncertainParameters(plant.model, ranges) if doubt and ranges else None
-        self._numbers = np.zeros((0, 2, len(self._unknowns.names) if self._unknowns else 0))  # true ones, and errors
+        self._uncertain = UncertainParameters(plant.model, ranges) if doubt and ranges else None
+        self._numbers = np.zeros((0, 2, len(self._uncertain.names) if self._uncertain else 0))  # true ones, and errors
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Takes parameters and delays of new episodes of the arms (r,)."""
@@ -47,49 +47,49 @@ class Oracle:
         self._prediction.vary(arms, drawn)
         self._delays, self._ages = pad_rows(self._delays, count), pad_rows(self._ages, count)
         self._delays[arms], self._ages[arms] = episode.drawn.get("delay", 0), 0
-        if self._unknowns:
+        if self._uncertain:
             self._numbers = pad_rows(self._numbers, count)
-            self._numbers[arms, 0] = self._true_numbers(arms)
+            self._numbers[arms, 0] = self._normalised_parameters(arms)
             for arm in arms.tolist():  # by what was drawn: the same arm is found out in the same way
                 random = np.random.default_rng(np.abs(self._numbers[arm, 0].view(np.int64)))
                 self._numbers[arm, 1] = random.standard_normal(self._numbers.shape[2])
 
-    def _true_numbers(self, arms: IntArray) -> Array:
+    def _normalised_parameters(self, arms: IntArray) -> Array:
         """What is unknown of arms (r,), (r, p), see `Unknowns`."""
-        assert self._unknowns is not None
-        columns = zip(self._unknowns.names, self._unknowns.joints, self._unknowns.scales, strict=True)
+        assert self._uncertain is not None
+        columns = zip(self._uncertain.names, self._uncertain.joints, self._uncertain.scales, strict=True)
         values = [(self._parameters[name][arms], joint, scale) for name, joint, scale in columns]
         return np.stack([(each if each.ndim == 1 else each[:, joint]) / scale for each, joint, scale in values], axis=1)
 
     @property
-    def _left(self) -> Array:
+    def _remaining_deviation(self) -> Array:
         """Parts of the deviations (b, p) that are left."""
-        assert self._unknowns is not None
-        scales, powers = np.array([DEVIATION_DECAY[name] for name in self._unknowns.names]).T
+        assert self._uncertain is not None
+        scales, powers = np.array([DEVIATION_DECAY[name] for name in self._uncertain.names]).T
         return 1.0 / (1.0 + (self._ages[:, None] * self._plant.period / scales) ** powers)
 
-    def _told(self) -> dict[str, Array]:
+    def _current_parameters(self) -> dict[str, Array]:
         """Parameters of all arms, those with doubt as they may be known by now."""
-        if self._unknowns is None:
+        if self._uncertain is None:
             return dict(self._parameters)
-        unknowns, left, (true, errors) = self._unknowns, self._left, self._numbers.swapaxes(0, 1)
-        first, later = unknowns.mean - true, unknowns.deviation * errors
+        uncertain, left, (true, errors) = self._uncertain, self._remaining_deviation, self._numbers.swapaxes(0, 1)
+        first, later = uncertain.mean - true, uncertain.deviation * errors
         numbers = true + left * (left * first + np.sqrt(1.0 - left**2) * later)
-        known = unknowns.values(self._plant.model, np.clip(numbers, unknowns.low, unknowns.high))
+        known = uncertain.values(self._plant.model, np.clip(numbers, uncertain.low, uncertain.high))
         return self._parameters | known
 
     @property
     def estimates(self) -> Mapping[str, Array]:
         """With doubt the standard deviations of parameters, name_deviation -> (b, ...)."""
-        if self._unknowns is None:
+        if self._uncertain is None:
             return {}
-        return self._unknowns.deviations(self._left * self._unknowns.deviation)
+        return self._uncertain.deviations(self._remaining_deviation * self._uncertain.deviation)
 
-    def estimate(self, readings: Readings, applied: Array, playing: BoolArray) -> Estimate:
+    def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
         """Gives what is true when torques that are asked for now begin to act; see `Observer`."""
-        states, arms = np.array(readings["state"], dtype=float), np.flatnonzero(playing)
-        self._prediction.take(arms, applied[arms])
+        states, arms = np.array(readings["state"], dtype=float), np.flatnonzero(active)
+        self._prediction.record(arms, applied[arms])
         states[arms] = self._prediction(arms, states[arms], self._delays[arms])
-        result = Estimate(states, self._delays, self._told())
-        self._ages += playing
+        result = Estimate(states, self._delays, self._current_parameters())
+        self._ages += active
         return result

@@ -153,45 +153,47 @@ class PerturbedModels:
         biased: bool,
     ) -> None:
         model = self.model = plant.model
-        self.twins, self.unknowns, self.matrix = InternalModels(plant), unknowns, matrix
+        self.models, self.uncertain, self.matrix = InternalModels(plant), unknowns, matrix
         n, known = model.n_joints, len(unknowns.names)
-        self.moving, self.size = known + n, known + n + biased * len(matrix)
+        self.dynamic, self.size = known + n, known + n + biased * len(matrix)
         self.steps = np.concatenate([unknowns.step, np.full(n, ANGLE_STEP)])
         self._turns = model.at_rest(np.eye(n))
 
-    def changed(self, numbers: Array, steps: Array | None = None) -> Array:
+    def perturb(self, numbers: Array, steps: Array | None = None) -> Array:
         """Gives the numbers (r, 1 + s, p) of all trials: as estimated, and each that moves the arm changed."""
-        result = np.repeat(numbers[:, None], 1 + self.moving, axis=1)
-        each = np.arange(self.moving)
+        result = np.repeat(numbers[:, None], 1 + self.dynamic, axis=1)
+        each = np.arange(self.dynamic)
         result[:, 1 + each, each] += self.steps if steps is None else steps
         return result
 
-    def starts(self, origin: Array, numbers: Array) -> Array:
+    def initial_states(self, origin: Array, numbers: Array) -> Array:
         """Gives the states (r, 1 + s, 2 d) from which trials start; `origin` (r, 2 d) has angles of 0 among numbers."""
-        angles = self.changed(numbers)[:, :, len(self.unknowns.names) : self.moving]
+        angles = self.perturb(numbers)[:, :, len(self.uncertain.names) : self.dynamic]
         return origin[:, None] + (angles[..., None] * self._turns).sum(axis=2)
 
     def parameters(self, numbers: Array) -> dict[str, Array]:
         """Gives physical parameters, name -> (r, ...), for numbers (r, p)."""
-        return self.unknowns.values(self.model, numbers)
+        return self.uncertain.values(self.model, numbers)
 
-    def slopes(self, states: Array, steps: Array) -> Array:
+    def jacobian(self, states: Array, steps: Array) -> Array:
         """Gives the slopes (r, 2 d, s) of the states of trials (r, 1 + s, 2 d) by numbers changed by steps (r, s)."""
         return ((states[:, 1:] - states[:, :1]) / steps[..., None]).transpose(0, 2, 1)
 
-    def reading_slopes(self, slopes: Array) -> Array:
+    def measurement_jacobian(self, slopes: Array) -> Array:
         """Gives the slopes (r, m, p) of the readings, biases included, by those of the states (r, 2 d, s)."""
         read = self.matrix @ slopes
-        if self.size == self.moving:
+        if self.size == self.dynamic:
             return read
         return np.concatenate([read, np.repeat(np.eye(len(self.matrix))[None], len(read), axis=0)], axis=2)
 
     def read(self, states: Array, numbers: Array) -> Array:
         """Gives the readings (r, m) of states (r, 2 d) for numbers (r, p)."""
         result = row_dots(self.matrix, states[:, None])
-        return result if self.size == self.moving else result + numbers[:, self.moving :]
+        return result if self.size == self.dynamic else result + numbers[:, self.dynamic :]
 
-    def sweep(self, origin: Array, numbers: Array, torques: Array, readings: Array, weights: Array) -> Resimulation:
+    def resimulate(
+        self, origin: Array, numbers: Array, torques: Array, readings: Array, weights: Array
+    ) -> Resimulation:
         """Simulates r arms from their starts through k control periods and compares them with what was read.
 
         Args:
@@ -202,15 +204,17 @@ class PerturbedModels:
             weights: (r, k + 1, m) of the squared errors, 1 / variance, 0 of readings that say nothing.
         """
         parts = [slice(first, first + BATCH_ARMS) for first in range(0, len(origin), BATCH_ARMS)]
-        results = [self._sweep(origin[p], numbers[p], torques[p], readings[p], weights[p]) for p in parts]
+        results = [self._resimulate_batch(origin[p], numbers[p], torques[p], readings[p], weights[p]) for p in parts]
         return Resimulation(*(np.concatenate(each) for each in zip(*results, strict=True)))
 
-    def _sweep(self, origin: Array, numbers: Array, torques: Array, readings: Array, weights: Array) -> Resimulation:
+    def _resimulate_batch(
+        self, origin: Array, numbers: Array, torques: Array, readings: Array, weights: Array
+    ) -> Resimulation:
         arms, periods, n = torques.shape
-        start = self.starts(origin, numbers)
+        start = self.initial_states(origin, numbers)
         trials = start.shape[1]
-        batch, used = self.twins("sweep", arms * trials), np.arange(arms * trials)
-        flat = self.changed(numbers).reshape(arms * trials, -1)
+        batch, used = self.models("resimulate", arms * trials), np.arange(arms * trials)
+        flat = self.perturb(numbers).reshape(arms * trials, -1)
         batch.vary(used, **self.parameters(flat))
         batch.place(used, start.reshape(arms * trials, -1))
         drives = np.zeros((arms * trials, periods, n + 6))
@@ -219,12 +223,12 @@ class PerturbedModels:
         states = np.concatenate([start[:, :, None], rolled], axis=2)
         read = (states @ self.matrix.T).transpose(0, 2, 3, 1)  # (r, k + 1, m, 1 + s)
         slopes = (read[..., 1:] - read[..., :1]) / self.steps
-        if self.size > self.moving:
+        if self.size > self.dynamic:
             biases = np.broadcast_to(np.eye(len(self.matrix)), (*slopes.shape[:2], *(len(self.matrix),) * 2))
             slopes = np.concatenate([slopes, biases], axis=3)
         error = readings - read[..., 0]
-        if self.size > self.moving:
-            error = error - numbers[:, None, self.moving :]
+        if self.size > self.dynamic:
+            error = error - numbers[:, None, self.dynamic :]
         root = np.sqrt(weights)
         slopes = (slopes * root[..., None]).reshape(arms, -1, self.size)
         error = (error * root).reshape(arms, -1)
@@ -248,7 +252,7 @@ class PerturbedModels:
         """
         periods, damping = data[0].shape[1], np.full(len(origin), INITIAL_DAMPING)
         certain, going = 1.0 / prior.deviation**2, np.ones(len(origin), dtype=bool)
-        best, result, least = numbers, self.sweep(origin, numbers, *data), np.full(len(origin), np.inf)
+        best, result, least = numbers, self.resimulate(origin, numbers, *data), np.full(len(origin), np.inf)
         tried, sweep = best, result
         for attempt in range(MAX_ITERATIONS):
             cost = sweep.cost + ((prior.mean - tried) ** 2 * certain).sum(axis=1)
@@ -262,7 +266,7 @@ class PerturbedModels:
             if attempt == MAX_ITERATIONS - 1 or not going.any():
                 break
             tried = np.where(going[:, None], prior.clip(best + change), best)  # no arm goes on because others do
-            sweep = self.sweep(origin, tried, *data)
+            sweep = self.resimulate(origin, tried, *data)
         return best, result
 
 

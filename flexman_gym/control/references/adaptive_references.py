@@ -57,8 +57,8 @@ class SlewReferences:
     """
 
     _rows = (
-        "start", "way", "shift", "coefficients", "begun", "lasting", "_coordinates", "_torques", "_soft", "_friction",
-        "_own_coordinates", "_own_torques", "pace", "quickening",
+        "start", "displacement", "shift", "coefficients", "start_time", "duration", "_coordinates", "_torques", "_compliance", "_friction",
+        "_adapted_coordinates", "_adapted_torques", "time_scaling", "pace_rate",
     )  # fmt: skip
     state_fields = _rows
 
@@ -66,40 +66,40 @@ class SlewReferences:
         self.model, self._limits, self._share = model, limits, share
         self._payloads = np.array(payloads, dtype=float)
         self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
-        self._give_way = DeflectionCompensation(model)
-        self._bendings = [QuasiStaticDeflection(each) for each in self._models]
+        self._compensation = DeflectionCompensation(model)
+        self._deflections = [QuasiStaticDeflection(each) for each in self._models]
         n, d, p = model.n_joints, model.n_dof, len(payloads)
-        self.start, self.way, self.shift = np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, n))
+        self.start, self.displacement, self.shift = np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, n))
         self._coordinates, self._torques = np.zeros((0, p, 11, 3, d)), np.zeros((0, p, 11, 3, n))
         # for the payloads as they are estimated
-        self._own_coordinates, self._own_torques = np.zeros((0, 11, 3, d)), np.zeros((0, 11, 3, n))
-        self.coefficients, self.begun, self.lasting = np.zeros((0, 6)), np.zeros(0), np.zeros(0)
-        self._soft, self._friction = np.zeros((0, d)), np.zeros((0, 2, n))
-        self.pace, self.quickening = np.zeros(0), np.zeros(0)
-        self._paths: dict[tuple[bytes, bytes], list[_PathTables]] = {}
+        self._adapted_coordinates, self._adapted_torques = np.zeros((0, 11, 3, d)), np.zeros((0, 11, 3, n))
+        self.coefficients, self.start_time, self.duration = np.zeros((0, 6)), np.zeros(0), np.zeros(0)
+        self._compliance, self._friction = np.zeros((0, d)), np.zeros((0, 2, n))
+        self.time_scaling, self.pace_rate = np.zeros(0), np.zeros(0)
+        self._cached_paths: dict[tuple[bytes, bytes], list[_PathTables]] = {}
         self._flexible = model.constants.motor >= 0
 
-    def grow(self, count: int) -> None:
+    def allocate(self, count: int) -> None:
         """Makes room for so many arms."""
         for name in self._rows:
             setattr(self, name, pad_rows(getattr(self, name), count))
 
     def begin(self, arms: IntArray, start: Array, goal: Array) -> None:
         """Takes paths of the arms (r,) from start to goal, motor angles (r, n) rad; `adapt` and `time` them next."""
-        self.start[arms], self.way[arms], self.shift[arms] = start, goal - start, 0.0
-        self.pace[arms], self.quickening[arms] = 1.0, 0.0
+        self.start[arms], self.displacement[arms], self.shift[arms] = start, goal - start, 0.0
+        self.time_scaling[arms], self.pace_rate[arms] = 1.0, 0.0
         for arm, first, last in zip(arms, start, goal, strict=True):
             key = first.tobytes(), last.tobytes()
-            if key not in self._paths:
-                if len(self._paths) >= MAX_CACHED_PATHS:
-                    self._paths.clear()
-                self._paths[key] = [self._bent(payload, first, last) for payload in range(len(self._models))]
-            for payload, tables in enumerate(self._paths[key]):
+            if key not in self._cached_paths:
+                if len(self._cached_paths) >= MAX_CACHED_PATHS:
+                    self._cached_paths.clear()
+                self._cached_paths[key] = [self._tabulate(payload, first, last) for payload in range(len(self._models))]
+            for payload, tables in enumerate(self._cached_paths[key]):
                 self._coordinates[arm, payload], self._torques[arm, payload] = tables
 
-    def _bent(self, payload: int, start: Array, goal: Array) -> _PathTables:
+    def _tabulate(self, payload: int, start: Array, goal: Array) -> _PathTables:
         """The tables of one arm with one payload."""
-        model, bending, way = self._models[payload], self._bendings[payload], goal - start
+        model, bending, way = self._models[payload], self._deflections[payload], goal - start
         n = model.n_joints
         coordinates, torques = np.zeros((11, 3, model.n_dof)), np.zeros((11, 3, n))
         for row, place in enumerate(PATH_POINTS):
@@ -123,24 +123,24 @@ class SlewReferences:
         """Takes the physical parameters (b, ...) of the arms (r,) as they are estimated, see `Estimate`."""
         if not len(arms):
             return
-        weights, self._soft[arms], self._friction[arms] = adaptation_factors(
+        weights, self._compliance[arms], self._friction[arms] = adaptation_factors(
             self.model, self._payloads, parameters, arms
         )
-        for own, every in ((self._own_coordinates, self._coordinates), (self._own_torques, self._torques)):
+        for own, every in ((self._adapted_coordinates, self._coordinates), (self._adapted_torques, self._torques)):
             own[arms] = (weights[:, :, None, None, None] * every[arms]).sum(axis=1)
         if self.model.constants.gravity.any():
-            self._aim(arms)
+            self._correct_goal(arms)
 
-    def _aim(self, arms: IntArray) -> None:
+    def _correct_goal(self, arms: IntArray) -> None:
         """Turns the ends of the paths of the arms (r,) so that the tips rest where those of the model's arm would."""
         model, d = self.model, self.model.n_dof
         for arm in arms:
-            goal = self.start[arm] + self.way[arm]
+            goal = self.start[arm] + self.displacement[arm]
             wanted = rest_state(model, goal)[:d]
             for _ in range(NEWTON_STEPS):
-                sagging = self._soft[arm] * self._own_coordinates[arm, -1, REST]
+                sagging = self._compliance[arm] * self._adapted_coordinates[arm, -1, REST]
                 place = model.at_rest((goal + self.shift[arm])[None])[0, :d] + sagging
-                self.shift[arm] += self._give_way.turn(wanted, place)
+                self.shift[arm] += self._compensation.turn(wanted, place)
 
     def time(self, arms: IntArray, now: Array, first: bool) -> None:
         """Times the rest of the way of the arms (r,) anew, as short as torques within the limits allow.
@@ -155,17 +155,17 @@ class SlewReferences:
         place, speed, change = (np.zeros((3, len(arms))) if first else np.array(self.at(now, arms)))[:, :, None]
         tried = quintic_coefficients(place, speed, change, CANDIDATE_DURATIONS.astype(float))
         places, speeds, changes = evaluate_polynomials(tried[:, :, None], CANDIDATE_DURATIONS[:, None] * CHECKED_TIMES)
-        torques = self._mixed(self._own_torques, arms, places, changes, speeds)
+        torques = self._interpolate(self._adapted_torques, arms, places, changes, speeds)
         if self._friction[arms].any():
-            rates = speeds[..., None] * self.way[arms][:, None, None]
+            rates = speeds[..., None] * self.displacement[arms][:, None, None]
             torques += friction_torques(self.model, self._friction[arms][:, None, None], rates)
         shares = (np.abs(torques) / self._limits).max(axis=(2, 3))
         good = shares <= self._share
         chosen = np.where(good.any(axis=1), good.argmax(axis=1), shares.argmin(axis=1))
         self.coefficients[arms] = tried[np.arange(len(arms)), chosen]
-        self.begun[arms], self.lasting[arms] = now, CANDIDATE_DURATIONS[chosen]
+        self.start_time[arms], self.duration[arms] = now, CANDIDATE_DURATIONS[chosen]
 
-    def _mixed(self, table: Array, arms: IntArray, places: Array, changes: Array, speeds: Array) -> Array:
+    def _interpolate(self, table: Array, arms: IntArray, places: Array, changes: Array, speeds: Array) -> Array:
         """rest + a s'' + b s'^2 (r, ..., m) of a table (b, 11, 3, m) at places, changes and speeds (r, ...)."""
         at = np.clip(places, 0.0, 1.0) * (len(PATH_POINTS) - 1)
         low = np.minimum(at.astype(np.int64), len(PATH_POINTS) - 2)
@@ -179,40 +179,40 @@ class SlewReferences:
 
     def at(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
         """Gives places, speeds (1/s) and second derivatives (1/s^2) of the arms (r,) at times (r,) s."""
-        passed = now - self.begun[arms]
+        passed = now - self.start_time[arms]
         # one that was timed on its way moved before
-        earliest = np.where(self.coefficients[arms, 1] != 0.0, -DIFFERENCE_STEP * self.pace[arms], 0.0)
+        earliest = np.where(self.coefficients[arms, 1] != 0.0, -DIFFERENCE_STEP * self.time_scaling[arms], 0.0)
         place, speed, change = evaluate_polynomials(
-            self.coefficients[arms], np.clip(passed, earliest, self.lasting[arms])
+            self.coefficients[arms], np.clip(passed, earliest, self.duration[arms])
         )
-        over = passed >= self.lasting[arms]
+        over = passed >= self.duration[arms]
         return np.where(over, 1.0, place), np.where(over, 0.0, speed), np.where(over, 0.0, change)
 
-    def _paced(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
+    def _scaled_timing(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
         """The same at the pace of a clock that runs faster or slower than the slews were timed for."""
         place, speed, change = self.at(now, arms)
-        pace = self.pace[arms]
-        return place, speed * pace, change * pace**2 + speed * self.quickening[arms]
+        pace = self.time_scaling[arms]
+        return place, speed * pace, change * pace**2 + speed * self.pace_rate[arms]
 
     def states(self, now: Array, arms: IntArray) -> Array:
         """Gives the states (r, 2 d) of the arms (r,) at times (r,) s."""
-        steps = DIFFERENCE_STEP * self.pace[arms]
+        steps = DIFFERENCE_STEP * self.time_scaling[arms]
         before, here, after = (self._coordinates_at(now + step, arms) for step in (-steps, 0.0, steps))
         return np.concatenate([here, (after - before) / (2.0 * DIFFERENCE_STEP)], axis=1)
 
     def _coordinates_at(self, now: Array, arms: IntArray) -> Array:
-        place, speed, change = self._paced(now, arms)
-        result = self._soft[arms] * self._mixed(self._own_coordinates, arms, place, change, speed)
-        angles = self.start[arms] + place[:, None] * (self.way[arms] + self.shift[arms])
+        place, speed, change = self._scaled_timing(now, arms)
+        result = self._compliance[arms] * self._interpolate(self._adapted_coordinates, arms, place, change, speed)
+        angles = self.start[arms] + place[:, None] * (self.displacement[arms] + self.shift[arms])
         result[:, self.model.motor_columns] += angles
         result[:, np.flatnonzero(self._flexible)] += angles[:, self._flexible]
         return result
 
     def torques(self, now: Array, arms: IntArray) -> Array:
         """Gives the torques (r, n) N m of the arms (r,) at times (r,) s."""
-        place, speed, change = self._paced(now, arms)
-        rubbing = friction_torques(self.model, self._friction[arms], speed[:, None] * self.way[arms])
-        return self._mixed(self._own_torques, arms, place, change, speed) + rubbing
+        place, speed, change = self._scaled_timing(now, arms)
+        rubbing = friction_torques(self.model, self._friction[arms], speed[:, None] * self.displacement[arms])
+        return self._interpolate(self._adapted_torques, arms, place, change, speed) + rubbing
 
 
 def estimated_payloads(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
@@ -272,13 +272,13 @@ class PathReferences:
         payloads: kg, one or three, ascending.
     """
 
-    state_fields = ("_weights", "_soft", "_friction")
+    state_fields = ("_weights", "_compliance", "_friction")
 
     def __init__(self, model: Model, period: float, payloads: Sequence[float]) -> None:
         self.model, self._period, self._payloads = model, period, np.array(payloads, dtype=float)
         self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
         self._plans: dict[int, tuple[Array, Array, Array]] = {}  # arm -> rigid states, departures, torques by payload
-        self._weights, self._soft = np.zeros((0, len(payloads))), np.zeros((0, model.n_dof))
+        self._weights, self._compliance = np.zeros((0, len(payloads))), np.zeros((0, model.n_dof))
         self._friction = np.zeros((0, 2, model.n_joints))
 
     def begin(self, arm: int, path: Array) -> None:
@@ -295,7 +295,7 @@ class PathReferences:
         """Takes the physical parameters (b, ...) of the arms (r,) as they are estimated, see `Estimate`."""
         if not len(arms):
             return
-        self._weights[arms], self._soft[arms], self._friction[arms] = adaptation_factors(
+        self._weights[arms], self._compliance[arms], self._friction[arms] = adaptation_factors(
             self.model, self._payloads, parameters, arms
         )
 
@@ -306,7 +306,7 @@ class PathReferences:
         for moment, arm in zip((now / self._period).round().astype(int).tolist(), arms.tolist(), strict=True):
             straight, departures, forward = self._plans[arm]
             row, weights = min(moment, len(straight) - 1), self._weights[arm, :, None]
-            bent = (weights * departures[:, row]).sum(axis=0) * np.tile(self._soft[arm], 2)
+            bent = (weights * departures[:, row]).sum(axis=0) * np.tile(self._compliance[arm], 2)
             states.append(straight[row] + bent)
             sliding = friction_torques(self.model, self._friction[arm], states[-1][rates])
             torques.append((weights * forward[:, min(moment, forward.shape[1] - 1)]).sum(axis=0) + sliding)

@@ -95,12 +95,12 @@ class SingleShooting:
     def __init__(
         self, regulator: LQR, arms: Callable[[int], Batch], band: float, rate: float, start: Array, goal: Array
     ) -> None:
-        self._rate = rate
-        self._regulator, self._make, self._band, self._ends = regulator, arms, band, (start, goal)
+        self._max_rate = rate
+        self._regulator, self._make_batch, self._band, self._ends = regulator, arms, band, (start, goal)
         self._batches: dict[int, Batch] = {}
         model = regulator.model
         self._start, self._rest = rest_state(model, start), rest_state(model, goal)
-        self._weights = np.array([holding_torques(model, posture) for posture in (start, goal)])
+        self._holding_torques = np.array([holding_torques(model, posture) for posture in (start, goal)])
         self._gain, self._target = regulator.gain(goal), rest_tips(model, goal[None])[0]
         self._tail, self._stay = (round(time / regulator.period) for time in (TAIL_TIME, SETTLING_TIME))
 
@@ -116,7 +116,7 @@ class SingleShooting:
         )
         arrival = max(1, round(FIRST_FACTOR * known.periods))
         for _ in range(MAX_DURATIONS):
-            found = self._solve(self._stretched(known, arrival), arrival)
+            found = self._solve(self._rescale(known, arrival), arrival)
             if found is not None:
                 known = best = found
                 arrival = min(round(part * best.arrival), best.arrival - 1)
@@ -144,44 +144,46 @@ class SingleShooting:
         states, read = batch.roll(drives)
         result[:, :periods, :3], result[:, :periods, 3:] = (
             read[..., TIP] - self._target,
-            states[..., rates] / self._rate,
+            states[..., rates] / self._max_rate,
         )
         drive = np.zeros((len(knots), n + 6))
         for period in range(periods, periods + self._stay):
-            torques = self._weights[1] - row_dots(self._gain, (batch.state - self._rest)[:, None])
+            torques = self._holding_torques[1] - row_dots(self._gain, (batch.state - self._rest)[:, None])
             drive[:, :n] = np.clip(torques / limits, -1.0, 1.0) * limits
             batch.step(drive)
             result[:, period, :3] = batch.outputs[:, TIP] - self._target
-            result[:, period, 3:] = batch.state[:, rates] / self._rate
+            result[:, period, 3:] = batch.state[:, rates] / self._max_rate
         result[batch.status != OK] = FAILURE_ERROR * self._band
         return result
 
     def _batch(self, count: int) -> Batch:
         if count not in self._batches:
-            self._batches[count] = self._make(count)
+            self._batches[count] = self._make_batch(count)
         self._batches[count].reset(np.arange(count), np.tile(self._start, (count, 1)))
         return self._batches[count]
 
-    def _stretched(self, known: SlewTorques, arrival: int) -> Array:
+    def _rescale(self, known: SlewTorques, arrival: int) -> Array:
         """Knots (K, n) of a slew that arrives at another time: what moves the arm goes with the square of the speed."""
         periods, limits, speed = arrival + self._tail, self._regulator.limits, known.arrival / arrival
         times = np.linspace(0.0, periods, max(MIN_KNOTS, round(periods * self._regulator.period / KNOT_SPACING) + 1))
         own = np.linspace(0.0, known.periods, len(known.knots))
         torques = np.array([np.interp(speed * times, own, column) for column in known.knots.T]).T
-        held = self._weights[0] + np.minimum(times / arrival, 1.0)[:, None] * (self._weights[1] - self._weights[0])
+        held = self._holding_torques[0] + np.minimum(times / arrival, 1.0)[:, None] * (
+            self._holding_torques[1] - self._holding_torques[0]
+        )
         return np.clip(held + (torques - held) * speed**2, -limits, limits)
 
     def _solve(self, knots: Array, arrival: int) -> SlewTorques | None:
         """Moves knots until the tip is within the band from its arrival on; None where no move helps."""
         periods, damping, reused, counted = arrival + self._tail, INITIAL_DAMPING, 0, 1
-        errors, slopes = self._slopes(knots, periods)
+        errors, slopes = self._jacobian(knots, periods)
         for _ in range(MAX_STEPS):
             outside = np.flatnonzero(np.linalg.norm(errors[:, :3], axis=1) > SETTLED_BAND * self._band)
             if outside.max(initial=-1) < arrival - 1 and np.abs(errors[:, 3:]).max() <= MAX_RATE:
                 return SlewTorques(knots, periods, int(outside.max(initial=-1)) + 2)
-            tried = self._moves(knots, errors, slopes, arrival, damping * DAMPING_FACTORS)
+            tried = self._steps(knots, errors, slopes, arrival, damping * DAMPING_FACTORS)
             ways = self.errors(tried, periods)
-            costs = np.square(self._beyond(np.concatenate([ways, errors[None]]), arrival)).sum(axis=1)
+            costs = np.square(self._residuals(np.concatenate([ways, errors[None]]), arrival)).sum(axis=1)
             best = int(np.argmin(costs[:-1]))
             better = costs[best] < MAX_COST_RATIO * costs[-1]
             if better:
@@ -192,19 +194,19 @@ class SingleShooting:
             elif reused == 0:
                 damping *= MAX_DAMPING
             if reused and (reused == BROYDEN_UPDATES or not better):
-                errors, slopes = self._slopes(knots, periods)
+                errors, slopes = self._jacobian(knots, periods)
                 reused, counted = 0, counted + 1
             if damping > MAX_DAMPING**2 or counted > MAX_JACOBIANS:
                 break
         return None
 
-    def _slopes(self, knots: Array, periods: int) -> tuple[Array, Array]:
+    def _jacobian(self, knots: Array, periods: int) -> tuple[Array, Array]:
         """The `errors` of knots, and how they change (K n, T + W, 3 + n) with each knot, in parts of its limit."""
         nudges = TORQUE_STEP * self._regulator.limits * np.eye(knots.size).reshape(-1, *knots.shape)
         errors = self.errors(np.concatenate([knots[None], knots + nudges]), periods)
         return errors[0], (errors[1:] - errors[0]) / TORQUE_STEP
 
-    def _beyond(self, errors: Array, arrival: int) -> Array:
+    def _residuals(self, errors: Array, arrival: int) -> Array:
         """What of `errors` (r, T + W, 3 + n) is too large, (r, ...) in bands.
 
         Ways beyond the inner band from an arrival on, in every other period, and rates that are near the largest.
@@ -215,12 +217,12 @@ class SingleShooting:
         fast = RATE_WEIGHT * (rates - np.clip(rates, -RATE_BOUND, RATE_BOUND))
         return np.concatenate([ways.reshape(len(errors), -1), fast.reshape(len(errors), -1)], axis=1)
 
-    def _moves(self, knots: Array, errors: Array, slopes: Array, arrival: int, dampings: Array) -> Array:
+    def _steps(self, knots: Array, errors: Array, slopes: Array, arrival: int, dampings: Array) -> Array:
         """Knots (r, K, n) after a Gauss-Newton step with each damping (r,), none beyond the torque limits."""
         from scipy.optimize import lsq_linear
 
         limits = self._regulator.limits
-        both = self._beyond(np.concatenate([errors[None], errors + COST_DIFFERENCE_STEP * slopes]), arrival).reshape(
+        both = self._residuals(np.concatenate([errors[None], errors + COST_DIFFERENCE_STEP * slopes]), arrival).reshape(
             len(slopes) + 1, -1
         )
         slope = (both[1:] - both[0]) / COST_DIFFERENCE_STEP
