@@ -1,5 +1,4 @@
-"""Controllers with one protocol, the observers and reference trajectories from which they are built, and action
-modes."""
+"""Controllers with one protocol, observers, reference trajectories and action modes."""
 
 from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.control.agent import Agent

@@ -19,24 +19,24 @@ from flexman_gym.control.reference_shaping import ReferenceShaping, ShapingLimit
 from flexman_gym.control.tracking import OutputFeedback
 from flexman_gym.model.linearization import LinearMeasurements
 
-UNSTABLE_RADIUS = 1.0 + 1e-6  # spectral radius; modes without damping that no motor moves have 1, to rounding
+UNSTABLE_RADIUS = 1.0 + 1e-6  # spectral radius; undamped modes outside the influence of the motors have 1, to rounding
 
 
 class _ServoMode:
-    """A servo of each joint: torque = stiffness (reference - angle) + damping (reference rate - rate).
+    """Joint servo: torque = stiffness (reference - angle) + damping (reference rate - rate).
 
-    It acts in every control period, and measures its motor alone. With kind="position" an action is the reference, a
-    part of a range of angles (rad), and the reference rate is 0. With kind="velocity" an action is the reference rate,
-    a part of a range of speeds (rad/s), and the reference is its integral from the start on: stiffness is then the
-    integral gain of the speed loop. That integral stays where the torque of the stiffness is within the limits, so
-    that it does not wind up. There is no other integral action: in a field of gravity a position servo rests beside its
-    reference, by the weight over the stiffness.
+    It runs in every control period and reads the motor encoders only. With kind="position" an action is the reference
+    as a fraction of an angle range (rad), with zero reference rate. With kind="velocity" an action is the reference
+    rate as a fraction of a speed range (rad/s), and the reference is its integral from the start, so that stiffness is
+    the integral gain of the speed loop. Anti-windup: the integral stays within the distance at which stiffness alone
+    commands the torque limit. There is no other integral action; under gravity a position servo therefore has a
+    steady-state error of weight / stiffness.
 
     Args:
         kind: "position" or "velocity".
-        gains: PD with the gains and torque limits.
-        span: (n,) rad or rad/s, of an action of 1.
-        period: of control, s.
+        gains: PD with gains and torque limits.
+        span: (n,) rad or rad/s at an action of 1.
+        period: control period, s.
     """
 
     state_fields = ("_reference",)
@@ -51,12 +51,12 @@ class _ServoMode:
         self._most = np.where(soft, np.inf, gains.torque_limit / np.where(soft, 1.0, gains.stiffness))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,) with the reference where they are."""
+        """Start new episodes of the arms (r,) with the reference at their joint angles."""
         self._reference = pad_rows(self._reference, count)
         self._reference[arms] = episode.start
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Gives the torques (b, n) for references (b, n), parts of the torque limits from -1 to 1."""
+        """Return the torques (b, n) for reference actions (b, n), as fractions of the torque limits from -1 to 1."""
         angles, asked = readings["motor_angles"], actions * self._span
         if self._moves:
             error, wanted = self._reference - angles, asked
@@ -70,20 +70,17 @@ class _ServoMode:
 
 
 def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) -> _ServoMode:
-    """Makes a servo with gains that are given, or those that were tuned for the plant.
+    """Make a servo with the given gains, or with those tuned for the plant.
 
-    It warns (UserWarning) where its sampled loop, with delay and drive, is unstable at zero angles, whichever of its
-    motors slide or stick.
+    A UserWarning is issued if the sampled loop, with delay and drive lag, is unstable at zero joint angles for any set
+    of motors that slide or stick.
 
     Args:
         kind: "position" or "velocity".
-        plant: of the joints.
+        plant: plant model.
         base: None.
-        given: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each; "range", rad or rad/s of an action of 1, one
-            number or one for each joint: pi, or the speed limits of the motors, where none is given.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+        given: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each; "range", rad or rad/s at an action of 1, one
+            number or one per joint. The default range is pi, or the speed limits of the motors.
     """
     if base is not None:
         raise value_error("base", base, f'None: with actions="{kind}" the servo acts on the motors')
@@ -112,26 +109,22 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
     return _ServoMode(kind, gains, spans, plant.period)
 
 
-SMALL_DEPARTURE, SMALL_ANGLE = (
-    1.0 / 30.0,
-    0.01,
-)  # of a range, and rad: up to where departures and errors of angles are small
-MAX_OBSERVATION = 100.0  # number that is shown
+SMALL_DEPARTURE = 1.0 / 30.0  # fraction of the range; scale of the arcsinh of departures
+SMALL_ANGLE = 0.01  # rad; scale of the arcsinh of motor errors
+MAX_OBSERVATION = 100.0  # bound on observed quantities
 
 
 class _ReferenceShapingMode:
-    """Pace of the reference, offsets of its joints and torques beside the law, on what the base estimates.
+    """Action mode of reference shaping: time scaling, joint offsets and added torques on the reference of the base.
 
-    It shows the agent what the base knows: the state by quantities, their departures from the reference as arcsinh,
-    errors of the motors, the reference, its clock and its shape, the last torques and actions, payload and stiffness.
+    It adds quantities to the observation: the estimated state as measured quantities, their departures from the
+    reference as arcsinh, motor errors, the reference, its clock and its shaping, the last torques and actions, and the
+    estimates of payload and stiffness with their deviations.
 
     Args:
-        plant: the arm.
-        base: an observer and a law that tracks references.
+        plant: plant model.
+        base: OutputFeedback of an observer and a tracking law.
         authority: pace, offset, torque and fading, see `ShapingLimits`.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
     """
 
     def __init__(self, plant: Plant, base: Controller | None, **authority: object) -> None:
@@ -156,10 +149,10 @@ class _ReferenceShapingMode:
         self._seen = np.zeros((0, sum(sizes.values())))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,).
+        """Start new episodes of the arms (r,).
 
         Raises:
-            ValueError: for a goal that moves.
+            ValueError: for a moving goal.
         """
         if episode.reference is not None:
             raise value_error(
@@ -169,13 +162,13 @@ class _ReferenceShapingMode:
         self._base.reset(arms, episode, count)
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Gives what the motors (b, n) are asked for, parts of the torque limits."""
+        """Return the commanded torques (b, n) as fractions of the torque limits."""
         arms = np.flatnonzero(active)
         self._shape.action[arms[:, None], self._columns] = actions[arms]
         return self._base.act(readings, applied, active)
 
     def observe(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Gives what it shows of all arms, (b, sum of the sizes in `shown`), anew of those that are active (b,)."""
+        """Return the observed quantities of all arms (b, size), updated for the active arms (b,)."""
         if len(self._seen) < len(active):
             self._seen = np.zeros((len(active), self._seen.shape[1]))
         if active.any():
@@ -186,7 +179,7 @@ class _ReferenceShapingMode:
         return self._seen
 
     def _parts(self, estimate: Estimate, applied: Array, arms: IntArray) -> dict[str, Array]:
-        """What is shown of the arms (r,), by name."""
+        """Return the observed quantities of the arms (r,), by name."""
         law, slews, model, d = self._law, self._law.slews, self._plant.model, self._plant.model.n_dof
         states, reference, now = estimate.states[arms], law.reference(estimate, arms), law.clock(estimate, arms)
         motors, (place, speed, change) = model.motor_columns, slews.at(now, arms)
@@ -217,12 +210,12 @@ class _ReferenceShapingMode:
         }
 
     def _read(self, states: Array) -> Array:
-        """The quantities (r, 8 n) of states (r, 2 d)."""
+        """Return the measured quantities (r, 8 n) of states (r, 2 d)."""
         named = self._quantities.named(states)
         return np.concatenate([named[name] for name in self._quantities.places], axis=1)
 
     def _parameters(self, estimate: Estimate, arms: IntArray) -> Array:
-        """Payload (kg), and stiffness of joints and links as parts of the nominal one, (r, 1 + 2 n)."""
+        """Return payload (kg) and stiffness factors of joints and links, (r, 1 + 2 n)."""
         constants, known = self._plant.model.constants, estimate.parameters
         stiffness = np.where(constants.motor >= 0, constants.joint_stiffness, 1.0)
         ones = np.ones((len(arms), self.joints))
@@ -232,7 +225,7 @@ class _ReferenceShapingMode:
         return np.concatenate([payload[:, None], joints, links], axis=1)
 
     def _deviations(self, arms: IntArray) -> Array:
-        """Standard deviations of these, (r, 1 + 2 n), 0 of what is known, as of joints that are rigid."""
+        """Return the standard deviations (r, 1 + 2 n) of these parameters; 0 for known ones and for rigid joints."""
         constants, said = self._plant.model.constants, self._base.estimates
         result, n = np.zeros((len(arms), 1 + 2 * self.joints)), self.joints
         if "payload_mass_deviation" in said:
@@ -248,23 +241,23 @@ class _ReferenceShapingMode:
 
 @runtime_checkable
 class ActionMode(Protocol):
-    """The protocol of what k numbers from -1 to 1 of an agent mean for b arms of n joints, in every control period.
+    """Protocol of action modes: the meaning of k numbers from -1 to 1 for b arms of n joints, in every control period.
 
-    What it does to an arm must not depend on the others, to the last bit. An optional member is `state_fields`, as of a
-    Controller; the base is not among it. A mode that shows its agent something beside what its sensors see has two
-    more: `shown`, name -> how many numbers, and `look(readings, applied, active)`, which gives them side by side,
-    (b, size), of the arms that are active anew. It is asked before an agent acts, in the same control period. A mode
-    of torques says as `strength` which part of the torque limits an action of 1 adds, of all joints or of each (n,).
+    The torques of an arm must not depend on the other arms, to the last bit. Optional members: `state_fields`, as in
+    `Controller`, without the base; `strength`, for modes of torques, the part of the torque limits (of all joints, or
+    (n,)) that an action of 1 adds. A mode with observed quantities beyond the sensors has `observation_sizes`, name ->
+    number of values, and `observe(readings, applied, active)`, which returns them concatenated, (b, size), and updates
+    those of the active arms. It is called before the agent acts, in the same control period.
 
     Attributes:
         joints: n.
         names: (k,) of the numbers of an action.
-        sensors: names of the sensors that it and its base read.
+        sensors: names of the sensors that the mode and its base read.
     """
 
     @property
     def joints(self) -> int:
-        """How many joints the arms have."""
+        """Number of joints of an arm."""
         ...
 
     @property
@@ -274,21 +267,21 @@ class ActionMode(Protocol):
 
     @property
     def sensors(self) -> tuple[object, ...]:
-        """Names of the sensors that it and its base read."""
+        """Names of the sensors that the mode and its base read."""
         ...
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms with the indices (r,), of its base too."""
+        """Start new episodes of the arms with the indices (r,), those of the base included."""
         ...
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Gives what the motors (b, n) are asked for, parts of the torque limits from -1 to 1.
+        """Return the commanded torques (b, n) as fractions of the torque limits, from -1 to 1.
 
         Args:
-            actions: (b, k) of the agent, which holds each for one control period or several.
-            readings: as of `Controller.act`.
-            applied: as of `Controller.act`.
-            active: as of `Controller.act`.
+            actions: (b, k) of the agent, each held for its `action_repeat` control periods.
+            readings: as in `Controller.act`.
+            applied: as in `Controller.act`.
+            active: as in `Controller.act`.
         """
         ...
 
@@ -328,11 +321,11 @@ class TorqueMode:
 
 @dataclass(frozen=True)
 class _ActionModeEntry:
-    """A mode with a name.
+    """Action mode by name.
 
     Attributes:
-        make: gives it for a Plant, the base beside the agent or None, and its arguments.
-        takes: names of the arguments that a mapping may give.
+        make: function of a Plant, the base controller or None, and the arguments that returns the mode.
+        arguments: names of the arguments that a mapping may contain.
     """
 
     make: Callable[..., ActionMode]
@@ -340,7 +333,11 @@ class _ActionModeEntry:
 
 
 def _make_current(plant: Plant, base: Controller | None) -> TorqueMode:
-    """The mode for currents; raises ValueError for an arm of which a motor is missing, or has no current limit."""
+    """Make the mode of motor currents.
+
+    Raises:
+        ValueError: for an arm with a joint without motor or current limit.
+    """
     motors = [joint.motor for joint in plant.model.arm.joints]
     limits = [motor.joint_torque_limit if motor else None for motor in motors]
     if None in limits:
@@ -360,25 +357,17 @@ ACTIONS: dict[str, _ActionModeEntry] = {
 
 
 def mode_observation_size(mode: ActionMode) -> int:
-    """Gives how many numbers a mode shows its agent."""
+    """Return the number of values that a mode adds to the observation."""
     return sum(getattr(mode, "observation_sizes", {}).values())
 
 
 def parse_action_mode(value: object) -> tuple[str, dict[str, Any]]:
-    """Gives name and arguments of a mode that is a name, or a mapping with one at "kind" and its arguments.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
-    """
+    """Return name and arguments of an action mode given as a name, or as a mapping with the name under "kind"."""
     return parse_kind("actions", value, {name: mode.arguments for name, mode in ACTIONS.items()})
 
 
 def make_action_mode(value: object, plant: Plant, base: Controller | None) -> ActionMode:
-    """Make an action mode for a plant and a base; see `parse_action_mode`. One that is made already is returned.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
-    """
+    """Make an action mode for a plant and a base; see `parse_action_mode`. An `ActionMode` is returned unchanged."""
     if isinstance(value, ActionMode):
         if hasattr(value, "shown") and not hasattr(value, "observation_sizes"):
             said = f"{type(value).__name__}.shown and look are deprecated; name them observation_sizes and observe"

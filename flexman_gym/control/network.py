@@ -13,7 +13,8 @@ ACTIVATION_FUNCTIONS: dict[str, Callable[[Array], Array]] = {
     "tanh": np.tanh,
     "relu": lambda values: np.maximum(values, 0.0),
 }
-MAX_INPUT, VARIANCE_OFFSET = 10.0, 1e-8  # largest magnitude of a normalised observation, and offset added to variances
+MAX_INPUT = 10.0  # largest magnitude of a normalised observation
+VARIANCE_OFFSET = 1e-8  # added to variances to avoid division by zero
 # algorithm -> where its layers begin, its last one, the function between them where none is named, and at the end
 LAYER_NAMES: dict[str, tuple[str, str, str, Callable[[Array], Array]]] = {
     "ppo": ("mlp_extractor.policy_net.", "action_net", "tanh", lambda values: np.clip(values, -1.0, 1.0)),

@@ -28,12 +28,13 @@ class ShapingLimits(NamedTuple):
 
 
 class ReferenceShaping:
-    """Reference shaping of the slews of b arms with n joints. With zero actions the references are unchanged, bit by
-    bit.
+    """Reference shaping of the slews of b arms with n joints.
+
+    With zero actions the references are unchanged, bit by bit.
 
     Args:
         slews: references whose clocks are scaled.
-        limits: (n,) N m.
+        limits: (n,) torque limits, N m.
         period: control period, s.
         authority: limits of the changes.
 
@@ -64,8 +65,12 @@ class ReferenceShaping:
         slews.pace_rate[arms] = 0.5 * change / self._period  # the bending follows later than a step of the pace
 
     def advance(self, arms: IntArray, places: Array) -> Array:
-        """Advance offsets and clocks by a control period; return the added torques (r, n) at path parameters (r,),
-        N m."""
+        """Advance offsets and clocks by a control period; return the added torques (r, n), N m.
+
+        Args:
+            arms: (r,).
+            places: (r,) path parameters.
+        """
         n, fading = self._joints, self._authority.fading
         left = np.clip((1.0 - places) / fading, 0.0, 1.0)[:, None] if fading else np.ones((len(arms), 1))
         offsets, rates = self.offsets[arms, 0], self.offsets[arms, 1]

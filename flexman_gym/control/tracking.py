@@ -13,31 +13,26 @@ from flexman_gym.control.observers.observer import Estimate, Observer
 from flexman_gym.control.reference_shaping import ReferenceShaping
 from flexman_gym.control.references.adaptive_references import PathReferences, SlewReferences, estimated_payloads
 
-RETIMING_PERIODS = (
-    6,
-    12,
-    20,
-    30,
-    45,
-)  # control periods after which a slew is timed anew with the parameters as estimated
-LAST_RETIMING = 0.75  # of a path, from which on it is not timed anew
-ADAPTATION_INTERVAL = 5  # control periods between two looks at the parameters
+RETIMING_PERIODS = (6, 12, 20, 30, 45)  # control periods; age at which a slew is planned again
+LAST_RETIMING = 0.75  # path parameter beyond which a slew is not planned again
+ADAPTATION_INTERVAL = 5  # control periods between two adaptations of references to the estimates
 
 
 class Tracking:
-    """Tracking law of b arms: torque of the reference - K (state - reference), with gains for posture and payload.
+    """Tracking law of b arms: torque = feed-forward - K (state - reference).
 
-    Slews follow straight paths of the motors in quintic timing within 95 % of the torque limits, timed anew from where
-    the reference is while the parameters become known. An arm that starts at its goal is held there more tightly.
+    The gains are scheduled by posture and payload. Slews are straight lines in motor space with quintic timing within
+    95 % of the torque limits. While parameter estimates converge, the rest of a slew is planned again from the current
+    reference. An arm that starts at its goal is held with a larger weight on the tip.
 
     Args:
-        plant: the arm and what is unknown of it.
-        weights: of the cost; None takes those of `LQR`.
-        retimed: whether slews are timed anew.
+        plant: plant model with its uncertain parameters.
+        weights: cost weights; None for those of `LQR`.
+        retimed: whether slews are planned again with new estimates.
 
     Attributes:
-        slews: that the arms follow.
-        shape: what an agent makes of them; None for nothing.
+        slews: references of the arms.
+        shaping: changes of the references by an agent; None for none.
     """
 
     state_fields = ("slews", "_paths", "_ages", "_holding", "_goal", "_planned", "shaping")
@@ -59,7 +54,7 @@ class Tracking:
         self._goal, self._on_path = np.zeros((0, model.n_joints)), np.zeros(0, dtype=bool)  # whether goals move
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,); they are planned from the first estimate of where they are."""
+        """Start new episodes of the arms (r,); their references are planned at the first estimate of the state."""
         for name in ("_ages", "_holding", "_goal", "_on_path", "_planned"):
             setattr(self, name, pad_rows(getattr(self, name), count))
         self.slews.allocate(count)
@@ -73,7 +68,7 @@ class Tracking:
             table.save()
 
     def torques(self, estimate: Estimate, active: BoolArray) -> Array:
-        """Gives torques (b, n) N m, within the limits, and moves on by a period; 0 for arms that do not play."""
+        """Return the torques (b, n) within the limits, N m, and advance by a control period; 0 for inactive arms."""
         arms, result = np.flatnonzero(active), np.zeros((len(active), len(self.limits)))
         if not len(arms):
             return result
@@ -96,12 +91,12 @@ class Tracking:
         return result
 
     def clock(self, estimate: Estimate, arms: IntArray) -> Array:
-        """Gives the times (r,) s on the slews of arms (r,) at which torques that are asked for now begin to act."""
+        """Return the times (r,) on the slews of arms (r,) at which torques commanded now take effect, s."""
         now = (self._ages[arms] + estimate.lead[arms]).astype(float) * self._period
         return now + self.shaping.clock_offset[arms] if self.shaping else now
 
     def plan(self, estimate: Estimate, active: BoolArray) -> None:
-        """Plans for the arms (b,) that are active, once in a period; `torques` does it where nobody has."""
+        """Plan the references of the active arms (b,), once per control period; called by `torques` if necessary."""
         due = active & ~self._planned
         if due.any():
             arms = np.flatnonzero(due)
@@ -109,11 +104,11 @@ class Tracking:
             self._planned |= due
 
     def reference(self, estimate: Estimate, arms: IntArray) -> Array:
-        """Gives the states (r, 2 d) in which arms (r,) should be when torques that are asked for now begin to act."""
+        """Return the reference states (r, 2 d) of arms (r,) at the time at which torques commanded now take effect."""
         return self._reference(self.clock(estimate, arms), arms)[0]
 
     def _reference(self, now: Array, arms: IntArray) -> tuple[Array, Array]:
-        """States (r, 2 d) of the references of arms (r,) at times (r,) s, and torques (r, n) in the period after."""
+        """Return reference states (r, 2 d) at times (r,) s, and torques (r, n) of the following period."""
         moving = self._on_path[arms]
         if moving.all():
             return self._paths.at(now, arms)
@@ -126,7 +121,7 @@ class Tracking:
         return states, torques
 
     def _plan(self, arms: IntArray, estimate: Estimate) -> None:
-        """Plans for arms (r,) that begin, and looks at the parameters of the others now and then."""
+        """Plan the references of arms (r,) at their start, and adapt those of the others at fixed intervals."""
         due, follows = self._ages[arms] % ADAPTATION_INTERVAL == 0, self._on_path[arms]
         self._paths.adapt(arms[follows & due], estimate.parameters)
         arms, due = arms[~follows], due[~follows] & (self._ages[arms[~follows]] > 0)
@@ -144,15 +139,16 @@ class Tracking:
 
 
 class OutputFeedback:
-    """Torques of a tracking law on the state that an observer estimates.
+    """Output feedback: an observer estimates the state, and a tracking law computes torques from it.
 
-    Where the observer says that it is wrong, as its readings cannot be explained by any arm that it knows, a fallback
-    takes over until the episode ends.
+    If no model of the observer explains the readings of an arm, a fallback controller acts until the end of the
+    episode.
 
     Args:
-        observer: says where the arm is, and what it is like. Its optional member `wrong`, (b,) flags, says where not.
-        law: that follows references.
-        fallback: that needs no model, such as a PD; None for none.
+        observer: estimates state and parameters. Its optional member `inconsistent`, (b,) flags, marks arms whose
+            readings it cannot explain.
+        law: tracking law.
+        fallback: controller that does not depend on a model, such as a PD; None for none.
     """
 
     state_fields = ("observer", "law", "fallback", "_fallback_active", "_updated", "_latest")
@@ -165,11 +161,11 @@ class OutputFeedback:
 
     @property
     def estimates(self) -> Mapping[str, Array]:
-        """What the observer says of the arms, name -> (b, ...)."""
+        """Estimates of the observer, name -> (b, ...)."""
         return getattr(self.observer, "estimates", {})
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,)."""
+        """Start new episodes of the arms (r,)."""
         self.observer.reset(arms, episode, count)
         self.law.reset(arms, episode, count)
         if self.fallback:
@@ -179,7 +175,7 @@ class OutputFeedback:
             getattr(self, name)[arms] = False
 
     def update_estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
-        """Gives what the observer says of the arms (b,) that are active, who is asked once a period of each."""
+        """Return the estimate for the active arms (b,); the observer is updated once per control period."""
         due = active & ~self._updated
         if self._latest and not due.any():
             return Estimate(**self._latest)
@@ -192,7 +188,7 @@ class OutputFeedback:
         return estimate
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Gives actions (b, n), parts of the torque limits."""
+        """Return the actions (b, n), fractions of the torque limits."""
         estimate = self.update_estimate(readings, applied, active)
         self._updated &= ~active
         torques = self.law.torques(estimate, active & ~self._fallback_active) - estimate.disturbance

@@ -48,7 +48,11 @@ def test_an_action_of_nothing_is_the_controller_to_the_bit(base):
     assert np.array_equal(asked, expected)
     assert np.abs(other - expected).max() > 0.1
     assert shaped.episodes.agent.mode.names == ("pace", "offset_1", "torque_1")
-    assert seen.shape[2] == sum(shaped.episodes.agent.mode.observation_sizes.values()) == shaped.single_observation_space.shape[0]
+    assert (
+        seen.shape[2]
+        == sum(shaped.episodes.agent.mode.observation_sizes.values())
+        == shaped.single_observation_space.shape[0]
+    )
 
 
 def network(size, actions=3):

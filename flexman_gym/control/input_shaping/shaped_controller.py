@@ -1,4 +1,4 @@
-"""Controller whose command is filtered by an input shaper."""
+"""Controller with an input shaper for its command."""
 
 from functools import reduce
 from typing import Any
@@ -23,7 +23,7 @@ from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import rest_states, rest_tips
 
 MAX_MODES = 2
-REST_PERIODS = 40  # control periods at the goal, with which a path ends, so that splines through it do so at rest
+REST_PERIODS = 40  # control periods at the goal at the end of a path, so that splines through it end at rest
 ANGLE_QUANTITIES, RATE_QUANTITIES = ("angle_errors", "angle_command"), ("goal_rates", "rate_command")
 TIP_QUANTITIES, TIP_RATE_QUANTITIES = ("target_error", "tip_command"), ("tip_velocity_command",)
 SHIFTED_QUANTITIES = (*ANGLE_QUANTITIES, *RATE_QUANTITIES, *TIP_QUANTITIES, *TIP_RATE_QUANTITIES)
@@ -32,32 +32,29 @@ REFUSED_QUANTITIES = (
     "fine_angle_errors",
     "fine_target_error",
     "preview",
-)  # tell the goal as nothing here can
+)  # readings of the goal that cannot be shaped
 
 
 class InputShapedController:
-    """A controller behind a shaper: the command of its goal is convolved with impulses that leave no vibration.
+    """Controller whose goal command is convolved with the impulses of an input shaper, to avoid residual vibration.
 
-    The command is a step from start to goal, a minimum-jerk motion, or the path of a goal that moves. The controller
-    inside gets it as the `reference` of its Episode, and what it reads of the goal (angle_errors, goal_rates,
-    angle_command, rate_command, target_error, tip_command, tip_velocity_command) tells the shaped command. An LQR stays
-    at the goal of the reset; it reads a state that is moved by as much instead. A TrackingLQR needs a duration, for no
-    arm follows steps.
+    The command is a step from start to goal, a minimum-jerk motion, or the path of a moving goal. The inner controller
+    gets the shaped command as `EpisodeInfo.reference` and in its readings of the goal: angle_errors, goal_rates,
+    angle_command, rate_command, target_error, tip_command, tip_velocity_command. An LQR is designed for the goal of
+    the reset and reads a state shifted by the same amount. A TrackingLQR requires a duration, since no arm follows a
+    step.
 
-    It cancels vibration of the motors' command, not that of disturbances. The modes are those with motors held: a
-    controller so soft that its motors give way has others.
+    Shaping prevents vibration due to the command, not due to disturbances. The modes are those with held motors; a soft
+    controller whose motors yield has other modes.
 
     Args:
         inner: any Controller.
-        model: of the arm, for modes and tips.
-        shaper: a name of SHAPERS.
-        modes: how many of the lowest are shaped, 1 or 2; or one or two pairs of frequency (Hz) and damping ratio.
-        places: on the way from start to goal, from 0 to 1, of whose modes the mean is taken.
-        duration: of the minimum-jerk motion before it is shaped, s; 0 for a step.
-        tolerance: residual that EI shapers allow, a part.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+        model: for modes and tip positions.
+        shaper: name in `SHAPERS`.
+        modes: number of lowest modes, 1 or 2; or one or two pairs of frequency (Hz) and damping ratio.
+        places: path parameters from 0 to 1 over whose modes the mean is taken.
+        duration: of the minimum-jerk motion before shaping, s; 0 for a step.
+        tolerance: residual vibration tolerated by EI shapers, as a fraction.
     """
 
     state_fields = ("_now", "inner")
@@ -86,7 +83,7 @@ class InputShapedController:
         self._now = np.zeros(0, dtype=np.int64)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Shapes the commands of the arms (r,), one by one, and starts the controller inside."""
+        """Compute the shaped commands of the arms (r,), and start new episodes of the inner controller."""
         self._now = pad_rows(self._now, count)
         self._now[arms] = 0
         for row, arm in enumerate(arms.tolist()):
@@ -98,10 +95,10 @@ class InputShapedController:
             self.inner.reset(np.array([arm]), EpisodeInfo(start[None], goal[None], episode.period, command.path), count)
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> NDArray[Any]:
-        """Gives the actions (b, n) of the controller inside, which reads the shaped command.
+        """Return the actions (b, n) of the inner controller for the shaped command.
 
         Raises:
-            ValueError: for a reading that tells the goal and cannot be replaced.
+            ValueError: for a reading of the goal that cannot be shaped.
         """
         seen = dict(readings)
         for name, values in readings.items():
@@ -116,7 +113,7 @@ class InputShapedController:
         return self.inner.act(seen, applied, active)
 
     def combined(self, postures: Array) -> Shaper:
-        """Gives the shaper of all modes that are shaped, for postures (p, n) rad of whose modes the mean is taken."""
+        """Return the shaper of all shaped modes, averaged over postures (p, n) rad."""
         modes = self._own
         if modes is None:
             found = [excited_modes(self.model, posture)[: self._count, :2] for posture in postures]
@@ -129,7 +126,7 @@ class InputShapedController:
         )
 
     def _command(self, start: Array, goal: Array, period: float, path: Array | None) -> "_Command":
-        """What one arm is told, period by period, in place of its goal."""
+        """Return the shaped command of one arm."""
         if path is None:
             count = int(np.ceil(self.duration / period)) + 1
             times = period * np.arange(count, dtype=np.float64)
@@ -151,7 +148,7 @@ class InputShapedController:
 
 
 class _Command:
-    """A shaped command (K, n) beside the true goal (K, n), and how readings of the goal differ between them."""
+    """Shaped command (K, n) of one arm, and the differences of readings between it and the true goal (K, n)."""
 
     def __init__(
         self, model: Model, period: float, angles: Array, rates: Array, true: Array, true_rates: Array
@@ -162,11 +159,11 @@ class _Command:
         self._moves: dict[str, Array] = moves
 
     def path(self) -> Array:
-        """The shaped command of one arm, as an Episode has it."""
+        """Return the shaped command of one arm as `EpisodeInfo.reference`."""
         return self.angles[None]
 
     def move(self, name: str) -> Array:
-        """What to add (K, size) to a reading; of states and tips when it is asked for."""
+        """Return the offset (K, size) of a reading; those of states and tips are computed on first use."""
         if name == "state" and name not in self._moves:
             self._moves[name] = rest_states(self._model, self._true[:1]) - rest_states(self._model, self.angles)
         elif name not in self._moves:
@@ -177,7 +174,7 @@ class _Command:
 
 
 def _late(parts: Array, values: Array) -> Array:
-    """Values (K, n), zero before, convolved with parts (m,) of them that come late."""
+    """Return values (K, n), zero before, convolved with the fractions (m,) of a sampled shaper."""
     result = np.zeros_like(values)
     for late, part in enumerate(parts[: len(values)]):
         result[late:] += part * values[: len(values) - late]
@@ -185,7 +182,7 @@ def _late(parts: Array, values: Array) -> Array:
 
 
 def _pairs(value: object) -> Array:
-    """Frequencies (Hz) and damping ratios (k, 2) of modes that are given."""
+    """Return given modes (k, 2) as frequencies (Hz) and damping ratios."""
     pairs = sequence("Shaped.modes", value, "pairs of frequency (Hz) and damping ratio")
     if not 1 <= len(pairs) <= MAX_MODES:
         raise value_error("Shaped.modes", value, f"1 to {MAX_MODES} pairs of frequency (Hz) and damping ratio")

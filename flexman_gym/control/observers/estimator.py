@@ -20,37 +20,34 @@ from flexman_gym.control.observers.perturbed_models import (
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import rest_states
 
-RESIMULATION_PERIODS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods after which all is simulated again
-LAST_DELAY_SEARCH = 20  # at replays so early the delay is looked for
-UPDATE_INTERVAL = 5  # periods after which the trials take over what was estimated
-START_ANGLE_DEVIATION = 1e-4  # rad, deviation of an angle at the start that is told
-MAX_STATE = 100.0  # largest entry of a state of a trial that still says something
-MAX_PERTURBATION = 0.5  # rad, by which trials may differ before they are drawn together
-DETECTION_START = 25  # control periods of a start in which no change is looked for
-START_ANGLE_BOUND = 10.0  # deviations, up to which an angle at the start is looked for
+RESIMULATION_PERIODS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods; age of an episode
+LAST_DELAY_SEARCH = 20  # control period; the delay is fitted at resimulations up to here
+UPDATE_INTERVAL = 5  # control periods between two shifts of the models to the estimate
+START_ANGLE_DEVIATION = 1e-4  # rad; standard deviation of start angles that are given
+MAX_STATE = 100.0  # largest entry of a usable state of a model
+MAX_PERTURBATION = 0.5  # rad; difference of motor angles beyond which perturbations are reduced
+DETECTION_START = 25  # control periods at the start of an episode without change detection
+START_ANGLE_BOUND = 10.0  # standard deviations; largest estimated deviation of a start angle
 
 
 class Estimator:
-    """Output-error observer: unknown parameters, angles at the start and delay are fitted to all readings so far.
+    """Output-error observer: parameters, start angles and delay are fitted to all measurements of the episode.
 
-    There is no process noise: what an arm does follows from its parameters, its start and the torques that were
-    applied. Beside the arm as it is estimated move others with one unknown changed each. A recursive least-squares fit
-    follows them, and now and then all is simulated again from the start with Levenberg-Marquardt steps, which removes
-    the error of linearisation (Ljung, System Identification, 2nd ed., 1999, chapters 7 and 10).
+    The model has no process noise: the motion follows from parameters, start and applied torques. Perturbed models,
+    one for each fitted number, move alongside the estimated model and yield the sensitivities of a recursive
+    least-squares fit. At certain periods the whole episode is simulated again from the start with Levenberg-Marquardt
+    steps, which removes linearisation errors (Ljung, System Identification, 2nd ed., 1999, chapters 7 and 10).
 
     Args:
-        plant: the arm, what is unknown of it, and how exact instruments are.
+        plant: plant model with uncertain parameters and the noise of the instruments.
         sensors: names in `model.linearization.LINEAR_SENSORS`.
-        unknown: name -> (low, high), see `unknowns.make_unknowns`; None takes those of the plant.
-        biased: whether each reading may be off by a constant of up to 0.5 % of its range. The angles at the start are
-            then taken as they are told, for encoders that are off cannot tell them.
+        unknown: name -> (low, high), see `UncertainParameters`; None for those of the plant.
+        biased: whether measurements may have a bias of up to 0.5 % of their range. Start angles are then those of
+            `EpisodeInfo`, since biased encoders do not determine them.
 
     Attributes:
-        numbers: (b, p) what is estimated: unknowns, angles (rad) of the start against `_origin`, biases.
+        numbers: (b, p) fitted numbers: uncertain parameters, start angles (rad) relative to `_origin`, biases.
         delays: (b,) control periods.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
     """
 
     _arrays = (
@@ -87,7 +84,7 @@ class Estimator:
         self._allocate()
 
     def _allocate(self) -> None:
-        """Makes the memory of no arm."""
+        """Create the arrays, for zero arms."""
         (m, size), p, trials = self._models.matrix.shape, self._models.size, 1 + self._models.dynamic
         n, late, rows = self._plant.model.n_joints, self._plant.delay[1], len(self._weights)
         self.numbers, self._change = np.zeros((0, p)), np.zeros((0, p))
@@ -101,7 +98,7 @@ class Estimator:
         self._perturbations_reduced, self._filtering = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,)."""
+        """Start new episodes of the arms (r,)."""
         if count > len(self._ages):
             for name in (*self._arrays, "_given_angles", "_simulated_numbers"):
                 setattr(self, name, pad_rows(getattr(self, name), count))
@@ -114,7 +111,7 @@ class Estimator:
         self._prediction.reset(arms, count)
 
     def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
-        """Gives what is known now; see `Observer`."""
+        """Return the estimate of this control period; see `Observer`."""
         now = self._instruments.read(readings)
         fresh, later = (np.flatnonzero(active & flags) for flags in (self._ages == 0, self._ages > 0))
         if len(fresh):
@@ -138,18 +135,18 @@ class Estimator:
 
     @property
     def inconsistent(self) -> BoolArray:
-        """Which arms (b,) nothing known explains, after their change or push has been looked for."""
+        """Flags (b,) of arms whose measurements are not explained, even after a restart for a change or a tip force."""
         return self._detector.inconsistent & ((self._ages > DETECTION_START) | self._filtering)
 
     @property
     def estimates(self) -> dict[str, Array]:
-        """Physical parameters by name, (b, ...), their standard deviations by name_deviation, `delay` and `misfit`."""
+        """Parameters by name, (b, ...), their standard deviations by name_deviation, `delay` and `misfit`."""
         values = self._models.parameters(self._prior.clip(self.numbers + self._change))
         spread = self._models.uncertain.deviations(standard_deviations(self._information))
         return values | spread | {"delay": self.delays.astype(float), "misfit": self._detector.misfit}
 
     def _begin(self, arms: IntArray, now: Array) -> None:
-        """Begins the fits of arms (r,) with their first readings (r, m)."""
+        """Start the fits of arms (r,) with their first measurements (r, m)."""
         angles = self._given_angles[arms] if self._encoders is None else now[:, self._encoders]
         self._origin[arms] = rest_states(self._plant.model, angles)
         self._readings[arms, 0] = now
@@ -160,7 +157,7 @@ class Estimator:
             self._filtering[arms] = self._start_filter(arms, sudden=False)
 
     def _restart_after_change(self, arms: IntArray) -> None:
-        """Lets arms (r,) that their fit explains no longer begin anew: a load was picked up, or something pushes."""
+        """Restart the fit of arms (r,) with a detected change, such as a new payload or an external force."""
         known, states = len(self.uncertain.names), self._current_states(arms)
         self.numbers[arms] = self._prior.clip(self.numbers[arms] + self._change[arms])
         self.numbers[arms, known : self._models.dynamic], self._change[arms] = 0.0, 0.0
@@ -171,12 +168,12 @@ class Estimator:
         self._filtering[arms] = self._start_filter(arms, sudden=True)
 
     def _start_filter(self, arms: IntArray, sudden: bool) -> BoolArray:
-        """Begins to correct the states of arms (r,) by their readings; says for which of them it can."""
+        """Start the correction of arms (r,) by innovations; return flags of those for which it is possible."""
         torques = self._prediction.past[arms, self.delays[arms]]
         return self._innovations.begin(arms, self._current_states(arms), torques, sudden)
 
     def _reduce_perturbations(self, arms: IntArray) -> None:
-        """Lets trials of arms (r,) that have come too far from the first differ by smaller steps."""
+        """Reduce the perturbations of arms (r,) whose perturbed models have diverged from the estimated one."""
         states, motors = self._states[arms], self._plant.model.motor_columns
         spread = np.abs(states[:, 1:, motors] - states[:, :1, motors]).max(axis=2) / MAX_PERTURBATION
         far = spread > 1.0
@@ -187,7 +184,7 @@ class Estimator:
             self._perturbations_reduced[arms] |= far.any(axis=1)
 
     def _set_parameters(self, arms: IntArray) -> None:
-        """Gives the simulated arms beside arms (r,) the numbers as they are, where they have others."""
+        """Set the parameters of the simulated models of arms (r,) to the estimated numbers where these have changed."""
         wanted = np.hstack([self.numbers[arms], self._steps[arms]])
         stale = (wanted != self._simulated_numbers[arms]).any(axis=1)
         if stale.any():
@@ -200,14 +197,14 @@ class Estimator:
 
     @property
     def _batch_key(self) -> tuple[str, int]:
-        """Purpose and number of the trials of all arms."""
-        return "beside", self._states.shape[0] * self._states.shape[1]
+        """Purpose and size of the batch with the models of all arms."""
+        return "models", self._states.shape[0] * self._states.shape[1]
 
     def _rows(self, arms: IntArray) -> IntArray:  # (r, 1 + s) of the trials
         return arms[:, None] * self._states.shape[1] + np.arange(self._states.shape[1])
 
     def _advance(self, arms: IntArray, actions: Array) -> None:
-        """Moves the trials of arms (r,) by a period, and keeps what was asked for in it, parts of the limits (r, n)."""
+        """Advance the models of arms (r,) by a period under the commanded torques, fractions of the limits (r, n)."""
         self._set_parameters(arms)
         self._prediction.record(arms, actions)
         past, few = self._prediction.past, arms[self._ages[arms] <= len(self._weights)]
@@ -220,7 +217,7 @@ class Estimator:
         self._states[lost], self._detector.misfit[lost] = self._origin[lost][:, None], MAX_STATE
 
     def _update_fit(self, arms: IntArray, now: Array) -> None:
-        """Takes the readings (r, m) of arms (r,) into their fits."""
+        """Update the recursive least-squares fits of arms (r,) with measurements (r, m)."""
         slopes = self._models.measurement_jacobian(self._models.jacobian(self._states[arms], self._steps[arms]))
         error = now - self._models.read(self._states[arms, 0], self.numbers[arms])
         error -= row_dots(slopes, self._change[arms][:, None])
@@ -240,7 +237,7 @@ class Estimator:
             self._apply_change(due)
 
     def _correct(self, arms: IntArray, now: Array) -> None:
-        """Moves all trials of arms (r,) towards what was read (r, m), each by its own error."""
+        """Correct each model of arms (r,) by its own innovation with respect to the measurements (r, m)."""
         states, numbers = self._states[arms], self._models.perturb(self.numbers[arms], self._steps[arms])
         error = now[:, None] - self._models.read(
             states.reshape(-1, states.shape[2]), numbers.reshape(-1, numbers.shape[2])
@@ -249,7 +246,7 @@ class Estimator:
         self._states[arms] = states + row_dots(gain[:, None], error[:, :, None])
 
     def _apply_change(self, arms: IntArray) -> None:
-        """Lets the trials of arms (r,) take over what was estimated since they last did."""
+        """Shift the models of arms (r,) by the parameter change estimated since the last shift."""
         before = self.numbers[arms]
         self.numbers[arms] = self._prior.clip(before + self._change[arms])
         moved = (self.numbers[arms] - before)[:, None, : self._models.dynamic]
@@ -258,7 +255,7 @@ class Estimator:
         self._reduce_perturbations(arms)
 
     def _refit(self, arms: IntArray, age: int) -> None:
-        """Fits the numbers of arms (r,) to all readings since their start."""
+        """Fit the numbers of arms (r,) to all measurements since the start of the episode."""
         self.numbers[arms] = self._prior.clip(self.numbers[arms] + self._change[arms])
         start, read = (self._origin[arms], self.numbers[arms]), self._readings[arms, : age + 1]
         weights = np.broadcast_to(self._weights[: age + 1], read.shape)
@@ -288,13 +285,13 @@ class Estimator:
         return self._torques[arms[:, None], self._plant.delay[1] + np.arange(periods) - delays[:, None]]
 
     def _current_states(self, arms: IntArray) -> Array:
-        """States (r, 2 d) of arms (r,) now, as they are estimated."""
+        """Return the estimated states (r, 2 d) of arms (r,) at the last measurement."""
         moved = self._change[arms][:, None, : self._models.dynamic]
         result: Array = self._states[arms, 0]
         return result + row_dots(self._models.jacobian(self._states[arms], self._steps[arms]), moved)
 
     def _state_at_effect(self, arms: IntArray) -> Estimate:
-        """What is known of all arms when torques that the arms (r,) are asked for now begin to act."""
+        """Return the estimate, with the active arms (r,) predicted to the effect of torques commanded now."""
         states = self._states[:, 0].copy()
         states[arms] = self._current_states(arms)
         numbers = self._prior.clip(self.numbers + self._change)

@@ -12,24 +12,25 @@ from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, Measureme
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import holding_torques, rest_states
 
-MAX_DOUBLINGS = 20  # a million periods
-VARIANCE_TOLERANCE = 1e-6  # part by which the last doubling may still change a variance
+MAX_DOUBLINGS = 20  # 2^20, a million, periods
+VARIANCE_TOLERANCE = 1e-6  # 1; relative change of a variance in the last doubling, above which it is taken as infinite
 
 
 def time_update(covariance: Array, transition: Array, noise: Array) -> Array:
-    """Gives covariances (..., s, s) a period later; noise (..., s, s) is the covariance of what came in it."""
+    """Return covariances (..., s, s) after a period with process noise covariance (..., s, s)."""
     return _symmetric_part(transition @ covariance @ transition.mT + noise)
 
 
 def measurement_update(covariance: Array, matrix: Array, variances: Array) -> tuple[Array, Array]:
-    """Gives the gains (..., s, m) for the errors of readings, and the covariances (..., s, s) with them.
+    """Return Kalman gains (..., s, m) and the updated covariances (..., s, s).
 
-    Kalman, Journal of Basic Engineering 82 (1960), 35, in the form of Joseph, which rounding leaves positive.
+    Kalman, Journal of Basic Engineering 82 (1960), 35, in Joseph's form, which stays positive semidefinite under
+    rounding.
 
     Args:
-        covariance: (..., s, s) before the readings.
-        matrix: (m, s) of the readings by the state.
-        variances: (m,) of the noise of readings.
+        covariance: (..., s, s) before the measurement.
+        matrix: (m, s) of the measurements with respect to the state.
+        variances: (m,) of the measurement noise.
     """
     across = matrix @ covariance
     gain: Array = np.asarray(np.linalg.solve(across @ matrix.T + np.diag(variances), across), dtype=float).mT
@@ -38,11 +39,11 @@ def measurement_update(covariance: Array, matrix: Array, variances: Array) -> tu
 
 
 def stationary_covariance(transition: Array, noise: Array, matrix: Array, variances: Array) -> Array:
-    """Gives the covariances (..., s, s) before the readings of a period to which many periods lead.
+    """Return the stationary covariances (..., s, s) before a measurement.
 
-    By doubling: each pass goes on by as many periods as there have been, which needs no eigenvalues (Anderson,
-    International Journal of Control 28, 1978, 295). Arguments are those of `time_update` and `measurement_update`.
-    Entries of what the readings do not tell are infinite.
+    Each pass of the doubling algorithm doubles the number of periods and needs no eigenvalues (Anderson, International
+    Journal of Control 28, 1978, 295). The arguments are those of `time_update` and `measurement_update`. Entries of
+    unobservable states are infinite.
     """
     passing, told, result = transition.mT, (matrix.T / variances) @ matrix, noise
     before, eye = result, np.eye(matrix.shape[1])
@@ -61,54 +62,47 @@ def stationary_covariance(transition: Array, noise: Array, matrix: Array, varian
 
 
 def _symmetric_part(matrix: Array) -> Array:
-    """The symmetric part."""
+    """Return the symmetric part."""
     result: Array = 0.5 * (matrix + matrix.mT)
     return result
 
 
-TORQUE_NOISE, FORCE_NOISE = (
-    0.005,
-    0.005,
-)  # of their scales, deviation of unknown torques and forces on the tip, new each period
-MISMATCH_FORCE_NOISE = (
+TORQUE_NOISE = 0.005  # fraction of the torque limits; standard deviation of random torques in each period
+FORCE_NOISE = 0.005  # fraction of the force scale; standard deviation of random tip forces in each period
+MISMATCH_FORCE_NOISE = (  # in place of FORCE_NOISE for uncertain plants, whose model errors act like forces
     0.03  # in place of the latter where arms differ from the model: payloads and springs pull with what is amiss
 )
-OFFSET_DEVIATION, OFFSET_DRIFT = (
-    0.1,
-    0.05,
-)  # of the torque limits, deviation of a constant torque at first; and what a second adds to it
-BIAS_TIME_CONSTANT = 30.0  # s, for which a bias stays
-RELINEARISATION_INTERVAL = 5  # control periods between two looks at the slopes of the motion
+OFFSET_DEVIATION = 0.1  # fraction of the torque limits; initial standard deviation of a constant torque
+OFFSET_DRIFT = 0.05  # fraction of the torque limits, s^(-1/2); random walk of a constant torque
+BIAS_TIME_CONSTANT = 30.0  # s
+RELINEARISATION_INTERVAL = 5  # control periods between two evaluations of the Jacobians
 
 
 class KalmanFilter:
-    """Extended Kalman filter: the simulator predicts the state, readings correct it by their errors.
+    """Extended Kalman filter: the simulator predicts the state, and innovations correct it.
 
-    How exact an estimate is, a covariance, follows the slopes of the simulated motion; that of an arm at its start is
-    the one to which a long rest would lead. The noise of the process are unknown torques on the motors and forces on
-    the tip. Beside the state it may estimate constants: torques on the motors, which a controller then takes away
-    (integral action), and biases of readings (Anderson and Moore, Optimal Filtering, 1979, chapters 3, 8 and 9).
+    The covariance follows the Jacobians of the simulated motion; at the start it is that of a long rest. Process noise
+    consists of random torques on the motors and forces on the tip. The state may be augmented by constants: torques on
+    the motors, which a controller then compensates (integral action), and biases of measurements (Anderson and Moore,
+    Optimal Filtering, 1979, chapters 3, 8 and 9).
 
-    An arm is at rest at its start, where its encoders say. Of a range of delays the middle is taken.
+    The arm starts at rest at the angles of its encoders. For a range of delays, the mean delay is assumed.
 
     Args:
-        plant: the arm, the delay of torques, and how exact instruments are.
+        plant: plant model with the delay of the torques and the noise of the instruments.
         sensors: names in `model.linearization.LINEAR_SENSORS`, "motor_encoders" among them.
-        noise: deviations of the unknown torques, a part of the torque limits, and of the forces on the tip, a part of
-            what the strongest motor bears at the whole reach; None takes 0.005 and 0.005, or 0.005 and 0.03 for a plant
-            with unknown parameters, and as much as its `push`.
+        noise: standard deviations of the random torques, as a fraction of the torque limits, and of the tip forces, as
+            a fraction of the force that the strongest motor balances at full reach. None for 0.005 and 0.005, or 0.005
+            and 0.03 for a plant with uncertain parameters, and in addition the plant's `tip_force`.
         disturbed: whether constant torques on the motors are estimated.
-        biased: whether each reading may be off by a constant of up to 0.5 % of its range.
-        fixed: whether the gain is the stationary one at the goal throughout an episode, which takes less time and suits
-            arms that stay near.
+        biased: whether biases of the measurements, up to 0.5 % of their range, are estimated.
+        fixed: whether the gain is the stationary one at the goal throughout an episode; faster, for arms that stay near
+            their goal.
 
     Attributes:
         delay: control periods.
-        states: (b, s) state, constant torques (N m) and biases as they are estimated at the last readings.
-        covariance: (b, s, s) of their errors; that of the start where the gain is fixed.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+        states: (b, s) estimates after the last measurement: state, constant torques (N m) and biases.
+        covariance: (b, s, s) of their errors; that of the start if the gain is fixed.
     """
 
     state_fields = ("states", "covariance", "_transition", "_noise", "_prediction", "_ages")
@@ -146,17 +140,17 @@ class KalmanFilter:
         self._allocate()
 
     def _allocate(self) -> None:
-        """Makes the memory of no arm."""
+        """Create the arrays, for zero arms."""
         m, s = self._matrix.shape
         self.states = np.zeros((0, s))
         self.covariance, self._transition, self._noise = (np.zeros((0, s, s)) for _ in range(3))
         self._ages, self._gain = np.zeros(0, dtype=np.int64), np.zeros((0, s, m))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,).
+        """Start new episodes of the arms (r,).
 
         Raises:
-            ValueError: for sensors that do not tell the state, where the gain is fixed.
+            ValueError: with a fixed gain, for sensors from which the state is not observable.
         """
         for name in ("states", "covariance", "_transition", "_noise", "_ages", "_gain"):
             setattr(self, name, pad_rows(getattr(self, name), count))
@@ -167,12 +161,12 @@ class KalmanFilter:
             self._gain[arms] = measurement_update(covariance, self._matrix, self._variances)[0]
 
     def _rest(self, postures: Array) -> tuple[Array, Array]:
-        """States (r, 2 d) at rest at postures (r, n) rad, and the torques (r, n) N m that hold them."""
+        """Return equilibrium states (r, 2 d) at postures (r, n) rad and the holding torques (r, n), N m."""
         model = self._plant.model
         return rest_states(model, postures), np.array([holding_torques(model, each) for each in postures])
 
     def _system(self, states: Array, torques: Array) -> tuple[Array, Array, BoolArray]:
-        """Transition and noise (r, s, s) in a period of all that is estimated, and where they are good (r,)."""
+        """Return transition and process noise (r, s, s) of the augmented state, and flags (r,) of success."""
         slopes, good = self._jacobians(states, torques)
         size, count, s = self._size, len(states), self._matrix.shape[1]
         transition, noise, inputs = np.zeros((count, s, s)), np.zeros((count, s, s)), slopes[..., size:]
@@ -184,7 +178,7 @@ class KalmanFilter:
         return transition, noise, good
 
     def _stationary(self, transition: Array, noise: Array, part: slice) -> Array:
-        """The stationary covariance before readings of a part of what is estimated."""
+        """Return the stationary covariance, before a measurement, of a part of the augmented state."""
         result = stationary_covariance(
             transition[:, part, part], noise[:, part, part], self._matrix[:, part], self._variances
         )
@@ -193,10 +187,10 @@ class KalmanFilter:
         return result
 
     def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
-        """Gives what is known now; see `Observer`.
+        """Return the estimate of this control period; see `Observer`.
 
         Raises:
-            ValueError: for sensors that do not tell the state.
+            ValueError: for sensors from which the state is not observable.
         """
         now = self._instruments.read(readings)
         fresh, later = (np.flatnonzero(active & flags) for flags in (self._ages == 0, self._ages > 0))
@@ -213,7 +207,7 @@ class KalmanFilter:
         return Estimate(ahead, delays, {}, offset)
 
     def _begin(self, arms: IntArray, now: Array) -> None:
-        """Begins with the first readings (r, m) of arms (r,), of which encoders say where they are."""
+        """Initialise the arms (r,) from their first measurements (r, m), with angles from the encoders."""
         places, core, model = self._instruments.places["motor_angles"], slice(0, self._size), self._plant.model
         self.states[arms, core], held = self._rest(now[:, places])
         self._transition[arms], self._noise[arms], _ = self._system(self.states[arms, core], held)
@@ -225,7 +219,7 @@ class KalmanFilter:
         self.covariance[arms] = covariance
 
     def _predict(self, arms: IntArray) -> None:
-        """Moves arms (r,) on through the period that is over."""
+        """Predict the states of arms (r,) over the previous period."""
         states, torques = self.states[arms, : self._size], self._prediction.past[arms, self.delay] + self._offset(arms)
         if not self._fixed:
             due = self._ages[arms] % RELINEARISATION_INTERVAL == 0
@@ -238,11 +232,11 @@ class KalmanFilter:
         self.states[arms, self._size :] *= self._decay
 
     def _offset(self, arms: IntArray) -> Array:
-        """Constant torques (r, n) N m on the motors of arms (r,) as they are estimated."""
+        """Return the estimated constant torques (r, n) on the motors of arms (r,), N m."""
         return self.states[arms, self._offsets] if self._disturbed else np.zeros((len(arms), len(self._limits)))
 
     def _correct(self, arms: IntArray, now: Array) -> None:
-        """Takes the readings (r, m) of arms (r,) into account."""
+        """Correct the states of arms (r,) by their measurements (r, m)."""
         error = now - row_dots(self._matrix, self.states[arms][:, None])
         gain = self._gain[arms]
         if not self._fixed:

@@ -12,14 +12,14 @@ from flexman_gym.model.linearization import LINEAR_SENSORS, LinearMeasurements
 
 
 class Estimate(NamedTuple):
-    """What is known of b arms when a controller has to act.
+    """Estimate of the states and parameters of b arms for a control period.
 
     Attributes:
-        states: (b, 2 d) of the moment at which torques that are asked for now begin to act.
-        lead: (b,) whole control periods from now to that moment.
-        parameters: name -> (b, ...) physical parameters as they are estimated, in their units; those that are not in it
-            are the model's.
-        disturbance: (b, n) constant torques on the motors beside those that are asked for, N m.
+        states: (b, 2 d) predicted for the time at which torques commanded now take effect.
+        lead: (b,) whole control periods until that time.
+        parameters: name -> (b, ...) estimated physical parameters in their units; the model's values where a name is
+            missing.
+        disturbance: (b, n) constant torques on the motors in addition to the commanded ones, N m.
     """
 
     states: Array
@@ -29,30 +29,34 @@ class Estimate(NamedTuple):
 
 
 class Observer(Protocol):
-    """The protocol of an observer of b arms. Its estimate of an arm must not depend on the others, to the last bit.
+    """Protocol of observers of b arms. The estimate of an arm must not depend on the other arms, to the last bit.
 
-    An optional member is `state_fields`, as of a Controller.
+    Optional members are `state_fields`, as in `Controller`; `estimates`, name -> (b, ...), added to `info`; and
+    `inconsistent`, (b,) flags of arms whose readings the observer cannot explain.
 
     Attributes:
-        sensors: names of the sensors that it reads.
+        sensors: names of the sensors that the observer reads.
     """
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Names of the sensors that it reads."""
+        """Names of the sensors that the observer reads."""
         ...
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,)."""
+        """Start new episodes of the arms (r,)."""
         ...
 
     def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
-        """Gives what is known now; arguments are those of `Controller.act`, and it is asked once a control period."""
+        """Return the estimate of this control period; arguments are those of `Controller.act`.
+
+        An observer is called once per control period.
+        """
         ...
 
 
-MAX_BIAS = 0.005  # of a range, up to which a biased reading is off
-MIN_DEVIATION = 1e-4  # of a range, least deviation of a reading: no model is truer
+MAX_BIAS = 0.005  # 1; largest bias of a reading, fraction of the range
+MIN_DEVIATION = 1e-4  # 1; least standard deviation of a reading, fraction of the range; accounts for model errors
 
 
 class MeasurementModel:

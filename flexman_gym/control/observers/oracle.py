@@ -17,12 +17,12 @@ DEVIATION_DECAY = {"payload_mass": (0.2, 3.0), "joint_stiffness": (0.1, 3.0), "l
 
 
 class Oracle:
-    """True state, moved on through the delay by the true arm. It is privileged: nobody could build it.
+    """Oracle: the true state, predicted over the delay with the true parameters. It is privileged.
 
     Args:
-        plant: the arm, whose parameters each episode tells.
-        doubt: whether parameters that are unknown become known only as the estimating observer finds them out, with
-            errors of its standard deviations, for agents that learn what they shall do on its estimates.
+        plant: plant model; the true parameters are those of each episode.
+        doubt: whether uncertain parameters carry a simulated estimation error that decays as that of `Estimator` does,
+            for agents that are trained on the oracle and run on estimates.
     """
 
     sensors: tuple[str, ...] = ("state",)
@@ -37,7 +37,7 @@ class Oracle:
         self._numbers = np.zeros((0, 2, len(self._uncertain.names) if self._uncertain else 0))  # true ones, and errors
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Takes parameters and delays of new episodes of the arms (r,)."""
+        """Store parameters and delays of new episodes of the arms (r,)."""
         self._prediction.reset(arms, count, episode.drawn.get("torque_limit"))
         self._prediction.remember(int(np.max(episode.drawn.get("delay", 0), initial=0)))
         drawn = {name: values.astype(float) for name, values in episode.drawn.items() if name in PARAMETERS}
@@ -55,7 +55,7 @@ class Oracle:
                 self._numbers[arm, 1] = random.standard_normal(self._numbers.shape[2])
 
     def _normalised_parameters(self, arms: IntArray) -> Array:
-        """What is unknown of arms (r,), (r, p), see `Unknowns`."""
+        """Return the true numbers (r, p) of the uncertain parameters of arms (r,), see `UncertainParameters`."""
         assert self._uncertain is not None
         columns = zip(self._uncertain.names, self._uncertain.joints, self._uncertain.scales, strict=True)
         values = [(self._parameters[name][arms], joint, scale) for name, joint, scale in columns]
@@ -63,13 +63,13 @@ class Oracle:
 
     @property
     def _remaining_deviation(self) -> Array:
-        """Parts of the deviations (b, p) that are left."""
+        """Remaining fraction (b, p) of the prior deviations."""
         assert self._uncertain is not None
         scales, powers = np.array([DEVIATION_DECAY[name] for name in self._uncertain.names]).T
         return 1.0 / (1.0 + (self._ages[:, None] * self._plant.period / scales) ** powers)
 
     def _current_parameters(self) -> dict[str, Array]:
-        """Parameters of all arms, those with doubt as they may be known by now."""
+        """Return the parameters of all arms, with the simulated estimation errors."""
         if self._uncertain is None:
             return dict(self._parameters)
         uncertain, left, (true, errors) = self._uncertain, self._remaining_deviation, self._numbers.swapaxes(0, 1)
@@ -80,13 +80,13 @@ class Oracle:
 
     @property
     def estimates(self) -> Mapping[str, Array]:
-        """With doubt the standard deviations of parameters, name_deviation -> (b, ...)."""
+        """Standard deviations of the simulated errors, name_deviation -> (b, ...); {} without them."""
         if self._uncertain is None:
             return {}
         return self._uncertain.deviations(self._remaining_deviation * self._uncertain.deviation)
 
     def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
-        """Gives what is true when torques that are asked for now begin to act; see `Observer`."""
+        """Return the true state at the time at which torques commanded now take effect; see `Observer`."""
         states, arms = np.array(readings["state"], dtype=float), np.flatnonzero(active)
         self._prediction.record(arms, applied[arms])
         states[arms] = self._prediction(arms, states[arms], self._delays[arms])

@@ -1,4 +1,4 @@
-"""Perturbed models: uncertain parameters, simulations with one parameter changed each, and least-squares steps."""
+"""Perturbed models: uncertain parameters, simulations with one perturbed parameter each, and least-squares steps."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -12,11 +12,11 @@ from flexman_gym.control.observers.internal_model import InternalModels
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN, rename_old_keys
 
-PARAMETER_STEP = (
+PARAMETER_STEP = (  # fraction of a range; perturbation of a parameter; 0.03 shifts the phase by a radian in 2 s
     0.0003  # of a range, by which an unknown is changed to see what follows; 0.03 shifts a phase by a radian in 2 s
 )
-RANGE_MARGIN = 0.08  # of a range, by which an estimate may leave it
-KNOWN_RANGE = 1e-3  # of a number that is known, or of 1 where it is 0: the range in which it is
+RANGE_MARGIN = 0.08  # fraction of a range by which an estimate may exceed it
+KNOWN_RANGE = 1e-3  # range of a known number, relative to it, or to 1 if it is 0
 
 
 class UncertainParameters:
@@ -24,8 +24,8 @@ class UncertainParameters:
 
     Args:
         model: of the arm.
-        ranges: name -> (low, high), with names as in `simulation.parameters.UNCERTAIN`: in the unit of the parameter, or
-            1 for factors on the nominal value, one per joint or link.
+        ranges: name -> (low, high), with names as in `simulation.parameters.UNCERTAIN`: in the unit of the parameter,
+            or factors (1) on the nominal value, one per joint or link.
 
     Attributes:
         names: (p,) name of the parameter of each number.
@@ -62,7 +62,7 @@ class UncertainParameters:
         self.high: Array = high + RANGE_MARGIN * width
 
     def values(self, model: Model, numbers: Array) -> dict[str, Array]:
-        """Gives the parameters, name -> (r, ...) in their units, of numbers (r, p)."""
+        """Return the parameters, name -> (r, ...) in their units, for numbers (r, p)."""
         result = {}
         for name in dict.fromkeys(self.names):
             row, columns = PARAMETERS[name], np.flatnonzero(np.array(self.names) == name)
@@ -76,7 +76,7 @@ class UncertainParameters:
         return result
 
     def deviations(self, numbers: Array) -> dict[str, Array]:
-        """Gives the deviations, name_deviation -> (r,) or (r, entries), of the deviations (r, p or more) of numbers."""
+        """Return name_deviation -> (r,) or (r, entries) for standard deviations (r, p or more) of the numbers."""
         result = {}
         for name in dict.fromkeys(self.names):
             columns = np.flatnonzero(np.array(self.names) == name)
@@ -85,18 +85,23 @@ class UncertainParameters:
         return result
 
 
-ANGLE_STEP = 1e-3  # rad, by which an angle at the start is changed to see what follows
-BATCH_ARMS = 32  # arms whose trials are rolled at once, for the memory that they take
-DIAGONAL_OFFSET = 1e-12  # added to a matrix of ones on its diagonal
-MAX_ITERATIONS, MIN_DECREASE, INITIAL_DAMPING = (
-    4,
-    (2.0, 0.02),
-    1e-3,
-)  # sweeps of a fit; falls of the cost, and by period, that end it; first
+ANGLE_STEP = 1e-3  # rad; perturbation of a start angle
+BATCH_ARMS = 32  # arms whose models are simulated together; limits the memory
+DIAGONAL_OFFSET = 1e-12  # added to the diagonal of a scaled matrix
+MAX_ITERATIONS = 4  # Levenberg-Marquardt iterations of a fit
+MIN_DECREASE = (2.0, 0.02)  # decrease of the cost that ends a fit: in all, and per period
+INITIAL_DAMPING = 1e-3  # of the first Levenberg-Marquardt step
 
 
 class Prior(NamedTuple):
-    """What is known beforehand of p numbers: mean, deviation, and between which they stay, (p,) each."""
+    """Prior of p numbers.
+
+    Attributes:
+        mean: (p,).
+        deviation: (p,) standard deviation.
+        low: (p,) least value.
+        high: (p,) largest value.
+    """
 
     mean: Array
     deviation: Array
@@ -105,22 +110,22 @@ class Prior(NamedTuple):
 
     @property
     def information(self) -> Array:
-        """Information (p, p) about the numbers."""
+        """Information matrix (p, p) of the prior."""
         return np.diag(1.0 / self.deviation**2)
 
     def clip(self, numbers: Array) -> Array:
-        """Gives the numbers (r, p) that are allowed next to some."""
+        """Return numbers (r, p) clipped to their bounds."""
         return np.clip(numbers, self.low, self.high)
 
 
 class Resimulation(NamedTuple):
-    """What a simulation of r arms from their starts says of the numbers that it was made with.
+    """Result of a simulation of r arms from their start, compared with the measurements.
 
     Attributes:
-        states: (r, 1 + s, 2 d) of all trials at the end.
-        information: (r, p, p) of the readings about the numbers.
-        gradient: (r, p) half of the slope by which the cost falls.
-        cost: (r,) sum of the squared errors of readings, in standard deviations.
+        states: (r, 1 + s, 2 d) of all models at the end.
+        information: (r, p, p) of the measurements about the numbers, the Gauss-Newton matrix.
+        gradient: (r, p) half the negative gradient of the cost.
+        cost: (r,) sum of squared residuals, in standard deviations.
     """
 
     states: Array
@@ -129,20 +134,20 @@ class Resimulation(NamedTuple):
     cost: Array
 
     def of(self, arms: BoolArray) -> "Resimulation":
-        """Gives what is said of some arms (r,)."""
+        """Return the result of the flagged arms (r,)."""
         return Resimulation(*(values[arms] for values in self))
 
 
 class PerturbedModels:
-    """Simulations of an arm for numbers that are estimated: unknowns, angles at the start, and biases of readings.
+    """Estimated and perturbed simulations of arms, for fitted numbers: uncertain parameters, start angles and biases.
 
-    Unknowns and angles move the arm; biases are added to what instruments read.
+    Parameters and start angles affect the motion; biases are added to the measurements.
 
     Args:
-        plant: the arm, and how it is simulated.
-        unknowns: of the arm.
-        matrix: (m, 2 d) of readings by states.
-        biased: whether the biases of all readings are among the numbers.
+        plant: plant model with method and step.
+        uncertain: uncertain parameters of the arm.
+        matrix: (m, 2 d) of the measurements with respect to the state.
+        biased: whether biases of all measurements are fitted.
     """
 
     def __init__(
@@ -160,48 +165,58 @@ class PerturbedModels:
         self._turns = model.at_rest(np.eye(n))
 
     def perturb(self, numbers: Array, steps: Array | None = None) -> Array:
-        """Gives the numbers (r, 1 + s, p) of all trials: as estimated, and each that moves the arm changed."""
+        """Return the numbers (r, 1 + s, p) of all models: the estimate and its perturbations."""
         result = np.repeat(numbers[:, None], 1 + self.dynamic, axis=1)
         each = np.arange(self.dynamic)
         result[:, 1 + each, each] += self.steps if steps is None else steps
         return result
 
     def initial_states(self, origin: Array, numbers: Array) -> Array:
-        """Gives the states (r, 1 + s, 2 d) from which trials start; `origin` (r, 2 d) has angles of 0 among numbers."""
+        """Return the start states (r, 1 + s, 2 d) of the models.
+
+        Args:
+            origin: (r, 2 d) start states with start-angle numbers of 0.
+            numbers: (r, p).
+        """
         angles = self.perturb(numbers)[:, :, len(self.uncertain.names) : self.dynamic]
         return origin[:, None] + (angles[..., None] * self._turns).sum(axis=2)
 
     def parameters(self, numbers: Array) -> dict[str, Array]:
-        """Gives physical parameters, name -> (r, ...), for numbers (r, p)."""
+        """Return the physical parameters, name -> (r, ...), for numbers (r, p)."""
         return self.uncertain.values(self.model, numbers)
 
     def jacobian(self, states: Array, steps: Array) -> Array:
-        """Gives the slopes (r, 2 d, s) of the states of trials (r, 1 + s, 2 d) by numbers changed by steps (r, s)."""
+        """Return the Jacobian (r, 2 d, s) of the states with respect to the perturbed numbers.
+
+        Args:
+            states: (r, 1 + s, 2 d) of all models.
+            steps: (r, s) perturbations.
+        """
         return ((states[:, 1:] - states[:, :1]) / steps[..., None]).transpose(0, 2, 1)
 
     def measurement_jacobian(self, slopes: Array) -> Array:
-        """Gives the slopes (r, m, p) of the readings, biases included, by those of the states (r, 2 d, s)."""
+        """Return the Jacobian (r, m, p) of the measurements, biases included, from that of the states (r, 2 d, s)."""
         read = self.matrix @ slopes
         if self.size == self.dynamic:
             return read
         return np.concatenate([read, np.repeat(np.eye(len(self.matrix))[None], len(read), axis=0)], axis=2)
 
     def read(self, states: Array, numbers: Array) -> Array:
-        """Gives the readings (r, m) of states (r, 2 d) for numbers (r, p)."""
+        """Return the measurements (r, m) of states (r, 2 d) for numbers (r, p)."""
         result = row_dots(self.matrix, states[:, None])
         return result if self.size == self.dynamic else result + numbers[:, self.dynamic :]
 
     def resimulate(
         self, origin: Array, numbers: Array, torques: Array, readings: Array, weights: Array
     ) -> Resimulation:
-        """Simulates r arms from their starts through k control periods and compares them with what was read.
+        """Simulate r arms from their start over k control periods and compare them with the measurements.
 
         Args:
-            origin: (r, 2 d), see `starts`.
+            origin: (r, 2 d), see `initial_states`.
             numbers: (r, p).
-            torques: (r, k, n) N m that acted in each period.
-            readings: (r, k + 1, m) from the start on.
-            weights: (r, k + 1, m) of the squared errors, 1 / variance, 0 of readings that say nothing.
+            torques: (r, k, n) applied in each period, N m.
+            readings: (r, k + 1, m) from the start.
+            weights: (r, k + 1, m) of the squared residuals, 1 / variance; 0 to ignore a measurement.
         """
         parts = [slice(first, first + BATCH_ARMS) for first in range(0, len(origin), BATCH_ARMS)]
         results = [self._resimulate_batch(origin[p], numbers[p], torques[p], readings[p], weights[p]) for p in parts]
@@ -239,16 +254,16 @@ class PerturbedModels:
     def fit(
         self, origin: Array, numbers: Array, prior: Prior, data: tuple[Array, Array, Array]
     ) -> tuple[Array, Resimulation]:
-        """Fits the numbers of r arms to all that was read: Levenberg and Marquardt, a few simulations from the start.
+        """Fit the numbers of r arms to all measurements by a few Levenberg-Marquardt iterations.
 
         Args:
-            origin: (r, 2 d), see `starts`.
-            numbers: (r, p), where it begins.
+            origin: (r, 2 d), see `initial_states`.
+            numbers: (r, p) initial guess.
             prior: of the numbers.
-            data: torques, readings and weights, see `sweep`.
+            data: torques, measurements and weights, see `resimulate`.
 
         Returns:
-            The numbers (r, p) and the sweep that was made with them.
+            Fitted numbers (r, p) and the simulation with them.
         """
         periods, damping = data[0].shape[1], np.full(len(origin), INITIAL_DAMPING)
         certain, going = 1.0 / prior.deviation**2, np.ones(len(origin), dtype=bool)
@@ -273,7 +288,7 @@ class PerturbedModels:
 def levenberg_marquardt_step(
     sweep: Resimulation, numbers: Array, prior: Prior, damping: Array | float = 0.0
 ) -> tuple[Array, Array]:
-    """Gives the change (r, p) of numbers (r, p) that a sweep and the prior ask for, and the fall (r,) of the cost."""
+    """Return the change (r, p) of numbers (r, p) and the predicted decrease (r,) of the cost with its prior."""
     certain = 1.0 / prior.deviation**2
     whole, each = sweep.information.copy(), np.arange(numbers.shape[1])
     whole[:, each, each] += certain
@@ -285,7 +300,7 @@ def levenberg_marquardt_step(
 
 
 def solve_scaled(matrices: Array, vectors: Array) -> Array:
-    """Gives x (r, p) of matrices (r, p, p) x = vectors (r, p) in units far apart; 0 where they are not finite."""
+    """Return x (r, p) of matrices (r, p, p) x = vectors (r, p), after diagonal scaling; 0 for entries not finite."""
     good: BoolArray = np.logical_and(np.isfinite(matrices).all(axis=(1, 2)), np.isfinite(vectors).all(axis=1))
     even, scale = _unit_diagonal(np.where(good[:, None, None], matrices, np.eye(matrices.shape[1])))
     result: Array = scale * np.linalg.solve(even, (scale * np.where(good[:, None], vectors, 0.0))[..., None])[..., 0]
@@ -293,7 +308,7 @@ def solve_scaled(matrices: Array, vectors: Array) -> Array:
 
 
 def standard_deviations(information: Array) -> Array:
-    """Gives the standard deviations (r, p) of numbers of which there is information (r, p, p)."""
+    """Return the standard deviations (r, p) for information matrices (r, p, p); infinite for entries not finite."""
     good: BoolArray = np.all(np.isfinite(information), axis=(1, 2))
     even, scale = _unit_diagonal(np.where(good[:, None, None], information, np.eye(information.shape[1])))
     variances = np.diagonal(np.linalg.inv(even), axis1=1, axis2=2)
@@ -301,7 +316,7 @@ def standard_deviations(information: Array) -> Array:
 
 
 def _unit_diagonal(matrices: Array) -> tuple[Array, Array]:
-    """Matrices (r, p, p) in units that make their diagonals 1, and these units (r, p)."""
+    """Return matrices (r, p, p) scaled to unit diagonals, and the scales (r, p)."""
     each = np.arange(matrices.shape[1])
     scale = 1.0 / np.sqrt(matrices[:, each, each])
     result = matrices * scale[:, :, None] * scale[:, None]
@@ -310,5 +325,5 @@ def _unit_diagonal(matrices: Array) -> tuple[Array, Array]:
 
 
 def _select_rows(flags: Array, one: Array, other: Array) -> Array:
-    """Rows of one where flags (r,) say so, else of the other."""
+    """Return the rows of `one` where flags (r,) are True, else those of `other`."""
     return np.where(flags.reshape(-1, *(1,) * (one.ndim - 1)), one, other)

@@ -1,4 +1,4 @@
-"""References adapted to estimated parameters: slews on straight paths, timed again on the way, and given paths."""
+"""References adapted to estimated parameters: slews along straight paths, planned again on the way, and given paths."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -17,22 +17,25 @@ from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.parameters import varied_model
 
-PATH_POINTS = np.linspace(0.0, 1.0, 11)  # of a path at which an arm is bent
-TYPICAL_ACCELERATION = 0.5  # 1/s^2, second derivative of the path parameter with which an arm is bent
-CANDIDATE_DURATIONS = 0.2 * 1.045 ** np.arange(110)  # s, that are tried; the last is 24 s
-CHECKED_TIMES = np.linspace(0.0, 1.0, 17)[1:-1]  # of a duration at which torques are compared with their limits
-REST, ACCELERATION, SPEED_SQUARED = 0, 1, 2  # layers of a table: at rest, times s'', times s'^2
-NEWTON_STEPS = 2  # steps of Newton by which the end of a path is turned
-MAX_CACHED_PATHS = 1000  # paths, of 20 kB each
-DIFFERENCE_STEP = 0.01  # s, of the differences that give the speeds of bent coordinates
+PATH_POINTS = np.linspace(0.0, 1.0, 11)  # path parameters at which deflections are tabulated
+TYPICAL_ACCELERATION = 0.5  # 1/s^2; second derivative of the path parameter at which deflections are computed
+CANDIDATE_DURATIONS = 0.2 * 1.045 ** np.arange(110)  # s; the last is 24 s
+CHECKED_TIMES = np.linspace(0.0, 1.0, 17)[1:-1]  # fractions of a duration at which torques are checked
+REST = 0  # layers of a table: equilibrium,
+ACCELERATION = 1  # factor of s''
+SPEED_SQUARED = 2  # factor of s'^2
+NEWTON_STEPS = 2  # for the rotation of the end of a path
+MAX_CACHED_PATHS = 1000  # of 20 kB each
+DIFFERENCE_STEP = 0.01  # s; of finite differences for the rates of deflected coordinates
 
 
 class _PathTables(NamedTuple):
-    """How an arm is on its path, for p payloads and the places of PLACES, in three layers.
+    """Deflections and torques at the points of a path, for p payloads, in three layers.
 
     Attributes:
-        coordinates: (p, 11, 3, d) departures from the motors' straight path; at rest, and by s'' and s'^2.
-        torques: (p, 11, 3, n) N m, in the same way.
+        coordinates: (p, 11, 3, d) departures from the straight path of the motors: at rest, and per unit of s'' and
+            s'^2.
+        torques: (p, 11, 3, n) in the same layers, N m.
     """
 
     coordinates: Array
@@ -40,27 +43,27 @@ class _PathTables(NamedTuple):
 
 
 class SlewReferences:
-    """Slews of b arms: place s on the path from 0 to 1, motor angles, bent coordinates and torques of each.
+    """Slews of b arms: path parameter s from 0 to 1, motor angles, deflected coordinates and torques.
 
-    The arm is bent as inertia and weight ask on the way, without vibrating. Torques and bending follow
-    rest + a(s) s'' + b(s) s'^2, tabulated for some payloads, quadratic between these, and for each arm scaled by its
-    own stiffness.
+    The arm is deflected quasi-statically by inertia and gravity, without vibration. Deflections and torques are
+    rest + a(s) s'' + b(s) s'^2, tabulated for some payloads, interpolated by a parabola between them, and scaled by the
+    estimated stiffness of each arm.
 
     Args:
         model: of the arm.
-        limits: (n,) N m.
-        share: of the limits that a slew may take; feedback has the rest.
+        limits: (n,) torque limits, N m.
+        share: fraction of the limits available to a slew; the rest is left to feedback.
         payloads: kg, one or three, ascending.
 
     Attributes:
-        pace, quickening: (b,) how many times faster than timed the clock of a slew runs, and how fast that grows (1/s).
+        time_scaling: (b,) rate of the clock of a slew relative to time.
+        pace_rate: (b,) time derivative of the time scaling, 1/s.
     """
 
-    _rows = (
-        "start", "displacement", "shift", "coefficients", "start_time", "duration", "_coordinates", "_torques", "_compliance", "_friction",
-        "_adapted_coordinates", "_adapted_torques", "time_scaling", "pace_rate",
+    state_fields = (
+        "start", "displacement", "shift", "coefficients", "start_time", "duration", "_coordinates", "_torques",
+        "_compliance", "_friction", "_adapted_coordinates", "_adapted_torques", "time_scaling", "pace_rate",
     )  # fmt: skip
-    state_fields = _rows
 
     def __init__(self, model: Model, limits: Array, share: float, payloads: Sequence[float]) -> None:
         self.model, self._limits, self._share = model, limits, share
@@ -80,12 +83,12 @@ class SlewReferences:
         self._flexible = model.constants.motor >= 0
 
     def allocate(self, count: int) -> None:
-        """Makes room for so many arms."""
-        for name in self._rows:
+        """Allocate memory for a number of arms."""
+        for name in self.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), count))
 
     def begin(self, arms: IntArray, start: Array, goal: Array) -> None:
-        """Takes paths of the arms (r,) from start to goal, motor angles (r, n) rad; `adapt` and `time` them next."""
+        """Start paths of the arms (r,) between motor angles (r, n) rad; `adapt` and `time` complete them."""
         self.start[arms], self.displacement[arms], self.shift[arms] = start, goal - start, 0.0
         self.time_scaling[arms], self.pace_rate[arms] = 1.0, 0.0
         for arm, first, last in zip(arms, start, goal, strict=True):
@@ -98,7 +101,7 @@ class SlewReferences:
                 self._coordinates[arm, payload], self._torques[arm, payload] = tables
 
     def _tabulate(self, payload: int, start: Array, goal: Array) -> _PathTables:
-        """The tables of one arm with one payload."""
+        """Return the tables of one arm with one payload."""
         model, bending, way = self._models[payload], self._deflections[payload], goal - start
         n = model.n_joints
         coordinates, torques = np.zeros((11, 3, model.n_dof)), np.zeros((11, 3, n))
@@ -120,7 +123,7 @@ class SlewReferences:
         return _PathTables(coordinates, torques)
 
     def adapt(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
-        """Takes the physical parameters (b, ...) of the arms (r,) as they are estimated, see `Estimate`."""
+        """Adapt the references of the arms (r,) to estimated parameters (b, ...), see `Estimate`."""
         if not len(arms):
             return
         weights, self._compliance[arms], self._friction[arms] = adaptation_factors(
@@ -132,7 +135,7 @@ class SlewReferences:
             self._correct_goal(arms)
 
     def _correct_goal(self, arms: IntArray) -> None:
-        """Turns the ends of the paths of the arms (r,) so that the tips rest where those of the model's arm would."""
+        """Rotate the ends of the paths of the arms (r,) so that the tips rest at the positions of the nominal arm."""
         model, d = self.model, self.model.n_dof
         for arm in arms:
             goal = self.start[arm] + self.displacement[arm]
@@ -143,12 +146,12 @@ class SlewReferences:
                 self.shift[arm] += self._compensation.turn(wanted, place)
 
     def time(self, arms: IntArray, now: Array, first: bool) -> None:
-        """Times the rest of the way of the arms (r,) anew, as short as torques within the limits allow.
+        """Plan the timing of the rest of the slews of the arms (r,), as fast as the torque limits allow.
 
         Args:
-            arms: (r,) whose parameters `adapt` has taken.
+            arms: (r,) after `adapt`.
             now: (r,) s.
-            first: whether they start at rest at the beginning of their paths; else they go on as they move now.
+            first: True for a start at rest at the beginning of the paths; False to continue the current motion.
         """
         if not len(arms):
             return
@@ -166,7 +169,7 @@ class SlewReferences:
         self.start_time[arms], self.duration[arms] = now, CANDIDATE_DURATIONS[chosen]
 
     def _interpolate(self, table: Array, arms: IntArray, places: Array, changes: Array, speeds: Array) -> Array:
-        """rest + a s'' + b s'^2 (r, ..., m) of a table (b, 11, 3, m) at places, changes and speeds (r, ...)."""
+        """Return rest + a s'' + b s'^2 (r, ..., m) from a table (b, 11, 3, m)."""
         at = np.clip(places, 0.0, 1.0) * (len(PATH_POINTS) - 1)
         low = np.minimum(at.astype(np.int64), len(PATH_POINTS) - 2)
         part, rows = (at - low)[..., None, None], arms.reshape(-1, *(1,) * (places.ndim - 1))
@@ -178,7 +181,7 @@ class SlewReferences:
         )
 
     def at(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
-        """Gives places, speeds (1/s) and second derivatives (1/s^2) of the arms (r,) at times (r,) s."""
+        """Return path parameters, speeds (1/s) and accelerations (1/s^2) of the arms (r,) at times (r,) s."""
         passed = now - self.start_time[arms]
         # one that was timed on its way moved before
         earliest = np.where(self.coefficients[arms, 1] != 0.0, -DIFFERENCE_STEP * self.time_scaling[arms], 0.0)
@@ -189,13 +192,13 @@ class SlewReferences:
         return np.where(over, 1.0, place), np.where(over, 0.0, speed), np.where(over, 0.0, change)
 
     def _scaled_timing(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
-        """The same at the pace of a clock that runs faster or slower than the slews were timed for."""
+        """Return the result of `at` with the time scaling of the clocks applied."""
         place, speed, change = self.at(now, arms)
         pace = self.time_scaling[arms]
         return place, speed * pace, change * pace**2 + speed * self.pace_rate[arms]
 
     def states(self, now: Array, arms: IntArray) -> Array:
-        """Gives the states (r, 2 d) of the arms (r,) at times (r,) s."""
+        """Return the reference states (r, 2 d) of the arms (r,) at times (r,) s."""
         steps = DIFFERENCE_STEP * self.time_scaling[arms]
         before, here, after = (self._coordinates_at(now + step, arms) for step in (-steps, 0.0, steps))
         return np.concatenate([here, (after - before) / (2.0 * DIFFERENCE_STEP)], axis=1)
@@ -209,14 +212,14 @@ class SlewReferences:
         return result
 
     def torques(self, now: Array, arms: IntArray) -> Array:
-        """Gives the torques (r, n) N m of the arms (r,) at times (r,) s."""
+        """Return the feed-forward torques (r, n) of the arms (r,) at times (r,) s, N m."""
         place, speed, change = self._scaled_timing(now, arms)
         rubbing = friction_torques(self.model, self._friction[arms], speed[:, None] * self.displacement[arms])
         return self._interpolate(self._adapted_torques, arms, place, change, speed) + rubbing
 
 
 def estimated_payloads(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
-    """Gives the payloads (r,) kg of arms as they are estimated, of the model where nothing is said of them."""
+    """Return the estimated payloads (r,) of arms (r,), kg; that of the model if there is no estimate."""
     if "payload_mass" in parameters:
         return parameters["payload_mass"][arms]
     return np.full(len(arms), model.constants.payload_mass[0])
@@ -258,17 +261,17 @@ def adaptation_factors(
 
 
 def friction_torques(model: Model, coefficients: Array, rates: Array) -> Array:
-    """Gives the torques (..., n) N m that friction, coefficients (..., 2, n), takes at motor rates (..., n) rad/s."""
+    """Return the friction torques (..., n), N m, for coefficients (..., 2, n) at motor rates (..., n) rad/s."""
     sliding = np.tanh(rates / model.constants.coulomb_rate)
     return coefficients[..., 0, :] * rates + coefficients[..., 1, :] * sliding
 
 
 class PathReferences:
-    """States and torques of b arms along paths of their motors, planned ahead for some payloads, see `plan_path`.
+    """States and torques of b arms along given paths of their motors, planned for some payloads, see `plan_path`.
 
     Args:
         model: of the arm.
-        period: of control, s.
+        period: control period, s.
         payloads: kg, one or three, ascending.
     """
 
@@ -282,7 +285,10 @@ class PathReferences:
         self._friction = np.zeros((0, 2, model.n_joints))
 
     def begin(self, arm: int, path: Array) -> None:
-        """Plans how an arm follows a path (T + 1, n) rad of its motors, one for each period; `adapt` it next."""
+        """Plan the motion of an arm along a path (T + 1, n) rad of its motors; `adapt` completes it.
+
+        The path has one point per control period.
+        """
         plans = [plan_path(model, path, self._period) for model in self._models]
         straight = self.model.at_rest(path)
         straight[:, self.model.n_dof :] = np.gradient(straight[:, : self.model.n_dof], self._period, axis=0)
@@ -292,7 +298,7 @@ class PathReferences:
             setattr(self, name, pad_rows(getattr(self, name), arm + 1))
 
     def adapt(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
-        """Takes the physical parameters (b, ...) of the arms (r,) as they are estimated, see `Estimate`."""
+        """Adapt the references of the arms (r,) to estimated parameters (b, ...), see `Estimate`."""
         if not len(arms):
             return
         self._weights[arms], self._compliance[arms], self._friction[arms] = adaptation_factors(
@@ -300,7 +306,7 @@ class PathReferences:
         )
 
     def at(self, now: Array, arms: IntArray) -> tuple[Array, Array]:
-        """Gives the states (r, 2 d) of arms (r,) at times (r,) s and their torques (r, n) N m in the period after."""
+        """Return the states (r, 2 d) at times (r,) s, and the torques (r, n) of the following period, N m."""
         states, torques = [], []
         rates = self.model.n_dof + self.model.motor_columns
         for moment, arm in zip((now / self._period).round().astype(int).tolist(), arms.tolist(), strict=True):

@@ -1,6 +1,4 @@
-"""Reference trajectories: timing laws, paths, quasi-static deflection, and time-optimal motions within torque
-limits.
-"""
+"""Reference trajectories: timing laws, paths, quasi-static deflection, and time-optimal motions."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -17,11 +15,11 @@ from flexman_gym.model.statics import rest_state, rest_states
 
 
 class _TimingLaw(NamedTuple):
-    """A motion from rest to rest whose place is a polynomial of time in each of k phases.
+    """Rest-to-rest timing law: the path parameter is a polynomial of time in each of k phases.
 
     Attributes:
-        begins: (k,) s, of the phases.
-        coefficients: (k, 6), lowest power of the time since a phase began first.
+        begins: (k,) start times of the phases, s.
+        coefficients: (k, 6) in ascending powers of the time since the start of a phase.
         duration: s.
     """
 
@@ -30,7 +28,7 @@ class _TimingLaw(NamedTuple):
     duration: float
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
-        """Gives place, speed (1/s) and acceleration (1/s^2) at times (T,) s; it rests before and after."""
+        """Return path parameter, speed (1/s) and acceleration (1/s^2) at times (T,) s; at rest before and after."""
         inside = np.clip(times, 0.0, self.duration)
         phases: IntArray = np.searchsorted(self.begins, inside, side="right") - 1
         place, speed, acceleration = evaluate_polynomials(self.coefficients[phases], inside - self.begins[phases])
@@ -38,14 +36,14 @@ class _TimingLaw(NamedTuple):
 
 
 def quintic_coefficients(place: Array, speed: Array, change: Array, durations: Array) -> Array:
-    """Gives coefficients (..., 6), lowest power first, of the polynomial in time that comes to rest at place 1.
+    """Return coefficients (..., 6), in ascending powers, of the polynomial that comes to rest at path parameter 1.
 
-    Between rests it is the minimum-jerk motion (Flash and Hogan, Journal of Neuroscience 5, 1985, 1688).
+    From rest it is the minimum-jerk motion (Flash and Hogan, Journal of Neuroscience 5, 1985, 1688).
 
     Args:
-        place: where it starts.
-        speed: how fast it starts, 1/s.
-        change: second derivative there, 1/s^2.
+        place: initial path parameter.
+        speed: initial speed, 1/s.
+        change: initial acceleration, 1/s^2.
         durations: s.
     """
     left, squared = 1.0 - place, durations**2
@@ -57,7 +55,7 @@ def quintic_coefficients(place: Array, speed: Array, change: Array, durations: A
 
 
 def evaluate_polynomials(coefficients: Array, times: Array) -> tuple[Array, Array, Array]:
-    """Gives place, speed (1/s) and second derivative (1/s^2) of polynomials (..., 6) at times (...) s."""
+    """Return path parameter, speed (1/s) and acceleration (1/s^2) of polynomials (..., 6) at times (...) s."""
     a, b, c, d, e, f = np.moveaxis(coefficients, -1, 0)
     place = a + times * (b + times * (c + times * (d + times * (e + times * f))))
     speed = b + times * (2.0 * c + times * (3.0 * d + times * (4.0 * e + times * 5.0 * f)))
@@ -101,27 +99,28 @@ def constant_jerk_law(distance: float, speed: float, acceleration: float, jerk: 
     return _TimingLaw(begins, coefficients, float(lasting.sum()))
 
 
-TIMING_LAWS = {  # of slews from 0 to 1 in a duration of 1; the phases of each last as long as each other
+TIMING_LAWS = {  # of slews from 0 to 1 in a duration of 1, with phases of equal length
     "minimum-jerk": _TimingLaw(np.zeros(1), quintic_coefficients(*np.array([[0.0], [0.0], [0.0], [1.0]])), 1.0),
     "trapezoid": constant_jerk_law(1.0, 1.5, 4.5),
     "double-s": constant_jerk_law(1.0, 1.75, 6.125, 42.875),
 }
 
 
-DEFLECTION_PASSES = 3  # of bending under the inertia of the bent arm
-SINGULAR_CUTOFF = 0.05  # part of the largest slope of the tip; joints do not give way into directions with less
-SOLVE_INTERVAL, REST_POINTS = (
-    4,
-    6,
-)  # control periods between two places of a path that are solved for; such places before its start
-PATH_SAMPLES, MAX_DURATION = 21, 60.0  # places whose torques time a motion; s
-JUMP_MARGIN = 1e-9  # of a duration, before accelerations jump
+DEFLECTION_PASSES = 3  # fixed-point iterations of the deflection under the inertia of the deflected arm
+SINGULAR_CUTOFF = 0.05  # fraction of the largest singular value of the tip Jacobian; smaller ones are excluded
+SOLVE_INTERVAL = 4  # control periods between two solved points of a path
+REST_POINTS = 6  # solved points at rest before the start of a path
+PATH_SAMPLES = 21  # points of a path at which torques are compared with their limits
+MAX_DURATION = 60.0  # s
+JUMP_MARGIN = 1e-9  # fraction of the duration before a jump of the acceleration
 
 
 class _ReferenceTrajectory(NamedTuple):
-    """A slew in T control periods, then rest.
+    """Reference trajectory over T control periods, followed by rest.
 
-    states: (T + 1, 2 d) at the ends of the periods. torques: (T, n) N m, constant in each.
+    Attributes:
+        states: (T + 1, 2 d) at the ends of the periods.
+        torques: (T, n) constant in each period, N m.
     """
 
     states: Array
@@ -129,9 +128,10 @@ class _ReferenceTrajectory(NamedTuple):
 
 
 class QuasiStaticDeflection:
-    """How a model is bent, and what its motors must give, while the links' sides of its joints move.
+    """Quasi-static deflection of a model and its motor torques, for a prescribed joint motion.
 
-    Springs are wound up and links bend as the inertia of that motion and the weight ask, without vibrating.
+    The motion is that of the link sides of the joints. Joint springs and links deflect under its inertial and
+    gravitational loads, without vibration.
     """
 
     def __init__(self, model: Model) -> None:
@@ -145,11 +145,11 @@ class QuasiStaticDeflection:
         self._compliance = 1.0 / stiffness
 
     def at(self, near: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        """Gives the bent coordinates (d,) and the motor torques (n,) N m.
+        """Return the deflected coordinates (d,) and the motor torques (n,), N m.
 
         Args:
-            near: (d,) coordinates from whose bending the search starts.
-            motion: angles, rates and accelerations (n,) of the links' sides, rad, rad/s and rad/s^2.
+            near: (d,) coordinates with the initial deflection of the iteration.
+            motion: angles, rates and accelerations (n,) of the link sides, rad, rad/s and rad/s^2.
         """
         n, d = self._model.n_joints, self._model.n_dof
         x, rates, changes = near.copy(), np.zeros(d), np.zeros(d)
@@ -167,13 +167,14 @@ class QuasiStaticDeflection:
 
 
 class _JointPath(NamedTuple):
-    """A way of the links' sides of the joints of a model from rest to rest, for any duration.
+    """Rest-to-rest path of the link sides of the joints, for any duration.
 
     Attributes:
-        bending: of the model.
-        ends: (2, d) coordinates at rest before and after.
-        motion: gives angles (k, n) rad, and their first and second derivatives, by parts (k,) of the duration.
-        parts: of the duration at which torques are compared with their limits.
+        bending: quasi-static deflection of the model.
+        ends: (2, d) equilibrium coordinates at start and end.
+        motion: function of fractions (k,) of the duration that returns angles (k, n) rad and their first and second
+            derivatives with respect to the fraction.
+        parts: fractions of the duration at which torques are compared with their limits.
     """
 
     bending: QuasiStaticDeflection
@@ -182,7 +183,7 @@ class _JointPath(NamedTuple):
     parts: Array
 
     def at(self, parts: Array, duration: float) -> tuple[Array, Array]:
-        """Gives the bent coordinates (k, d) and the motor torques (k, n) N m at parts (k,) of a duration (s)."""
+        """Return deflected coordinates (k, d) and motor torques (k, n) N m at fractions (k,) of a duration (s)."""
         angles, rates, changes = self.motion(parts)
         motions = zip(angles, rates / duration, changes / duration**2, strict=True)
         places, torques = zip(*(self.bending.at(self.ends[0], each) for each in motions), strict=True)
@@ -190,7 +191,7 @@ class _JointPath(NamedTuple):
 
 
 def slew_path(model: Model, start: Array, goal: Array, law: str = "minimum-jerk") -> _JointPath:
-    """Gives the straight path between postures of the motors (n,) rad, by a law of `timing.LAWS`."""
+    """Return the straight path between postures of the motors (n,) rad, with a law from `TIMING_LAWS`."""
     ends, timing = rest_states(model, np.array([start, goal]))[:, : model.n_dof], TIMING_LAWS[law]
     first, last = ends[:, : model.n_joints]
 
@@ -203,11 +204,11 @@ def slew_path(model: Model, start: Array, goal: Array, law: str = "minimum-jerk"
 
 
 def via_path(model: Model, postures: Array, count: int) -> _JointPath:
-    """Gives the path through postures (m, n) rad of the motors, each at the end of one of `count` control periods.
+    """Return the path through postures (m, n) rad of the motors, each at the end of one of `count` control periods.
 
-    It is a cubic spline with two knots more, so that it starts and ends without acceleration (Biagiotti and Melchiorri,
-    Trajectory planning for automatic machines and robots, 2008, section 4.4.4). Times between postures go with the
-    square roots of their distances (Lee, Computer-Aided Design 21, 1989, 363).
+    The path is a cubic spline with two additional knots, so that it starts and ends with zero acceleration (Biagiotti
+    and Melchiorri, Trajectory planning for automatic machines and robots, 2008, section 4.4.4). Times between postures
+    are proportional to the square roots of their distances (Lee, Computer-Aided Design 21, 1989, 363).
     """
     from scipy.interpolate import make_interp_spline
 
@@ -229,26 +230,26 @@ def via_path(model: Model, postures: Array, count: int) -> _JointPath:
 
 
 def _sample_parts(*places: Array) -> Array:
-    """Parts of a duration all along it, and others where accelerations may be largest."""
+    """Return equidistant fractions of a duration, together with others at which accelerations may be largest."""
     return np.sort(np.concatenate([np.linspace(0.0, 1.0, PATH_SAMPLES), *places]))
 
 
 def plan_slew(
     model: Model, start: Array, goal: Array, limits: Array, share: float, period: float, law: str = "minimum-jerk"
 ) -> _ReferenceTrajectory:
-    """Plans the quickest slew of a law whose torques stay within a share of the limits.
+    """Plan the fastest slew with a timing law whose torques stay within a share of the limits.
 
     Args:
         model: of the arm.
-        start: (n,) rad, motor angles at the beginning.
-        goal: (n,) rad, motor angles at the end.
-        limits: (n,) N m.
-        share: of the limits, that the slew may take; feedback has the rest.
-        period: s.
-        law: a name of `timing.LAWS`.
+        start: (n,) initial motor angles, rad.
+        goal: (n,) final motor angles, rad.
+        limits: (n,) torque limits, N m.
+        share: fraction of the limits available to the slew; the rest is left to feedback.
+        period: control period, s.
+        law: name in `TIMING_LAWS`.
 
     Raises:
-        ValueError: for a goal whose weight alone takes more than that, and another law.
+        ValueError: for a goal at which holding torques alone exceed the share, and for an unknown law.
     """
     path = slew_path(model, start, goal, one_of("law", law, TIMING_LAWS))
     slew = _time_optimal(lambda count: path, share * limits, period, 1)
@@ -258,19 +259,20 @@ def plan_slew(
 
 
 def plan_via(model: Model, postures: Array, limits: Array, share: float, period: float) -> _ReferenceTrajectory:
-    """Plans the quickest motion through postures, see `via_path`, whose torques stay within a share of the limits.
+    """Plan the fastest motion through postures, see `via_path`, whose torques stay within a share of the limits.
 
-    Postures are at ends of periods, which bends the spline a little with each duration: a shorter one may be left out.
+    Postures coincide with ends of control periods, so that the spline changes slightly with the duration; the search
+    may therefore miss a shorter one.
 
     Args:
         model: of the arm.
-        postures: (m, n) rad, motor angles; it rests at the first and the last.
-        limits: (n,) N m.
-        share: of the limits, that the motion may take; feedback has the rest.
-        period: s.
+        postures: (m, n) motor angles, rad; at rest at the first and the last.
+        limits: (n,) torque limits, N m.
+        share: fraction of the limits available to the motion; the rest is left to feedback.
+        period: control period, s.
 
     Raises:
-        ValueError: for fewer than two postures, one that is that before, and one whose weight alone takes too much.
+        ValueError: for fewer than two postures, two equal ones in succession, and holding torques beyond the share.
     """
     if len(postures) < 2 or not np.diff(postures, axis=0).any(axis=1).all():
         raise value_error("postures", postures.tolist(), "two at least, each another than that before")
@@ -283,10 +285,10 @@ def plan_via(model: Model, postures: Array, limits: Array, share: float, period:
 def _time_optimal(
     paths: Callable[[int], _JointPath], bounds: Array, period: float, fewest: int
 ) -> _ReferenceTrajectory | None:
-    """The path in the fewest control periods in which torques stay within bounds (n,) N m, None where none does.
+    """Return the path in the fewest control periods with torques within bounds (n,) N m; None if there is none.
 
-    Torques are those at rest and what inertia asks, which goes with 1 / T^2: both at one T tell the shortest. Bending
-    changes that a little, so that it is told anew there.
+    Torques are the holding torques plus an inertial part proportional to 1 / T^2, so that one duration T predicts the
+    shortest. Deflections change this slightly, and the prediction is repeated there.
     """
     count, short = max(fewest, int(MAX_DURATION / period)), fewest - 1
     most, path = count, paths(count)
@@ -308,7 +310,7 @@ def _time_optimal(
 
 
 def _sample_path(path: _JointPath, count: int, period: float) -> _ReferenceTrajectory:
-    """A path in so many control periods."""
+    """Sample a path over a number of control periods."""
     places, _ = path.at(np.linspace(0.0, 1.0, count + 1), count * period)
     places[[0, -1]] = path.ends
     speeds = np.gradient(places, period, axis=0) if count > 1 else np.zeros_like(places)
@@ -319,15 +321,16 @@ def _sample_path(path: _JointPath, count: int, period: float) -> _ReferenceTraje
 
 
 def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTrajectory:
-    """Plans how a model follows postures (T + 1, n) rad of its motors, one for each control period (s).
+    """Plan the motion of a model through postures (T + 1, n) rad of its motors, one per control period (s).
 
-    The tip is to be where it would rest at each posture: the joints give way to the bending that the motion adds, once,
-    for what gives way twice is differentiated too often. All is solved for at every few periods, with splines between.
+    The tip follows its equilibrium positions at these postures: the joints compensate the deflection due to the motion.
+    This is done once, since each repetition differentiates the path further. The motion is solved for at intervals of
+    a few periods and interpolated by splines.
 
     Args:
         model: of the arm.
-        postures: whose second derivatives are continuous.
-        period: s.
+        postures: (T + 1, n) with continuous second derivatives, rad.
+        period: control period, s.
     """
     from scipy.interpolate import CubicSpline
 
@@ -352,14 +355,17 @@ def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTraject
 
 
 class DeflectionCompensation:
-    """How the joints of a model turn, motors with them, for the tip at bent coordinates to come to that at rest."""
+    """Rotation of the joints, motors included, that moves the tip of a deflected model to its equilibrium position."""
 
     def __init__(self, model: Model) -> None:
         self._model, self._work, self._row = model, make_work(model.constants), np.zeros(OUTPUTS)
         self._turns = model.at_rest(np.eye(model.n_joints))[:, : model.n_dof].copy()
 
     def turn(self, rest: Array, place: Array) -> Array:
-        """Gives the turn (n,) rad, to first order, for coordinates (d,) each; none into directions that take far."""
+        """Return the rotation (n,) rad, to first order, from deflected to equilibrium coordinates (d,) of the tip.
+
+        Directions with small singular values are excluded, since they would require large rotations.
+        """
         wanted, now = self._seen(rest, self._turns[0])[TIP].copy(), self._seen(place, self._turns[0])[TIP].copy()
         slopes = np.array([self._seen(place, turn)[TIP_VELOCITY].copy() for turn in self._turns]).T
         result: Array = np.linalg.pinv(slopes, rcond=SINGULAR_CUTOFF) @ (wanted - now)
