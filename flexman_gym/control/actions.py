@@ -47,8 +47,8 @@ class _ServoMode:
         self.joints = len(self._span)
         self.names = tuple(f"{kind}_{joint + 1}" for joint in range(self.joints))
         self._reference = np.zeros((1, self.joints))  # of each arm, rad
-        soft = gains.stiffness == 0.0
-        self._most = np.where(soft, np.inf, gains.torque_limit / np.where(soft, 1.0, gains.stiffness))
+        zero = gains.stiffness == 0.0
+        self._most = np.where(zero, np.inf, gains.torque_limit / np.where(zero, 1.0, gains.stiffness))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes of the arms (r,) with the reference at their joint angles."""
@@ -57,14 +57,14 @@ class _ServoMode:
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the torques (b, n) for reference actions (b, n), as fractions of the torque limits from -1 to 1."""
-        angles, asked = readings["motor_angles"], actions * self._span
+        angles, command = readings["motor_angles"], actions * self._span
         if self._moves:
-            error, wanted = self._reference - angles, asked
-            onward = np.clip(self._reference + asked * self._period, angles - self._most, angles + self._most)
+            error, target_rate = self._reference - angles, command
+            onward = np.clip(self._reference + command * self._period, angles - self._most, angles + self._most)
             self._reference[active] = onward[active]
         else:
-            error, wanted = asked - angles, 0.0
-        torque = self._gains.stiffness * error + self._gains.damping * (wanted - readings["motor_rates"])
+            error, target_rate = command - angles, 0.0
+        torque = self._gains.stiffness * error + self._gains.damping * (target_rate - readings["motor_rates"])
         result: Array = np.clip(torque / self._gains.torque_limit, -1.0, 1.0)
         return result
 
@@ -83,7 +83,7 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
             number or one per joint. The default range is pi, or the speed limits of the motors.
     """
     if base is not None:
-        raise value_error("base", base, f'None: with actions="{kind}" the servo acts on the motors')
+        raise value_error("base", base, f'None: with actions="{kind}" the servo commands the motors')
     n, span = len(plant.torque_limit), given.pop("range", None)
     if span is None:
         motors = [joint.motor for joint in plant.model.arm.joints]
@@ -101,9 +101,8 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
     if radius > UNSTABLE_RADIUS:
         warnings.warn(
             f"actions: a servo with stiffness {gains.stiffness.tolist()} and damping {gains.damping.tolist()} is not "
-            f"stable with a period of {plant.period:g} s{describe_stuck_motors(stuck)} (spectral radius "
-            f"{radius:.4g}); give "
-            "smaller gains, or a shorter control_period with a larger action_repeat",
+            f"stable with a period of {plant.period:g} s{describe_stuck_motors(stuck)} (spectral "
+            f"radius {radius:.4g}); give smaller gains, or a shorter control_period with a larger action_repeat",
             stacklevel=2,
         )
     return _ServoMode(kind, gains, spans, plant.period)
@@ -129,15 +128,15 @@ class _ReferenceShapingMode:
 
     def __init__(self, plant: Plant, base: Controller | None, **authority: object) -> None:
         if not isinstance(base, OutputFeedback):
-            allowed = "torque, or it with a base that has an observer and tracks: adaptive-lqr, lqg or privileged-lqr"
+            allowed = "torque, or shaping with a base that estimates and tracks: adaptive-lqr, lqg or privileged-lqr"
             raise value_error("actions", "shaping", allowed)
         self._base, self._law, self._plant = base, base.law, plant
-        far = ShapingLimits(**{name: non_negative(f"actions.{name}", value) for name, value in authority.items()})
-        self.strength = far.torque if far.fading == 0.0 else None
+        limits = ShapingLimits(**{name: non_negative(f"actions.{name}", value) for name, value in authority.items()})
+        self.strength = limits.torque if limits.fading == 0.0 else None
         n = self.joints = len(plant.torque_limit)
-        self._shape = self._law.shaping = ReferenceShaping(self._law.slews, self._law.limits, plant.period, far)
+        self._shape = self._law.shaping = ReferenceShaping(self._law.slews, self._law.limits, plant.period, limits)
         every = ("pace", *(f"{part}_{joint + 1}" for part in ("offset", "torque") for joint in range(n)))
-        self._columns = np.flatnonzero(np.repeat([far.pace, far.offset, far.torque], [1, n, n]) > 0.0)
+        self._columns = np.flatnonzero(np.repeat([limits.pace, limits.offset, limits.torque], [1, n, n]) > 0.0)
         self.names = tuple(every[column] for column in self._columns)
         self.sensors: tuple[object, ...] = tuple(base.sensors)
         self._quantities = LinearMeasurements(plant.model)
@@ -146,7 +145,7 @@ class _ReferenceShapingMode:
         sizes |= {"clock": 6, "offsets": 2 * n, "applied": n, "action": len(self.names)}
         sizes |= {"parameters": 1 + 2 * n, "deviations": 1 + 2 * n}
         self.observation_sizes: Mapping[str, int] = sizes
-        self._seen = np.zeros((0, sum(sizes.values())))
+        self._observed = np.zeros((0, sum(sizes.values())))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes of the arms (r,).
@@ -155,9 +154,7 @@ class _ReferenceShapingMode:
             ValueError: for a moving goal.
         """
         if episode.reference is not None:
-            raise value_error(
-                "actions", "shaping", "torque: the goal of this task moves, and slews alone can be shaped"
-            )
+            raise value_error("actions", "shaping", "torque: the goal of this task moves, and only slews can be shaped")
         self._shape.reset(arms, count)
         self._base.reset(arms, episode, count)
 
@@ -169,29 +166,33 @@ class _ReferenceShapingMode:
 
     def observe(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the observed quantities of all arms (b, size), updated for the active arms (b,)."""
-        if len(self._seen) < len(active):
-            self._seen = np.zeros((len(active), self._seen.shape[1]))
+        if len(self._observed) < len(active):
+            self._observed = np.zeros((len(active), self._observed.shape[1]))
         if active.any():
             estimate, arms = self._base.update_estimate(readings, applied, active), np.flatnonzero(active)
             self._law.plan(estimate, active)
             shown = np.concatenate(list(self._parts(estimate, applied, arms).values()), axis=1)
-            self._seen[arms] = np.clip(np.nan_to_num(shown), -MAX_OBSERVATION, MAX_OBSERVATION)
-        return self._seen
+            self._observed[arms] = np.clip(np.nan_to_num(shown), -MAX_OBSERVATION, MAX_OBSERVATION)
+        return self._observed
 
     def _parts(self, estimate: Estimate, applied: Array, arms: IntArray) -> dict[str, Array]:
         """Return the observed quantities of the arms (r,), by name."""
         law, slews, model, d = self._law, self._law.slews, self._plant.model, self._plant.model.n_dof
         states, reference, now = estimate.states[arms], law.reference(estimate, arms), law.clock(estimate, arms)
         motors, (place, speed, change) = model.motor_columns, slews.at(now, arms)
-        way, left = slews.displacement[arms], slews.start_time[arms] + slews.duration[arms] - now
-        errors = slews.start[arms] + way + slews.shift[arms] - states[:, motors]
+        displacement, remaining = slews.displacement[arms], slews.start_time[arms] + slews.duration[arms] - now
+        errors = slews.start[arms] + displacement + slews.shift[arms] - states[:, motors]
         departures = np.arcsinh(self._read(states - reference) / (SMALL_DEPARTURE * self._ranges))
-        ways = [way * (1.0 - place)[:, None], way * speed[:, None], way * change[:, None]]
+        displacements = [
+            displacement * (1.0 - place)[:, None],
+            displacement * speed[:, None],
+            displacement * change[:, None],
+        ]
         clock = [
             place,
             speed,
             change,
-            np.maximum(left, 0.0),
+            np.maximum(remaining, 0.0),
             slews.time_scaling[arms],
             slews.start_time[arms] + slews.duration[arms],
         ]
@@ -200,7 +201,7 @@ class _ReferenceShapingMode:
             "departures": departures,
             "angle_errors": np.concatenate([errors, np.arcsinh(errors / SMALL_ANGLE)], axis=1),
             "reference": np.concatenate([reference[:, motors], reference[:, d + motors]], axis=1),
-            "way": np.concatenate(ways, axis=1),
+            "way": np.concatenate(displacements, axis=1),
             "clock": np.stack(clock, axis=1),
             "offsets": self._shape.offsets[arms].reshape(len(arms), 2 * self.joints),
             "applied": applied[arms],
@@ -216,26 +217,28 @@ class _ReferenceShapingMode:
 
     def _parameters(self, estimate: Estimate, arms: IntArray) -> Array:
         """Return payload (kg) and stiffness factors of joints and links, (r, 1 + 2 n)."""
-        constants, known = self._plant.model.constants, estimate.parameters
+        constants, estimated = self._plant.model.constants, estimate.parameters
         stiffness = np.where(constants.motor >= 0, constants.joint_stiffness, 1.0)
         ones = np.ones((len(arms), self.joints))
-        payload = known["payload_mass"][arms] if "payload_mass" in known else constants.payload_mass[0] * ones[:, 0]
-        joints = known["joint_stiffness"][arms] / stiffness if "joint_stiffness" in known else ones
-        links = known["link_stiffness_factor"][arms] if "link_stiffness_factor" in known else ones
+        payload = (
+            estimated["payload_mass"][arms] if "payload_mass" in estimated else constants.payload_mass[0] * ones[:, 0]
+        )
+        joints = estimated["joint_stiffness"][arms] / stiffness if "joint_stiffness" in estimated else ones
+        links = estimated["link_stiffness_factor"][arms] if "link_stiffness_factor" in estimated else ones
         return np.concatenate([payload[:, None], joints, links], axis=1)
 
     def _deviations(self, arms: IntArray) -> Array:
         """Return the standard deviations (r, 1 + 2 n) of these parameters; 0 for known ones and for rigid joints."""
-        constants, said = self._plant.model.constants, self._base.estimates
+        constants, estimates = self._plant.model.constants, self._base.estimates
         result, n = np.zeros((len(arms), 1 + 2 * self.joints)), self.joints
-        if "payload_mass_deviation" in said:
-            result[:, 0] = said["payload_mass_deviation"][arms]
-        if "joint_stiffness_deviation" in said:
+        if "payload_mass_deviation" in estimates:
+            result[:, 0] = estimates["payload_mass_deviation"][arms]
+        if "joint_stiffness_deviation" in estimates:
             flexible = constants.motor >= 0
-            part = said["joint_stiffness_deviation"][arms] / constants.joint_stiffness[flexible]
+            part = estimates["joint_stiffness_deviation"][arms] / constants.joint_stiffness[flexible]
             result[:, 1 : 1 + n][:, flexible] = part
-        if "link_stiffness_factor_deviation" in said:
-            result[:, 1 + n :] = said["link_stiffness_factor_deviation"][arms]
+        if "link_stiffness_factor_deviation" in estimates:
+            result[:, 1 + n :] = estimates["link_stiffness_factor_deviation"][arms]
         return result
 
 
@@ -341,7 +344,7 @@ def _make_current(plant: Plant, base: Controller | None) -> TorqueMode:
     motors = [joint.motor for joint in plant.model.arm.joints]
     limits = [motor.joint_torque_limit if motor else None for motor in motors]
     if None in limits:
-        allowed = "it for an arm each of whose joints has a motor (fm.Motor) with a current_limit"
+        allowed = "current for an arm with a motor (fm.Motor) with a current_limit at each joint"
         raise value_error("actions", "current", allowed)
     return TorqueMode(len(limits), base, np.array(limits) / plant.torque_limit, "current")
 
@@ -370,8 +373,8 @@ def make_action_mode(value: object, plant: Plant, base: Controller | None) -> Ac
     """Make an action mode for a plant and a base; see `parse_action_mode`. An `ActionMode` is returned unchanged."""
     if isinstance(value, ActionMode):
         if hasattr(value, "shown") and not hasattr(value, "observation_sizes"):
-            said = f"{type(value).__name__}.shown and look are deprecated; name them observation_sizes and observe"
-            warnings.warn(said, DeprecationWarning, stacklevel=2)
+            estimates = f"{type(value).__name__}.shown and look are deprecated; name them observation_sizes and observe"
+            warnings.warn(estimates, DeprecationWarning, stacklevel=2)
             value.observation_sizes, value.observe = value.shown, value.look  # type: ignore[attr-defined]
         return value
     name, arguments = parse_action_mode(value)

@@ -42,7 +42,7 @@ class _History:
     def begin(self, observations: Array, arms: IntArray) -> Array:
         """Fill the history of the arms (r,) with their first observations (r, size); return it, (r, parts size)."""
         self._memory[arms] = observations[:, None]
-        return self.seen(arms)
+        return self._read(arms)
 
     def add(self, observations: Array, arms: IntArray) -> Array:
         """Add observations (r, size) of the arms (r,); return the history, (r, parts size)."""
@@ -52,11 +52,11 @@ class _History:
         else:
             memory[arms, 1:] += self._gains * (observations[:, None] - memory[arms, 1:])
         memory[arms, 0] = observations
-        return self.seen(arms)
+        return self._read(arms)
 
-    def seen(self, arms: IntArray) -> Array:
+    def _read(self, arms: IntArray) -> Array:
         """Return the history (r, parts size) of the arms (r,), the newest observation first."""
-        result: Array = self._memory[arms].reshape(len(arms), self._memory[0].size)  # of no arm too
+        result: Array = self._memory[arms].reshape(len(arms), self._memory[0].size)  # for zero arms too
         return result
 
 
@@ -141,11 +141,13 @@ class Agent:
         parts, hidden = history_length(self._kind), self._row - self._size
         size = getattr(law, "size", parts * self._row) // parts - hidden
         if size != self._size:
-            allowed = f"one of {self._size}, which its sensors read here"
-            raise value_error("base", f"a policy of {size} observed numbers", allowed)
+            allowed = f"one with {self._size}, the number of values of its sensors here"
+            raise value_error("base", f"a policy with {size} inputs", allowed)
         commands = getattr(law, "joints", len(self.mode.names))
         if commands != len(self.mode.names):
-            raise value_error("actions", self.mode.names, f"a mode of {commands} numbers, which the policy gives")
+            raise value_error(
+                "actions", self.mode.names, f"an action mode of {commands} numbers, as the policy has outputs"
+            )
 
     def allocate(self, count: int, period: float) -> None:
         """Allocate memory for `count` arms with a control period (s)."""
@@ -164,7 +166,7 @@ class Agent:
             ValueError: for an arm with another number of joints.
         """
         if episode.start.shape[1] != self.mode.joints:
-            raise value_error("base", f"a policy of {self.mode.joints} motors", f"one of {episode.start.shape[1]}")
+            raise value_error("base", f"a policy for {self.mode.joints} motors", f"one for {episode.start.shape[1]}")
         self.allocate(count, episode.period)
         self._ages[arms] = 0
         self.mode.reset(arms, episode, count)
@@ -220,6 +222,6 @@ class Agent:
             parts.append(values)
             size += values.shape[1]
         if size != self._size:
-            allowed = f"one of {size}, which its sensors read here"
-            raise value_error("base", f"a policy of {self._size} observed numbers", allowed)
+            allowed = f"one with {size}, the number of values of its sensors here"
+            raise value_error("base", f"a policy with {self._size} inputs", allowed)
         return np.concatenate(parts, axis=1)

@@ -27,13 +27,13 @@ def parse_kind(name: str, value: object, known: Mapping[str, Collection[str]]) -
     if isinstance(value, str):
         return one_of(name, value, known), {}
     if not isinstance(value, Mapping) or "kind" not in value:
-        raise value_error(name, value, "a name, or a mapping with a name at kind and its arguments")
+        raise value_error(name, value, "a name, or a mapping with the name under kind and its arguments")
     chosen = one_of(f"{name}.kind", text(f"{name}.kind", value["kind"]), known)
     given = {text(f"a key of {name}", key): each for key, each in value.items() if key != "kind"}
     return chosen, mapping(name, given, known[chosen])
 
 
-DEFAULT_TUNING = "none: usual weights for every arm"  # tuning of the controllers that are designed from a model
+DEFAULT_TUNING = "none: default weights for every arm"  # tuning of the controllers that are designed from a model
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ BASES: dict[str, _BaseEntry] = {
         (),
         ("stiffness", "damping"),
         "a PD of the motors, with gains for each arm, task and delay",
-        "by `flexman tune`, about half a minute of computing time an environment, on the seeds 0 to 7",
+        "by `flexman tune`, about half a minute of computing time per environment, on the seeds 0 to 7",
     ),
     "lqr": _BaseEntry(
         _regulator(LQR), ("model", "true state"), ("weights",), "a linear-quadratic regulator about the goal"
@@ -139,34 +139,34 @@ BASES: dict[str, _BaseEntry] = {
         _lqg,
         ("model",),
         ("weights", "sensors", "noise", "disturbed", "biased", "fixed"),
-        "a Kalman filter of the nominal arm, which reads what a laboratory measures, and `lqr-tracking`",
+        "a Kalman filter of the nominal arm with laboratory measurements, and `lqr-tracking`",
     ),
     "mpc": _BaseEntry(_mpc, ("model", "true state"), (), "model predictive control within the torque limits"),
     "optimised": _BaseEntry(
         _optimised,
         ("model", "true state", "its episodes"),
         ("table",),
-        "the quickest slew that a search has found for each episode, replayed",
-        "by `flexman optimise` on the episodes of the test themselves: a bound, no competitor",
+        "a replay of the fastest slew found by optimisation for each episode",
+        "by `flexman optimise` on the test episodes themselves: a bound, not a competitor",
     ),
     "adaptive-lqr": _BaseEntry(
         _adaptive,
         ("structure of the model",),
         ("weights", "sensors", "unknown", "biased"),
-        "eleven simulated arms beside the real one, fitted to what a laboratory measures, and `lqr-tracking` for the "
-        "arm that they find; the PD where they explain nothing",
+        "an output-error estimator with eleven simulated arms, fitted to laboratory measurements, and `lqr-tracking` "
+        "for the estimated arm; the PD if no fit explains the measurements",
     ),
     "privileged-lqr": _BaseEntry(
         _privileged,
         ("model", "true state", "true parameters"),
         ("weights", "doubt", "retimed"),
-        "`lqr-tracking` that is told true state and true parameters: the yardstick",
+        "`lqr-tracking` with true state and true parameters, the benchmark",
     ),
     "pd-shaped": _BaseEntry(
         _shaped_pd,
         ("model",),
         ("stiffness", "damping", "shaper", "modes", "places", "duration"),
-        "the PD behind an input shaper (ZVD) for the lowest mode of the nominal arm",
+        "the PD with an input shaper (ZVD) for the lowest mode of the nominal arm",
         "that of the PD",
     ),
 }

@@ -150,19 +150,19 @@ def checked_controller(field: str, value: object, others: str = "") -> Controlle
     if not isinstance(value, Controller) or isinstance(value, type):
         raise value_error(field, value, f"{others}a Controller: an object with sensors, reset and act")
     former = False
-    for name, wanted in METHOD_ARGUMENTS.items():
-        takes = signature(getattr(value, name))
-        if not _takes(takes, wanted):
-            former = name == "reset" and _takes(takes, wanted[:2])
+    for name, expected in METHOD_ARGUMENTS.items():
+        call = signature(getattr(value, name))
+        if not _accepts(call, expected):
+            former = name == "reset" and _accepts(call, expected[:2])
             if not former:
-                raise value_error(f"{field}.{name}", str(takes), f"({', '.join(wanted)})")
+                raise value_error(f"{field}.{name}", str(call), f"({', '.join(expected)})")
     check_member_names(field, value, OPTIONAL_MEMBERS, (*METHOD_ARGUMENTS, "sensors"))
     return _FormerController(value, field) if former else value
 
 
-def _takes(takes: Signature, arguments: Sequence[str]) -> bool:
+def _accepts(call: Signature, arguments: Sequence[str]) -> bool:
     try:
-        takes.bind(*arguments)
+        call.bind(*arguments)
     except TypeError:
         return False
     return True
@@ -174,8 +174,10 @@ class _FormerController:
     state_fields = ("inner",)
 
     def __init__(self, inner: Any, field: str) -> None:
-        said = f"{field}.reset(arms, episode) is deprecated; give reset(arms, episode, count), with the number of arms"
-        warnings.warn(said, DeprecationWarning, stacklevel=6)
+        message = (
+            f"{field}.reset(arms, episode) is deprecated; give reset(arms, episode, count), with the number of arms"
+        )
+        warnings.warn(message, DeprecationWarning, stacklevel=6)
         self.inner, self.act = inner, inner.act
 
     @property

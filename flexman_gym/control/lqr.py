@@ -71,7 +71,7 @@ def _riccati_gain(linear: LinearModel, motors: Array, limits: Array, weights: Co
     transition, inputs = discretize(linear.A, linear.B, period)
     n, outputs = len(limits), performance_outputs(linear, motors, weights)
     cost = np.diag(1.0 / limits**2)
-    # torques in parts of their limits, so that the equation is well scaled
+    # torques relative to their limits, for a well-scaled equation
     scaled = inputs * limits
     solution = solve_discrete_are(transition, scaled, outputs.T @ outputs, cost * np.outer(limits, limits))
     gain = np.linalg.solve(np.eye(n) + scaled.T @ solution @ scaled, scaled.T @ solution @ transition)
@@ -106,9 +106,9 @@ class GainTable:
         alike = np.allclose(holding_torques(model, somewhere), holding_torques(model, somewhere + turn))
         self._joints = np.arange(1 if alike else 0, model.n_joints)
         self._rows: dict[tuple[int, ...], int] = {}
-        self._rows_of: dict[bytes, list[int]] = {}  # those of the corners of a cell
+        self._rows_of: dict[bytes, list[int]] = {}  # cell -> rows of its corners
         self._gains = np.zeros((0, model.n_joints, 2 * model.n_dof))
-        self._cells = np.zeros((0, 1 + len(self._joints)), dtype=np.int64)  # of each arm, and the rows of its corners
+        self._cells = np.zeros((0, 1 + len(self._joints)), dtype=np.int64)  # of each arm
         self._corners = np.zeros((0, 2 ** (1 + len(self._joints))), dtype=np.int64)
         self._steps = np.array(list(product((0, 1), repeat=1 + len(self._joints))))
         self._path, self._unsaved = self._file(model), 0
@@ -140,8 +140,8 @@ class GainTable:
         """Look up the corners of the cells (r, axes) of those arms (r,) that have entered a new cell."""
         count = int(arms.max(initial=-1)) + 1
         if count > len(self._cells):
-            far = np.full((count - len(self._cells), cells.shape[1]), np.iinfo(np.int64).min)
-            self._cells, self._corners = np.concatenate([self._cells, far]), pad_rows(self._corners, count)
+            outside = np.full((count - len(self._cells), cells.shape[1]), np.iinfo(np.int64).min)
+            self._cells, self._corners = np.concatenate([self._cells, outside]), pad_rows(self._corners, count)
         moved: BoolArray = (cells != self._cells[arms]).any(axis=1)
         for arm, cell in zip(arms[moved], cells[moved], strict=True):
             key = cell.tobytes()
@@ -171,7 +171,7 @@ class GainTable:
         folder = find_cache_folder()
         if folder is None:
             return None
-        seal = hashlib.sha256(SLIDING.encode())  # designs of motors that stick were kept before
+        seal = hashlib.sha256(SLIDING.encode())  # distinguishes files of earlier versions, with sticking motors
         for values in (*model.constants, *map(np.array, self._design), self._payloads, np.array(POSTURE_SPACING)):
             seal.update(np.ascontiguousarray(values).tobytes())
         return Path(folder) / f"gains-{seal.hexdigest()[:16]}.npz"
@@ -252,22 +252,25 @@ class LQR:
         self.model, self.period = model, positive("period", period, "s")
         self.limits = np.array(torque_limits("torque_limit", torque_limit, n))
         self.weights = weights or default_weights(model)
-        self._gains, self._rest, self._held = np.zeros((0, n, 2 * d)), np.zeros((0, 2 * d)), np.zeros((0, n))
+        self._gains, self._rest, self._holding_torques = np.zeros((0, n, 2 * d)), np.zeros((0, 2 * d)), np.zeros((0, n))
 
     def gain(self, posture: Array, weights: CostWeights | None = None) -> Array:
         """Return the gain K (n, 2 d) at a posture (n,) rad of the motors; weights None for those of the regulator."""
-        state, held = rest_state(self.model, posture), holding_torques(self.model, posture)
-        linear = linearize(self.model, state=state, torque=held)
+        state, holding = rest_state(self.model, posture), holding_torques(self.model, posture)
+        linear = linearize(self.model, state=state, torque=holding)
         return lqr_gain(linear, self.model.motor_columns, self.limits, weights or self.weights, self.period)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Compute gains and equilibria for new episodes of the arms (r,)."""
-        self._gains, self._rest, self._held = (
-            pad_rows(values, count) for values in (self._gains, self._rest, self._held)
+        self._gains, self._rest, self._holding_torques = (
+            pad_rows(values, count) for values in (self._gains, self._rest, self._holding_torques)
         )
         for arm, angles in zip(arms, episode.goal, strict=True):
             self._gains[arm] = self.gain(angles)
-            self._rest[arm], self._held[arm] = rest_state(self.model, angles), holding_torques(self.model, angles)
+            self._rest[arm], self._holding_torques[arm] = (
+                rest_state(self.model, angles),
+                holding_torques(self.model, angles),
+            )
 
     def act(
         self, readings: Readings, applied: Array | None = None, active: BoolArray | None = None
@@ -282,7 +285,7 @@ class LQR:
 
     def torques(self, states: Array) -> Array:
         """Return the torques (b, n) for states (b, 2 d), N m; products are computed arm by arm."""
-        return self._held - row_dots(self._gains, (states - self._rest)[:, None])
+        return self._holding_torques - row_dots(self._gains, (states - self._rest)[:, None])
 
 
 class _GainSchedule(NamedTuple):
@@ -341,12 +344,14 @@ class TrackingLQR(LQR):
                 self._keep(int(arm), self._holding(last))
                 continue
             slew = plan_slew(self.model, first, last, self.limits, TORQUE_SHARE, self.period, self.law)
-            gains = np.array([self.gain(first + way * (last - first)) for way in np.linspace(0.0, 1.0, SLEW_POSTURES)])
+            gains = np.array(
+                [self.gain(first + progress * (last - first)) for progress in np.linspace(0.0, 1.0, SLEW_POSTURES)]
+            )
             moved = slew.states[:, motors] - slew.states[0, motors]
-            way = row_dots(moved, moved[-1]) / max(moved[-1] @ moved[-1], 1e-12)
+            progress = row_dots(moved, moved[-1]) / max(moved[-1] @ moved[-1], 1e-12)
             torques = np.vstack([slew.torques, holding_torques(self.model, last)])
             self._keep(
-                int(arm), _GainSchedule(slew.states, torques, gains, (SLEW_POSTURES - 1) * np.clip(way, 0.0, 1.0))
+                int(arm), _GainSchedule(slew.states, torques, gains, (SLEW_POSTURES - 1) * np.clip(progress, 0.0, 1.0))
             )
 
     def _holding(self, posture: Array) -> _GainSchedule:
@@ -355,8 +360,10 @@ class TrackingLQR(LQR):
         No torque is reserved for a slew, so that the tip has a larger weight.
         """
         tight = self.weights._replace(tip=HOLDING_FACTOR * self.weights.tip)
-        held = holding_torques(self.model, posture)[None]
-        return _GainSchedule(rest_state(self.model, posture)[None], held, self.gain(posture, tight)[None], np.zeros(1))
+        holding = holding_torques(self.model, posture)[None]
+        return _GainSchedule(
+            rest_state(self.model, posture)[None], holding, self.gain(posture, tight)[None], np.zeros(1)
+        )
 
     def _follow(self, arms: IntArray, postures: Array) -> None:
         """Plan the motion of the arms (r,) through goal postures (r, T + 1, n) rad, one per control period."""

@@ -87,9 +87,9 @@ def _at_rest(model: Model, joint_angles: Vector) -> LinearModel:
 
 def _stuck_sets(model: Model) -> Iterator[tuple[int, ...]]:
     """Yield the sets of joints whose motors may stick: first the empty set, never that of all joints."""
-    rubbing = np.flatnonzero(model.constants.coulomb_friction > 0.0).tolist()
-    for count in range(min(len(rubbing) + 1, model.n_joints)):
-        yield from combinations(rubbing, count)
+    frictional = np.flatnonzero(model.constants.coulomb_friction > 0.0).tolist()
+    for count in range(min(len(frictional) + 1, model.n_joints)):
+        yield from combinations(frictional, count)
 
 
 def _loop(
@@ -100,13 +100,13 @@ def _loop(
     columns = motors[list(stuck)]
     clamped = np.concatenate([columns, d + columns])
     sampled = (_clamped(linear, columns) if stuck else linear).discrete(period, delay * period)
-    late, entry = sampled.A, sampled.B
-    late[clamped], late[:, clamped], entry[clamped] = 0.0, 0.0, 0.0
+    delayed, entry = sampled.A, sampled.B
+    delayed[clamped], delayed[:, clamped], entry[clamped] = 0.0, 0.0, 0.0
     if bandwidth is not None:
-        left, mean = first_order_lag(period, bandwidth)
-        late = np.block([[late, mean * entry], [np.zeros((n, len(late))), left * np.eye(n)]])
-        entry = np.vstack([(1.0 - mean) * entry, (1.0 - left) * np.eye(n)])
-    return SampledLoop(late, entry, motors, d + motors, stuck)
+        remaining, mean = first_order_lag(period, bandwidth)
+        delayed = np.block([[delayed, mean * entry], [np.zeros((n, len(delayed))), remaining * np.eye(n)]])
+        entry = np.vstack([(1.0 - mean) * entry, (1.0 - remaining) * np.eye(n)])
+    return SampledLoop(delayed, entry, motors, d + motors, stuck)
 
 
 def _clamped(linear: LinearModel, columns: IntArray) -> LinearModel:
@@ -116,12 +116,12 @@ def _clamped(linear: LinearModel, columns: IntArray) -> LinearModel:
     d, free = len(mass), np.setdiff1d(np.arange(len(mass)), columns)
     A, B = np.zeros_like(linear.A), np.zeros_like(linear.B)
     moving = np.concatenate([free, d + free])
-    scale = np.sqrt(np.diag(mass)[free])  # metres and radians of fine elements weigh alike
+    scale = np.sqrt(np.diag(mass)[free])  # equilibrates metres and radians
     demands = forces[np.ix_(free, [*moving, *range(2 * d, forces.shape[1])])]
-    slopes = np.linalg.solve(mass[np.ix_(free, free)] / np.outer(scale, scale), demands / scale[:, None])
-    slopes /= scale[:, None]
+    derivatives = np.linalg.solve(mass[np.ix_(free, free)] / np.outer(scale, scale), demands / scale[:, None])
+    derivatives /= scale[:, None]
     A[free, d + free] = 1.0
-    A[np.ix_(d + free, moving)], B[d + free] = slopes[:, : len(moving)], slopes[:, len(moving) :]
+    A[np.ix_(d + free, moving)], B[d + free] = derivatives[:, : len(moving)], derivatives[:, len(moving) :]
     return replace(linear, A=A, B=B, balance=None)
 
 
@@ -148,8 +148,10 @@ def margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector) ->
     """
     each, stable = [], np.ones(len(loops), dtype=bool)
     for values, changes in ((GAIN_FACTORS, GAIN_FACTORS), (PHASE_SHIFTS, np.exp(IMAGINARY_DEGREE * PHASE_SHIFTS))):
-        good = np.array([[_stable(loop, stiffness, damping, change) for change in changes] for loop in loops])
-        first = np.argmin(np.column_stack([good, np.zeros(len(loops), dtype=bool)]), axis=1)  # of the changes too large
+        passes = np.array([[_stable(loop, stiffness, damping, change) for change in changes] for loop in loops])
+        first = np.argmin(
+            np.column_stack([passes, np.zeros(len(loops), dtype=bool)]), axis=1
+        )  # first change beyond the margin
         each.append(values[np.maximum(first - 1, 0)])
         stable &= first > 0
     gains, phases = each

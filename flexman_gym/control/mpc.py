@@ -65,8 +65,8 @@ def _design_horizon(
         state = transition @ state
         state[:, n * block : n * (block + 1)] += inputs
         rows.append(outputs @ state)
-    slopes = np.vstack([*rows[:-1], ending @ state]).T.copy()
-    return _Horizon(slopes, slopes @ slopes.T + np.diag(np.repeat(np.array(blocks, dtype=float), n)), ending)
+    jacobian = np.vstack([*rows[:-1], ending @ state]).T.copy()
+    return _Horizon(jacobian, jacobian @ jacobian.T + np.diag(np.repeat(np.array(blocks, dtype=float), n)), ending)
 
 
 class _Plan(NamedTuple):
@@ -134,7 +134,7 @@ class MPC:
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Plan the slews of the arms (r,) and compute the predictions along them."""
         if episode.path is not None:
-            raise value_error("episode", "a goal that moves", "one that stays, for which the MPC plans")
+            raise value_error("episode", "a moving goal", "a fixed goal: the MPC plans slews only")
         self._planned, self._now = pad_rows(self._planned, count), pad_rows(self._now, count)
         for arm, start, goal in zip(arms.tolist(), episode.start, episode.goal, strict=True):
             plan = self._plan(start, goal)
@@ -180,14 +180,14 @@ class MPC:
         plan, now, n = self._plans[arm], int(self._now[arm]), len(self.limits)
         rows = np.minimum(now + np.arange(sum(MOVE_BLOCKS) + 1), len(plan.states) - 1)
         planned, firsts = self._planned[arm], np.cumsum((0, *MOVE_BLOCKS[:-1]))
-        if np.isfinite(states).all():  # it cannot be told where an arm goes that comes apart
+        if np.isfinite(states).all():  # the prediction did not diverge
             horizon = self._interpolate(plan, states[LINEARISATION_PERIOD])
             gap = self._residuals(horizon, states - plan.states[rows[1:]], outputs - plan.outputs[rows[1:]])
-            beyond = np.add.reduceat(planned - plan.torques[rows[:-1]], firsts).ravel()
+            departures = np.add.reduceat(planned - plan.torques[rows[:-1]], firsts).ravel()
             mean = (np.add.reduceat(planned, firsts) / np.array(MOVE_BLOCKS)[:, None]).ravel()
-            slope = row_dots(horizon.jacobian, gap) + beyond
+            gradient = row_dots(horizon.jacobian, gap) + departures
             low, high = np.maximum(-1.0 - mean, -MAX_CHANGE), np.minimum(1.0 - mean, MAX_CHANGE)
-            changes = _solve_quadratic_program(self._daqp, horizon.curvature, slope, low, high)
+            changes = _solve_quadratic_program(self._daqp, horizon.curvature, gradient, low, high)
             planned = np.clip(planned + np.repeat(changes.reshape(-1, n), MOVE_BLOCKS, axis=0), -1.0, 1.0)
         self._planned[arm] = np.vstack([planned[1:], np.clip(plan.torques[rows[-1]], -1.0, 1.0)])
         self._now[arm] += 1
@@ -195,10 +195,10 @@ class MPC:
 
     def _interpolate(self, plan: _Plan, state: Array) -> _Horizon:
         """Return the linear prediction at the position of an arm along its path."""
-        come = row_dots(state[self.model.motor_columns] - plan.start, plan.displacement) / max(
+        progress = row_dots(state[self.model.motor_columns] - plan.start, plan.displacement) / max(
             row_dots(plan.displacement, plan.displacement), MIN_SQUARED_LENGTH
         )
-        place = float(np.clip(come, 0.0, 1.0)) * (LINEARISATION_POSTURES - 1)
+        place = float(np.clip(progress, 0.0, 1.0)) * (LINEARISATION_POSTURES - 1)
         lower = min(int(place), LINEARISATION_POSTURES - 2)
         part = place - lower
         return _Horizon(*(each[lower] + part * (each[lower + 1] - each[lower]) for each in plan.horizons))
@@ -210,10 +210,10 @@ class MPC:
         return np.concatenate([np.hstack(near).ravel(), row_dots(horizon.terminal, states[-1])])
 
 
-def _solve_quadratic_program(daqp: ModuleType, curvature: Array, slope: Array, low: Array, high: Array) -> Array:
+def _solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array, low: Array, high: Array) -> Array:
     """Return the changes (m,) between low and high of least cost; zero if the solver fails."""
-    changes, _, status, _ = daqp.solve(curvature, slope, np.zeros((0, len(slope))), high, low)
-    return np.array(changes) if status > 0 else np.clip(np.zeros(len(slope)), low, high)
+    changes, _, status, _ = daqp.solve(curvature, gradient, np.zeros((0, len(gradient))), high, low)
+    return np.array(changes) if status > 0 else np.clip(np.zeros(len(gradient)), low, high)
 
 
 def _import_solver() -> ModuleType:

@@ -15,7 +15,7 @@ ACTIVATION_FUNCTIONS: dict[str, Callable[[Array], Array]] = {
 }
 MAX_INPUT = 10.0  # largest magnitude of a normalised observation
 VARIANCE_OFFSET = 1e-8  # added to variances to avoid division by zero
-# algorithm -> where its layers begin, its last one, the function between them where none is named, and at the end
+# algorithm -> prefix of its layers, name of the last layer, default activation, output function
 LAYER_NAMES: dict[str, tuple[str, str, str, Callable[[Array], Array]]] = {
     "ppo": ("mlp_extractor.policy_net.", "action_net", "tanh", lambda values: np.clip(values, -1.0, 1.0)),
     "dagger": ("mlp_extractor.policy_net.", "action_net", "tanh", lambda values: np.clip(values, -1.0, 1.0)),
@@ -63,7 +63,7 @@ class Network:
         sizes = [self.mean.size, *(len(bias) for _, bias in self.layers)]
         for (weights, _), size in zip(self.layers, sizes, strict=False):
             if weights.shape[1] != size:
-                raise value_error("policy", f"a layer of {weights.shape[1]} numbers", f"one of {size}")
+                raise value_error("policy", f"a layer with {weights.shape[1]} inputs", f"one with {size}")
         if self.scale.shape != self.mean.shape or self.mean.ndim != 1:
             raise value_error("statistics.var", f"an array {self.scale.shape}", f"one of {self.mean.shape}")
         self.size, self.joints = sizes[0], sizes[-1]
@@ -113,5 +113,5 @@ def _finite(field: str, value: object, least: float = -np.inf) -> Array:
     if not isinstance(value, np.ndarray) or value.dtype.kind != "f":
         raise value_error(field, type(value).__name__, "an array of numbers")
     if not (np.isfinite(value) & (value >= least)).all():
-        raise value_error(field, "another number", "finite numbers" if least < 0.0 else "finite numbers >= 0")
+        raise value_error(field, "a number out of range", "finite numbers" if least < 0.0 else "finite numbers >= 0")
     return value.astype(np.float64)

@@ -85,13 +85,13 @@ class RunningMeanStd:
             result.set_state(state | {"count": float(state["count"])})
         except FileNotFoundError:
             raise
-        except Exception as error:  # whatever a zip file may hold
-            allowed = f"a file that Scales.save wrote ({type(error).__name__})"
+        except Exception as error:  # a damaged zip file may raise anything
+            allowed = f"a file of RunningMeanStd.save ({type(error).__name__})"
             raise value_error("scales", short_path(path), allowed) from None
         return result
 
     def _join(self, count: float, mean: Array, squares: Array) -> None:
-        total, apart = self.count + count, mean - self.mean
-        self.mean = np.asarray(self.mean + apart * (count / total))  # of numbers, too, an array
-        self.squares = np.asarray(self.squares + squares + np.square(apart) * (self.count * count / total))
+        total, difference = self.count + count, mean - self.mean
+        self.mean = np.asarray(self.mean + difference * (count / total))  # an array for numbers too
+        self.squares = np.asarray(self.squares + squares + np.square(difference) * (self.count * count / total))
         self.count = total

@@ -50,7 +50,7 @@ class PD:
                 non_negative(f"PD.{name}[{i}]", gain)
         self.torque_limit = np.array(torque_limits("PD.torque_limit", torque_limit, n))
         self.gravity_model = None if gravity_model is None else check_model(gravity_model)
-        self._holding = np.zeros((1, n))  # torques of each arm
+        self._holding = np.zeros((1, n))  # N m; holding torques of each arm
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Compute the holding torques of the arms (r,) at their goals."""

@@ -59,10 +59,10 @@ class ReferenceShaping:
 
     def update_time_scaling(self, arms: IntArray) -> None:
         """Move the time scaling of the arms (r,) towards its commanded value."""
-        slews, wanted = self._slews, np.exp(self._authority.pace * self.action[arms, 0])
-        change = TIME_SCALING_GAIN * (wanted - slews.time_scaling[arms])
+        slews, target = self._slews, np.exp(self._authority.pace * self.action[arms, 0])
+        change = TIME_SCALING_GAIN * (target - slews.time_scaling[arms])
         slews.time_scaling[arms] += change
-        slews.pace_rate[arms] = 0.5 * change / self._period  # the bending follows later than a step of the pace
+        slews.pace_rate[arms] = 0.5 * change / self._period  # at half a step, since the deflection lags
 
     def advance(self, arms: IntArray, places: Array) -> Array:
         """Advance offsets and clocks by a control period; return the added torques (r, n), N m.
@@ -72,13 +72,13 @@ class ReferenceShaping:
             places: (r,) path parameters.
         """
         n, fading = self._joints, self._authority.fading
-        left = np.clip((1.0 - places) / fading, 0.0, 1.0)[:, None] if fading else np.ones((len(arms), 1))
+        fade = np.clip((1.0 - places) / fading, 0.0, 1.0)[:, None] if fading else np.ones((len(arms), 1))
         offsets, rates = self.offsets[arms, 0], self.offsets[arms, 1]
-        wanted = left * self._authority.offset * self.action[arms, 1 : 1 + n]
-        rates = rates + self._period * (OFFSET_FREQUENCY**2 * (wanted - offsets) - 2.0 * OFFSET_FREQUENCY * rates)
+        target = fade * self._authority.offset * self.action[arms, 1 : 1 + n]
+        rates = rates + self._period * (OFFSET_FREQUENCY**2 * (target - offsets) - 2.0 * OFFSET_FREQUENCY * rates)
         self.offsets[arms, 0], self.offsets[arms, 1] = offsets + self._period * rates, rates
         self.clock_offset[arms] += self._period * (self._slews.time_scaling[arms] - 1.0)
-        result: Array = left * self._authority.torque * self._limits * self.action[arms, 1 + n :]
+        result: Array = fade * self._authority.torque * self._limits * self.action[arms, 1 + n :]
         return result
 
     def offset_states(self, arms: IntArray) -> Array:

@@ -49,9 +49,9 @@ class Tracking:
         self._gains = [GainTable(model, self.limits, plant.period, each, self._payloads) for each in (weights, tight)]
         self._motors = model.motor_columns
         self.shaping: ReferenceShaping | None = None
-        self._planned = np.zeros(0, dtype=bool)  # in this period
+        self._planned = np.zeros(0, dtype=bool)  # in this control period
         self._ages, self._holding = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
-        self._goal, self._on_path = np.zeros((0, model.n_joints)), np.zeros(0, dtype=bool)  # whether goals move
+        self._goal, self._on_path = np.zeros((0, model.n_joints)), np.zeros(0, dtype=bool)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes of the arms (r,); their references are planned at the first estimate of the state."""
@@ -82,10 +82,10 @@ class Tracking:
         for table, some in zip(self._gains, (~self._holding[arms], self._holding[arms]), strict=True):
             if some.any():
                 gains[some] = table(arms[some], states[some][:, self._motors], payloads[some])
-        asked = forward - row_dots(gains, (states - reference)[:, None])
+        command = forward - row_dots(gains, (states - reference)[:, None])
         if self.shaping:
-            asked += self.shaping.advance(arms, self.slews.at(now, arms)[0])
-        result[arms] = np.clip(asked, -self.limits, self.limits)
+            command += self.shaping.advance(arms, self.slews.at(now, arms)[0])
+        result[arms] = np.clip(command, -self.limits, self.limits)
         self._ages += active
         self._planned[arms] = False
         return result
@@ -131,11 +131,11 @@ class Tracking:
             self.slews.begin(first, start, self._goal[first])
             self.slews.adapt(first, estimate.parameters)
             self.slews.time(first, self.clock(estimate, first), first=True)
-        again = arms[np.isin(self._ages[arms], self._retimed)] if estimate.parameters else arms[:0]
-        self.slews.adapt(np.union1d(arms[due], again), estimate.parameters)
-        if len(again):
-            again = again[self.slews.at(self.clock(estimate, again), again)[0] < LAST_RETIMING]
-            self.slews.time(again, self.clock(estimate, again), first=False)
+        retimed = arms[np.isin(self._ages[arms], self._retimed)] if estimate.parameters else arms[:0]
+        self.slews.adapt(np.union1d(arms[due], retimed), estimate.parameters)
+        if len(retimed):
+            retimed = retimed[self.slews.at(self.clock(estimate, retimed), retimed)[0] < LAST_RETIMING]
+            self.slews.time(retimed, self.clock(estimate, retimed), first=False)
 
 
 class OutputFeedback:
@@ -157,7 +157,7 @@ class OutputFeedback:
         self.observer, self.law, self.fallback = observer, law, fallback
         self.sensors = (*observer.sensors, *(fallback.sensors if fallback else ()))
         self._fallback_active, self._updated = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
-        self._latest: dict[str, Any] = {}  # the estimate of arms that have been looked at in this period
+        self._latest: dict[str, Any] = {}  # estimate of the arms updated in this control period
 
     @property
     def estimates(self) -> Mapping[str, Array]:
@@ -204,8 +204,8 @@ class OutputFeedback:
 def _inconsistent(observer: Observer) -> BoolArray | bool:
     """Return the flags (b,) of arms whose readings no model of the observer explains; False without such a member."""
     if hasattr(observer, "wrong") and not hasattr(observer, "inconsistent"):
-        said = f"{type(observer).__name__}.wrong is deprecated; name it inconsistent"
-        warnings.warn(said, DeprecationWarning, stacklevel=4)
+        message = f"{type(observer).__name__}.wrong is deprecated; name it inconsistent"
+        warnings.warn(message, DeprecationWarning, stacklevel=4)
         former: BoolArray | bool = observer.wrong
         return former
     result: BoolArray | bool = getattr(observer, "inconsistent", False)

@@ -91,7 +91,10 @@ def test_a_policy_acts_in_its_mode_wherever_it_plays(winding):
         alone.step(np.zeros((3, 2), dtype=np.float32))
     assert np.array_equal(asked, played) and np.abs(asked).max() > 0.01
     said = refusal(lambda: Agent(beside.setup.sensors, 6, TorqueMode(2), law=network))
-    assert said == "actions: ('torque_1', 'torque_2') is not allowed; give a mode of 1 numbers, which the policy gives"
+    assert (
+        said
+        == "actions: ('torque_1', 'torque_2') is not allowed; give an action mode of 1 numbers, as the policy has outputs"
+    )
 
 
 def test_torques_are_added_to_a_base_up_to_the_limits():
@@ -117,7 +120,7 @@ def test_torques_are_added_to_a_base_up_to_the_limits():
         ("torques", "actions: 'torques' is not allowed; give one of torque"),
         ({"kind": "torque", "rate": 1.0}, "actions: 'rate' is not allowed; give "),
         ({"kind": "spin"}, "actions.kind: 'spin' is not allowed; give one of torque"),
-        (3, "actions: 3 is not allowed; give a name, or a mapping with a name at kind and its arguments"),
+        (3, "actions: 3 is not allowed; give a name, or a mapping with the name under kind and its arguments"),
     ],
 )
 def test_other_modes_are_refused_in_one_line(value, line):

@@ -233,7 +233,9 @@ def test_an_arm_that_starts_at_its_goal_is_held_more_tightly():
     for controller, start in ((regulator, goal), (holding, goal), (slewing, goal - 0.1)):
         controller.reset(np.array([0]), EpisodeInfo(start, goal, PERIOD), 1)
     slewing._now += 10**6
-    loose, tight, after = (each.torques(off)[0] - regulator._held[0] for each in (regulator, holding, slewing))
+    loose, tight, after = (
+        each.torques(off)[0] - regulator._holding_torques[0] for each in (regulator, holding, slewing)
+    )
     assert (loose < 0.0).all() and (tight < 1.2 * loose).all() and after == pytest.approx(loose, rel=1e-6)
 
 

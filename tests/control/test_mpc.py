@@ -245,7 +245,7 @@ def test_an_arm_that_does_not_play_gets_nothing_and_changes_nothing():
 def test_a_goal_that_moves_and_a_missing_package_are_refused(monkeypatch, capsys):
     model, limits, posture = posed("FlexOne-v0")
     moving = EpisodeInfo(posture[None], posture[None], PERIOD, lambda: np.zeros((1, 4, 1)))
-    assert refusal(mpc.MPC(model, limits, PERIOD).reset, ONLY, moving, 1).startswith("episode: 'a goal that moves' is")
+    assert refusal(mpc.MPC(model, limits, PERIOD).reset, ONLY, moving, 1).startswith("episode: 'a moving goal' is")
     monkeypatch.setitem(sys.modules, "daqp", None)
     with pytest.raises(ImportError, match=r"flexman_gym\[mpc\]"):
         mpc.MPC(model, limits, PERIOD)

@@ -240,9 +240,9 @@ def test_what_no_table_has_is_refused_with_the_command_that_makes_one(table):
     for ends in ((start, goal + 2e-9), (start - 2e-9, goal), (goal, start)):
         said = refusal(controller.reset, ONLY, EpisodeInfo(ends[0][None], ends[1][None], 0.02), 1)
         assert said.startswith("episode: [[") and said.endswith(COMMAND)
-    assert refusal(table.settling_time, 5).startswith("seed: 5 is not allowed; give one that the table has")
+    assert refusal(table.settling_time, 5).startswith("seed: 5 is not allowed; give a seed in the table")
     moving = EpisodeInfo(start[None], goal[None], 0.02, lambda: np.zeros((1, 4, 1)))
-    assert refusal(controller.reset, ONLY, moving, 1).startswith("episode: 'a goal that moves' is not allowed")
+    assert refusal(controller.reset, ONLY, moving, 1).startswith("episode: 'a moving goal' is not allowed")
 
 
 @pytest.mark.parametrize("changes", [{"period": 0.01}, {"torque_limit": 0.7}])
@@ -266,7 +266,7 @@ def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path, table):
     for broken in (lambda: None, lambda: np.savez(path, seeds=ONLY), lambda: path.write_bytes(b"")):
         broken()
         said = refusal(SlewTable.load, path)
-        assert said.startswith(f"{path}: it is no table of slews") and "\n" not in said
+        assert said.startswith(f"{path}: not a table of slews") and "\n" not in said
     with pytest.raises(FileNotFoundError):
         SlewTable.load(tmp_path / "none.npz")
 

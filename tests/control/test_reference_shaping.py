@@ -285,7 +285,7 @@ def test_only_parts_with_authority_are_asked_for():
 @pytest.mark.parametrize(
     ("settings", "line"),
     [
-        ({"base": "pd"}, "actions: 'shaping' is not allowed; give torque, or it with a base that has an observer"),
+        ({"base": "pd"}, "actions: 'shaping' is not allowed; give torque, or shaping with a base that estimates"),
         ({"actions": {"kind": "shaping", "fading": -0.1}}, "actions.fading: -0.1 is not allowed"),
         ({"actions": {"kind": "shaping", "torque": -0.1}}, "actions.torque: -0.1 is not allowed"),
         ({"base": {"kind": "privileged-lqr", "doubt": 2}}, "base.doubt: 2 is not allowed"),

@@ -259,9 +259,11 @@ def test_a_goal_whose_weight_is_too_much_is_refused_in_one_line():
         0.01,
     )
     line = refusal(plan_slew, *arguments)
-    assert line == "goal: [0.0, 0.0] is not allowed; give a posture that 95% of the torque limits can hold"
+    assert line == "goal: [0.0, 0.0] is not allowed; give a posture with holding torques below 95% of the torque limits"
     line = refusal(plan_via, arguments[0], np.array(arguments[1:3]), *arguments[3:])
-    assert line.startswith("postures: [[1.57") and line.endswith("give postures that 95% of the torque limits can hold")
+    assert line.startswith("postures: [[1.57") and line.endswith(
+        "give postures with holding torques below 95% of the torque limits"
+    )
 
 
 def test_other_laws_and_postures_are_refused_in_one_line():
@@ -270,7 +272,7 @@ def test_other_laws_and_postures_are_refused_in_one_line():
     assert line == "law: 'cubic' is not allowed; give one of minimum-jerk, trapezoid, double-s"
     for postures in ([[0.0]], [[0.0], [1.0], [1.0]]):
         line = refusal(plan_via, model, np.array(postures), *arguments)
-        assert line == f"postures: {postures} is not allowed; give two at least, each another than that before"
+        assert line == f"postures: {postures} is not allowed; give at least two, no two equal in succession"
 
 
 def wandering(model, count):

@@ -170,7 +170,7 @@ def test_currents_are_torques_by_gear_torque_constant_and_efficiency():
     [
         (
             {"actions": "current"},
-            "actions: 'current' is not allowed; give it for an arm each of whose joints has a motor",
+            "actions: 'current' is not allowed; give current for an arm with a motor",
         ),
         ({"actions": "position", "base": "pd"}, "base: <flexman_gym.control.pd.PD object at "),
         (

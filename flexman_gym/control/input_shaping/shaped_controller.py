@@ -32,7 +32,7 @@ REFUSED_QUANTITIES = (
     "fine_angle_errors",
     "fine_target_error",
     "preview",
-)  # readings of the goal that cannot be shaped
+)  # readings without a shaped form
 
 
 class InputShapedController:
@@ -69,15 +69,20 @@ class InputShapedController:
         duration: float = 0.0,
         tolerance: float = DEFAULT_TOLERANCE,
     ) -> None:
-        self.inner, self.model = checked_controller("Shaped.inner", inner), check_model(model)
+        self.inner, self.model = checked_controller("InputShapedController.inner", inner), check_model(model)
         self.sensors = inner.sensors
         self._own = _pairs(modes) if isinstance(modes, list | tuple | np.ndarray) else None
-        self._count = whole_number("Shaped.modes", modes, 1, MAX_MODES) if self._own is None else len(self._own)
-        self.places, self.duration = vector("Shaped.places", places), non_negative("Shaped.duration", duration, "s")
+        self._count = (
+            whole_number("InputShapedController.modes", modes, 1, MAX_MODES) if self._own is None else len(self._own)
+        )
+        self.places, self.duration = (
+            vector("InputShapedController.places", places),
+            non_negative("InputShapedController.duration", duration, "s"),
+        )
         if not all(0.0 <= place <= 1.0 for place in self.places):
-            raise value_error("Shaped.places", places, "numbers from 0 to 1")
+            raise value_error("InputShapedController.places", places, "numbers from 0 to 1")
         for frequency, ratio in [(1.0, 0.0)] if self._own is None else self._own.tolist():
-            design_shaper(shaper, frequency, ratio, tolerance)  # refuses what is wrong before an episode does
+            design_shaper(shaper, frequency, ratio, tolerance)  # checks the arguments
         self.shaper, self.tolerance = shaper, tolerance
         self._commands: list[_Command] = []
         self._now = np.zeros(0, dtype=np.int64)
@@ -100,17 +105,21 @@ class InputShapedController:
         Raises:
             ValueError: for a reading of the goal that cannot be shaped.
         """
-        seen = dict(readings)
+        shaped = dict(readings)
         for name, values in readings.items():
             if name in REFUSED_QUANTITIES:
                 raise value_error(
-                    "Shaped.inner", f"a controller that reads {name}", f"one that reads none of {REFUSED_QUANTITIES}"
+                    "InputShapedController.inner",
+                    f"a controller that reads {name}",
+                    f"one that reads none of {REFUSED_QUANTITIES}",
                 )
             if name in SHIFTED_QUANTITIES or (name == "state" and type(self.inner) is LQR):
                 places = zip(self._commands, self._now.tolist(), strict=True)
-                seen[name] = values + np.array([command.move(name)[min(now, command.last)] for command, now in places])
+                shaped[name] = values + np.array(
+                    [command.move(name)[min(now, command.last)] for command, now in places]
+                )
         self._now += active
-        return self.inner.act(seen, applied, active)
+        return self.inner.act(shaped, applied, active)
 
     def combined(self, postures: Array) -> Shaper:
         """Return the shaper of all shaped modes, averaged over postures (p, n) rad."""
@@ -119,7 +128,7 @@ class InputShapedController:
             found = [excited_modes(self.model, posture)[: self._count, :2] for posture in postures]
             modes = np.mean([each[: min(map(len, found))] for each in found], axis=0)
         if not len(modes):
-            raise value_error("Shaped.modes", self._count, "those of an arm that bends: this one has none")
+            raise value_error("InputShapedController.modes", self._count, "modes of a flexible arm: this arm has none")
         return reduce(
             convolve_shapers,
             [design_shaper(self.shaper, each, ratio, self.tolerance) for each, ratio in modes.tolist()],
@@ -130,20 +139,25 @@ class InputShapedController:
         if path is None:
             count = int(np.ceil(self.duration / period)) + 1
             times = period * np.arange(count, dtype=np.float64)
-            parts = TIMING_LAWS["minimum-jerk"].at(times / self.duration)[0] if self.duration else np.ones(count)
-            plain, before = start + parts[:, None] * (goal - start), start
-            way = start + np.array(self.places)[:, None] * (goal - start)
+            fractions = TIMING_LAWS["minimum-jerk"].at(times / self.duration)[0] if self.duration else np.ones(count)
+            plain, before = start + fractions[:, None] * (goal - start), start
+            postures = start + np.array(self.places)[:, None] * (goal - start)
         else:
             plain, before = path, path[0]
-            way = path[np.rint(np.array(self.places) * (len(path) - 1)).astype(int)]
-        parts = sample_shaper(self.combined(way), period)
+            postures = path[np.rint(np.array(self.places) * (len(path) - 1)).astype(int)]
+        fractions = sample_shaper(self.combined(postures), period)
         if path is None:
-            plain = np.vstack([plain, np.repeat(goal[None], len(parts) + REST_PERIODS, axis=0)])
+            plain = np.vstack([plain, np.repeat(goal[None], len(fractions) + REST_PERIODS, axis=0)])
         rates = np.diff(plain, axis=0, prepend=plain[:1]) / period
         true = np.broadcast_to(goal, plain.shape) if path is None else path
         true_rates = np.zeros_like(rates) if path is None else rates
         return _Command(
-            self.model, period, before + _late(parts, plain - before), _late(parts, rates), true, true_rates
+            self.model,
+            period,
+            before + _convolve(fractions, plain - before),
+            _convolve(fractions, rates),
+            true,
+            true_rates,
         )
 
 
@@ -173,17 +187,19 @@ class _Command:
         return self._moves[name]
 
 
-def _late(parts: Array, values: Array) -> Array:
+def _convolve(fractions: Array, values: Array) -> Array:
     """Return values (K, n), zero before, convolved with the fractions (m,) of a sampled shaper."""
     result = np.zeros_like(values)
-    for late, part in enumerate(parts[: len(values)]):
-        result[late:] += part * values[: len(values) - late]
+    for delay, part in enumerate(fractions[: len(values)]):
+        result[delay:] += part * values[: len(values) - delay]
     return result
 
 
 def _pairs(value: object) -> Array:
     """Return given modes (k, 2) as frequencies (Hz) and damping ratios."""
-    pairs = sequence("Shaped.modes", value, "pairs of frequency (Hz) and damping ratio")
+    pairs = sequence("InputShapedController.modes", value, "pairs of frequency (Hz) and damping ratio")
     if not 1 <= len(pairs) <= MAX_MODES:
-        raise value_error("Shaped.modes", value, f"1 to {MAX_MODES} pairs of frequency (Hz) and damping ratio")
-    return np.array([vector(f"Shaped.modes[{i}]", pair, 2) for i, pair in enumerate(pairs)])
+        raise value_error(
+            "InputShapedController.modes", value, f"1 to {MAX_MODES} pairs of frequency (Hz) and damping ratio"
+        )
+    return np.array([vector(f"InputShapedController.modes[{i}]", pair, 2) for i, pair in enumerate(pairs)])

@@ -44,7 +44,7 @@ def excited_modes(model: Model, posture: Vector, held: bool = True) -> Array:
     inertia, springs = (matrix[np.ix_(others, others)] for matrix in (resting.mass, resting.stiffness))
     result = np.zeros((0, 3))
     if len(others):
-        # a step carries along what hangs on a motor; springs draw it to where it rests
+        # a step moves the link with its motor; springs pull it to the equilibrium
         carried = -np.linalg.solve(inertia, resting.mass[np.ix_(others, motors)])
         starts = carried + np.linalg.solve(springs, resting.stiffness[np.ix_(others, motors)])
         eigen = oscillatory_modes(resting, others)
@@ -61,13 +61,13 @@ def excited_modes(model: Model, posture: Vector, held: bool = True) -> Array:
 
 def _felt(eigen: Eigenpairs, caused: Array, tip: Array) -> Array:
     """Return the modes (k, 3) with a sufficient tip amplitude, of those excited by the motors (k, n)."""
-    moved = 2.0 * np.linalg.norm(eigen.shapes @ tip.T, axis=1) * np.abs(caused).max(axis=1, initial=0.0)
-    kept = np.flatnonzero(moved > MIN_TIP_AMPLITUDE * moved.max(initial=0.0))
+    tip_amplitudes = 2.0 * np.linalg.norm(eigen.shapes @ tip.T, axis=1) * np.abs(caused).max(axis=1, initial=0.0)
+    kept = np.flatnonzero(tip_amplitudes > MIN_TIP_AMPLITUDE * tip_amplitudes.max(initial=0.0))
     sizes = np.abs(eigen.values)
     kept = kept[np.argsort(sizes[kept])]
     ratios = -eigen.values[kept].real / sizes[kept]
     ratios[np.abs(ratios) < RATIO_ROUNDING] = 0.0
-    return np.transpose([sizes[kept] / (2.0 * np.pi), ratios, moved[kept]])
+    return np.transpose([sizes[kept] / (2.0 * np.pi), ratios, tip_amplitudes[kept]])
 
 
 DEFAULT_TOLERANCE = 0.05  # 1; residual vibration tolerated by EI shapers
@@ -82,11 +82,11 @@ def _two_hump(v: float) -> tuple[float, ...]:
     return outer, 0.5 - outer, 0.5 - outer, outer
 
 
-# Name: periods of the mode between two impulses, and their amplitudes without damping for a tolerated residual.
+# name -> periods of the mode between two impulses, and undamped amplitudes as a function of the tolerated residual
 # ZV and ZVD: Singer and Seering, J. of Dynamic Systems, Measurement, and Control 112 (1990), 76. EI: Singhose, Seering
 # and Singer, J. of Mechanical Design 116 (1994), 654. Two-hump EI: Singhose, Porter, Tuttle and Singer, J. of Dynamic
 # Systems, Measurement, and Control 119 (1997), 320. MZV: three impulses in three quarters of a period, as in printers
-# (Klipper); Vaughan, Yano and Singhose, J. of Sound and Vibration 315 (2008), 797, compare shapers of all kinds.
+# (Klipper). Comparison: Vaughan, Yano and Singhose, J. of Sound and Vibration 315 (2008), 797.
 SHAPERS: dict[str, tuple[float, Callable[[float], tuple[float, ...]]]] = {
     "zv": (0.5, lambda v: (0.5, 0.5)),
     "mzv": (0.375, lambda v: (1.0 - 1.0 / SQRT_2, SQRT_2 - 1.0, 1.0 - 1.0 / SQRT_2)),
@@ -133,9 +133,8 @@ def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: fl
     count = len(amplitudes(tolerance))
     times = spacing * np.arange(count) * 2.0 * np.pi / (rate * np.sqrt(1.0 - ratio**2))
     decay, own = np.exp(-ratio * rate * times), tolerance
-    for _ in range(
-        EI_ITERATIONS if name.endswith("ei") else 1
-    ):  # what is left decays too, and is measured against impulses that sum to 1
+    # the residual decays too, relative to impulses with sum 1
+    for _ in range(EI_ITERATIONS if name.endswith("ei") else 1):
         if not own < 1.0:
             raise value_error("ratio", ratio, f"a mode with less damping, or no {name}: its impulses would be negative")
         weighted = np.array(amplitudes(own)) * decay
@@ -258,8 +257,8 @@ def evaluate_shapers(cases: Sequence[OperatingPoint]) -> list[ShaperEvaluation]:
 
 def recommend_shaper(answers: Sequence[ShaperEvaluation]) -> ShaperEvaluation | None:
     """Return the shaper of shortest delay with at most TIP_VIBRATION_LIMIT in every case, or None."""
-    good = [answer for answer in answers if answer.tip.max() <= TIP_VIBRATION_LIMIT]
-    return min(good, key=lambda answer: answer.delay, default=None)
+    feasible = [answer for answer in answers if answer.tip.max() <= TIP_VIBRATION_LIMIT]
+    return min(feasible, key=lambda answer: answer.delay, default=None)
 
 
 def _evaluate_shaper(name: str, modes: Array, cases: Sequence[OperatingPoint]) -> ShaperEvaluation:

@@ -66,35 +66,35 @@ class Estimator:
         self.sensors, self._plant = tuple(sensors), plant
         model, n = plant.model, plant.model.n_joints
         read = self._instruments = MeasurementModel(plant, self.sensors)
-        unknowns = self.uncertain = UncertainParameters(model, plant.unknown if unknown is None else unknown)
-        trials = self._models = PerturbedModels(plant, unknowns, read.matrix, biased)
+        uncertain = self.uncertain = UncertainParameters(model, plant.unknown if unknown is None else unknown)
+        models = self._models = PerturbedModels(plant, uncertain, read.matrix, biased)
         self._innovations = InnovationGains(DiscreteJacobians(plant), read, plant.tip_force)
         self._encoders = None if biased else read.places["motor_angles"]
         starts = np.full(n, START_ANGLE_DEVIATION) if self._encoders is None else read.deviations[self._encoders]
         biases = MAX_BIAS * read.ranges if biased else np.zeros(0)
         self._prior = Prior(
-            np.concatenate([unknowns.mean, np.zeros(trials.size - len(unknowns.mean))]),
-            np.concatenate([unknowns.deviation, starts, biases / np.sqrt(3.0)]),
-            np.concatenate([unknowns.low, -START_ANGLE_BOUND * starts, -2.0 * biases]),
-            np.concatenate([unknowns.high, START_ANGLE_BOUND * starts, 2.0 * biases]),
+            np.concatenate([uncertain.mean, np.zeros(models.size - len(uncertain.mean))]),
+            np.concatenate([uncertain.deviation, starts, biases / np.sqrt(3.0)]),
+            np.concatenate([uncertain.low, -START_ANGLE_BOUND * starts, -2.0 * biases]),
+            np.concatenate([uncertain.high, START_ANGLE_BOUND * starts, 2.0 * biases]),
         )
         self._weights = np.tile(read.deviations**-2.0, (RESIMULATION_PERIODS[-1] + 1, 1))
         if self._encoders is not None:
-            self._weights[0, self._encoders] = 0.0  # from which the angles at the start come
+            self._weights[0, self._encoders] = 0.0  # the first readings define the start angles
         self._allocate()
 
     def _allocate(self) -> None:
         """Create the arrays, for zero arms."""
-        (m, size), p, trials = self._models.matrix.shape, self._models.size, 1 + self._models.dynamic
+        (m, size), p, models = self._models.matrix.shape, self._models.size, 1 + self._models.dynamic
         n, late, rows = self._plant.model.n_joints, self._plant.delay[1], len(self._weights)
         self.numbers, self._change = np.zeros((0, p)), np.zeros((0, p))
-        self._origin, self._states = np.zeros((0, size)), np.zeros((0, trials, size))
+        self._origin, self._states = np.zeros((0, size)), np.zeros((0, models, size))
         self.delays, self._ages = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
         self._information, self._readings = np.zeros((0, p, p)), np.zeros((0, rows, m))
         self._torques = np.zeros((0, late + rows, n))
         self._given_angles, self._prediction = np.zeros((0, n)), DelayCompensation(self._plant)
         self._detector = ChangeDetector(m)
-        self._steps, self._simulated_numbers = np.zeros((0, trials - 1)), np.zeros((0, p + trials - 1))
+        self._steps, self._simulated_numbers = np.zeros((0, models - 1)), np.zeros((0, p + models - 1))
         self._perturbations_reduced, self._filtering = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
@@ -113,23 +113,23 @@ class Estimator:
     def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
         """Return the estimate of this control period; see `Observer`."""
         now = self._instruments.read(readings)
-        fresh, later = (np.flatnonzero(active & flags) for flags in (self._ages == 0, self._ages > 0))
-        if len(fresh):
-            self._begin(fresh, now[fresh])
-        if len(later):
-            self._advance(later, applied[later])
-            kept = later[self._ages[later] < len(self._weights)]
-            self._readings[kept, self._ages[kept]] = now[kept]
-            again = (
-                np.isin(self._ages[later], RESIMULATION_PERIODS)
-                & ~self._perturbations_reduced[later]
-                & ~self._filtering[later]
+        new, running = (np.flatnonzero(active & flags) for flags in (self._ages == 0, self._ages > 0))
+        if len(new):
+            self._begin(new, now[new])
+        if len(running):
+            self._advance(running, applied[running])
+            stored = running[self._ages[running] < len(self._weights)]
+            self._readings[stored, self._ages[stored]] = now[stored]
+            resimulated = (
+                np.isin(self._ages[running], RESIMULATION_PERIODS)
+                & ~self._perturbations_reduced[running]
+                & ~self._filtering[running]
             )
-            for age in np.unique(self._ages[later[again]]).tolist():
-                self._refit(later[again & (self._ages[later] == age)], age)
-            self._update_fit(later[~again], now[later[~again]])
-            if (changed := self._detector.detect(later) & (self._ages[later] > DETECTION_START)).any():
-                self._restart_after_change(later[changed])
+            for age in np.unique(self._ages[running[resimulated]]).tolist():
+                self._refit(running[resimulated & (self._ages[running] == age)], age)
+            self._update_fit(running[~resimulated], now[running[~resimulated]])
+            if (changed := self._detector.detect(running) & (self._ages[running] > DETECTION_START)).any():
+                self._restart_after_change(running[changed])
         self._ages += active
         return self._state_at_effect(np.flatnonzero(active))
 
@@ -163,7 +163,7 @@ class Estimator:
         self.numbers[arms, known : self._models.dynamic], self._change[arms] = 0.0, 0.0
         self._states[arms], self._steps[arms] = states[:, None], self._models.steps
         self._information[arms] = self._prior.information
-        self._ages[arms], self._perturbations_reduced[arms] = 1, True  # there is no start to which a replay goes back
+        self._ages[arms], self._perturbations_reduced[arms] = 1, True  # no start for resimulations
         self._detector.reset(arms, len(self._ages))
         self._filtering[arms] = self._start_filter(arms, sudden=True)
 
@@ -176,60 +176,61 @@ class Estimator:
         """Reduce the perturbations of arms (r,) whose perturbed models have diverged from the estimated one."""
         states, motors = self._states[arms], self._plant.model.motor_columns
         spread = np.abs(states[:, 1:, motors] - states[:, :1, motors]).max(axis=2) / MAX_PERTURBATION
-        far = spread > 1.0
-        if far.any():
-            part = np.where(far, 1.0 / np.maximum(spread, 1.0), 1.0)
+        large = spread > 1.0
+        if large.any():
+            part = np.where(large, 1.0 / np.maximum(spread, 1.0), 1.0)
             self._states[arms, 1:] = states[:, :1] + part[..., None] * (states[:, 1:] - states[:, :1])
             self._steps[arms] *= part
-            self._perturbations_reduced[arms] |= far.any(axis=1)
+            self._perturbations_reduced[arms] |= large.any(axis=1)
 
     def _set_parameters(self, arms: IntArray) -> None:
         """Set the parameters of the simulated models of arms (r,) to the estimated numbers where these have changed."""
-        wanted = np.hstack([self.numbers[arms], self._steps[arms]])
-        stale = (wanted != self._simulated_numbers[arms]).any(axis=1)
+        current = np.hstack([self.numbers[arms], self._steps[arms]])
+        stale = (current != self._simulated_numbers[arms]).any(axis=1)
         if stale.any():
             arms = arms[stale]
             numbers = self.numbers[arms]
             all_numbers = self._models.perturb(numbers, self._steps[arms]).reshape(-1, numbers.shape[1])
             self._models.models(*self._batch_key).vary(self._rows(arms).ravel(), **self._models.parameters(all_numbers))
             self._prediction.vary(arms, self._models.parameters(numbers))
-            self._simulated_numbers[arms] = wanted[stale]
+            self._simulated_numbers[arms] = current[stale]
 
     @property
     def _batch_key(self) -> tuple[str, int]:
         """Purpose and size of the batch with the models of all arms."""
         return "models", self._states.shape[0] * self._states.shape[1]
 
-    def _rows(self, arms: IntArray) -> IntArray:  # (r, 1 + s) of the trials
+    def _rows(self, arms: IntArray) -> IntArray:
+        """Return the rows (r, 1 + s) of the models of arms (r,) in the batch."""
         return arms[:, None] * self._states.shape[1] + np.arange(self._states.shape[1])
 
     def _advance(self, arms: IntArray, actions: Array) -> None:
         """Advance the models of arms (r,) by a period under the commanded torques, fractions of the limits (r, n)."""
         self._set_parameters(arms)
         self._prediction.record(arms, actions)
-        past, few = self._prediction.past, arms[self._ages[arms] <= len(self._weights)]
-        self._torques[few, self._plant.delay[1] + self._ages[few] - 1] = past[few, 0]
+        past, early = self._prediction.past, arms[self._ages[arms] <= len(self._weights)]
+        self._torques[early, self._plant.delay[1] + self._ages[early] - 1] = past[early, 0]
         rows, torques = self._rows(arms), past[arms, self.delays[arms]]
         states = self._states[arms].reshape(rows.size, -1)
-        moved = self._models.models.step(self._batch_key, rows.ravel(), states, torques.repeat(rows.shape[1], axis=0))
-        self._states[arms] = moved.reshape(*rows.shape, -1)
+        shifts = self._models.models.step(self._batch_key, rows.ravel(), states, torques.repeat(rows.shape[1], axis=0))
+        self._states[arms] = shifts.reshape(*rows.shape, -1)
         lost = arms[~(np.abs(self._states[arms]) < MAX_STATE).all(axis=(1, 2))]
         self._states[lost], self._detector.misfit[lost] = self._origin[lost][:, None], MAX_STATE
 
     def _update_fit(self, arms: IntArray, now: Array) -> None:
         """Update the recursive least-squares fits of arms (r,) with measurements (r, m)."""
-        slopes = self._models.measurement_jacobian(self._models.jacobian(self._states[arms], self._steps[arms]))
+        jacobian = self._models.measurement_jacobian(self._models.jacobian(self._states[arms], self._steps[arms]))
         error = now - self._models.read(self._states[arms, 0], self.numbers[arms])
-        error -= row_dots(slopes, self._change[arms][:, None])
-        certain = np.repeat(self._weights[-1:], len(arms), axis=0)
+        error -= row_dots(jacobian, self._change[arms][:, None])
+        precision = np.repeat(self._weights[-1:], len(arms), axis=0)
         pushed = self._filtering[arms]
         if pushed.any():
-            certain[pushed] = 1.0 / self._innovations.variances(arms[pushed])
-        weighted = (slopes * certain[..., None]).transpose(0, 2, 1)
-        self._information[arms] += weighted @ slopes
+            precision[pushed] = 1.0 / self._innovations.variances(arms[pushed])
+        weighted = (jacobian * precision[..., None]).transpose(0, 2, 1)
+        self._information[arms] += weighted @ jacobian
         gradient = row_dots(weighted, error[:, None])
         self._change[arms] += solve_scaled(self._information[arms], gradient)
-        self._detector.update(arms, error * np.sqrt(certain))
+        self._detector.update(arms, error * np.sqrt(precision))
         if pushed.any():
             self._correct(arms[pushed], now[pushed])
         due = arms[self._ages[arms] % UPDATE_INTERVAL == 0]
@@ -249,8 +250,8 @@ class Estimator:
         """Shift the models of arms (r,) by the parameter change estimated since the last shift."""
         before = self.numbers[arms]
         self.numbers[arms] = self._prior.clip(before + self._change[arms])
-        moved = (self.numbers[arms] - before)[:, None, : self._models.dynamic]
-        self._states[arms] += row_dots(self._models.jacobian(self._states[arms], self._steps[arms]), moved)[:, None]
+        shifts = (self.numbers[arms] - before)[:, None, : self._models.dynamic]
+        self._states[arms] += row_dots(self._models.jacobian(self._states[arms], self._steps[arms]), shifts)[:, None]
         self._change[arms] = 0.0
         self._reduce_perturbations(arms)
 
@@ -265,30 +266,29 @@ class Estimator:
             costs = [self._models.resimulate(*start, torques, read, weights).cost for torques in tried]
             self.delays[arms] = fewest + np.nan_to_num(np.array(costs), nan=np.inf).argmin(axis=0)
         data = self._delayed_torques(arms, age, self.delays[arms]), read, weights
-        numbers, sweep = self._models.fit(*start, self._prior, data)
-        well = np.isfinite(sweep.cost) & (np.abs(sweep.states) < MAX_STATE).all(axis=(1, 2))
-        if not well.all():  # the recursion goes on with them
-            self._update_fit(arms[~well], self._readings[arms[~well], age])
-        arms, numbers, sweep = arms[well], numbers[well], sweep.of(well)
+        numbers, simulation = self._models.fit(*start, self._prior, data)
+        valid = np.isfinite(simulation.cost) & (np.abs(simulation.states) < MAX_STATE).all(axis=(1, 2))
+        if not valid.all():  # these continue with the recursive fit
+            self._update_fit(arms[~valid], self._readings[arms[~valid], age])
+        arms, numbers, simulation = arms[valid], numbers[valid], simulation.of(valid)
         self.numbers[arms] = numbers
-        self._states[arms], self._steps[arms] = sweep.states, self._models.steps
-        self._information[arms] = sweep.information + self._prior.information
+        self._states[arms], self._steps[arms] = simulation.states, self._models.steps
+        self._information[arms] = simulation.information + self._prior.information
         if age <= 2 * DETECTION_START:
-            self._detector.reset(arms, len(self._ages))  # which were those of the linearisation
-        self._detector.misfit[arms] = sweep.cost / self._weights[: age + 1].size
-        self._change[arms], _ = levenberg_marquardt_step(sweep, self.numbers[arms], self._prior)
+            self._detector.reset(arms, len(self._ages))  # innovations so far include linearisation errors
+        self._detector.misfit[arms] = simulation.cost / self._weights[: age + 1].size
+        self._change[arms], _ = levenberg_marquardt_step(simulation, self.numbers[arms], self._prior)
         self._apply_change(arms)
 
-    def _delayed_torques(
-        self, arms: IntArray, periods: int, delays: IntArray
-    ) -> Array:  # (r, k, n) in their first k periods
+    def _delayed_torques(self, arms: IntArray, periods: int, delays: IntArray) -> Array:
+        """Return the torques (r, k, n) applied to arms (r,) in the first k periods, N m."""
         return self._torques[arms[:, None], self._plant.delay[1] + np.arange(periods) - delays[:, None]]
 
     def _current_states(self, arms: IntArray) -> Array:
         """Return the estimated states (r, 2 d) of arms (r,) at the last measurement."""
-        moved = self._change[arms][:, None, : self._models.dynamic]
+        shifts = self._change[arms][:, None, : self._models.dynamic]
         result: Array = self._states[arms, 0]
-        return result + row_dots(self._models.jacobian(self._states[arms], self._steps[arms]), moved)
+        return result + row_dots(self._models.jacobian(self._states[arms], self._steps[arms]), shifts)
 
     def _state_at_effect(self, arms: IntArray) -> Estimate:
         """Return the estimate, with the active arms (r,) predicted to the effect of torques commanded now."""

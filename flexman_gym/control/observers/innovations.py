@@ -43,21 +43,21 @@ class InnovationGains:
             torques: (r, n) applied torques, N m.
             sudden: whether an abrupt change has just been detected, so that the estimate is inaccurate.
         """
-        inputs, well = self._linearise(arms, states, torques)
+        inputs, valid = self._linearise(arms, states, torques)
         noise = self._noise[arms] + sudden * self._noise_of(inputs, CHANGE_NOISE)
         covariance = stationary_covariance(self._transition[arms], noise, self._matrix, self._variances)
-        result: BoolArray = well & np.isfinite(covariance).all(axis=(1, 2))
+        result: BoolArray = valid & np.isfinite(covariance).all(axis=(1, 2))
         self.covariance[arms[result]] = covariance[result]
         return result
 
     def _linearise(self, arms: IntArray, states: Array, torques: Array) -> tuple[Array, BoolArray]:
         """Store the linearised dynamics of arms (r,); return the force Jacobians and flags of success."""
-        jacobians, good = self._jacobians(states, torques)
-        some, inputs = arms[good], jacobians[..., states.shape[1] :]
-        self._transition[some] = jacobians[good][..., : states.shape[1]]
-        self._noise[some] = self._noise_of(inputs[good], PROCESS_NOISE)
-        self._designed[some] = states[good]
-        return inputs, good
+        jacobians, valid = self._jacobians(states, torques)
+        some, inputs = arms[valid], jacobians[..., states.shape[1] :]
+        self._transition[some] = jacobians[valid][..., : states.shape[1]]
+        self._noise[some] = self._noise_of(inputs[valid], PROCESS_NOISE)
+        self._designed[some] = states[valid]
+        return inputs, valid
 
     def _noise_of(self, inputs: Array, parts: tuple[float, float]) -> Array:
         """Return the process noise covariance (r, 2 d, 2 d) of random forces, given as fractions of their scales."""

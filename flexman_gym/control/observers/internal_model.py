@@ -77,7 +77,7 @@ class DiscreteJacobians:
         self.scales = np.append(limits, np.full(3, limits.max() / model.constants.length.sum()))
         self._changes = np.concatenate([np.tile(STATE_STEP * coordinate_scales(model), 2), FORCE_STEP * self.scales])
         self._size = 2 * model.n_dof
-        self._around = np.vstack([np.zeros(len(self._changes)), np.diag(self._changes)])  # the arm, its neighbours
+        self._around = np.vstack([np.zeros(len(self._changes)), np.diag(self._changes)])  # nominal, perturbed
         none = np.zeros(model.n_joints)
         smooth = model.constants._replace(coulomb_friction=none, rubbing=none.astype(np.int64))
         self._models = InternalModels(plant._replace(model=replace(model, constants=smooth)))
@@ -89,25 +89,25 @@ class DiscreteJacobians:
             states: (r, 2 d) before the period.
             torques: (r, n) during the period, N m.
         """
-        result, good = np.zeros((len(states), self._size, len(self._changes))), np.zeros(len(states), dtype=bool)
+        result, valid = np.zeros((len(states), self._size, len(self._changes))), np.zeros(len(states), dtype=bool)
         for first in range(0, len(states), BATCH_ARMS):
             some = slice(first, first + BATCH_ARMS)
-            result[some], good[some] = self._differences(states[some], torques[some])
-        return result, good
+            result[some], valid[some] = self._differences(states[some], torques[some])
+        return result, valid
 
     def _differences(self, states: Array, torques: Array) -> tuple[Array, BoolArray]:
         batch = self._models("slopes", BATCH_ARMS * len(self._around))
         shape, n = (len(states), len(self._around)), len(self.scales)
         used = np.arange(shape[0] * shape[1])
         place = np.concatenate([states, torques, np.zeros((len(states), 3))], axis=1)
-        near = (place[:, None] + self._around).reshape(len(used), -1)
+        perturbed = (place[:, None] + self._around).reshape(len(used), -1)
         drive, moving = np.zeros((len(batch.rows), n + 3)), np.zeros(len(batch.rows), dtype=bool)
-        drive[used, :n], moving[used] = near[:, self._size :], True
-        batch.place(used, near[:, : self._size])
+        drive[used, :n], moving[used] = perturbed[:, self._size :], True
+        batch.place(used, perturbed[:, : self._size])
         batch.step(drive, moving)
         ends = batch.state[used].reshape(*shape, -1)
-        good: BoolArray = (batch.status[used] == OK).reshape(shape).all(axis=1)
-        return ((ends[:, 1:] - ends[:, :1]) / self._changes[:, None]).mT, good
+        valid: BoolArray = (batch.status[used] == OK).reshape(shape).all(axis=1)
+        return ((ends[:, 1:] - ends[:, :1]) / self._changes[:, None]).mT, valid
 
 
 class DelayCompensation:

@@ -34,8 +34,8 @@ def measurement_update(covariance: Array, matrix: Array, variances: Array) -> tu
     """
     across = matrix @ covariance
     gain: Array = np.asarray(np.linalg.solve(across @ matrix.T + np.diag(variances), across), dtype=float).mT
-    left = np.eye(matrix.shape[1]) - gain @ matrix
-    return gain, _symmetric_part(left @ covariance @ left.mT + (gain * variances) @ gain.mT)
+    complement = np.eye(matrix.shape[1]) - gain @ matrix
+    return gain, _symmetric_part(complement @ covariance @ complement.mT + (gain * variances) @ gain.mT)
 
 
 def stationary_covariance(transition: Array, noise: Array, matrix: Array, variances: Array) -> Array:
@@ -45,17 +45,17 @@ def stationary_covariance(transition: Array, noise: Array, matrix: Array, varian
     Journal of Control 28, 1978, 295). The arguments are those of `time_update` and `measurement_update`. Entries of
     unobservable states are infinite.
     """
-    passing, told, result = transition.mT, (matrix.T / variances) @ matrix, noise
+    passing, information, result = transition.mT, (matrix.T / variances) @ matrix, noise
     before, eye = result, np.eye(matrix.shape[1])
     for _ in range(MAX_DOUBLINGS):
         before = result
         through = np.linalg.solve(
-            eye + told @ result, np.concatenate([passing, np.broadcast_to(told, passing.shape)], -1)
+            eye + information @ result, np.concatenate([passing, np.broadcast_to(information, passing.shape)], -1)
         )
         size = len(eye)
         onward, spread = through[..., :size], through[..., size:]
         result = _symmetric_part(result + passing.mT @ result @ onward)
-        told, passing = _symmetric_part(told + passing @ spread @ passing.mT), passing @ onward
+        information, passing = _symmetric_part(information + passing @ spread @ passing.mT), passing @ onward
     now, earlier = (np.diagonal(each, axis1=-2, axis2=-1) for each in (result, before))
     unknown = now > (1.0 + VARIANCE_TOLERANCE) * earlier
     return np.where(unknown[..., None] | unknown[..., None, :], np.inf, result)
@@ -69,9 +69,7 @@ def _symmetric_part(matrix: Array) -> Array:
 
 TORQUE_NOISE = 0.005  # fraction of the torque limits; standard deviation of random torques in each period
 FORCE_NOISE = 0.005  # fraction of the force scale; standard deviation of random tip forces in each period
-MISMATCH_FORCE_NOISE = (  # in place of FORCE_NOISE for uncertain plants, whose model errors act like forces
-    0.03  # in place of the latter where arms differ from the model: payloads and springs pull with what is amiss
-)
+MISMATCH_FORCE_NOISE = 0.03  # replaces FORCE_NOISE for uncertain plants, whose model errors act like forces
 OFFSET_DEVIATION = 0.1  # fraction of the torque limits; initial standard deviation of a constant torque
 OFFSET_DRIFT = 0.05  # fraction of the torque limits, s^(-1/2); random walk of a constant torque
 BIAS_TIME_CONSTANT = 30.0  # s
@@ -133,10 +131,10 @@ class KalmanFilter:
         self._offsets = slice(self._size, self._size + motors)
         biases = np.eye(all_read, self._biased * all_read)
         self._matrix = np.hstack([read.matrix, np.zeros((all_read, motors)), biases])
-        bias, kept = (MAX_BIAS * biases.T @ read.ranges) ** 2 / 3.0, np.exp(-period / BIAS_TIME_CONSTANT)
-        self._decay = np.append(np.ones(motors), np.full(len(bias), kept))  # of the constants in a period
-        self._drift = np.append((OFFSET_DRIFT * limits[:motors]) ** 2 * period, (1.0 - kept**2) * bias)
-        self._initial_variance = np.append((OFFSET_DEVIATION * limits[:motors]) ** 2, bias)  # at the start
+        bias, decay = (MAX_BIAS * biases.T @ read.ranges) ** 2 / 3.0, np.exp(-period / BIAS_TIME_CONSTANT)
+        self._decay = np.append(np.ones(motors), np.full(len(bias), decay))  # of constants and biases per period
+        self._drift = np.append((OFFSET_DRIFT * limits[:motors]) ** 2 * period, (1.0 - decay**2) * bias)
+        self._initial_variance = np.append((OFFSET_DEVIATION * limits[:motors]) ** 2, bias)
         self._allocate()
 
     def _allocate(self) -> None:
@@ -167,15 +165,15 @@ class KalmanFilter:
 
     def _system(self, states: Array, torques: Array) -> tuple[Array, Array, BoolArray]:
         """Return transition and process noise (r, s, s) of the augmented state, and flags (r,) of success."""
-        slopes, good = self._jacobians(states, torques)
+        jacobians, valid = self._jacobians(states, torques)
         size, count, s = self._size, len(states), self._matrix.shape[1]
-        transition, noise, inputs = np.zeros((count, s, s)), np.zeros((count, s, s)), slopes[..., size:]
-        transition[:, :size, :size] = slopes[..., :size]
+        transition, noise, inputs = np.zeros((count, s, s)), np.zeros((count, s, s)), jacobians[..., size:]
+        transition[:, :size, :size] = jacobians[..., :size]
         transition[:, :size, self._offsets] = inputs[..., : self._offsets.stop - size]
         noise[:, :size, :size] = (inputs * self._forces) @ inputs.mT
         each = np.arange(size, s)
         transition[:, each, each], noise[:, each, each] = self._decay, self._drift
-        return transition, noise, good
+        return transition, noise, valid
 
     def _stationary(self, transition: Array, noise: Array, part: slice) -> Array:
         """Return the stationary covariance, before a measurement, of a part of the augmented state."""
@@ -183,7 +181,7 @@ class KalmanFilter:
             transition[:, part, part], noise[:, part, part], self._matrix[:, part], self._variances
         )
         if not np.isfinite(result).all():
-            raise value_error("sensors", self.sensors, "ones that tell where the arm is")
+            raise value_error("sensors", self.sensors, "sensors from which the state is observable")
         return result
 
     def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
@@ -193,13 +191,13 @@ class KalmanFilter:
             ValueError: for sensors from which the state is not observable.
         """
         now = self._instruments.read(readings)
-        fresh, later = (np.flatnonzero(active & flags) for flags in (self._ages == 0, self._ages > 0))
-        if len(fresh):
-            self._begin(fresh, now[fresh])
-        if len(later):
-            self._prediction.record(later, applied[later])
-            self._predict(later)
-            self._correct(later, now[later])
+        new, running = (np.flatnonzero(active & flags) for flags in (self._ages == 0, self._ages > 0))
+        if len(new):
+            self._begin(new, now[new])
+        if len(running):
+            self._prediction.record(running, applied[running])
+            self._predict(running)
+            self._correct(running, now[running])
         self._ages += active
         ahead, arms = self.states[:, : self._size].copy(), np.flatnonzero(active)
         delays, offset = np.full(len(ahead), self.delay), self._offset(np.arange(len(ahead)))
@@ -209,8 +207,8 @@ class KalmanFilter:
     def _begin(self, arms: IntArray, now: Array) -> None:
         """Initialise the arms (r,) from their first measurements (r, m), with angles from the encoders."""
         places, core, model = self._instruments.places["motor_angles"], slice(0, self._size), self._plant.model
-        self.states[arms, core], held = self._rest(now[:, places])
-        self._transition[arms], self._noise[arms], _ = self._system(self.states[arms, core], held)
+        self.states[arms, core], holding = self._rest(now[:, places])
+        self._transition[arms], self._noise[arms], _ = self._system(self.states[arms, core], holding)
         turns = model.at_rest(np.eye(model.n_joints))
         covariance, each = np.zeros_like(self._noise[arms]), np.arange(self._size, len(self._noise[0]))
         covariance[:, core, core] = self._stationary(self._transition[arms], self._noise[arms], core)
@@ -224,9 +222,9 @@ class KalmanFilter:
         if not self._fixed:
             due = self._ages[arms] % RELINEARISATION_INTERVAL == 0
             if due.any():
-                transition, noise, good = self._system(states[due], torques[due])
-                again = arms[due][good]
-                self._transition[again], self._noise[again] = transition[good], noise[good]
+                transition, noise, valid = self._system(states[due], torques[due])
+                updated = arms[due][valid]
+                self._transition[updated], self._noise[updated] = transition[valid], noise[valid]
             self.covariance[arms] = time_update(self.covariance[arms], self._transition[arms], self._noise[arms])
         self.states[arms, : self._size] = self._models.step(("filter", len(self._ages)), arms, states, torques)
         self.states[arms, self._size :] *= self._decay

@@ -11,8 +11,8 @@ from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.observers.perturbed_models import UncertainParameters
 from flexman_gym.simulation.parameters import PARAMETERS, UNCERTAIN
 
-# s and powers by which 1 / (1 + (t / s)^power) of the deviation is left: medians of the Estimator on 24 arms of
-# FlexRRR-v0 under unknown-lab follow these within a third
+# Time constant T (s) and exponent k of the remaining deviation 1 / (1 + (t / T)^k): the medians of the Estimator on
+# 24 arms of FlexRRR-v0 under unknown-lab agree within a third
 DEVIATION_DECAY = {"payload_mass": (0.2, 3.0), "joint_stiffness": (0.1, 3.0), "link_stiffness_factor": (0.26, 2.0)}
 
 
@@ -34,7 +34,9 @@ class Oracle:
         self._plant, self._ages = plant, np.zeros(0, dtype=np.int64)
         ranges = {name: span for name, span in plant.unknown.items() if UNCERTAIN.get(name) in DEVIATION_DECAY}
         self._uncertain = UncertainParameters(plant.model, ranges) if doubt and ranges else None
-        self._numbers = np.zeros((0, 2, len(self._uncertain.names) if self._uncertain else 0))  # true ones, and errors
+        self._numbers = np.zeros(
+            (0, 2, len(self._uncertain.names) if self._uncertain else 0)
+        )  # true numbers, and standard normal errors
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Store parameters and delays of new episodes of the arms (r,)."""
@@ -50,7 +52,7 @@ class Oracle:
         if self._uncertain:
             self._numbers = pad_rows(self._numbers, count)
             self._numbers[arms, 0] = self._normalised_parameters(arms)
-            for arm in arms.tolist():  # by what was drawn: the same arm is found out in the same way
+            for arm in arms.tolist():  # seeded by the parameters: equal arms have equal errors
                 random = np.random.default_rng(np.abs(self._numbers[arm, 0].view(np.int64)))
                 self._numbers[arm, 1] = random.standard_normal(self._numbers.shape[2])
 
@@ -72,11 +74,11 @@ class Oracle:
         """Return the parameters of all arms, with the simulated estimation errors."""
         if self._uncertain is None:
             return dict(self._parameters)
-        uncertain, left, (true, errors) = self._uncertain, self._remaining_deviation, self._numbers.swapaxes(0, 1)
+        uncertain, remaining, (true, errors) = self._uncertain, self._remaining_deviation, self._numbers.swapaxes(0, 1)
         first, later = uncertain.mean - true, uncertain.deviation * errors
-        numbers = true + left * (left * first + np.sqrt(1.0 - left**2) * later)
-        known = uncertain.values(self._plant.model, np.clip(numbers, uncertain.low, uncertain.high))
-        return self._parameters | known
+        numbers = true + remaining * (remaining * first + np.sqrt(1.0 - remaining**2) * later)
+        estimated = uncertain.values(self._plant.model, np.clip(numbers, uncertain.low, uncertain.high))
+        return self._parameters | estimated
 
     @property
     def estimates(self) -> Mapping[str, Array]:

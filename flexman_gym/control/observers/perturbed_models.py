@@ -12,9 +12,7 @@ from flexman_gym.control.observers.internal_model import InternalModels
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN, rename_old_keys
 
-PARAMETER_STEP = (  # fraction of a range; perturbation of a parameter; 0.03 shifts the phase by a radian in 2 s
-    0.0003  # of a range, by which an unknown is changed to see what follows; 0.03 shifts a phase by a radian in 2 s
-)
+PARAMETER_STEP = 0.0003  # fraction of a range; 0.03 would shift the phase by a radian in 2 s
 RANGE_MARGIN = 0.08  # fraction of a range by which an estimate may exceed it
 KNOWN_RANGE = 1e-3  # range of a known number, relative to it, or to 1 if it is 0
 
@@ -153,15 +151,15 @@ class PerturbedModels:
     def __init__(
         self,
         plant: Plant,
-        unknowns: UncertainParameters,
+        uncertain: UncertainParameters,
         matrix: Array,
         biased: bool,
     ) -> None:
         model = self.model = plant.model
-        self.models, self.uncertain, self.matrix = InternalModels(plant), unknowns, matrix
-        n, known = model.n_joints, len(unknowns.names)
-        self.dynamic, self.size = known + n, known + n + biased * len(matrix)
-        self.steps = np.concatenate([unknowns.step, np.full(n, ANGLE_STEP)])
+        self.models, self.uncertain, self.matrix = InternalModels(plant), uncertain, matrix
+        n, count = model.n_joints, len(uncertain.names)
+        self.dynamic, self.size = count + n, count + n + biased * len(matrix)
+        self.steps = np.concatenate([uncertain.step, np.full(n, ANGLE_STEP)])
         self._turns = model.at_rest(np.eye(n))
 
     def perturb(self, numbers: Array, steps: Array | None = None) -> Array:
@@ -194,9 +192,9 @@ class PerturbedModels:
         """
         return ((states[:, 1:] - states[:, :1]) / steps[..., None]).transpose(0, 2, 1)
 
-    def measurement_jacobian(self, slopes: Array) -> Array:
+    def measurement_jacobian(self, jacobian: Array) -> Array:
         """Return the Jacobian (r, m, p) of the measurements, biases included, from that of the states (r, 2 d, s)."""
-        read = self.matrix @ slopes
+        read = self.matrix @ jacobian
         if self.size == self.dynamic:
             return read
         return np.concatenate([read, np.repeat(np.eye(len(self.matrix))[None], len(read), axis=0)], axis=2)
@@ -227,29 +225,29 @@ class PerturbedModels:
     ) -> Resimulation:
         arms, periods, n = torques.shape
         start = self.initial_states(origin, numbers)
-        trials = start.shape[1]
-        batch, used = self.models("resimulate", arms * trials), np.arange(arms * trials)
-        flat = self.perturb(numbers).reshape(arms * trials, -1)
+        models = start.shape[1]
+        batch, used = self.models("resimulate", arms * models), np.arange(arms * models)
+        flat = self.perturb(numbers).reshape(arms * models, -1)
         batch.vary(used, **self.parameters(flat))
-        batch.place(used, start.reshape(arms * trials, -1))
-        drives = np.zeros((arms * trials, periods, n + 6))
-        drives[:, :, :n] = np.repeat(torques, trials, axis=0)
-        rolled = batch.roll(drives)[0].reshape(arms, trials, periods, -1)
+        batch.place(used, start.reshape(arms * models, -1))
+        drives = np.zeros((arms * models, periods, n + 6))
+        drives[:, :, :n] = np.repeat(torques, models, axis=0)
+        rolled = batch.roll(drives)[0].reshape(arms, models, periods, -1)
         states = np.concatenate([start[:, :, None], rolled], axis=2)
         read = (states @ self.matrix.T).transpose(0, 2, 3, 1)  # (r, k + 1, m, 1 + s)
-        slopes = (read[..., 1:] - read[..., :1]) / self.steps
+        jacobian = (read[..., 1:] - read[..., :1]) / self.steps
         if self.size > self.dynamic:
-            biases = np.broadcast_to(np.eye(len(self.matrix)), (*slopes.shape[:2], *(len(self.matrix),) * 2))
-            slopes = np.concatenate([slopes, biases], axis=3)
+            biases = np.broadcast_to(np.eye(len(self.matrix)), (*jacobian.shape[:2], *(len(self.matrix),) * 2))
+            jacobian = np.concatenate([jacobian, biases], axis=3)
         error = readings - read[..., 0]
         if self.size > self.dynamic:
             error = error - numbers[:, None, self.dynamic :]
         root = np.sqrt(weights)
-        slopes = (slopes * root[..., None]).reshape(arms, -1, self.size)
+        jacobian = (jacobian * root[..., None]).reshape(arms, -1, self.size)
         error = (error * root).reshape(arms, -1)
-        across = slopes.transpose(0, 2, 1)
+        across = jacobian.transpose(0, 2, 1)
         gradient = row_dots(across, error[:, None])
-        return Resimulation(states[:, :, -1].copy(), across @ slopes, gradient, row_dots(error, error))
+        return Resimulation(states[:, :, -1].copy(), across @ jacobian, gradient, row_dots(error, error))
 
     def fit(
         self, origin: Array, numbers: Array, prior: Prior, data: tuple[Array, Array, Array]
@@ -266,33 +264,33 @@ class PerturbedModels:
             Fitted numbers (r, p) and the simulation with them.
         """
         periods, damping = data[0].shape[1], np.full(len(origin), INITIAL_DAMPING)
-        certain, going = 1.0 / prior.deviation**2, np.ones(len(origin), dtype=bool)
+        precision, running = 1.0 / prior.deviation**2, np.ones(len(origin), dtype=bool)
         best, result, least = numbers, self.resimulate(origin, numbers, *data), np.full(len(origin), np.inf)
-        tried, sweep = best, result
+        candidate, simulation = best, result
         for attempt in range(MAX_ITERATIONS):
-            cost = sweep.cost + ((prior.mean - tried) ** 2 * certain).sum(axis=1)
+            cost = simulation.cost + ((prior.mean - candidate) ** 2 * precision).sum(axis=1)
             better = np.nan_to_num(cost, nan=np.inf) < least
             damping = np.where(better, 0.3 * damping, 20.0 * damping) if attempt else damping
             least = np.where(better, cost, least)
-            best = np.where(better[:, None], tried, best)
-            result = Resimulation(*(_select_rows(better, *both) for both in zip(sweep, result, strict=True)))
+            best = np.where(better[:, None], candidate, best)
+            result = Resimulation(*(_select_rows(better, *both) for both in zip(simulation, result, strict=True)))
             change, fall = levenberg_marquardt_step(result, best, prior, damping)
-            going &= fall >= max(MIN_DECREASE[0], MIN_DECREASE[1] * periods)
-            if attempt == MAX_ITERATIONS - 1 or not going.any():
+            running &= fall >= max(MIN_DECREASE[0], MIN_DECREASE[1] * periods)
+            if attempt == MAX_ITERATIONS - 1 or not running.any():
                 break
-            tried = np.where(going[:, None], prior.clip(best + change), best)  # no arm goes on because others do
-            sweep = self.resimulate(origin, tried, *data)
+            candidate = np.where(running[:, None], prior.clip(best + change), best)  # finished arms stay as they are
+            simulation = self.resimulate(origin, candidate, *data)
         return best, result
 
 
 def levenberg_marquardt_step(
-    sweep: Resimulation, numbers: Array, prior: Prior, damping: Array | float = 0.0
+    simulation: Resimulation, numbers: Array, prior: Prior, damping: Array | float = 0.0
 ) -> tuple[Array, Array]:
     """Return the change (r, p) of numbers (r, p) and the predicted decrease (r,) of the cost with its prior."""
-    certain = 1.0 / prior.deviation**2
-    whole, each = sweep.information.copy(), np.arange(numbers.shape[1])
-    whole[:, each, each] += certain
-    slope = sweep.gradient + certain * (prior.mean - numbers)
+    precision = 1.0 / prior.deviation**2
+    whole, each = simulation.information.copy(), np.arange(numbers.shape[1])
+    whole[:, each, each] += precision
+    slope = simulation.gradient + precision * (prior.mean - numbers)
     damped = whole.copy()
     damped[:, each, each] *= 1.0 + np.reshape(damping, (-1, 1))
     change = solve_scaled(damped, slope)
@@ -301,18 +299,18 @@ def levenberg_marquardt_step(
 
 def solve_scaled(matrices: Array, vectors: Array) -> Array:
     """Return x (r, p) of matrices (r, p, p) x = vectors (r, p), after diagonal scaling; 0 for entries not finite."""
-    good: BoolArray = np.logical_and(np.isfinite(matrices).all(axis=(1, 2)), np.isfinite(vectors).all(axis=1))
-    even, scale = _unit_diagonal(np.where(good[:, None, None], matrices, np.eye(matrices.shape[1])))
-    result: Array = scale * np.linalg.solve(even, (scale * np.where(good[:, None], vectors, 0.0))[..., None])[..., 0]
+    finite: BoolArray = np.logical_and(np.isfinite(matrices).all(axis=(1, 2)), np.isfinite(vectors).all(axis=1))
+    even, scale = _unit_diagonal(np.where(finite[:, None, None], matrices, np.eye(matrices.shape[1])))
+    result: Array = scale * np.linalg.solve(even, (scale * np.where(finite[:, None], vectors, 0.0))[..., None])[..., 0]
     return result
 
 
 def standard_deviations(information: Array) -> Array:
     """Return the standard deviations (r, p) for information matrices (r, p, p); infinite for entries not finite."""
-    good: BoolArray = np.all(np.isfinite(information), axis=(1, 2))
-    even, scale = _unit_diagonal(np.where(good[:, None, None], information, np.eye(information.shape[1])))
+    finite: BoolArray = np.all(np.isfinite(information), axis=(1, 2))
+    even, scale = _unit_diagonal(np.where(finite[:, None, None], information, np.eye(information.shape[1])))
     variances = np.diagonal(np.linalg.inv(even), axis1=1, axis2=2)
-    return np.where(good[:, None], scale * np.sqrt(np.maximum(variances, 0.0)), np.inf)
+    return np.where(finite[:, None], scale * np.sqrt(np.maximum(variances, 0.0)), np.inf)
 
 
 def _unit_diagonal(matrices: Array) -> tuple[Array, Array]:

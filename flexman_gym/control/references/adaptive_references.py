@@ -74,7 +74,7 @@ class SlewReferences:
         n, d, p = model.n_joints, model.n_dof, len(payloads)
         self.start, self.displacement, self.shift = np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, n))
         self._coordinates, self._torques = np.zeros((0, p, 11, 3, d)), np.zeros((0, p, 11, 3, n))
-        # for the payloads as they are estimated
+        # for the estimated payloads
         self._adapted_coordinates, self._adapted_torques = np.zeros((0, 11, 3, d)), np.zeros((0, 11, 3, n))
         self.coefficients, self.start_time, self.duration = np.zeros((0, 6)), np.zeros(0), np.zeros(0)
         self._compliance, self._friction = np.zeros((0, d)), np.zeros((0, 2, n))
@@ -102,23 +102,23 @@ class SlewReferences:
 
     def _tabulate(self, payload: int, start: Array, goal: Array) -> _PathTables:
         """Return the tables of one arm with one payload."""
-        model, bending, way = self._models[payload], self._deflections[payload], goal - start
+        model, deflection, displacement = self._models[payload], self._deflections[payload], goal - start
         n = model.n_joints
         coordinates, torques = np.zeros((11, 3, model.n_dof)), np.zeros((11, 3, n))
         for row, place in enumerate(PATH_POINTS):
-            posture = start + place * way
+            posture = start + place * displacement
             rest, straight = rest_state(model, posture)[: model.n_dof], model.at_rest(posture[None])[0, : model.n_dof]
             coordinates[row, REST], torques[row, REST] = rest - straight, holding_torques(model, posture)
-            links, still = rest[:n], np.zeros(n)
-            at_rest, held = bending.at(rest, (links, still, still))
+            links, zero = rest[:n], np.zeros(n)
+            at_rest, static_torque = deflection.at(rest, (links, zero, zero))
             for layer, motion in (
-                (ACCELERATION, (links, still, TYPICAL_ACCELERATION * way)),
-                (SPEED_SQUARED, (links, np.sqrt(TYPICAL_ACCELERATION) * way, still)),
+                (ACCELERATION, (links, zero, TYPICAL_ACCELERATION * displacement)),
+                (SPEED_SQUARED, (links, np.sqrt(TYPICAL_ACCELERATION) * displacement, zero)),
             ):
-                bent, torque = bending.at(rest, motion)
+                deflected, torque = deflection.at(rest, motion)
                 coordinates[row, layer], torques[row, layer] = (
-                    (bent - at_rest) / TYPICAL_ACCELERATION,
-                    (torque - held) / TYPICAL_ACCELERATION,
+                    (deflected - at_rest) / TYPICAL_ACCELERATION,
+                    (torque - static_torque) / TYPICAL_ACCELERATION,
                 )
         return _PathTables(coordinates, torques)
 
@@ -139,11 +139,11 @@ class SlewReferences:
         model, d = self.model, self.model.n_dof
         for arm in arms:
             goal = self.start[arm] + self.displacement[arm]
-            wanted = rest_state(model, goal)[:d]
+            target = rest_state(model, goal)[:d]
             for _ in range(NEWTON_STEPS):
                 sagging = self._compliance[arm] * self._adapted_coordinates[arm, -1, REST]
                 place = model.at_rest((goal + self.shift[arm])[None])[0, :d] + sagging
-                self.shift[arm] += self._compensation.turn(wanted, place)
+                self.shift[arm] += self._compensation.turn(target, place)
 
     def time(self, arms: IntArray, now: Array, first: bool) -> None:
         """Plan the timing of the rest of the slews of the arms (r,), as fast as the torque limits allow.
@@ -163,8 +163,8 @@ class SlewReferences:
             rates = speeds[..., None] * self.displacement[arms][:, None, None]
             torques += friction_torques(self.model, self._friction[arms][:, None, None], rates)
         shares = (np.abs(torques) / self._limits).max(axis=(2, 3))
-        good = shares <= self._share
-        chosen = np.where(good.any(axis=1), good.argmax(axis=1), shares.argmin(axis=1))
+        feasible = shares <= self._share
+        chosen = np.where(feasible.any(axis=1), feasible.argmax(axis=1), shares.argmin(axis=1))
         self.coefficients[arms] = tried[np.arange(len(arms)), chosen]
         self.start_time[arms], self.duration[arms] = now, CANDIDATE_DURATIONS[chosen]
 
@@ -183,7 +183,7 @@ class SlewReferences:
     def at(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
         """Return path parameters, speeds (1/s) and accelerations (1/s^2) of the arms (r,) at times (r,) s."""
         passed = now - self.start_time[arms]
-        # one that was timed on its way moved before
+        # a slew that was planned again on its way moved before that time
         earliest = np.where(self.coefficients[arms, 1] != 0.0, -DIFFERENCE_STEP * self.time_scaling[arms], 0.0)
         place, speed, change = evaluate_polynomials(
             self.coefficients[arms], np.clip(passed, earliest, self.duration[arms])
@@ -214,8 +214,8 @@ class SlewReferences:
     def torques(self, now: Array, arms: IntArray) -> Array:
         """Return the feed-forward torques (r, n) of the arms (r,) at times (r,) s, N m."""
         place, speed, change = self._scaled_timing(now, arms)
-        rubbing = friction_torques(self.model, self._friction[arms], speed[:, None] * self.displacement[arms])
-        return self._interpolate(self._adapted_torques, arms, place, change, speed) + rubbing
+        friction = friction_torques(self.model, self._friction[arms], speed[:, None] * self.displacement[arms])
+        return self._interpolate(self._adapted_torques, arms, place, change, speed) + friction
 
 
 def estimated_payloads(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
@@ -280,7 +280,9 @@ class PathReferences:
     def __init__(self, model: Model, period: float, payloads: Sequence[float]) -> None:
         self.model, self._period, self._payloads = model, period, np.array(payloads, dtype=float)
         self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
-        self._plans: dict[int, tuple[Array, Array, Array]] = {}  # arm -> rigid states, departures, torques by payload
+        self._plans: dict[
+            int, tuple[Array, Array, Array]
+        ] = {}  # arm -> states of the rigid arm, deflections and torques for each payload
         self._weights, self._compliance = np.zeros((0, len(payloads))), np.zeros((0, model.n_dof))
         self._friction = np.zeros((0, 2, model.n_joints))
 
@@ -312,8 +314,8 @@ class PathReferences:
         for moment, arm in zip((now / self._period).round().astype(int).tolist(), arms.tolist(), strict=True):
             straight, departures, forward = self._plans[arm]
             row, weights = min(moment, len(straight) - 1), self._weights[arm, :, None]
-            bent = (weights * departures[:, row]).sum(axis=0) * np.tile(self._compliance[arm], 2)
-            states.append(straight[row] + bent)
+            deflected = (weights * departures[:, row]).sum(axis=0) * np.tile(self._compliance[arm], 2)
+            states.append(straight[row] + deflected)
             sliding = friction_torques(self.model, self._friction[arm], states[-1][rates])
             torques.append((weights * forward[:, min(moment, forward.shape[1] - 1)]).sum(axis=0) + sliding)
         return np.array(states), np.array(torques)

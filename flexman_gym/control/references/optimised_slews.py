@@ -71,16 +71,16 @@ def interpolate_torques(knots: Array, periods: int) -> Array:
     return result
 
 
-def broyden_update(slopes: Array, move: Array, change: Array) -> Array:
+def broyden_update(jacobian: Array, move: Array, change: Array) -> Array:
     """Return the Jacobian (m, ...) after Broyden's rank-one update.
 
     Args:
-        slopes: (m, ...) before.
+        jacobian: (m, ...) before.
         move: (m,) step.
         change: (...) caused by the step.
     """
-    missed = change - np.tensordot(move, slopes, 1)
-    result: Array = slopes + np.multiply.outer(move / (move @ move), missed)
+    missed = change - np.tensordot(move, jacobian, 1)
+    result: Array = jacobian + np.multiply.outer(move / (move @ move), missed)
     return result
 
 
@@ -118,16 +118,16 @@ class SingleShooting:
         torques = plan_slew(
             self._regulator.model, *self._ends, self._regulator.limits, TORQUE_SHARE, self._regulator.period
         )
-        known, best, part = (
+        solution, best, part = (
             SlewTorques(torques.torques, len(torques.torques), len(torques.torques)),
             None,
             SHORTER_FACTOR,
         )
-        arrival = max(1, round(FIRST_FACTOR * known.periods))
+        arrival = max(1, round(FIRST_FACTOR * solution.periods))
         for _ in range(MAX_DURATIONS):
-            found = self._solve(self._rescale(known, arrival), arrival)
+            found = self._solve(self._rescale(solution, arrival), arrival)
             if found is not None:
-                known = best = found
+                solution = best = found
                 arrival = min(round(part * best.arrival), best.arrival - 1)
             elif best is None:
                 arrival = int(np.ceil(LONGER_FACTOR * arrival))
@@ -171,42 +171,42 @@ class SingleShooting:
         self._batches[count].reset(np.arange(count), np.tile(self._start, (count, 1)))
         return self._batches[count]
 
-    def _rescale(self, known: SlewTorques, arrival: int) -> Array:
+    def _rescale(self, solution: SlewTorques, arrival: int) -> Array:
         """Return the knots (K, n) of a slew with another arrival time.
 
         The inertial part of the torques scales with the square of the speed.
         """
-        periods, limits, speed = arrival + self._tail, self._regulator.limits, known.arrival / arrival
+        periods, limits, speed = arrival + self._tail, self._regulator.limits, solution.arrival / arrival
         times = np.linspace(0.0, periods, max(MIN_KNOTS, round(periods * self._regulator.period / KNOT_SPACING) + 1))
-        own = np.linspace(0.0, known.periods, len(known.knots))
-        torques = np.array([np.interp(speed * times, own, column) for column in known.knots.T]).T
-        held = self._holding_torques[0] + np.minimum(times / arrival, 1.0)[:, None] * (
+        own = np.linspace(0.0, solution.periods, len(solution.knots))
+        torques = np.array([np.interp(speed * times, own, column) for column in solution.knots.T]).T
+        holding = self._holding_torques[0] + np.minimum(times / arrival, 1.0)[:, None] * (
             self._holding_torques[1] - self._holding_torques[0]
         )
-        return np.clip(held + (torques - held) * speed**2, -limits, limits)
+        return np.clip(holding + (torques - holding) * speed**2, -limits, limits)
 
     def _solve(self, knots: Array, arrival: int) -> SlewTorques | None:
         """Return the slew whose tip stays within the band from the arrival on; None if the iteration fails."""
         periods, damping, reused, counted = arrival + self._tail, INITIAL_DAMPING, 0, 1
-        errors, slopes = self._jacobian(knots, periods)
+        errors, jacobian = self._jacobian(knots, periods)
         for _ in range(MAX_STEPS):
             outside = np.flatnonzero(np.linalg.norm(errors[:, :3], axis=1) > SETTLED_BAND * self._band)
             if outside.max(initial=-1) < arrival - 1 and np.abs(errors[:, 3:]).max() <= MAX_RATE:
                 return SlewTorques(knots, periods, int(outside.max(initial=-1)) + 2)
-            tried = self._steps(knots, errors, slopes, arrival, damping * DAMPING_FACTORS)
-            ways = self.errors(tried, periods)
-            costs = np.square(self._residuals(np.concatenate([ways, errors[None]]), arrival)).sum(axis=1)
+            tried = self._steps(knots, errors, jacobian, arrival, damping * DAMPING_FACTORS)
+            candidate_errors = self.errors(tried, periods)
+            costs = np.square(self._residuals(np.concatenate([candidate_errors, errors[None]]), arrival)).sum(axis=1)
             best = int(np.argmin(costs[:-1]))
             better = costs[best] < MAX_COST_RATIO * costs[-1]
             if better:
                 move = ((tried[best] - knots) / self._regulator.limits).ravel()
-                slopes = broyden_update(slopes, move, ways[best] - errors)
-                knots, errors, reused = tried[best], ways[best], reused + 1
+                jacobian = broyden_update(jacobian, move, candidate_errors[best] - errors)
+                knots, errors, reused = tried[best], candidate_errors[best], reused + 1
                 damping = float(np.clip(damping * DAMPING_FACTORS[best], MIN_DAMPING, MAX_DAMPING))
             elif reused == 0:
                 damping *= MAX_DAMPING
             if reused and (reused == BROYDEN_UPDATES or not better):
-                errors, slopes = self._jacobian(knots, periods)
+                errors, jacobian = self._jacobian(knots, periods)
                 reused, counted = 0, counted + 1
             if damping > MAX_DAMPING**2 or counted > MAX_JACOBIANS:
                 break
@@ -224,29 +224,31 @@ class SingleShooting:
         These are the distances beyond the inner band from the arrival on, in every second period, and rates near the
         limit.
         """
-        late, rates = errors[:, arrival - 1 :: 2, :3], errors[..., 3:]
-        distances = np.linalg.norm(late, axis=2, keepdims=True)
-        ways = late * np.maximum(0.0, 1.0 - INNER_BAND * self._band / np.maximum(distances, TINY)) / self._band
+        late_errors, rates = errors[:, arrival - 1 :: 2, :3], errors[..., 3:]
+        distances = np.linalg.norm(late_errors, axis=2, keepdims=True)
+        candidate_errors = (
+            late_errors * np.maximum(0.0, 1.0 - INNER_BAND * self._band / np.maximum(distances, TINY)) / self._band
+        )
         fast = RATE_WEIGHT * (rates - np.clip(rates, -RATE_BOUND, RATE_BOUND))
-        return np.concatenate([ways.reshape(len(errors), -1), fast.reshape(len(errors), -1)], axis=1)
+        return np.concatenate([candidate_errors.reshape(len(errors), -1), fast.reshape(len(errors), -1)], axis=1)
 
-    def _steps(self, knots: Array, errors: Array, slopes: Array, arrival: int, dampings: Array) -> Array:
+    def _steps(self, knots: Array, errors: Array, jacobian: Array, arrival: int, dampings: Array) -> Array:
         """Return the knots (r, K, n) after a Gauss-Newton step with each damping (r,), within the torque limits."""
         from scipy.optimize import lsq_linear
 
         limits = self._regulator.limits
-        both = self._residuals(np.concatenate([errors[None], errors + COST_DIFFERENCE_STEP * slopes]), arrival).reshape(
-            len(slopes) + 1, -1
-        )
+        both = self._residuals(
+            np.concatenate([errors[None], errors + COST_DIFFERENCE_STEP * jacobian]), arrival
+        ).reshape(len(jacobian) + 1, -1)
         slope = (both[1:] - both[0]) / COST_DIFFERENCE_STEP
-        # in the axes of the squares, so that each damping costs a small problem only
+        # in the eigenvectors of J J^T, so that each damping requires a small problem only
         squares, axes = np.linalg.eigh(slope @ slope.T)
-        wanted, place = axes.T @ (slope @ both[0]), (knots / limits).ravel()
+        target, place = axes.T @ (slope @ both[0]), (knots / limits).ravel()
         bounds = -1.0 - ROUNDING - place, 1.0 + ROUNDING - place
         result = []
         for damping in dampings:
             scale = np.sqrt(np.maximum(squares, 0.0) + damping)
-            step = lsq_linear(scale[:, None] * axes.T, -wanted / scale, bounds, method="bvls").x
+            step = lsq_linear(scale[:, None] * axes.T, -target / scale, bounds, method="bvls").x
             result.append(np.clip(knots + limits * step.reshape(knots.shape), -limits, limits))
         return np.array(result)
 
@@ -282,7 +284,7 @@ class SlewTable:
         for ends, slew, _ in self.found.values():
             if ends.shape == (2, len(start)) and np.abs(ends - [start, goal]).max() <= POSTURE_TOLERANCE:
                 return interpolate_torques(slew.knots, slew.periods)
-        allowed = f"a start and a goal that the table has, or make one: {COMMAND}"
+        allowed = f"start and goal of a slew in the table, or compute one: {COMMAND}"
         raise value_error("episode", [start.tolist(), goal.tolist()], allowed)
 
     def settling_time(self, seed: int) -> float:
@@ -292,7 +294,7 @@ class SlewTable:
             ValueError: if the table has no such episode.
         """
         if seed not in self.found:
-            raise value_error("seed", seed, f"one that the table has, or make one: {COMMAND}")
+            raise value_error("seed", seed, f"a seed in the table, or compute one: {COMMAND}")
         return self.found[seed][2]
 
     def check_arm(self, arm: Array) -> None:
@@ -303,13 +305,15 @@ class SlewTable:
         """
         if arm.shape != self.arm.shape or not np.allclose(arm, self.arm, rtol=ARM_TOLERANCE, atol=0.0):
             about = self.about.get("environment")
-            raise value_error("table", about, f"one of this arm, with its torque limits and control period: {COMMAND}")
+            raise value_error(
+                "table", about, f"a table of this arm, with its torque limits and control period: {COMMAND}"
+            )
 
     def save(self, path: Path) -> None:
         """Write the table atomically."""
         rows = [self.found[seed] for seed in sorted(self.found)]
-        beside = path.with_name(f"{path.name}.part")
-        with beside.open("wb") as file:
+        partial = path.with_name(f"{path.name}.part")
+        with partial.open("wb") as file:
             np.savez_compressed(
                 file,
                 about=np.array(json.dumps(dict(self.about))),
@@ -321,7 +325,7 @@ class SlewTable:
                 counts=np.array([len(slew.knots) for _, slew, _ in rows], dtype=np.int64),
                 knots=np.concatenate([slew.knots for _, slew, _ in rows]) if rows else np.zeros((0, 1)),
             )
-        beside.replace(path)
+        partial.replace(path)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -344,8 +348,10 @@ class SlewTable:
         except FileNotFoundError:
             raise
         except READ_ERRORS as error:
-            said = " ".join(str(error).split())[:MAX_VALUE_LENGTH] or type(error).__name__
-            raise ValueError(f"{short_path(path)}: it is no table of slews, which {COMMAND} makes ({said})") from None
+            message = " ".join(str(error).split())[:MAX_VALUE_LENGTH] or type(error).__name__
+            raise ValueError(
+                f"{short_path(path)}: not a table of slews, as computed by {COMMAND} ({message})"
+            ) from None
 
 
 def arm_fingerprint(model: Model, limits: Array, period: float) -> Array:
@@ -385,11 +391,11 @@ class OptimisedController(LQR):
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Look up the slews of the arms (r,)."""
         if episode.path is not None:
-            raise value_error("episode", "a goal that moves", "one that stays, for which slews are optimised")
+            raise value_error("episode", "a moving goal", "a fixed goal: slews are optimised for fixed goals only")
         found = [self._table.torques(*ends) for ends in zip(episode.start, episode.goal, strict=True)]
         super().reset(arms, episode, count)
-        self._now = pad_rows(self._now, len(self._held))
-        self._slews += [np.zeros((0, len(self.limits)))] * (len(self._held) - len(self._slews))
+        self._now = pad_rows(self._now, len(self._holding_torques))
+        self._slews += [np.zeros((0, len(self.limits)))] * (len(self._holding_torques) - len(self._slews))
         for arm, torques in zip(arms.tolist(), found, strict=True):
             self._slews[arm], self._now[arm] = torques, 0
 

@@ -46,10 +46,10 @@ def quintic_coefficients(place: Array, speed: Array, change: Array, durations: A
         change: initial acceleration, 1/s^2.
         durations: s.
     """
-    left, squared = 1.0 - place, durations**2
-    cubic = (20.0 * left - 12.0 * speed * durations - 3.0 * change * squared) / (2.0 * durations**3)
-    fourth = (-30.0 * left + 16.0 * speed * durations + 3.0 * change * squared) / (2.0 * durations**4)
-    fifth = (12.0 * left - 6.0 * speed * durations - change * squared) / (2.0 * durations**5)
+    remaining, squared = 1.0 - place, durations**2
+    cubic = (20.0 * remaining - 12.0 * speed * durations - 3.0 * change * squared) / (2.0 * durations**3)
+    fourth = (-30.0 * remaining + 16.0 * speed * durations + 3.0 * change * squared) / (2.0 * durations**4)
+    fifth = (12.0 * remaining - 6.0 * speed * durations - change * squared) / (2.0 * durations**5)
     result: Array = np.stack(np.broadcast_arrays(place, speed, 0.5 * change, cubic, fourth, fifth), axis=-1)
     return result
 
@@ -82,9 +82,9 @@ def constant_jerk_law(distance: float, speed: float, acceleration: float, jerk: 
     acceleration = physical("acceleration", acceleration, "1/s^2")
     jerk = np.inf if jerk is None else physical("jerk", jerk, "1/s^3")
     most = min(acceleration, np.sqrt(speed * jerk))
-    gaining = most / jerk + speed / most  # s, of speed
+    gaining = most / jerk + speed / most  # s; time to reach the speed
     steady = distance / speed - gaining
-    if steady < 0.0:  # the speed is not reached
+    if steady < 0.0:  # the largest speed is not reached
         most, steady = min(acceleration, np.cbrt(0.5 * distance * jerk**2)), 0.0
         gaining = 0.5 * most / jerk + np.sqrt((0.5 * most / jerk) ** 2 + distance / most)
     ramp = most / jerk
@@ -213,14 +213,14 @@ def via_path(model: Model, postures: Array, count: int) -> _JointPath:
     from scipy.interpolate import make_interp_spline
 
     rests, order = rest_states(model, postures)[:, : model.n_dof], np.arange(len(postures))
-    angles, still = rests[:, : model.n_joints], np.zeros(model.n_joints)
-    apart = np.sqrt(np.linalg.norm(np.diff(angles, axis=0), axis=1))
-    rows = np.rint(count * np.append(0.0, np.cumsum(apart)) / apart.sum())
-    rows = np.minimum(np.maximum.accumulate(rows - order) + order, count - order[::-1])  # a period apart at least
+    angles, zero = rests[:, : model.n_joints], np.zeros(model.n_joints)
+    distances = np.sqrt(np.linalg.norm(np.diff(angles, axis=0), axis=1))
+    rows = np.rint(count * np.append(0.0, np.cumsum(distances)) / distances.sum())
+    rows = np.minimum(np.maximum.accumulate(rows - order) + order, count - order[::-1])  # at least a period apart
     times = rows / count
     more = (2.0 * times[0] + times[1]) / 3.0, (times[-2] + 2.0 * times[-1]) / 3.0
     knots = np.concatenate([np.zeros(4), more[:1], times[1:-1], more[1:], np.ones(4)])
-    rest = [(1, still), (2, still)]
+    rest = [(1, zero), (2, zero)]
     spline = make_interp_spline(times, angles, k=3, t=knots, bc_type=(rest, rest))
 
     def motion(parts: Array) -> tuple[Array, Array, Array]:
@@ -254,7 +254,9 @@ def plan_slew(
     path = slew_path(model, start, goal, one_of("law", law, TIMING_LAWS))
     slew = _time_optimal(lambda count: path, share * limits, period, 1)
     if slew is None:
-        raise value_error("goal", goal.tolist(), f"a posture that {share:.0%} of the torque limits can hold")
+        raise value_error(
+            "goal", goal.tolist(), f"a posture with holding torques below {share:.0%} of the torque limits"
+        )
     return slew
 
 
@@ -275,10 +277,12 @@ def plan_via(model: Model, postures: Array, limits: Array, share: float, period:
         ValueError: for fewer than two postures, two equal ones in succession, and holding torques beyond the share.
     """
     if len(postures) < 2 or not np.diff(postures, axis=0).any(axis=1).all():
-        raise value_error("postures", postures.tolist(), "two at least, each another than that before")
+        raise value_error("postures", postures.tolist(), "at least two, no two equal in succession")
     motion = _time_optimal(lambda count: via_path(model, postures, count), share * limits, period, len(postures) - 1)
     if motion is None:
-        raise value_error("postures", postures.tolist(), f"postures that {share:.0%} of the torque limits can hold")
+        raise value_error(
+            "postures", postures.tolist(), f"postures with holding torques below {share:.0%} of the torque limits"
+        )
     return motion
 
 
@@ -296,9 +300,9 @@ def _time_optimal(
     if (np.abs(rest) >= bounds).any():
         return None
     while True:
-        asked = path.at(path.parts, count * period)[1] - rest
-        needed = np.ceil(count * np.sqrt((np.abs(asked) / (bounds - np.sign(asked) * rest)).max()))
-        if not needed <= count:  # nor is no number, of an arm that bends too far
+        inertial = path.at(path.parts, count * period)[1] - rest
+        needed = np.ceil(count * np.sqrt((np.abs(inertial) / (bounds - np.sign(inertial) * rest)).max()))
+        if not needed <= count:  # also for NaN, of an arm that deflects too far
             if count == most:
                 return None
             short, count = count, int(min(np.fmax(needed, count + 1), most))
@@ -338,9 +342,9 @@ def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTraject
     all_times = period * np.arange(len(postures))
     count = max(4, -(-(len(postures) - 1) // SOLVE_INTERVAL) + 1)
     spacing = all_times[-1] / (count - 1)
-    times = spacing * np.arange(-REST_POINTS, count)  # it has rested before
-    wanted = CubicSpline(all_times, postures)(np.maximum(times, 0.0))
-    rests = np.array([rest_state(model, posture)[: model.n_dof] for posture in wanted])
+    times = spacing * np.arange(-REST_POINTS, count)  # at rest before the start
+    target = CubicSpline(all_times, postures)(np.maximum(times, 0.0))
+    rests = np.array([rest_state(model, posture)[: model.n_dof] for posture in target])
     angles = rests[:, :n]
     for last in (False, True):
         motion = [CubicSpline(times, angles).derivative(order)(times) if order else angles for order in range(3)]
@@ -348,9 +352,9 @@ def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTraject
         places, torques = (np.array(each) for each in zip(*result, strict=True))
         if not last:
             angles = angles + np.array([give_way.turn(*both) for both in zip(rests, places, strict=True)])
-    way, middles = CubicSpline(times, places), all_times[:-1] + 0.5 * period
+    spline, middles = CubicSpline(times, places), all_times[:-1] + 0.5 * period
     return _ReferenceTrajectory(
-        np.hstack([way(all_times), way.derivative()(all_times)]), CubicSpline(times, torques)(middles)
+        np.hstack([spline(all_times), spline.derivative()(all_times)]), CubicSpline(times, torques)(middles)
     )
 
 
@@ -366,9 +370,9 @@ class DeflectionCompensation:
 
         Directions with small singular values are excluded, since they would require large rotations.
         """
-        wanted, now = self._seen(rest, self._turns[0])[TIP].copy(), self._seen(place, self._turns[0])[TIP].copy()
-        slopes = np.array([self._seen(place, turn)[TIP_VELOCITY].copy() for turn in self._turns]).T
-        result: Array = np.linalg.pinv(slopes, rcond=SINGULAR_CUTOFF) @ (wanted - now)
+        target, now = self._seen(rest, self._turns[0])[TIP].copy(), self._seen(place, self._turns[0])[TIP].copy()
+        jacobian = np.array([self._seen(place, turn)[TIP_VELOCITY].copy() for turn in self._turns]).T
+        result: Array = np.linalg.pinv(jacobian, rcond=SINGULAR_CUTOFF) @ (target - now)
         return result
 
     def _seen(self, x: Array, v: Array) -> Array:
