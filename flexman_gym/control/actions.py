@@ -79,8 +79,11 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
         kind: "position" or "velocity".
         plant: plant model.
         base: None.
-        given: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each; "range", rad or rad/s at an action of 1, one
+        **given: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each; "range", rad or rad/s at an action of 1, one
             number or one per joint. The default range is pi, or the speed limits of the motors.
+
+    Returns:
+        Servo mode.
     """
     if base is not None:
         raise value_error("base", base, f'None: with actions="{kind}" the servo commands the motors')
@@ -123,7 +126,7 @@ class _ReferenceShapingMode:
     Args:
         plant: plant model.
         base: OutputFeedback of an observer and a tracking law.
-        authority: pace, offset, torque and fading, see `ShapingLimits`.
+        **authority: pace, offset, torque and fading, see `ShapingLimits`.
     """
 
     def __init__(self, plant: Plant, base: Controller | None, **authority: object) -> None:
@@ -149,6 +152,11 @@ class _ReferenceShapingMode:
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes of the arms (r,).
+
+        Args:
+            arms: (r,).
+            episode: start and goal of these episodes.
+            count: number of arms.
 
         Raises:
             ValueError: for a moving goal.
@@ -285,6 +293,9 @@ class ActionMode(Protocol):
             readings: as in `Controller.act`.
             applied: as in `Controller.act`.
             active: as in `Controller.act`.
+
+        Returns:
+            Torques (b, n).
         """
         ...
 
@@ -337,6 +348,13 @@ class _ActionModeEntry:
 
 def _make_current(plant: Plant, base: Controller | None) -> TorqueMode:
     """Make the mode of motor currents.
+
+    Args:
+        plant: plant model.
+        base: controller whose torques are added; None for none.
+
+    Returns:
+        Action mode.
 
     Raises:
         ValueError: for an arm with a joint without motor or current limit.

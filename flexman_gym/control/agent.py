@@ -135,6 +135,9 @@ class Agent:
     def check_law(self, law: object) -> None:
         """Check the input and output sizes of a law; a law without `size` and `joints` is not checked.
 
+        Args:
+            law: any object that maps observations to commands.
+
         Raises:
             ValueError: for sizes other than those of the agent.
         """
@@ -161,6 +164,11 @@ class Agent:
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes of the arms (r,) of `count`.
+
+        Args:
+            arms: (r,).
+            episode: start, goal and control period of these episodes.
+            count: number of arms.
 
         Raises:
             ValueError: for an arm with another number of joints.
@@ -200,6 +208,14 @@ class Agent:
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the torques (b, n) as fractions of the torque limits; see `Controller.act`.
+
+        Args:
+            readings: as in `Controller.act`.
+            applied: as in `Controller.act`.
+            active: as in `Controller.act`.
+
+        Returns:
+            Torques (b, n).
 
         Raises:
             ValueError: for readings of another size than the agent observes.

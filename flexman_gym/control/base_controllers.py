@@ -23,6 +23,9 @@ def parse_kind(name: str, value: object, known: Mapping[str, Collection[str]]) -
         name: name of the field, for error messages.
         value: any value.
         known: allowed names, each with the names of its arguments.
+
+    Returns:
+        Name and arguments.
     """
     if isinstance(value, str):
         return one_of(name, value, known), {}

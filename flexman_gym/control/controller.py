@@ -129,6 +129,9 @@ class Controller(Protocol):
             applied: (b, n) torques commanded in the previous control period, as fractions of the torque limits: the
                 sum of all controllers, saturated at -1 and 1, before delay and friction; 0 in the first period.
             active: (b,) True for arms whose episode is running.
+
+        Returns:
+            Actions (b, n).
         """
         ...
 
@@ -142,6 +145,9 @@ def checked_controller(field: str, value: object, others: str = "") -> Controlle
         field: name of the field, for error messages.
         value: any object.
         others: other allowed values, for the message.
+
+    Returns:
+        The value, or its adapter.
 
     Raises:
         ValueError: for any other object, for methods with other arguments, and for a member whose name resembles that

@@ -49,6 +49,9 @@ def lqr_gain(linear: LinearModel, motors: Array, limits: Array, weights: CostWei
         weights: cost weights.
         period: control period, s.
 
+    Returns:
+        Gain K (n, 2 d).
+
     Raises:
         ValueError: for an arm whose Riccati equation has no solution within rounding.
     """

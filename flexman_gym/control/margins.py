@@ -75,6 +75,9 @@ def sampled_loops(
         period: control period, s.
         delay: delay of the torques, whole control periods.
         bandwidth: Hz, of a first-order lag of the drives, see `first_order_lag`; None for none.
+
+    Returns:
+        Loops, the first without stuck motors.
     """
     linear = _at_rest(model, joint_angles)
     return [_loop(model, linear, stuck, period, delay, bandwidth) for stuck in _stuck_sets(model)]
@@ -130,6 +133,10 @@ def first_order_lag(period: float, bandwidth: float) -> tuple[float, float]:
 
     Returns:
         Fractions of the distance to the command: left at the end of the period, and on average over it.
+
+    Args:
+        period: s.
+        bandwidth: Hz.
     """
     turned = 2.0 * np.pi * bandwidth * period
     return float(np.exp(-turned)), float(-np.expm1(-turned) / turned)
@@ -145,6 +152,9 @@ def margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector) ->
         loops: from `sampled_loops`.
         stiffness: (n,) N m/rad.
         damping: (n,) N m s/rad.
+
+    Returns:
+        Margins of the worst loop and motor.
     """
     each, stable = [], np.ones(len(loops), dtype=bool)
     for values, changes in ((GAIN_FACTORS, GAIN_FACTORS), (PHASE_SHIFTS, np.exp(IMAGINARY_DEGREE * PHASE_SHIFTS))):
@@ -201,6 +211,9 @@ def open_loop_responses(
         damping: (n,) N m s/rad.
         frequencies: (f,) Hz, below half the sampling frequency.
         period: sampling period, s.
+
+    Returns:
+        Complex responses (n, f).
     """
     n, size = loop.inputs.shape[1], len(loop.transition)
     gain, result = _gain(loop, stiffness, damping), []

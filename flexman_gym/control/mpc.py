@@ -176,6 +176,9 @@ class MPC:
             arm: index.
             states: (N, 2 d) predicted for the planned torques.
             outputs: (N, OUTPUTS) predicted for the planned torques.
+
+        Returns:
+            Action (n,) from -1 to 1.
         """
         plan, now, n = self._plans[arm], int(self._now[arm]), len(self.limits)
         rows = np.minimum(now + np.arange(sum(MOVE_BLOCKS) + 1), len(plan.states) - 1)
@@ -218,6 +221,9 @@ def _solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array
 
 def _import_solver() -> ModuleType:
     """Return the package that solves the quadratic programs.
+
+    Returns:
+        Module `daqp`.
 
     Raises:
         ImportError: if it is missing; the message names the extra.

@@ -74,6 +74,12 @@ class RunningMeanStd:
     def load(cls, path: str | Path) -> Self:
         """Read a file written by `save`; no code in it is executed.
 
+        Args:
+            path: of the file.
+
+        Returns:
+            New instance with the statistics of the file.
+
         Raises:
             FileNotFoundError: if there is no file.
             ValueError: for any other file.

@@ -107,6 +107,9 @@ def stability_limit(delay: int) -> float:
 
     Args:
         delay: delay of the torques, whole control periods.
+
+    Returns:
+        Bound, 2 without delay.
     """
     return float(2.0 * np.sin(np.pi / (4 * delay + 2)))
 
@@ -118,6 +121,9 @@ def torque_limits(name: str, value: object, joints: int) -> tuple[float, ...]:
         name: name of the field, for error messages.
         value: limit of all joints, or one per joint.
         joints: n.
+
+    Returns:
+        Limits (n,), N m.
 
     Raises:
         ValueError: for another number of limits, and for a limit outside 1e-30 to 1e30.

@@ -70,6 +70,9 @@ class ReferenceShaping:
         Args:
             arms: (r,).
             places: (r,) path parameters.
+
+        Returns:
+            Torques (r, n), N m.
         """
         n, fading = self._joints, self._authority.fading
         fade = np.clip((1.0 - places) / fading, 0.0, 1.0)[:, None] if fading else np.ones((len(arms), 1))

@@ -102,6 +102,14 @@ class InputShapedController:
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> NDArray[Any]:
         """Return the actions (b, n) of the inner controller for the shaped command.
 
+        Args:
+            readings: as in `Controller.act`.
+            applied: as in `Controller.act`.
+            active: as in `Controller.act`.
+
+        Returns:
+            Actions (b, n).
+
         Raises:
             ValueError: for a reading of the goal that cannot be shaped.
         """

@@ -36,6 +36,9 @@ def excited_modes(model: Model, posture: Vector, held: bool = True) -> Array:
         posture: (n,) motor angles, rad.
         held: True for motors held in position; False for free motors under the holding torques.
 
+    Returns:
+        Frequency (Hz), damping ratio and tip amplitude of each mode, (k, 3).
+
     Raises:
         ValueError: for a posture of wrong shape, and for an arm too soft for an equilibrium.
     """
@@ -121,6 +124,9 @@ def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: fl
         ratio: damping ratio of the mode, 0 <= ratio < 1.
         tolerance: residual vibration tolerated by EI and two-hump EI, as a fraction.
 
+    Returns:
+        Shaper whose first impulse is at 0 s.
+
     Raises:
         ValueError: also for a damping ratio at which EI impulses would be negative.
     """
@@ -159,6 +165,9 @@ def shaper_residual(shaper: Shaper, frequency: float | Array, ratio: float = 0.0
         shaper: with its last impulse at t_k.
         frequency: Hz, a number or an array.
         ratio: damping ratio.
+
+    Returns:
+        Residual, %, with the shape of `frequency`.
     """
     rate = 2.0 * np.pi * np.asarray(frequency, dtype=np.float64)
     pole = rate * (ratio + 1j * np.sqrt(1.0 - ratio**2))
@@ -175,6 +184,9 @@ def sample_shaper(shaper: Shaper, period: float) -> Array:
     Args:
         shaper: with impulses at any times.
         period: control period, s.
+
+    Returns:
+        Fractions (m,) with sum 1.
     """
     places = shaper.times / positive("period", period, "s")
     lower = np.floor(places).astype(int)
@@ -249,6 +261,9 @@ def evaluate_shapers(cases: Sequence[OperatingPoint]) -> list[ShaperEvaluation]:
 
     Args:
         cases: operating points, each with at least one mode with held motors.
+
+    Returns:
+        Evaluations, first of all shapers for one mode, then for two.
     """
     middle = median_operating_point(cases).held
     counts = [count for count in (1, 2) if count <= len(middle)]

@@ -42,6 +42,9 @@ class InnovationGains:
             states: (r, 2 d) estimated states.
             torques: (r, n) applied torques, N m.
             sudden: whether an abrupt change has just been detected, so that the estimate is inaccurate.
+
+        Returns:
+            Flags (r,).
         """
         inputs, valid = self._linearise(arms, states, torques)
         noise = self._noise[arms] + sudden * self._noise_of(inputs, CHANGE_NOISE)

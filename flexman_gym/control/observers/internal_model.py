@@ -39,6 +39,9 @@ class InternalModels:
             arms: (r,) arms of the batch.
             states: (r, 2 d) before the period.
             forces: (r, k) first k of the n + 6 inputs of an arm, see `Batch.step`.
+
+        Returns:
+            States (r, 2 d).
         """
         batch = self(*batch_key)
         drive, moving = np.zeros((batch_key[1], self._plant.model.n_joints + 6)), np.zeros(batch_key[1], dtype=bool)
@@ -88,6 +91,9 @@ class DiscreteJacobians:
         Args:
             states: (r, 2 d) before the period.
             torques: (r, n) during the period, N m.
+
+        Returns:
+            Jacobians (r, 2 d, 2 d + n + 3) and flags (r,).
         """
         result, valid = np.zeros((len(states), self._size, len(self._changes))), np.zeros(len(states), dtype=bool)
         for first in range(0, len(states), BATCH_ARMS):
@@ -158,6 +164,9 @@ class DelayCompensation:
             states: (r, 2 d) now.
             delays: (r,) control periods.
             disturbance: (r, n) torques on the motors in addition to the commanded ones, N m.
+
+        Returns:
+            Predicted states (r, 2 d).
         """
         longest = int(delays.max(initial=0))
         if not longest:

@@ -31,6 +31,9 @@ def measurement_update(covariance: Array, matrix: Array, variances: Array) -> tu
         covariance: (..., s, s) before the measurement.
         matrix: (m, s) of the measurements with respect to the state.
         variances: (m,) of the measurement noise.
+
+    Returns:
+        Gains (..., s, m) and covariances (..., s, s).
     """
     across = matrix @ covariance
     gain: Array = np.asarray(np.linalg.solve(across @ matrix.T + np.diag(variances), across), dtype=float).mT
@@ -147,6 +150,11 @@ class KalmanFilter:
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes of the arms (r,).
 
+        Args:
+            arms: (r,).
+            episode: start and goal of these episodes.
+            count: number of arms.
+
         Raises:
             ValueError: with a fixed gain, for sensors from which the state is not observable.
         """
@@ -186,6 +194,14 @@ class KalmanFilter:
 
     def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
         """Return the estimate of this control period; see `Observer`.
+
+        Args:
+            readings: as in `Controller.act`.
+            applied: as in `Controller.act`.
+            active: as in `Controller.act`.
+
+        Returns:
+            Estimate of all arms.
 
         Raises:
             ValueError: for sensors from which the state is not observable.

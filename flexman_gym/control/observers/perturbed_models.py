@@ -175,6 +175,9 @@ class PerturbedModels:
         Args:
             origin: (r, 2 d) start states with start-angle numbers of 0.
             numbers: (r, p).
+
+        Returns:
+            States (r, 1 + s, 2 d).
         """
         angles = self.perturb(numbers)[:, :, len(self.uncertain.names) : self.dynamic]
         return origin[:, None] + (angles[..., None] * self._turns).sum(axis=2)
@@ -189,6 +192,9 @@ class PerturbedModels:
         Args:
             states: (r, 1 + s, 2 d) of all models.
             steps: (r, s) perturbations.
+
+        Returns:
+            Jacobian (r, 2 d, s).
         """
         return ((states[:, 1:] - states[:, :1]) / steps[..., None]).transpose(0, 2, 1)
 
@@ -215,6 +221,9 @@ class PerturbedModels:
             torques: (r, k, n) applied in each period, N m.
             readings: (r, k + 1, m) from the start.
             weights: (r, k + 1, m) of the squared residuals, 1 / variance; 0 to ignore a measurement.
+
+        Returns:
+            Final states, information matrix, gradient and cost.
         """
         parts = [slice(first, first + BATCH_ARMS) for first in range(0, len(origin), BATCH_ARMS)]
         results = [self._resimulate_batch(origin[p], numbers[p], torques[p], readings[p], weights[p]) for p in parts]

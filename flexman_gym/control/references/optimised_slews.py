@@ -78,6 +78,9 @@ def broyden_update(jacobian: Array, move: Array, change: Array) -> Array:
         jacobian: (m, ...) before.
         move: (m,) step.
         change: (...) caused by the step.
+
+    Returns:
+        Jacobian (m, ...) that maps the step to the change.
     """
     missed = change - np.tensordot(move, jacobian, 1)
     result: Array = jacobian + np.multiply.outer(move / (move @ move), missed)
@@ -278,6 +281,13 @@ class SlewTable:
     def torques(self, start: Array, goal: Array) -> Array:
         """Return the torques (T, n) of the slew between two postures (n,) rad, N m.
 
+        Args:
+            start: (n,) initial motor angles, rad.
+            goal: (n,) final motor angles, rad.
+
+        Returns:
+            Torques (T, n), N m.
+
         Raises:
             ValueError: if the table has no such slew.
         """
@@ -290,6 +300,12 @@ class SlewTable:
     def settling_time(self, seed: int) -> float:
         """Return the settling time (s) of the optimised slew of an episode.
 
+        Args:
+            seed: of the episode.
+
+        Returns:
+            Settling time, s.
+
         Raises:
             ValueError: if the table has no such episode.
         """
@@ -299,6 +315,9 @@ class SlewTable:
 
     def check_arm(self, arm: Array) -> None:
         """Check that the table belongs to an arm.
+
+        Args:
+            arm: numbers from `arm_fingerprint`.
 
         Raises:
             ValueError: for another arm.
@@ -330,6 +349,12 @@ class SlewTable:
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read a table; no code in it is executed.
+
+        Args:
+            path: of the file.
+
+        Returns:
+            The table.
 
         Raises:
             FileNotFoundError: if there is no file.

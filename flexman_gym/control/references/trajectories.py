@@ -45,6 +45,9 @@ def quintic_coefficients(place: Array, speed: Array, change: Array, durations: A
         speed: initial speed, 1/s.
         change: initial acceleration, 1/s^2.
         durations: s.
+
+    Returns:
+        Coefficients (..., 6).
     """
     remaining, squared = 1.0 - place, durations**2
     cubic = (20.0 * remaining - 12.0 * speed * durations - 3.0 * change * squared) / (2.0 * durations**3)
@@ -150,6 +153,9 @@ class QuasiStaticDeflection:
         Args:
             near: (d,) coordinates with the initial deflection of the iteration.
             motion: angles, rates and accelerations (n,) of the link sides, rad, rad/s and rad/s^2.
+
+        Returns:
+            Coordinates (d,) and torques (n,), N m.
         """
         n, d = self._model.n_joints, self._model.n_dof
         x, rates, changes = near.copy(), np.zeros(d), np.zeros(d)
@@ -248,6 +254,9 @@ def plan_slew(
         period: control period, s.
         law: name in `TIMING_LAWS`.
 
+    Returns:
+        Reference trajectory.
+
     Raises:
         ValueError: for a goal at which holding torques alone exceed the share, and for an unknown law.
     """
@@ -272,6 +281,9 @@ def plan_via(model: Model, postures: Array, limits: Array, share: float, period:
         limits: (n,) torque limits, N m.
         share: fraction of the limits available to the motion; the rest is left to feedback.
         period: control period, s.
+
+    Returns:
+        Reference trajectory.
 
     Raises:
         ValueError: for fewer than two postures, two equal ones in succession, and holding torques beyond the share.
@@ -335,6 +347,9 @@ def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTraject
         model: of the arm.
         postures: (T + 1, n) with continuous second derivatives, rad.
         period: control period, s.
+
+    Returns:
+        Reference trajectory.
     """
     from scipy.interpolate import CubicSpline
 
