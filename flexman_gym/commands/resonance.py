@@ -113,14 +113,14 @@ def _shaper_lines(answers: "Sequence[ShaperEvaluation]") -> list[str]:
     """Return a line for each shaper: delay, tolerated frequency error, residual vibration (median and worst case)."""
     from flexman_gym.control.input_shaping.shapers import TOLERATED_RESIDUAL
 
-    count = answers[0].left.shape[1]
+    count = answers[0].residuals.shape[1]
     heads = "".join(f"{f'mode {number + 1}, %':>16}" for number in range(count))
     result = [
         f"{'shaper, of modes':<20}{'delay, s':>10}{f'bears for {TOLERATED_RESIDUAL:g} %':>20}{'tip, %':>16}{heads}"
     ]
     for each in answers:
-        errors = f"{each.borne[0]:+.0%} to {each.borne[1]:+.0%}"
-        columns = [each.tip, *each.left.T]
+        errors = f"{each.tolerated_errors[0]:+.0%} to {each.tolerated_errors[1]:+.0%}"
+        columns = [each.tip, *each.residuals.T]
         cells = "".join(f"{f'{np.median(left):.1f} / {left.max():.1f}':>16}" for left in columns)
         result.append(f"{_shaper_name(each):<20}{each.delay:>10.3g}{errors:>20}{cells}")
     return [*result, "left: median / worst case, in percent of what one step of the motors causes"]
@@ -145,7 +145,7 @@ def _recommendation(cases: "Sequence[OperatingPoint]", answers: "Sequence[Shaper
         )
     least = min(answers, key=lambda answer: float(answer.tip.max()))
     row = int(least.tip.argmax())
-    number = int((least.left[row] * cases[row].held[: least.left.shape[1], 2]).argmax())
+    number = int((least.residuals[row] * cases[row].held[: least.residuals.shape[1], 2]).argmax())
     here, there = (float(case.held[number, 0]) for case in (median_operating_point(cases), cases[row]))
     return (
         f"recommendation: none. The best, {_shaper_name(least)}, leaves {least.tip.max():.1f} % of the tip's "
@@ -166,8 +166,8 @@ def _write_table(path: Path, cases: "Sequence[OperatingPoint]", answers: "Sequen
         for row, case in enumerate(cases):
             for motors in MOTOR_STATES:
                 for number, (frequency, ratio, _) in enumerate(getattr(case, motors).tolist()):
-                    known = motors == "held" and number < answers[0].left.shape[1]
-                    left = [f"{each.left[row, number]:.6g}" if known else "" for each in answers]
+                    known = motors == "held" and number < answers[0].residuals.shape[1]
+                    left = [f"{each.residuals[row, number]:.6g}" if known else "" for each in answers]
                     place = [f"{angle:.6g}" for angle in case.posture]
                     cells = [
                         *place,

@@ -79,8 +79,8 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
         kind: "position" or "velocity".
         plant: plant model.
         base: None.
-        **given: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each; "range", rad or rad/s at an action of 1, one
-            number or one per joint. The default range is pi, or the speed limits of the motors.
+        **given: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each; "range", rad or rad/s at action 1, for all
+            joints or for each. The default range is pi, or the speed limits of the motors.
 
     Returns:
         Servo mode.
@@ -375,11 +375,6 @@ ACTIONS: dict[str, _ActionModeEntry] = {
     "position": _ActionModeEntry(partial(_make_servo, "position"), SERVO_ARGUMENTS),
     "shaping": _ActionModeEntry(_ReferenceShapingMode, ShapingLimits._fields),
 }
-
-
-def mode_observation_size(mode: ActionMode) -> int:
-    """Return the number of values that a mode adds to the observation."""
-    return sum(getattr(mode, "observation_sizes", {}).values())
 
 
 def parse_action_mode(value: object) -> tuple[str, dict[str, Any]]:

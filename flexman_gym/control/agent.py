@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
 from flexman_gym.common.checks import positive, sequence, value_error, whole_number
-from flexman_gym.control.actions import MAX_OBSERVATION, ActionMode, mode_observation_size
+from flexman_gym.control.actions import MAX_OBSERVATION, ActionMode
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 
 Law = Callable[[NDArray[np.float32]], NDArray[Any]]  # observations (b, size) -> commands (b, k) from -1 to 1
@@ -113,9 +113,10 @@ class Agent:
     ) -> None:
         self.mode, self.base, self.law, self.action_repeat = mode, base, law, action_repeat
         self.sensors: Any = (*sensors, *mode.sensors)
-        self.shows = mode_observation_size(mode) > 0
+        mode_size = sum(getattr(mode, "observation_sizes", {}).values())
+        self.shows = mode_size > 0
         self._size, self._kind, self._counts = size, history, action_repeat > 1 or history != 1
-        self._row = size + mode_observation_size(mode)
+        self._row = size + mode_size
         self._history: _History | None = None
         self.observations: NDArray[np.float32] = np.zeros((0, history_length(history) * self._row), dtype=np.float32)
         self.command, self._ages = np.zeros((0, len(mode.names))), np.zeros(0, dtype=np.int64)

@@ -102,7 +102,7 @@ class Controller(Protocol):
         >>> start, goal = np.zeros((1, 2)), np.array([[0.3, -0.2]])
         >>> pd.reset(np.array([0]), EpisodeInfo(start, goal, period=0.01), count=1)
         >>> readings = {"angle_errors": goal - start, "motor_rates": np.zeros((1, 2))}
-        >>> pd.act(readings, applied=np.zeros((1, 2)), active=np.array([True])).round(2).tolist()
+        >>> pd.act(readings, applied=np.zeros((1, 2)), active=np.array([True])).astype(float).round(2).tolist()
         [[1.0, -0.12]]
     """
 

@@ -29,7 +29,7 @@ class PD:
         >>> import numpy as np
         >>> from flexman_gym.control import PD
         >>> pd = PD(stiffness=[40.0, 6.0], damping=[9.0, 1.3], torque_limit=[10.0, 4.0])
-        >>> pd.act({"angle_errors": np.array([0.1, -0.1]), "motor_rates": np.zeros(2)}).round(2).tolist()
+        >>> pd.act({"angle_errors": np.array([0.1, -0.1]), "motor_rates": np.zeros(2)}).astype(float).round(2).tolist()
         [0.4, -0.15]
     """
 

@@ -10,7 +10,6 @@ from flexman_gym.control.references.adaptive_references import (
     CANDIDATE_DURATIONS,
     SlewReferences,
     adaptation_factors,
-    friction_torques,
 )
 from flexman_gym.control.references.trajectories import slew_path
 from flexman_gym.model.dynamics import acceleration
@@ -207,9 +206,6 @@ def test_friction_is_that_of_the_estimate_and_where_there_is_none_that_of_the_mo
     assert adaptation_factors(own, NODE, {}, ONE)[2][0].tolist() == [[0.4, 0.4], [0.3, 0.3]]
     found = {"coulomb_friction": np.array([[0.0, 0.0], [0.1, 0.2]])}
     assert adaptation_factors(own, NODE, found, np.array([1]))[2][0].tolist() == [[0.4, 0.4], [0.1, 0.2]]
-    rates = np.array([[5.0, -5.0]])
-    result = friction_torques(own, adaptation_factors(own, NODE, found, np.array([1]))[2], rates)
-    assert result[0] == pytest.approx([0.4 * 5.0 + 0.1, -0.4 * 5.0 - 0.2])
 
 
 def test_a_slew_knows_the_friction_that_was_found():

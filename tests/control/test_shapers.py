@@ -214,17 +214,17 @@ def test_what_is_left_is_the_closed_form_of_each_case():
     shaper = design_shaper("ei", *middle[0, :2])
     for row, case in enumerate(cases):
         left = np.array([shaper_residual(shaper, *each[:2]) for each in case.held])
-        assert one.left[row] == pytest.approx(left[: one.left.shape[1]])
+        assert one.residuals[row] == pytest.approx(left[: one.residuals.shape[1]])
         assert one.tip[row] == pytest.approx(np.sum(left * case.held[:, 2]) / case.held[:, 2].sum())
     assert one.delay == shaper.times[-1]
     two = next(each for each in answers if (each.name, each.modes) == ("zvd", 2))
     row = next(i for i, case in enumerate(cases) if case is median_operating_point(cases))
-    assert two.left[row, :2] == pytest.approx([0.0, 0.0], abs=1e-9) and two.delay > one.delay
+    assert two.residuals[row, :2] == pytest.approx([0.0, 0.0], abs=1e-9) and two.delay > one.delay
 
 
 @pytest.mark.parametrize(("name", "width"), [("zv", 0.06), ("zvd", 0.286), ("ei", 0.399), ("two-hump-ei", 0.726)])
 def test_the_errors_that_are_borne_are_the_published_insensitivity(name, width):
-    low, high = next(each.borne for each in evaluate_shapers(cases_of(3.0)) if each.name == name)
+    low, high = next(each.tolerated_errors for each in evaluate_shapers(cases_of(3.0)) if each.name == name)
     assert high - low == pytest.approx(width, abs=0.008) and low < 0.0 < high
     assert max(shaper_residual(design_shaper(name, 3.0), 3.0 * (1.0 + np.array([low, high])))) <= 5.1
 
@@ -232,7 +232,7 @@ def test_the_errors_that_are_borne_are_the_published_insensitivity(name, width):
 def test_with_damping_the_errors_to_both_sides_differ_and_each_is_the_last_that_is_borne():
     shaper = design_shaper("zvd", 3.0, 0.1)
     cases = [OperatingPoint(np.zeros(1), 0.0, mode(3.0, 0.1), mode(6.0))]
-    low, high = next(each.borne for each in evaluate_shapers(cases) if each.name == "zvd")
+    low, high = next(each.tolerated_errors for each in evaluate_shapers(cases) if each.name == "zvd")
     assert shaper_residual(shaper, 3.0 * (1.0 + np.array([low, high])), 0.1) == pytest.approx([5.1, 5.1], abs=0.06)
     assert high > -low + 0.005
 

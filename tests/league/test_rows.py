@@ -269,7 +269,7 @@ def test_a_controller_without_a_description_fails_at_import():
 
 def test_who_cannot_play_says_why(scenario):
     cell, rows = run_block(EpisodeBlock("", "optimised", scenario, 9000, 9001))
-    assert rows == [] and cell.why.startswith("table: only one of this arm") and np.isnan(cell.action)
+    assert rows == [] and cell.why.startswith("table: only a table of this arm") and np.isnan(cell.action)
     for agent, words in (("lqr", "it needs more than a laboratory can tell it"), ("optimised", "it needs more")):
         assert run_block(EpisodeBlock("", agent, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why.startswith(words)
 

@@ -71,7 +71,7 @@ class InputShapedController:
     ) -> None:
         self.inner, self.model = checked_controller("InputShapedController.inner", inner), check_model(model)
         self.sensors = inner.sensors
-        self._own = _pairs(modes) if isinstance(modes, list | tuple | np.ndarray) else None
+        self._own = _parse_modes(modes) if isinstance(modes, list | tuple | np.ndarray) else None
         self._count = (
             whole_number("InputShapedController.modes", modes, 1, MAX_MODES) if self._own is None else len(self._own)
         )
@@ -203,7 +203,7 @@ def _convolve(fractions: Array, values: Array) -> Array:
     return result
 
 
-def _pairs(value: object) -> Array:
+def _parse_modes(value: object) -> Array:
     """Return given modes (k, 2) as frequencies (Hz) and damping ratios."""
     pairs = sequence("InputShapedController.modes", value, "pairs of frequency (Hz) and damping ratio")
     if not 1 <= len(pairs) <= MAX_MODES:

@@ -53,16 +53,18 @@ def excited_modes(model: Model, posture: Vector, held: bool = True) -> Array:
         eigen = oscillatory_modes(resting, others)
         lost = resting.damping[np.ix_(others, others)]
         caused = [shape @ (value * inertia + lost) @ starts for value, shape in zip(*eigen, strict=True)]
-        result = _felt(eigen, np.array(caused), resting.tip[:, others])
+        result = _observable_modes(eigen, np.array(caused), resting.tip[:, others])
     if flag("held", held) or not len(result):
         return result
     every = np.arange(model.n_dof)
     eigen = oscillatory_modes(resting, every)
     above = np.abs(eigen.values) > 2.0 * np.pi * RIGID_MODE_RATIO * result[0, 0]
-    return _felt(Eigenpairs(eigen.values[above], eigen.shapes[above]), eigen.shapes[np.ix_(above, motors)], resting.tip)
+    return _observable_modes(
+        Eigenpairs(eigen.values[above], eigen.shapes[above]), eigen.shapes[np.ix_(above, motors)], resting.tip
+    )
 
 
-def _felt(eigen: Eigenpairs, caused: Array, tip: Array) -> Array:
+def _observable_modes(eigen: Eigenpairs, caused: Array, tip: Array) -> Array:
     """Return the modes (k, 3) with a sufficient tip amplitude, of those excited by the motors (k, n)."""
     tip_amplitudes = 2.0 * np.linalg.norm(eigen.shapes @ tip.T, axis=1) * np.abs(caused).max(axis=1, initial=0.0)
     kept = np.flatnonzero(tip_amplitudes > MIN_TIP_AMPLITUDE * tip_amplitudes.max(initial=0.0))
@@ -227,16 +229,16 @@ class ShaperEvaluation(NamedTuple):
         name: of the shaper.
         modes: number of lowest modes in the design.
         delay: from the first impulse to the last, s.
-        borne: (low, high) relative errors of all frequencies up to which each mode keeps at most TOLERATED_RESIDUAL.
-        left: (cases, k) residual of each mode, %.
+        tolerated_errors: (low, high) relative errors of the frequencies with at most TOLERATED_RESIDUAL of each mode.
+        residuals: (cases, k) residual of each mode, %.
         tip: (cases,) residual tip vibration after a step of the motors, with all modes in phase, %.
     """
 
     name: str
     modes: int
     delay: float
-    borne: tuple[float, float]
-    left: Array
+    tolerated_errors: tuple[float, float]
+    residuals: Array
     tip: Array
 
 
@@ -244,7 +246,7 @@ def find_operating_points(model: Model, postures: Array, payloads: Sequence[floa
     """Compute the lowest modes for each of the postures (p, n) rad with each of the payloads (kg)."""
     result = []
     for payload in payloads:
-        loaded = varied_model(model, payload_mass=payload)
+        loaded = varied_model(model, payload_mass=non_negative("payload_mass", payload, "kg"))
         for posture in postures:
             modes = (excited_modes(loaded, posture, held)[:EVALUATED_MODES] for held in (True, False))
             result.append(OperatingPoint(posture, float(payload), *modes))
@@ -270,10 +272,10 @@ def evaluate_shapers(cases: Sequence[OperatingPoint]) -> list[ShaperEvaluation]:
     return [_evaluate_shaper(name, middle[:count], cases) for count in counts for name in SHAPERS]
 
 
-def recommend_shaper(answers: Sequence[ShaperEvaluation]) -> ShaperEvaluation | None:
+def recommend_shaper(evaluations: Sequence[ShaperEvaluation]) -> ShaperEvaluation | None:
     """Return the shaper of shortest delay with at most TIP_VIBRATION_LIMIT in every case, or None."""
-    feasible = [answer for answer in answers if answer.tip.max() <= TIP_VIBRATION_LIMIT]
-    return min(feasible, key=lambda answer: answer.delay, default=None)
+    feasible = [evaluation for evaluation in evaluations if evaluation.tip.max() <= TIP_VIBRATION_LIMIT]
+    return min(feasible, key=lambda evaluation: evaluation.delay, default=None)
 
 
 def _evaluate_shaper(name: str, modes: Array, cases: Sequence[OperatingPoint]) -> ShaperEvaluation:
@@ -294,7 +296,7 @@ def _evaluate_shaper(name: str, modes: Array, cases: Sequence[OperatingPoint]) -
 
 
 def _tolerated_frequency_errors(shaper: Shaper, modes: Array) -> tuple[float, float]:
-    """Return the relative errors (low, high) of the frequencies of modes (k, 3), see `ShaperEvaluation.borne`."""
+    """Return the relative errors (low, high) of the frequencies of modes (k, 3); see `ShaperEvaluation`."""
     steps = np.arange(0.0, MAX_FREQUENCY_ERROR, FREQUENCY_ERROR_STEP)
     result = []
     for sign in (-1.0, 1.0):

@@ -161,7 +161,7 @@ class SlewReferences:
         torques = self._interpolate(self._adapted_torques, arms, places, changes, speeds)
         if self._friction[arms].any():
             rates = speeds[..., None] * self.displacement[arms][:, None, None]
-            torques += friction_torques(self.model, self._friction[arms][:, None, None], rates)
+            torques += _friction_torques(self.model, self._friction[arms][:, None, None], rates)
         shares = (np.abs(torques) / self._limits).max(axis=(2, 3))
         feasible = shares <= self._share
         chosen = np.where(feasible.any(axis=1), feasible.argmax(axis=1), shares.argmin(axis=1))
@@ -214,7 +214,7 @@ class SlewReferences:
     def torques(self, now: Array, arms: IntArray) -> Array:
         """Return the feed-forward torques (r, n) of the arms (r,) at times (r,) s, N m."""
         place, speed, change = self._scaled_timing(now, arms)
-        friction = friction_torques(self.model, self._friction[arms], speed[:, None] * self.displacement[arms])
+        friction = _friction_torques(self.model, self._friction[arms], speed[:, None] * self.displacement[arms])
         return self._interpolate(self._adapted_torques, arms, place, change, speed) + friction
 
 
@@ -260,7 +260,7 @@ def adaptation_factors(
     return weights, compliance, friction
 
 
-def friction_torques(model: Model, coefficients: Array, rates: Array) -> Array:
+def _friction_torques(model: Model, coefficients: Array, rates: Array) -> Array:
     """Return the friction torques (..., n), N m, for coefficients (..., 2, n) at motor rates (..., n) rad/s."""
     sliding = np.tanh(rates / model.constants.coulomb_rate)
     return coefficients[..., 0, :] * rates + coefficients[..., 1, :] * sliding
@@ -316,6 +316,6 @@ class PathReferences:
             row, weights = min(moment, len(straight) - 1), self._weights[arm, :, None]
             deflected = (weights * departures[:, row]).sum(axis=0) * np.tile(self._compliance[arm], 2)
             states.append(straight[row] + deflected)
-            sliding = friction_torques(self.model, self._friction[arm], states[-1][rates])
+            sliding = _friction_torques(self.model, self._friction[arm], states[-1][rates])
             torques.append((weights * forward[:, min(moment, forward.shape[1] - 1)]).sum(axis=0) + sliding)
         return np.array(states), np.array(torques)
