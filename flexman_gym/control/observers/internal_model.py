@@ -102,7 +102,7 @@ class DiscreteJacobians:
         return result, valid
 
     def _differences(self, states: Array, torques: Array) -> tuple[Array, BoolArray]:
-        batch = self._models("slopes", BATCH_ARMS * len(self._around))
+        batch = self._models("jacobians", BATCH_ARMS * len(self._around))
         shape, n = (len(states), len(self._around)), len(self.scales)
         used = np.arange(shape[0] * shape[1])
         place = np.concatenate([states, torques, np.zeros((len(states), 3))], axis=1)
