@@ -56,7 +56,7 @@ class _StudentMode:
     def __init__(self, network: Network, mode: ActionMode, strength: float | Array, teacher: Controller) -> None:
         self.network, self._mode, self._strength, self._teacher = network, mode, strength, teacher
         self.joints, self.names, self.sensors = mode.joints, mode.names, (*mode.sensors, *teacher.sensors)
-        self.shown: Mapping[str, int] = getattr(mode, "shown", {})
+        self.observation_sizes: Mapping[str, int] = getattr(mode, "observation_sizes", {})
         self.teacher_acts: BoolArray = np.zeros(0, dtype=bool)
         self._observations: NDArray[np.float32] | None = None
         self.samples: list[tuple[NDArray[np.float32], Array, BoolArray]] = []
@@ -74,9 +74,9 @@ class _StudentMode:
         self._teacher.reset(arms, episode, count)
         self._mode.reset(arms, episode, count)
 
-    def look(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
+    def observe(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the observations (b, size) that the action mode adds."""
-        result: Array = self._mode.look(readings, applied, active)  # type: ignore[attr-defined]
+        result: Array = self._mode.observe(readings, applied, active)  # type: ignore[attr-defined]
         return result
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:

@@ -117,11 +117,11 @@ CALLS = {
     "LQR": lambda value: LQR(value, 1.0, 0.01),
     "TrackingLQR": lambda value: TrackingLQR(value, 1.0, 0.01),
     **{
-        f"Shaped.{name}": lambda value, name=name: InputShapedController(PD(TWO, TWO, 1.0), MODEL, **{name: value})
+        f"InputShapedController.{name}": lambda value, name=name: InputShapedController(PD(TWO, TWO, 1.0), MODEL, **{name: value})
         for name in ("shaper", "modes", "places", "duration", "tolerance")
     },
-    "Shaped.inner": lambda value: InputShapedController(value, MODEL),
-    "Shaped.model": lambda value: InputShapedController(PD(TWO, TWO, 1.0), value),
+    "InputShapedController.inner": lambda value: InputShapedController(value, MODEL),
+    "InputShapedController.model": lambda value: InputShapedController(PD(TWO, TWO, 1.0), value),
     "design.shaper": lambda value: design_shaper(value, 1.0),
     "design.frequency": lambda value: design_shaper("ei", value),
     "design.ratio": lambda value: design_shaper("ei", 1.0, value),

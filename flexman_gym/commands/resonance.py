@@ -123,14 +123,14 @@ def _shaper_lines(evaluations: "Sequence[ShaperEvaluation]") -> list[str]:
     """Return a line for each shaper: delay, tolerated frequency error, residual vibration (median and worst case)."""
     from flexman_gym.control.input_shaping.shapers import TOLERATED_RESIDUAL
 
-    count = evaluations[0].left.shape[1]
+    count = evaluations[0].residuals.shape[1]
     heads = "".join(f"{f'mode {number + 1}, %':>16}" for number in range(count))
     result = [
         f"{'shaper, of modes':<20}{'delay, s':>10}{f'error at {TOLERATED_RESIDUAL:g} %':>20}{'tip, %':>16}{heads}"
     ]
     for each in evaluations:
-        errors = f"{each.borne[0]:+.0%} to {each.borne[1]:+.0%}"
-        columns = [each.tip, *each.left.T]
+        errors = f"{each.tolerated_errors[0]:+.0%} to {each.tolerated_errors[1]:+.0%}"
+        columns = [each.tip, *each.residuals.T]
         cells = "".join(f"{f'{np.median(left):.1f} / {left.max():.1f}':>16}" for left in columns)
         result.append(f"{_shaper_name(each):<20}{each.delay:>10.3g}{errors:>20}{cells}")
     return [
@@ -158,7 +158,7 @@ def _recommendation(cases: "Sequence[OperatingPoint]", evaluations: "Sequence[Sh
         )
     best = min(evaluations, key=lambda each: float(each.tip.max()))
     row = int(best.tip.argmax())
-    number = int((best.left[row] * cases[row].held[: best.left.shape[1], 2]).argmax())
+    number = int((best.residuals[row] * cases[row].held[: best.residuals.shape[1], 2]).argmax())
     median, worst = (float(case.held[number, 0]) for case in (median_operating_point(cases), cases[row]))
     return (
         f"recommendation: none. The best shaper, {_shaper_name(best)}, leaves {best.tip.max():.1f} % of the vibration "
@@ -178,8 +178,8 @@ def _write_table(path: Path, cases: "Sequence[OperatingPoint]", evaluations: "Se
         for row, case in enumerate(cases):
             for motors in MOTOR_STATES:
                 for number, (frequency, ratio, _) in enumerate(getattr(case, motors).tolist()):
-                    known = motors == "held" and number < evaluations[0].left.shape[1]
-                    left = [f"{each.left[row, number]:.6g}" if known else "" for each in evaluations]
+                    known = motors == "held" and number < evaluations[0].residuals.shape[1]
+                    left = [f"{each.residuals[row, number]:.6g}" if known else "" for each in evaluations]
                     place = [f"{angle:.6g}" for angle in case.posture]
                     cells = [
                         *place,

@@ -11,6 +11,14 @@ import numpy as np
 
 from flexman_gym.common.checks import value_error
 
+FORMER_FIELDS = {
+    "_apart": "_perturbations_reduced", "_following": "_paths", "_given_up": "_fallback_active", "_known": "_latest",
+    "_looked": "_updated", "_own_coordinates": "_adapted_coordinates", "_own_torques": "_adapted_torques",
+    "_pushed": "_filtering", "_residuals": "_detector", "_soft": "_compliance", "_tight": "_holding",
+    "ahead": "clock_offset", "begun": "start_time", "lasting": "duration", "pace": "time_scaling",
+    "quickening": "pace_rate", "shape": "shaping", "wanted": "action", "way": "displacement",
+}  # fmt: skip
+"""State field of release 0.2 -> present field: snapshots of older releases are read under their present names."""
 GENERATOR = "bit_generator"  # key of the state of a random generator
 
 
@@ -64,6 +72,8 @@ def set_state(field: str, old: Any, data: Any) -> Any:
         return get_state(data)
     names = _state_fields(old)
     _check_kind(field, data, dict, "a mapping")
+    if set(data) != set(names):
+        data = {FORMER_FIELDS.get(name, name): each for name, each in data.items()}
     if set(data) != set(names):
         raise value_error(field, sorted(map(str, data)), f"a mapping with {', '.join(sorted(names)) or 'nothing'}")
     for name in names:

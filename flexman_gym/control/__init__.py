@@ -1,4 +1,4 @@
-"""Control: controllers with one call signature, and the observers and laws that some are made of."""
+"""Controllers with one protocol, observers, reference trajectories and action modes."""
 
 from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.control.agent import Agent

@@ -17,26 +17,26 @@ from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.pd import PD
 from flexman_gym.control.reference_shaping import ReferenceShaping, ShapingLimits
 from flexman_gym.control.tracking import OutputFeedback
-from flexman_gym.model.linearization import LinearMeasurements as Quantities
+from flexman_gym.model.linearization import LinearMeasurements
 
-UNSTABLE_RADIUS = 1.0 + 1e-6  # spectral radius; modes without damping that no motor moves have 1, to rounding
+UNSTABLE_RADIUS = 1.0 + 1e-6  # spectral radius; undamped modes outside the influence of the motors have 1, to rounding
 
 
 class _ServoMode:
-    """A servo of each joint: torque = stiffness (reference - angle) + damping (reference rate - rate).
+    """Joint servo: torque = stiffness (reference - angle) + damping (reference rate - rate).
 
-    It acts in every control period, and measures its motor alone. With kind="position" an action is the reference, a
-    part of a range of angles (rad), and the reference rate is 0. With kind="velocity" an action is the reference rate,
-    a part of a range of speeds (rad/s), and the reference is its integral from the start on: stiffness is then the
-    integral gain of the speed loop. That integral stays where the torque of the stiffness is within the limits, so
-    that it does not wind up. There is no other integral action: in a field of gravity a position servo rests beside its
-    reference, by the weight over the stiffness.
+    It runs in every control period and reads the motor encoders only. With kind="position" an action is the reference
+    as a fraction of an angle range (rad), with zero reference rate. With kind="velocity" an action is the reference
+    rate as a fraction of a speed range (rad/s), and the reference is its integral from the start, so that stiffness is
+    the integral gain of the speed loop. Anti-windup: the integral stays within the distance at which stiffness alone
+    commands the torque limit. There is no other integral action; under gravity a position servo therefore has a
+    steady-state error of weight / stiffness.
 
     Args:
         kind: "position" or "velocity".
-        gains: PD with the gains and torque limits.
-        span: (n,) rad or rad/s, of an action of 1.
-        period: of control, s.
+        gains: PD with gains and torque limits.
+        span: (n,) rad or rad/s at an action of 1.
+        period: control period, s.
     """
 
     state_fields = ("_reference",)
@@ -47,46 +47,46 @@ class _ServoMode:
         self.joints = len(self._span)
         self.names = tuple(f"{kind}_{joint + 1}" for joint in range(self.joints))
         self._reference = np.zeros((1, self.joints))  # of each arm, rad
-        soft = gains.stiffness == 0.0
-        self._most = np.where(soft, np.inf, gains.torque_limit / np.where(soft, 1.0, gains.stiffness))
+        zero = gains.stiffness == 0.0
+        self._most = np.where(zero, np.inf, gains.torque_limit / np.where(zero, 1.0, gains.stiffness))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,) with the reference where they are."""
+        """Start new episodes of the arms (r,) with the reference at their joint angles."""
         self._reference = pad_rows(self._reference, count)
         self._reference[arms] = episode.start
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        """Gives the torques (b, n) for references (b, n), parts of the torque limits from -1 to 1."""
-        angles, asked = readings["motor_angles"], actions * self._span
+    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the torques (b, n) for reference actions (b, n), as fractions of the torque limits from -1 to 1."""
+        angles, command = readings["motor_angles"], actions * self._span
         if self._moves:
-            error, wanted = self._reference - angles, asked
-            onward = np.clip(self._reference + asked * self._period, angles - self._most, angles + self._most)
-            self._reference[playing] = onward[playing]
+            error, target_rate = self._reference - angles, command
+            onward = np.clip(self._reference + command * self._period, angles - self._most, angles + self._most)
+            self._reference[active] = onward[active]
         else:
-            error, wanted = asked - angles, 0.0
-        torque = self._gains.stiffness * error + self._gains.damping * (wanted - readings["motor_rates"])
+            error, target_rate = command - angles, 0.0
+        torque = self._gains.stiffness * error + self._gains.damping * (target_rate - readings["motor_rates"])
         result: Array = np.clip(torque / self._gains.torque_limit, -1.0, 1.0)
         return result
 
 
 def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) -> _ServoMode:
-    """Makes a servo with gains that are given, or those that were tuned for the plant.
+    """Make a servo with the given gains, or with those tuned for the plant.
 
-    It warns (UserWarning) where its sampled loop, with delay and drive, is unstable at zero angles, whichever of its
-    motors slide or stick.
+    A UserWarning is issued if the sampled loop, with delay and drive lag, is unstable at zero joint angles for any set
+    of motors that slide or stick.
 
     Args:
         kind: "position" or "velocity".
-        plant: of the joints.
+        plant: plant model.
         base: None.
-        given: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each; "range", rad or rad/s of an action of 1, one
-            number or one for each joint: pi, or the speed limits of the motors, where none is given.
+        **given: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each; "range", rad or rad/s at action 1, for all
+            joints or for each. The default range is pi, or the speed limits of the motors.
 
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+    Returns:
+        Servo mode.
     """
     if base is not None:
-        raise value_error("base", base, f'None: with actions="{kind}" the servo acts on the motors')
+        raise value_error("base", base, f'None: with actions="{kind}" the servo commands the motors')
     n, span = len(plant.torque_limit), given.pop("range", None)
     if span is None:
         motors = [joint.motor for joint in plant.model.arm.joints]
@@ -104,160 +104,171 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
     if radius > UNSTABLE_RADIUS:
         warnings.warn(
             f"actions: a servo with stiffness {gains.stiffness.tolist()} and damping {gains.damping.tolist()} is not "
-            f"stable with a period of {plant.period:g} s{describe_stuck_motors(stuck)} (spectral radius "
-            f"{radius:.4g}); give "
-            "smaller gains, or a shorter control_period with a larger action_repeat",
+            f"stable with a period of {plant.period:g} s{describe_stuck_motors(stuck)} (spectral "
+            f"radius {radius:.4g}); give smaller gains, or a shorter control_period with a larger action_repeat",
             stacklevel=2,
         )
     return _ServoMode(kind, gains, spans, plant.period)
 
 
-SMALL_DEPARTURE, SMALL_ANGLE = (
-    1.0 / 30.0,
-    0.01,
-)  # of a range, and rad: up to where departures and errors of angles are small
-MAX_OBSERVATION = 100.0  # number that is shown
+SMALL_DEPARTURE = 1.0 / 30.0  # fraction of the range; scale of the arcsinh of departures
+SMALL_ANGLE = 0.01  # rad; scale of the arcsinh of motor errors
+MAX_OBSERVATION = 100.0  # bound on observed quantities
 
 
 class _ReferenceShapingMode:
-    """Pace of the reference, offsets of its joints and torques beside the law, on what the base estimates.
+    """Action mode of reference shaping: time scaling, joint offsets and added torques on the reference of the base.
 
-    It shows the agent what the base knows: the state by quantities, their departures from the reference as arcsinh,
-    errors of the motors, the reference, its clock and its shape, the last torques and actions, payload and stiffness.
+    It adds quantities to the observation: the estimated state as measured quantities, their departures from the
+    reference as arcsinh, motor errors, the reference, its clock and its shaping, the last torques and actions, and the
+    estimates of payload and stiffness with their deviations.
 
     Args:
-        plant: the arm.
-        base: an observer and a law that tracks references.
-        authority: pace, offset, torque and fading, see `ShapingLimits`.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+        plant: plant model.
+        base: OutputFeedback of an observer and a tracking law.
+        **authority: pace, offset, torque and fading, see `ShapingLimits`.
     """
 
     def __init__(self, plant: Plant, base: Controller | None, **authority: object) -> None:
         if not isinstance(base, OutputFeedback):
-            allowed = "torque, or it with a base that has an observer and tracks: adaptive-lqr, lqg or privileged-lqr"
+            allowed = "torque, or shaping with a base that estimates and tracks: adaptive-lqr, lqg or privileged-lqr"
             raise value_error("actions", "shaping", allowed)
         self._base, self._law, self._plant = base, base.law, plant
-        far = ShapingLimits(**{name: non_negative(f"actions.{name}", value) for name, value in authority.items()})
-        self.strength = far.torque if far.fading == 0.0 else None
+        limits = ShapingLimits(**{name: non_negative(f"actions.{name}", value) for name, value in authority.items()})
+        self.strength = limits.torque if limits.fading == 0.0 else None
         n = self.joints = len(plant.torque_limit)
-        self._shape = self._law.shape = ReferenceShaping(self._law.slews, self._law.limits, plant.period, far)
+        self._shape = self._law.shaping = ReferenceShaping(self._law.slews, self._law.limits, plant.period, limits)
         every = ("pace", *(f"{part}_{joint + 1}" for part in ("offset", "torque") for joint in range(n)))
-        self._columns = np.flatnonzero(np.repeat([far.pace, far.offset, far.torque], [1, n, n]) > 0.0)
+        self._columns = np.flatnonzero(np.repeat([limits.pace, limits.offset, limits.torque], [1, n, n]) > 0.0)
         self.names = tuple(every[column] for column in self._columns)
         self.sensors: tuple[object, ...] = tuple(base.sensors)
-        self._quantities = Quantities(plant.model)
+        self._quantities = LinearMeasurements(plant.model)
         self._ranges = np.concatenate([plant.measured()[name][0] for name in self._quantities.columns])
         sizes = {"estimate": 8 * n, "departures": 8 * n, "angle_errors": 2 * n, "reference": 2 * n, "way": 3 * n}
         sizes |= {"clock": 6, "offsets": 2 * n, "applied": n, "action": len(self.names)}
         sizes |= {"parameters": 1 + 2 * n, "deviations": 1 + 2 * n}
-        self.shown: Mapping[str, int] = sizes
-        self._seen = np.zeros((0, sum(sizes.values())))
+        self.observation_sizes: Mapping[str, int] = sizes
+        self._observed = np.zeros((0, sum(sizes.values())))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,).
+        """Start new episodes of the arms (r,).
+
+        Args:
+            arms: (r,).
+            episode: start and goal of these episodes.
+            count: number of arms.
 
         Raises:
-            ValueError: for a goal that moves.
+            ValueError: for a moving goal.
         """
         if episode.reference is not None:
-            raise value_error(
-                "actions", "shaping", "torque: the goal of this task moves, and slews alone can be shaped"
-            )
+            raise value_error("actions", "shaping", "torque: the goal of this task moves, and only slews can be shaped")
         self._shape.reset(arms, count)
         self._base.reset(arms, episode, count)
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        """Gives what the motors (b, n) are asked for, parts of the torque limits."""
-        arms = np.flatnonzero(playing)
-        self._shape.wanted[arms[:, None], self._columns] = actions[arms]
-        return self._base.act(readings, applied, playing)
+    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the commanded torques (b, n) as fractions of the torque limits."""
+        arms = np.flatnonzero(active)
+        self._shape.action[arms[:, None], self._columns] = actions[arms]
+        return self._base.act(readings, applied, active)
 
-    def look(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        """Gives what it shows of all arms, (b, sum of the sizes in `shown`), anew of those that are playing (b,)."""
-        if len(self._seen) < len(playing):
-            self._seen = np.zeros((len(playing), self._seen.shape[1]))
-        if playing.any():
-            estimate, arms = self._base.look(readings, applied, playing), np.flatnonzero(playing)
-            self._law.plan(estimate, playing)
+    def observe(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the observed quantities of all arms (b, size), updated for the active arms (b,)."""
+        if len(self._observed) < len(active):
+            self._observed = np.zeros((len(active), self._observed.shape[1]))
+        if active.any():
+            estimate, arms = self._base.update_estimate(readings, applied, active), np.flatnonzero(active)
+            self._law.plan(estimate, active)
             shown = np.concatenate(list(self._parts(estimate, applied, arms).values()), axis=1)
-            self._seen[arms] = np.clip(np.nan_to_num(shown), -MAX_OBSERVATION, MAX_OBSERVATION)
-        return self._seen
+            self._observed[arms] = np.clip(np.nan_to_num(shown), -MAX_OBSERVATION, MAX_OBSERVATION)
+        return self._observed
 
     def _parts(self, estimate: Estimate, applied: Array, arms: IntArray) -> dict[str, Array]:
-        """What is shown of the arms (r,), by name."""
+        """Return the observed quantities of the arms (r,), by name."""
         law, slews, model, d = self._law, self._law.slews, self._plant.model, self._plant.model.n_dof
         states, reference, now = estimate.states[arms], law.reference(estimate, arms), law.clock(estimate, arms)
         motors, (place, speed, change) = model.motor_columns, slews.at(now, arms)
-        way, left = slews.way[arms], slews.begun[arms] + slews.lasting[arms] - now
-        errors = slews.start[arms] + way + slews.shift[arms] - states[:, motors]
+        displacement, remaining = slews.displacement[arms], slews.start_time[arms] + slews.duration[arms] - now
+        errors = slews.start[arms] + displacement + slews.shift[arms] - states[:, motors]
         departures = np.arcsinh(self._read(states - reference) / (SMALL_DEPARTURE * self._ranges))
-        ways = [way * (1.0 - place)[:, None], way * speed[:, None], way * change[:, None]]
-        clock = [place, speed, change, np.maximum(left, 0.0), slews.pace[arms], slews.begun[arms] + slews.lasting[arms]]
+        displacements = [
+            displacement * (1.0 - place)[:, None],
+            displacement * speed[:, None],
+            displacement * change[:, None],
+        ]
+        clock = [
+            place,
+            speed,
+            change,
+            np.maximum(remaining, 0.0),
+            slews.time_scaling[arms],
+            slews.start_time[arms] + slews.duration[arms],
+        ]
         return {
             "estimate": self._read(states),
             "departures": departures,
             "angle_errors": np.concatenate([errors, np.arcsinh(errors / SMALL_ANGLE)], axis=1),
             "reference": np.concatenate([reference[:, motors], reference[:, d + motors]], axis=1),
-            "way": np.concatenate(ways, axis=1),
+            "way": np.concatenate(displacements, axis=1),
             "clock": np.stack(clock, axis=1),
             "offsets": self._shape.offsets[arms].reshape(len(arms), 2 * self.joints),
             "applied": applied[arms],
-            "action": self._shape.wanted[arms][:, self._columns],
+            "action": self._shape.action[arms][:, self._columns],
             "parameters": self._parameters(estimate, arms),
             "deviations": self._deviations(arms),
         }
 
     def _read(self, states: Array) -> Array:
-        """The quantities (r, 8 n) of states (r, 2 d)."""
+        """Return the measured quantities (r, 8 n) of states (r, 2 d)."""
         named = self._quantities.measure(states)
         return np.concatenate([named[name] for name in self._quantities.columns], axis=1)
 
     def _parameters(self, estimate: Estimate, arms: IntArray) -> Array:
-        """Payload (kg), and stiffness of joints and links as parts of the nominal one, (r, 1 + 2 n)."""
-        constants, known = self._plant.model.constants, estimate.parameters
+        """Return payload (kg) and stiffness factors of joints and links, (r, 1 + 2 n)."""
+        constants, estimated = self._plant.model.constants, estimate.parameters
         stiffness = np.where(constants.motor >= 0, constants.joint_stiffness, 1.0)
         ones = np.ones((len(arms), self.joints))
-        payload = known["payload_mass"][arms] if "payload_mass" in known else constants.payload_mass[0] * ones[:, 0]
-        joints = known["joint_stiffness"][arms] / stiffness if "joint_stiffness" in known else ones
-        links = known["link_stiffness_factor"][arms] if "link_stiffness_factor" in known else ones
+        payload = (
+            estimated["payload_mass"][arms] if "payload_mass" in estimated else constants.payload_mass[0] * ones[:, 0]
+        )
+        joints = estimated["joint_stiffness"][arms] / stiffness if "joint_stiffness" in estimated else ones
+        links = estimated["link_stiffness_factor"][arms] if "link_stiffness_factor" in estimated else ones
         return np.concatenate([payload[:, None], joints, links], axis=1)
 
     def _deviations(self, arms: IntArray) -> Array:
-        """Standard deviations of these, (r, 1 + 2 n), 0 of what is known, as of joints that are rigid."""
-        constants, said = self._plant.model.constants, self._base.estimates
+        """Return the standard deviations (r, 1 + 2 n) of these parameters; 0 for known ones and for rigid joints."""
+        constants, estimates = self._plant.model.constants, self._base.estimates
         result, n = np.zeros((len(arms), 1 + 2 * self.joints)), self.joints
-        if "payload_mass_deviation" in said:
-            result[:, 0] = said["payload_mass_deviation"][arms]
-        if "joint_stiffness_deviation" in said:
+        if "payload_mass_deviation" in estimates:
+            result[:, 0] = estimates["payload_mass_deviation"][arms]
+        if "joint_stiffness_deviation" in estimates:
             flexible = constants.motor >= 0
-            part = said["joint_stiffness_deviation"][arms] / constants.joint_stiffness[flexible]
+            part = estimates["joint_stiffness_deviation"][arms] / constants.joint_stiffness[flexible]
             result[:, 1 : 1 + n][:, flexible] = part
-        if "link_stiffness_factor_deviation" in said:
-            result[:, 1 + n :] = said["link_stiffness_factor_deviation"][arms]
+        if "link_stiffness_factor_deviation" in estimates:
+            result[:, 1 + n :] = estimates["link_stiffness_factor_deviation"][arms]
         return result
 
 
 @runtime_checkable
 class ActionMode(Protocol):
-    """The protocol of what k numbers from -1 to 1 of an agent mean for b arms of n joints, in every control period.
+    """Protocol of action modes: the meaning of k numbers from -1 to 1 for b arms of n joints, in every control period.
 
-    What it does to an arm must not depend on the others, to the last bit. An optional member is `state_fields`, as of a
-    Controller; the base is not among it. A mode that shows its agent something beside what its sensors see has two
-    more: `shown`, name -> how many numbers, and `look(readings, applied, playing)`, which gives them side by side,
-    (b, size), of the arms that are playing anew. It is asked before an agent acts, in the same control period. A mode
-    of torques says as `strength` which part of the torque limits an action of 1 adds, of all joints or of each (n,).
+    The torques of an arm must not depend on the other arms, to the last bit. Optional members: `state_fields`, as in
+    `Controller`, without the base; `strength`, for modes of torques, the part of the torque limits (of all joints, or
+    (n,)) that an action of 1 adds. A mode with observed quantities beyond the sensors has `observation_sizes`, name ->
+    number of values, and `observe(readings, applied, active)`, which returns them concatenated, (b, size), and updates
+    those of the active arms. It is called before the agent acts, in the same control period.
 
     Attributes:
         joints: n.
         names: (k,) of the numbers of an action.
-        sensors: names of the sensors that it and its base read.
+        sensors: names of the sensors that the mode and its base read.
     """
 
     @property
     def joints(self) -> int:
-        """How many joints the arms have."""
+        """Number of joints of an arm."""
         ...
 
     @property
@@ -267,126 +278,117 @@ class ActionMode(Protocol):
 
     @property
     def sensors(self) -> tuple[object, ...]:
-        """Names of the sensors that it and its base read."""
+        """Names of the sensors that the mode and its base read."""
         ...
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms with the indices (r,), of its base too."""
+        """Start new episodes of the arms with the indices (r,), those of the base included."""
         ...
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        """Gives what the motors (b, n) are asked for, parts of the torque limits from -1 to 1.
+    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the commanded torques (b, n) as fractions of the torque limits, from -1 to 1.
 
         Args:
-            actions: (b, k) of the agent, which holds each for one control period or several.
-            readings: as of `Controller.act`.
-            applied: as of `Controller.act`.
-            playing: as of `Controller.act`.
+            actions: (b, k) of the agent, each held for its `action_repeat` control periods.
+            readings: as in `Controller.act`.
+            applied: as in `Controller.act`.
+            active: as in `Controller.act`.
+
+        Returns:
+            Torques (b, n).
         """
         ...
 
 
 class TorqueMode:
-    """Torques of the motors as parts of their limits, added to those of a base; the sum ends at -1 and 1.
+    """Action mode of motor torques, added to the torques of a base controller; the sum is saturated at -1 and 1.
 
     Args:
-        joints: n, of the arm.
-        base: what acts beside the agent; None for nothing.
+        joints: n.
+        base: controller whose torques are added; None for none.
+        strength: part of the torque limits that an action of 1 commands, for all joints or for each (n,).
+        quantity: "torque", or "current" for motor currents as parts of their limits.
     """
 
-    def __init__(self, joints: int, base: Controller | None = None) -> None:
-        self._base, self.joints = base, joints
-        self.strength: float | Array = 1.0
-        self.names = tuple(f"torque_{joint + 1}" for joint in range(joints))
+    def __init__(
+        self, joints: int, base: Controller | None = None, strength: float | Array = 1.0, quantity: str = "torque"
+    ) -> None:
+        self._base, self.joints, self.strength = base, joints, strength
+        self.names = tuple(f"{quantity}_{joint + 1}" for joint in range(joints))
         self.sensors: tuple[object, ...] = tuple(base.sensors) if base else ()
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,)."""
+        """Start new episodes of the arms (r,)."""
         if self._base:
             self._base.reset(arms, episode, count)
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        """Gives the sum (b, n) of actions (b, n) and what the base asks for."""
+    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the commanded torques (b, n) for actions (b, n): their sum with those of the base controller."""
+        if isinstance(self.strength, np.ndarray):
+            actions = np.clip(actions * self.strength, -1.0, 1.0)
         if self._base is None:
             return actions
-        beside = np.asarray(self._base.act(readings, applied, playing), dtype=np.float64)
-        result: Array = np.clip(beside + actions, -1.0, 1.0)
+        base_torques = np.asarray(self._base.act(readings, applied, active), dtype=np.float64)
+        result: Array = np.clip(base_torques + actions, -1.0, 1.0)
         return result
 
 
-class CurrentMode(TorqueMode):
-    """Currents of the motors as parts of their limits, which are torques by gear and torque constant.
-
-    Args:
-        joints: as of `TorqueMode`.
-        base: as of `TorqueMode`.
-        largest: (n,) torque at the current limit, a part of the torque limit, at which it is cut off.
-    """
-
-    def __init__(self, joints: int, base: Controller | None, largest: Array) -> None:
-        super().__init__(joints, base)
-        self._largest = self.strength = largest
-        self.names = tuple(f"current_{joint + 1}" for joint in range(joints))
-
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        """Gives the torques (b, n) of currents (b, n), with those of a base."""
-        return super().act(np.clip(actions * self._largest, -1.0, 1.0), readings, applied, playing)
-
-
 @dataclass(frozen=True)
-class ActionModeEntry:
-    """A mode with a name.
+class _ActionModeEntry:
+    """Action mode by name.
 
     Attributes:
-        make: gives it for a Plant, the base beside the agent or None, and its arguments.
-        takes: names of the arguments that a mapping may give.
+        make: function of a Plant, the base controller or None, and the arguments that returns the mode.
+        arguments: names of the arguments that a mapping may contain.
     """
 
     make: Callable[..., ActionMode]
-    takes: tuple[str, ...] = ()
+    arguments: tuple[str, ...] = ()
 
 
-def _make_current(plant: Plant, base: Controller | None) -> CurrentMode:
-    """The mode for currents; raises ValueError for an arm of which a motor is missing, or has no current limit."""
+def _make_current(plant: Plant, base: Controller | None) -> TorqueMode:
+    """Make the mode of motor currents.
+
+    Args:
+        plant: plant model.
+        base: controller whose torques are added; None for none.
+
+    Returns:
+        Action mode.
+
+    Raises:
+        ValueError: for an arm with a joint without motor or current limit.
+    """
     motors = [joint.motor for joint in plant.model.arm.joints]
     limits = [motor.joint_torque_limit if motor else None for motor in motors]
     if None in limits:
-        allowed = "it for an arm each of whose joints has a motor (fm.Motor) with a current_limit"
+        allowed = "current for an arm with a motor (fm.Motor) with a current_limit at each joint"
         raise value_error("actions", "current", allowed)
-    return CurrentMode(len(limits), base, np.array(limits) / plant.torque_limit)
+    return TorqueMode(len(limits), base, np.array(limits) / plant.torque_limit, "current")
 
 
 SERVO_ARGUMENTS = ("stiffness", "damping", "range")
-ACTIONS: dict[str, ActionModeEntry] = {
-    "torque": ActionModeEntry(lambda plant, base: TorqueMode(len(plant.torque_limit), base)),
-    "current": ActionModeEntry(_make_current),
-    "velocity": ActionModeEntry(partial(_make_servo, "velocity"), SERVO_ARGUMENTS),
-    "position": ActionModeEntry(partial(_make_servo, "position"), SERVO_ARGUMENTS),
-    "shaping": ActionModeEntry(_ReferenceShapingMode, ShapingLimits._fields),
+ACTIONS: dict[str, _ActionModeEntry] = {
+    "torque": _ActionModeEntry(lambda plant, base: TorqueMode(len(plant.torque_limit), base)),
+    "current": _ActionModeEntry(_make_current),
+    "velocity": _ActionModeEntry(partial(_make_servo, "velocity"), SERVO_ARGUMENTS),
+    "position": _ActionModeEntry(partial(_make_servo, "position"), SERVO_ARGUMENTS),
+    "shaping": _ActionModeEntry(_ReferenceShapingMode, ShapingLimits._fields),
 }
 
 
-def mode_observation_size(mode: ActionMode) -> int:
-    """Gives how many numbers a mode shows its agent."""
-    return sum(getattr(mode, "shown", {}).values())
-
-
 def parse_action_mode(value: object) -> tuple[str, dict[str, Any]]:
-    """Gives name and arguments of a mode that is a name, or a mapping with one at "kind" and its arguments.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
-    """
-    return parse_kind("actions", value, {name: mode.takes for name, mode in ACTIONS.items()})
+    """Return name and arguments of an action mode given as a name, or as a mapping with the name under "kind"."""
+    return parse_kind("actions", value, {name: mode.arguments for name, mode in ACTIONS.items()})
 
 
 def make_action_mode(value: object, plant: Plant, base: Controller | None) -> ActionMode:
-    """Make an action mode for a plant and a base; see `parse_action_mode`. One that is made already is returned.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
-    """
+    """Make an action mode for a plant and a base; see `parse_action_mode`. An `ActionMode` is returned unchanged."""
     if isinstance(value, ActionMode):
+        if hasattr(value, "shown") and not hasattr(value, "observation_sizes"):
+            estimates = f"{type(value).__name__}.shown and look are deprecated; name them observation_sizes and observe"
+            warnings.warn(estimates, DeprecationWarning, stacklevel=2)
+            value.observation_sizes, value.observe = value.shown, value.look  # type: ignore[attr-defined]
         return value
     name, arguments = parse_action_mode(value)
     return ACTIONS[name].make(plant, base, **arguments)

@@ -1,4 +1,4 @@
-"""Agent: observed sensors, observation history, action repeat, action mode with its base controller, and law."""
+"""Agent: sensors, observation history, action repeat, control law, and action mode with its base controller."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -8,23 +8,23 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
 from flexman_gym.common.checks import positive, sequence, value_error, whole_number
-from flexman_gym.control.actions import MAX_OBSERVATION, ActionMode, mode_observation_size
+from flexman_gym.control.actions import MAX_OBSERVATION, ActionMode
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 
 Law = Callable[[NDArray[np.float32]], NDArray[Any]]  # observations (b, size) -> commands (b, k) from -1 to 1
-MAX_HISTORY = 1000  # observations of a history
+MAX_HISTORY = 1000  # observations
 
 
 class _History:
-    """The last k observations of b arms, the newest first, or the present one and exponential averages of all.
+    """Observation history of b arms: the last k observations, or the current one and exponential moving averages.
 
-    In an episode that has just begun the first observation stands for those before it.
+    At the start of an episode, the first observation stands for the earlier ones.
 
     Args:
-        kind: k, or the times (s) of the averages: an observation counts 1/e of a new one so long after it was made.
-        interval: between two observations, s.
+        kind: k, or the time constants (s) of the averages.
+        interval: time between two observations, s.
         arms: b.
-        size: of an observation.
+        size: number of values of one observation.
     """
 
     state_fields = ("_memory",)
@@ -35,38 +35,38 @@ class _History:
         self._memory = np.zeros((arms, self.parts, size))
 
     def following(self, earlier: "_History") -> "_History":
-        """Gives itself with what an earlier one of fewer arms remembers."""
+        """Return this history with the content of an earlier one with fewer arms."""
         self._memory[: len(earlier._memory)] = earlier._memory
         return self
 
     def begin(self, observations: Array, arms: IntArray) -> Array:
-        """Starts with the first observations (r, size) of the arms (r,); returns what is seen, (r, parts size)."""
+        """Fill the history of the arms (r,) with their first observations (r, size); return it, (r, parts size)."""
         self._memory[arms] = observations[:, None]
-        return self.seen(arms)
+        return self._read(arms)
 
     def add(self, observations: Array, arms: IntArray) -> Array:
-        """Adds observations (r, size) of the arms (r,); returns what is seen, (r, parts size)."""
+        """Add observations (r, size) of the arms (r,); return the history, (r, parts size)."""
         memory = self._memory
         if self._gains is None:
             memory[arms, 1:] = memory[arms, :-1]
         else:
             memory[arms, 1:] += self._gains * (observations[:, None] - memory[arms, 1:])
         memory[arms, 0] = observations
-        return self.seen(arms)
+        return self._read(arms)
 
-    def seen(self, arms: IntArray) -> Array:
-        """Gives what is seen of the arms (r,), (r, parts size)."""
-        result: Array = self._memory[arms].reshape(len(arms), self._memory[0].size)  # of no arm too
+    def _read(self, arms: IntArray) -> Array:
+        """Return the history (r, parts size) of the arms (r,), the newest observation first."""
+        result: Array = self._memory[arms].reshape(len(arms), self._memory[0].size)  # for zero arms too
         return result
 
 
 def history_length(kind: int | tuple[float, ...]) -> int:
-    """How many observations a history shows."""
+    """Return the number of observations in a history."""
     return kind if isinstance(kind, int) else 1 + len(kind)
 
 
 def parse_history(value: object) -> int | tuple[float, ...]:
-    """A number of observations, or the times of averages; raises ValueError for anything else."""
+    """Return a number of observations, or time constants (s) of averages as a tuple."""
     if not isinstance(value, list | tuple) and not (isinstance(value, np.ndarray) and value.ndim):
         return whole_number("history", value, 1, MAX_HISTORY)
     times = sequence("history", value, "times (s)")
@@ -76,24 +76,26 @@ def parse_history(value: object) -> int | tuple[float, ...]:
 
 
 class Agent:
-    """Map from the readings of b arms of n joints to torques, as the sum of all parts of an agent.
+    """Agent of b arms with n joints, from sensor readings to torques.
 
-    Where an action is due, an observation is taken and a command (k,) follows from it; the command is kept for
-    `action_repeat` control periods. The action mode turns it into torques in every period, with the base controller.
-    The command is that of the law or, without a law, what a trainer or an evaluation has written to `command`. An agent
-    with a law is a Controller, and may be the base of another agent.
+    An observation is taken every `action_repeat` control periods, and the law maps it to a command (k,), which is held
+    in between. In every control period the action mode converts the command into torques and adds those of the base
+    controller. Without a law, the command is written to `command` by a trainer or an evaluation. An agent with a law
+    satisfies `Controller`, so that it can serve as the base of another agent.
 
     Args:
-        sensors: observed ones in their order, those of the task included.
-        size: numbers that these sensors give of an arm at an instant.
-        mode: action mode, made for the base.
-        base: controller inside the mode; None without one.
-        history: observations, or times (s) of averages, see `_History`.
-        action_repeat: control periods for which a command is kept.
-        law: commands (b, k) from -1 to 1 for observations (b, size), such as a Network; None for commands from outside.
+        sensors: observed sensors in their order, including those of the task.
+        size: number of values of these sensors for one arm.
+        mode: action mode, constructed with the base.
+        base: controller inside the mode; None for none.
+        history: number of observations, or time constants (s) of averages.
+        action_repeat: control periods for which a command is held.
+        law: function from observations (b, size) to commands (b, k) from -1 to 1, such as a `Network`; None if commands
+            are written from outside.
 
     Attributes:
-        observations: (b, size) float32, with history and what the mode shows; kept where an arm is not due.
+        observations: (b, size) float32, including history and the quantities of the mode; unchanged between two
+            commands.
         command: (b, k).
     """
 
@@ -111,9 +113,10 @@ class Agent:
     ) -> None:
         self.mode, self.base, self.law, self.action_repeat = mode, base, law, action_repeat
         self.sensors: Any = (*sensors, *mode.sensors)
-        self.shows = mode_observation_size(mode) > 0
+        mode_size = sum(getattr(mode, "observation_sizes", {}).values())
+        self.shows = mode_size > 0
         self._size, self._kind, self._counts = size, history, action_repeat > 1 or history != 1
-        self._row = size + mode_observation_size(mode)
+        self._row = size + mode_size
         self._history: _History | None = None
         self.observations: NDArray[np.float32] = np.zeros((0, history_length(history) * self._row), dtype=np.float32)
         self.command, self._ages = np.zeros((0, len(mode.names))), np.zeros(0, dtype=np.int64)
@@ -126,27 +129,32 @@ class Agent:
         return getattr(self.base, "estimates", {})
 
     def bound(self, sensors: Array) -> NDArray[np.float32]:
-        """Return the largest magnitude (size,) of each number of an observation, from those of the sensors."""
+        """Return the bounds (size,) of an observation with history, from those of the sensors."""
         row = np.append(sensors, np.full(self._row - self._size, MAX_OBSERVATION))
         return np.tile(row, history_length(self._kind)).astype(np.float32)
 
     def check_law(self, law: object) -> None:
-        """Check the number of observations and commands of a network against those of the agent.
+        """Check the input and output sizes of a law; a law without `size` and `joints` is not checked.
+
+        Args:
+            law: any object that maps observations to commands.
 
         Raises:
-            ValueError: one line; a law without the attributes `size` and `joints` is not checked.
+            ValueError: for sizes other than those of the agent.
         """
         parts, hidden = history_length(self._kind), self._row - self._size
         size = getattr(law, "size", parts * self._row) // parts - hidden
         if size != self._size:
-            allowed = f"one of {self._size}, which its sensors read here"
-            raise value_error("base", f"a policy of {size} observed numbers", allowed)
+            allowed = f"one with {self._size}, the number of values of its sensors here"
+            raise value_error("base", f"a policy with {size} inputs", allowed)
         commands = getattr(law, "joints", len(self.mode.names))
         if commands != len(self.mode.names):
-            raise value_error("actions", self.mode.names, f"a mode of {commands} numbers, which the policy gives")
+            raise value_error(
+                "actions", self.mode.names, f"an action mode of {commands} numbers, as the policy has outputs"
+            )
 
     def allocate(self, count: int, period: float) -> None:
-        """Make room for `count` arms with a control period (s)."""
+        """Allocate memory for `count` arms with a control period (s)."""
         if count <= len(self._ages):
             return
         for name in ("observations", "command", "_ages"):
@@ -158,32 +166,37 @@ class Agent:
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes of the arms (r,) of `count`.
 
+        Args:
+            arms: (r,).
+            episode: start, goal and control period of these episodes.
+            count: number of arms.
+
         Raises:
-            ValueError: one line, for an arm with another number of joints.
+            ValueError: for an arm with another number of joints.
         """
         if episode.start.shape[1] != self.mode.joints:
-            raise value_error("base", f"a policy of {self.mode.joints} motors", f"one of {episode.start.shape[1]}")
+            raise value_error("base", f"a policy for {self.mode.joints} motors", f"one for {episode.start.shape[1]}")
         self.allocate(count, episode.period)
         self._ages[arms] = 0
         self.mode.reset(arms, episode, count)
 
-    def due(self, playing: BoolArray) -> BoolArray:
-        """Return the arms (b,) among those playing whose next command begins in this period."""
-        result: BoolArray = playing if self.action_repeat == 1 else playing & (self._ages % self.action_repeat == 0)
+    def due(self, active: BoolArray) -> BoolArray:
+        """Return flags (b,) of the active arms whose next command starts in this control period."""
+        result: BoolArray = active if self.action_repeat == 1 else active & (self._ages % self.action_repeat == 0)
         return result
 
     def observe(self, observed: Array, readings: Readings, applied: Array, due: BoolArray) -> None:
-        """Update the observations of the arms (b,) that are due, once a command.
+        """Update the observations of the arms whose next command is due.
 
         Args:
-            observed: (b, size) readings of the sensors side by side.
-            readings: of the mode, as of `Controller.act`; not read by a mode that shows nothing.
-            applied: as of `Controller.act`.
-            due: (b,).
+            observed: (b, size) sensor readings, concatenated.
+            readings: readings of the action mode, as in `Controller.act`; unused by modes without observed quantities.
+            applied: as in `Controller.act`.
+            due: (b,) flags.
         """
         now = observed
         if self.shows:
-            now = np.concatenate([observed, self.mode.look(readings, applied, due)], axis=1)  # type: ignore[attr-defined]
+            now = np.concatenate([observed, self.mode.observe(readings, applied, due)], axis=1)  # type: ignore[attr-defined]
         if self._history is None:
             rows: Any = slice(None) if np.count_nonzero(due) == len(due) else due
             self.observations[rows] = now[rows]
@@ -194,22 +207,30 @@ class Agent:
             if len(arms):
                 self.observations[arms] = see(now[arms], arms)
 
-    def act(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        """Return the torques (b, n), parts of the torque limits; see `Controller.act`.
+    def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the torques (b, n) as fractions of the torque limits; see `Controller.act`.
+
+        Args:
+            readings: as in `Controller.act`.
+            applied: as in `Controller.act`.
+            active: as in `Controller.act`.
+
+        Returns:
+            Torques (b, n).
 
         Raises:
-            ValueError: one line, for readings of another size than the agent observes.
+            ValueError: for readings of another size than the agent observes.
         """
-        if self.law is not None and (due := self.due(playing)).any():
+        if self.law is not None and (due := self.due(active)).any():
             self.observe(self._observed(readings), readings, applied, due)
             arms = np.flatnonzero(due)
             self.command[arms] = np.asarray(self.law(self.observations[arms]), dtype=np.float32)
         if self._counts:
-            self._ages += playing
-        return np.asarray(self.mode.act(self.command, readings, applied, playing))
+            self._ages += active
+        return np.asarray(self.mode.act(self.command, readings, applied, active))
 
     def _observed(self, readings: Readings) -> Array:
-        """Return the readings (b, size) of its own sensors, which stand before those of the mode."""
+        """Return the readings (b, size) of the agent's own sensors, which precede those of the action mode."""
         parts: list[Array] = [np.zeros((len(self._ages), 0))]
         size = 0
         for values in readings.values():
@@ -218,6 +239,6 @@ class Agent:
             parts.append(values)
             size += values.shape[1]
         if size != self._size:
-            allowed = f"one of {size}, which its sensors read here"
-            raise value_error("base", f"a policy of {self._size} observed numbers", allowed)
+            allowed = f"one with {size}, the number of values of its sensors here"
+            raise value_error("base", f"a policy with {self._size} inputs", allowed)
         return np.concatenate(parts, axis=1)

@@ -1,4 +1,4 @@
-"""Base controllers: name, description, required information and construction of each controller."""
+"""Base controllers by name: construction, required information and description."""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -17,43 +17,43 @@ from flexman_gym.control.tracking import OutputFeedback, Tracking
 
 
 def parse_kind(name: str, value: object, known: Mapping[str, Collection[str]]) -> tuple[str, dict[str, Any]]:
-    """Gives name and arguments of a value that is a name, or a mapping with one at "kind" and its arguments.
+    """Return name and arguments of a value that is a name, or a mapping with the name under "kind" and its arguments.
 
     Args:
-        name: of the field.
-        value: what was given.
-        known: names, and the arguments that each takes.
+        name: name of the field, for error messages.
+        value: any value.
+        known: allowed names, each with the names of its arguments.
 
-    Raises:
-        ValueError: for anything else.
+    Returns:
+        Name and arguments.
     """
     if isinstance(value, str):
         return one_of(name, value, known), {}
     if not isinstance(value, Mapping) or "kind" not in value:
-        raise value_error(name, value, "a name, or a mapping with a name at kind and its arguments")
+        raise value_error(name, value, "a name, or a mapping with the name under kind and its arguments")
     chosen = one_of(f"{name}.kind", text(f"{name}.kind", value["kind"]), known)
     given = {text(f"a key of {name}", key): each for key, each in value.items() if key != "kind"}
     return chosen, mapping(name, given, known[chosen])
 
 
-DEFAULT_TUNING = "none: usual weights for every arm"  # tuning of the controllers that are designed from a model
+DEFAULT_TUNING = "none: default weights for every arm"  # tuning of the controllers that are designed from a model
 
 
 @dataclass(frozen=True)
 class _BaseEntry:
-    """Controller with a name.
+    """Base controller by name.
 
     Attributes:
         make: function of a Plant and the arguments that returns the controller.
-        information: what the controller needs beside the measurements of the motors.
-        takes: names of the arguments that a mapping may give.
-        description: noun phrase of the league page.
-        tuning: how the controller is tuned.
+        information: information beyond motor measurements that the controller requires.
+        arguments: names of the arguments that a mapping may contain.
+        description: noun phrase for the league page.
+        tuning: origin of the gains.
     """
 
     make: Callable[..., Controller]
     information: tuple[str, ...]
-    takes: tuple[str, ...]
+    arguments: tuple[str, ...]
     description: str
     tuning: str = DEFAULT_TUNING
 
@@ -80,7 +80,7 @@ def _regulator(law: type[LQR]) -> Callable[..., LQR]:
 def _mpc(plant: Plant) -> Controller:
     from flexman_gym.control.mpc import MPC
 
-    return MPC(plant.model, plant.torque_limit, plant.period, plant.moved)
+    return MPC(plant.model, plant.torque_limit, plant.period, plant.integration)
 
 
 def _optimised(plant: Plant, table: object = None) -> OptimisedController:
@@ -101,7 +101,7 @@ def _adaptive(plant: Plant, weights: object = None, unknown: Any = None, **optio
 
 
 def _safe(plant: Plant) -> PD | None:
-    """The PD that was tuned for the arm and its delay, None for an arm for which none was."""
+    """Return the PD tuned for the arm and its delay; None if no gains are tuned for it."""
     try:
         return _pd(plant)
     except ValueError:
@@ -127,7 +127,7 @@ BASES: dict[str, _BaseEntry] = {
         (),
         ("stiffness", "damping"),
         "a PD of the motors, with gains for each arm, task and delay",
-        "by `flexman tune`, about half a minute of computing time an environment, on the seeds 0 to 7",
+        "by `flexman tune`, about half a minute of computing time per environment, on the seeds 0 to 7",
     ),
     "lqr": _BaseEntry(
         _regulator(LQR), ("model", "true state"), ("weights",), "a linear-quadratic regulator about the goal"
@@ -142,34 +142,34 @@ BASES: dict[str, _BaseEntry] = {
         _lqg,
         ("model",),
         ("weights", "sensors", "noise", "disturbed", "biased", "fixed"),
-        "a Kalman filter of the nominal arm, which reads what a laboratory measures, and `lqr-tracking`",
+        "a Kalman filter of the nominal arm with laboratory measurements, and `lqr-tracking`",
     ),
     "mpc": _BaseEntry(_mpc, ("model", "true state"), (), "model predictive control within the torque limits"),
     "optimised": _BaseEntry(
         _optimised,
         ("model", "true state", "its episodes"),
         ("table",),
-        "the quickest slew that a search has found for each episode, replayed",
-        "by `flexman optimise` on the episodes of the test themselves: a bound, no competitor",
+        "a replay of the fastest slew found by optimisation for each episode",
+        "by `flexman optimise` on the test episodes themselves: a bound, not a competitor",
     ),
     "adaptive-lqr": _BaseEntry(
         _adaptive,
         ("structure of the model",),
         ("weights", "sensors", "unknown", "biased"),
-        "eleven simulated arms beside the real one, fitted to what a laboratory measures, and `lqr-tracking` for the "
-        "arm that they find; the PD where they explain nothing",
+        "an output-error estimator with eleven simulated arms, fitted to laboratory measurements, and `lqr-tracking` "
+        "for the estimated arm; the PD if no fit explains the measurements",
     ),
     "privileged-lqr": _BaseEntry(
         _privileged,
         ("model", "true state", "true parameters"),
         ("weights", "doubt", "retimed"),
-        "`lqr-tracking` that is told true state and true parameters: the yardstick",
+        "`lqr-tracking` with true state and true parameters, the benchmark",
     ),
     "pd-shaped": _BaseEntry(
         _shaped_pd,
         ("model",),
         ("stiffness", "damping", "shaper", "modes", "places", "duration"),
-        "the PD behind an input shaper (ZVD) for the lowest mode of the nominal arm",
+        "the PD with an input shaper (ZVD) for the lowest mode of the nominal arm",
         "that of the PD",
     ),
 }
@@ -177,19 +177,11 @@ BASES: dict[str, _BaseEntry] = {
 
 
 def parse_base(value: object) -> tuple[str, dict[str, Any]]:
-    """Gives name and arguments of a base that is a name, or a mapping with one at "kind" and its arguments.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
-    """
-    return parse_kind("base", value, {name: base.takes for name, base in BASES.items()})
+    """Return name and arguments of a base controller given as a name, or as a mapping with the name under "kind"."""
+    return parse_kind("base", value, {name: base.arguments for name, base in BASES.items()})
 
 
 def make_base(value: object, plant: Plant) -> Controller:
-    """Makes a base for a plant; see `parse_base`.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
-    """
+    """Make a base controller for a plant; see `parse_base`."""
     name, arguments = parse_base(value)
     return BASES[name].make(plant, **arguments)

@@ -1,4 +1,4 @@
-"""Controller protocol, the data of an episode that a controller is given, and the plant for which it is designed."""
+"""Controller protocol, the information given at the start of an episode, and the plant model of the design."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -18,22 +18,22 @@ Gains = Mapping[str, Vector]
 
 
 class Plant(NamedTuple):
-    """What a controller is made for.
+    """Plant model and specifications for controller design.
 
     Attributes:
-        model: of the arm, as the base knows it.
+        model: nominal model of the arm.
         torque_limit: (n,) N m.
-        period: of control, s.
-        gains: makes "stiffness" (N m/rad) and "damping" (N m s/rad) that were tuned for the arm, (n,) each.
+        period: control period, s.
+        gains: function that returns "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each, tuned for a PD on the
+            arm.
         unknown: ranges (low, high) of the uncertain parameters, with the names and units of a randomisation, see
             `simulation.parameters.UNCERTAIN`: "payload_mass" (kg), "joint_stiffness_factor" (1), and so on.
-        delay: fewest and most whole control periods by which torques come late.
-        moved: method and step (s) by which the arm is simulated.
-        push: N, how large forces on the tip may be that nobody tells.
-        measured: gives, name -> (2, size), the range of each quantity that instruments measure and the standard
-            deviation of their noise, in its unit.
-        bandwidth: Hz, of drives that follow what they are asked for as a first-order lag; None for such that do so at
-            once.
+        delay: least and largest delay of the torques, whole control periods.
+        integration: method and step (s) of simulations.
+        tip_force: N, magnitude of unmeasured forces on the tip.
+        measured: function that returns, name -> (2, size), the range of each quantity that instruments measure and the
+            standard deviation of its noise, in its unit.
+        bandwidth: Hz, of a first-order lag between commanded and applied torques; None for no lag.
     """
 
     model: Model
@@ -42,28 +42,28 @@ class Plant(NamedTuple):
     gains: Callable[[], Gains]
     unknown: Mapping[str, tuple[float, float]] = {}
     delay: tuple[int, int] = (0, 0)
-    moved: tuple[str | Method, float | str] = (DEFAULT_METHOD, "auto")
-    push: float = 0.0
+    integration: tuple[str | Method, float | str] = (DEFAULT_METHOD, "auto")
+    tip_force: float = 0.0
     measured: Callable[[], Mapping[str, Array]] = dict
     bandwidth: float | None = None
 
 
 Readings = Mapping[str, NDArray[Any]]
-OPTIONAL_MEMBERS = ("state_fields", "estimates")  # members that a controller may leave out
-METHOD_ARGUMENTS = {"reset": ("arms", "episode", "count"), "act": ("readings", "applied", "playing")}
+OPTIONAL_MEMBERS = ("state_fields", "estimates")  # members that a controller may omit
+METHOD_ARGUMENTS = {"reset": ("arms", "episode", "count"), "act": ("readings", "applied", "active")}
 
 
 @dataclass(frozen=True, eq=False)
 class EpisodeInfo:
-    """What a controller is told of r arms whose episodes start.
+    """Information given to a controller at the start of the episodes of r arms.
 
     Attributes:
         start: (r, n) joint angles at the start, rad.
-        goal: (r, n) motor angles of the goal, of its first moment where it moves, rad.
-        period: of control, s.
-        path: makes the `reference`, None for a goal that stays.
-        drawn: what these episodes drew, name -> (r, ...): physical parameters in their units, and the delay of torques
-            in control periods. It is the truth, which only a privileged controller reads.
+        goal: (r, n) motor angles of the goal, rad; those at the start for a moving goal.
+        period: control period, s.
+        path: function that returns `reference`; None for a fixed goal.
+        drawn: name -> (r, ...) random draws of these episodes: physical parameters in their units, and the delay of the
+            torques in control periods. These are the true values, for privileged controllers only.
     """
 
     start: Array
@@ -74,90 +74,121 @@ class EpisodeInfo:
 
     @cached_property
     def reference(self) -> Array | None:
-        """Motor angles (r, T + 1, n) rad of a goal that moves, at each control period; None for one that stays."""
+        """Motor angles (r, T + 1, n) of a moving goal at each control period, rad; None for a fixed goal."""
         return None if self.path is None else self.path()
 
 
 @runtime_checkable
 class Controller(Protocol):
-    """The protocol of everything that acts on b arms of n joints. A class with these members needs no base class.
+    """Protocol of controllers of b arms with n joints. A class with these members needs no base class.
 
-    A controller is built from a model, which may be wrong on purpose, and never from an environment. Its action on an
-    arm must not depend on the other arms, to the last bit. Products therefore go row by row (`arrays.row_dots`,
-    elementwise): products of BLAS have other last digits for other numbers of arms.
+    A controller is constructed from a model, which may deliberately be wrong, and never from an environment. Its
+    action for an arm must not depend on the other arms, to the last bit. Compute products row by row
+    (`arrays.row_dots`, elementwise operations): the last digits of BLAS products depend on the number of rows.
 
-    Optional members are `state_fields`, () by default: names of attributes, arrays or numbers, that it remembers of an
-    episode beside what `reset` gives it; states of environments then hold them. And `estimates`, {} by default: what it says of
-    the arms, name -> (b, ...), which goes to `info`.
+    Two members are optional. `state_fields`, () by default, lists the attributes (arrays or numbers) that change
+    during an episode and cannot be recomputed by `reset`; they become part of the state of an environment.
+    `estimates`, {} by default, maps names to estimates (b, ...), which are added to `info`.
 
     Attributes:
-        sensors: names of the sensors that it reads.
+        sensors: names of the sensors that the controller reads.
+
+    Example:
+        >>> import numpy as np
+        >>> from flexman_gym.control import PD, Controller, EpisodeInfo
+        >>> pd = PD(stiffness=[40.0, 6.0], damping=[9.0, 1.3], torque_limit=10.0)
+        >>> isinstance(pd, Controller), pd.sensors
+        (True, ('servo',))
+        >>> start, goal = np.zeros((1, 2)), np.array([[0.3, -0.2]])
+        >>> pd.reset(np.array([0]), EpisodeInfo(start, goal, period=0.01), count=1)
+        >>> readings = {"angle_errors": goal - start, "motor_rates": np.zeros((1, 2))}
+        >>> pd.act(readings, applied=np.zeros((1, 2)), active=np.array([True])).astype(float).round(2).tolist()
+        [[1.0, -0.12]]
     """
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Names of the sensors that it reads."""
+        """Names of the sensors that the controller reads."""
         ...
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms with the indices (r,), of `count` arms in all."""
-        ...
-
-    def act(self, readings: Readings, applied: Array, playing: BoolArray) -> NDArray[Any]:
-        """Gives the actions (b, n), parts of the torque limits from -1 to 1.
+        """Start new episodes of the arms with the indices (r,), of `count` arms in all.
 
         Args:
-            readings: (b, size) of each sensor, by its name.
-            applied: (b, n) what the motors were asked for in the last control period, parts of the torque limits: the
-                sum of all that acts, cut off at -1 and 1, before a delay or friction that nobody knows. 0 at first.
-            playing: (b,) whether the episode of an arm goes on.
+            arms: (r,) indices.
+            episode: start, goal and control period of these episodes.
+            count: number of arms.
+        """
+        ...
+
+    def act(self, readings: Readings, applied: Array, active: BoolArray) -> NDArray[Any]:
+        """Return the actions (b, n): torques as fractions of the torque limits, from -1 to 1.
+
+        Args:
+            readings: sensor name -> (b, size).
+            applied: (b, n) torques commanded in the previous control period, as fractions of the torque limits: the
+                sum of all controllers, saturated at -1 and 1, before delay and friction; 0 in the first period.
+            active: (b,) True for arms whose episode is running.
+
+        Returns:
+            Actions (b, n).
         """
         ...
 
 
 def checked_controller(field: str, value: object, others: str = "") -> Controller:
-    """Return a value that is a Controller; `others` say what else is allowed in its place.
+    """Return a value that satisfies the `Controller` protocol.
 
-    A `reset` without the number of arms, that of version 0.2, is adapted, with a DeprecationWarning.
+    A `reset` without the number of arms, the protocol of version 0.2, is adapted with a DeprecationWarning.
+
+    Args:
+        field: name of the field, for error messages.
+        value: any object.
+        others: other allowed values, for the message.
+
+    Returns:
+        The value, or its adapter.
 
     Raises:
-        ValueError: one line, for anything else, for methods that take something else, and for a name that is nearly
-            that of an optional member.
+        ValueError: for any other object, for methods with other arguments, and for a member whose name resembles that
+            of an optional member.
     """
     if not isinstance(value, Controller) or isinstance(value, type):
         raise value_error(field, value, f"{others}a Controller: an object with sensors, reset and act")
     former = False
-    for name, wanted in METHOD_ARGUMENTS.items():
-        takes = signature(getattr(value, name))
-        if not _takes(takes, wanted):
-            former = name == "reset" and _takes(takes, wanted[:2])
+    for name, expected in METHOD_ARGUMENTS.items():
+        call = signature(getattr(value, name))
+        if not _accepts(call, expected):
+            former = name == "reset" and _accepts(call, expected[:2])
             if not former:
-                raise value_error(f"{field}.{name}", str(takes), f"({', '.join(wanted)})")
+                raise value_error(f"{field}.{name}", str(call), f"({', '.join(expected)})")
     check_member_names(field, value, OPTIONAL_MEMBERS, (*METHOD_ARGUMENTS, "sensors"))
     return _FormerController(value, field) if former else value
 
 
-def _takes(takes: Signature, arguments: Sequence[str]) -> bool:
+def _accepts(call: Signature, arguments: Sequence[str]) -> bool:
     try:
-        takes.bind(*arguments)
+        call.bind(*arguments)
     except TypeError:
         return False
     return True
 
 
 class _FormerController:
-    """Adapter of a controller with `reset(arms, episode)`, the protocol of version 0.2."""
+    """Adapter for controllers with `reset(arms, episode)`, the protocol of version 0.2."""
 
     state_fields = ("inner",)
 
     def __init__(self, inner: Any, field: str) -> None:
-        said = f"{field}.reset(arms, episode) is deprecated; give reset(arms, episode, count), with the number of arms"
-        warnings.warn(said, DeprecationWarning, stacklevel=6)
+        message = (
+            f"{field}.reset(arms, episode) is deprecated; give reset(arms, episode, count), with the number of arms"
+        )
+        warnings.warn(message, DeprecationWarning, stacklevel=6)
         self.inner, self.act = inner, inner.act
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Names of the sensors that it reads."""
+        """Names of the sensors that the controller reads."""
         names: tuple[str, ...] = self.inner.sensors
         return names
 

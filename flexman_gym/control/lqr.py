@@ -1,4 +1,4 @@
-"""Linear-quadratic regulators: gain of the sampled model, table of gains, control at the goal and along a slew."""
+"""Linear-quadratic regulators: gain of the sampled model, gain table, control about the goal and along a slew."""
 
 import hashlib
 import os
@@ -26,9 +26,12 @@ from flexman_gym.simulation.parameters import varied_model
 
 
 class CostWeights(NamedTuple):
-    """Departures that weigh alike in the cost of an LQR: tip in m, its speed in m/s, motor angles in rad.
+    """Deviations of equal cost in an LQR. Torques have the same cost at their limits.
 
-    Torques weigh as much where they reach their limits.
+    Attributes:
+        tip: m.
+        tip_speed: m/s.
+        motor: rad, of a motor angle.
     """
 
     tip: float
@@ -36,30 +39,28 @@ class CostWeights(NamedTuple):
     motor: float
 
 
-def zero_order_hold(linear: LinearModel, period: float) -> tuple[Array, Array]:
-    """Gives the transition of states (2 d, 2 d) and of torques (2 d, n) over a period (s) of constant torques."""
-    return discretize(linear.A, linear.B, period)
-
-
 def lqr_gain(linear: LinearModel, motors: Array, limits: Array, weights: CostWeights, period: float) -> Array:
-    """Gives the gain K (n, 2 d) of the sampled LQR: torques -K x, for departures x from the place of the model.
+    """Return the gain K (n, 2 d) of the sampled LQR, torques = -K x, for states x relative to the equilibrium.
 
     Args:
-        linear: the arm about a place where it rests.
+        linear: linear model about an equilibrium.
         motors: (n,) columns of the motor angles in x.
-        limits: (n,) N m, torque limits.
-        weights: of the cost.
-        period: s.
+        limits: (n,) torque limits, N m.
+        weights: cost weights.
+        period: control period, s.
+
+    Returns:
+        Gain K (n, 2 d).
 
     Raises:
-        ValueError: for an arm for which rounding leaves no such gain.
+        ValueError: for an arm whose Riccati equation has no solution within rounding.
     """
     with check_solvable("gains of a regulator"):
         return _riccati_gain(linear, motors, limits, weights, period)
 
 
 def performance_outputs(linear: LinearModel, motors: Array, weights: CostWeights) -> Array:
-    """Gives what a cost squares (6 + n, 2 d): tip, its velocity and motor angles, parts of their weights."""
+    """Return the outputs (6 + n, 2 d) of the cost: tip, tip velocity and motor angles, divided by their weights."""
     d, n = len(linear.A) // 2, len(motors)
     tip, outputs = linear.C[:, :d], np.zeros((6 + n, 2 * d))
     outputs[:3, :d], outputs[3:6, d:] = tip / weights.tip, tip / weights.tip_speed
@@ -70,31 +71,32 @@ def performance_outputs(linear: LinearModel, motors: Array, weights: CostWeights
 def _riccati_gain(linear: LinearModel, motors: Array, limits: Array, weights: CostWeights, period: float) -> Array:
     from scipy.linalg import solve_discrete_are
 
-    transition, inputs = zero_order_hold(linear, period)
+    transition, inputs = discretize(linear.A, linear.B, period)
     n, outputs = len(limits), performance_outputs(linear, motors, weights)
     cost = np.diag(1.0 / limits**2)
-    # torques in parts of their limits, so that the equation is well scaled
+    # torques relative to their limits, for a well-scaled equation
     scaled = inputs * limits
     solution = solve_discrete_are(transition, scaled, outputs.T @ outputs, cost * np.outer(limits, limits))
     gain = np.linalg.solve(np.eye(n) + scaled.T @ solution @ scaled, scaled.T @ solution @ transition)
     return limits[:, None] * gain
 
 
-POSTURE_SPACING = 0.17  # rad between postures; with 0.43 the gains between two of them let a folded arm shake
-SAVE_INTERVAL = 50  # designs, of 15 ms each, that a killed process may lose
+POSTURE_SPACING = 0.17  # rad between postures; interpolation over 0.43 rad lets a folded arm oscillate
+SAVE_INTERVAL = 50  # new designs (15 ms each) between two writes of the file
 
 
 class GainTable:
-    """Gains K (n, 2 d) of the sampled LQR, linear between designs at postures SPACING apart and at some payloads.
+    """Gains K (n, 2 d) of the sampled LQR, interpolated between designs on a grid of postures and payloads.
 
-    A first joint that turns the arm about the direction of gravity changes nothing and has no axis in the table.
+    Interpolation is multilinear, with postures `POSTURE_SPACING` apart. A first joint whose axis is parallel to
+    gravity does not affect the gains and has no axis in the table.
 
     Args:
         model: of the arm.
-        limits: (n,) N m, torque limits.
-        period: of control, s.
-        weights: of the cost.
-        payloads: kg, ascending; one, or several between which the payload is interpolated and beyond which it is not.
+        limits: (n,) torque limits, N m.
+        period: control period, s.
+        weights: cost weights.
+        payloads: kg, ascending; payloads outside their range are clipped to it.
     """
 
     def __init__(
@@ -107,16 +109,16 @@ class GainTable:
         alike = np.allclose(holding_torques(model, somewhere), holding_torques(model, somewhere + turn))
         self._joints = np.arange(1 if alike else 0, model.n_joints)
         self._rows: dict[tuple[int, ...], int] = {}
-        self._rows_of: dict[bytes, list[int]] = {}  # those of the corners of a cell
+        self._rows_of: dict[bytes, list[int]] = {}  # cell -> rows of its corners
         self._gains = np.zeros((0, model.n_joints, 2 * model.n_dof))
-        self._cells = np.zeros((0, 1 + len(self._joints)), dtype=np.int64)  # of each arm, and the rows of its corners
+        self._cells = np.zeros((0, 1 + len(self._joints)), dtype=np.int64)  # of each arm
         self._corners = np.zeros((0, 2 ** (1 + len(self._joints))), dtype=np.int64)
         self._steps = np.array(list(product((0, 1), repeat=1 + len(self._joints))))
         self._path, self._unsaved = self._file(model), 0
         self._load()
 
     def __call__(self, arms: IntArray, postures: Array, payloads: Array) -> Array:
-        """Gives the gains (r, n, 2 d) of the arms (r,) at motor angles (r, n) rad and payloads (r,) kg."""
+        """Return the gains (r, n, 2 d) of the arms (r,) at motor angles (r, n) rad and payloads (r,) kg."""
         places = np.column_stack([self._between(payloads), postures[:, self._joints] / POSTURE_SPACING])
         cells = np.floor(places).astype(np.int64)
         cells[:, 0] = np.minimum(cells[:, 0], max(len(self._payloads) - 2, 0))
@@ -132,17 +134,17 @@ class GainTable:
         return result
 
     def _between(self, payloads: Array) -> Array:
-        """Where payloads (b,) are among those of the table, from 0 on."""
+        """Return the positions (b,) of payloads (b,) in the table, counted from 0."""
         if len(self._payloads) == 1:
             return np.zeros(len(payloads))
         return np.interp(payloads, self._payloads, np.arange(len(self._payloads)))
 
     def _find(self, arms: IntArray, cells: IntArray) -> None:
-        """Looks up the corners of the cells (r, axes) of the arms (r,) that have come into another one."""
+        """Look up the corners of the cells (r, axes) of those arms (r,) that have entered a new cell."""
         count = int(arms.max(initial=-1)) + 1
         if count > len(self._cells):
-            far = np.full((count - len(self._cells), cells.shape[1]), np.iinfo(np.int64).min)
-            self._cells, self._corners = np.concatenate([self._cells, far]), pad_rows(self._corners, count)
+            outside = np.full((count - len(self._cells), cells.shape[1]), np.iinfo(np.int64).min)
+            self._cells, self._corners = np.concatenate([self._cells, outside]), pad_rows(self._corners, count)
         moved: BoolArray = (cells != self._cells[arms]).any(axis=1)
         for arm, cell in zip(arms[moved], cells[moved], strict=True):
             key = cell.tobytes()
@@ -152,7 +154,7 @@ class GainTable:
         self._cells[arms] = cells
 
     def _row(self, key: tuple[int, ...]) -> int:
-        """The row of a design, which is made where it is missing."""
+        """Return the row of a design, which is computed if it is missing."""
         key = (min(key[0], len(self._payloads) - 1), *key[1:])
         if key not in self._rows:
             model, posture = self._models[key[0]], np.zeros(self._gains.shape[1])
@@ -168,17 +170,17 @@ class GainTable:
         return self._rows[key]
 
     def _file(self, model: Model) -> Path | None:
-        """Where designs for this arm are kept, beside the kernels that they were calculated with."""
+        """Return the file of the designs for this arm, in the folder of the kernels with which they are computed."""
         folder = find_cache_folder()
         if folder is None:
             return None
-        seal = hashlib.sha256(SLIDING.encode())  # designs of motors that stick were kept before
+        seal = hashlib.sha256(SLIDING.encode())  # distinguishes files of earlier versions, with sticking motors
         for values in (*model.constants, *map(np.array, self._design), self._payloads, np.array(POSTURE_SPACING)):
             seal.update(np.ascontiguousarray(values).tobytes())
         return Path(folder) / f"gains-{seal.hexdigest()[:16]}.npz"
 
     def _load(self) -> None:
-        """Takes the designs of the file; one that cannot be read is written anew."""
+        """Read the designs from the file; an unreadable file is replaced at the next `save`."""
         try:
             with open_arrays(self._path) as data:  # type: ignore[arg-type]
                 keys, gains = data["keys"], data["gains"]
@@ -189,7 +191,7 @@ class GainTable:
             self._gains = gains
 
     def save(self) -> None:
-        """Writes the designs to the file, where one can be written."""
+        """Write the designs to the file if possible."""
         if self._path is None or not self._unsaved:
             return
         handle, name = tempfile.mkstemp(dir=self._path.parent, suffix=".npz")
@@ -202,35 +204,45 @@ class GainTable:
         self._unsaved = 0
 
 
-TIP_WEIGHT, TIP_SPEED_WEIGHT, MOTOR_WEIGHT = (
-    0.2 / 8.5,
-    1.0 / 8.5,
-    0.5,
-)  # of the reach, reaches a second, rad: stiffer ones saturate and fail
-HOLDING_FACTOR = 0.25  # of the weight of the tip, where an arm starts at its goal
-TORQUE_SHARE = 0.95  # of the torque limits, for the feed-forward
-SLEW_POSTURES, PATH_POSTURES = 3, 25  # postures along a slew, and along a path, for which gains are designed
+TIP_WEIGHT = 0.2 / 8.5  # reach; smaller weights saturate the torques and fail
+TIP_SPEED_WEIGHT = 1.0 / 8.5  # reach/s
+MOTOR_WEIGHT = 0.5  # rad
+HOLDING_FACTOR = 0.25  # 1; factor of the tip weight for an arm that starts at its goal
+TORQUE_SHARE = 0.95  # 1; fraction of the torque limits for the feed-forward
+SLEW_POSTURES = 3  # postures along a slew at which gains are designed
+PATH_POSTURES = 25  # postures along a given path at which gains are designed
 
 
 def default_weights(model: Model) -> CostWeights:
-    """Gives 20 cm of tip, 1 m/s and 0.5 rad for 8.5 m of reach, and as large parts of other reaches."""
+    """Return the cost weights: 20 cm, 1 m/s and 0.5 rad for a reach of 8.5 m.
+
+    Lengths and speeds scale with the reach.
+    """
     reach = float(model.constants.length.sum())
     return CostWeights(TIP_WEIGHT * reach, TIP_SPEED_WEIGHT * reach, MOTOR_WEIGHT)
 
 
 class LQR:
-    """Linear-quadratic regulator at the goal: holding torques - K (state - rest at the goal), saturated.
+    """Linear-quadratic regulator about the goal: torque = holding torque - K (state - equilibrium), saturated.
 
-    It knows the true state, and its model is the arm: the yardstick of what control can do, not something to build.
+    It requires the true state and a model equal to the arm, and therefore serves as a benchmark rather than as a
+    controller for hardware.
 
     Args:
-        model: of the arm, with as many coordinates as the one that is controlled.
-        torque_limit: N m, one number or one for each joint.
-        period: of control, s.
-        weights: of the cost; None takes `default_weights`.
+        model: of the arm, with the same coordinates as the controlled one.
+        torque_limit: N m, for all joints or for each.
+        period: control period, s.
+        weights: cost weights; None for `default_weights`.
 
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+    Example:
+        >>> import numpy as np
+        >>> import flexman_gym as fm
+        >>> from flexman_gym.control import LQR, EpisodeInfo
+        >>> model = fm.build_model(fm.catalog.one_joint(), elements=1)
+        >>> lqr = LQR(model, torque_limit=10.0, period=0.01)
+        >>> lqr.reset(np.array([0]), EpisodeInfo(np.zeros((1, 1)), np.array([[0.2]]), period=0.01), count=1)
+        >>> lqr.act({"state": fm.rest_state(model, [0.2])[None]}).round(6).tolist()
+        [[0.0]]
     """
 
     sensors: tuple[str, ...] = ("state",)
@@ -243,27 +255,30 @@ class LQR:
         self.model, self.period = model, positive("period", period, "s")
         self.limits = np.array(torque_limits("torque_limit", torque_limit, n))
         self.weights = weights or default_weights(model)
-        self._gains, self._rest, self._held = np.zeros((0, n, 2 * d)), np.zeros((0, 2 * d)), np.zeros((0, n))
+        self._gains, self._rest, self._holding_torques = np.zeros((0, n, 2 * d)), np.zeros((0, 2 * d)), np.zeros((0, n))
 
     def gain(self, posture: Array, weights: CostWeights | None = None) -> Array:
-        """Designs K (n, 2 d) for a posture (n,) rad of the motors; weights of None are its own."""
-        state, held = rest_state(self.model, posture), holding_torques(self.model, posture)
-        linear = linearize(self.model, state=state, torque=held)
+        """Return the gain K (n, 2 d) at a posture (n,) rad of the motors; weights None for those of the regulator."""
+        state, holding = rest_state(self.model, posture), holding_torques(self.model, posture)
+        linear = linearize(self.model, state=state, torque=holding)
         return lqr_gain(linear, self.model.motor_columns, self.limits, weights or self.weights, self.period)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Designs for new episodes of the arms (r,)."""
-        self._gains, self._rest, self._held = (
-            pad_rows(values, count) for values in (self._gains, self._rest, self._held)
+        """Compute gains and equilibria for new episodes of the arms (r,)."""
+        self._gains, self._rest, self._holding_torques = (
+            pad_rows(values, count) for values in (self._gains, self._rest, self._holding_torques)
         )
         for arm, angles in zip(arms, episode.goal, strict=True):
             self._gains[arm] = self.gain(angles)
-            self._rest[arm], self._held[arm] = rest_state(self.model, angles), holding_torques(self.model, angles)
+            self._rest[arm], self._holding_torques[arm] = (
+                rest_state(self.model, angles),
+                holding_torques(self.model, angles),
+            )
 
     def act(
-        self, readings: Readings, applied: Array | None = None, playing: BoolArray | None = None
+        self, readings: Readings, applied: Array | None = None, active: BoolArray | None = None
     ) -> NDArray[np.floating]:
-        """Gives actions (b, n), or (n,), for the state."""
+        """Return the actions (b, n), or (n,), for the state."""
         state = readings["state"]
         alone = state.ndim == 1
         states = np.asarray(state, dtype=np.float64)
@@ -272,18 +287,18 @@ class LQR:
         return actions[0] if alone else actions
 
     def torques(self, states: Array) -> Array:
-        """Gives torques (b, n) N m for states (b, 2 d), product by product of one arm."""
-        return self._held - row_dots(self._gains, (states - self._rest)[:, None])
+        """Return the torques (b, n) for states (b, 2 d), N m; products are computed arm by arm."""
+        return self._holding_torques - row_dots(self._gains, (states - self._rest)[:, None])
 
 
 class _GainSchedule(NamedTuple):
-    """What a tracking LQR follows, period by period.
+    """Reference states, feed-forward torques and gains of a tracking LQR in each control period.
 
     Attributes:
         states: (T + 1, 2 d).
         torques: (T + 1, n) N m.
-        gains: (g, n, 2 d) for some places along the way.
-        places: (T + 1,) where each period is among them, from 0 to g - 1.
+        gains: (g, n, 2 d) at postures along the path.
+        places: (T + 1,) position of each period among these, from 0 to g - 1.
     """
 
     states: Array
@@ -293,13 +308,17 @@ class _GainSchedule(NamedTuple):
 
 
 class TrackingLQR(LQR):
-    """LQR about a slew within the torque limits, with feed-forward and gains scheduled along the way.
+    """LQR about a slew within the torque limits, with feed-forward torques and gains scheduled along the path.
 
-    An arm that starts at its goal is held there more tightly. Of a task whose goal moves it follows the path of the
-    goal instead. Other arguments and errors are those of `LQR`.
+    An arm that starts at its goal is held with a larger weight on the tip. For a moving goal the reference is the path
+    of the goal. The other arguments are those of `LQR`.
 
     Args:
-        law: of the slew, "minimum-jerk", "trapezoid" or "double-s".
+        model: see `LQR`.
+        torque_limit: see `LQR`.
+        period: see `LQR`.
+        weights: see `LQR`.
+        law: timing law of the slew: "minimum-jerk", "trapezoid" or "double-s".
     """
 
     state_fields = ("_now",)
@@ -318,7 +337,7 @@ class TrackingLQR(LQR):
         self._now = np.zeros(0, dtype=np.int64)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Plans how the arms (r,) slew to their goals, or follow those that move."""
+        """Plan the slews of the arms (r,), or their motion along moving goals."""
         if episode.reference is not None:
             self._follow(arms, episode.reference)
             return
@@ -328,22 +347,29 @@ class TrackingLQR(LQR):
                 self._keep(int(arm), self._holding(last))
                 continue
             slew = plan_slew(self.model, first, last, self.limits, TORQUE_SHARE, self.period, self.law)
-            gains = np.array([self.gain(first + way * (last - first)) for way in np.linspace(0.0, 1.0, SLEW_POSTURES)])
+            gains = np.array(
+                [self.gain(first + progress * (last - first)) for progress in np.linspace(0.0, 1.0, SLEW_POSTURES)]
+            )
             moved = slew.states[:, motors] - slew.states[0, motors]
-            way = row_dots(moved, moved[-1]) / max(moved[-1] @ moved[-1], 1e-12)
+            progress = row_dots(moved, moved[-1]) / max(moved[-1] @ moved[-1], 1e-12)
             torques = np.vstack([slew.torques, holding_torques(self.model, last)])
             self._keep(
-                int(arm), _GainSchedule(slew.states, torques, gains, (SLEW_POSTURES - 1) * np.clip(way, 0.0, 1.0))
+                int(arm), _GainSchedule(slew.states, torques, gains, (SLEW_POSTURES - 1) * np.clip(progress, 0.0, 1.0))
             )
 
     def _holding(self, posture: Array) -> _GainSchedule:
-        """Stays at a posture; nothing has to be saved for a slew, so that the tip weighs more."""
+        """Return the schedule of an arm at rest.
+
+        No torque is reserved for a slew, so that the tip has a larger weight.
+        """
         tight = self.weights._replace(tip=HOLDING_FACTOR * self.weights.tip)
-        held = holding_torques(self.model, posture)[None]
-        return _GainSchedule(rest_state(self.model, posture)[None], held, self.gain(posture, tight)[None], np.zeros(1))
+        holding = holding_torques(self.model, posture)[None]
+        return _GainSchedule(
+            rest_state(self.model, posture)[None], holding, self.gain(posture, tight)[None], np.zeros(1)
+        )
 
     def _follow(self, arms: IntArray, postures: Array) -> None:
-        """Plans how the arms (r,) follow goal postures (r, T + 1, n) rad, one for each control period."""
+        """Plan the motion of the arms (r,) through goal postures (r, T + 1, n) rad, one per control period."""
         for arm, path in zip(arms, postures, strict=True):
             slew = plan_path(self.model, path, self.period)
             rows = np.linspace(0, len(path) - 1, min(PATH_POSTURES, len(path))).round().astype(int)
@@ -354,14 +380,14 @@ class TrackingLQR(LQR):
             )
 
     def _keep(self, arm: int, plan: _GainSchedule) -> None:
-        """Begins a plan of an arm."""
+        """Start the schedule of an arm."""
         empty = _GainSchedule(*(np.zeros(0),) * 4)
         self._plans += [empty] * (arm + 1 - len(self._plans))
         self._now = pad_rows(self._now, arm + 1)
         self._plans[arm], self._now[arm] = plan, 0
 
     def torques(self, states: Array) -> Array:
-        """Gives torques (b, n) N m for states (b, 2 d), and moves on by a period."""
+        """Return the torques (b, n) for states (b, 2 d), N m, and advance by a control period."""
         result = np.zeros((len(states), self.model.n_joints))
         for arm, state in enumerate(states):
             plan = self._plans[arm]

@@ -1,11 +1,11 @@
-"""Stability margins of the sampled loop of a PD, over motors that slide and motors that stick.
+"""Stability margins of the sampled PD loop, with sliding and with sticking motors.
 
-A motor with Coulomb friction c slides or sticks. While it slides, friction is a constant torque: it damps no small
-departure. While it sticks, the motor is clamped. A loop may be stable with one set of motors stuck and unstable with
-another, so that each set has a loop of its own, and the worst of them counts. The slope of a smoothed friction law at
-rest, a damper of a hundred times c, is in none of them: it would make every gain look safe.
+A motor with Coulomb friction c slides or sticks. Friction of a sliding motor is a constant torque, which does not damp
+small deviations; a sticking motor is clamped. A loop may be stable with one set of stuck motors and unstable with
+another, so that each set defines a loop and the worst of them determines the margins. The slope of a smoothed friction
+law at rest, equivalent to a damper of a hundred times c, is not part of any loop: with it every gain would appear safe.
 
-Friction may bring an unstable loop to rest from a small start, never from a large one. It is no margin.
+Friction may stop an unstable loop after a small disturbance, but not after a large one, and is not counted as a margin.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,24 +22,22 @@ from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel
 from flexman_gym.model.statics import holding_torques, rest_state
 
-GAIN_FACTORS, PHASE_SHIFTS = (
-    np.geomspace(1.0, 16.0, 25),
-    np.linspace(0.0, 90.0, 19),
-)  # degrees, at which margins are looked for
-IMAGINARY_DEGREE = 1j * np.pi / 180.0  # by a degree
-STABLE_RADIUS = 1.0 + 1e-9  # spectral radius; undamped modes that no motor moves have 1, to rounding
+GAIN_FACTORS = np.geomspace(1.0, 16.0, 25)  # candidate gain margins
+PHASE_SHIFTS = np.linspace(0.0, 90.0, 19)  # degrees; candidate phase margins
+IMAGINARY_DEGREE = 1j * np.pi / 180.0  # exponent of a phase shift of 1 degree
+STABLE_RADIUS = 1.0 + 1e-9  # spectral radius; undamped modes outside the influence of the motors have 1, to rounding
 Response = NDArray[np.complex128]
 
 
 class SampledLoop(NamedTuple):
-    """Linear model of an arm about a posture under sampled torques: next = transition x + inputs torques.
+    """Linear model of an arm about a posture with sampled torques: x[k + 1] = transition x[k] + inputs torques[k].
 
     Attributes:
-        transition: (m, m) of coordinates, speeds and the torques that are on their way; zero for motors that stick.
+        transition: (m, m) of coordinates, rates and delayed torques; zero rows and columns for stuck motors.
         inputs: (m, n).
         motors: (n,) columns of the motor angles.
         rates: (n,) columns of the motor rates.
-        stuck: joints, from 0, whose motors stick.
+        stuck: joints, from 0, with stuck motors.
     """
 
     transition: Array
@@ -54,8 +52,8 @@ class Margins(NamedTuple):
 
     Attributes:
         gain: factor of the torques of one motor or of all.
-        phase: by which the torques of one motor or of all lag or lead, degrees.
-        stuck: joints, from 0, whose motors stick in the worst loop: an unstable one, or that of the least gain margin.
+        phase: lag or lead of the torques of one motor or of all, degrees.
+        stuck: joints, from 0, with stuck motors in the worst loop: an unstable one, or that of the least gain margin.
     """
 
     gain: float
@@ -68,97 +66,102 @@ def sampled_loops(
 ) -> list[SampledLoop]:
     """Return the loops of an arm at rest, one for each set of motors that may stick.
 
-    Only motors with Coulomb friction stick; an arm without has one loop. The set of all motors is left out: no torque
-    moves anything then, so that gains do not matter.
+    The first loop has sliding motors only, and it is the only one for an arm without Coulomb friction. The set of all
+    motors is excluded: no torque moves the arm then, so that gains are irrelevant.
 
     Args:
         model: of the arm.
         joint_angles: (n,) rad.
-        period: of control, s.
-        delay: whole periods by which torques come late.
-        bandwidth: Hz, of drives whose torque lags, see `first_order_lag`; None for none.
+        period: control period, s.
+        delay: delay of the torques, whole control periods.
+        bandwidth: Hz, of a first-order lag of the drives, see `first_order_lag`; None for none.
+
+    Returns:
+        Loops, the first without stuck motors.
     """
     linear = _at_rest(model, joint_angles)
     return [_loop(model, linear, stuck, period, delay, bandwidth) for stuck in _stuck_sets(model)]
 
 
-def sampled_loop(
-    model: Model, joint_angles: Vector, period: float, delay: int = 0, bandwidth: float | None = None
-) -> SampledLoop:
-    """Return the loop of an arm at rest whose motors all slide; arguments are those of `sampled_loops`."""
-    return _loop(model, _at_rest(model, joint_angles), (), period, delay, bandwidth)
-
-
 def _at_rest(model: Model, joint_angles: Vector) -> LinearModel:
-    """Return the linear model about rest at joint angles (n,) rad, with motors that slide."""
+    """Return the linear model about the equilibrium at joint angles (n,) rad, with sliding motors."""
     return linearize(model, state=rest_state(model, joint_angles), torque=holding_torques(model, joint_angles))
 
 
 def _stuck_sets(model: Model) -> Iterator[tuple[int, ...]]:
-    """Yield the sets of joints whose motors may stick, the empty one first, without that of all joints."""
-    rubbing = np.flatnonzero(model.constants.coulomb_friction > 0.0).tolist()
-    for count in range(min(len(rubbing) + 1, model.n_joints)):
-        yield from combinations(rubbing, count)
+    """Yield the sets of joints whose motors may stick: first the empty set, never that of all joints."""
+    frictional = np.flatnonzero(model.constants.coulomb_friction > 0.0).tolist()
+    for count in range(min(len(frictional) + 1, model.n_joints)):
+        yield from combinations(frictional, count)
 
 
 def _loop(
     model: Model, linear: LinearModel, stuck: tuple[int, ...], period: float, delay: int, bandwidth: float | None
 ) -> SampledLoop:
-    """Return the loop of a linear model with clamped motors, whose departures stay 0."""
+    """Return the sampled loop of a linear model in which the stuck motors are clamped."""
     motors, n, d = model.motor_columns, model.n_joints, model.n_dof
     columns = motors[list(stuck)]
     clamped = np.concatenate([columns, d + columns])
     sampled = (_clamped(linear, columns) if stuck else linear).discrete(period, delay * period)
-    late, entry = sampled.A, sampled.B
-    late[clamped], late[:, clamped], entry[clamped] = 0.0, 0.0, 0.0
+    delayed, entry = sampled.A, sampled.B
+    delayed[clamped], delayed[:, clamped], entry[clamped] = 0.0, 0.0, 0.0
     if bandwidth is not None:
-        left, mean = first_order_lag(period, bandwidth)
-        late = np.block([[late, mean * entry], [np.zeros((n, len(late))), left * np.eye(n)]])
-        entry = np.vstack([(1.0 - mean) * entry, (1.0 - left) * np.eye(n)])
-    return SampledLoop(late, entry, motors, d + motors, stuck)
+        remaining, mean = first_order_lag(period, bandwidth)
+        delayed = np.block([[delayed, mean * entry], [np.zeros((n, len(delayed))), remaining * np.eye(n)]])
+        entry = np.vstack([(1.0 - mean) * entry, (1.0 - remaining) * np.eye(n)])
+    return SampledLoop(delayed, entry, motors, d + motors, stuck)
 
 
 def _clamped(linear: LinearModel, columns: IntArray) -> LinearModel:
-    """Return a linear model some of whose coordinates (k,) do not move; states keep their places."""
+    """Return a linear model with clamped coordinates (k,); the order of the states is unchanged."""
     assert linear.balance is not None
     mass, forces, _ = linear.balance
     d, free = len(mass), np.setdiff1d(np.arange(len(mass)), columns)
     A, B = np.zeros_like(linear.A), np.zeros_like(linear.B)
     moving = np.concatenate([free, d + free])
-    scale = np.sqrt(np.diag(mass)[free])  # metres and radians of fine elements weigh alike
+    scale = np.sqrt(np.diag(mass)[free])  # equilibrates metres and radians
     demands = forces[np.ix_(free, [*moving, *range(2 * d, forces.shape[1])])]
-    slopes = np.linalg.solve(mass[np.ix_(free, free)] / np.outer(scale, scale), demands / scale[:, None])
-    slopes /= scale[:, None]
+    derivatives = np.linalg.solve(mass[np.ix_(free, free)] / np.outer(scale, scale), demands / scale[:, None])
+    derivatives /= scale[:, None]
     A[free, d + free] = 1.0
-    A[np.ix_(d + free, moving)], B[d + free] = slopes[:, : len(moving)], slopes[:, len(moving) :]
+    A[np.ix_(d + free, moving)], B[d + free] = derivatives[:, : len(moving)], derivatives[:, len(moving) :]
     return replace(linear, A=A, B=B, balance=None)
 
 
 def first_order_lag(period: float, bandwidth: float) -> tuple[float, float]:
-    """Gives how a first-order lag of a bandwidth (Hz) passes a period (s) in which it is asked for the same.
+    """Return the response of a first-order lag with a bandwidth (Hz) to a command that is constant over a period (s).
 
     Returns:
-        The parts of the distance to what is asked for that are left at the end of the period, and in its mean.
+        Fractions of the distance to the command: left at the end of the period, and on average over it.
+
+    Args:
+        period: s.
+        bandwidth: Hz.
     """
     turned = 2.0 * np.pi * bandwidth * period
     return float(np.exp(-turned)), float(-np.expm1(-turned) / turned)
 
 
 def margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector) -> Margins:
-    """Return the least margins of a PD over loops, (1, 0) where one of these is unstable.
+    """Return the smallest margins of a PD over several loops; (1, 0) if one of them is unstable.
 
-    A margin is the least change of the torques with which an eigenvalue of the closed loop leaves the unit circle:
-    those of one motor, or those of all, are multiplied by a factor >= 1, or by exp(+-i phase).
+    A margin is the smallest change of the torques for which an eigenvalue of the closed loop leaves the unit circle.
+    The torques of one motor, or of all motors, are multiplied by a factor >= 1, or by exp(+-i phase).
 
     Args:
-        loops: of `sampled_loops`.
+        loops: from `sampled_loops`.
         stiffness: (n,) N m/rad.
         damping: (n,) N m s/rad.
+
+    Returns:
+        Margins of the worst loop and motor.
     """
     each, stable = [], np.ones(len(loops), dtype=bool)
     for values, changes in ((GAIN_FACTORS, GAIN_FACTORS), (PHASE_SHIFTS, np.exp(IMAGINARY_DEGREE * PHASE_SHIFTS))):
-        good = np.array([[_stable(loop, stiffness, damping, change) for change in changes] for loop in loops])
-        first = np.argmin(np.column_stack([good, np.zeros(len(loops), dtype=bool)]), axis=1)  # of the changes too large
+        passes = np.array([[_stable(loop, stiffness, damping, change) for change in changes] for loop in loops])
+        first = np.argmin(
+            np.column_stack([passes, np.zeros(len(loops), dtype=bool)]), axis=1
+        )  # first change beyond the margin
         each.append(values[np.maximum(first - 1, 0)])
         stable &= first > 0
     gains, phases = each
@@ -167,30 +170,30 @@ def margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector) ->
 
 
 def has_margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector, least: Margins) -> bool:
-    """Return whether loops are stable as they are and with both of the changes at the end of the least margins."""
+    """Return whether the loops are stable, and remain so with the gain factor and with the phase shift of `least`."""
     changes = (1.0, least.gain, np.exp(IMAGINARY_DEGREE * least.phase))
     return all(_stable(loop, stiffness, damping, change) for change in changes for loop in loops)
 
 
 def describe_stuck_motors(stuck: Sequence[int]) -> str:
-    """Return a clause for messages with the motors that stick, counted from 1; "" for none."""
+    """Return a clause for messages that lists the stuck motors, counted from 1; "" for none."""
     return f" while friction holds motor {' and '.join(str(joint + 1) for joint in stuck)}" if stuck else ""
 
 
 def spectral_radius(loop: SampledLoop, stiffness: Vector, damping: Vector) -> float:
-    """Return the largest magnitude of an eigenvalue of a loop that a PD closes; below 1 where it is stable."""
+    """Return the spectral radius of a loop closed by a PD; below 1 the loop is stable."""
     return float(np.abs(np.linalg.eigvals(loop.transition - loop.inputs @ _gain(loop, stiffness, damping))).max())
 
 
 def _gain(loop: SampledLoop, stiffness: Vector, damping: Vector) -> Array:
-    """The gain (n, m) of a PD on the state of a loop."""
+    """Return the gain (n, m) of a PD for the state of a loop."""
     n, gain = loop.inputs.shape[1], np.zeros(loop.inputs.T.shape)
     gain[np.arange(n), loop.motors], gain[np.arange(n), loop.rates] = stiffness, damping
     return gain
 
 
 def _stable(loop: SampledLoop, stiffness: Vector, damping: Vector, change: complex) -> bool:
-    """Whether a loop is stable while the torques of any one motor, and those of all, are multiplied by a number."""
+    """Return whether a loop is stable if the torques of any one motor, and those of all, are multiplied by a number."""
     n, gain = loop.inputs.shape[1], _gain(loop, stiffness, damping)
     motors = np.ones((1, n)) if n == 1 or change == 1.0 else np.vstack([np.eye(n), np.ones(n)])
     closed = loop.transition - (loop.inputs * (1.0 + motors[:, None] * (change - 1.0))) @ gain
@@ -200,14 +203,17 @@ def _stable(loop: SampledLoop, stiffness: Vector, damping: Vector, change: compl
 def open_loop_responses(
     loop: SampledLoop, stiffness: Vector, damping: Vector, frequencies: Vector, period: float
 ) -> Response:
-    """Gives the responses (n, f) of a PD's loops, each opened at one motor while the others act.
+    """Return the frequency responses (n, f) of a PD's loops, each opened at one motor with the others closed.
 
     Args:
-        loop: of `sampled_loop`.
+        loop: from `sampled_loops`.
         stiffness: (n,) N m/rad.
         damping: (n,) N m s/rad.
         frequencies: (f,) Hz, below half the sampling frequency.
-        period: of sampling, s.
+        period: sampling period, s.
+
+    Returns:
+        Complex responses (n, f).
     """
     n, size = loop.inputs.shape[1], len(loop.transition)
     gain, result = _gain(loop, stiffness, damping), []

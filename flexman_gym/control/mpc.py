@@ -1,4 +1,4 @@
-"""MPC: model predictive control within the torque limits, of predictions that the simulator makes in every period."""
+"""Model predictive control within the torque limits, with nonlinear predictions by the simulator."""
 
 from collections.abc import Sequence
 from types import ModuleType
@@ -9,53 +9,53 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import value_error
 from flexman_gym.control.controller import EpisodeInfo, Readings
-from flexman_gym.control.lqr import MOTOR_WEIGHT, CostWeights, performance_outputs, zero_order_hold
+from flexman_gym.control.lqr import MOTOR_WEIGHT, CostWeights, performance_outputs
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import plan_slew
 from flexman_gym.kernels.layout import TIP, TIP_VELOCITY
 from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, check_model
+from flexman_gym.model.state_space import discretize
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 
-TIP_WEIGHT, TIP_SPEED_WEIGHT = (
-    0.05 / 8.5,
-    0.5 / 8.5,
-)  # of the reach, reaches a second: a quarter and half of those of the LQR
-SLEW_SHARE = 1.3  # of the torque limits, for the slew that it follows as well as they allow
-MAX_CHANGE = 0.05  # of the torque limits, by which planned torques change at most in a period, so that slopes hold
-LINEARISATION_PERIOD = 20  # periods, where the arm is looked at for how it is linearised
-LINEARISATION_POSTURES = 5  # along a slew, at which the arm is linearised
-MIN_SQUARED_LENGTH = 1e-12  # rad^2
-MOVE_BLOCKS = (1, 2, 3, 4, 5, 5, 5, 6, 7, 7, 8, 10)  # control periods for which a change of the planned torques lasts
+TIP_WEIGHT = 0.05 / 8.5  # reach; a quarter of the weight in the LQR
+TIP_SPEED_WEIGHT = 0.5 / 8.5  # reach/s; half of the weight in the LQR
+SLEW_SHARE = 1.3  # 1; fraction of the torque limits for which the reference slew is planned
+MAX_CHANGE = 0.05  # 1; largest change of planned torques per period, fraction of the limits, within the linear range
+LINEARISATION_PERIOD = 20  # period of the horizon at whose state the prediction is linearised
+LINEARISATION_POSTURES = 5  # number of linear predictions along a slew
+MIN_SQUARED_LENGTH = 1e-12  # rad^2; avoids division by zero for a slew of zero length
+MOVE_BLOCKS = (1, 2, 3, 4, 5, 5, 5, 6, 7, 7, 8, 10)  # control periods over which each torque change is constant
 
 
 class _Horizon(NamedTuple):
-    """What is to be small over N periods, linear in m = blocks x n changes of planned torques, in parts of the limits.
+    """Linear prediction over N periods, with respect to m = blocks x n changes of planned torques.
 
-    Outputs are parts of the weights: tip, its speed and motors after each period but the last, whose whole state
-    counts as the infinite-horizon LQR would go on.
+    Torque changes are fractions of the limits. The outputs are those of the cost, divided by their weights: tip, tip
+    velocity and motor angles after each period but the last, whose whole state has the terminal cost of the
+    infinite-horizon LQR.
 
     Attributes:
-        slopes: (m, (N - 1) (6 + n) + 2 d) of the outputs with each change.
-        curvature: (m, m) of the cost.
-        ending: (2 d, 2 d) outputs of the last state.
+        jacobian: (m, (N - 1) (6 + n) + 2 d) of the outputs with respect to each change.
+        curvature: (m, m) Hessian of the cost.
+        terminal: (2 d, 2 d) outputs of the last state.
     """
 
-    slopes: Array
+    jacobian: Array
     curvature: Array
-    ending: Array
+    terminal: Array
 
 
-def design_horizon(
+def _design_horizon(
     model: Model, posture: Array, limits: Array, weights: CostWeights, period: float, blocks: Sequence[int]
 ) -> _Horizon:
-    """Designs for a posture (n,) rad of the motors; blocks are numbers of control periods, whose sum is N."""
+    """Return the prediction about a posture (n,) rad of the motors; the lengths of the blocks, in periods, sum to N."""
     from scipy.linalg import solve_discrete_are
 
     linear = linearize(model, state=rest_state(model, posture), torque=holding_torques(model, posture))
-    transition, inputs = zero_order_hold(linear, period)
+    transition, inputs = discretize(linear.A, linear.B, period)
     inputs, d, n = inputs * limits, model.n_dof, len(limits)
     outputs = performance_outputs(linear, model.motor_columns, weights)
     squares, axes = np.linalg.eigh(solve_discrete_are(transition, inputs, outputs.T @ outputs, np.eye(n)))
@@ -65,42 +65,48 @@ def design_horizon(
         state = transition @ state
         state[:, n * block : n * (block + 1)] += inputs
         rows.append(outputs @ state)
-    slopes = np.vstack([*rows[:-1], ending @ state]).T.copy()
-    return _Horizon(slopes, slopes @ slopes.T + np.diag(np.repeat(np.array(blocks, dtype=float), n)), ending)
+    jacobian = np.vstack([*rows[:-1], ending @ state]).T.copy()
+    return _Horizon(jacobian, jacobian @ jacobian.T + np.diag(np.repeat(np.array(blocks, dtype=float), n)), ending)
 
 
 class _Plan(NamedTuple):
-    """What an arm follows: horizons (g, ...) on its way, start and way (n,) rad, and the slew with N periods of rest.
+    """Reference of an arm: a slew followed by N periods of rest, and the linear predictions along it.
 
-    states (T, 2 d), outputs (T, OUTPUTS), torques (T, n) parts of the limits.
+    Attributes:
+        horizons: (g, ...) predictions at postures along the path.
+        start: (n,) motor angles, rad.
+        displacement: (n,) of the motors from start to goal, rad.
+        states: (T, 2 d).
+        outputs: (T, OUTPUTS).
+        torques: (T, n) fractions of the limits.
     """
 
     horizons: _Horizon
     start: Array
-    way: Array
+    displacement: Array
     states: Array
     outputs: Array
     torques: Array
 
 
 class MPC:
-    """Model predictive control of a slew: in every period it plans torques for N periods, and applies the first.
+    """Model predictive control of a slew: in every period, torques are planned for N periods and the first is applied.
 
-    The simulator predicts where the torques planned before lead, the whole arm with all that is not linear. A
-    quadratic program then finds the changes of them, constant in blocks of periods (move blocking), that bring the
-    prediction closest to a minimum-jerk slew, which would take half more than the motors have. How changes act is
-    linear, scheduled along the way. For a linear arm within its limits it is the finite-horizon LQR.
+    The simulator predicts the motion of the nonlinear arm under the previous plan. A quadratic program then computes
+    changes of the torques, constant over blocks of periods (move blocking), that bring the prediction closest to a
+    minimum-jerk slew planned for 1.3 times the torque limits. The effect of the changes is linear, with gains
+    scheduled along the path. For a linear arm within its limits, the result equals the finite-horizon LQR.
 
     Args:
-        model: of the arm, with as many coordinates as the one that is controlled.
-        torque_limit: N m, one number or one for each joint.
-        period: of control, s.
-        moved: method and step (s) of the prediction.
+        model: of the arm, with the same coordinates as the controlled one.
+        torque_limit: N m, for all joints or for each.
+        period: control period, s.
+        integration: method and step (s) of the prediction.
 
     Raises:
-        ImportError: without daqp (Arnström, Bemporad and Axehill, IEEE Trans. Automatic Control 67, 2022, 4362), which
-            solves the quadratic programs.
-        ValueError: one line with field, value and what is allowed; in `reset` for a goal that moves.
+        ImportError: without daqp (Arnström, Bemporad and Axehill, IEEE Trans. Automatic Control 67, 2022, 4362), the
+            solver of the quadratic programs.
+        ValueError: for the usual reasons; in `reset` for a moving goal.
     """
 
     sensors: tuple[str, ...] = ("state",)
@@ -111,24 +117,24 @@ class MPC:
         model: Model,
         torque_limit: float | Vector,
         period: float,
-        moved: tuple[str | Method, float | str] = (DEFAULT_METHOD, "auto"),
+        integration: tuple[str | Method, float | str] = (DEFAULT_METHOD, "auto"),
     ) -> None:
         self._daqp = _import_solver()
         reach = float(check_model(model).constants.length.sum())
-        self.model, self.period, self._moved = model, period, moved
+        self.model, self.period, self._integration = model, period, integration
         self.limits = np.array(torque_limits("torque_limit", torque_limit, model.n_joints))
         self._weights = CostWeights(TIP_WEIGHT * reach, TIP_SPEED_WEIGHT * reach, MOTOR_WEIGHT)
         self._plans: list[_Plan] = []
         self._planned, self._now = np.zeros((0, sum(MOVE_BLOCKS), model.n_joints)), np.zeros(0, dtype=np.int64)
-        self._batch = self._arms(1)
+        self._batch = self._make_batch(1)
 
-    def _arms(self, count: int) -> Batch:
-        return Batch(self.model, *self._moved, self.period, arms=count)
+    def _make_batch(self, count: int) -> Batch:
+        return Batch(self.model, *self._integration, self.period, arms=count)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Plans the slews of the arms (r,), and designs for postures on their ways."""
+        """Plan the slews of the arms (r,) and compute the predictions along them."""
         if episode.path is not None:
-            raise value_error("episode", "a goal that moves", "one that stays, for which the MPC plans")
+            raise value_error("episode", "a moving goal", "a fixed goal: the MPC plans slews only")
         self._planned, self._now = pad_rows(self._planned, count), pad_rows(self._now, count)
         for arm, start, goal in zip(arms.tolist(), episode.start, episode.goal, strict=True):
             plan = self._plan(start, goal)
@@ -140,75 +146,87 @@ class MPC:
         slew, rest = plan_slew(self.model, start, goal, self.limits, SLEW_SHARE, self.period), sum(MOVE_BLOCKS) + 1
         states = np.vstack([slew.states, np.repeat(slew.states[-1:], rest, axis=0)])
         torques = np.vstack([slew.torques, np.repeat(holding_torques(self.model, goal)[None], rest + 1, axis=0)])
-        batch = self._arms(len(states))
+        batch = self._make_batch(len(states))
         batch.reset(np.arange(len(states)), states)
         postures = start + np.linspace(0.0, 1.0, LINEARISATION_POSTURES)[:, None] * (goal - start)
         each = [
-            design_horizon(self.model, one, self.limits, self._weights, self.period, MOVE_BLOCKS) for one in postures
+            _design_horizon(self.model, one, self.limits, self._weights, self.period, MOVE_BLOCKS) for one in postures
         ]
         horizons = _Horizon(*(np.array(parts) for parts in zip(*each, strict=True)))
         return _Plan(horizons, start, goal - start, states, batch.outputs, torques / self.limits)
 
-    def act(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        """Gives actions (b, n) for the state; 0 for arms that do not play."""
+    def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the actions (b, n) for the state; 0 for inactive arms."""
         states = np.asarray(readings["state"], dtype=np.float64)
         if len(self._batch.rows) != len(states):
-            self._batch = self._arms(len(states))
-        self._batch.reset(np.arange(len(states)), np.where(playing[:, None], states, 0.0))
+            self._batch = self._make_batch(len(states))
+        self._batch.reset(np.arange(len(states)), np.where(active[:, None], states, 0.0))
         drives = np.zeros((*self._planned.shape[:2], self.model.n_joints + 6))
         drives[..., : len(self.limits)] = self._planned * self.limits
         predicted = self._batch.roll(drives)
         actions = np.zeros((len(states), len(self.limits)))
-        for arm in np.flatnonzero(playing).tolist():
+        for arm in np.flatnonzero(active).tolist():
             actions[arm] = self._step(arm, predicted[0][arm], predicted[1][arm])
         return actions
 
     def _step(self, arm: int, states: Array, outputs: Array) -> Array:
-        """The action (n,) of an arm whose planned torques lead to states (N, 2 d) and outputs (N, OUTPUTS)."""
+        """Return the action (n,) of an arm.
+
+        Args:
+            arm: index.
+            states: (N, 2 d) predicted for the planned torques.
+            outputs: (N, OUTPUTS) predicted for the planned torques.
+
+        Returns:
+            Action (n,) from -1 to 1.
+        """
         plan, now, n = self._plans[arm], int(self._now[arm]), len(self.limits)
         rows = np.minimum(now + np.arange(sum(MOVE_BLOCKS) + 1), len(plan.states) - 1)
         planned, firsts = self._planned[arm], np.cumsum((0, *MOVE_BLOCKS[:-1]))
-        if np.isfinite(states).all():  # it cannot be told where an arm goes that comes apart
-            horizon = self._between(plan, states[LINEARISATION_PERIOD])
-            gap = self._gap(horizon, states - plan.states[rows[1:]], outputs - plan.outputs[rows[1:]])
-            beyond = np.add.reduceat(planned - plan.torques[rows[:-1]], firsts).ravel()
+        if np.isfinite(states).all():  # the prediction did not diverge
+            horizon = self._interpolate(plan, states[LINEARISATION_PERIOD])
+            gap = self._residuals(horizon, states - plan.states[rows[1:]], outputs - plan.outputs[rows[1:]])
+            departures = np.add.reduceat(planned - plan.torques[rows[:-1]], firsts).ravel()
             mean = (np.add.reduceat(planned, firsts) / np.array(MOVE_BLOCKS)[:, None]).ravel()
-            slope = row_dots(horizon.slopes, gap) + beyond
+            gradient = row_dots(horizon.jacobian, gap) + departures
             low, high = np.maximum(-1.0 - mean, -MAX_CHANGE), np.minimum(1.0 - mean, MAX_CHANGE)
-            changes = solve_quadratic_program(self._daqp, horizon.curvature, slope, low, high)
+            changes = _solve_quadratic_program(self._daqp, horizon.curvature, gradient, low, high)
             planned = np.clip(planned + np.repeat(changes.reshape(-1, n), MOVE_BLOCKS, axis=0), -1.0, 1.0)
         self._planned[arm] = np.vstack([planned[1:], np.clip(plan.torques[rows[-1]], -1.0, 1.0)])
         self._now[arm] += 1
         return planned[0]
 
-    def _between(self, plan: _Plan, state: Array) -> _Horizon:
-        """The horizon of the place on its way that an arm has come to."""
-        come = row_dots(state[self.model.motor_columns] - plan.start, plan.way) / max(
-            row_dots(plan.way, plan.way), MIN_SQUARED_LENGTH
+    def _interpolate(self, plan: _Plan, state: Array) -> _Horizon:
+        """Return the linear prediction at the position of an arm along its path."""
+        progress = row_dots(state[self.model.motor_columns] - plan.start, plan.displacement) / max(
+            row_dots(plan.displacement, plan.displacement), MIN_SQUARED_LENGTH
         )
-        place = float(np.clip(come, 0.0, 1.0)) * (LINEARISATION_POSTURES - 1)
+        place = float(np.clip(progress, 0.0, 1.0)) * (LINEARISATION_POSTURES - 1)
         lower = min(int(place), LINEARISATION_POSTURES - 2)
         part = place - lower
         return _Horizon(*(each[lower] + part * (each[lower + 1] - each[lower]) for each in plan.horizons))
 
-    def _gap(self, horizon: _Horizon, states: Array, outputs: Array) -> Array:
-        """What is to be small, see `_Horizon`, for departures of states (N, 2 d) and outputs (N, OUTPUTS)."""
+    def _residuals(self, horizon: _Horizon, states: Array, outputs: Array) -> Array:
+        """Return the outputs of the cost for deviations of states (N, 2 d) and outputs (N, OUTPUTS)."""
         weights, motors = self._weights, states[:-1, self.model.motor_columns]
         near = outputs[:-1, TIP] / weights.tip, outputs[:-1, TIP_VELOCITY] / weights.tip_speed, motors / weights.motor
-        return np.concatenate([np.hstack(near).ravel(), row_dots(horizon.ending, states[-1])])
+        return np.concatenate([np.hstack(near).ravel(), row_dots(horizon.terminal, states[-1])])
 
 
-def solve_quadratic_program(daqp: ModuleType, curvature: Array, slope: Array, low: Array, high: Array) -> Array:
-    """Gives the changes (m,) from low to high of least cost, zero where the solver finds none."""
-    changes, _, status, _ = daqp.solve(curvature, slope, np.zeros((0, len(slope))), high, low)
-    return np.array(changes) if status > 0 else np.clip(np.zeros(len(slope)), low, high)
+def _solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array, low: Array, high: Array) -> Array:
+    """Return the changes (m,) between low and high of least cost; zero if the solver fails."""
+    changes, _, status, _ = daqp.solve(curvature, gradient, np.zeros((0, len(gradient))), high, low)
+    return np.array(changes) if status > 0 else np.clip(np.zeros(len(gradient)), low, high)
 
 
 def _import_solver() -> ModuleType:
-    """Gives the package that solves the quadratic programs.
+    """Return the package that solves the quadratic programs.
+
+    Returns:
+        Module `daqp`.
 
     Raises:
-        ImportError: without it; it names the extra.
+        ImportError: if it is missing; the message names the extra.
     """
     try:
         import daqp

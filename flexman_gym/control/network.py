@@ -1,4 +1,4 @@
-"""Network: a learned policy as NumPy runs it, its layers and the statistics that normalise what it sees."""
+"""Policy network in NumPy: layers and observation statistics of a trained policy."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -13,8 +13,9 @@ ACTIVATION_FUNCTIONS: dict[str, Callable[[Array], Array]] = {
     "tanh": np.tanh,
     "relu": lambda values: np.maximum(values, 0.0),
 }
-MAX_INPUT, VARIANCE_OFFSET = 10.0, 1e-8  # of what is normalised, and variance beside the one that was seen
-# algorithm -> where its layers begin, its last one, the function between them where none is named, and at the end
+MAX_INPUT = 10.0  # largest magnitude of a normalised observation
+VARIANCE_OFFSET = 1e-8  # added to variances to avoid division by zero
+# algorithm -> prefix of its layers, name of the last layer, default activation, output function
 LAYER_NAMES: dict[str, tuple[str, str, str, Callable[[Array], Array]]] = {
     "ppo": ("mlp_extractor.policy_net.", "action_net", "tanh", lambda values: np.clip(values, -1.0, 1.0)),
     "dagger": ("mlp_extractor.policy_net.", "action_net", "tanh", lambda values: np.clip(values, -1.0, 1.0)),
@@ -23,26 +24,27 @@ LAYER_NAMES: dict[str, tuple[str, str, str, Callable[[Array], Array]]] = {
 
 
 class Network:
-    """Layers f(W x + b) on normalised observations, and a last one whose actions end at -1 and 1.
+    """Multilayer perceptron f(W x + b) on normalised observations, with actions bounded by -1 and 1.
 
-    Every row has the bits that it has alone.
+    The result of a row does not depend on the other rows, to the last bit.
 
     Args:
-        algo: "ppo", "dagger" or "sac", by which parameters are named.
-        activation: "tanh" or "relu"; None takes that of the algorithm.
-        parameters: name -> array, as Stable-Baselines3 names them.
+        algo: "ppo", "dagger" or "sac", which defines the names of the parameters.
+        activation: "tanh" or "relu"; None for the default of the algorithm.
+        parameters: name -> array, with the names of Stable-Baselines3.
         statistics: "mean" and "var" of observations, (size,) each.
 
     Attributes:
-        size: of an observation.
-        joints: n, of an action.
-        mean, scale: (size,) of what is seen, which is taken off, and by which the rest is multiplied.
-        layers: weights (m, k) and bias (m,) of each.
+        size: number of inputs.
+        joints: n, number of actions.
+        mean: (size,) subtracted from observations.
+        scale: (size,) factor of the difference.
+        layers: weights (m, k) and bias (m,) of each layer.
         activation: "tanh" or "relu".
-        bent: whether a tanh ends the actions, which are cut off without it.
+        bent: True if the actions pass a tanh; otherwise they are clipped.
 
     Raises:
-        ValueError: one line, for arrays that are missing, of shapes that do not follow on each other, or not finite.
+        ValueError: for missing arrays, inconsistent shapes and numbers that are not finite.
     """
 
     def __init__(self, algo: str, activation: str | None, parameters: object, statistics: object) -> None:
@@ -61,13 +63,13 @@ class Network:
         sizes = [self.mean.size, *(len(bias) for _, bias in self.layers)]
         for (weights, _), size in zip(self.layers, sizes, strict=False):
             if weights.shape[1] != size:
-                raise value_error("policy", f"a layer of {weights.shape[1]} numbers", f"one of {size}")
+                raise value_error("policy", f"a layer with {weights.shape[1]} inputs", f"one with {size}")
         if self.scale.shape != self.mean.shape or self.mean.ndim != 1:
             raise value_error("statistics.var", f"an array {self.scale.shape}", f"one of {self.mean.shape}")
         self.size, self.joints = sizes[0], sizes[-1]
 
     def __call__(self, observations: NDArray[np.floating]) -> Array:
-        """Gives the actions (b, n) for observations (b, size)."""
+        """Return the actions (b, n) for observations (b, size)."""
         values = np.clip((observations - self.mean) * self.scale, -MAX_INPUT, MAX_INPUT)
         for weights, bias in self.layers[:-1]:
             values = self._function(self.product(values, weights) + bias)
@@ -76,17 +78,13 @@ class Network:
         return actions
 
     def product(self, values: Array, weights: Array) -> Array:
-        """Gives the values (b, k) times weights (m, k), (b, m)."""
+        """Return the product (b, m) of values (b, k) with weights (m, k), row by row."""
         result: Array = row_dots(values[:, None], weights)
         return result
 
 
 def policy_parameters(algo: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Gives those of the parameters that act, without critics and what explores.
-
-    Raises:
-        ValueError: for another algorithm.
-    """
+    """Return the parameters of the policy network alone, without critics and exploration."""
     first, last, *_ = LAYER_NAMES[one_of("algo", algo, LAYER_NAMES)]
     return {name: each for name, each in parameters.items() if _is_layer(name, first) or name.startswith(f"{last}.")}
 
@@ -111,9 +109,9 @@ def _layer(result: Mapping[str, Array], name: str) -> Sequence[Array]:
 
 
 def _finite(field: str, value: object, least: float = -np.inf) -> Array:
-    """The array as floats, once all of its numbers are finite and none is below the least."""
+    """Return an array as floats, all finite and none below `least`."""
     if not isinstance(value, np.ndarray) or value.dtype.kind != "f":
         raise value_error(field, type(value).__name__, "an array of numbers")
     if not (np.isfinite(value) & (value >= least)).all():
-        raise value_error(field, "another number", "finite numbers" if least < 0.0 else "finite numbers >= 0")
+        raise value_error(field, "a number out of range", "finite numbers" if least < 0.0 else "finite numbers >= 0")
     return value.astype(np.float64)

@@ -1,4 +1,4 @@
-"""PD: proportional-derivative control of the motors."""
+"""PD controller of the motors."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,21 +12,25 @@ from flexman_gym.model.statics import holding_torques
 
 
 class PD:
-    """Proportional-derivative control of the motors: torque = stiffness (posture - angle) - damping rate, saturated.
+    """Proportional-derivative controller of the motors: torque = stiffness (goal - angle) - damping rate, saturated.
 
-    Where the posture moves, the rate is that relative to it.
-
-    It measures the motors only, as an industrial arm does. Sensors and motors are collocated, so in continuous time it
-    is stable for any gains.
+    With a moving goal, the rate is relative to that of the goal. The controller reads motor encoders only, as an
+    industrial robot does. Sensors and actuators are collocated, so that the continuous-time loop is stable for any
+    positive gains.
 
     Args:
-        stiffness: (n,) N m/rad.
-        damping: (n,) N m s/rad. Sampled with the period T it must stay below about 2 rotor_inertia / T.
-        torque_limit: N m, where the motors saturate; one number or one for each joint.
-        gravity_model: of the arm whose holding torques at the goal posture are added from each reset on; None for none.
+        stiffness: (n,) proportional gains, N m/rad.
+        damping: (n,) derivative gains, N m s/rad; with a control period T they must stay below about 2 rotor_inertia /
+            T.
+        torque_limit: N m, for all joints or for each.
+        gravity_model: model whose holding torques at the goal are added as feed-forward; None for none.
 
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+    Example:
+        >>> import numpy as np
+        >>> from flexman_gym.control import PD
+        >>> pd = PD(stiffness=[40.0, 6.0], damping=[9.0, 1.3], torque_limit=[10.0, 4.0])
+        >>> pd.act({"angle_errors": np.array([0.1, -0.1]), "motor_rates": np.zeros(2)}).astype(float).round(2).tolist()
+        [0.4, -0.15]
     """
 
     sensors: tuple[str, ...] = ("servo",)
@@ -46,10 +50,10 @@ class PD:
                 non_negative(f"PD.{name}[{i}]", gain)
         self.torque_limit = np.array(torque_limits("PD.torque_limit", torque_limit, n))
         self.gravity_model = None if gravity_model is None else check_model(gravity_model)
-        self._holding = np.zeros((1, n))  # torques of each arm
+        self._holding = np.zeros((1, n))  # N m; holding torques of each arm
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Takes the torques that hold the arms (r,) at their goals."""
+        """Compute the holding torques of the arms (r,) at their goals."""
         if self.gravity_model is None:
             return
         self._holding = pad_rows(self._holding, count)
@@ -57,17 +61,21 @@ class PD:
             self._holding[arm] = holding_torques(self.gravity_model, angles)
 
     def unstable(self, model: Model, period: float, delay: int = 0) -> str:
-        """Says what makes the sampled loop unstable for certain, "" where nothing does.
+        """Return a message if the damping makes the sampled loop unstable, else "".
 
-        Within a period a motor turns on its own inertia J, whatever hangs on its spring. Sampled with the period T and
-        late by k periods its rate r then follows r' = r - (damping T / J) r of k periods ago, which grows from
-        damping T / J = 2 sin(pi / (4 k + 2)) on: 2 without a delay, 1 with one period, 0.62 with two (Levin and May,
-        Theoretical Population Biology 9, 1976, 178). Below it stiffness and bending links may still make it unstable.
+        Within a control period a motor with inertia J turns independently of the link behind its spring. With a period
+        T and a delay of k periods, its rate then follows r' = r - (damping T / J) r_k, with r_k the rate k periods
+        earlier, and grows for damping T / J >= 2 sin(pi / (4 k + 2)): 2 without delay, 1 with one period, 0.62 with
+        two (Levin and May, Theoretical Population Biology 9, 1976, 178). Below this bound, stiffness and flexible
+        links may still cause instability.
 
         Args:
             model: of the arm.
-            period: of control, s.
-            delay: whole periods by which torques come late.
+            period: control period, s.
+            delay: delay of the torques, whole control periods.
+
+        Returns:
+            Message with the gain, the bound and the largest stable gain.
         """
         limit = stability_limit(delay)
         inertia = 1.0 / np.diag(np.linalg.inv(mass_matrix(model, np.zeros(2 * model.n_dof))))[model.motor_columns]
@@ -82,9 +90,9 @@ class PD:
         return ""
 
     def act(
-        self, readings: Readings, applied: Array | None = None, playing: BoolArray | None = None
+        self, readings: Readings, applied: Array | None = None, active: BoolArray | None = None
     ) -> NDArray[np.float32]:
-        """Gives the action (n,), or (b, n), for angle_errors, motor_rates and, where there are any, goal_rates."""
+        """Return the action (n,) or (b, n) from angle_errors, motor_rates and, for a moving goal, goal_rates."""
         error, rate = readings["angle_errors"], readings["motor_rates"]
         if "goal_rates" in readings:
             rate = rate - readings["goal_rates"]
@@ -95,24 +103,30 @@ class PD:
 
 
 def stability_limit(delay: int) -> float:
-    """Gives damping x period / inertia from which on a sampled motor is unstable, see `PD.unstable`.
+    """Return the value of damping x period / inertia above which a sampled motor is unstable, see `PD.unstable`.
 
     Args:
-        delay: whole periods by which torques come late.
+        delay: delay of the torques, whole control periods.
+
+    Returns:
+        Bound, 2 without delay.
     """
     return float(2.0 * np.sin(np.pi / (4 * delay + 2)))
 
 
 def torque_limits(name: str, value: object, joints: int) -> tuple[float, ...]:
-    """Gives one limit for each joint, N m.
+    """Return the torque limit of each joint, N m.
 
     Args:
-        name: of the field, for the error.
-        value: one number for all joints, or one for each.
-        joints: number of joints.
+        name: name of the field, for error messages.
+        value: limit of all joints, or one per joint.
+        joints: n.
+
+    Returns:
+        Limits (n,), N m.
 
     Raises:
-        ValueError: for another number of limits, or a limit that is not a number from 1e-30 to 1e30.
+        ValueError: for another number of limits, and for a limit outside 1e-30 to 1e30.
     """
     if not isinstance(value, list | tuple | np.ndarray):
         return (physical(name, value, "N m"),) * joints

@@ -1,5 +1,6 @@
 """Tracking control: feed-forward and scheduled LQR gains along a reference, and output feedback with an observer."""
 
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,34 +13,29 @@ from flexman_gym.control.observers.observer import Estimate, Observer
 from flexman_gym.control.reference_shaping import ReferenceShaping
 from flexman_gym.control.references.adaptive_references import PathReferences, SlewReferences, estimated_payloads
 
-RETIMING_PERIODS = (
-    6,
-    12,
-    20,
-    30,
-    45,
-)  # control periods after which a slew is timed anew with the parameters as estimated
-LAST_RETIMING = 0.75  # of a path, from which on it is not timed anew
-ADAPTATION_INTERVAL = 5  # control periods between two looks at the parameters
+RETIMING_PERIODS = (6, 12, 20, 30, 45)  # control periods; age at which a slew is planned again
+LAST_RETIMING = 0.75  # path parameter beyond which a slew is not planned again
+ADAPTATION_INTERVAL = 5  # control periods between two adaptations of references to the estimates
 
 
 class Tracking:
-    """Tracking law of b arms: torque of the reference - K (state - reference), with gains for posture and payload.
+    """Tracking law of b arms: torque = feed-forward - K (state - reference).
 
-    Slews follow straight paths of the motors in quintic timing within 95 % of the torque limits, timed anew from where
-    the reference is while the parameters become known. An arm that starts at its goal is held there more tightly.
+    The gains are scheduled by posture and payload. Slews are straight lines in motor space with quintic timing within
+    95 % of the torque limits. While parameter estimates converge, the rest of a slew is planned again from the current
+    reference. An arm that starts at its goal is held with a larger weight on the tip.
 
     Args:
-        plant: the arm and what is unknown of it.
-        weights: of the cost; None takes those of `LQR`.
-        retimed: whether slews are timed anew.
+        plant: plant model with its uncertain parameters.
+        weights: cost weights; None for those of `LQR`.
+        retimed: whether slews are planned again with new estimates.
 
     Attributes:
-        slews: that the arms follow.
-        shape: what an agent makes of them; None for nothing.
+        slews: references of the arms.
+        shaping: changes of the references by an agent; None for none.
     """
 
-    state_fields = ("slews", "_following", "_ages", "_tight", "_goal", "_planned", "shape")
+    state_fields = ("slews", "_paths", "_ages", "_holding", "_goal", "_planned", "shaping")
 
     def __init__(self, plant: Plant, weights: CostWeights | None = None, retimed: bool = True) -> None:
         model, self._retimed = plant.model, RETIMING_PERIODS if retimed else ()
@@ -47,158 +43,170 @@ class Tracking:
         low, high = plant.unknown.get("payload_mass", (model.constants.payload_mass[0],) * 2)
         self._payloads = (low, 0.5 * (low + high), high) if high > low else (low,)
         self.limits, self._period = np.array(plant.torque_limit), plant.period
-        self._following = PathReferences(model, plant.period, self._payloads)
+        self._paths = PathReferences(model, plant.period, self._payloads)
         self.slews = SlewReferences(model, self.limits, TORQUE_SHARE, self._payloads)
         tight = weights._replace(tip=HOLDING_FACTOR * weights.tip)
         self._gains = [GainTable(model, self.limits, plant.period, each, self._payloads) for each in (weights, tight)]
         self._motors = model.motor_columns
-        self.shape: ReferenceShaping | None = None
-        self._planned = np.zeros(0, dtype=bool)  # in this period
-        self._ages, self._tight = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
-        self._goal, self._follows = np.zeros((0, model.n_joints)), np.zeros(0, dtype=bool)  # whether goals move
+        self.shaping: ReferenceShaping | None = None
+        self._planned = np.zeros(0, dtype=bool)  # in this control period
+        self._ages, self._holding = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
+        self._goal, self._on_path = np.zeros((0, model.n_joints)), np.zeros(0, dtype=bool)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,); they are planned from the first estimate of where they are."""
-        for name in ("_ages", "_tight", "_goal", "_follows", "_planned"):
+        """Start new episodes of the arms (r,); their references are planned at the first estimate of the state."""
+        for name in ("_ages", "_holding", "_goal", "_on_path", "_planned"):
             setattr(self, name, pad_rows(getattr(self, name), count))
-        self.slews.grow(count)
+        self.slews.allocate(count)
         self._planned[arms] = False
-        self._ages[arms], self._goal[arms], self._follows[arms] = 0, episode.goal, episode.reference is not None
-        self._tight[arms] = (episode.start == episode.goal).all(axis=1) & (episode.reference is None)
+        self._ages[arms], self._goal[arms], self._on_path[arms] = 0, episode.goal, episode.reference is not None
+        self._holding[arms] = (episode.start == episode.goal).all(axis=1) & (episode.reference is None)
         if episode.reference is not None:
             for arm, path in zip(arms.tolist(), episode.reference, strict=True):
-                self._following.begin(arm, path)
+                self._paths.begin(arm, path)
         for table in self._gains:
             table.save()
 
-    def torques(self, estimate: Estimate, playing: BoolArray) -> Array:
-        """Gives torques (b, n) N m, within the limits, and moves on by a period; 0 for arms that do not play."""
-        arms, result = np.flatnonzero(playing), np.zeros((len(playing), len(self.limits)))
+    def torques(self, estimate: Estimate, active: BoolArray) -> Array:
+        """Return the torques (b, n) within the limits, N m, and advance by a control period; 0 for inactive arms."""
+        arms, result = np.flatnonzero(active), np.zeros((len(active), len(self.limits)))
         if not len(arms):
             return result
-        self.plan(estimate, playing)
-        if self.shape:
-            self.shape.quicken(arms)
+        self.plan(estimate, active)
+        if self.shaping:
+            self.shaping.update_time_scaling(arms)
         now = self.clock(estimate, arms)
         states, (reference, forward) = estimate.states[arms], self._reference(now, arms)
         payloads = estimated_payloads(self.slews.model, estimate.parameters, arms)
         gains = np.zeros((len(arms), len(self.limits), states.shape[1]))
-        for table, some in zip(self._gains, (~self._tight[arms], self._tight[arms]), strict=True):
+        for table, some in zip(self._gains, (~self._holding[arms], self._holding[arms]), strict=True):
             if some.any():
                 gains[some] = table(arms[some], states[some][:, self._motors], payloads[some])
-        asked = forward - row_dots(gains, (states - reference)[:, None])
-        if self.shape:
-            asked += self.shape.advance(arms, self.slews.at(now, arms)[0])
-        result[arms] = np.clip(asked, -self.limits, self.limits)
-        self._ages += playing
+        command = forward - row_dots(gains, (states - reference)[:, None])
+        if self.shaping:
+            command += self.shaping.advance(arms, self.slews.at(now, arms)[0])
+        result[arms] = np.clip(command, -self.limits, self.limits)
+        self._ages += active
         self._planned[arms] = False
         return result
 
     def clock(self, estimate: Estimate, arms: IntArray) -> Array:
-        """Gives the times (r,) s on the slews of arms (r,) at which torques that are asked for now begin to act."""
+        """Return the times (r,) on the slews of arms (r,) at which torques commanded now take effect, s."""
         now = (self._ages[arms] + estimate.lead[arms]).astype(float) * self._period
-        return now + self.shape.ahead[arms] if self.shape else now
+        return now + self.shaping.clock_offset[arms] if self.shaping else now
 
-    def plan(self, estimate: Estimate, playing: BoolArray) -> None:
-        """Plans for the arms (b,) that are playing, once in a period; `torques` does it where nobody has."""
-        due = playing & ~self._planned
+    def plan(self, estimate: Estimate, active: BoolArray) -> None:
+        """Plan the references of the active arms (b,), once per control period; called by `torques` if necessary."""
+        due = active & ~self._planned
         if due.any():
             arms = np.flatnonzero(due)
             self._plan(arms, estimate)
             self._planned |= due
 
     def reference(self, estimate: Estimate, arms: IntArray) -> Array:
-        """Gives the states (r, 2 d) in which arms (r,) should be when torques that are asked for now begin to act."""
+        """Return the reference states (r, 2 d) of arms (r,) at the time at which torques commanded now take effect."""
         return self._reference(self.clock(estimate, arms), arms)[0]
 
     def _reference(self, now: Array, arms: IntArray) -> tuple[Array, Array]:
-        """States (r, 2 d) of the references of arms (r,) at times (r,) s, and torques (r, n) in the period after."""
-        moving = self._follows[arms]
+        """Return reference states (r, 2 d) at times (r,) s, and torques (r, n) of the following period."""
+        moving = self._on_path[arms]
         if moving.all():
-            return self._following.at(now, arms)
-        middle = now + 0.5 * self._period * self.slews.pace[arms]
+            return self._paths.at(now, arms)
+        middle = now + 0.5 * self._period * self.slews.time_scaling[arms]
         states, torques = self.slews.states(now, arms), self.slews.torques(middle, arms)
-        if self.shape:
-            states += self.shape.offset_states(arms)
+        if self.shaping:
+            states += self.shaping.offset_states(arms)
         if moving.any():
-            states[moving], torques[moving] = self._following.at(now[moving], arms[moving])
+            states[moving], torques[moving] = self._paths.at(now[moving], arms[moving])
         return states, torques
 
     def _plan(self, arms: IntArray, estimate: Estimate) -> None:
-        """Plans for arms (r,) that begin, and looks at the parameters of the others now and then."""
-        due, follows = self._ages[arms] % ADAPTATION_INTERVAL == 0, self._follows[arms]
-        self._following.adapt(arms[follows & due], estimate.parameters)
+        """Plan the references of arms (r,) at their start, and adapt those of the others at fixed intervals."""
+        due, follows = self._ages[arms] % ADAPTATION_INTERVAL == 0, self._on_path[arms]
+        self._paths.adapt(arms[follows & due], estimate.parameters)
         arms, due = arms[~follows], due[~follows] & (self._ages[arms[~follows]] > 0)
         first = arms[self._ages[arms] == 0]
         if len(first):
-            start = np.where(self._tight[first, None], self._goal[first], estimate.states[first][:, self._motors])
+            start = np.where(self._holding[first, None], self._goal[first], estimate.states[first][:, self._motors])
             self.slews.begin(first, start, self._goal[first])
             self.slews.adapt(first, estimate.parameters)
             self.slews.time(first, self.clock(estimate, first), first=True)
-        again = arms[np.isin(self._ages[arms], self._retimed)] if estimate.parameters else arms[:0]
-        self.slews.adapt(np.union1d(arms[due], again), estimate.parameters)
-        if len(again):
-            again = again[self.slews.at(self.clock(estimate, again), again)[0] < LAST_RETIMING]
-            self.slews.time(again, self.clock(estimate, again), first=False)
+        retimed = arms[np.isin(self._ages[arms], self._retimed)] if estimate.parameters else arms[:0]
+        self.slews.adapt(np.union1d(arms[due], retimed), estimate.parameters)
+        if len(retimed):
+            retimed = retimed[self.slews.at(self.clock(estimate, retimed), retimed)[0] < LAST_RETIMING]
+            self.slews.time(retimed, self.clock(estimate, retimed), first=False)
 
 
 class OutputFeedback:
-    """Torques of a tracking law on the state that an observer estimates.
+    """Output feedback: an observer estimates the state, and a tracking law computes torques from it.
 
-    Where the observer says that it is wrong, as its readings cannot be explained by any arm that it knows, a fallback
-    takes over until the episode ends.
+    If no model of the observer explains the readings of an arm, a fallback controller acts until the end of the
+    episode.
 
     Args:
-        observer: says where the arm is, and what it is like. Its optional member `wrong`, (b,) flags, says where not.
-        law: that follows references.
-        fallback: that needs no model, such as a PD; None for none.
+        observer: estimates state and parameters. Its optional member `inconsistent`, (b,) flags, marks arms whose
+            readings it cannot explain.
+        law: tracking law.
+        fallback: controller that does not depend on a model, such as a PD; None for none.
     """
 
-    state_fields = ("observer", "law", "fallback", "_given_up", "_looked", "_known")
+    state_fields = ("observer", "law", "fallback", "_fallback_active", "_updated", "_latest")
 
     def __init__(self, observer: Observer, law: Tracking, fallback: Controller | None = None) -> None:
         self.observer, self.law, self.fallback = observer, law, fallback
         self.sensors = (*observer.sensors, *(fallback.sensors if fallback else ()))
-        self._given_up, self._looked = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
-        self._known: dict[str, Any] = {}  # the estimate of arms that have been looked at in this period
+        self._fallback_active, self._updated = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
+        self._latest: dict[str, Any] = {}  # estimate of the arms updated in this control period
 
     @property
     def estimates(self) -> Mapping[str, Array]:
-        """What the observer says of the arms, name -> (b, ...)."""
+        """Estimates of the observer, name -> (b, ...)."""
         return getattr(self.observer, "estimates", {})
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,)."""
+        """Start new episodes of the arms (r,)."""
         self.observer.reset(arms, episode, count)
         self.law.reset(arms, episode, count)
         if self.fallback:
             self.fallback.reset(arms, episode, count)
-        for name in ("_given_up", "_looked"):
+        for name in ("_fallback_active", "_updated"):
             setattr(self, name, pad_rows(getattr(self, name), count))
             getattr(self, name)[arms] = False
 
-    def look(self, readings: Readings, applied: Array, playing: BoolArray) -> Estimate:
-        """Gives what the observer says of the arms (b,) that are playing, who is asked once a period of each."""
-        due = playing & ~self._looked
-        if self._known and not due.any():
-            return Estimate(**self._known)
+    def update_estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
+        """Return the estimate for the active arms (b,); the observer is updated once per control period."""
+        due = active & ~self._updated
+        if self._latest and not due.any():
+            return Estimate(**self._latest)
         estimate = self.observer.estimate(readings, applied, due)
-        self._given_up |= getattr(self.observer, "wrong", False)
-        if self._looked.any():
-            states = np.where(due[:, None], estimate.states, self._known["states"])
+        self._fallback_active |= _inconsistent(self.observer)
+        if self._updated.any():
+            states = np.where(due[:, None], estimate.states, self._latest["states"])
             estimate = estimate._replace(states=states)
-        self._known, self._looked = estimate._asdict(), self._looked | due
+        self._latest, self._updated = estimate._asdict(), self._updated | due
         return estimate
 
-    def act(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        """Gives actions (b, n), parts of the torque limits."""
-        estimate = self.look(readings, applied, playing)
-        self._looked &= ~playing
-        torques = self.law.torques(estimate, playing & ~self._given_up) - estimate.disturbance
+    def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the actions (b, n), fractions of the torque limits."""
+        estimate = self.update_estimate(readings, applied, active)
+        self._updated &= ~active
+        torques = self.law.torques(estimate, active & ~self._fallback_active) - estimate.disturbance
         result = np.clip(torques / self.law.limits, -1.0, 1.0)
-        if self.fallback and self._given_up.any():
-            safe = np.asarray(self.fallback.act(readings, applied, playing), dtype=float)
-            result = np.where(self._given_up[:, None], safe, result)
-        if not self._looked.any():
-            self._known = {}
+        if self.fallback and self._fallback_active.any():
+            safe = np.asarray(self.fallback.act(readings, applied, active), dtype=float)
+            result = np.where(self._fallback_active[:, None], safe, result)
+        if not self._updated.any():
+            self._latest = {}
         return result
+
+
+def _inconsistent(observer: Observer) -> BoolArray | bool:
+    """Return the flags (b,) of arms whose readings no model of the observer explains; False without such a member."""
+    if hasattr(observer, "wrong") and not hasattr(observer, "inconsistent"):
+        message = f"{type(observer).__name__}.wrong is deprecated; name it inconsistent"
+        warnings.warn(message, DeprecationWarning, stacklevel=4)
+        former: BoolArray | bool = observer.wrong
+        return former
+    result: BoolArray | bool = getattr(observer, "inconsistent", False)
+    return result

@@ -157,7 +157,7 @@ class Episodes:
         """Sensors of the agent."""
         return self.measurements.sensors
 
-    def restore(self, data: object, agent: object, randoms: Sequence[np.random.Generator | None]) -> None:
+    def set_state(self, data: object, agent: object, randoms: Sequence[np.random.Generator | None]) -> None:
         """Set the state of all arms and of the agent from their `get_state`.
 
         Args:

@@ -67,7 +67,7 @@ class StatefulEnv:
         for name, random in {**own, **spaces}.items():
             if not isinstance(random, list | int | np.random.Generator | None):
                 raise value_error(f"state.{name}", random, "what get_state gave")
-        self.episodes.restore(state["episodes"], state["agent"], self._generators(own))
+        self.episodes.set_state(state["episodes"], state["agent"], self._generators(own))
         for name, value in own.items():
             setattr(self, name, value)
         for name, random in spaces.items():

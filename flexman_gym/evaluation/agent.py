@@ -112,7 +112,7 @@ def observation_layout(described: Configuration) -> list[dict[str, Any]]:
     venv.close()
     seen = [(name, episodes.sensors.units[name], part.stop - part.start)
             for name, part in episodes.sensors.slices.items()]  # fmt: skip
-    seen += [(name, "1", size) for name, size in getattr(episodes.agent.mode, "shown", {}).items()]
+    seen += [(name, "1", size) for name, size in getattr(episodes.agent.mode, "observation_sizes", {}).items()]
     return [{"name": name, "unit": unit, "size": size} for name, unit, size in seen]
 
 
@@ -261,7 +261,7 @@ class _RandomTorques:
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes."""
 
-    def act(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
+    def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return torques (b, n), parts of the limits."""
         return self._random.uniform(-1.0, 1.0, applied.shape).astype(np.float32).astype(np.float64)
 

@@ -248,7 +248,7 @@ class _TimedMode:
     def __init__(self, inner: ActionMode) -> None:
         self.inner, self.acting, self.designing = inner, 0.0, 0.0
         self.joints, self.names, self.sensors = inner.joints, inner.names, inner.sensors
-        self.shown = getattr(inner, "shown", {})
+        self.observation_sizes = getattr(inner, "observation_sizes", {})
 
     def __deepcopy__(self, memo: object) -> Self:
         return self  # a rollout copies the mode; the times are read from this one
@@ -258,11 +258,11 @@ class _TimedMode:
         self.inner.reset(arms, episode, count)
         self.designing += process_time() - begun
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        return self.timed(self.inner.act)(actions, readings, applied, playing)
+    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        return self.timed(self.inner.act)(actions, readings, applied, active)
 
-    def look(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        return self.timed(self.inner.look)(readings, applied, playing)  # type: ignore[attr-defined]
+    def observe(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        return self.timed(self.inner.observe)(readings, applied, active)  # type: ignore[attr-defined]
 
     def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Return a function whose time counts as that of an action."""

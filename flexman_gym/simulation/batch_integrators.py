@@ -111,7 +111,7 @@ class BatchIntegrator(Protocol):
         state_fields: names of the attributes that a snapshot of the batch stores.
     """
 
-    kept: ClassVar[tuple[str, ...]]
+    state_fields: ClassVar[tuple[str, ...]]
 
     def vary(self, arms: IntArray, constants: dict[str, Array]) -> None:
         """Set constants (r, ...), by their name in PER_ARM, of the arms (r,)."""

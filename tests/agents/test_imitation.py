@@ -15,7 +15,7 @@ from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train, train_or_resume
 from flexman_gym.__main__ import main
 from flexman_gym.common.run_folder import NEWEST, read_npz
-from flexman_gym.control.actions import CurrentMode, TorqueMode
+from flexman_gym.control.actions import TorqueMode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.export import export_policy
@@ -170,7 +170,7 @@ def test_the_command_line_imitates_a_controller(tmp_path, capsys):
 
 def test_a_mode_of_torques_says_how_much_an_action_adds():
     """A current whose limit gives less than the torque limit adds less, or a student would learn a part of it."""
-    for mode in (TorqueMode(2), CurrentMode(2, None, np.array([0.5, 0.8]))):
+    for mode in (TorqueMode(2), TorqueMode(2, None, np.array([0.5, 0.8]), "current")):
         added = mode.act(np.full((1, 2), 0.5), {}, None, None) - mode.act(np.zeros((1, 2)), {}, None, None)
         assert added == pytest.approx(0.5 * np.broadcast_to(_strength(mode), (1, 2)))
 

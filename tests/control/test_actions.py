@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flexman_gym.common.arrays import pad_rows
-from flexman_gym.control.actions import ACTIONS, ActionModeEntry, TorqueMode
+from flexman_gym.control.actions import ACTIONS, TorqueMode
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.network import Network
 from flexman_gym.envs.config.specification import make_controller, make_plant
@@ -31,15 +31,15 @@ class Winding:
         self.wound[arms] = 0.0
         self.base.reset(arms, episode, count)
 
-    def act(self, actions, readings, applied, playing):
-        self.wound += self.rate * actions[:, 0] * playing
+    def act(self, actions, readings, applied, active):
+        self.wound += self.rate * actions[:, 0] * active
         turned = self.wound[:, None] - 0.01 * readings["motor_rates"]
-        return np.clip(self.base.act(readings, applied, playing) + turned, -1.0, 1.0)
+        return np.clip(self.base.act(readings, applied, active) + turned, -1.0, 1.0)
 
 
 @pytest.fixture
 def winding(monkeypatch):
-    monkeypatch.setitem(ACTIONS, "winding", ActionModeEntry(Winding, ("rate",)))
+    monkeypatch.setitem(ACTIONS, "winding", type(ACTIONS["torque"])(Winding, ("rate",)))
     return {**SETTINGS, "actions": {"kind": "winding", "rate": 0.02}, "base": "pd"}
 
 
@@ -91,7 +91,8 @@ def test_a_policy_acts_in_its_mode_wherever_it_plays(winding):
         alone.step(np.zeros((3, 2), dtype=np.float32))
     assert np.array_equal(asked, played) and np.abs(asked).max() > 0.01
     said = refusal(lambda: Agent(beside.configuration.sensors, 6, TorqueMode(2), law=network))
-    assert said == "actions: ('torque_1', 'torque_2') is not allowed; give a mode of 1 numbers, which the policy gives"
+    expected = "give an action mode of 1 numbers, as the policy has outputs"
+    assert said == f"actions: ('torque_1', 'torque_2') is not allowed; {expected}"
 
 
 def test_torques_are_added_to_a_base_up_to_the_limits():
@@ -101,13 +102,13 @@ def test_torques_are_added_to_a_base_up_to_the_limits():
         def reset(self, arms, episode, count):
             pass
 
-        def act(self, readings, applied, playing):
+        def act(self, readings, applied, active):
             return np.full((2, 2), 0.75)
 
     given = np.array([[0.5, -0.5], [-1.0, 0.125]])
-    playing = np.ones(2, dtype=bool)
-    assert TorqueMode(2).act(given, {}, given, playing) is given, "without a base they are what they are"
-    assert TorqueMode(2, Half()).act(given, {}, given, playing).tolist() == [[1.0, 0.25], [-0.25, 0.875]]
+    active = np.ones(2, dtype=bool)
+    assert TorqueMode(2).act(given, {}, given, active) is given, "without a base they are what they are"
+    assert TorqueMode(2, Half()).act(given, {}, given, active).tolist() == [[1.0, 0.25], [-0.25, 0.875]]
     assert TorqueMode(2).names == ("torque_1", "torque_2")
 
 
@@ -117,7 +118,7 @@ def test_torques_are_added_to_a_base_up_to_the_limits():
         ("torques", "actions: 'torques' is not allowed; give one of torque"),
         ({"kind": "torque", "rate": 1.0}, "actions: 'rate' is not allowed; give "),
         ({"kind": "spin"}, "actions.kind: 'spin' is not allowed; give one of torque"),
-        (3, "actions: 3 is not allowed; give a name, or a mapping with a name at kind and its arguments"),
+        (3, "actions: 3 is not allowed; give a name, or a mapping with the name under kind and its arguments"),
     ],
 )
 def test_other_modes_are_refused_in_one_line(value, line):

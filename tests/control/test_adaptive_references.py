@@ -9,10 +9,7 @@ import flexman_gym as fm
 from flexman_gym.control.references.adaptive_references import (
     CANDIDATE_DURATIONS,
     SlewReferences,
-    compliance_factors,
-    friction_coefficients,
-    friction_torques,
-    payload_interpolation_weights,
+    adaptation_factors,
 )
 from flexman_gym.control.references.trajectories import slew_path
 from flexman_gym.model.dynamics import acceleration
@@ -39,7 +36,7 @@ def model(rigid=False, **joint):
 def begun(own, payloads=PAYLOADS, parameters=None, start=START, goal=GOAL):
     """A slew of one arm that begins at 0 s."""
     slews = SlewReferences(own, LIMITS, SHARE, payloads)
-    slews.grow(1)
+    slews.allocate(1)
     slews.begin(ONE, start, goal)
     slews.adapt(ONE, parameters or {})
     slews.time(ONE, np.zeros(1), first=True)
@@ -47,7 +44,7 @@ def begun(own, payloads=PAYLOADS, parameters=None, start=START, goal=GOAL):
 
 
 def times(slews, count=60):
-    return np.linspace(0.0, slews.begun[0] + slews.lasting[0], count)
+    return np.linspace(0.0, slews.start_time[0] + slews.duration[0], count)
 
 
 def test_torques_of_a_rigid_arm_are_those_that_accelerate_it_so():
@@ -61,7 +58,7 @@ def test_torques_of_a_rigid_arm_are_those_that_accelerate_it_so():
         state = np.concatenate([START[0] + place * way, speed * way])
         gone.append(acceleration(own, state, slews.torques(now, ONE)[0]) - change * way)
         assert slews.states(now, ONE)[0] == pytest.approx(state, abs=5e-3)
-    assert np.abs(gone).max() < 0.02 * np.abs(slews.way).max() * 5.77 / slews.lasting[0] ** 2
+    assert np.abs(gone).max() < 0.02 * np.abs(slews.displacement).max() * 5.77 / slews.duration[0] ** 2
 
 
 def test_a_slew_without_an_estimate_of_the_payload_is_that_of_the_model():
@@ -76,11 +73,11 @@ def test_a_flexible_arm_is_bent_as_on_a_minimum_jerk_slew():
     """Without weight; what `slew_path` solves for at each moment comes from tables here, linear in the inertia."""
     own = fm.build_model(replace(arm(), gravity=(0.0, 0.0, 0.0)), 1, 1)
     slews = begun(own, (own.constants.payload_mass[0],))
-    path, lasting, d = slew_path(own, START[0], GOAL[0]), slews.lasting[0], own.n_dof
+    path, lasting, d = slew_path(own, START[0], GOAL[0]), slews.duration[0], own.n_dof
     result, expected = [], []
     for now in times(slews, 21)[:, None]:
         state = slews.states(now, ONE)[0]
-        assert state[d : d + 2] == pytest.approx(slews.at(now, ONE)[1] * slews.way[0], abs=0.01)
+        assert state[d : d + 2] == pytest.approx(slews.at(now, ONE)[1] * slews.displacement[0], abs=0.01)
         result.append(np.concatenate([state[:d], slews.torques(now, ONE)[0]]))
         expected.append(np.concatenate([each[0] for each in path.at(now / lasting, lasting)]))
     bent = np.array(expected)
@@ -96,7 +93,7 @@ def test_no_torque_is_above_the_share_of_the_limits_and_the_way_is_not_slower_th
     slews = begun(model(**rubbing), parameters={"payload_mass": np.array([payload])})
     shares = [np.abs(slews.torques(np.array([now]), ONE)[0] / LIMITS).max() for now in times(slews, 200)]
     assert 0.85 * SHARE < max(shares) < 1.01 * SHARE
-    assert CANDIDATE_DURATIONS[0] < slews.lasting[0] < CANDIDATE_DURATIONS[-1]
+    assert CANDIDATE_DURATIONS[0] < slews.duration[0] < CANDIDATE_DURATIONS[-1]
 
 
 @pytest.mark.parametrize("part", [0.2, 0.5, 0.7])
@@ -104,7 +101,7 @@ def test_timed_anew_on_its_way_it_goes_on_without_a_jump_and_stops_at_the_end(pa
     own = model()
     slews = begun(own, parameters={"payload_mass": np.array([0.2])})
     slews.adapt(ONE, {"payload_mass": np.array([0.02])})
-    now, before = part * slews.lasting, slews.lasting.copy()
+    now, before = part * slews.duration, slews.duration.copy()
     motion, state, torque = np.array(slews.at(now, ONE)), slews.states(now, ONE), slews.torques(now, ONE)
     slews.time(ONE, now, first=False)
     assert np.array(slews.at(now, ONE)) == pytest.approx(motion, rel=1e-9)
@@ -113,8 +110,8 @@ def test_timed_anew_on_its_way_it_goes_on_without_a_jump_and_stops_at_the_end(pa
     again, links = slews.states(now, ONE), slice(d, d + 2)  # whose speed has no part of the third derivative
     assert again[:, :d] == pytest.approx(state[:, :d], abs=1e-9)
     assert again[:, links] == pytest.approx(state[:, links], abs=0.02 * np.abs(state[:, links]).max())
-    end = slews.begun + slews.lasting
-    assert slews.begun == pytest.approx(now) and (end < before).all(), "a lighter arm is there sooner"
+    end = slews.start_time + slews.duration
+    assert slews.start_time == pytest.approx(now) and (end < before).all(), "a lighter arm is there sooner"
     assert np.array(slews.at(end - 1e-6, ONE))[:, 0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-2)
     assert np.array(slews.at(end + 0.5, ONE))[:, 0].tolist() == [1.0, 0.0, 0.0]
     assert not slews.states(end + 0.5, ONE)[0, d:].any()
@@ -128,7 +125,7 @@ def test_arms_on_their_ways_do_not_touch_each_other():
 
     def run(arms):
         slews = SlewReferences(own, LIMITS, SHARE, PAYLOADS)
-        slews.grow(3)
+        slews.allocate(3)
         slews.begin(arms, starts[arms], goals[arms])
         slews.adapt(arms, {})
         slews.time(arms, np.zeros(len(arms)), first=True)
@@ -142,14 +139,22 @@ def test_arms_on_their_ways_do_not_touch_each_other():
     assert np.array_equal(run(np.arange(3)), np.concatenate([run(np.array([arm])) for arm in range(3)]))
 
 
+NODE = np.array([0.1])
+
+
+def weights_of(nodes, masses):
+    """Interpolation weights of arms with payloads (r,) kg."""
+    return adaptation_factors(model(), nodes, {"payload_mass": masses}, np.arange(len(masses)))[0]
+
+
 def test_payloads_between_nodes_are_weighed_by_a_parabola():
     nodes = np.array([1.0, 2.0, 4.0])
     masses = np.array([1.0, 2.0, 4.0, 3.3, 9.0])
-    weights = payload_interpolation_weights(nodes, masses)
+    weights = weights_of(nodes, masses)
     assert weights[:3] == pytest.approx(np.eye(3)) and np.array_equal(weights[4], weights[2]), "none beyond the last"
     assert weights @ nodes**2 == pytest.approx(np.minimum(masses, 4.0) ** 2)
-    assert np.array_equal(payload_interpolation_weights(nodes, masses[3:4]), weights[3:4])
-    assert payload_interpolation_weights(nodes[:1], masses).tolist() == [[1.0]] * 5
+    assert np.array_equal(weights_of(nodes, masses[3:4]), weights[3:4])
+    assert weights_of(nodes[:1], masses).tolist() == [[1.0]] * 5
 
 
 TRUE = {"payload_mass": 0.13, "joint_stiffness": [0.8, 1.25], "link_stiffness_factor": [0.75, 1.3]}
@@ -184,32 +189,28 @@ def test_the_tip_of_an_arm_that_is_known_rests_where_that_of_the_model_would():
 def test_softness_is_how_much_further_springs_and_links_bend():
     """The same load: a rigid joint and links' sides of joints stay."""
     own = model()
-    assert compliance_factors(own, {}, ONE).tolist() == [[1.0] * own.n_dof]
+    assert adaptation_factors(own, NODE, {}, ONE)[1].tolist() == [[1.0] * own.n_dof]
     true = true_parameters(own)
-    result = compliance_factors(own, {name: true[name] for name in ("joint_stiffness", "link_stiffness_factor")}, ONE)[
-        0
-    ]
+    estimated = {name: true[name] for name in ("joint_stiffness", "link_stiffness_factor")}
+    result = adaptation_factors(own, NODE, estimated, ONE)[1][0]
     assert result[:2] == pytest.approx([1.25, 0.8]) and result[own.motor_columns] == pytest.approx([1.25, 0.8])
     for link, factor in enumerate(TRUE["link_stiffness_factor"]):
         assert result[own.elastic_columns(link)] == pytest.approx(1.0 / factor)
     stiff = fm.build_model(arm(stiffness=None, damping=0.0), 1, 1)
     given = {"joint_stiffness": np.zeros((1, 2))}
-    assert compliance_factors(stiff, given, ONE).tolist() == [[1.0] * stiff.n_dof]
+    assert adaptation_factors(stiff, NODE, given, ONE)[1].tolist() == [[1.0] * stiff.n_dof]
 
 
 def test_friction_is_that_of_the_estimate_and_where_there_is_none_that_of_the_model():
     own = model(**RUBBING)
-    assert friction_coefficients(own, {}, ONE)[0].tolist() == [[0.4, 0.4], [0.3, 0.3]]
+    assert adaptation_factors(own, NODE, {}, ONE)[2][0].tolist() == [[0.4, 0.4], [0.3, 0.3]]
     found = {"coulomb_friction": np.array([[0.0, 0.0], [0.1, 0.2]])}
-    assert friction_coefficients(own, found, np.array([1]))[0].tolist() == [[0.4, 0.4], [0.1, 0.2]]
-    rates = np.array([[5.0, -5.0]])
-    result = friction_torques(own, friction_coefficients(own, found, np.array([1])), rates)
-    assert result[0] == pytest.approx([0.4 * 5.0 + 0.1, -0.4 * 5.0 - 0.2])
+    assert adaptation_factors(own, NODE, found, np.array([1]))[2][0].tolist() == [[0.4, 0.4], [0.1, 0.2]]
 
 
 def test_a_slew_knows_the_friction_that_was_found():
     slews = begun(model(**RUBBING))
-    now = 0.5 * slews.lasting
-    before, rates = slews.torques(now, ONE), slews.at(now, ONE)[1][:, None] * slews.way
+    now = 0.5 * slews.duration
+    before, rates = slews.torques(now, ONE), slews.at(now, ONE)[1][:, None] * slews.displacement
     slews.adapt(ONE, {"viscous_friction": np.array([[0.5, 0.7]])})
     assert slews.torques(now, ONE) - before == pytest.approx(rates * [0.1, 0.3])

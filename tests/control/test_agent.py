@@ -126,10 +126,16 @@ def test_arms_that_come_later_change_nothing_for_those_before():
 
 def test_another_arm_and_other_sensors_are_refused_in_one_line():
     env = FlexManEnv(base=Agent(find_sensors("servo"), 6, TorqueMode(2), law=network(6)))
-    assert refusal(env.reset) == "base: 'a policy of 2 motors' is not allowed; give one of 3"
+    assert refusal(env.reset) == "base: 'a policy for 2 motors' is not allowed; give one for 3"
     said = refusal(lambda: Agent(find_sensors("servo"), 6, TorqueMode(2), law=network(7)))
-    assert said == "base: 'a policy of 7 observed numbers' is not allowed; give one of 6, which its sensors read here"
+    assert (
+        said
+        == "base: 'a policy with 7 inputs' is not allowed; give one with 6, the number of values of its sensors here"
+    )
     env = FlexManEnv(**SETTINGS, base=Agent(find_sensors("servo"), 7, TorqueMode(2), law=network(7)))
     env.reset(seed=0)
     said = refusal(env.step, np.zeros(2, dtype=np.float32))
-    assert said == "base: 'a policy of 7 observed numbers' is not allowed; give one of 6, which its sensors read here"
+    assert (
+        said
+        == "base: 'a policy with 7 inputs' is not allowed; give one with 6, the number of values of its sensors here"
+    )

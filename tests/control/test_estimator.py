@@ -83,11 +83,11 @@ def test_a_delay_that_is_known_is_the_delay(delay):
 def normalised_errors(observer, plant, parameters):
     """Errors of the numbers (b, p) of the arms' parameters, in the standard deviations that the observer has."""
     numbers = observer.numbers + observer._change
-    known = len(observer.unknowns.names)
+    known = len(observer.uncertain.names)
     columns = []
-    for i, name in enumerate(observer.unknowns.names):
-        values = parameters[name] if parameters[name].ndim == 1 else parameters[name][:, observer.unknowns.joints[i]]
-        columns.append(numbers[:, i] - values / observer.unknowns.scales[i])
+    for i, name in enumerate(observer.uncertain.names):
+        values = parameters[name] if parameters[name].ndim == 1 else parameters[name][:, observer.uncertain.joints[i]]
+        columns.append(numbers[:, i] - values / observer.uncertain.scales[i])
     covariance = np.linalg.inv(observer._information)[:, :known, :known]
     return np.array(columns).T, covariance
 
@@ -102,12 +102,12 @@ def test_it_is_as_sure_as_it_may_be(name, periods):
     bench, parameters, random = bench_of(plant, 60, seed=3, noise=1.0)
     observer = Estimator(plant)
     bench.follow(observer, pushes(random, periods, 60, plant.model.n_joints))
-    assert not observer._pushed.any(), "no false alarm"
+    assert not observer._filtering.any(), "no false alarm"
     errors, covariance = normalised_errors(observer, plant, parameters)
     squares = np.einsum("bi,bij,bj->b", errors, np.linalg.inv(covariance), errors)
     assert squares.mean() / errors.shape[1] == pytest.approx(1.0, abs=0.3)
     assert observer.estimates["misfit"].mean() == pytest.approx(1.0, abs=0.1)
-    prior = observer.unknowns.deviation
+    prior = observer.uncertain.deviation
     deviations = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     assert (deviations < 0.5 * prior).all(), "it has learned"
 
@@ -125,7 +125,7 @@ def test_more_readings_make_it_surer():
     for action in pushes(random, 3, 2, 1):
         bench.step(action)
         observer.estimate(bench.readings(), bench.applied, np.ones(2, dtype=bool))
-        slopes = observer._trials.reading_slopes(observer._trials.slopes(observer._states, observer._steps))
+        slopes = observer._models.measurement_jacobian(observer._models.jacobian(observer._states, observer._steps))
         added = observer._information - before
         expected = slopes.transpose(0, 2, 1) @ (slopes * (observer._instruments.deviations**-2.0)[:, None])
         if (observer._ages[0] - 1) % 5:
@@ -157,7 +157,7 @@ def test_a_payload_that_changes_on_the_way_is_noticed_and_found():
     estimates = bench.follow(observer, pushes(random, 110, 2, 1), begin=False)
     changed = [estimate.parameters["payload_mass"] for estimate in estimates]
     assert changed[-1] == pytest.approx([0.05, 0.25], abs=0.02)
-    assert observer._pushed.tolist() == [False, True]
+    assert observer._filtering.tolist() == [False, True]
     assert np.abs(estimates[-1].states - bench.batch.state)[:, :2].max() < 0.02
 
 
@@ -166,11 +166,11 @@ def test_a_force_that_nobody_tells_is_borne():
     plant = plant_of("FlexPlanar-v0", tip_load=(0.0, 1.0))
     bench, _, random = bench_of(plant, 2, noise=1.0)
     observer = Estimator(plant)
-    assert plant.push == 1.0
+    assert plant.tip_force == 1.0
     actions = 0.5 * pushes(random, 60, 2, 2)
     bench.force = np.array([0.7, 0.0, -0.7])
     estimates = bench.follow(observer, actions)
-    assert observer._pushed.all()
+    assert observer._filtering.all()
     error = np.abs(estimates[-1].states - bench.batch.state)
     assert error[:, :4].max() < 0.02 and (observer.estimates["misfit"] < 3.0).all()
 
@@ -192,9 +192,9 @@ def test_an_arm_that_begins_anew_is_never_simulated_from_a_start_that_it_has_lef
     bench, _, random = bench_of(plant, 1, noise=1.0)
     observer = Estimator(plant)
     bench.follow(observer, pushes(random, 32, 1, 1))
-    monkeypatch.setattr(observer, "_filtered", lambda arms, sudden: np.zeros(len(arms), dtype=bool))
-    observer._change_over(np.array([0]))
-    monkeypatch.setattr(observer, "_replay", lambda *_: pytest.fail("a replay"))
+    monkeypatch.setattr(observer, "_start_filter", lambda arms, sudden: np.zeros(len(arms), dtype=bool))
+    observer._restart_after_change(np.array([0]))
+    monkeypatch.setattr(observer, "_refit", lambda *_: pytest.fail("a replay"))
     estimates = bench.follow(observer, pushes(random, 20, 1, 1), begin=False)
     assert np.abs(estimates[-1].states - bench.batch.state)[:, :2].max() < 0.05
 
@@ -210,7 +210,7 @@ def test_encoders_that_are_off_are_found_out():
     actions = pushes(random, 66, 3, 1)
     observer = Estimator(plant, biased=True)
     estimate = bench.follow(observer, actions)[-1]
-    found = observer.numbers[:, observer._trials.moving :] + observer._change[:, observer._trials.moving :]
+    found = observer.numbers[:, observer._models.dynamic :] + observer._change[:, observer._models.dynamic :]
     size = np.concatenate([ranges[name] for name in names])
     true = np.concatenate([biases[name] for name in names])
     assert np.abs((found - true) / size).max() < 1e-3
@@ -236,12 +236,12 @@ def test_arms_that_begin_at_different_times_do_not_touch_each_other():
                 arms = np.arange(len(seeds)) if period == 0 else fresh
                 start = np.concatenate([benches[arm][0].start for arm in arms])
                 observer.reset(arms, benches[0][0].episode().__class__(start, start, plant.period), len(arms))
-            playing = np.array(begins) <= period
+            active = np.array(begins) <= period
             each = [bench.readings() for bench, *_ in benches]
             readings = {name: np.concatenate([one[name] for one in each]) for name in each[0]}
             applied = np.concatenate([bench.applied for bench, *_ in benches])
-            result.append(observer.estimate(readings, applied, playing))
-            for arm in np.flatnonzero(playing):
+            result.append(observer.estimate(readings, applied, active))
+            for arm in np.flatnonzero(active):
                 benches[arm][0].step(pushed[arm][period - begins[arm]])
         return result
 
@@ -261,10 +261,13 @@ def test_trials_that_part_are_drawn_together_and_their_steps_with_them():
     motors, some = plant.model.motor_columns, np.arange(2)
     observer._states[1, 2, motors] += 3.0
     before, steps = observer._states.copy(), observer._steps.copy()
-    slopes = observer._trials.slopes(before, steps)
-    observer._draw_together(some)
-    assert np.array_equal(observer._states[:, 0], before[:, 0]) and observer._apart.tolist() == [False, True]
-    assert observer._trials.slopes(observer._states, observer._steps) == pytest.approx(slopes, rel=1e-6, abs=1e-6)
+    slopes = observer._models.jacobian(before, steps)
+    observer._reduce_perturbations(some)
+    assert np.array_equal(observer._states[:, 0], before[:, 0]) and observer._perturbations_reduced.tolist() == [
+        False,
+        True,
+    ]
+    assert observer._models.jacobian(observer._states, observer._steps) == pytest.approx(slopes, rel=1e-6, abs=1e-6)
     assert observer._steps[1, 1] < 0.3 * steps[1, 1]
     spread = np.abs(observer._states[:, 1:, motors] - observer._states[:, :1, motors]).max()
     assert spread <= 0.5 * (1.0 + 1e-9)
@@ -276,11 +279,11 @@ def test_its_trials_have_the_numbers_that_it_says():
     bench, _, random = bench_of(plant, 2, noise=1.0)
     observer = Estimator(plant)
     bench.follow(observer, pushes(random, 15, 2, 2))
-    states, trials = observer._states.copy(), observer._trials
+    states, trials = observer._states.copy(), observer._models
     bench.step(np.full((2, 2), 0.2))
     observer._advance(np.arange(2), bench.applied)
-    numbers = trials.changed(observer.numbers, observer._steps).reshape(-1, trials.size)
-    alone = Batch(plant.model, *plant.moved, plant.period, arms=len(numbers))
+    numbers = trials.perturb(observer.numbers, observer._steps).reshape(-1, trials.size)
+    alone = Batch(plant.model, *plant.integration, plant.period, arms=len(numbers))
     alone.vary(np.arange(len(numbers)), **trials.parameters(numbers))
     alone.reset(np.arange(len(numbers)), states.reshape(len(numbers), -1))
     drive = np.zeros((len(numbers), 8))

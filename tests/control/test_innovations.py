@@ -22,35 +22,35 @@ def resting():
 
 def test_an_arm_that_begins_forgets_its_errors_and_no_other_does():
     """All arms that begin do, and of all readings; the means of constant errors e are (1 - (1 - part)^k) of e."""
-    residuals, arms = ChangeDetector(3), np.arange(4)
-    residuals.reset(arms, len(arms))
+    detector, arms = ChangeDetector(3), np.arange(4)
+    detector.reset(arms, len(arms))
     for _ in range(5):
-        residuals.take(arms, np.tile([3.0, -2.0, 1.0], (4, 1)))
+        detector.update(arms, np.tile([3.0, -2.0, 1.0], (4, 1)))
     square, mean = 14.0 / 3.0, np.array([3.0, -2.0, 1.0])
     kept = square + (1.0 - square) * (1.0 - SQUARE_FORGETTING) ** 5, (1.0 - (1.0 - MEAN_FORGETTING) ** 5) * mean
-    assert residuals.misfit == pytest.approx(np.full(4, kept[0]))
-    residuals.reset(np.array([0, 2]), 4)
-    assert residuals.misfit == pytest.approx([1.0, kept[0], 1.0, kept[0]])
-    assert residuals._mean == pytest.approx(np.array([0.0 * mean, kept[1], 0.0 * mean, kept[1]]))
-    assert residuals.changed(arms).tolist() == [False, True, False, True]
+    assert detector.misfit == pytest.approx(np.full(4, kept[0]))
+    detector.reset(np.array([0, 2]), 4)
+    assert detector.misfit == pytest.approx([1.0, kept[0], 1.0, kept[0]])
+    assert detector._mean == pytest.approx(np.array([0.0 * mean, kept[1], 0.0 * mean, kept[1]]))
+    assert detector.detect(arms).tolist() == [False, True, False, True]
 
 
 def test_errors_of_the_last_episode_do_not_count_in_the_next():
     observer, bench = resting()
     bench.follow(observer, np.zeros((3, 2, 1)))
-    observer._residuals.take(np.arange(2), np.full((2, len(observer._instruments.ranges)), 1e3))
-    assert (observer._residuals.misfit > MAX_MISFIT).all()
+    observer._detector.update(np.arange(2), np.full((2, len(observer._instruments.ranges)), 1e3))
+    assert (observer._detector.misfit > MAX_MISFIT).all()
     observer.reset(np.array([1]), EpisodeInfo(np.zeros((1, 1)), np.zeros((1, 1)), bench.plant.period), 2)
-    assert (observer._residuals.misfit > MAX_MISFIT).tolist() == [True, False]
-    assert observer._residuals.changed(np.arange(2)).tolist() == [True, False]
+    assert (observer._detector.misfit > MAX_MISFIT).tolist() == [True, False]
+    assert observer._detector.detect(np.arange(2)).tolist() == [True, False]
 
 
 def test_a_change_that_was_found_is_not_found_again():
     observer, bench = resting()
     bench.follow(observer, np.zeros((3, 2, 1)))
-    observer._residuals.take(np.arange(2), np.full((2, len(observer._instruments.ranges)), 1e3))
-    observer._change_over(np.array([0]))
-    assert observer._residuals.changed(np.arange(2)).tolist() == [False, True]
+    observer._detector.update(np.arange(2), np.full((2, len(observer._instruments.ranges)), 1e3))
+    observer._restart_after_change(np.array([0]))
+    assert observer._detector.detect(np.arange(2)).tolist() == [False, True]
 
 
 def test_an_arm_whose_simulation_is_lost_is_not_believed():
@@ -61,8 +61,8 @@ def test_an_arm_whose_simulation_is_lost_is_not_believed():
     for wrong in (False, True):
         observer._states[0] = np.nan
         bench.follow(observer, np.zeros((1, 2, 1)), begin=False)
-        assert observer._pushed.tolist() == [True, False]
-        assert observer.wrong.tolist() == [wrong, False]
+        assert observer._filtering.tolist() == [True, False]
+        assert observer.inconsistent.tolist() == [wrong, False]
         assert np.isfinite(observer._states).all()
 
 
@@ -73,16 +73,16 @@ def test_a_start_that_an_arm_has_left_is_never_replayed(monkeypatch, kind):
     bench.follow(observer, np.zeros((2, 2, 1)))
     replayed = []
     if kind == "began anew":
-        monkeypatch.setattr(observer, "_filtered", lambda arms, sudden: np.zeros(len(arms), dtype=bool))
-        observer._change_over(np.array([0]))
+        monkeypatch.setattr(observer, "_start_filter", lambda arms, sudden: np.zeros(len(arms), dtype=bool))
+        observer._restart_after_change(np.array([0]))
     elif kind == "is pushed":
-        observer._change_over(np.array([0]))
-        assert observer._pushed[0]
-        observer._apart[0] = False
+        observer._restart_after_change(np.array([0]))
+        assert observer._filtering[0]
+        observer._perturbations_reduced[0] = False
     else:
         observer._states[0, 1:, observer._plant.model.motor_columns] += 1.0
-        observer._draw_together(np.arange(2))
-    monkeypatch.setattr(observer, "_replay", lambda arms, age: replayed.append((age, arms.tolist())))
+        observer._reduce_perturbations(np.arange(2))
+    monkeypatch.setattr(observer, "_refit", lambda arms, age: replayed.append((age, arms.tolist())))
     for age in RESIMULATION_PERIODS:
         observer._ages[:] = age
         observer.estimate(bench.readings(), bench.applied, ON)
@@ -93,7 +93,7 @@ def test_an_observer_of_a_pushed_arm_goes_on_from_what_it_kept():
     """Its gains and covariance with it, while the other observer follows arms that nothing pushes."""
     (observer, bench), (other, beside) = resting(), resting()
     bench.follow(observer, np.full((2, 2, 1), 0.3))
-    observer._change_over(np.array([0]))
+    observer._restart_after_change(np.array([0]))
     bench.follow(observer, np.full((3, 2, 1), -0.2), begin=False)
     beside.follow(other, np.full((8, 2, 1), 0.1))
     set_state("observer", other, get_state(observer))
@@ -101,4 +101,4 @@ def test_an_observer_of_a_pushed_arm_goes_on_from_what_it_kept():
         bench.step(np.full((2, 1), 0.4))
         readings = bench.readings()
         one, same = (each.estimate(readings, bench.applied, ON) for each in (observer, other))
-        assert np.array_equal(one.states, same.states) and observer._pushed.tolist() == [True, False]
+        assert np.array_equal(one.states, same.states) and observer._filtering.tolist() == [True, False]

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.lqr import zero_order_hold
 from flexman_gym.control.observers.internal_model import DiscreteJacobians
-from flexman_gym.control.observers.observer import MIN_DEVIATION, make_measurement_model
+from flexman_gym.control.observers.observer import MIN_DEVIATION, MeasurementModel
 from flexman_gym.envs.view import View
 from flexman_gym.kernels.layout import LARGEST_STATE
+from flexman_gym.model.state_space import discretize
 from flexman_gym.model.statics import rest_state
 from flexman_gym.simulation.batch import Batch
 
@@ -21,7 +21,7 @@ def test_instruments_read_what_the_view_shows():
     given = plant()
     batch, random = Batch(given.model, arms=4), np.random.default_rng(0)
     batch.reset(np.arange(4), 0.1 * random.normal(size=batch.state.shape))
-    view, read = View(batch), make_measurement_model(given, ("strain", "motor_encoders", "joint_encoders"))
+    view, read = View(batch), MeasurementModel(given, ("strain", "motor_encoders", "joint_encoders"))
     view.read()
     values = batch.state @ read.matrix.T
     assert list(read.places) == ["root_strains", "motor_angles", "motor_rates", "joint_twists", "joint_twist_rates"]
@@ -29,19 +29,20 @@ def test_instruments_read_what_the_view_shows():
         assert values[:, place] == pytest.approx(getattr(view, name), abs=1e-15)
         assert np.array_equal(read.ranges[place], given.measured()[name][0])
     assert np.array_equal(read.deviations, MIN_DEVIATION * read.ranges), "perfect ones"
-    noisy = make_measurement_model(plant("FlexPlanar-v0", measured=lambda: {
+    noisy = MeasurementModel(plant("FlexPlanar-v0", measured=lambda: {
         name: np.array([span, 0.01 * span]) for name, (span, _) in given.measured().items()}), ALL)  # fmt: skip
     assert noisy.deviations == pytest.approx(0.01 * noisy.ranges)
 
 
 def test_slopes_at_rest_are_the_exact_hold():
-    given = plant(moved=("gauss_3", 0.00005))
+    given = plant(integration=("gauss_3", 0.00005))
     held = np.array([fm.holding_torques(given.model, posture) for posture in POSTURES])
     slopes, good = DiscreteJacobians(given)(rest_state(given.model, POSTURES), held)
     size = 2 * given.model.n_dof
     for each, posture, torques in zip(slopes, POSTURES, held, strict=True):
         state = fm.rest_state(given.model, posture)
-        transition, inputs = zero_order_hold(fm.linearize(given.model, state=state, torque=torques), given.period)
+        linear = fm.linearize(given.model, state=state, torque=torques)
+        transition, inputs = discretize(linear.A, linear.B, given.period)
         assert np.abs(each[:, :size] - transition).max() <= 2e-3 * np.abs(transition).max()
         assert np.abs(each[:, size:-3] - inputs).max() <= 2e-3 * np.abs(inputs).max()
     assert good.all()
@@ -51,7 +52,7 @@ def test_slopes_of_moving_arms_are_those_to_both_sides():
     """Of many arms, by a small change of states, torques and a force on the tip at once."""
     given, count, random = plant(), 20, np.random.default_rng(0)
     size = 2 * given.model.n_dof
-    batch, arms = Batch(given.model, *given.moved, given.period, arms=count), np.arange(count)
+    batch, arms = Batch(given.model, *given.integration, given.period, arms=count), np.arange(count)
     states, torques = 1e-3 * random.normal(size=(count, size)), random.normal(size=(count, 2))
     states[:, :4] *= 500.0
     slopes, good = DiscreteJacobians(given)(states, torques)
@@ -84,7 +85,7 @@ def test_motors_with_coulomb_friction_slide():
     states[:, given.model.n_dof + np.arange(4)] = 1.0, -2.0, 1.0, -2.0
     sliding, batch = (
         DiscreteJacobians(rubbing)(states, torques)[0],
-        Batch(rubbing.model, *given.moved, given.period, arms=3),
+        Batch(rubbing.model, *given.integration, given.period, arms=3),
     )
     size, ends = 2 * given.model.n_dof, []
     for change in (0.0, 1e-3):

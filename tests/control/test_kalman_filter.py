@@ -8,8 +8,7 @@ from scipy.stats import chi2
 import flexman_gym as fm
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.control.controller import EpisodeInfo
-from flexman_gym.control.lqr import zero_order_hold
-from flexman_gym.control.margins import sampled_loop
+from flexman_gym.control.margins import sampled_loops
 from flexman_gym.control.observers.internal_model import DiscreteJacobians
 from flexman_gym.control.observers.kalman_filter import (
     FORCE_NOISE,
@@ -23,10 +22,11 @@ from flexman_gym.control.observers.kalman_filter import (
     stationary_covariance,
     time_update,
 )
-from flexman_gym.control.observers.observer import MAX_BIAS, make_measurement_model
+from flexman_gym.control.observers.observer import MAX_BIAS, MeasurementModel
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.model.linearization import LinearMeasurements
+from flexman_gym.model.state_space import discretize
 from flexman_gym.simulation.batch import Batch
 
 from oracles.assertions import refusal
@@ -47,11 +47,11 @@ def arm_system(delay=2, part=0.01):
     """A flexible arm about a posture, torques that come late, its encoders and gauges; transition, inputs and so on."""
     setup = Configuration.from_keywords({"name": "FlexPlanar-v0"})
     model = resolve_fidelity(setup).model
-    loop = sampled_loop(model, [0.4, -0.7], setup.control_period, delay)
+    loop = sampled_loops(model, [0.4, -0.7], setup.control_period, delay)[0]
     unit = LinearMeasurements(model).measure(np.eye(2 * model.n_dof))
     read = np.hstack([unit["motor_angles"], unit["motor_rates"], unit["root_strains"][:, [0, 1, 3, 4]]]).T
     matrix = np.hstack([read, np.zeros((len(read), len(loop.transition) - read.shape[1]))])
-    reaching = sampled_loop(model, [0.4, -0.7], setup.control_period).inputs * part * np.array(setup.torque_limit)
+    reaching = sampled_loops(model, [0.4, -0.7], setup.control_period)[0].inputs * part * np.array(setup.torque_limit)
     driven = np.vstack([reaching, np.zeros((len(loop.transition) - len(reaching), 2))])
     return loop, driven, matrix, np.repeat([1e-3, 1e-2, 1e-5], [2, 2, 4])
 
@@ -181,8 +181,8 @@ def test_of_a_range_of_delays_it_takes_the_middle():
 def textbook(given, postures, actions, readings, noise):
     """The extended Kalman filter of one arm as books have it, with differences to both sides; states after readings."""
     model, limits = given.model, np.array(given.torque_limit)
-    read, size = make_measurement_model(given, ALL), 2 * given.model.n_dof
-    batch = Batch(model, *given.moved, given.period)
+    read, size = MeasurementModel(given, ALL), 2 * given.model.n_dof
+    batch = Batch(model, *given.integration, given.period)
     scales = np.append(limits, np.full(3, limits.max() / model.constants.length.sum()))
     variances = np.diag(read.deviations**2)
 
@@ -249,9 +249,9 @@ def test_what_the_tip_may_be_pushed_by_is_reckoned_with():
     """A task that pushes says how much; the noise is then that of as large a force in place of what is usual."""
     given = plant("FlexPlanar-Hold-v0")
     scale = DiscreteJacobians(given).scales[-1]
-    said = np.hypot(FORCE_NOISE, given.push / scale)
+    said = np.hypot(FORCE_NOISE, given.tip_force / scale)
     one, other = KalmanFilter(given), KalmanFilter(given, noise=(TORQUE_NOISE, said))
-    assert given.push == 0.5 and said > 2.0 * FORCE_NOISE and plant().push == 0.0
+    assert given.tip_force == 0.5 and said > 2.0 * FORCE_NOISE and plant().tip_force == 0.0
     for kalman in (one, other):
         world = World(given)
         world.begin(kalman)
@@ -267,7 +267,7 @@ def test_innovations_on_the_simulator_are_as_large_as_they_should_be():
         KalmanFilter(given),
         DiscreteJacobians(given),
     )
-    beside, read, size = Batch(given.model, *given.moved, given.period, arms=count), world.instruments, 20
+    beside, read, size = Batch(given.model, *given.integration, given.period, arms=count), world.instruments, 20
     parts, drive, total = np.repeat((TORQUE_NOISE, FORCE_NOISE), (2, 3)) * slopes.scales, np.zeros((count, 8)), 0.0
     world.noise = read.deviations * random.normal(size=(count, len(read.ranges)))
     world.begin(kalman)
@@ -303,15 +303,15 @@ def corrections(kalman, world, errors):
 
 def test_a_fixed_gain_is_the_stationary_one_at_the_goal():
     """Of SciPy's Riccati equation of the exact hold there; at another posture it is another one."""
-    given = plant(moved=("gauss_3", 0.0005))
-    read = make_measurement_model(given, ALL)
+    given = plant(integration=("gauss_3", 0.0005))
+    read = MeasurementModel(given, ALL)
     m, gains = len(read.matrix), []
     for posture in POSTURES[:2]:
         world = World(given, np.repeat(posture[None], m, axis=0))
         change = corrections(KalmanFilter(given, noise=(0.1, 0.0), fixed=True), world, np.diag(read.deviations))
         state, held = fm.rest_state(given.model, posture), fm.holding_torques(given.model, posture)
         linear = fm.linearize(given.model, state=state, torque=held)
-        transition, inputs = zero_order_hold(linear, given.period)
+        transition, inputs = discretize(linear.A, linear.B, given.period)
         driven = inputs * 0.1 * np.array(given.torque_limit)
         variances = np.diag(read.deviations**2)
         P = solve_discrete_are(transition.T, read.matrix.T, driven @ driven.T, variances)
@@ -395,7 +395,7 @@ def test_a_constant_torque_drifts_as_a_random_walk(known):
 def test_a_bias_wanders_within_its_bounds(known):
     """Ornstein and Uhlenbeck: the variance is that of an even spread; from 0 it comes back as exp(-2 t / 30 s)."""
     given, variances = unread(known, biased=True)
-    even = (MAX_BIAS * make_measurement_model(given, ALL).ranges) ** 2 / 3.0
+    even = (MAX_BIAS * MeasurementModel(given, ALL).ranges) ** 2 / 3.0
     share = 1.0 - known * np.exp(-2.0 * 40 * given.period / 30.0)
     assert variances == pytest.approx(share * even, rel=1e-9)
 
@@ -405,7 +405,7 @@ def test_an_arm_among_many_gets_what_an_arm_alone_gets_to_the_bit(options):
     """Arms that begin at different times, where the one alone is new, and of which some rest for a while."""
     given, random = plant(delay=(1, 1)), np.random.default_rng(2)
     many, singles = KalmanFilter(given, **options), {}
-    m = len(make_measurement_model(given, ALL).ranges)
+    m = len(MeasurementModel(given, ALL).ranges)
     begin, rest = {0: [0, 1, 2], 4: [1], 9: [0]}, {4: 1, 5: 2, 6: 2, 7: 2}
     last = np.zeros((3, 2))
     for period in range(16):
@@ -418,11 +418,11 @@ def test_an_arm_among_many_gets_what_an_arm_alone_gets_to_the_bit(options):
                 singles[arm].reset(np.array([0]), EpisodeInfo(POSTURES[[arm]], POSTURES[[arm]], given.period), 1)
         values = 0.05 * random.normal(size=(3, m))
         read = {name: values[:, place] for name, place in many._instruments.places.items()}
-        playing = np.array([rest.get(period) != arm for arm in range(3)])
-        estimate = many.estimate(read, last, playing)
-        for arm in np.flatnonzero(playing).tolist():
+        active = np.array([rest.get(period) != arm for arm in range(3)])
+        estimate = many.estimate(read, last, active)
+        for arm in np.flatnonzero(active).tolist():
             own = {name: each[[arm]] for name, each in read.items()}
-            alone = singles[arm].estimate(own, last[[arm]], playing[[arm]])
+            alone = singles[arm].estimate(own, last[[arm]], active[[arm]])
             assert np.array_equal(alone.states[0], estimate.states[arm])
             assert np.array_equal(alone.disturbance[0], estimate.disturbance[arm])
         last = random.uniform(-1.0, 1.0, (3, 2))
@@ -436,14 +436,14 @@ def test_it_goes_on_from_what_it_kept(options):
     world.play(one, random_actions(7))
     world.begin(other)
     set_state("observer", other, get_state(one))
-    readings, playing = world.readings(), np.ones(3, dtype=bool)
+    readings, active = world.readings(), np.ones(3, dtype=bool)
     for last in random_actions(6, seed=3):
-        estimates = [kalman.estimate(readings, last, playing) for kalman in (one, other)]
+        estimates = [kalman.estimate(readings, last, active) for kalman in (one, other)]
         assert np.array_equal(estimates[0].states, estimates[1].states)
 
 
 def test_bad_arguments_are_refused_in_one_line():
-    allowed = "give motor_encoders, beside which may stand joint_encoders, strain: what else there is does not follow"
+    allowed = "give motor_encoders, and any of joint_encoders, strain: other sensors are not linear"
     for sensors in (("motor_encoders", "accelerometer"), ("strain",), "lab", ()):
         said = refusal(KalmanFilter, plant(), sensors)
         assert said.startswith("sensors: ") and allowed in said

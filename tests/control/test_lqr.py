@@ -9,13 +9,13 @@ from scipy.integrate import solve_ivp
 
 import flexman_gym as fm
 from flexman_gym.control import LQR, Controller, EpisodeInfo, TrackingLQR
-from flexman_gym.control.lqr import TORQUE_SHARE, CostWeights, lqr_gain, zero_order_hold
-from flexman_gym.control.references.trajectories import TIMING_LAWS, minimum_jerk, plan_path, plan_slew
+from flexman_gym.control.lqr import TORQUE_SHARE, CostWeights, lqr_gain
+from flexman_gym.control.references.trajectories import TIMING_LAWS, plan_path, plan_slew
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.sensors import SENSORS
-from flexman_gym.model.state_space import LinearModel
+from flexman_gym.model.state_space import LinearModel, discretize
 
 from oracles.assertions import refusal
 from oracles.chains import QUICK, samples
@@ -35,7 +35,8 @@ def double_integrator(inertia, length=1.0):
 
 @given(st.floats(1e-3, 10.0), st.floats(1e-3, 1.0))
 def test_a_sampled_double_integrator_is_its_closed_form(inertia, period):
-    transition, inputs = zero_order_hold(double_integrator(inertia), period)
+    linear = double_integrator(inertia)
+    transition, inputs = discretize(linear.A, linear.B, period)
     assert transition == pytest.approx(np.array([[1.0, period], [0.0, 1.0]]), rel=1e-12)
     assert inputs == pytest.approx(np.array([[period**2 / 2], [period]]) / inertia, rel=1e-12)
 
@@ -47,7 +48,7 @@ def test_the_transition_is_the_finely_integrated_solution():
     held = fm.holding_torques(model, posture)
     linear = fm.linearize(model, state=fm.rest_state(model, posture), torque=held)
     x, torque = rng.standard_normal(2 * model.n_dof), rng.standard_normal(2)
-    transition, inputs = zero_order_hold(linear, PERIOD)
+    transition, inputs = discretize(linear.A, linear.B, PERIOD)
 
     def rate(time, state):
         return linear.A @ state + linear.B @ torque
@@ -60,7 +61,7 @@ def test_the_transition_is_the_finely_integrated_solution():
 @given(samples(most_links=2, flexible_joints=True), st.floats(1e-4, 1e-3))
 def test_two_half_periods_are_a_period(sample, period):
     linear = fm.linearize(sample.model)
-    whole, half = zero_order_hold(linear, period), zero_order_hold(linear, period / 2)
+    whole, half = discretize(linear.A, linear.B, period), discretize(linear.A, linear.B, period / 2)
     for result, expected in zip(whole, (half[0] @ half[0], half[0] @ half[1] + half[1]), strict=True):
         assert np.abs(result - expected).max() <= 1e-8 * np.abs(expected).max()
 
@@ -80,7 +81,7 @@ def test_the_gain_of_a_scalar_is_the_root_of_its_quadratic_equation(fall, limit,
 
 def cost(linear, gain, weights, limit, x):
     """The cost of an episode from x, by its definition."""
-    transition, inputs = zero_order_hold(linear, PERIOD)
+    transition, inputs = discretize(linear.A, linear.B, PERIOD)
     total = 0.0
     for _ in range(3000):
         torque = -gain @ x
@@ -121,7 +122,7 @@ def test_units_of_torque_do_not_matter():
 
 
 def test_a_period_that_is_none_is_refused():
-    line = refusal(zero_order_hold, double_integrator(1.0), 0.0)
+    line = refusal(discretize, np.zeros((2, 2)), np.zeros((2, 1)), 0.0)
     assert line == "period: 0.0 is not allowed; give a finite number > 0 (s)"
 
 
@@ -144,7 +145,8 @@ def test_the_sampled_closed_loop_is_stable_at_any_posture(name):
     lqr = designed(LQR, name)
     for posture in postures(lqr, 2)[0]:
         state, held = fm.rest_state(lqr.model, posture), fm.holding_torques(lqr.model, posture)
-        transition, inputs = zero_order_hold(fm.linearize(lqr.model, state=state, torque=held), lqr.period)
+        linear = fm.linearize(lqr.model, state=state, torque=held)
+        transition, inputs = discretize(linear.A, linear.B, lqr.period)
         open_loop, closed = (
             np.abs(np.linalg.eigvals(transition - inputs @ gain)).max()
             for gain in (np.zeros((len(held), len(state))), lqr.gain(posture))
@@ -231,7 +233,9 @@ def test_an_arm_that_starts_at_its_goal_is_held_more_tightly():
     for controller, start in ((regulator, goal), (holding, goal), (slewing, goal - 0.1)):
         controller.reset(np.array([0]), EpisodeInfo(start, goal, PERIOD), 1)
     slewing._now += 10**6
-    loose, tight, after = (each.torques(off)[0] - regulator._held[0] for each in (regulator, holding, slewing))
+    loose, tight, after = (
+        each.torques(off)[0] - regulator._holding_torques[0] for each in (regulator, holding, slewing)
+    )
     assert (loose < 0.0).all() and (tight < 1.2 * loose).all() and after == pytest.approx(loose, rel=1e-6)
 
 
@@ -247,7 +251,7 @@ def test_along_a_path_gains_and_torques_are_those_of_the_moment():
     """A path that turns steadily: half way on, the gain is that of half of the turn and the torque that of a plan."""
     controller = designed(TrackingLQR)
     model, periods = controller.model, 48  # a design at every other period
-    way = minimum_jerk(np.linspace(0.0, 1.0, periods + 1))[0]
+    way = TIMING_LAWS["minimum-jerk"].at(np.linspace(0.0, 1.0, periods + 1))[0]
     path, one = way[:, None] * [0.4, -0.8], np.array([0])
     controller.reset(one, EpisodeInfo(path[None, 0], path[None, 0], PERIOD, lambda: path[None]), 1)
     slew = plan_path(model, path, controller.period)

@@ -10,7 +10,6 @@ from flexman_gym.control.margins import (
     Margins,
     has_margins,
     margins,
-    sampled_loop,
     sampled_loops,
     spectral_radius,
 )
@@ -36,7 +35,7 @@ def rigid():
 def test_a_motor_that_is_damped_has_the_margins_of_an_integrator(part):
     """Rates follow r' = r - part r: stable to a factor 2 / part, and to a phase of 90 degrees - asin(part / 2)."""
     model, inertia = rigid()
-    result = margins([sampled_loop(model, [0.3], PERIOD)], [1e-6], [part * inertia / PERIOD])
+    result = margins([sampled_loops(model, [0.3], PERIOD)[0]], [1e-6], [part * inertia / PERIOD])
     assert result.gain <= 2.0 / part < result.gain * STEP
     assert result.phase <= 90.0 - np.degrees(np.arcsin(part / 2.0)) < result.phase + DEGREES
 
@@ -46,13 +45,13 @@ def test_a_late_motor_is_stable_up_to_the_limit_of_levin_and_may(late):
     """Theoretical Population Biology 9, 1976, 178: 2 sin(pi / (4 k + 2))."""
     model, inertia = rigid()
     part = 0.3 * 2.0 * np.sin(np.pi / (4 * late + 2))
-    result = margins([sampled_loop(model, [0.0], PERIOD, late)], [1e-9], [part * inertia / PERIOD])
+    result = margins([sampled_loops(model, [0.0], PERIOD, late)[0]], [1e-9], [part * inertia / PERIOD])
     assert result.gain <= 1.0 / 0.3 < result.gain * STEP
 
 
 def test_an_unstable_loop_has_no_margins():
     model, inertia = rigid()
-    loop = sampled_loop(model, [0.0], PERIOD)
+    loop = sampled_loops(model, [0.0], PERIOD)[0]
     assert margins([loop], [1.0], [2.1 * inertia / PERIOD]) == Margins(1.0, 0.0)
     assert not has_margins([loop], [1.0], [2.1 * inertia / PERIOD], Margins(1.0, 0.0))
 
@@ -68,7 +67,7 @@ def nearest(locus):
 
 def test_margins_are_those_of_the_loop_that_has_the_least():
     model, inertia = rigid()
-    damped, late = sampled_loop(model, [0.0], PERIOD), sampled_loop(model, [0.0], PERIOD, 3)
+    damped, late = sampled_loops(model, [0.0], PERIOD)[0], sampled_loops(model, [0.0], PERIOD, 3)[0]
     gains = [1e-6], [0.3 * inertia / PERIOD]
     assert margins([damped, late], *gains) == margins([late], *gains)
     assert has_margins([damped], *gains, Margins(2.0, 30.0)) and not has_margins([late], *gains, Margins(2.0, 30.0))
@@ -79,7 +78,7 @@ def test_margins_are_those_of_the_loop_that_has_the_least():
 def test_margins_are_those_of_the_frequency_response(late):
     """Of one motor's loop while the other stays closed, and of the eigenvalues of both loops together."""
     setup = Configuration.from_keywords({"name": "FlexPlanar-v0"})
-    loop = sampled_loop(resolve_fidelity(setup).model, [0.4, -0.7], setup.control_period, late)
+    loop = sampled_loops(resolve_fidelity(setup).model, [0.4, -0.7], setup.control_period, late)[0]
     stiffness, damping = np.array([20.0, 6.0]), np.array([3.0, 0.5])
     gain = np.zeros(loop.inputs.T.shape)
     gain[np.arange(2), loop.motors], gain[np.arange(2), loop.rates] = stiffness, damping
@@ -99,7 +98,7 @@ def test_margins_are_those_of_the_frequency_response(late):
 
 def test_torques_on_their_way_arrive_in_their_turn():
     model = resolve_fidelity(Configuration.from_keywords({"name": "FlexPlanar-v0"})).model
-    now, late = (sampled_loop(model, [0.2, 0.1], 0.01, delay) for delay in (0, 3))
+    now, late = (sampled_loops(model, [0.2, 0.1], 0.01, delay)[0] for delay in (0, 3))
     random, size = np.random.default_rng(0), len(now.transition)
     state, longer = np.zeros(size), np.zeros(len(late.transition))
     torques = random.standard_normal((9, 2))
@@ -151,7 +150,7 @@ def test_a_loop_with_a_stuck_motor_is_that_of_an_arm_whose_motor_has_no_end_of_i
     for stuck in (0, 1):
         heavy = model.constants.rotor_inertia.copy()
         heavy[stuck] = 1e9
-        held = sampled_loop(varied_model(model, rotor_inertia=heavy), angles, 0.01, 1, 20.0)
+        held = sampled_loops(varied_model(model, rotor_inertia=heavy), angles, 0.01, 1, 20.0)[0]
         free = np.setdiff1d(np.arange(len(held.transition)), [held.motors[stuck], held.rates[stuck]])
         own = loops[stuck,]
         scale = np.abs(held.transition).max()

@@ -15,6 +15,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.evaluation import rollout
 from flexman_gym.metrics import settling_time
+from flexman_gym.model.state_space import discretize
 
 from oracles.assertions import refusal
 
@@ -39,16 +40,16 @@ def test_without_limits_the_first_torque_is_that_of_the_lqr(blocks):
     """Over any horizon, as the cost of its end is that of the LQR; for any torques that were planned before."""
     model, limits, posture = posed()
     linear, random = about(model, posture), np.random.default_rng(0)
-    horizon, n = mpc.design_horizon(model, posture, limits, WEIGHTS, PERIOD, blocks), len(limits)
-    transition, inputs = mpc.zero_order_hold(linear, PERIOD)
+    horizon, n = mpc._design_horizon(model, posture, limits, WEIGHTS, PERIOD, blocks), len(limits)
+    transition, inputs = discretize(linear.A, linear.B, PERIOD)
     start, planned = 1e-2 * random.normal(size=2 * model.n_dof), random.normal(size=(len(blocks), n))
     states = [start]
     for torques in planned:
         states.append(transition @ states[-1] + inputs @ (limits * torques))
     near = [np.concatenate([each / weight for each, weight in parts(linear, model, x)]) for x in states[1:-1]]
-    gap = np.concatenate([*near, horizon.ending @ states[-1]])
-    slope, free = horizon.slopes @ gap + planned.ravel(), np.full(planned.size, 1e6)
-    first = planned[0] + mpc.solve_quadratic_program(daqp, horizon.curvature, slope, -free, free)[:n]
+    gap = np.concatenate([*near, horizon.terminal @ states[-1]])
+    slope, free = horizon.jacobian @ gap + planned.ravel(), np.full(planned.size, 1e6)
+    first = planned[0] + mpc._solve_quadratic_program(daqp, horizon.curvature, slope, -free, free)[:n]
     gain = lqr_gain(linear, model.motor_columns, limits, WEIGHTS, PERIOD)
     assert first == pytest.approx(-gain @ start / limits, rel=1e-6, abs=1e-8)
 
@@ -75,8 +76,8 @@ def test_changes_of_blocks_cost_the_least():
     """No change of a block beside them makes the sum of squares of outputs and torques less, period by period."""
     model, limits, posture = posed()
     linear, random, blocks = about(model, posture), np.random.default_rng(0), (1, 2, 4)
-    horizon, n = mpc.design_horizon(model, posture, limits, WEIGHTS, PERIOD, blocks), len(limits)
-    transition, inputs = mpc.zero_order_hold(linear, PERIOD)
+    horizon, n = mpc._design_horizon(model, posture, limits, WEIGHTS, PERIOD, blocks), len(limits)
+    transition, inputs = discretize(linear.A, linear.B, PERIOD)
     start = 1e-2 * random.normal(size=len(transition))
 
     def outputs(changes):
@@ -84,11 +85,11 @@ def test_changes_of_blocks_cost_the_least():
         for each in torques:
             states.append(transition @ states[-1] + inputs @ (limits * each))
         near = [np.concatenate([each / weight for each, weight in parts(linear, model, x)]) for x in states[1:-1]]
-        return np.concatenate([*near, horizon.ending @ states[-1], torques.ravel()])
+        return np.concatenate([*near, horizon.terminal @ states[-1], torques.ravel()])
 
     nothing, free = np.zeros(n * len(blocks)), np.full(n * len(blocks), 1e6)
-    slope = horizon.slopes @ outputs(nothing)[: horizon.slopes.shape[1]]
-    best = mpc.solve_quadratic_program(daqp, horizon.curvature, slope, -free, free)
+    slope = horizon.jacobian @ outputs(nothing)[: horizon.jacobian.shape[1]]
+    best = mpc._solve_quadratic_program(daqp, horizon.curvature, slope, -free, free)
     across = np.array([outputs(best + one) - outputs(best) for one in np.eye(len(best))])
     assert np.abs(across @ outputs(best)).max() < 1e-8 * np.abs(across @ outputs(nothing)).max()
 
@@ -106,7 +107,7 @@ def test_on_a_slew_that_the_arm_can_follow_nothing_is_changed():
     controller, random = mpc.MPC(model, limits, PERIOD), np.random.default_rng(3)
     controller.reset(ONLY, EpisodeInfo(posture[None], posture[None] + 0.05, PERIOD), 1)
     torques = fm.holding_torques(model, posture) / limits + 0.05 * random.uniform(-1.0, 1.0, (90, 2))
-    drives, batch = np.zeros((1, 90, 8)), controller._arms(1)
+    drives, batch = np.zeros((1, 90, 8)), controller._make_batch(1)
     drives[0, :, :2] = torques * limits
     batch.reset(ONLY, fm.rest_state(model, posture)[None])
     first = batch.outputs.copy()
@@ -134,18 +135,18 @@ def test_between_two_postures_slopes_are_between_theirs():
     controller = mpc.MPC(model, limits, PERIOD)
     controller.reset(ONLY, EpisodeInfo(posture[None], posture[None] + 1.0, PERIOD), 1)
     plan = controller._plans[0]
-    each = plan.horizons._replace(slopes=plan.horizons.slopes * np.arange(5.0)[:, None, None])
+    each = plan.horizons._replace(jacobian=plan.horizons.jacobian * np.arange(5.0)[:, None, None])
     for come, place in ((-0.1, 0.0), (0.3, 1.2), (1.0, 4.0), (1.2, 4.0)):
-        result = controller._between(plan._replace(horizons=each), model.at_rest((posture + come)[None])[0])
+        result = controller._interpolate(plan._replace(horizons=each), model.at_rest((posture + come)[None])[0])
         lower = min(int(place), 3)
-        expected = each.slopes[lower] + (place - lower) * (each.slopes[lower + 1] - each.slopes[lower])
-        assert result.slopes == pytest.approx(expected, abs=1e-9 * np.abs(expected).max() + 1e-12)
+        expected = each.jacobian[lower] + (place - lower) * (each.jacobian[lower + 1] - each.jacobian[lower])
+        assert result.jacobian == pytest.approx(expected, abs=1e-9 * np.abs(expected).max() + 1e-12)
 
 
 def test_changes_stay_within_their_bounds_and_cost_the_least():
     """Of a cost without coupling each bound cuts its own change off."""
     low, high = np.array([-1.0, -0.5, -0.2]), np.array([0.1, 0.5, 1.0])
-    changes = mpc.solve_quadratic_program(daqp, np.diag([1.0, 2.0, 4.0]), np.array([-3.0, 4.0, 0.4]), low, high)
+    changes = mpc._solve_quadratic_program(daqp, np.diag([1.0, 2.0, 4.0]), np.array([-3.0, 4.0, 0.4]), low, high)
     assert changes == pytest.approx([0.1, -0.5, -0.1])
 
 
@@ -157,8 +158,8 @@ def test_where_it_saturates_its_plan_costs_the_least_of_all_within_the_limits(mo
     blocks, random = len(mpc.MOVE_BLOCKS), np.random.default_rng(0)
     means = np.where(np.arange(blocks * n) % 3 == 0, 0.0, 0.98 * random.choice([-1.0, 1.0], blocks * n))
     planned = np.repeat(means.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0)
-    controller._planned[0], least = planned, mpc.solve_quadratic_program
-    monkeypatch.setattr(mpc, "solve_quadratic_program", lambda *given: programs.append(given[1:3]) or least(*given))
+    controller._planned[0], least = planned, mpc._solve_quadratic_program
+    monkeypatch.setattr(mpc, "_solve_quadratic_program", lambda *given: programs.append(given[1:3]) or least(*given))
     state = model.at_rest(posture[None] + np.array([[0.02, -0.02]]))
     action = controller.act({"state": state}, np.zeros((1, n)), np.array([True]))[0]
     (curvature, slope), low, high = (
@@ -182,23 +183,25 @@ def test_changes_act_as_about_where_the_arm_will_be(monkeypatch):
     """
     model, limits, _ = posed()
     start, goal, now = np.array([[0.0, 0.3]]), np.array([[1.2, 2.0]]), 20
-    controller, between, used = mpc.MPC(model, limits, PERIOD), mpc.MPC._between, []
+    controller, between, used = mpc.MPC(model, limits, PERIOD), mpc.MPC._interpolate, []
     controller.reset(ONLY, EpisodeInfo(start, goal, PERIOD), 1)
-    monkeypatch.setattr(controller, "_between", lambda *given: used.append(between(controller, *given)) or used[-1])
+    monkeypatch.setattr(controller, "_interpolate", lambda *given: used.append(between(controller, *given)) or used[-1])
     plan, ahead = controller._plans[0], sum(mpc.MOVE_BLOCKS)
     planned, state = np.clip(plan.torques[now : now + ahead], -1.0, 1.0), plan.states[now]
     controller._planned[0], controller._now[0] = planned, now
     controller.act({"state": state[None]}, np.zeros((1, 2)), np.array([True]))
     m, h = 2 * len(mpc.MOVE_BLOCKS), 1e-4
     changes = h * np.vstack([np.eye(m), -np.eye(m), np.zeros((1, m))])
-    drives, batch = np.zeros((len(changes), ahead, 8)), controller._arms(len(changes))
+    drives, batch = np.zeros((len(changes), ahead, 8)), controller._make_batch(len(changes))
     drives[..., :2] = (planned + np.repeat(changes.reshape(len(changes), -1, 2), mpc.MOVE_BLOCKS, axis=1)) * limits
     batch.reset(np.arange(len(changes)), np.repeat(state[None], len(changes), axis=0))
     states, outputs = batch.roll(drives)
-    gaps = np.array([controller._gap(used[0], *each)[: -2 * model.n_dof] for each in zip(states, outputs, strict=True)])
+    gaps = np.array(
+        [controller._residuals(used[0], *each)[: -2 * model.n_dof] for each in zip(states, outputs, strict=True)]
+    )
     true = (gaps[:m] - gaps[m:-1]) / (2.0 * h)
     horizons = used[0], between(controller, plan, states[-1, 0])
-    errors = [np.linalg.norm(each.slopes[:, : true.shape[1]] - true) / np.linalg.norm(true) for each in horizons]
+    errors = [np.linalg.norm(each.jacobian[:, : true.shape[1]] - true) / np.linalg.norm(true) for each in horizons]
     assert errors[0] < 1.0 / 3.0 and errors[0] < 0.5 * errors[1], errors
 
 
@@ -242,7 +245,7 @@ def test_an_arm_that_does_not_play_gets_nothing_and_changes_nothing():
 def test_a_goal_that_moves_and_a_missing_package_are_refused(monkeypatch, capsys):
     model, limits, posture = posed("FlexOne-v0")
     moving = EpisodeInfo(posture[None], posture[None], PERIOD, lambda: np.zeros((1, 4, 1)))
-    assert refusal(mpc.MPC(model, limits, PERIOD).reset, ONLY, moving, 1).startswith("episode: 'a goal that moves' is")
+    assert refusal(mpc.MPC(model, limits, PERIOD).reset, ONLY, moving, 1).startswith("episode: 'a moving goal' is")
     monkeypatch.setitem(sys.modules, "daqp", None)
     with pytest.raises(ImportError, match=r"flexman_gym\[mpc\]"):
         mpc.MPC(model, limits, PERIOD)

@@ -72,13 +72,13 @@ def test_it_acts_as_the_policy_that_was_trained(algo, activation, tmp_path):
 
 @pytest.mark.parametrize(("change", "line"), [
     ({"action_net.bias": np.zeros(3)}, "policy.action_net: 'arrays (2, 4) and (3,)' is not allowed"),
-    ({"action_net.weight": np.zeros((2, 7))}, "policy: 'a layer of 7 numbers' is not allowed; give 'one of 4'"),
+    ({"action_net.weight": np.zeros((2, 7))}, "policy: 'a layer with 7 inputs' is not allowed; give one with 4"),
     ({"mlp_extractor.policy_net.0.weight": np.full((5, 6), np.nan)}, "policy.mlp_extractor.policy_net.0.weight: "),
     ({"action_net.weight": "text"}, "policy.action_net.weight: 'str' is not allowed; give an array of numbers"),
 ])  # fmt: skip
 def test_layers_that_do_not_follow_on_each_other_are_refused(change, line):
     said = refusal(Network, "ppo", None, parameters("ppo") | change, STATISTICS)
-    assert said.startswith(line.replace("give 'one of 4'", "give one of 4"))
+    assert said.startswith(line)
 
 
 @pytest.mark.parametrize("number", ["\N{SUPERSCRIPT TWO}", "9" * 5000, "x"])

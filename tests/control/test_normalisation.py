@@ -71,7 +71,7 @@ def test_what_is_no_state_is_refused_in_one_line(tmp_path):
             scales.set_state(bad)
         assert str(error.value).startswith("scales") and "\n" not in str(error.value)
     (tmp_path / "bad.npz").write_bytes(b"scales")
-    with pytest.raises(ValueError, match=r"^scales: .* is not allowed; give a file that Scales.save wrote"):
+    with pytest.raises(ValueError, match=r"^scales: .* is not allowed; give a file of RunningMeanStd.save"):
         RunningMeanStd.load(tmp_path / "bad.npz")
     with pytest.raises(FileNotFoundError):
         RunningMeanStd.load(tmp_path / "none.npz")

@@ -96,7 +96,7 @@ def test_slopes_are_those_of_errors():
     model = fm.build_model(fm.catalog.one_joint(), flexible_links=False, flexible_joints=False)
     search = shooting(model, 1.0, 0.01, [0.0], [0.05])
     knots = np.zeros((6, 1))
-    errors, slopes = search._slopes(knots, 25)
+    errors, slopes = search._jacobian(knots, 25)
     moved = 0.01 * np.array([1.0, -2.0, 0.5, 0.0, 1.0, -1.0])[:, None]
     expected = (errors + np.tensordot(moved.ravel(), slopes, 1))[:, 1]
     assert search.errors(moved[None], 25)[0, :, 1] == pytest.approx(expected, rel=1e-3, abs=1e-3 * np.abs(moved).max())
@@ -120,7 +120,7 @@ def test_a_stretched_slew_holds_as_before_and_moves_with_the_square_of_its_speed
     moving = np.concatenate([held + np.sin(2.0 * np.pi * parts), np.repeat(ends[1:], 2 * tail, axis=0)])
     known = SlewTorques(moving, len(moving) - 1, 50)
     for arrival, factor in ((50, 1.0), (25, 4.0), (100, 0.25)):
-        knots = search._stretched(known, arrival)
+        knots = search._rescale(known, arrival)
         come = np.minimum(np.linspace(0.0, arrival + tail, len(knots)) / arrival, 1.0)[:, None]
         expected = ends[0] + come * (ends[1] - ends[0]) + factor * np.sin(2.0 * np.pi * come)
         assert knots == pytest.approx(expected, abs=1e-2 * factor)
@@ -133,7 +133,7 @@ def test_errors_in_the_inner_band_weigh_nothing_and_others_what_is_beyond_it():
     errors[0, :, 3] = [0.0, 0.97, -0.98, 0.0, 0.0, 0.0, 0.0, 0.99]
     ways = [[0, 0, 0], [0, pytest.approx(-1.0), 0], [0, 0, 0]]
     rates = [0, 0, pytest.approx(-0.5), 0, 0, 0, 0, pytest.approx(1.0)]
-    assert search._beyond(errors, 4)[0].tolist() == [*ways[0], *ways[1], *ways[2], *rates]
+    assert search._residuals(errors, 4)[0].tolist() == [*ways[0], *ways[1], *ways[2], *rates]
 
 
 @pytest.mark.parametrize("name", ["FlexOne-v0", "FlexPlanar-v0"])
@@ -240,9 +240,9 @@ def test_what_no_table_has_is_refused_with_the_command_that_makes_one(table):
     for ends in ((start, goal + 2e-9), (start - 2e-9, goal), (goal, start)):
         said = refusal(controller.reset, ONLY, EpisodeInfo(ends[0][None], ends[1][None], 0.02), 1)
         assert said.startswith("episode: [[") and said.endswith(COMMAND)
-    assert refusal(table.settling_time, 5).startswith("seed: 5 is not allowed; give one that the table has")
+    assert refusal(table.settling_time, 5).startswith("seed: 5 is not allowed; give a seed in the table")
     moving = EpisodeInfo(start[None], goal[None], 0.02, lambda: np.zeros((1, 4, 1)))
-    assert refusal(controller.reset, ONLY, moving, 1).startswith("episode: 'a goal that moves' is not allowed")
+    assert refusal(controller.reset, ONLY, moving, 1).startswith("episode: 'a moving goal' is not allowed")
 
 
 @pytest.mark.parametrize("changes", [{"period": 0.01}, {"torque_limit": 0.7}])
@@ -266,7 +266,7 @@ def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path, table):
     for broken in (lambda: None, lambda: np.savez(path, seeds=ONLY), lambda: path.write_bytes(b"")):
         broken()
         said = refusal(SlewTable.load, path)
-        assert said.startswith(f"{path}: it is no table of slews") and "\n" not in said
+        assert said.startswith(f"{path}: not a table of slews") and "\n" not in said
     with pytest.raises(FileNotFoundError):
         SlewTable.load(tmp_path / "none.npz")
 

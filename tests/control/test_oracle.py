@@ -23,8 +23,8 @@ class Asking:
     def reset(self, arms, episode, count):
         self.observer.reset(arms, episode, count)
 
-    def act(self, readings, applied, playing):
-        estimate = self.observer.estimate(readings, applied, playing)
+    def act(self, readings, applied, active):
+        estimate = self.observer.estimate(readings, applied, active)
         self.said.append(copied(estimate))
         return self.asked[len(self.said) - 1]
 

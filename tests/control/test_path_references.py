@@ -7,11 +7,12 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.control.references.adaptive_references import PathReferences
-from flexman_gym.control.references.trajectories import minimum_jerk, plan_path
+from flexman_gym.control.references.trajectories import TIMING_LAWS, plan_path
 from flexman_gym.simulation.parameters import varied_model
 
 PERIOD, PAYLOADS, T = 0.01, (0.0, 0.1, 0.2), 80
-PATHS = minimum_jerk(np.linspace(0.0, 1.0, T + 1))[0][:, None] * np.array([[[0.4, -0.8]], [[-0.3, 0.5]]])
+PLACES = TIMING_LAWS["minimum-jerk"].at(np.linspace(0.0, 1.0, T + 1))[0]
+PATHS = PLACES[:, None] * np.array([[[0.4, -0.8]], [[-0.3, 0.5]]])
 
 
 def model(**joint):

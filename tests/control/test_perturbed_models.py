@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.observers.observer import make_measurement_model
+from flexman_gym.control.observers.observer import MeasurementModel
 from flexman_gym.control.observers.perturbed_models import (
     PARAMETER_STEP,
     RANGE_MARGIN,
     PerturbedModels,
     Prior,
     Resimulation,
+    UncertainParameters,
     levenberg_marquardt_step,
-    make_uncertain_parameters,
     solve_scaled,
 )
 from flexman_gym.simulation.batch import Batch
@@ -35,7 +35,7 @@ def model(**changes):
 def test_numbers_are_parameters_in_their_units():
     """Masses and dampings as they are, stiffness as parts of the nominal one of each joint."""
     own = model(stiffness=500.0)
-    unknowns = make_uncertain_parameters(own, RANGES)
+    unknowns = UncertainParameters(own, RANGES)
     assert unknowns.names == ("payload_mass", *["joint_stiffness"] * 2, *["joint_damping"] * 2)
     assert unknowns.joints.tolist() == [0, 0, 1, 0, 1]
     values = unknowns.values(own, np.array([[3.0, 0.8, 1.1, 0.2, 0.4], [1.0, 1.0, 1.0, 0.5, 0.6]]))
@@ -47,20 +47,20 @@ def test_numbers_are_parameters_in_their_units():
 
 def test_what_the_model_has_no_coordinate_for_stays_as_it_is():
     own = model(stiffness=None, damping=0.0)
-    unknowns = make_uncertain_parameters(own, RANGES)
+    unknowns = UncertainParameters(own, RANGES)
     assert unknowns.names == ("payload_mass", "joint_stiffness", "joint_damping")
     values = unknowns.values(own, np.array([[1.0, 0.5, 0.3]]))
     assert values["joint_stiffness"][0] == pytest.approx([0.5, 1.0] * own.constants.joint_stiffness)
     assert values["joint_damping"][0].tolist() == [0.3, own.constants.joint_damping[1]]
     rubbing = model(viscous_friction=0.2)
-    parts = make_uncertain_parameters(rubbing, {"viscous_friction_factor": (0.5, 1.5)})
+    parts = UncertainParameters(rubbing, {"viscous_friction_factor": (0.5, 1.5)})
     assert parts.joints.tolist() == [1], "a factor on nothing says nothing"
     assert parts.values(rubbing, np.array([[1.5]]))["viscous_friction"] == pytest.approx(np.array([[0.0, 0.3]]))
 
 
 def test_beforehand_all_of_a_range_is_as_likely():
     """Mean and deviation are those of numbers drawn from it; an estimate may leave it a little, not below 0."""
-    unknowns = make_uncertain_parameters(model(), RANGES)
+    unknowns = UncertainParameters(model(), RANGES)
     drawn = np.random.default_rng(0).uniform(0.7, 1.3, 100_000)
     assert unknowns.mean[1] == pytest.approx(drawn.mean(), abs=3e-3)
     assert unknowns.deviation[1] == pytest.approx(drawn.std(), rel=5e-3)
@@ -71,25 +71,25 @@ def test_beforehand_all_of_a_range_is_as_likely():
 
 def test_nothing_unknown_is_no_number():
     own = model()
-    unknowns = make_uncertain_parameters(own, {})
+    unknowns = UncertainParameters(own, {})
     assert unknowns.values(own, np.zeros((3, 0))) == {} and unknowns.mean.shape == (0,)
 
 
 def test_a_range_has_the_name_and_the_unit_that_it_has_in_a_randomisation():
     """A factor is called one, and the parameter that follows from it has its own unit."""
     own = model(stiffness=500.0)
-    found = make_uncertain_parameters(own, {"joint_stiffness_factor": (0.5, 1.5), "link_stiffness_factor": (0.5, 1.5)})
+    found = UncertainParameters(own, {"joint_stiffness_factor": (0.5, 1.5), "link_stiffness_factor": (0.5, 1.5)})
     values = found.values(own, np.full((1, 4), 0.5))
     assert values["joint_stiffness"][0] == pytest.approx(0.5 * own.constants.joint_stiffness)
     assert values["link_stiffness_factor"].tolist() == [[0.5, 0.5]]
-    with pytest.warns(DeprecationWarning, match="unknown.joint_stiffness is joint_stiffness_factor now"):
-        assert make_uncertain_parameters(own, {"joint_stiffness": (0.5, 1.5)}).scales == pytest.approx(found.scales[:2])
+    with pytest.warns(DeprecationWarning, match="unknown.joint_stiffness: this is called joint_stiffness_factor now"):
+        assert UncertainParameters(own, {"joint_stiffness": (0.5, 1.5)}).scales == pytest.approx(found.scales[:2])
 
 
 @pytest.mark.parametrize("span", [(0.13, 0.13), (0.0, 0.0)])
 def test_a_range_of_one_number_is_a_number_that_is_known(span):
     """To a thousandth, or to a gram."""
-    unknowns = make_uncertain_parameters(model(), {"payload_mass": span})
+    unknowns = UncertainParameters(model(), {"payload_mass": span})
     assert unknowns.mean == pytest.approx(span[:1]) and 0.0 < unknowns.deviation[0] < 1e-3
     assert 0.0 <= unknowns.low[0] <= span[0] < unknowns.high[0] and unknowns.step[0] > 0.0
 
@@ -108,7 +108,7 @@ def test_a_range_of_one_number_is_a_number_that_is_known(span):
     ],
 )
 def test_what_is_no_range_is_refused_in_one_line(ranges, line):
-    said = refusal(make_uncertain_parameters, model(), ranges)
+    said = refusal(UncertainParameters, model(), ranges)
     assert said.startswith(line), said
 
 
@@ -119,14 +119,14 @@ SENSORS = ("motor_encoders", "joint_encoders", "strain")
 
 
 def made(biased=False):
-    unknowns = make_uncertain_parameters(PLANT.model, PLANT.unknown)
-    read = make_measurement_model(PLANT, SENSORS)
+    unknowns = UncertainParameters(PLANT.model, PLANT.unknown)
+    read = MeasurementModel(PLANT, SENSORS)
     return PerturbedModels(PLANT, unknowns, read.matrix, biased), read
 
 
 def numbers_of(trials, seed=0):
     """Numbers (ARMS, p) that are not where the prior has its mean."""
-    random, unknowns = np.random.default_rng(seed), trials.unknowns
+    random, unknowns = np.random.default_rng(seed), trials.uncertain
     result = np.zeros((ARMS, trials.size))
     known = len(unknowns.names)
     result[:, :known] = unknowns.mean + unknowns.deviation * random.uniform(-1.0, 1.0, (ARMS, known))
@@ -143,10 +143,10 @@ ORIGIN = PLANT.model.at_rest(np.random.default_rng(2).uniform(-0.6, 0.6, (ARMS, 
 
 def simulated(trials, numbers, torques, origin):
     """Readings (T + 1, m) of one arm with numbers (p,) by the model with its parameters, alone."""
-    known = len(trials.unknowns.names)
-    values = trials.unknowns.values(PLANT.model, numbers[None])
+    known = len(trials.uncertain.names)
+    values = trials.uncertain.values(PLANT.model, numbers[None])
     model = varied_model(PLANT.model, **{name: each[0] for name, each in values.items()})
-    alone, start = Batch(model, *PLANT.moved, PLANT.period), origin.copy()
+    alone, start = Batch(model, *PLANT.integration, PLANT.period), origin.copy()
     for joint in range(2):  # both sides of the spring turn
         start[[joint, PLANT.model.motor_columns[joint]]] += numbers[known + joint]
     alone.reset(np.array([0]), start[None])
@@ -154,7 +154,7 @@ def simulated(trials, numbers, torques, origin):
     for torque in torques:
         alone.step(np.concatenate([torque, np.zeros(6)])[None])
         states.append(alone.state[0].copy())
-    biases = numbers[trials.moving :] if trials.size > trials.moving else 0.0
+    biases = numbers[trials.dynamic :] if trials.size > trials.dynamic else 0.0
     return np.array(states) @ trials.matrix.T + biases
 
 
@@ -166,8 +166,8 @@ def test_what_a_sweep_says_is_a_sum_over_readings_of_arms_simulated_one_by_one(b
     readings = random.standard_normal((ARMS, PERIODS + 1, len(read.ranges))) * 0.01 * read.ranges
     weights = random.uniform(0.5, 2.0, readings.shape) / read.deviations**2
     weights[:, 0, :2] = 0.0
-    sweep = trials.sweep(ORIGIN, numbers, torques, readings, weights)
-    steps = np.concatenate([trials.steps, np.ones(trials.size - trials.moving)])
+    sweep = trials.resimulate(ORIGIN, numbers, torques, readings, weights)
+    steps = np.concatenate([trials.steps, np.ones(trials.size - trials.dynamic)])
     for arm in range(ARMS):
         base = simulated(trials, numbers[arm], torques[arm], ORIGIN[arm])
         slopes = [
@@ -187,7 +187,7 @@ def test_what_a_sweep_says_is_a_sum_over_readings_of_arms_simulated_one_by_one(b
         assert sweep.gradient[arm] / size == pytest.approx(gradient / size, rel=1e-6, abs=1e-6 * np.sqrt(cost))
         assert sweep.cost[arm] == pytest.approx(cost, rel=1e-8)
         assert trials.matrix @ sweep.states[arm, 0] == pytest.approx(
-            base[-1] - (numbers[arm, trials.moving :] if biased else 0.0), abs=1e-9
+            base[-1] - (numbers[arm, trials.dynamic :] if biased else 0.0), abs=1e-9
         )
 
 
@@ -196,8 +196,8 @@ def test_slopes_of_the_trials_are_those_of_central_differences():
     trials, read = made()
     numbers, torques = numbers_of(trials), torques_of()
     readings = np.zeros((ARMS, PERIODS + 1, len(read.ranges)))
-    sweep = trials.sweep(ORIGIN, numbers, torques, readings, np.ones_like(readings))
-    slopes = trials.reading_slopes(trials.slopes(sweep.states, np.tile(trials.steps, (ARMS, 1))))
+    sweep = trials.resimulate(ORIGIN, numbers, torques, readings, np.ones_like(readings))
+    slopes = trials.measurement_jacobian(trials.jacobian(sweep.states, np.tile(trials.steps, (ARMS, 1))))
     for number in range(trials.size):
         change = np.zeros(trials.size)
         change[number] = 3.0 * trials.steps[number]
@@ -212,8 +212,8 @@ def test_a_fit_finds_the_numbers_from_readings_without_noise(biased):
     trials, read = made(biased)
     true, torques = numbers_of(trials, seed=5), np.tile(torques_of(), (1, 5, 1))
     readings = np.array([simulated(trials, *each) for each in zip(true, torques, ORIGIN, strict=True)])
-    deviation = np.concatenate([trials.unknowns.deviation, np.full(trials.size - len(trials.unknowns.names), 1e-2)])
-    mean = np.concatenate([trials.unknowns.mean, np.zeros(trials.size - len(trials.unknowns.names))])
+    deviation = np.concatenate([trials.uncertain.deviation, np.full(trials.size - len(trials.uncertain.names), 1e-2)])
+    mean = np.concatenate([trials.uncertain.mean, np.zeros(trials.size - len(trials.uncertain.names))])
     prior = Prior(mean, 1e4 * deviation, mean - 10.0 * deviation, mean + 10.0 * deviation)
     prior.low[0] = 0.0
     weights = np.broadcast_to((1e-4 * read.deviations) ** -2.0, readings.shape)
@@ -222,7 +222,7 @@ def test_a_fit_finds_the_numbers_from_readings_without_noise(biased):
         found, sweep = trials.fit(ORIGIN, found, prior, (torques, readings, weights))
     found += levenberg_marquardt_step(sweep, found, prior)[0]
     error = np.abs(found - true)
-    assert error[:, : len(trials.unknowns.names)].max() < 1e-6
+    assert error[:, : len(trials.uncertain.names)].max() < 1e-6
     assert error.max() < (1e-6 if not biased else 1e-5)
 
 
@@ -230,14 +230,14 @@ def test_a_fit_stays_between_its_bounds_and_never_gets_worse():
     trials, read = made()
     true, torques = numbers_of(trials, seed=6), torques_of()
     readings = np.array([simulated(trials, *each) for each in zip(true, torques, ORIGIN, strict=True)])
-    mean = np.concatenate([trials.unknowns.mean, np.zeros(2)])
-    spread = np.concatenate([trials.unknowns.deviation, np.full(2, 1e-3)])
+    mean = np.concatenate([trials.uncertain.mean, np.zeros(2)])
+    spread = np.concatenate([trials.uncertain.deviation, np.full(2, 1e-3)])
     prior = Prior(mean, spread, mean - 0.1 * spread, mean + 0.1 * spread)
     weights = np.broadcast_to(read.deviations**-2.0, readings.shape)
     start = np.tile(mean, (ARMS, 1))
     found, sweep = trials.fit(ORIGIN, start, prior, (torques, readings, weights))
     assert (found >= prior.low).all() and (found <= prior.high).all()
-    assert (sweep.cost < trials.sweep(ORIGIN, start, torques, readings, weights).cost).all()
+    assert (sweep.cost < trials.resimulate(ORIGIN, start, torques, readings, weights).cost).all()
 
 
 def test_an_arm_is_fitted_as_alone_whatever_others_need():
@@ -246,8 +246,8 @@ def test_an_arm_is_fitted_as_alone_whatever_others_need():
     true, torques, random = numbers_of(trials, seed=5), torques_of(), np.random.default_rng(0)
     readings = np.array([simulated(trials, *each) for each in zip(true, torques, ORIGIN, strict=True)])
     readings += read.deviations * random.standard_normal(readings.shape)
-    mean = np.concatenate([trials.unknowns.mean, np.zeros(2)])
-    spread = np.concatenate([trials.unknowns.deviation, np.full(2, 1e-2)])
+    mean = np.concatenate([trials.uncertain.mean, np.zeros(2)])
+    spread = np.concatenate([trials.uncertain.deviation, np.full(2, 1e-2)])
     prior = Prior(mean, spread, mean - 10.0 * spread, mean + 10.0 * spread)
     weights = np.broadcast_to(read.deviations**-2.0, readings.shape)
     start = np.vstack([true[:2], mean[None]])
@@ -268,9 +268,9 @@ def test_many_arms_are_swept_as_each_alone():
     torques = random.uniform(-2.0, 2.0, (many, 3, 2))
     readings = random.standard_normal((many, 4, len(trials.matrix)))
     data = origin, numbers, torques, readings, np.ones_like(readings)
-    together = trials.sweep(*data)
+    together = trials.resimulate(*data)
     for arm in (0, 31, 34):
-        alone = trials.sweep(*(each[arm : arm + 1] for each in data))
+        alone = trials.resimulate(*(each[arm : arm + 1] for each in data))
         for one, other in zip(together, alone, strict=True):
             assert np.array_equal(one[arm], other[0])
 

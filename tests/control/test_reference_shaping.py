@@ -47,7 +47,11 @@ def test_an_action_of_nothing_is_the_controller_to_the_bit(base):
     assert np.array_equal(asked, expected)
     assert np.abs(other - expected).max() > 0.1
     assert shaped.episodes.agent.mode.names == ("pace", "offset_1", "torque_1")
-    assert seen.shape[2] == sum(shaped.episodes.agent.mode.shown.values()) == shaped.single_observation_space.shape[0]
+    assert (
+        seen.shape[2]
+        == sum(shaped.episodes.agent.mode.observation_sizes.values())
+        == shaped.single_observation_space.shape[0]
+    )
 
 
 def network(size, actions=3):
@@ -86,7 +90,7 @@ def test_the_end_of_an_episode_is_seen_before_the_next_begins():
     """With a reset in the same step: the last observation has gone on, the first one of the next is at its start."""
     env = FlexManVectorEnv(2, **{**SHAPED, "horizon": 0.2}, base="privileged-lqr", autoreset_mode="SameStep")
     env.reset(seed=0)
-    place = env.single_observation_space.shape[0] - sum(list(env.episodes.agent.mode.shown.values())[5:])
+    place = env.single_observation_space.shape[0] - sum(list(env.episodes.agent.mode.observation_sizes.values())[5:])
     for _ in range(2):
         seen, _, _, truncated, infos = env.step(np.zeros((2, 3), dtype=np.float32))
     assert truncated.all() and (seen[:, place] == 0.0).all()
@@ -97,7 +101,7 @@ def slew_of(way, **settings):
     """The slew of an arm over a way (n,) rad, that begins at 0 s."""
     env = FlexManEnv(**settings)
     result = SlewReferences(env.simulator.model, np.array(env.torque_limit), 0.9, (0.1,))
-    result.grow(1)
+    result.allocate(1)
     result.begin(ARM, np.zeros((1, len(way))), np.array([way]))
     result.adapt(ARM, {})
     result.time(ARM, np.zeros(1), first=True)
@@ -126,21 +130,21 @@ def test_a_clock_goes_to_its_pace_and_stays_ahead(slews):
     It quickens as fast as a pace that grows by its steps over two periods, for a step is nowhere but between two.
     """
     shape, wanted = shape_of(slews, pace=0.5), np.exp(0.5 * 0.6)
-    shape.wanted[0, 0] = 0.6
+    shape.action[0, 0] = 0.6
     paces = []
     for _ in range(12):
-        before = slews.pace[0]
-        shape.quicken(ARM)
-        paces.append(slews.pace[0])
-        assert slews.quickening[0] == pytest.approx((paces[-1] - before) / (2.0 * PERIOD))
+        before = slews.time_scaling[0]
+        shape.update_time_scaling(ARM)
+        paces.append(slews.time_scaling[0])
+        assert slews.pace_rate[0] == pytest.approx((paces[-1] - before) / (2.0 * PERIOD))
         shape.advance(ARM, np.zeros(1))
     assert paces == pytest.approx(wanted + (1.0 - wanted) * (1.0 - TIME_SCALING_GAIN) ** np.arange(1, 13))
-    assert shape.ahead[0] == pytest.approx(PERIOD * (np.sum(paces) - 12.0))
+    assert shape.clock_offset[0] == pytest.approx(PERIOD * (np.sum(paces) - 12.0))
 
 
 def test_a_slew_at_another_pace_moves_as_its_clock_does(slews):
     """Speeds are the derivatives of coordinates, along a clock that runs 1.3 times as fast."""
-    slews.pace[:] = 1.3
+    slews.time_scaling[:] = 1.3
     now, step = np.array([0.4]), 1e-5
     d = slews.model.n_dof
     before, after = (slews.states(now + 1.3 * shift, ARM)[0, :d] for shift in (-step, step))
@@ -150,12 +154,12 @@ def test_a_slew_at_another_pace_moves_as_its_clock_does(slews):
 def test_a_slew_at_another_pace_is_one_that_was_timed_for_it():
     """Bent and driven as that of the polynomial whose k-th coefficient is 1.3^k as large."""
     slews = slew_of([1.0, -0.6], name="FlexPlanar-v0")
-    slews.pace[:] = 1.3
+    slews.time_scaling[:] = 1.3
     now = np.array([0.26])
     paced = slews.states(now, ARM), slews.torques(now, ARM)
-    slews.pace[:] = 1.0
+    slews.time_scaling[:] = 1.0
     slews.coefficients[0] *= 1.3 ** np.arange(6)
-    slews.lasting /= 1.3
+    slews.duration /= 1.3
     timed = slews.states(now / 1.3, ARM), slews.torques(now / 1.3, ARM)
     assert paced[0] == pytest.approx(timed[0], rel=1e-9) and paced[1] == pytest.approx(timed[1], rel=1e-9)
 
@@ -163,7 +167,7 @@ def test_a_slew_at_another_pace_is_one_that_was_timed_for_it():
 def test_offsets_are_critically_damped_and_fade_at_the_goal(slews):
     """(1 - (1 + w t) exp(-w t)) of what is wanted; nothing of it where the path ends, nor of torques."""
     shape = shape_of(slews, offset=0.1, torque=0.25)
-    shape.wanted[0, 1:] = 0.5, -1.0
+    shape.action[0, 1:] = 0.5, -1.0
     offsets = []
     for _ in range(30):
         assert shape.advance(ARM, np.array([0.2])) == pytest.approx(-0.5)
@@ -181,13 +185,13 @@ def test_offsets_are_critically_damped_and_fade_at_the_goal(slews):
 
 
 def test_every_arm_that_begins_is_shaped_anew_and_no_other(slews):
-    slews.grow(4)
+    slews.allocate(4)
     shape, arms = shape_of(slews), np.arange(4)
     shape.reset(arms, len(arms))
-    for part in (shape.ahead, shape.offsets, shape.wanted):
+    for part in (shape.clock_offset, shape.offsets, shape.action):
         part[:] = 0.7
     shape.reset(np.array([0, 1, 3]), 4)
-    for part in (shape.ahead, shape.offsets, shape.wanted):
+    for part in (shape.clock_offset, shape.offsets, shape.action):
         assert (part[[0, 1, 3]] == 0.0).all() and (part[2] == 0.7).all()
 
 
@@ -254,11 +258,11 @@ def test_torques_beside_a_slew_at_another_pace_are_those_of_the_middle_of_a_peri
     """As of a slew that was timed for the pace, over the period that begins."""
     law, arms = lifting.episodes.agent.mode._law, np.arange(3)
     slews, now = law.slews, np.full(3, 0.26)
-    slews.pace[:] = 1.4
+    slews.time_scaling[:] = 1.4
     paced = law._reference(now, arms)
-    slews.pace[:] = 1.0
+    slews.time_scaling[:] = 1.0
     slews.coefficients *= 1.4 ** np.arange(6)
-    for part in (slews.lasting, slews.begun):
+    for part in (slews.duration, slews.start_time):
         part /= 1.4
     timed = law._reference(now / 1.4, arms)
     assert paced[0] == pytest.approx(timed[0], rel=1e-9) and paced[1] == pytest.approx(timed[1], rel=1e-9)
@@ -267,7 +271,7 @@ def test_torques_beside_a_slew_at_another_pace_are_those_of_the_middle_of_a_peri
 
 def test_torques_that_do_not_fade_stay_at_the_goal(slews):
     shape = shape_of(slews, torque=0.25, fading=0.0)
-    shape.wanted[0, 2] = 0.5
+    shape.action[0, 2] = 0.5
     for place in (0.0, 0.999, 1.0):
         assert shape.advance(ARM, np.array([place])) == pytest.approx(0.25)
 
@@ -280,7 +284,7 @@ def test_only_parts_with_authority_are_asked_for():
 @pytest.mark.parametrize(
     ("settings", "line"),
     [
-        ({"base": "pd"}, "actions: 'shaping' is not allowed; give torque, or it with a base that has an observer"),
+        ({"base": "pd"}, "actions: 'shaping' is not allowed; give torque, or shaping with a base that estimates"),
         ({"actions": {"kind": "shaping", "fading": -0.1}}, "actions.fading: -0.1 is not allowed"),
         ({"actions": {"kind": "shaping", "torque": -0.1}}, "actions.torque: -0.1 is not allowed"),
         ({"base": {"kind": "privileged-lqr", "doubt": 2}}, "base.doubt: 2 is not allowed"),

@@ -31,7 +31,7 @@ class Listener:
     def reset(self, arms, episode, count):
         self.episodes.append(episode)
 
-    def act(self, readings, applied, playing):
+    def act(self, readings, applied, active):
         self.heard.append({name: values.copy() for name, values in readings.items()})
         return np.zeros_like(applied)
 
@@ -176,16 +176,20 @@ def test_it_is_a_controller_and_refuses_what_it_cannot_shape():
     inner = PD((1.0,), (1.0,), 1.0)
     shaped = InputShapedController(inner, MODEL)
     assert isinstance(shaped, Controller) and shaped.sensors == ("servo",)
-    assert refusal(lambda: InputShapedController(3, MODEL)).startswith("Shaped.inner: 3 ")
-    assert refusal(lambda: InputShapedController(inner, MODEL, modes=3)).startswith("Shaped.modes: 3 ")
-    assert refusal(lambda: InputShapedController(inner, MODEL, modes=[(1.0, 0.0)] * 3)).startswith("Shaped.modes: ")
+    assert refusal(lambda: InputShapedController(3, MODEL)).startswith("InputShapedController.inner: 3 ")
+    assert refusal(lambda: InputShapedController(inner, MODEL, modes=3)).startswith("InputShapedController.modes: 3 ")
+    assert refusal(lambda: InputShapedController(inner, MODEL, modes=[(1.0, 0.0)] * 3)).startswith(
+        "InputShapedController.modes: "
+    )
     assert refusal(lambda: InputShapedController(inner, MODEL, modes=[(0.0, 0.0)])).startswith("frequency: 0.0 ")
-    assert refusal(lambda: InputShapedController(inner, MODEL, places=(1.1,))).startswith("Shaped.places: (1.1,) ")
+    assert refusal(lambda: InputShapedController(inner, MODEL, places=(1.1,))).startswith(
+        "InputShapedController.places: (1.1,) "
+    )
     said = refusal(lambda: heard("FlexOne-v0", 1, ("full",)))
     assert said.startswith(
-        "Shaped.inner: 'a controller that reads target_nearness' is not allowed; give one that reads"
+        "InputShapedController.inner: 'a controller that reads target_nearness' is not allowed; give one that reads"
     )
     rigid = build_model(catalog.one_joint(), 1, flexible_links=False, flexible_joints=False)
     assert refusal(lambda: InputShapedController(inner, rigid).combined(np.zeros((1, 1)))).startswith(
-        "Shaped.modes: 1 is not allowed"
+        "InputShapedController.modes: 1 is not allowed"
     )

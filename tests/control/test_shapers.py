@@ -19,10 +19,9 @@ from flexman_gym.control.input_shaping.shapers import (
     recommend_shaper,
     sample_shaper,
     shaper_residual,
-    tolerated_frequency_errors,
-    with_payload,
 )
-from flexman_gym.control.references.trajectories import minimum_jerk
+from flexman_gym.control.references.trajectories import TIMING_LAWS
+from flexman_gym.simulation.parameters import varied_model
 
 from oracles.assertions import refusal
 
@@ -127,7 +126,7 @@ def test_an_arm_rings_after_a_shaped_command_as_the_closed_form_says():
     frequency, ratio, _ = excited_modes(model, [0.0])[0]
     period, way = 0.002, 0.02
     count = round(0.6 / frequency / period)
-    base = way * minimum_jerk(np.arange(count + 1) / count)[0]
+    base = way * TIMING_LAWS["minimum-jerk"].at(np.arange(count + 1) / count)[0]
 
     def swing(parts):
         command = np.convolve(np.concatenate([base, np.full(len(parts) - 1, way)]), parts)[: len(base) + len(parts) - 1]
@@ -187,7 +186,7 @@ def cases_of(*frequencies):
 def test_a_payload_changes_the_model_as_a_payload_of_the_arm_does():
     for mass in (0.0, 0.7):
         other = fm.build_model(fm.catalog.planar_2r(joint_stiffness=60.0, payload=fm.Payload(mass)), 1)
-        loaded = excited_modes(with_payload(MODEL, mass), [0.2, 0.5])
+        loaded = excited_modes(varied_model(MODEL, payload_mass=mass), [0.2, 0.5])
         assert loaded == pytest.approx(excited_modes(other, [0.2, 0.5]), rel=1e-7, abs=1e-12)
     assert MODEL.constants.payload_mass[0] == 0.2, "the model itself stays as it is"
 
@@ -196,7 +195,7 @@ def test_cases_are_all_postures_with_all_payloads():
     cases = find_operating_points(MODEL, POSTURES, [0.0, 0.4])
     assert [case.payload for case in cases] == [0.0] * 3 + [0.4] * 3
     for case in cases:
-        loaded = with_payload(MODEL, case.payload)
+        loaded = varied_model(MODEL, payload_mass=case.payload)
         assert case.held == pytest.approx(excited_modes(loaded, case.posture)[:3])
         assert case.free == pytest.approx(excited_modes(loaded, case.posture, False)[:3])
     assert cases[0].held[0, 0] > cases[3].held[0, 0], "a heavier arm is slower"
@@ -215,24 +214,25 @@ def test_what_is_left_is_the_closed_form_of_each_case():
     shaper = design_shaper("ei", *middle[0, :2])
     for row, case in enumerate(cases):
         left = np.array([shaper_residual(shaper, *each[:2]) for each in case.held])
-        assert one.left[row] == pytest.approx(left[: one.left.shape[1]])
+        assert one.residuals[row] == pytest.approx(left[: one.residuals.shape[1]])
         assert one.tip[row] == pytest.approx(np.sum(left * case.held[:, 2]) / case.held[:, 2].sum())
     assert one.delay == shaper.times[-1]
     two = next(each for each in answers if (each.name, each.modes) == ("zvd", 2))
     row = next(i for i, case in enumerate(cases) if case is median_operating_point(cases))
-    assert two.left[row, :2] == pytest.approx([0.0, 0.0], abs=1e-9) and two.delay > one.delay
+    assert two.residuals[row, :2] == pytest.approx([0.0, 0.0], abs=1e-9) and two.delay > one.delay
 
 
 @pytest.mark.parametrize(("name", "width"), [("zv", 0.06), ("zvd", 0.286), ("ei", 0.399), ("two-hump-ei", 0.726)])
 def test_the_errors_that_are_borne_are_the_published_insensitivity(name, width):
-    low, high = tolerated_frequency_errors(design_shaper(name, 3.0), mode(3.0))
+    low, high = next(each.tolerated_errors for each in evaluate_shapers(cases_of(3.0)) if each.name == name)
     assert high - low == pytest.approx(width, abs=0.008) and low < 0.0 < high
     assert max(shaper_residual(design_shaper(name, 3.0), 3.0 * (1.0 + np.array([low, high])))) <= 5.1
 
 
 def test_with_damping_the_errors_to_both_sides_differ_and_each_is_the_last_that_is_borne():
     shaper = design_shaper("zvd", 3.0, 0.1)
-    low, high = tolerated_frequency_errors(shaper, mode(3.0, 0.1))
+    cases = [OperatingPoint(np.zeros(1), 0.0, mode(3.0, 0.1), mode(6.0))]
+    low, high = next(each.tolerated_errors for each in evaluate_shapers(cases) if each.name == "zvd")
     assert shaper_residual(shaper, 3.0 * (1.0 + np.array([low, high])), 0.1) == pytest.approx([5.1, 5.1], abs=0.06)
     assert high > -low + 0.005
 

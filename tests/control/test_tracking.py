@@ -59,13 +59,13 @@ def test_it_follows_the_reference_of_the_moment_in_which_torques_act(lead):
     rest = fm.rest_state(plant.model, START[0])
     first = own.torques(estimate(rest, lead), ON)
     other, _ = law()
-    assert first == pytest.approx(other.torques(estimate(rest), ON)) and own.slews.begun[0] == lead * plant.period
+    assert first == pytest.approx(other.torques(estimate(rest), ON)) and own.slews.start_time[0] == lead * plant.period
     way = np.sin(np.linspace(0.0, 1.5, 61))[:, None] ** 3 * [0.4, -0.5]
     follower, _ = law(way[:1], way[:1], path=lambda: way[None])
     for period in range(12):
         now = np.array([(period + lead) * plant.period])
-        follower._following.adapt(ONE, {})
-        state, forward = follower._following.at(now, ONE)
+        follower._paths.adapt(ONE, {})
+        state, forward = follower._paths.at(now, ONE)
         assert follower.torques(estimate(state, lead), ON) == pytest.approx(forward, abs=1e-9)
 
 
@@ -98,10 +98,10 @@ def test_torques_are_within_the_limits_and_arms_that_rest_have_none():
     own, arms = Tracking(plant), np.arange(2)
     own.reset(arms, EpisodeInfo(START.repeat(2, 0), GOAL.repeat(2, 0), plant.period), len(arms))
     far = np.array([fm.rest_state(plant.model, START[0])] * 2)
-    playing = np.array([True, False])
-    own.torques(Estimate(far, np.zeros(2, dtype=int), {}), playing)
+    active = np.array([True, False])
+    own.torques(Estimate(far, np.zeros(2, dtype=int), {}), active)
     far[:, plant.model.n_dof + plant.model.motor_columns] = 50.0
-    result = own.torques(Estimate(far, np.zeros(2, dtype=int), {}), playing)
+    result = own.torques(Estimate(far, np.zeros(2, dtype=int), {}), active)
     assert result[0].tolist() == [-limit for limit in plant.torque_limit] and result[1].tolist() == [0.0, 0.0]
     assert own._ages.tolist() == [2, 0]
 
@@ -200,7 +200,7 @@ def test_what_is_said_to_be_unknown_counts_for_observer_and_law():
     """Given by hand, in place of what the environment draws."""
     base = {"kind": "adaptive-lqr", "unknown": {"payload_mass": (0.0, 0.2)}}
     env = FlexManVectorEnv(1, name="FlexPlanar-v0", base=base, **SMALL)
-    assert env.episodes.base.observer.unknowns.names == ("payload_mass",)
+    assert env.episodes.base.observer.uncertain.names == ("payload_mass",)
     assert env.episodes.base.law._payloads == (0.0, 0.1, 0.2)
 
 
@@ -291,7 +291,7 @@ def test_a_name_with_arguments_makes_it():
     made = make_base({"kind": "lqg", "sensors": ("motor_encoders",), "noise": (0.1, 0.0)}, plant())
     assert made.sensors == ("motor_encoders",) and checked_controller("base", made) is made
     said = refusal(lambda: FlexManEnv(base={"kind": "lqg", "sensors": ("tip",)}))
-    assert said.startswith("sensors: ('tip',) is not allowed; give motor_encoders, beside which") and "\n" not in said
+    assert said.startswith("sensors: ('tip',) is not allowed; give motor_encoders, and any of") and "\n" not in said
 
 
 def test_a_state_holds_what_it_remembers():

@@ -11,13 +11,11 @@ import flexman_gym as fm
 from flexman_gym.control.references.trajectories import (
     TIMING_LAWS,
     DeflectionCompensation,
-    double_s,
-    minimum_jerk,
+    constant_jerk_law,
     plan_path,
     plan_slew,
     plan_via,
     slew_path,
-    trapezoid,
     via_path,
 )
 from flexman_gym.envs.config.configuration import Configuration
@@ -35,14 +33,14 @@ DENSE = 4001
 
 
 def test_the_motion_starts_and_ends_at_rest():
-    position, speed, acceleration = minimum_jerk(np.array([-1.0, 0.0, 1.0, 2.0]))
+    position, speed, acceleration = TIMING_LAWS["minimum-jerk"].at(np.array([-1.0, 0.0, 1.0, 2.0]))
     assert position.tolist() == [0.0, 0.0, 1.0, 1.0]
     assert speed.tolist() == acceleration.tolist() == [0.0] * 4
 
 
 def test_its_peaks_are_the_published_ones():
     """Speed 15 / 8 half way; acceleration 10 / sqrt(3) at (3 - sqrt(3)) / 6 of the way (Flash and Hogan 1985)."""
-    result = minimum_jerk(np.linspace(0.0, 1.0, 100_001))
+    result = TIMING_LAWS["minimum-jerk"].at(np.linspace(0.0, 1.0, 100_001))
     assert result[1].max() == pytest.approx(1.875, rel=1e-12) and result[1].argmax() == 50_000
     assert np.abs(result[2]).max() == pytest.approx(5.7735, rel=1e-5)
     assert result[2].argmax() == pytest.approx(1e5 * (3 - np.sqrt(3)) / 6, abs=1)
@@ -50,15 +48,18 @@ def test_its_peaks_are_the_published_ones():
 
 @given(parts)
 def test_it_is_symmetric_and_each_is_the_slope_of_the_one_before(part):
-    position, speed, acceleration = minimum_jerk(np.array([part, 1 - part]))
+    position, speed, acceleration = TIMING_LAWS["minimum-jerk"].at(np.array([part, 1 - part]))
     assert position.sum() == pytest.approx(1.0) and speed[0] == pytest.approx(speed[1], abs=1e-12)
     assert acceleration[0] == pytest.approx(-acceleration[1], abs=1e-12)
     h = 1e-5
-    before, after = minimum_jerk(np.clip([part - h], 0, 1)), minimum_jerk(np.clip([part + h], 0, 1))
+    before, after = (
+        TIMING_LAWS["minimum-jerk"].at(np.clip([part - h], 0, 1)),
+        TIMING_LAWS["minimum-jerk"].at(np.clip([part + h], 0, 1)),
+    )
     width = min(part + h, 1) - max(part - h, 0)
     for slope in (0, 1):
         result = (after[slope] - before[slope]) / width
-        assert result == pytest.approx(minimum_jerk(np.array([part]))[slope + 1], abs=1e-3)
+        assert result == pytest.approx(TIMING_LAWS["minimum-jerk"].at(np.array([part]))[slope + 1], abs=1e-3)
 
 
 def shortest(way, speed, acceleration, jerk):
@@ -80,7 +81,7 @@ def shortest(way, speed, acceleration, jerk):
 @given(limits)
 def test_a_double_s_keeps_its_limits_and_takes_the_time_of_its_closed_form(given):
     way, speed, acceleration, jerk = given
-    motion = double_s(*given)
+    motion = constant_jerk_law(*given)
     times = np.linspace(0.0, motion.duration, DENSE)
     place, rate, change = motion.at(times)
     assert motion.duration == pytest.approx(shortest(*given), rel=1e-12)
@@ -96,7 +97,7 @@ def test_a_double_s_keeps_its_limits_and_takes_the_time_of_its_closed_form(given
 @given(limits)
 def test_a_trapezoid_keeps_its_limits_and_takes_the_time_of_its_closed_form(given):
     way, speed, acceleration, _ = given
-    motion = trapezoid(way, speed, acceleration)
+    motion = constant_jerk_law(way, speed, acceleration)
     times = np.linspace(0.0, motion.duration, DENSE)
     place, rate, change = motion.at(times)
     flat = way >= speed**2 / acceleration
@@ -113,7 +114,7 @@ def test_a_trapezoid_keeps_its_limits_and_takes_the_time_of_its_closed_form(give
 @given(limits)
 def test_speeds_and_accelerations_are_slopes_and_motions_rest_before_and_after(given):
     way, _, acceleration, jerk = given
-    for motion, bend in ((double_s(*given), jerk), (trapezoid(*given[:3]), np.inf)):
+    for motion, bend in ((constant_jerk_law(*given), jerk), (constant_jerk_law(*given[:3]), np.inf)):
         h = 1e-5 * motion.duration
         times = np.linspace(2.0 * h, motion.duration - 2.0 * h, 999)
         before, now, after = (motion.at(times + step) for step in (-h, 0.0, h))
@@ -127,7 +128,7 @@ def test_speeds_and_accelerations_are_slopes_and_motions_rest_before_and_after(g
 
 
 def test_a_double_s_of_any_jerk_is_a_trapezoid():
-    sharp, straight = double_s(2.0, 0.7, 1.3, 1e9), trapezoid(2.0, 0.7, 1.3)
+    sharp, straight = constant_jerk_law(2.0, 0.7, 1.3, 1e9), constant_jerk_law(2.0, 0.7, 1.3)
     times = np.linspace(0.0, straight.duration, 100)
     assert sharp.duration == pytest.approx(straight.duration, abs=1e-8)
     assert sharp.at(times)[0] == pytest.approx(straight.at(times)[0], abs=1e-8)
@@ -143,10 +144,10 @@ def test_the_phases_of_the_laws_of_slews_last_as_long_as_each_other(name, phases
 
 
 def test_limits_that_are_none_are_refused_in_one_line():
-    assert refusal(trapezoid, 0.0, 1.0, 1.0).startswith("way: 0.0 is not allowed; give a")
-    assert refusal(trapezoid, 1.0, -1.0, 1.0).startswith("speed: -1.0 is not allowed; give a")
-    assert refusal(double_s, 1.0, 1.0, np.inf, 1.0).startswith("acceleration: inf is not allowed; give a")
-    assert refusal(double_s, 1.0, 1.0, 1.0, np.nan).startswith("jerk: nan is not allowed; give a")
+    assert refusal(constant_jerk_law, 0.0, 1.0, 1.0).startswith("distance: 0.0 is not allowed; give a")
+    assert refusal(constant_jerk_law, 1.0, -1.0, 1.0).startswith("speed: -1.0 is not allowed; give a")
+    assert refusal(constant_jerk_law, 1.0, 1.0, np.inf, 1.0).startswith("acceleration: inf is not allowed; give a")
+    assert refusal(constant_jerk_law, 1.0, 1.0, 1.0, np.nan).startswith("jerk: nan is not allowed; give a")
 
 
 PERIOD, SHARE = 0.02, 0.95
@@ -222,7 +223,7 @@ def test_links_on_the_way_are_bent_as_far_as_inertia_and_weight_ask(name):
     )
     way = (fm.rest_state(model, goal) - fm.rest_state(model, start))[:n]
     for part in np.linspace(0.0, 1.0, 9):
-        _, speed, change = (each[0] for each in minimum_jerk(np.array([part])))
+        _, speed, change = (each[0] for each in TIMING_LAWS["minimum-jerk"].at(np.array([part])))
         rates, changes = np.zeros((2, model.n_dof))
         rates[:n] = rates[model.motor_columns] = speed / duration * way
         changes[:n] = changes[model.motor_columns] = change / duration**2 * way
@@ -241,7 +242,7 @@ def test_a_slow_slew_is_a_sequence_of_places_of_rest():
     first, last = (fm.rest_state(model, posture)[:2] for posture in (start, goal))
     for part in (0.0, 0.3, 1.0):
         x, torques = (each[0] for each in path.at(np.array([part]), 1e4))
-        joints = first + minimum_jerk(np.array([part]))[0] * (last - first)
+        joints = first + TIMING_LAWS["minimum-jerk"].at(np.array([part]))[0] * (last - first)
         rest = fm.rest_state(model, x[model.motor_columns])
         assert x[:2] == pytest.approx(joints) and x == pytest.approx(rest[: model.n_dof], abs=1e-4)
         assert torques == pytest.approx(fm.holding_torques(model, x[model.motor_columns]), abs=0.05)
@@ -258,9 +259,11 @@ def test_a_goal_whose_weight_is_too_much_is_refused_in_one_line():
         0.01,
     )
     line = refusal(plan_slew, *arguments)
-    assert line == "goal: [0.0, 0.0] is not allowed; give a posture that 95% of the torque limits can hold"
+    assert line == "goal: [0.0, 0.0] is not allowed; give a posture with holding torques below 95% of the torque limits"
     line = refusal(plan_via, arguments[0], np.array(arguments[1:3]), *arguments[3:])
-    assert line.startswith("postures: [[1.57") and line.endswith("give postures that 95% of the torque limits can hold")
+    assert line.startswith("postures: [[1.57") and line.endswith(
+        "give postures with holding torques below 95% of the torque limits"
+    )
 
 
 def test_other_laws_and_postures_are_refused_in_one_line():
@@ -269,7 +272,7 @@ def test_other_laws_and_postures_are_refused_in_one_line():
     assert line == "law: 'cubic' is not allowed; give one of minimum-jerk, trapezoid, double-s"
     for postures in ([[0.0]], [[0.0], [1.0], [1.0]]):
         line = refusal(plan_via, model, np.array(postures), *arguments)
-        assert line == f"postures: {postures} is not allowed; give two at least, each another than that before"
+        assert line == f"postures: {postures} is not allowed; give at least two, no two equal in succession"
 
 
 def wandering(model, count):
@@ -339,11 +342,11 @@ def test_the_torques_of_a_path_are_those_of_the_middle_of_each_period():
     """A rigid link on a minimum-jerk path: inertia times the acceleration then, as splines have it."""
     model, periods, duration = rigid(), 200, 2.0
     period = duration / periods
-    path = minimum_jerk(np.linspace(0.0, 1.0, periods + 1))[0][:, None]
+    path = TIMING_LAWS["minimum-jerk"].at(np.linspace(0.0, 1.0, periods + 1))[0][:, None]
     slew = plan_path(model, path, period)
     inertia = fm.mass_matrix(model, np.zeros(2))[0, 0]
     middles = (np.arange(periods) + 0.5) / periods
-    expected = inertia / duration**2 * minimum_jerk(middles)[2]
+    expected = inertia / duration**2 * TIMING_LAWS["minimum-jerk"].at(middles)[2]
     assert np.abs(slew.torques[:, 0] - expected)[20:-20].max() < 2e-3 * np.abs(expected).max()
 
 

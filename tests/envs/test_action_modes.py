@@ -10,7 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import flexman_gym as fm
-from flexman_gym.control.margins import first_order_lag, sampled_loop, spectral_radius
+from flexman_gym.control.margins import first_order_lag, sampled_loops, spectral_radius
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
@@ -104,7 +104,7 @@ def test_the_environment_moves_as_the_loop_says_whose_eigenvalues_are_looked_at(
         control_period=0.02, horizon=30.0,
     )  # fmt: skip
     env.reset(options={"start": [0.5], "goal_angles": [0.0]})
-    loop = sampled_loop(env.simulator.model, [0.0], 0.02, late, bandwidth)
+    loop = sampled_loops(env.simulator.model, [0.0], 0.02, late, bandwidth)[0]
     gain = np.zeros((1, len(loop.transition)))
     gain[0, loop.motors], gain[0, loop.rates] = gains["stiffness"], gains["damping"]
     state, closed = np.zeros(len(loop.transition)), loop.transition - loop.inputs @ gain
@@ -133,11 +133,11 @@ def test_servos_of_all_environments_are_stable_under_delay_and_lag_and_cease_to_
     n, period = len(stiffness), setup.control_period
     postures = ([0.0] * n, [0.5 * (-1.0) ** i for i in range(n)])
     for posture in postures:
-        assert spectral_radius(sampled_loop(model, posture, period), stiffness, damping) < 1.0
+        assert spectral_radius(sampled_loops(model, posture, period)[0], stiffness, damping) < 1.0
         for late in (0, 2, 4):
-            loop = sampled_loop(model, posture, period / 5.0, late, 5.0 / period)
+            loop = sampled_loops(model, posture, period / 5.0, late, 5.0 / period)[0]
             assert spectral_radius(loop, stiffness, damping) < 1.0, (late, posture)
-    late = sampled_loop(model, postures[0], period, 4, 5.0 / period)
+    late = sampled_loops(model, postures[0], period, 4, 5.0 / period)[0]
     assert spectral_radius(late, 20.0 * stiffness, 20.0 * damping) > 1.0
 
 
@@ -170,7 +170,7 @@ def test_currents_are_torques_by_gear_torque_constant_and_efficiency():
     [
         (
             {"actions": "current"},
-            "actions: 'current' is not allowed; give it for an arm each of whose joints has a motor",
+            "actions: 'current' is not allowed; give current for an arm with a motor",
         ),
         ({"actions": "position", "base": "pd"}, "base: <flexman_gym.control.pd.PD object at "),
         (

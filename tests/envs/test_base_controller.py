@@ -170,7 +170,7 @@ def test_a_controller_is_told_how_many_arms_there_are():
 @pytest.mark.parametrize(
     ("base", "line"),
     [
-        (Silent, "base.act: '(readings)' is not allowed; give (readings, applied, playing)"),
+        (Silent, "base.act: '(readings)' is not allowed; give (readings, applied, active)"),
         (Forgetful, "base.state_field: ('told',) is not allowed; give state_fields, if it is meant, or another name"),
     ],
 )

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.lqr import zero_order_hold
 from flexman_gym.control.pd import PD, stability_limit
 from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import CONDITION_FOLDER, CONDITIONS
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.config.specification import make_controller
+from flexman_gym.model.state_space import discretize
 
 from oracles.assertions import refusal
 
@@ -27,7 +27,8 @@ FOLDERS = {"rrr": "FlexRRR-v0", "planar": "FlexPlanar-v0", "gravity": "FlexRRR-G
 def largest_eigenvalue(model, controller, period, delay, posture):
     """Of the sampled loop of arm and PD about a posture, with torques that are late by whole periods."""
     n, d = model.n_joints, model.n_dof
-    transition, inputs = zero_order_hold(fm.linearize(model, posture), period)
+    linear = fm.linearize(model, posture)
+    transition, inputs = discretize(linear.A, linear.B, period)
     gain = np.zeros((n, 2 * d))
     gain[np.arange(n), model.motor_columns] = controller.stiffness
     gain[np.arange(n), d + model.motor_columns] = controller.damping

@@ -28,26 +28,26 @@ def test_it_tells_ranges_and_no_more():
     assert plant.model is model and plant.torque_limit == setup.torque_limit
     assert plant.period == setup.control_period and plant.gains() == setup.pd_gains
     assert plant.unknown == {"payload_mass": (0.0, 0.2), "joint_stiffness_factor": (0.7, 1.3)}
-    assert plant.delay == (1, 3) and plant.push == 2.0
+    assert plant.delay == (1, 3) and plant.tip_force == 2.0
 
 
 def test_of_an_environment_that_draws_nothing_all_is_known():
     plant, *_ = plant_of()
-    assert (plant.unknown, plant.delay, plant.push) == ({}, (0, 0), 0.0)
+    assert (plant.unknown, plant.delay, plant.tip_force) == ({}, (0, 0), 0.0)
     assert not any(values[1].any() for values in plant.measured().values())
 
 
 def test_what_a_task_disturbs_is_told_too():
     plant, *_ = plant_of("FlexPlanar-Hold-v0")
-    assert plant.push == 0.5
+    assert plant.tip_force == 0.5
 
 
 @pytest.mark.parametrize("settings", [{}, {"step": 0.0025}, {"method": "ros2"}])
 def test_it_moves_arms_as_the_environment_does(settings):
     plant, *_ = plant_of(**settings)
     batch = FlexManEnv(name="FlexPlanar-v0", **SMALL, **settings).episodes.batch
-    assert find_method(plant.moved[0]) == batch.method
-    assert round(plant.period / plant.moved[1]) == batch.substeps
+    assert find_method(plant.integration[0]) == batch.method
+    assert round(plant.period / plant.integration[1]) == batch.substeps
 
 
 def deviations(settings, names, arms=400):

@@ -197,7 +197,7 @@ def test_a_policy_refuses_what_it_was_not_trained_for(run):
     assert rollout(policy, path, [0]).lengths.tolist() == [1000], "a task that it did not learn, seen as its own"
     other = AgentSpec("other", policy.law, {"sensors": "servo"})
     line = refusal(rollout, other, Configuration("FlexPlanar-v0"), [0])
-    assert line == "base: 'a policy of 49 observed numbers' is not allowed; give one of 6, which its sensors read here"
+    assert line == "base: 'a policy with 49 inputs' is not allowed; give one with 6, the number of values of its sensors here"
 
 
 def test_what_acts_nowhere_is_refused_in_one_line(tmp_path):

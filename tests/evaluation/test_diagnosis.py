@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flexman_gym.control.input_shaping.shapers import excited_modes
-from flexman_gym.control.margins import margins, sampled_loop
+from flexman_gym.control.margins import margins, sampled_loops
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.evaluation import rollout
@@ -115,7 +115,8 @@ def unstable(scale, stiffness, damping):
     """A PD with its torques beyond the gain that the arm bears with a delay of one period."""
     setup = Configuration("FlexPlanar-v0", {"arm": FLAT})
     loops = [
-        sampled_loop(resolve_fidelity(setup).model, [0.2, each], setup.control_period, 1) for each in (-0.5, 0.0, 0.5)
+        sampled_loops(resolve_fidelity(setup).model, [0.2, each], setup.control_period, 1)[0]
+        for each in (-0.5, 0.0, 0.5)
     ]
     gain = scale * margins(loops, stiffness, damping).gain
     assert gain > scale

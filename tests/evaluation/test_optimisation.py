@@ -6,7 +6,7 @@ import pytest
 
 import flexman_gym  # noqa: F401  registers the environments
 from flexman_gym.control import PD
-from flexman_gym.control.margins import Margins, has_margins, margins, sampled_loop, spectral_radius
+from flexman_gym.control.margins import Margins, has_margins, margins, sampled_loops, spectral_radius
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import optimisation
 
@@ -45,7 +45,7 @@ def test_all_gains_that_are_tried_have_margins_with_the_largest_delay(delay, mon
     )
     result = optimisation.tune(environment, first=8, around=3)
     model, setup = gym.make(environment.id).unwrapped.simulator.model, environment
-    loops = [sampled_loop(model, angles, setup.control_period, delay) for angles in goals(environment)]
+    loops = [sampled_loops(model, angles, setup.control_period, delay)[0] for angles in goals(environment)]
     assert len(np.vstack(tried)) == 8 + 8 * 3
     for gains in np.vstack(tried):
         assert has_margins(loops, *np.split(gains, 2), Margins(2.0, 30.0))

@@ -264,12 +264,12 @@ def test_a_controller_without_a_description_fails_at_import():
     """The entry of BASES is constructed when its module is imported."""
     entry = BASES["pd"]
     with pytest.raises(TypeError, match="description"):
-        type(entry)(entry.make, entry.information, entry.takes)
+        type(entry)(entry.make, entry.information, entry.arguments)
 
 
 def test_who_cannot_play_says_why(scenario):
     cell, rows = run_block(EpisodeBlock("", "optimised", scenario, 9000, 9001))
-    assert rows == [] and cell.why.startswith("table: only one of this arm") and np.isnan(cell.action)
+    assert rows == [] and cell.why.startswith("table: only a table of this arm") and np.isnan(cell.action)
     for agent, words in (("lqr", "it needs more than a laboratory can tell it"), ("optimised", "it needs more")):
         assert run_block(EpisodeBlock("", agent, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why.startswith(words)
 

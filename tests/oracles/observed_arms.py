@@ -3,7 +3,7 @@
 import numpy as np
 
 from flexman_gym.control.controller import EpisodeInfo
-from flexman_gym.control.observers.observer import make_measurement_model
+from flexman_gym.control.observers.observer import MeasurementModel
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
@@ -41,7 +41,7 @@ class Bench:
         self.plant, self.start, self.noise = plant, np.array(start), noise
         arms, n = self.start.shape
         self.delays, self.biases = np.broadcast_to(delays, arms), biases or {}
-        self.batch = Batch(plant.model, *plant.moved, plant.period, arms=arms)
+        self.batch = Batch(plant.model, *plant.integration, plant.period, arms=arms)
         if parameters:
             self.batch.vary(np.arange(arms), **parameters)
         self.batch.reset(np.arange(arms), rest_state(plant.model, self.start))
@@ -108,9 +108,9 @@ class World:
 
     def __init__(self, given, postures=POSTURES):
         self.plant, self.count = given, len(postures)
-        self.batch, self.goals = Batch(given.model, *given.moved, given.period, arms=self.count), postures
+        self.batch, self.goals = Batch(given.model, *given.integration, given.period, arms=self.count), postures
         self.batch.place(np.arange(self.count), rest_state(given.model, postures))
-        self.instruments, self.arms = make_measurement_model(given, ALL), np.arange(self.count)
+        self.instruments, self.arms = MeasurementModel(given, ALL), np.arange(self.count)
         self.last, self.asked = np.zeros((self.count, 2)), [np.zeros((self.count, 2))] * (given.delay[0] + 1)
         self.offset, self.force, self.bias, self.noise = (0.0,) * 4
 

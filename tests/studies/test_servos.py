@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.margins import sampled_loop
+from flexman_gym.control.margins import sampled_loops
 from flexman_gym.model import mass_matrix
 from studies.files import read_rows
 from studies.servos.measure import (
@@ -32,7 +32,7 @@ def test_a_rigid_motor_bears_the_limit_of_levin_and_may(late):
     """Theoretical Population Biology 9, 1976, 178: damping x period / inertia below 2 sin(pi / (4 k + 2))."""
     model = fm.build_model(fm.catalog.one_link(rotor_inertia=0.1), flexible_links=False, flexible_joints=False)
     inertia = mass_matrix(model, np.zeros(2))[0, 0]
-    loop = sampled_loop(model, [0.0], 0.01, late)
+    loop = sampled_loops(model, [0.0], 0.01, late)[0]
     found = limit(loop, np.array([1e-7]), np.array([0.01 * inertia / 0.01]))
     assert found == pytest.approx(100.0 * 2.0 * np.sin(np.pi / (4 * late + 2)), rel=2e-3)
 

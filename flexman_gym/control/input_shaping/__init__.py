@@ -1,1 +1,1 @@
-"""Input shaping: filters of a command against residual vibration."""
+"""Input shaping: impulse sequences for the convolution of commands, and controllers with a shaped command."""

@@ -1,11 +1,11 @@
 """Input shapers: modes excited by the motors, impulse sequences, and residual vibration over postures and payloads.
 
-A shaper delays: its last impulse comes 0.5 (ZV), 0.75 (MZV), 1 (ZVD, EI) or 1.5 (two-hump EI) periods of the mode
-after the first. With its motors held, the lowest mode of `FlexRRR-v0` is at about 0.3 Hz: that is 1.5 to 4.6 s.
+A shaper delays the command: its last impulse follows the first by 0.5 (ZV), 0.75 (MZV), 1 (ZVD, EI) or 1.5 (two-hump
+EI) periods of the mode. The lowest mode of `FlexRRR-v0` with held motors is at about 0.3 Hz, so that the delay is 1.5
+to 4.6 s.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import reduce
 from typing import Any, NamedTuple
 
@@ -15,77 +15,83 @@ from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import flag, non_negative, one_of, physical, positive, value_error
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.vibration import Eigenpairs, equilibrium_matrices, oscillatory_modes
-from flexman_gym.simulation.parameters import varied_constants
+from flexman_gym.simulation.parameters import varied_model
 
-RIGID_MODE_RATIO = 0.5  # of the lowest mode with held motors: what is slower still is the arm turning about its motors
-RATIO_ROUNDING = 1e-9  # of a damping ratio
-MIN_TIP_AMPLITUDE = 1e-3  # of the most that a mode moves the tip: one that moves it less is left out
+RIGID_MODE_RATIO = 0.5  # of the lowest mode with held motors; slower modes are rigid-body motion of the arm
+RATIO_ROUNDING = 1e-9  # 1; smaller damping ratios are set to 0
+MIN_TIP_AMPLITUDE = 1e-3  # relative to the largest tip amplitude of a mode; smaller ones are omitted
 
 
 def excited_modes(model: Model, posture: Vector, held: bool = True) -> Array:
-    """Gives the modes (k, 3) that motors excite and the tip feels, of an arm at rest: the lowest first.
+    """Return the modes (k, 3) excited by the motors and observable at the tip of an arm at rest, the lowest first.
 
-    A mode is a pair of complex eigenvalues s of the linear model, see `model.vibration`. It has a natural frequency
-    |s| / (2 pi) in Hz, a damping ratio -Re s / |s|, and an amplitude of the tip, the most that one motor causes: in m
-    after a held motor has been stepped by 1 rad, in m after a free one has had an impulse of 1 N m s. Constraints raise
-    frequencies (Rayleigh), so that free motors leave no mode below the lowest one with held motors, but for the arm
-    that turns, or swings in gravity, as a whole. That is left out.
+    A mode is a pair of complex eigenvalues s of the linear model, see `model.vibration`. Its columns are the natural
+    frequency |s| / (2 pi), Hz; the damping ratio -Re s / |s|; and the largest tip amplitude caused by one motor: in m
+    after a step of 1 rad of a held motor, or after an impulse of 1 N m s on a free one. Constraints raise frequencies
+    (Rayleigh), so that free motors have no mode below the lowest one with held motors, except for the arm turning, or
+    swinging under gravity, as a whole; that mode is omitted.
 
     Args:
         model: of the arm.
-        posture: (n,) rad, of the motors.
-        held: whether the motors are held, by whatever torques that takes; free ones carry the holding torques.
+        posture: (n,) motor angles, rad.
+        held: True for motors held in position; False for free motors under the holding torques.
+
+    Returns:
+        Frequency (Hz), damping ratio and tip amplitude of each mode, (k, 3).
 
     Raises:
-        ValueError: for a posture of wrong shape, and for an arm too soft to rest.
+        ValueError: for a posture of wrong shape, and for an arm too soft for an equilibrium.
     """
     resting = equilibrium_matrices(check_model(model), posture)
     motors, others = resting.motors, resting.free
     inertia, springs = (matrix[np.ix_(others, others)] for matrix in (resting.mass, resting.stiffness))
     result = np.zeros((0, 3))
     if len(others):
-        # a step carries along what hangs on a motor; springs draw it to where it rests
+        # a step moves the link with its motor; springs pull it to the equilibrium
         carried = -np.linalg.solve(inertia, resting.mass[np.ix_(others, motors)])
         starts = carried + np.linalg.solve(springs, resting.stiffness[np.ix_(others, motors)])
         eigen = oscillatory_modes(resting, others)
         lost = resting.damping[np.ix_(others, others)]
         caused = [shape @ (value * inertia + lost) @ starts for value, shape in zip(*eigen, strict=True)]
-        result = _felt(eigen, np.array(caused), resting.tip[:, others])
+        result = _observable_modes(eigen, np.array(caused), resting.tip[:, others])
     if flag("held", held) or not len(result):
         return result
     every = np.arange(model.n_dof)
     eigen = oscillatory_modes(resting, every)
     above = np.abs(eigen.values) > 2.0 * np.pi * RIGID_MODE_RATIO * result[0, 0]
-    return _felt(Eigenpairs(eigen.values[above], eigen.shapes[above]), eigen.shapes[np.ix_(above, motors)], resting.tip)
+    return _observable_modes(
+        Eigenpairs(eigen.values[above], eigen.shapes[above]), eigen.shapes[np.ix_(above, motors)], resting.tip
+    )
 
 
-def _felt(eigen: Eigenpairs, caused: Array, tip: Array) -> Array:
-    """Modes (k, 3) that the tip feels, of those that motors excite by (k, n)."""
-    moved = 2.0 * np.linalg.norm(eigen.shapes @ tip.T, axis=1) * np.abs(caused).max(axis=1, initial=0.0)
-    kept = np.flatnonzero(moved > MIN_TIP_AMPLITUDE * moved.max(initial=0.0))
+def _observable_modes(eigen: Eigenpairs, caused: Array, tip: Array) -> Array:
+    """Return the modes (k, 3) with a sufficient tip amplitude, of those excited by the motors (k, n)."""
+    tip_amplitudes = 2.0 * np.linalg.norm(eigen.shapes @ tip.T, axis=1) * np.abs(caused).max(axis=1, initial=0.0)
+    kept = np.flatnonzero(tip_amplitudes > MIN_TIP_AMPLITUDE * tip_amplitudes.max(initial=0.0))
     sizes = np.abs(eigen.values)
     kept = kept[np.argsort(sizes[kept])]
     ratios = -eigen.values[kept].real / sizes[kept]
     ratios[np.abs(ratios) < RATIO_ROUNDING] = 0.0
-    return np.transpose([sizes[kept] / (2.0 * np.pi), ratios, moved[kept]])
+    return np.transpose([sizes[kept] / (2.0 * np.pi), ratios, tip_amplitudes[kept]])
 
 
-DEFAULT_TOLERANCE = 0.05  # residual that EI shapers allow
-EI_ITERATIONS = 8  # for the parameter of an EI shaper; its error falls to less than a tenth in each
+DEFAULT_TOLERANCE = 0.05  # 1; residual vibration tolerated by EI shapers
+EI_ITERATIONS = 8  # for the parameter of an EI shaper; each reduces the error by a factor of ten or more
 SQRT_2 = np.sqrt(2.0)
 
 
 def _two_hump(v: float) -> tuple[float, ...]:
+    """Return the undamped amplitudes of the two-hump EI shaper for a tolerated residual."""
     x = (v**2 * (np.sqrt(1.0 - v**2) + 1.0)) ** (1.0 / 3.0)
     outer = (3.0 * x**2 + 2.0 * x + 3.0 * v**2) / (16.0 * x)
     return outer, 0.5 - outer, 0.5 - outer, outer
 
 
-# Name: periods of the mode between two impulses, and their amplitudes without damping for a tolerated residual.
+# name -> periods of the mode between two impulses, and undamped amplitudes as a function of the tolerated residual
 # ZV and ZVD: Singer and Seering, J. of Dynamic Systems, Measurement, and Control 112 (1990), 76. EI: Singhose, Seering
 # and Singer, J. of Mechanical Design 116 (1994), 654. Two-hump EI: Singhose, Porter, Tuttle and Singer, J. of Dynamic
 # Systems, Measurement, and Control 119 (1997), 320. MZV: three impulses in three quarters of a period, as in printers
-# (Klipper); Vaughan, Yano and Singhose, J. of Sound and Vibration 315 (2008), 797, compare shapers of all kinds.
+# (Klipper). Comparison: Vaughan, Yano and Singhose, J. of Sound and Vibration 315 (2008), 797.
 SHAPERS: dict[str, tuple[float, Callable[[float], tuple[float, ...]]]] = {
     "zv": (0.5, lambda v: (0.5, 0.5)),
     "mzv": (0.375, lambda v: (1.0 - 1.0 / SQRT_2, SQRT_2 - 1.0, 1.0 - 1.0 / SQRT_2)),
@@ -96,11 +102,11 @@ SHAPERS: dict[str, tuple[float, Callable[[float], tuple[float, ...]]]] = {
 
 
 class Shaper(NamedTuple):
-    """Impulses that a command is convolved with.
+    """Impulse sequence with which a command is convolved.
 
     Attributes:
-        times: (k,) s, from 0 on.
-        amplitudes: (k,), which sum to 1.
+        times: (k,) s, the first 0.
+        amplitudes: (k,) with sum 1.
     """
 
     times: Array
@@ -108,19 +114,23 @@ class Shaper(NamedTuple):
 
 
 def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: float = DEFAULT_TOLERANCE) -> Shaper:
-    """Designs a shaper for a mode.
+    """Design a shaper for one mode.
 
-    With damping, amplitudes fall as the mode decays from impulse to impulse, so that those of ZV, MZV, ZVD and two-hump
-    EI still cancel. Those of EI leave the tolerance at the mode, and come near to zero on both sides of it.
+    With damping, amplitudes decrease with the decay of the mode from impulse to impulse, so that ZV, MZV, ZVD and
+    two-hump EI still cancel the vibration. An EI shaper leaves the tolerated residual at the mode and nearly none on
+    both sides.
 
     Args:
-        name: of SHAPERS.
+        name: name in `SHAPERS`.
         frequency: natural frequency of the mode, Hz.
-        ratio: damping ratio of the mode, from 0 on and below 1.
-        tolerance: residual that EI and two-hump EI allow, a part.
+        ratio: damping ratio of the mode, 0 <= ratio < 1.
+        tolerance: residual vibration tolerated by EI and two-hump EI, as a fraction.
+
+    Returns:
+        Shaper whose first impulse is at 0 s.
 
     Raises:
-        ValueError: one line, also for a mode so damped that EI impulses would be negative.
+        ValueError: also for a damping ratio at which EI impulses would be negative.
     """
     spacing, amplitudes = SHAPERS[one_of("shaper", name, SHAPERS)]
     rate = 2.0 * np.pi * physical("frequency", frequency, "Hz")
@@ -131,9 +141,8 @@ def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: fl
     count = len(amplitudes(tolerance))
     times = spacing * np.arange(count) * 2.0 * np.pi / (rate * np.sqrt(1.0 - ratio**2))
     decay, own = np.exp(-ratio * rate * times), tolerance
-    for _ in range(
-        EI_ITERATIONS if name.endswith("ei") else 1
-    ):  # what is left decays too, and is measured against impulses that sum to 1
+    # the residual decays too, relative to impulses with sum 1
+    for _ in range(EI_ITERATIONS if name.endswith("ei") else 1):
         if not own < 1.0:
             raise value_error("ratio", ratio, f"a mode with less damping, or no {name}: its impulses would be negative")
         weighted = np.array(amplitudes(own)) * decay
@@ -142,22 +151,25 @@ def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: fl
 
 
 def convolve_shapers(first: Shaper, second: Shaper) -> Shaper:
-    """Gives the convolution of two shapers, which cancels the modes of both and lasts as long as both together."""
+    """Return the convolution of two shapers, which cancels the modes of both and has the sum of their durations."""
     times = np.add.outer(first.times, second.times).ravel()
     order = np.argsort(times, kind="stable")
     return Shaper(times[order], np.outer(first.amplitudes, second.amplitudes).ravel()[order])
 
 
 def shaper_residual(shaper: Shaper, frequency: float | Array, ratio: float = 0.0) -> Any:
-    """Gives the vibration that a shaper leaves, in percent of that after one impulse at once.
+    """Return the residual vibration after a shaper, in percent of that after a single impulse.
 
-    After Singer and Seering (1990): exp(-r w t_k) |sum of A_i exp(r w t_i + j w_d t_i)| for the natural frequency w,
-    the damping ratio r and the damped frequency w_d.
+    Singer and Seering (1990): exp(-r w t_k) |sum of A_i exp(r w t_i + j w_d t_i)| with natural frequency w, damping
+    ratio r and damped frequency w_d.
 
     Args:
-        shaper: whose last impulse is at t_k.
-        frequency: Hz, one or an array of them.
+        shaper: with its last impulse at t_k.
+        frequency: Hz, a number or an array.
         ratio: damping ratio.
+
+    Returns:
+        Residual, %, with the shape of `frequency`.
     """
     rate = 2.0 * np.pi * np.asarray(frequency, dtype=np.float64)
     pole = rate * (ratio + 1j * np.sqrt(1.0 - ratio**2))
@@ -166,14 +178,17 @@ def shaper_residual(shaper: Shaper, frequency: float | Array, ratio: float = 0.0
 
 
 def sample_shaper(shaper: Shaper, period: float) -> Array:
-    """Gives the parts (m,) of a command that come 0, 1, ... control periods late.
+    """Return the fractions (m,) of a command that are delayed by 0, 1, ... control periods.
 
     An impulse between two samples is split linearly between them. At a natural frequency w this adds at most
     100 (w period)^2 / 8 percent of residual: 0.02 % at 0.3 Hz and 20 ms.
 
     Args:
-        shaper: whose impulses may fall between samples.
-        period: s.
+        shaper: with impulses at any times.
+        period: control period, s.
+
+    Returns:
+        Fractions (m,) with sum 1.
     """
     places = shaper.times / positive("period", period, "s")
     lower = np.floor(places).astype(int)
@@ -183,15 +198,23 @@ def sample_shaper(shaper: Shaper, period: float) -> Array:
     return result
 
 
-TOLERATED_RESIDUAL = 5.0  # % of a mode, up to which a shaper bears an error of frequency
-TOLERANCE_SLACK = 1.02  # of that: EI shapers leave just so much by design, and with damping a little more beside it
-TIP_VIBRATION_LIMIT = 10.0  # % of the tip's vibration, that a recommended shaper leaves at worst
-EVALUATED_MODES = 3  # lowest modes
-MAX_FREQUENCY_ERROR, FREQUENCY_ERROR_STEP = 0.9, 0.0005  # part of a frequency, of the errors that are tried
+TOLERATED_RESIDUAL = 5.0  # %; residual of a mode within the tolerated frequency errors
+TOLERANCE_SLACK = 1.02  # 1; factor of it, since damped EI shapers slightly exceed the tolerance at the mode
+TIP_VIBRATION_LIMIT = 10.0  # %; largest residual tip vibration of a recommended shaper
+EVALUATED_MODES = 3  # number of lowest modes
+MAX_FREQUENCY_ERROR = 0.9  # relative; largest error examined
+FREQUENCY_ERROR_STEP = 0.0005  # relative
 
 
 class OperatingPoint(NamedTuple):
-    """A posture (n,) rad and a payload (kg), with the modes (k, 3) of held and of free motors, see `excited_modes`."""
+    """Posture and payload, with the modes of the arm there.
+
+    Attributes:
+        posture: (n,) motor angles, rad.
+        payload: kg.
+        held: (k, 3) modes with held motors, see `excited_modes`.
+        free: (k, 3) modes with free motors.
+    """
 
     posture: Array
     payload: float
@@ -200,65 +223,63 @@ class OperatingPoint(NamedTuple):
 
 
 class ShaperEvaluation(NamedTuple):
-    """A shaper for the lowest mode or the lowest two of a case, and what it leaves of all cases.
+    """Residual vibration of a shaper, designed for one or two modes of one operating point, over all operating points.
 
     Attributes:
         name: of the shaper.
-        modes: how many of the lowest it is designed for.
-        delay: s, from its first impulse to its last.
-        borne: errors (low, high) of all frequencies, as parts of them, up to which it leaves at most LEFT of each mode.
-        left: (cases, k) % of each mode.
-        tip: (cases,) % of the tip's vibration after a step of the motors, modes added up as if they met in phase.
+        modes: number of lowest modes in the design.
+        delay: from the first impulse to the last, s.
+        tolerated_errors: (low, high) relative errors of the frequencies with at most TOLERATED_RESIDUAL of each mode.
+        residuals: (cases, k) residual of each mode, %.
+        tip: (cases,) residual tip vibration after a step of the motors, with all modes in phase, %.
     """
 
     name: str
     modes: int
     delay: float
-    borne: tuple[float, float]
-    left: Array
+    tolerated_errors: tuple[float, float]
+    residuals: Array
     tip: Array
 
 
 def find_operating_points(model: Model, postures: Array, payloads: Sequence[float]) -> list[OperatingPoint]:
-    """Finds the lowest modes for each of the postures (p, n) rad with each of the payloads (kg)."""
+    """Compute the lowest modes for each of the postures (p, n) rad with each of the payloads (kg)."""
     result = []
     for payload in payloads:
-        loaded = with_payload(model, payload)
+        loaded = varied_model(model, payload_mass=non_negative("payload_mass", payload, "kg"))
         for posture in postures:
             modes = (excited_modes(loaded, posture, held)[:EVALUATED_MODES] for held in (True, False))
             result.append(OperatingPoint(posture, float(payload), *modes))
     return result
 
 
-def with_payload(model: Model, mass: float) -> Model:
-    """Gives a model with the same coordinates and a payload of another mass (kg), its inertia in proportion."""
-    rows = varied_constants(model, 1, {"payload_mass": [mass]})
-    return replace(model, constants=model.constants._replace(**{name: values[0] for name, values in rows.items()}))
-
-
 def median_operating_point(cases: Sequence[OperatingPoint]) -> OperatingPoint:
-    """Gives the case whose lowest frequency with held motors is in the middle of all."""
+    """Return the operating point with the median lowest frequency with held motors."""
     return sorted(cases, key=lambda case: float(case.held[0, 0]))[len(cases) // 2]
 
 
 def evaluate_shapers(cases: Sequence[OperatingPoint]) -> list[ShaperEvaluation]:
-    """Finds what each shaper, for one mode and for two, leaves of all cases, where it is designed for the middle one.
+    """Evaluate all shapers over operating points, designed for one and for two modes of the median one.
 
     Args:
-        cases: all with at least one mode of held motors.
+        cases: operating points, each with at least one mode with held motors.
+
+    Returns:
+        Evaluations, first of all shapers for one mode, then for two.
     """
     middle = median_operating_point(cases).held
     counts = [count for count in (1, 2) if count <= len(middle)]
     return [_evaluate_shaper(name, middle[:count], cases) for count in counts for name in SHAPERS]
 
 
-def recommend_shaper(answers: Sequence[ShaperEvaluation]) -> ShaperEvaluation | None:
-    """Gives the answer of the least delay that leaves at most BOUND of the tip's vibration in every case, or None."""
-    good = [answer for answer in answers if answer.tip.max() <= TIP_VIBRATION_LIMIT]
-    return min(good, key=lambda answer: answer.delay, default=None)
+def recommend_shaper(evaluations: Sequence[ShaperEvaluation]) -> ShaperEvaluation | None:
+    """Return the shaper of shortest delay with at most TIP_VIBRATION_LIMIT in every case, or None."""
+    feasible = [evaluation for evaluation in evaluations if evaluation.tip.max() <= TIP_VIBRATION_LIMIT]
+    return min(feasible, key=lambda evaluation: evaluation.delay, default=None)
 
 
 def _evaluate_shaper(name: str, modes: Array, cases: Sequence[OperatingPoint]) -> ShaperEvaluation:
+    """Return the evaluation of a shaper for given modes (k, 3) of its design."""
     shaper = reduce(convolve_shapers, [design_shaper(name, frequency, ratio) for frequency, ratio, _ in modes.tolist()])
     most = min(len(case.held) for case in cases)
     left, tips = [], []
@@ -270,14 +291,12 @@ def _evaluate_shaper(name: str, modes: Array, cases: Sequence[OperatingPoint]) -
         tips.append(float(each @ case.held[:, 2] / case.held[:, 2].sum()))
     delay = float(shaper.times[-1])
     return ShaperEvaluation(
-        name, len(modes), delay, tolerated_frequency_errors(shaper, modes), np.array(left), np.array(tips)
+        name, len(modes), delay, _tolerated_frequency_errors(shaper, modes), np.array(left), np.array(tips)
     )
 
 
-def tolerated_frequency_errors(shaper: Shaper, modes: Array) -> tuple[float, float]:
-    """Gives how much lower and higher all of the modes (k, 3) may be together, as parts, see
-    `ShaperEvaluation.borne`.
-    """
+def _tolerated_frequency_errors(shaper: Shaper, modes: Array) -> tuple[float, float]:
+    """Return the relative errors (low, high) of the frequencies of modes (k, 3); see `ShaperEvaluation`."""
     steps = np.arange(0.0, MAX_FREQUENCY_ERROR, FREQUENCY_ERROR_STEP)
     result = []
     for sign in (-1.0, 1.0):

@@ -1,1 +1,1 @@
-"""Observers: Kalman filter, output-error estimator, oracle."""
+"""Observers: Kalman filter, output-error estimator, oracle, and their internal models."""

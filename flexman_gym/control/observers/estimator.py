@@ -8,56 +8,53 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.innovations import ChangeDetector, InnovationGains
 from flexman_gym.control.observers.internal_model import DelayCompensation, DiscreteJacobians
-from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, make_measurement_model
+from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, MeasurementModel
 from flexman_gym.control.observers.perturbed_models import (
     PerturbedModels,
     Prior,
+    UncertainParameters,
     levenberg_marquardt_step,
-    make_uncertain_parameters,
     solve_scaled,
     standard_deviations,
 )
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import rest_state
 
-RESIMULATION_PERIODS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods after which all is simulated again
-LAST_DELAY_SEARCH = 20  # at replays so early the delay is looked for
-UPDATE_INTERVAL = 5  # periods after which the trials take over what was estimated
-START_ANGLE_DEVIATION = 1e-4  # rad, deviation of an angle at the start that is told
-MAX_STATE = 100.0  # largest entry of a state of a trial that still says something
-MAX_PERTURBATION = 0.5  # rad, by which trials may differ before they are drawn together
-DETECTION_START = 25  # control periods of a start in which no change is looked for
-START_ANGLE_BOUND = 10.0  # deviations, up to which an angle at the start is looked for
+RESIMULATION_PERIODS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods; age of an episode
+LAST_DELAY_SEARCH = 20  # control period; the delay is fitted at resimulations up to here
+UPDATE_INTERVAL = 5  # control periods between two shifts of the models to the estimate
+START_ANGLE_DEVIATION = 1e-4  # rad; standard deviation of start angles that are given
+MAX_STATE = 100.0  # largest entry of a usable state of a model
+MAX_PERTURBATION = 0.5  # rad; difference of motor angles beyond which perturbations are reduced
+DETECTION_START = 25  # control periods at the start of an episode without change detection
+START_ANGLE_BOUND = 10.0  # standard deviations; largest estimated deviation of a start angle
 
 
 class Estimator:
-    """Output-error observer: unknown parameters, angles at the start and delay are fitted to all readings so far.
+    """Output-error observer: parameters, start angles and delay are fitted to all measurements of the episode.
 
-    There is no process noise: what an arm does follows from its parameters, its start and the torques that were
-    applied. Beside the arm as it is estimated move others with one unknown changed each. A recursive least-squares fit
-    follows them, and now and then all is simulated again from the start with Levenberg-Marquardt steps, which removes
-    the error of linearisation (Ljung, System Identification, 2nd ed., 1999, chapters 7 and 10).
+    The model has no process noise: the motion follows from parameters, start and applied torques. Perturbed models,
+    one for each fitted number, move alongside the estimated model and yield the sensitivities of a recursive
+    least-squares fit. At certain periods the whole episode is simulated again from the start with Levenberg-Marquardt
+    steps, which removes linearisation errors (Ljung, System Identification, 2nd ed., 1999, chapters 7 and 10).
 
     Args:
-        plant: the arm, what is unknown of it, and how exact instruments are.
+        plant: plant model with uncertain parameters and the noise of the instruments.
         sensors: names in `model.linearization.LINEAR_SENSORS`.
-        unknown: name -> (low, high), see `unknowns.make_unknowns`; None takes those of the plant.
-        biased: whether each reading may be off by a constant of up to 0.5 % of its range. The angles at the start are
-            then taken as they are told, for encoders that are off cannot tell them.
+        unknown: name -> (low, high), see `UncertainParameters`; None for those of the plant.
+        biased: whether measurements may have a bias of up to 0.5 % of their range. Start angles are then those of
+            `EpisodeInfo`, since biased encoders do not determine them.
 
     Attributes:
-        numbers: (b, p) what is estimated: unknowns, angles (rad) of the start against `_origin`, biases.
+        numbers: (b, p) fitted numbers: uncertain parameters, start angles (rad) relative to `_origin`, biases.
         delays: (b,) control periods.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
     """
 
     _arrays = (
         "numbers", "delays", "_origin", "_states", "_information", "_change", "_ages", "_readings",
-        "_torques", "_steps", "_apart", "_pushed",
+        "_torques", "_steps", "_perturbations_reduced", "_filtering",
     )  # fmt: skip
-    state_fields = (*_arrays, "_innovations", "_prediction", "_residuals")
+    state_fields = (*_arrays, "_innovations", "_prediction", "_detector")
 
     def __init__(
         self,
@@ -68,230 +65,236 @@ class Estimator:
     ) -> None:
         self.sensors, self._plant = tuple(sensors), plant
         model, n = plant.model, plant.model.n_joints
-        read = self._instruments = make_measurement_model(plant, self.sensors)
-        unknowns = self.unknowns = make_uncertain_parameters(model, plant.unknown if unknown is None else unknown)
-        trials = self._trials = PerturbedModels(plant, unknowns, read.matrix, biased)
-        self._innovations = InnovationGains(DiscreteJacobians(plant), read, plant.push)
+        read = self._instruments = MeasurementModel(plant, self.sensors)
+        uncertain = self.uncertain = UncertainParameters(model, plant.unknown if unknown is None else unknown)
+        models = self._models = PerturbedModels(plant, uncertain, read.matrix, biased)
+        self._innovations = InnovationGains(DiscreteJacobians(plant), read, plant.tip_force)
         self._encoders = None if biased else read.places["motor_angles"]
         starts = np.full(n, START_ANGLE_DEVIATION) if self._encoders is None else read.deviations[self._encoders]
         biases = MAX_BIAS * read.ranges if biased else np.zeros(0)
         self._prior = Prior(
-            np.concatenate([unknowns.mean, np.zeros(trials.size - len(unknowns.mean))]),
-            np.concatenate([unknowns.deviation, starts, biases / np.sqrt(3.0)]),
-            np.concatenate([unknowns.low, -START_ANGLE_BOUND * starts, -2.0 * biases]),
-            np.concatenate([unknowns.high, START_ANGLE_BOUND * starts, 2.0 * biases]),
+            np.concatenate([uncertain.mean, np.zeros(models.size - len(uncertain.mean))]),
+            np.concatenate([uncertain.deviation, starts, biases / np.sqrt(3.0)]),
+            np.concatenate([uncertain.low, -START_ANGLE_BOUND * starts, -2.0 * biases]),
+            np.concatenate([uncertain.high, START_ANGLE_BOUND * starts, 2.0 * biases]),
         )
         self._weights = np.tile(read.deviations**-2.0, (RESIMULATION_PERIODS[-1] + 1, 1))
         if self._encoders is not None:
-            self._weights[0, self._encoders] = 0.0  # from which the angles at the start come
+            self._weights[0, self._encoders] = 0.0  # the first readings define the start angles
         self._allocate()
 
     def _allocate(self) -> None:
-        """Makes the memory of no arm."""
-        (m, size), p, trials = self._trials.matrix.shape, self._trials.size, 1 + self._trials.moving
+        """Create the arrays, for zero arms."""
+        (m, size), p, models = self._models.matrix.shape, self._models.size, 1 + self._models.dynamic
         n, late, rows = self._plant.model.n_joints, self._plant.delay[1], len(self._weights)
         self.numbers, self._change = np.zeros((0, p)), np.zeros((0, p))
-        self._origin, self._states = np.zeros((0, size)), np.zeros((0, trials, size))
+        self._origin, self._states = np.zeros((0, size)), np.zeros((0, models, size))
         self.delays, self._ages = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
         self._information, self._readings = np.zeros((0, p, p)), np.zeros((0, rows, m))
         self._torques = np.zeros((0, late + rows, n))
-        self._told, self._prediction = np.zeros((0, n)), DelayCompensation(self._plant)
-        self._residuals = ChangeDetector(m)
-        self._steps, self._informed = np.zeros((0, trials - 1)), np.zeros((0, p + trials - 1))
-        self._apart, self._pushed = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
+        self._given_angles, self._prediction = np.zeros((0, n)), DelayCompensation(self._plant)
+        self._detector = ChangeDetector(m)
+        self._steps, self._simulated_numbers = np.zeros((0, models - 1)), np.zeros((0, p + models - 1))
+        self._perturbations_reduced, self._filtering = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,)."""
+        """Start new episodes of the arms (r,)."""
         if count > len(self._ages):
-            for name in (*self._arrays, "_told", "_informed"):
+            for name in (*self._arrays, "_given_angles", "_simulated_numbers"):
                 setattr(self, name, pad_rows(getattr(self, name), count))
-            self._innovations.grow(count)
-        self._ages[arms], self._told[arms], self._pushed[arms] = 0, episode.start, False
+            self._innovations.allocate(count)
+        self._ages[arms], self._given_angles[arms], self._filtering[arms] = 0, episode.start, False
         self.numbers[arms], self._change[arms] = self._prior.mean, 0.0
         self._information[arms] = self._prior.information
-        self._torques[arms], self._informed[arms] = 0.0, np.nan
-        self._residuals.reset(arms, count)
+        self._torques[arms], self._simulated_numbers[arms] = 0.0, np.nan
+        self._detector.reset(arms, count)
         self._prediction.reset(arms, count)
 
-    def estimate(self, readings: Readings, applied: Array, playing: BoolArray) -> Estimate:
-        """Gives what is known now; see `Observer`."""
+    def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
+        """Return the estimate of this control period; see `Observer`."""
         now = self._instruments.read(readings)
-        fresh, later = (np.flatnonzero(playing & flags) for flags in (self._ages == 0, self._ages > 0))
-        if len(fresh):
-            self._begin(fresh, now[fresh])
-        if len(later):
-            self._advance(later, applied[later])
-            kept = later[self._ages[later] < len(self._weights)]
-            self._readings[kept, self._ages[kept]] = now[kept]
-            again = np.isin(self._ages[later], RESIMULATION_PERIODS) & ~self._apart[later] & ~self._pushed[later]
-            for age in np.unique(self._ages[later[again]]).tolist():
-                self._replay(later[again & (self._ages[later] == age)], age)
-            self._recur(later[~again], now[later[~again]])
-            if (changed := self._residuals.changed(later) & (self._ages[later] > DETECTION_START)).any():
-                self._change_over(later[changed])
-        self._ages += playing
-        return self._predicted(np.flatnonzero(playing))
+        new, running = (np.flatnonzero(active & flags) for flags in (self._ages == 0, self._ages > 0))
+        if len(new):
+            self._begin(new, now[new])
+        if len(running):
+            self._advance(running, applied[running])
+            stored = running[self._ages[running] < len(self._weights)]
+            self._readings[stored, self._ages[stored]] = now[stored]
+            resimulated = (
+                np.isin(self._ages[running], RESIMULATION_PERIODS)
+                & ~self._perturbations_reduced[running]
+                & ~self._filtering[running]
+            )
+            for age in np.unique(self._ages[running[resimulated]]).tolist():
+                self._refit(running[resimulated & (self._ages[running] == age)], age)
+            self._update_fit(running[~resimulated], now[running[~resimulated]])
+            if (changed := self._detector.detect(running) & (self._ages[running] > DETECTION_START)).any():
+                self._restart_after_change(running[changed])
+        self._ages += active
+        return self._state_at_effect(np.flatnonzero(active))
 
     @property
-    def wrong(self) -> BoolArray:
-        """Which arms (b,) nothing known explains, after their change or push has been looked for."""
-        return self._residuals.wrong & ((self._ages > DETECTION_START) | self._pushed)
+    def inconsistent(self) -> BoolArray:
+        """Flags (b,) of arms whose measurements are not explained, even after a restart for a change or a tip force."""
+        return self._detector.inconsistent & ((self._ages > DETECTION_START) | self._filtering)
 
     @property
     def estimates(self) -> dict[str, Array]:
-        """Physical parameters by name, (b, ...), their standard deviations by name_deviation, `delay` and `misfit`."""
-        values = self._trials.parameters(self._prior.clip(self.numbers + self._change))
-        spread = self._trials.unknowns.deviations(standard_deviations(self._information))
-        return values | spread | {"delay": self.delays.astype(float), "misfit": self._residuals.misfit}
+        """Parameters by name, (b, ...), their standard deviations by name_deviation, `delay` and `misfit`."""
+        values = self._models.parameters(self._prior.clip(self.numbers + self._change))
+        spread = self._models.uncertain.deviations(standard_deviations(self._information))
+        return values | spread | {"delay": self.delays.astype(float), "misfit": self._detector.misfit}
 
     def _begin(self, arms: IntArray, now: Array) -> None:
-        """Begins the fits of arms (r,) with their first readings (r, m)."""
-        angles = self._told[arms] if self._encoders is None else now[:, self._encoders]
+        """Start the fits of arms (r,) with their first measurements (r, m)."""
+        angles = self._given_angles[arms] if self._encoders is None else now[:, self._encoders]
         self._origin[arms] = rest_state(self._plant.model, angles)
         self._readings[arms, 0] = now
         self.delays[arms] = (sum(self._plant.delay) + 1) // 2
-        self._states[arms] = self._trials.starts(self._origin[arms], self.numbers[arms])
-        self._steps[arms], self._apart[arms] = self._trials.steps, False
-        if self._plant.push:
-            self._pushed[arms] = self._filtered(arms, sudden=False)
+        self._states[arms] = self._models.initial_states(self._origin[arms], self.numbers[arms])
+        self._steps[arms], self._perturbations_reduced[arms] = self._models.steps, False
+        if self._plant.tip_force:
+            self._filtering[arms] = self._start_filter(arms, sudden=False)
 
-    def _change_over(self, arms: IntArray) -> None:
-        """Lets arms (r,) that their fit explains no longer begin anew: a load was picked up, or something pushes."""
-        known, states = len(self.unknowns.names), self._present(arms)
+    def _restart_after_change(self, arms: IntArray) -> None:
+        """Restart the fit of arms (r,) with a detected change, such as a new payload or an external force."""
+        known, states = len(self.uncertain.names), self._current_states(arms)
         self.numbers[arms] = self._prior.clip(self.numbers[arms] + self._change[arms])
-        self.numbers[arms, known : self._trials.moving], self._change[arms] = 0.0, 0.0
-        self._states[arms], self._steps[arms] = states[:, None], self._trials.steps
+        self.numbers[arms, known : self._models.dynamic], self._change[arms] = 0.0, 0.0
+        self._states[arms], self._steps[arms] = states[:, None], self._models.steps
         self._information[arms] = self._prior.information
-        self._ages[arms], self._apart[arms] = 1, True  # there is no start to which a replay goes back
-        self._residuals.reset(arms, len(self._ages))
-        self._pushed[arms] = self._filtered(arms, sudden=True)
+        self._ages[arms], self._perturbations_reduced[arms] = 1, True  # no start for resimulations
+        self._detector.reset(arms, len(self._ages))
+        self._filtering[arms] = self._start_filter(arms, sudden=True)
 
-    def _filtered(self, arms: IntArray, sudden: bool) -> BoolArray:
-        """Begins to correct the states of arms (r,) by their readings; says for which of them it can."""
+    def _start_filter(self, arms: IntArray, sudden: bool) -> BoolArray:
+        """Start the correction of arms (r,) by innovations; return flags of those for which it is possible."""
         torques = self._prediction.past[arms, self.delays[arms]]
-        return self._innovations.begin(arms, self._present(arms), torques, sudden)
+        return self._innovations.begin(arms, self._current_states(arms), torques, sudden)
 
-    def _draw_together(self, arms: IntArray) -> None:
-        """Lets trials of arms (r,) that have come too far from the first differ by smaller steps."""
+    def _reduce_perturbations(self, arms: IntArray) -> None:
+        """Reduce the perturbations of arms (r,) whose perturbed models have diverged from the estimated one."""
         states, motors = self._states[arms], self._plant.model.motor_columns
         spread = np.abs(states[:, 1:, motors] - states[:, :1, motors]).max(axis=2) / MAX_PERTURBATION
-        far = spread > 1.0
-        if far.any():
-            part = np.where(far, 1.0 / np.maximum(spread, 1.0), 1.0)
+        large = spread > 1.0
+        if large.any():
+            part = np.where(large, 1.0 / np.maximum(spread, 1.0), 1.0)
             self._states[arms, 1:] = states[:, :1] + part[..., None] * (states[:, 1:] - states[:, :1])
             self._steps[arms] *= part
-            self._apart[arms] |= far.any(axis=1)
+            self._perturbations_reduced[arms] |= large.any(axis=1)
 
-    def _inform(self, arms: IntArray) -> None:
-        """Gives the simulated arms beside arms (r,) the numbers as they are, where they have others."""
-        wanted = np.hstack([self.numbers[arms], self._steps[arms]])
-        stale = (wanted != self._informed[arms]).any(axis=1)
+    def _set_parameters(self, arms: IntArray) -> None:
+        """Set the parameters of the simulated models of arms (r,) to the estimated numbers where these have changed."""
+        current = np.hstack([self.numbers[arms], self._steps[arms]])
+        stale = (current != self._simulated_numbers[arms]).any(axis=1)
         if stale.any():
             arms = arms[stale]
             numbers = self.numbers[arms]
-            all_numbers = self._trials.changed(numbers, self._steps[arms]).reshape(-1, numbers.shape[1])
-            self._trials.twins(*self._all_trials).vary(self._rows(arms).ravel(), **self._trials.parameters(all_numbers))
-            self._prediction.vary(arms, self._trials.parameters(numbers))
-            self._informed[arms] = wanted[stale]
+            all_numbers = self._models.perturb(numbers, self._steps[arms]).reshape(-1, numbers.shape[1])
+            self._models.models(*self._batch_key).vary(self._rows(arms).ravel(), **self._models.parameters(all_numbers))
+            self._prediction.vary(arms, self._models.parameters(numbers))
+            self._simulated_numbers[arms] = current[stale]
 
     @property
-    def _all_trials(self) -> tuple[str, int]:
-        """Purpose and number of the trials of all arms."""
-        return "beside", self._states.shape[0] * self._states.shape[1]
+    def _batch_key(self) -> tuple[str, int]:
+        """Purpose and size of the batch with the models of all arms."""
+        return "models", self._states.shape[0] * self._states.shape[1]
 
-    def _rows(self, arms: IntArray) -> IntArray:  # (r, 1 + s) of the trials
+    def _rows(self, arms: IntArray) -> IntArray:
+        """Return the rows (r, 1 + s) of the models of arms (r,) in the batch."""
         return arms[:, None] * self._states.shape[1] + np.arange(self._states.shape[1])
 
     def _advance(self, arms: IntArray, actions: Array) -> None:
-        """Moves the trials of arms (r,) by a period, and keeps what was asked for in it, parts of the limits (r, n)."""
-        self._inform(arms)
-        self._prediction.take(arms, actions)
-        past, few = self._prediction.past, arms[self._ages[arms] <= len(self._weights)]
-        self._torques[few, self._plant.delay[1] + self._ages[few] - 1] = past[few, 0]
+        """Advance the models of arms (r,) by a period under the commanded torques, fractions of the limits (r, n)."""
+        self._set_parameters(arms)
+        self._prediction.record(arms, actions)
+        past, early = self._prediction.past, arms[self._ages[arms] <= len(self._weights)]
+        self._torques[early, self._plant.delay[1] + self._ages[early] - 1] = past[early, 0]
         rows, torques = self._rows(arms), past[arms, self.delays[arms]]
         states = self._states[arms].reshape(rows.size, -1)
-        moved = self._trials.twins.moved(self._all_trials, rows.ravel(), states, torques.repeat(rows.shape[1], axis=0))
-        self._states[arms] = moved.reshape(*rows.shape, -1)
+        shifts = self._models.models.step(self._batch_key, rows.ravel(), states, torques.repeat(rows.shape[1], axis=0))
+        self._states[arms] = shifts.reshape(*rows.shape, -1)
         lost = arms[~(np.abs(self._states[arms]) < MAX_STATE).all(axis=(1, 2))]
-        self._states[lost], self._residuals.misfit[lost] = self._origin[lost][:, None], MAX_STATE
+        self._states[lost], self._detector.misfit[lost] = self._origin[lost][:, None], MAX_STATE
 
-    def _recur(self, arms: IntArray, now: Array) -> None:
-        """Takes the readings (r, m) of arms (r,) into their fits."""
-        slopes = self._trials.reading_slopes(self._trials.slopes(self._states[arms], self._steps[arms]))
-        error = now - self._trials.read(self._states[arms, 0], self.numbers[arms])
-        error -= row_dots(slopes, self._change[arms][:, None])
-        certain = np.repeat(self._weights[-1:], len(arms), axis=0)
-        pushed = self._pushed[arms]
+    def _update_fit(self, arms: IntArray, now: Array) -> None:
+        """Update the recursive least-squares fits of arms (r,) with measurements (r, m)."""
+        jacobian = self._models.measurement_jacobian(self._models.jacobian(self._states[arms], self._steps[arms]))
+        error = now - self._models.read(self._states[arms, 0], self.numbers[arms])
+        error -= row_dots(jacobian, self._change[arms][:, None])
+        precision = np.repeat(self._weights[-1:], len(arms), axis=0)
+        pushed = self._filtering[arms]
         if pushed.any():
-            certain[pushed] = 1.0 / self._innovations.variances(arms[pushed])
-        weighted = (slopes * certain[..., None]).transpose(0, 2, 1)
-        self._information[arms] += weighted @ slopes
+            precision[pushed] = 1.0 / self._innovations.variances(arms[pushed])
+        weighted = (jacobian * precision[..., None]).transpose(0, 2, 1)
+        self._information[arms] += weighted @ jacobian
         gradient = row_dots(weighted, error[:, None])
         self._change[arms] += solve_scaled(self._information[arms], gradient)
-        self._residuals.take(arms, error * np.sqrt(certain))
+        self._detector.update(arms, error * np.sqrt(precision))
         if pushed.any():
             self._correct(arms[pushed], now[pushed])
         due = arms[self._ages[arms] % UPDATE_INTERVAL == 0]
         if len(due):
-            self._shift(due)
+            self._apply_change(due)
 
     def _correct(self, arms: IntArray, now: Array) -> None:
-        """Moves all trials of arms (r,) towards what was read (r, m), each by its own error."""
-        states, numbers = self._states[arms], self._trials.changed(self.numbers[arms], self._steps[arms])
-        error = now[:, None] - self._trials.read(
+        """Correct each model of arms (r,) by its own innovation with respect to the measurements (r, m)."""
+        states, numbers = self._states[arms], self._models.perturb(self.numbers[arms], self._steps[arms])
+        error = now[:, None] - self._models.read(
             states.reshape(-1, states.shape[2]), numbers.reshape(-1, numbers.shape[2])
         ).reshape(*states.shape[:2], -1)
         gain = self._innovations.gains(arms, states[:, 0], self._prediction.past[arms, self.delays[arms]])
         self._states[arms] = states + row_dots(gain[:, None], error[:, :, None])
 
-    def _shift(self, arms: IntArray) -> None:
-        """Lets the trials of arms (r,) take over what was estimated since they last did."""
+    def _apply_change(self, arms: IntArray) -> None:
+        """Shift the models of arms (r,) by the parameter change estimated since the last shift."""
         before = self.numbers[arms]
         self.numbers[arms] = self._prior.clip(before + self._change[arms])
-        moved = (self.numbers[arms] - before)[:, None, : self._trials.moving]
-        self._states[arms] += row_dots(self._trials.slopes(self._states[arms], self._steps[arms]), moved)[:, None]
+        shifts = (self.numbers[arms] - before)[:, None, : self._models.dynamic]
+        self._states[arms] += row_dots(self._models.jacobian(self._states[arms], self._steps[arms]), shifts)[:, None]
         self._change[arms] = 0.0
-        self._draw_together(arms)
+        self._reduce_perturbations(arms)
 
-    def _replay(self, arms: IntArray, age: int) -> None:
-        """Fits the numbers of arms (r,) to all readings since their start."""
+    def _refit(self, arms: IntArray, age: int) -> None:
+        """Fit the numbers of arms (r,) to all measurements since the start of the episode."""
         self.numbers[arms] = self._prior.clip(self.numbers[arms] + self._change[arms])
         start, read = (self._origin[arms], self.numbers[arms]), self._readings[arms, : age + 1]
         weights = np.broadcast_to(self._weights[: age + 1], read.shape)
         fewest, late = self._plant.delay
         if late > fewest and age <= LAST_DELAY_SEARCH:
-            tried = [self._arrived(arms, age, np.full(len(arms), delay)) for delay in range(fewest, late + 1)]
-            costs = [self._trials.sweep(*start, torques, read, weights).cost for torques in tried]
+            tried = [self._delayed_torques(arms, age, np.full(len(arms), delay)) for delay in range(fewest, late + 1)]
+            costs = [self._models.resimulate(*start, torques, read, weights).cost for torques in tried]
             self.delays[arms] = fewest + np.nan_to_num(np.array(costs), nan=np.inf).argmin(axis=0)
-        data = self._arrived(arms, age, self.delays[arms]), read, weights
-        numbers, sweep = self._trials.fit(*start, self._prior, data)
-        well = np.isfinite(sweep.cost) & (np.abs(sweep.states) < MAX_STATE).all(axis=(1, 2))
-        if not well.all():  # the recursion goes on with them
-            self._recur(arms[~well], self._readings[arms[~well], age])
-        arms, numbers, sweep = arms[well], numbers[well], sweep.of(well)
+        data = self._delayed_torques(arms, age, self.delays[arms]), read, weights
+        numbers, simulation = self._models.fit(*start, self._prior, data)
+        valid = np.isfinite(simulation.cost) & (np.abs(simulation.states) < MAX_STATE).all(axis=(1, 2))
+        if not valid.all():  # these continue with the recursive fit
+            self._update_fit(arms[~valid], self._readings[arms[~valid], age])
+        arms, numbers, simulation = arms[valid], numbers[valid], simulation.of(valid)
         self.numbers[arms] = numbers
-        self._states[arms], self._steps[arms] = sweep.states, self._trials.steps
-        self._information[arms] = sweep.information + self._prior.information
+        self._states[arms], self._steps[arms] = simulation.states, self._models.steps
+        self._information[arms] = simulation.information + self._prior.information
         if age <= 2 * DETECTION_START:
-            self._residuals.reset(arms, len(self._ages))  # which were those of the linearisation
-        self._residuals.misfit[arms] = sweep.cost / self._weights[: age + 1].size
-        self._change[arms], _ = levenberg_marquardt_step(sweep, self.numbers[arms], self._prior)
-        self._shift(arms)
+            self._detector.reset(arms, len(self._ages))  # innovations so far include linearisation errors
+        self._detector.misfit[arms] = simulation.cost / self._weights[: age + 1].size
+        self._change[arms], _ = levenberg_marquardt_step(simulation, self.numbers[arms], self._prior)
+        self._apply_change(arms)
 
-    def _arrived(self, arms: IntArray, periods: int, delays: IntArray) -> Array:  # (r, k, n) in their first k periods
+    def _delayed_torques(self, arms: IntArray, periods: int, delays: IntArray) -> Array:
+        """Return the torques (r, k, n) applied to arms (r,) in the first k periods, N m."""
         return self._torques[arms[:, None], self._plant.delay[1] + np.arange(periods) - delays[:, None]]
 
-    def _present(self, arms: IntArray) -> Array:
-        """States (r, 2 d) of arms (r,) now, as they are estimated."""
-        moved = self._change[arms][:, None, : self._trials.moving]
+    def _current_states(self, arms: IntArray) -> Array:
+        """Return the estimated states (r, 2 d) of arms (r,) at the last measurement."""
+        shifts = self._change[arms][:, None, : self._models.dynamic]
         result: Array = self._states[arms, 0]
-        return result + row_dots(self._trials.slopes(self._states[arms], self._steps[arms]), moved)
+        return result + row_dots(self._models.jacobian(self._states[arms], self._steps[arms]), shifts)
 
-    def _predicted(self, arms: IntArray) -> Estimate:
-        """What is known of all arms when torques that the arms (r,) are asked for now begin to act."""
+    def _state_at_effect(self, arms: IntArray) -> Estimate:
+        """Return the estimate, with the active arms (r,) predicted to the effect of torques commanded now."""
         states = self._states[:, 0].copy()
-        states[arms] = self._present(arms)
+        states[arms] = self._current_states(arms)
         numbers = self._prior.clip(self.numbers + self._change)
-        self._inform(arms)
+        self._set_parameters(arms)
         states[arms] = self._prediction(arms, states[arms], self.delays[arms])
-        return Estimate(states, self.delays, self._trials.parameters(numbers))
+        return Estimate(states, self.delays, self._models.parameters(numbers))

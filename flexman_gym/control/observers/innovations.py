@@ -1,4 +1,4 @@
-"""Innovations: Kalman gains for the correction of simulated arms, and change detection from residuals."""
+"""Innovations: Kalman gains for the correction of simulated arms, and change detection."""
 
 import numpy as np
 
@@ -7,77 +7,79 @@ from flexman_gym.control.observers.internal_model import DiscreteJacobians
 from flexman_gym.control.observers.kalman_filter import measurement_update, stationary_covariance, time_update
 from flexman_gym.control.observers.observer import MeasurementModel
 
-PROCESS_NOISE, CHANGE_NOISE = (
-    (0.001, 0.002),
-    (0.02, 0.1),
-)  # torques and forces on the tip that push, parts of their scales
-RELINEARISATION_ANGLE = 0.3  # rad by which an arm has turned when its motion is linearised anew
+PROCESS_NOISE = (0.001, 0.002)  # fractions of the force scales; random torques and tip forces in usual operation
+CHANGE_NOISE = (0.02, 0.1)  # fractions of the force scales; the same at a detected change
+RELINEARISATION_ANGLE = 0.3  # rad; change of a joint angle after which the dynamics are linearised again
 
 
 class InnovationGains:
-    """Kalman gains of b arms for the errors of their readings, with the linear motion about where an arm is.
+    """Kalman gains of b arms for their innovations, with the discrete dynamics linearised about the current states.
 
     Args:
-        slopes: of the arm.
-        instruments: what is read of it.
-        push: N, how large forces on the tip may be at any time.
+        jacobians: of the discrete dynamics.
+        instruments: measurement model.
+        tip_force: N, magnitude of unmeasured forces on the tip.
     """
 
     state_fields = ("covariance", "_transition", "_noise", "_designed")
 
-    def __init__(self, slopes: DiscreteJacobians, instruments: MeasurementModel, push: float) -> None:
-        self._slopes, self._matrix, self._push = slopes, instruments.matrix, push
+    def __init__(self, jacobians: DiscreteJacobians, instruments: MeasurementModel, tip_force: float) -> None:
+        self._jacobians, self._matrix, self._tip_force = jacobians, instruments.matrix, tip_force
         self._variances, size = instruments.deviations**2, instruments.matrix.shape[1]
         self.covariance, self._transition, self._noise = (np.zeros((0, size, size)) for _ in range(3))
         self._designed = np.zeros((0, size))
 
-    def grow(self, count: int) -> None:
-        """Makes room for so many arms."""
+    def allocate(self, count: int) -> None:
+        """Allocate memory for a number of arms."""
         for name in self.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), count))
 
     def begin(self, arms: IntArray, states: Array, torques: Array, sudden: bool) -> BoolArray:
-        """Begins for arms (r,) at states (r, 2 d) under torques (r, n) N m; says for which of them it can.
+        """Initialise the covariance of arms (r,); return flags (r,) of those for which a stationary covariance exists.
 
         Args:
             arms: (r,).
-            states: as they are estimated.
-            torques: that act.
-            sudden: whether something has just pushed them, so that the estimate is not exact.
+            states: (r, 2 d) estimated states.
+            torques: (r, n) applied torques, N m.
+            sudden: whether an abrupt change has just been detected, so that the estimate is inaccurate.
+
+        Returns:
+            Flags (r,).
         """
-        inputs, well = self._linearise(arms, states, torques)
+        inputs, valid = self._linearise(arms, states, torques)
         noise = self._noise[arms] + sudden * self._noise_of(inputs, CHANGE_NOISE)
         covariance = stationary_covariance(self._transition[arms], noise, self._matrix, self._variances)
-        result: BoolArray = well & np.isfinite(covariance).all(axis=(1, 2))
+        result: BoolArray = valid & np.isfinite(covariance).all(axis=(1, 2))
         self.covariance[arms[result]] = covariance[result]
         return result
 
     def _linearise(self, arms: IntArray, states: Array, torques: Array) -> tuple[Array, BoolArray]:
-        """Takes the slopes of the motion of arms (r,); gives those by forces, and says where they are good."""
-        slopes, good = self._slopes(states, torques)
-        some, inputs = arms[good], slopes[..., states.shape[1] :]
-        self._transition[some] = slopes[good][..., : states.shape[1]]
-        self._noise[some] = self._noise_of(inputs[good], PROCESS_NOISE)
-        self._designed[some] = states[good]
-        return inputs, good
+        """Store the linearised dynamics of arms (r,); return the force Jacobians and flags of success."""
+        jacobians, valid = self._jacobians(states, torques)
+        some, inputs = arms[valid], jacobians[..., states.shape[1] :]
+        self._transition[some] = jacobians[valid][..., : states.shape[1]]
+        self._noise[some] = self._noise_of(inputs[valid], PROCESS_NOISE)
+        self._designed[some] = states[valid]
+        return inputs, valid
 
     def _noise_of(self, inputs: Array, parts: tuple[float, float]) -> Array:
-        """The covariance (r, 2 d, 2 d) of what forces, parts of their scales, add in a period."""
-        scales = self._slopes.scales
+        """Return the process noise covariance (r, 2 d, 2 d) of random forces, given as fractions of their scales."""
+        scales = self._jacobians.scales
         forces = np.repeat(parts, (len(scales) - 3, 3)) * scales
-        forces[-3:] = np.hypot(forces[-3:], self._push)
+        forces[-3:] = np.hypot(forces[-3:], self._tip_force)
         result: Array = (inputs * forces**2) @ inputs.mT
         return result
 
     def variances(self, arms: IntArray) -> Array:
-        """Gives the variances (r, m) of the errors of readings of arms (r,)."""
+        """Return the variances (r, m) of the innovations of arms (r,)."""
         spread = self._matrix @ self.covariance[arms] @ self._matrix.T
         return np.diagonal(spread, axis1=1, axis2=2) + self._variances
 
     def gains(self, arms: IntArray, states: Array, torques: Array) -> Array:
-        """Gives the gains (r, 2 d, m) of arms (r,) for the errors of readings, and moves on by a period."""
+        """Return the gains (r, 2 d, m) of arms (r,), and advance the covariance by a period."""
         turned = (
-            np.abs(states - self._designed[arms])[:, : len(self._slopes.scales) - 3].max(axis=1) > RELINEARISATION_ANGLE
+            np.abs(states - self._designed[arms])[:, : len(self._jacobians.scales) - 3].max(axis=1)
+            > RELINEARISATION_ANGLE
         )
         if turned.any():
             self._linearise(arms[turned], states[turned], torques[turned])
@@ -86,25 +88,24 @@ class InnovationGains:
         return result
 
 
-SQUARE_FORGETTING, MEAN_FORGETTING = 0.1, 0.02  # parts of the last errors in their means
-SQUARE_THRESHOLD, MEAN_THRESHOLD = (
-    1.45,
-    5.5,
-)  # mean square above 1, in deviations that a period has; mean, in deviations of its own
-MAX_MISFIT = 20.0  # mean square that nothing explains
+SQUARE_FORGETTING = 0.1  # weight of the newest innovation in the mean square
+MEAN_FORGETTING = 0.02  # weight of the newest innovation in the mean
+SQUARE_THRESHOLD = 1.45  # standard deviations; excess of the mean square over 1 at a change
+MEAN_THRESHOLD = 5.5  # standard deviations; mean of a measurement at a change
+MAX_MISFIT = 20.0  # 1; mean square above which no model explains the measurements
 
 
 class ChangeDetector:
-    """Means of the errors of readings of b arms, in their deviations.
+    """Change detection for b arms from the means of their normalised innovations.
 
-    A sudden change shows in the mean square, a slow one in the mean of one reading (Gustafsson, Adaptive Filtering and
-    Change Detection, 2000, chapter 3).
+    An abrupt change shows in the mean square, a slow one in the mean of one measurement (Gustafsson, Adaptive
+    Filtering and Change Detection, 2000, chapter 3).
 
     Args:
-        readings: m, how many there are.
+        readings: m, number of measurements.
 
     Attributes:
-        misfit: (b,) mean square, 1 where all is as it was assumed.
+        misfit: (b,) mean square of the normalised innovations; 1 if the model is correct.
     """
 
     state_fields = ("misfit", "_mean")
@@ -113,24 +114,24 @@ class ChangeDetector:
         self.misfit, self._mean = np.zeros(0), np.zeros((0, readings))
 
     def reset(self, arms: IntArray, count: int) -> None:
-        """Forgets the errors of the arms (r,)."""
+        """Reset the means of the arms (r,)."""
         self.misfit, self._mean = pad_rows(self.misfit, count), pad_rows(self._mean, count)
         self.misfit[arms], self._mean[arms] = 1.0, 0.0
 
-    def take(self, arms: IntArray, errors: Array) -> None:
-        """Takes the last errors (r, m) of arms (r,)."""
+    def update(self, arms: IntArray, errors: Array) -> None:
+        """Add the latest normalised innovations (r, m) of arms (r,)."""
         self.misfit[arms] += SQUARE_FORGETTING * ((errors**2).mean(axis=1) - self.misfit[arms])
         self._mean[arms] += MEAN_FORGETTING * (errors - self._mean[arms])
 
-    def changed(self, arms: IntArray) -> BoolArray:
-        """Says which of the arms (r,) have errors that noise does not explain."""
+    def detect(self, arms: IntArray) -> BoolArray:
+        """Return flags of those arms (r,) whose innovations are not explained by noise."""
         drift = np.abs(self._mean[arms]).max(axis=1) / np.sqrt(MEAN_FORGETTING / (2.0 - MEAN_FORGETTING))
         square = (self.misfit[arms] - 1.0) / np.sqrt(2.0 / self._mean.shape[1])
         result: BoolArray = (square > SQUARE_THRESHOLD) | (drift > MEAN_THRESHOLD)
         return result
 
     @property
-    def wrong(self) -> BoolArray:
-        """Which arms (b,) have errors, or none that are numbers, that nothing explains."""
+    def inconsistent(self) -> BoolArray:
+        """Flags (b,) of arms whose innovations no model explains, or are not finite."""
         result: BoolArray = ~(self.misfit < MAX_MISFIT)
         return result

@@ -8,107 +8,102 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_ro
 from flexman_gym.common.checks import flag, non_negative, value_error, vector
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.internal_model import DelayCompensation, DiscreteJacobians, InternalModels
-from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, make_measurement_model
+from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, MeasurementModel
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import holding_torques, rest_state
 
-MAX_DOUBLINGS = 20  # a million periods
-VARIANCE_TOLERANCE = 1e-6  # part by which the last doubling may still change a variance
+MAX_DOUBLINGS = 20  # 2^20, a million, periods
+VARIANCE_TOLERANCE = 1e-6  # 1; relative change of a variance in the last doubling, above which it is taken as infinite
 
 
 def time_update(covariance: Array, transition: Array, noise: Array) -> Array:
-    """Gives covariances (..., s, s) a period later; noise (..., s, s) is the covariance of what came in it."""
+    """Return covariances (..., s, s) after a period with process noise covariance (..., s, s)."""
     return _symmetric_part(transition @ covariance @ transition.mT + noise)
 
 
 def measurement_update(covariance: Array, matrix: Array, variances: Array) -> tuple[Array, Array]:
-    """Gives the gains (..., s, m) for the errors of readings, and the covariances (..., s, s) with them.
+    """Return Kalman gains (..., s, m) and the updated covariances (..., s, s).
 
-    Kalman, Journal of Basic Engineering 82 (1960), 35, in the form of Joseph, which rounding leaves positive.
+    Kalman, Journal of Basic Engineering 82 (1960), 35, in Joseph's form, which stays positive semidefinite under
+    rounding.
 
     Args:
-        covariance: (..., s, s) before the readings.
-        matrix: (m, s) of the readings by the state.
-        variances: (m,) of the noise of readings.
+        covariance: (..., s, s) before the measurement.
+        matrix: (m, s) of the measurements with respect to the state.
+        variances: (m,) of the measurement noise.
+
+    Returns:
+        Gains (..., s, m) and covariances (..., s, s).
     """
     across = matrix @ covariance
     gain: Array = np.asarray(np.linalg.solve(across @ matrix.T + np.diag(variances), across), dtype=float).mT
-    left = np.eye(matrix.shape[1]) - gain @ matrix
-    return gain, _symmetric_part(left @ covariance @ left.mT + (gain * variances) @ gain.mT)
+    complement = np.eye(matrix.shape[1]) - gain @ matrix
+    return gain, _symmetric_part(complement @ covariance @ complement.mT + (gain * variances) @ gain.mT)
 
 
 def stationary_covariance(transition: Array, noise: Array, matrix: Array, variances: Array) -> Array:
-    """Gives the covariances (..., s, s) before the readings of a period to which many periods lead.
+    """Return the stationary covariances (..., s, s) before a measurement.
 
-    By doubling: each pass goes on by as many periods as there have been, which needs no eigenvalues (Anderson,
-    International Journal of Control 28, 1978, 295). Arguments are those of `time_update` and `measurement_update`.
-    Entries of what the readings do not tell are infinite.
+    Each pass of the doubling algorithm doubles the number of periods and needs no eigenvalues (Anderson, International
+    Journal of Control 28, 1978, 295). The arguments are those of `time_update` and `measurement_update`. Entries of
+    unobservable states are infinite.
     """
-    passing, told, result = transition.mT, (matrix.T / variances) @ matrix, noise
+    passing, information, result = transition.mT, (matrix.T / variances) @ matrix, noise
     before, eye = result, np.eye(matrix.shape[1])
     for _ in range(MAX_DOUBLINGS):
         before = result
         through = np.linalg.solve(
-            eye + told @ result, np.concatenate([passing, np.broadcast_to(told, passing.shape)], -1)
+            eye + information @ result, np.concatenate([passing, np.broadcast_to(information, passing.shape)], -1)
         )
         size = len(eye)
         onward, spread = through[..., :size], through[..., size:]
         result = _symmetric_part(result + passing.mT @ result @ onward)
-        told, passing = _symmetric_part(told + passing @ spread @ passing.mT), passing @ onward
+        information, passing = _symmetric_part(information + passing @ spread @ passing.mT), passing @ onward
     now, earlier = (np.diagonal(each, axis1=-2, axis2=-1) for each in (result, before))
     unknown = now > (1.0 + VARIANCE_TOLERANCE) * earlier
     return np.where(unknown[..., None] | unknown[..., None, :], np.inf, result)
 
 
 def _symmetric_part(matrix: Array) -> Array:
-    """The symmetric part."""
+    """Return the symmetric part."""
     result: Array = 0.5 * (matrix + matrix.mT)
     return result
 
 
-TORQUE_NOISE, FORCE_NOISE = (
-    0.005,
-    0.005,
-)  # of their scales, deviation of unknown torques and forces on the tip, new each period
-MISMATCH_FORCE_NOISE = (
-    0.03  # in place of the latter where arms differ from the model: payloads and springs pull with what is amiss
-)
-OFFSET_DEVIATION, OFFSET_DRIFT = (
-    0.1,
-    0.05,
-)  # of the torque limits, deviation of a constant torque at first; and what a second adds to it
-BIAS_TIME_CONSTANT = 30.0  # s, for which a bias stays
-RELINEARISATION_INTERVAL = 5  # control periods between two looks at the slopes of the motion
+TORQUE_NOISE = 0.005  # fraction of the torque limits; standard deviation of random torques in each period
+FORCE_NOISE = 0.005  # fraction of the force scale; standard deviation of random tip forces in each period
+MISMATCH_FORCE_NOISE = 0.03  # replaces FORCE_NOISE for uncertain plants, whose model errors act like forces
+OFFSET_DEVIATION = 0.1  # fraction of the torque limits; initial standard deviation of a constant torque
+OFFSET_DRIFT = 0.05  # fraction of the torque limits, s^(-1/2); random walk of a constant torque
+BIAS_TIME_CONSTANT = 30.0  # s
+RELINEARISATION_INTERVAL = 5  # control periods between two evaluations of the Jacobians
 
 
 class KalmanFilter:
-    """Extended Kalman filter: the simulator predicts the state, readings correct it by their errors.
+    """Extended Kalman filter: the simulator predicts the state, and innovations correct it.
 
-    How exact an estimate is, a covariance, follows the slopes of the simulated motion; that of an arm at its start is
-    the one to which a long rest would lead. The noise of the process are unknown torques on the motors and forces on
-    the tip. Beside the state it may estimate constants: torques on the motors, which a controller then takes away
-    (integral action), and biases of readings (Anderson and Moore, Optimal Filtering, 1979, chapters 3, 8 and 9).
+    The covariance follows the Jacobians of the simulated motion; at the start it is that of a long rest. Process noise
+    consists of random torques on the motors and forces on the tip. The state may be augmented by constants: torques on
+    the motors, which a controller then compensates (integral action), and biases of measurements (Anderson and Moore,
+    Optimal Filtering, 1979, chapters 3, 8 and 9).
 
-    An arm is at rest at its start, where its encoders say. Of a range of delays the middle is taken.
+    The arm starts at rest at the angles of its encoders. For a range of delays, the mean delay is assumed.
 
     Args:
-        plant: the arm, the delay of torques, and how exact instruments are.
+        plant: plant model with the delay of the torques and the noise of the instruments.
         sensors: names in `model.linearization.LINEAR_SENSORS`, "motor_encoders" among them.
-        noise: deviations of the unknown torques, a part of the torque limits, and of the forces on the tip, a part of
-            what the strongest motor bears at the whole reach; None takes 0.005 and 0.005, or 0.005 and 0.03 for a plant
-            with unknown parameters, and as much as its `push`.
+        noise: standard deviations of the random torques, as a fraction of the torque limits, and of the tip forces, as
+            a fraction of the force that the strongest motor balances at full reach. None for 0.005 and 0.005, or 0.005
+            and 0.03 for a plant with uncertain parameters, and in addition the plant's `tip_force`.
         disturbed: whether constant torques on the motors are estimated.
-        biased: whether each reading may be off by a constant of up to 0.5 % of its range.
-        fixed: whether the gain is the stationary one at the goal throughout an episode, which takes less time and suits
-            arms that stay near.
+        biased: whether biases of the measurements, up to 0.5 % of their range, are estimated.
+        fixed: whether the gain is the stationary one at the goal throughout an episode; faster, for arms that stay near
+            their goal.
 
     Attributes:
         delay: control periods.
-        states: (b, s) state, constant torques (N m) and biases as they are estimated at the last readings.
-        covariance: (b, s, s) of their errors; that of the start where the gain is fixed.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+        states: (b, s) estimates after the last measurement: state, constant torques (N m) and biases.
+        covariance: (b, s, s) of their errors; that of the start if the gain is fixed.
     """
 
     state_fields = ("states", "covariance", "_transition", "_noise", "_prediction", "_ages")
@@ -122,9 +117,9 @@ class KalmanFilter:
         biased: bool = False,
         fixed: bool = False,
     ) -> None:
-        self._instruments = read = make_measurement_model(plant, sensors)
-        self.sensors, self._plant, self._slopes = tuple(sensors), plant, DiscreteJacobians(plant)
-        self._prediction, self._twins = DelayCompensation(plant), InternalModels(plant)
+        self._instruments = read = MeasurementModel(plant, sensors)
+        self.sensors, self._plant, self._jacobians = tuple(sensors), plant, DiscreteJacobians(plant)
+        self._prediction, self._models = DelayCompensation(plant), InternalModels(plant)
         self._disturbed, self._biased, self._fixed = (
             flag(name, value) for name, value in (("disturbed", disturbed), ("biased", biased), ("fixed", fixed))
         )
@@ -132,117 +127,130 @@ class KalmanFilter:
         self.delay, self._size, self._limits = (sum(plant.delay) + 1) // 2, 2 * plant.model.n_dof, limits
         usual = (TORQUE_NOISE, MISMATCH_FORCE_NOISE if plant.unknown else FORCE_NOISE)
         parts = usual if noise is None else [non_negative("noise", each) for each in vector("noise", noise, 2)]
-        self._forces = (np.repeat(parts, (n, 3)) * self._slopes.scales) ** 2
+        self._forces = (np.repeat(parts, (n, 3)) * self._jacobians.scales) ** 2
         if noise is None:
-            self._forces[n:] += plant.push**2
+            self._forces[n:] += plant.tip_force**2
         self._variances, motors, all_read = read.deviations**2, self._disturbed * n, len(read.ranges)
         self._offsets = slice(self._size, self._size + motors)
         biases = np.eye(all_read, self._biased * all_read)
         self._matrix = np.hstack([read.matrix, np.zeros((all_read, motors)), biases])
-        bias, kept = (MAX_BIAS * biases.T @ read.ranges) ** 2 / 3.0, np.exp(-period / BIAS_TIME_CONSTANT)
-        self._keeping = np.append(np.ones(motors), np.full(len(bias), kept))  # of the constants in a period
-        self._drift = np.append((OFFSET_DRIFT * limits[:motors]) ** 2 * period, (1.0 - kept**2) * bias)
-        self._spread = np.append((OFFSET_DEVIATION * limits[:motors]) ** 2, bias)  # at the start
+        bias, decay = (MAX_BIAS * biases.T @ read.ranges) ** 2 / 3.0, np.exp(-period / BIAS_TIME_CONSTANT)
+        self._decay = np.append(np.ones(motors), np.full(len(bias), decay))  # of constants and biases per period
+        self._drift = np.append((OFFSET_DRIFT * limits[:motors]) ** 2 * period, (1.0 - decay**2) * bias)
+        self._initial_variance = np.append((OFFSET_DEVIATION * limits[:motors]) ** 2, bias)
         self._allocate()
 
     def _allocate(self) -> None:
-        """Makes the memory of no arm."""
+        """Create the arrays, for zero arms."""
         m, s = self._matrix.shape
         self.states = np.zeros((0, s))
         self.covariance, self._transition, self._noise = (np.zeros((0, s, s)) for _ in range(3))
         self._ages, self._gain = np.zeros(0, dtype=np.int64), np.zeros((0, s, m))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,).
+        """Start new episodes of the arms (r,).
+
+        Args:
+            arms: (r,).
+            episode: start and goal of these episodes.
+            count: number of arms.
 
         Raises:
-            ValueError: for sensors that do not tell the state, where the gain is fixed.
+            ValueError: with a fixed gain, for sensors from which the state is not observable.
         """
         for name in ("states", "covariance", "_transition", "_noise", "_ages", "_gain"):
             setattr(self, name, pad_rows(getattr(self, name), count))
         self._prediction.reset(arms, count)
         self._ages[arms], self.states[arms] = 0, 0.0
         if self._fixed:
-            covariance = self._settled(*self._system(*self._rest(episode.goal))[:2], slice(None))
+            covariance = self._stationary(*self._system(*self._rest(episode.goal))[:2], slice(None))
             self._gain[arms] = measurement_update(covariance, self._matrix, self._variances)[0]
 
     def _rest(self, postures: Array) -> tuple[Array, Array]:
-        """States (r, 2 d) at rest at postures (r, n) rad, and the torques (r, n) N m that hold them."""
+        """Return equilibrium states (r, 2 d) at postures (r, n) rad and the holding torques (r, n), N m."""
         model = self._plant.model
         return rest_state(model, postures), np.array([holding_torques(model, each) for each in postures])
 
     def _system(self, states: Array, torques: Array) -> tuple[Array, Array, BoolArray]:
-        """Transition and noise (r, s, s) in a period of all that is estimated, and where they are good (r,)."""
-        slopes, good = self._slopes(states, torques)
+        """Return transition and process noise (r, s, s) of the augmented state, and flags (r,) of success."""
+        jacobians, valid = self._jacobians(states, torques)
         size, count, s = self._size, len(states), self._matrix.shape[1]
-        transition, noise, inputs = np.zeros((count, s, s)), np.zeros((count, s, s)), slopes[..., size:]
-        transition[:, :size, :size] = slopes[..., :size]
+        transition, noise, inputs = np.zeros((count, s, s)), np.zeros((count, s, s)), jacobians[..., size:]
+        transition[:, :size, :size] = jacobians[..., :size]
         transition[:, :size, self._offsets] = inputs[..., : self._offsets.stop - size]
         noise[:, :size, :size] = (inputs * self._forces) @ inputs.mT
         each = np.arange(size, s)
-        transition[:, each, each], noise[:, each, each] = self._keeping, self._drift
-        return transition, noise, good
+        transition[:, each, each], noise[:, each, each] = self._decay, self._drift
+        return transition, noise, valid
 
-    def _settled(self, transition: Array, noise: Array, part: slice) -> Array:
-        """The stationary covariance before readings of a part of what is estimated."""
+    def _stationary(self, transition: Array, noise: Array, part: slice) -> Array:
+        """Return the stationary covariance, before a measurement, of a part of the augmented state."""
         result = stationary_covariance(
             transition[:, part, part], noise[:, part, part], self._matrix[:, part], self._variances
         )
         if not np.isfinite(result).all():
-            raise value_error("sensors", self.sensors, "ones that tell where the arm is")
+            raise value_error("sensors", self.sensors, "sensors from which the state is observable")
         return result
 
-    def estimate(self, readings: Readings, applied: Array, playing: BoolArray) -> Estimate:
-        """Gives what is known now; see `Observer`.
+    def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
+        """Return the estimate of this control period; see `Observer`.
+
+        Args:
+            readings: as in `Controller.act`.
+            applied: as in `Controller.act`.
+            active: as in `Controller.act`.
+
+        Returns:
+            Estimate of all arms.
 
         Raises:
-            ValueError: for sensors that do not tell the state.
+            ValueError: for sensors from which the state is not observable.
         """
         now = self._instruments.read(readings)
-        fresh, later = (np.flatnonzero(playing & flags) for flags in (self._ages == 0, self._ages > 0))
-        if len(fresh):
-            self._begin(fresh, now[fresh])
-        if len(later):
-            self._prediction.take(later, applied[later])
-            self._follow(later)
-            self._correct(later, now[later])
-        self._ages += playing
-        ahead, arms = self.states[:, : self._size].copy(), np.flatnonzero(playing)
+        new, running = (np.flatnonzero(active & flags) for flags in (self._ages == 0, self._ages > 0))
+        if len(new):
+            self._begin(new, now[new])
+        if len(running):
+            self._prediction.record(running, applied[running])
+            self._predict(running)
+            self._correct(running, now[running])
+        self._ages += active
+        ahead, arms = self.states[:, : self._size].copy(), np.flatnonzero(active)
         delays, offset = np.full(len(ahead), self.delay), self._offset(np.arange(len(ahead)))
         ahead[arms] = self._prediction(arms, ahead[arms], delays[arms], offset[arms])
         return Estimate(ahead, delays, {}, offset)
 
     def _begin(self, arms: IntArray, now: Array) -> None:
-        """Begins with the first readings (r, m) of arms (r,), of which encoders say where they are."""
+        """Initialise the arms (r,) from their first measurements (r, m), with angles from the encoders."""
         places, core, model = self._instruments.places["motor_angles"], slice(0, self._size), self._plant.model
-        self.states[arms, core], held = self._rest(now[:, places])
-        self._transition[arms], self._noise[arms], _ = self._system(self.states[arms, core], held)
+        self.states[arms, core], holding = self._rest(now[:, places])
+        self._transition[arms], self._noise[arms], _ = self._system(self.states[arms, core], holding)
         turns = model.at_rest(np.eye(model.n_joints))
         covariance, each = np.zeros_like(self._noise[arms]), np.arange(self._size, len(self._noise[0]))
-        covariance[:, core, core] = self._settled(self._transition[arms], self._noise[arms], core)
+        covariance[:, core, core] = self._stationary(self._transition[arms], self._noise[arms], core)
         covariance[:, core, core] += (turns.T * self._variances[places]) @ turns
-        covariance[:, each, each] = self._spread
+        covariance[:, each, each] = self._initial_variance
         self.covariance[arms] = covariance
 
-    def _follow(self, arms: IntArray) -> None:
-        """Moves arms (r,) on through the period that is over."""
+    def _predict(self, arms: IntArray) -> None:
+        """Predict the states of arms (r,) over the previous period."""
         states, torques = self.states[arms, : self._size], self._prediction.past[arms, self.delay] + self._offset(arms)
         if not self._fixed:
             due = self._ages[arms] % RELINEARISATION_INTERVAL == 0
             if due.any():
-                transition, noise, good = self._system(states[due], torques[due])
-                again = arms[due][good]
-                self._transition[again], self._noise[again] = transition[good], noise[good]
+                transition, noise, valid = self._system(states[due], torques[due])
+                updated = arms[due][valid]
+                self._transition[updated], self._noise[updated] = transition[valid], noise[valid]
             self.covariance[arms] = time_update(self.covariance[arms], self._transition[arms], self._noise[arms])
-        self.states[arms, : self._size] = self._twins.moved(("filter", len(self._ages)), arms, states, torques)
-        self.states[arms, self._size :] *= self._keeping
+        self.states[arms, : self._size] = self._models.step(("filter", len(self._ages)), arms, states, torques)
+        self.states[arms, self._size :] *= self._decay
 
     def _offset(self, arms: IntArray) -> Array:
-        """Constant torques (r, n) N m on the motors of arms (r,) as they are estimated."""
+        """Return the estimated constant torques (r, n) on the motors of arms (r,), N m."""
         return self.states[arms, self._offsets] if self._disturbed else np.zeros((len(arms), len(self._limits)))
 
     def _correct(self, arms: IntArray, now: Array) -> None:
-        """Takes the readings (r, m) of arms (r,) into account."""
+        """Correct the states of arms (r,) by their measurements (r, m)."""
         error = now - row_dots(self._matrix, self.states[arms][:, None])
         gain = self._gain[arms]
         if not self._fixed:

@@ -8,19 +8,18 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import value_error
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
-from flexman_gym.model.linearization import LINEAR_SENSORS
-from flexman_gym.model.linearization import LinearMeasurements as Linear
+from flexman_gym.model.linearization import LINEAR_SENSORS, LinearMeasurements
 
 
 class Estimate(NamedTuple):
-    """What is known of b arms when a controller has to act.
+    """Estimate of the states and parameters of b arms for a control period.
 
     Attributes:
-        states: (b, 2 d) of the moment at which torques that are asked for now begin to act.
-        lead: (b,) whole control periods from now to that moment.
-        parameters: name -> (b, ...) physical parameters as they are estimated, in their units; those that are not in it
-            are the model's.
-        disturbance: (b, n) constant torques on the motors beside those that are asked for, N m.
+        states: (b, 2 d) predicted for the time at which torques commanded now take effect.
+        lead: (b,) whole control periods until that time.
+        parameters: name -> (b, ...) estimated physical parameters in their units; the model's values where a name is
+            missing.
+        disturbance: (b, n) constant torques on the motors in addition to the commanded ones, N m.
     """
 
     states: Array
@@ -30,71 +29,69 @@ class Estimate(NamedTuple):
 
 
 class Observer(Protocol):
-    """The protocol of an observer of b arms. Its estimate of an arm must not depend on the others, to the last bit.
+    """Protocol of observers of b arms. The estimate of an arm must not depend on the other arms, to the last bit.
 
-    An optional member is `state_fields`, as of a Controller.
+    Optional members are `state_fields`, as in `Controller`; `estimates`, name -> (b, ...), added to `info`; and
+    `inconsistent`, (b,) flags of arms whose readings the observer cannot explain.
 
     Attributes:
-        sensors: names of the sensors that it reads.
+        sensors: names of the sensors that the observer reads.
     """
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Names of the sensors that it reads."""
+        """Names of the sensors that the observer reads."""
         ...
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Starts new episodes of the arms (r,)."""
+        """Start new episodes of the arms (r,)."""
         ...
 
-    def estimate(self, readings: Readings, applied: Array, playing: BoolArray) -> Estimate:
-        """Gives what is known now; arguments are those of `Controller.act`, and it is asked once a control period."""
+    def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
+        """Return the estimate of this control period; arguments are those of `Controller.act`.
+
+        An observer is called once per control period.
+        """
         ...
 
 
-MAX_BIAS = 0.005  # of a range, up to which a biased reading is off
-MIN_DEVIATION = 1e-4  # of a range, least deviation of a reading: no model is truer
+MAX_BIAS = 0.005  # 1; largest bias of a reading, fraction of the range
+MIN_DEVIATION = 1e-4  # 1; least standard deviation of a reading, fraction of the range; accounts for model errors
 
 
-class MeasurementModel(NamedTuple):
-    """Readings side by side, m numbers of each arm.
-
-    Attributes:
-        names: of the readings, in their order.
-        places: name -> slice of the m numbers.
-        matrix: (m, 2 d) of the readings by the state.
-        ranges, deviations: (m,) largest magnitude, and standard deviation of the noise.
-    """
-
-    names: tuple[str, ...]
-    places: dict[str, slice]
-    matrix: Array
-    ranges: Array
-    deviations: Array
-
-    def read(self, readings: Readings) -> Array:
-        """Gives the numbers (b, m) of b arms."""
-        return np.concatenate([readings[name] for name in self.names], axis=1).astype(float)
-
-
-def make_measurement_model(plant: Plant, sensors: Sequence[str]) -> MeasurementModel:
-    """Gives the instruments that some sensors are.
+class MeasurementModel:
+    """Linear measurement model of instruments: m measured quantities y = matrix x + noise.
 
     Args:
-        plant: says how exact they are; the least deviation is 1e-4 of the range.
-        sensors: names in `model.linearization.LINEAR_SENSORS`.
+        plant: plant model with the range and the noise of each instrument; standard deviations are at least 1e-4 of
+            the range.
+        sensors: names in `model.linearization.LINEAR_SENSORS`, among them "motor_encoders", which define the pose of an
+            arm at the start.
+
+    Attributes:
+        names: measured quantities, in their order.
+        places: name -> slice of the m numbers.
+        matrix: (m, 2 d) of the quantities with respect to the state.
+        ranges: (m,) largest magnitude of each number.
+        deviations: (m,) standard deviation of its noise.
 
     Raises:
-        ValueError: for any other, whose readings are not linear in the state, and without encoders of the motors, which
-            tell where an arm is at its start.
+        ValueError: for a sensor whose readings are nonlinear in the state, and without motor encoders.
     """
-    if isinstance(sensors, str) or not set(sensors) <= set(LINEAR_SENSORS) or "motor_encoders" not in sensors:
-        allowed = f"motor_encoders, beside which may stand {', '.join(list(LINEAR_SENSORS)[1:])}: what else there is "
-        raise value_error("sensors", sensors, f"{allowed}does not follow the state linearly")
-    names = tuple(name for each in dict.fromkeys(sensors) for name in LINEAR_SENSORS[each])
-    unit, measured = Linear(plant.model).measure(np.eye(2 * plant.model.n_dof)), plant.measured()
-    ends = np.cumsum([0, *(unit[name].shape[1] for name in names)]).tolist()
-    places = {name: slice(*both) for name, *both in zip(names, ends, ends[1:], strict=False)}
-    ranges, deviations = np.hstack([measured[name] for name in names])
-    matrix = np.hstack([unit[name] for name in names]).T.copy()
-    return MeasurementModel(names, places, matrix, ranges, np.maximum(deviations, MIN_DEVIATION * ranges))
+
+    def __init__(self, plant: Plant, sensors: Sequence[str]) -> None:
+        if isinstance(sensors, str) or not set(sensors) <= set(LINEAR_SENSORS) or "motor_encoders" not in sensors:
+            optional = ", ".join(list(LINEAR_SENSORS)[1:])
+            allowed = f"motor_encoders, and any of {optional}: other sensors are not linear in the state"
+            raise value_error("sensors", sensors, allowed)
+        self.names = tuple(name for each in dict.fromkeys(sensors) for name in LINEAR_SENSORS[each])
+        columns, measured = LinearMeasurements(plant.model).named(np.eye(2 * plant.model.n_dof)), plant.measured()
+        ends = np.cumsum([0, *(columns[name].shape[1] for name in self.names)]).tolist()
+        self.places = {name: slice(*both) for name, *both in zip(self.names, ends, ends[1:], strict=False)}
+        self.matrix: Array = np.hstack([columns[name] for name in self.names]).T.copy()
+        self.ranges, deviations = np.hstack([measured[name] for name in self.names])
+        self.deviations: Array = np.maximum(deviations, MIN_DEVIATION * self.ranges)
+
+    def read(self, readings: Readings) -> Array:
+        """Return the measured quantities (b, m) of b arms, one after another."""
+        return np.concatenate([readings[name] for name in self.names], axis=1).astype(float)

@@ -8,21 +8,21 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.internal_model import DelayCompensation
 from flexman_gym.control.observers.observer import Estimate
-from flexman_gym.control.observers.perturbed_models import make_uncertain_parameters
+from flexman_gym.control.observers.perturbed_models import UncertainParameters
 from flexman_gym.simulation.parameters import PARAMETERS, UNCERTAIN
 
-# s and powers by which 1 / (1 + (t / s)^power) of the deviation is left: medians of the Estimator on 24 arms of
-# FlexRRR-v0 under unknown-lab follow these within a third
+# Time constant T (s) and exponent k of the remaining deviation 1 / (1 + (t / T)^k): the medians of the Estimator on
+# 24 arms of FlexRRR-v0 under unknown-lab agree within a third
 DEVIATION_DECAY = {"payload_mass": (0.2, 3.0), "joint_stiffness": (0.1, 3.0), "link_stiffness_factor": (0.26, 2.0)}
 
 
 class Oracle:
-    """True state, moved on through the delay by the true arm. It is privileged: nobody could build it.
+    """Oracle: the true state, predicted over the delay with the true parameters. It is privileged.
 
     Args:
-        plant: the arm, whose parameters each episode tells.
-        doubt: whether parameters that are unknown become known only as the estimating observer finds them out, with
-            errors of its standard deviations, for agents that learn what they shall do on its estimates.
+        plant: plant model; the true parameters are those of each episode.
+        doubt: whether uncertain parameters carry a simulated estimation error that decays as that of `Estimator` does,
+            for agents that are trained on the oracle and run on estimates.
     """
 
     sensors: tuple[str, ...] = ("state",)
@@ -33,11 +33,13 @@ class Oracle:
         self._parameters: dict[str, Array] = {}
         self._plant, self._ages = plant, np.zeros(0, dtype=np.int64)
         ranges = {name: span for name, span in plant.unknown.items() if UNCERTAIN.get(name) in DEVIATION_DECAY}
-        self._unknowns = make_uncertain_parameters(plant.model, ranges) if doubt and ranges else None
-        self._numbers = np.zeros((0, 2, len(self._unknowns.names) if self._unknowns else 0))  # true ones, and errors
+        self._uncertain = UncertainParameters(plant.model, ranges) if doubt and ranges else None
+        self._numbers = np.zeros(
+            (0, 2, len(self._uncertain.names) if self._uncertain else 0)
+        )  # true numbers, and standard normal errors
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Takes parameters and delays of new episodes of the arms (r,)."""
+        """Store parameters and delays of new episodes of the arms (r,)."""
         self._prediction.reset(arms, count, episode.drawn.get("torque_limit"))
         self._prediction.remember(int(np.max(episode.drawn.get("delay", 0), initial=0)))
         drawn = {name: values.astype(float) for name, values in episode.drawn.items() if name in PARAMETERS}
@@ -47,49 +49,49 @@ class Oracle:
         self._prediction.vary(arms, drawn)
         self._delays, self._ages = pad_rows(self._delays, count), pad_rows(self._ages, count)
         self._delays[arms], self._ages[arms] = episode.drawn.get("delay", 0), 0
-        if self._unknowns:
+        if self._uncertain:
             self._numbers = pad_rows(self._numbers, count)
-            self._numbers[arms, 0] = self._true_numbers(arms)
-            for arm in arms.tolist():  # by what was drawn: the same arm is found out in the same way
+            self._numbers[arms, 0] = self._normalised_parameters(arms)
+            for arm in arms.tolist():  # seeded by the parameters: equal arms have equal errors
                 random = np.random.default_rng(np.abs(self._numbers[arm, 0].view(np.int64)))
                 self._numbers[arm, 1] = random.standard_normal(self._numbers.shape[2])
 
-    def _true_numbers(self, arms: IntArray) -> Array:
-        """What is unknown of arms (r,), (r, p), see `Unknowns`."""
-        assert self._unknowns is not None
-        columns = zip(self._unknowns.names, self._unknowns.joints, self._unknowns.scales, strict=True)
+    def _normalised_parameters(self, arms: IntArray) -> Array:
+        """Return the true numbers (r, p) of the uncertain parameters of arms (r,), see `UncertainParameters`."""
+        assert self._uncertain is not None
+        columns = zip(self._uncertain.names, self._uncertain.joints, self._uncertain.scales, strict=True)
         values = [(self._parameters[name][arms], joint, scale) for name, joint, scale in columns]
         return np.stack([(each if each.ndim == 1 else each[:, joint]) / scale for each, joint, scale in values], axis=1)
 
     @property
-    def _left(self) -> Array:
-        """Parts of the deviations (b, p) that are left."""
-        assert self._unknowns is not None
-        scales, powers = np.array([DEVIATION_DECAY[name] for name in self._unknowns.names]).T
+    def _remaining_deviation(self) -> Array:
+        """Remaining fraction (b, p) of the prior deviations."""
+        assert self._uncertain is not None
+        scales, powers = np.array([DEVIATION_DECAY[name] for name in self._uncertain.names]).T
         return 1.0 / (1.0 + (self._ages[:, None] * self._plant.period / scales) ** powers)
 
-    def _told(self) -> dict[str, Array]:
-        """Parameters of all arms, those with doubt as they may be known by now."""
-        if self._unknowns is None:
+    def _current_parameters(self) -> dict[str, Array]:
+        """Return the parameters of all arms, with the simulated estimation errors."""
+        if self._uncertain is None:
             return dict(self._parameters)
-        unknowns, left, (true, errors) = self._unknowns, self._left, self._numbers.swapaxes(0, 1)
-        first, later = unknowns.mean - true, unknowns.deviation * errors
-        numbers = true + left * (left * first + np.sqrt(1.0 - left**2) * later)
-        known = unknowns.values(self._plant.model, np.clip(numbers, unknowns.low, unknowns.high))
-        return self._parameters | known
+        uncertain, remaining, (true, errors) = self._uncertain, self._remaining_deviation, self._numbers.swapaxes(0, 1)
+        first, later = uncertain.mean - true, uncertain.deviation * errors
+        numbers = true + remaining * (remaining * first + np.sqrt(1.0 - remaining**2) * later)
+        estimated = uncertain.values(self._plant.model, np.clip(numbers, uncertain.low, uncertain.high))
+        return self._parameters | estimated
 
     @property
     def estimates(self) -> Mapping[str, Array]:
-        """With doubt the standard deviations of parameters, name_deviation -> (b, ...)."""
-        if self._unknowns is None:
+        """Standard deviations of the simulated errors, name_deviation -> (b, ...); {} without them."""
+        if self._uncertain is None:
             return {}
-        return self._unknowns.deviations(self._left * self._unknowns.deviation)
+        return self._uncertain.deviations(self._remaining_deviation * self._uncertain.deviation)
 
-    def estimate(self, readings: Readings, applied: Array, playing: BoolArray) -> Estimate:
-        """Gives what is true when torques that are asked for now begin to act; see `Observer`."""
-        states, arms = np.array(readings["state"], dtype=float), np.flatnonzero(playing)
-        self._prediction.take(arms, applied[arms])
+    def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
+        """Return the true state at the time at which torques commanded now take effect; see `Observer`."""
+        states, arms = np.array(readings["state"], dtype=float), np.flatnonzero(active)
+        self._prediction.record(arms, applied[arms])
         states[arms] = self._prediction(arms, states[arms], self._delays[arms])
-        result = Estimate(states, self._delays, self._told())
-        self._ages += playing
+        result = Estimate(states, self._delays, self._current_parameters())
+        self._ages += active
         return result

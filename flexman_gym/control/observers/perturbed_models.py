@@ -1,49 +1,66 @@
-"""Perturbed models: uncertain parameters, simulations with one parameter changed each, and least-squares steps."""
+"""Perturbed models: uncertain parameters, simulations with one perturbed parameter each, and least-squares steps."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, BoolArray, IntArray, row_dots
+from flexman_gym.common.arrays import Array, BoolArray, row_dots
 from flexman_gym.common.checks import mapping, number_array, value_error
 from flexman_gym.control.controller import Plant
 from flexman_gym.control.observers.internal_model import InternalModels
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN, rename_old_keys
 
-PARAMETER_STEP = (
-    0.0003  # of a range, by which an unknown is changed to see what follows; 0.03 shifts a phase by a radian in 2 s
-)
-RANGE_MARGIN = 0.08  # of a range, by which an estimate may leave it
-KNOWN_RANGE = 1e-3  # of a number that is known, or of 1 where it is 0: the range in which it is
+PARAMETER_STEP = 0.0003  # fraction of a range; 0.03 would shift the phase by a radian in 2 s
+RANGE_MARGIN = 0.08  # fraction of a range by which an estimate may exceed it
+KNOWN_RANGE = 1e-3  # range of a known number, relative to it, or to 1 if it is 0
 
 
-@dataclass(frozen=True, eq=False)
-class _UncertainParameters:
-    """p unknown numbers of an arm: entries of its physical parameters.
+class UncertainParameters:
+    """Uncertain parameters of an arm as p numbers, one for each entry of a physical parameter.
+
+    Args:
+        model: of the arm.
+        ranges: name -> (low, high), with names as in `simulation.parameters.UNCERTAIN`: in the unit of the parameter,
+            or factors (1) on the nominal value, one per joint or link.
 
     Attributes:
-        names: (p,) of the parameters, once for each of their entries.
-        joints: (p,) of which joint or link an entry is; 0 of an arm.
-        scales: (p,) values of an entry where its number is 1: nominal ones where the number is a factor.
-        mean, deviation: (p,) of what is known beforehand: of numbers spread evenly over their range.
-        step: (p,) by which a number is changed to see what follows.
-        low, high: (p,) between which an estimate stays.
+        names: (p,) name of the parameter of each number.
+        joints: (p,) joint or link of each number; 0 for a parameter of the whole arm.
+        scales: (p,) value of the entry per unit of the number: the nominal value where the number is a factor.
+        mean: (p,) of a uniform distribution over the range.
+        deviation: (p,) standard deviation of that distribution.
+        step: (p,) perturbation for finite differences.
+        low: (p,) least estimate.
+        high: (p,) largest estimate.
     """
 
-    names: tuple[str, ...]
-    joints: IntArray
-    scales: Array
-    mean: Array
-    deviation: Array
-    step: Array
-    low: Array
-    high: Array
+    def __init__(self, model: Model, ranges: Mapping[str, tuple[float, float]]) -> None:
+        names, joints, scales, spans = [], [], [], []
+        former = {name: key for key, name in UNCERTAIN.items() if key != name}
+        former |= {"link_stiffness": "link_stiffness_factor"}
+        for key, span in mapping("unknown", rename_old_keys("unknown", ranges, former), tuple(UNCERTAIN)).items():
+            low, high = number_array(f"unknown.{key}", span, (2,), "a range (low, high)")
+            if not 0.0 <= low <= high:
+                raise value_error(f"unknown.{key}", span, "a range (low, high) with 0 <= low <= high")
+            name, row = UNCERTAIN[key], PARAMETERS[UNCERTAIN[key]]
+            nominal = np.atleast_1d(row.nominal(model))
+            free = ~row.fixed(model) if row.shape(model.n_joints) else np.ones(1, dtype=bool)
+            for joint in np.flatnonzero(free & (nominal > 0.0 if row.factor else free)):
+                names.append(name)
+                joints.append(int(joint))
+                scales.append(float(nominal[joint]) if row.factor else 1.0)
+                spans.append((low, high))
+        low, high = np.array(spans).reshape(-1, 2).T
+        width = np.where(high > low, high - low, KNOWN_RANGE * np.where(high > 0.0, high, 1.0))
+        self.names, self.joints, self.scales = tuple(names), np.array(joints, dtype=np.int64), np.array(scales)
+        self.mean, self.deviation, self.step = 0.5 * (low + high), width / np.sqrt(12.0), PARAMETER_STEP * width
+        self.low: Array = np.maximum(low - RANGE_MARGIN * width, 0.0)
+        self.high: Array = high + RANGE_MARGIN * width
 
     def values(self, model: Model, numbers: Array) -> dict[str, Array]:
-        """Gives the parameters, name -> (r, ...) in their units, of numbers (r, p)."""
+        """Return the parameters, name -> (r, ...) in their units, for numbers (r, p)."""
         result = {}
         for name in dict.fromkeys(self.names):
             row, columns = PARAMETERS[name], np.flatnonzero(np.array(self.names) == name)
@@ -57,7 +74,7 @@ class _UncertainParameters:
         return result
 
     def deviations(self, numbers: Array) -> dict[str, Array]:
-        """Gives the deviations, name_deviation -> (r,) or (r, entries), of the deviations (r, p or more) of numbers."""
+        """Return name_deviation -> (r,) or (r, entries) for standard deviations (r, p or more) of the numbers."""
         result = {}
         for name in dict.fromkeys(self.names):
             columns = np.flatnonzero(np.array(self.names) == name)
@@ -66,53 +83,23 @@ class _UncertainParameters:
         return result
 
 
-def make_uncertain_parameters(model: Model, ranges: Mapping[str, tuple[float, float]]) -> _UncertainParameters:
-    """Gives the unknowns of an arm.
-
-    Args:
-        model: of the arm.
-        ranges: name -> (low, high), names as in `simulation.parameters.UNCERTAIN`: the unit of the parameter, or 1 for
-            the factors on the nominal value, one for each joint or link.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
-    """
-    names, joints, scales, spans = [], [], [], []
-    renamed = {name: key for key, name in UNCERTAIN.items() if key != name} | {
-        "link_stiffness": "link_stiffness_factor"
-    }
-    for key, span in mapping("unknown", rename_old_keys("unknown", ranges, renamed), tuple(UNCERTAIN)).items():
-        low, high = number_array(f"unknown.{key}", span, (2,), "a range (low, high)")
-        if not 0.0 <= low <= high:
-            raise value_error(f"unknown.{key}", span, "a range (low, high) with 0 <= low <= high")
-        name, row = UNCERTAIN[key], PARAMETERS[UNCERTAIN[key]]
-        nominal = np.atleast_1d(row.nominal(model))
-        free = ~row.fixed(model) if row.shape(model.n_joints) else np.ones(1, dtype=bool)
-        for joint in np.flatnonzero(free & (nominal > 0.0 if row.factor else free)):
-            names.append(name)
-            joints.append(int(joint))
-            scales.append(float(nominal[joint]) if row.factor else 1.0)
-            spans.append((low, high))
-    low, high = np.array(spans).reshape(-1, 2).T
-    wide = np.where(high > low, high - low, KNOWN_RANGE * np.where(high > 0.0, high, 1.0))
-    return _UncertainParameters(
-        tuple(names), np.array(joints, dtype=np.int64), np.array(scales), 0.5 * (low + high), wide / np.sqrt(12.0),
-        PARAMETER_STEP * wide, np.maximum(low - RANGE_MARGIN * wide, 0.0), high + RANGE_MARGIN * wide,
-    )  # fmt: skip
-
-
-ANGLE_STEP = 1e-3  # rad, by which an angle at the start is changed to see what follows
-BATCH_ARMS = 32  # arms whose trials are rolled at once, for the memory that they take
-DIAGONAL_OFFSET = 1e-12  # added to a matrix of ones on its diagonal
-MAX_ITERATIONS, MIN_DECREASE, INITIAL_DAMPING = (
-    4,
-    (2.0, 0.02),
-    1e-3,
-)  # sweeps of a fit; falls of the cost, and by period, that end it; first
+ANGLE_STEP = 1e-3  # rad; perturbation of a start angle
+BATCH_ARMS = 32  # arms whose models are simulated together; limits the memory
+DIAGONAL_OFFSET = 1e-12  # added to the diagonal of a scaled matrix
+MAX_ITERATIONS = 4  # Levenberg-Marquardt iterations of a fit
+MIN_DECREASE = (2.0, 0.02)  # decrease of the cost that ends a fit: in all, and per period
+INITIAL_DAMPING = 1e-3  # of the first Levenberg-Marquardt step
 
 
 class Prior(NamedTuple):
-    """What is known beforehand of p numbers: mean, deviation, and between which they stay, (p,) each."""
+    """Prior of p numbers.
+
+    Attributes:
+        mean: (p,).
+        deviation: (p,) standard deviation.
+        low: (p,) least value.
+        high: (p,) largest value.
+    """
 
     mean: Array
     deviation: Array
@@ -121,22 +108,22 @@ class Prior(NamedTuple):
 
     @property
     def information(self) -> Array:
-        """Information (p, p) about the numbers."""
+        """Information matrix (p, p) of the prior."""
         return np.diag(1.0 / self.deviation**2)
 
     def clip(self, numbers: Array) -> Array:
-        """Gives the numbers (r, p) that are allowed next to some."""
+        """Return numbers (r, p) clipped to their bounds."""
         return np.clip(numbers, self.low, self.high)
 
 
 class Resimulation(NamedTuple):
-    """What a simulation of r arms from their starts says of the numbers that it was made with.
+    """Result of a simulation of r arms from their start, compared with the measurements.
 
     Attributes:
-        states: (r, 1 + s, 2 d) of all trials at the end.
-        information: (r, p, p) of the readings about the numbers.
-        gradient: (r, p) half of the slope by which the cost falls.
-        cost: (r,) sum of the squared errors of readings, in standard deviations.
+        states: (r, 1 + s, 2 d) of all models at the end.
+        information: (r, p, p) of the measurements about the numbers, the Gauss-Newton matrix.
+        gradient: (r, p) half the negative gradient of the cost.
+        cost: (r,) sum of squared residuals, in standard deviations.
     """
 
     states: Array
@@ -145,151 +132,174 @@ class Resimulation(NamedTuple):
     cost: Array
 
     def of(self, arms: BoolArray) -> "Resimulation":
-        """Gives what is said of some arms (r,)."""
+        """Return the result of the flagged arms (r,)."""
         return Resimulation(*(values[arms] for values in self))
 
 
 class PerturbedModels:
-    """Simulations of an arm for numbers that are estimated: unknowns, angles at the start, and biases of readings.
+    """Estimated and perturbed simulations of arms, for fitted numbers: uncertain parameters, start angles and biases.
 
-    Unknowns and angles move the arm; biases are added to what instruments read.
+    Parameters and start angles affect the motion; biases are added to the measurements.
 
     Args:
-        plant: the arm, and how it is simulated.
-        unknowns: of the arm.
-        matrix: (m, 2 d) of readings by states.
-        biased: whether the biases of all readings are among the numbers.
+        plant: plant model with method and step.
+        uncertain: uncertain parameters of the arm.
+        matrix: (m, 2 d) of the measurements with respect to the state.
+        biased: whether biases of all measurements are fitted.
     """
 
     def __init__(
         self,
         plant: Plant,
-        unknowns: _UncertainParameters,
+        uncertain: UncertainParameters,
         matrix: Array,
         biased: bool,
     ) -> None:
         model = self.model = plant.model
-        self.twins, self.unknowns, self.matrix = InternalModels(plant), unknowns, matrix
-        n, known = model.n_joints, len(unknowns.names)
-        self.moving, self.size = known + n, known + n + biased * len(matrix)
-        self.steps = np.concatenate([unknowns.step, np.full(n, ANGLE_STEP)])
+        self.models, self.uncertain, self.matrix = InternalModels(plant), uncertain, matrix
+        n, count = model.n_joints, len(uncertain.names)
+        self.dynamic, self.size = count + n, count + n + biased * len(matrix)
+        self.steps = np.concatenate([uncertain.step, np.full(n, ANGLE_STEP)])
         self._turns = model.at_rest(np.eye(n))
 
-    def changed(self, numbers: Array, steps: Array | None = None) -> Array:
-        """Gives the numbers (r, 1 + s, p) of all trials: as estimated, and each that moves the arm changed."""
-        result = np.repeat(numbers[:, None], 1 + self.moving, axis=1)
-        each = np.arange(self.moving)
+    def perturb(self, numbers: Array, steps: Array | None = None) -> Array:
+        """Return the numbers (r, 1 + s, p) of all models: the estimate and its perturbations."""
+        result = np.repeat(numbers[:, None], 1 + self.dynamic, axis=1)
+        each = np.arange(self.dynamic)
         result[:, 1 + each, each] += self.steps if steps is None else steps
         return result
 
-    def starts(self, origin: Array, numbers: Array) -> Array:
-        """Gives the states (r, 1 + s, 2 d) from which trials start; `origin` (r, 2 d) has angles of 0 among numbers."""
-        angles = self.changed(numbers)[:, :, len(self.unknowns.names) : self.moving]
+    def initial_states(self, origin: Array, numbers: Array) -> Array:
+        """Return the start states (r, 1 + s, 2 d) of the models.
+
+        Args:
+            origin: (r, 2 d) start states with start-angle numbers of 0.
+            numbers: (r, p).
+
+        Returns:
+            States (r, 1 + s, 2 d).
+        """
+        angles = self.perturb(numbers)[:, :, len(self.uncertain.names) : self.dynamic]
         return origin[:, None] + (angles[..., None] * self._turns).sum(axis=2)
 
     def parameters(self, numbers: Array) -> dict[str, Array]:
-        """Gives physical parameters, name -> (r, ...), for numbers (r, p)."""
-        return self.unknowns.values(self.model, numbers)
+        """Return the physical parameters, name -> (r, ...), for numbers (r, p)."""
+        return self.uncertain.values(self.model, numbers)
 
-    def slopes(self, states: Array, steps: Array) -> Array:
-        """Gives the slopes (r, 2 d, s) of the states of trials (r, 1 + s, 2 d) by numbers changed by steps (r, s)."""
+    def jacobian(self, states: Array, steps: Array) -> Array:
+        """Return the Jacobian (r, 2 d, s) of the states with respect to the perturbed numbers.
+
+        Args:
+            states: (r, 1 + s, 2 d) of all models.
+            steps: (r, s) perturbations.
+
+        Returns:
+            Jacobian (r, 2 d, s).
+        """
         return ((states[:, 1:] - states[:, :1]) / steps[..., None]).transpose(0, 2, 1)
 
-    def reading_slopes(self, slopes: Array) -> Array:
-        """Gives the slopes (r, m, p) of the readings, biases included, by those of the states (r, 2 d, s)."""
-        read = self.matrix @ slopes
-        if self.size == self.moving:
+    def measurement_jacobian(self, jacobian: Array) -> Array:
+        """Return the Jacobian (r, m, p) of the measurements, biases included, from that of the states (r, 2 d, s)."""
+        read = self.matrix @ jacobian
+        if self.size == self.dynamic:
             return read
         return np.concatenate([read, np.repeat(np.eye(len(self.matrix))[None], len(read), axis=0)], axis=2)
 
     def read(self, states: Array, numbers: Array) -> Array:
-        """Gives the readings (r, m) of states (r, 2 d) for numbers (r, p)."""
+        """Return the measurements (r, m) of states (r, 2 d) for numbers (r, p)."""
         result = row_dots(self.matrix, states[:, None])
-        return result if self.size == self.moving else result + numbers[:, self.moving :]
+        return result if self.size == self.dynamic else result + numbers[:, self.dynamic :]
 
-    def sweep(self, origin: Array, numbers: Array, torques: Array, readings: Array, weights: Array) -> Resimulation:
-        """Simulates r arms from their starts through k control periods and compares them with what was read.
+    def resimulate(
+        self, origin: Array, numbers: Array, torques: Array, readings: Array, weights: Array
+    ) -> Resimulation:
+        """Simulate r arms from their start over k control periods and compare them with the measurements.
 
         Args:
-            origin: (r, 2 d), see `starts`.
+            origin: (r, 2 d), see `initial_states`.
             numbers: (r, p).
-            torques: (r, k, n) N m that acted in each period.
-            readings: (r, k + 1, m) from the start on.
-            weights: (r, k + 1, m) of the squared errors, 1 / variance, 0 of readings that say nothing.
+            torques: (r, k, n) applied in each period, N m.
+            readings: (r, k + 1, m) from the start.
+            weights: (r, k + 1, m) of the squared residuals, 1 / variance; 0 to ignore a measurement.
+
+        Returns:
+            Final states, information matrix, gradient and cost.
         """
         parts = [slice(first, first + BATCH_ARMS) for first in range(0, len(origin), BATCH_ARMS)]
-        results = [self._sweep(origin[p], numbers[p], torques[p], readings[p], weights[p]) for p in parts]
+        results = [self._resimulate_batch(origin[p], numbers[p], torques[p], readings[p], weights[p]) for p in parts]
         return Resimulation(*(np.concatenate(each) for each in zip(*results, strict=True)))
 
-    def _sweep(self, origin: Array, numbers: Array, torques: Array, readings: Array, weights: Array) -> Resimulation:
+    def _resimulate_batch(
+        self, origin: Array, numbers: Array, torques: Array, readings: Array, weights: Array
+    ) -> Resimulation:
         arms, periods, n = torques.shape
-        start = self.starts(origin, numbers)
-        trials = start.shape[1]
-        batch, used = self.twins("sweep", arms * trials), np.arange(arms * trials)
-        flat = self.changed(numbers).reshape(arms * trials, -1)
+        start = self.initial_states(origin, numbers)
+        models = start.shape[1]
+        batch, used = self.models("resimulate", arms * models), np.arange(arms * models)
+        flat = self.perturb(numbers).reshape(arms * models, -1)
         batch.vary(used, **self.parameters(flat))
-        batch.place(used, start.reshape(arms * trials, -1))
-        drives = np.zeros((arms * trials, periods, n + 6))
-        drives[:, :, :n] = np.repeat(torques, trials, axis=0)
-        rolled = batch.roll(drives)[0].reshape(arms, trials, periods, -1)
+        batch.place(used, start.reshape(arms * models, -1))
+        drives = np.zeros((arms * models, periods, n + 6))
+        drives[:, :, :n] = np.repeat(torques, models, axis=0)
+        rolled = batch.roll(drives)[0].reshape(arms, models, periods, -1)
         states = np.concatenate([start[:, :, None], rolled], axis=2)
         read = (states @ self.matrix.T).transpose(0, 2, 3, 1)  # (r, k + 1, m, 1 + s)
-        slopes = (read[..., 1:] - read[..., :1]) / self.steps
-        if self.size > self.moving:
-            biases = np.broadcast_to(np.eye(len(self.matrix)), (*slopes.shape[:2], *(len(self.matrix),) * 2))
-            slopes = np.concatenate([slopes, biases], axis=3)
+        jacobian = (read[..., 1:] - read[..., :1]) / self.steps
+        if self.size > self.dynamic:
+            biases = np.broadcast_to(np.eye(len(self.matrix)), (*jacobian.shape[:2], *(len(self.matrix),) * 2))
+            jacobian = np.concatenate([jacobian, biases], axis=3)
         error = readings - read[..., 0]
-        if self.size > self.moving:
-            error = error - numbers[:, None, self.moving :]
+        if self.size > self.dynamic:
+            error = error - numbers[:, None, self.dynamic :]
         root = np.sqrt(weights)
-        slopes = (slopes * root[..., None]).reshape(arms, -1, self.size)
+        jacobian = (jacobian * root[..., None]).reshape(arms, -1, self.size)
         error = (error * root).reshape(arms, -1)
-        across = slopes.transpose(0, 2, 1)
+        across = jacobian.transpose(0, 2, 1)
         gradient = row_dots(across, error[:, None])
-        return Resimulation(states[:, :, -1].copy(), across @ slopes, gradient, row_dots(error, error))
+        return Resimulation(states[:, :, -1].copy(), across @ jacobian, gradient, row_dots(error, error))
 
     def fit(
         self, origin: Array, numbers: Array, prior: Prior, data: tuple[Array, Array, Array]
     ) -> tuple[Array, Resimulation]:
-        """Fits the numbers of r arms to all that was read: Levenberg and Marquardt, a few simulations from the start.
+        """Fit the numbers of r arms to all measurements by a few Levenberg-Marquardt iterations.
 
         Args:
-            origin: (r, 2 d), see `starts`.
-            numbers: (r, p), where it begins.
+            origin: (r, 2 d), see `initial_states`.
+            numbers: (r, p) initial guess.
             prior: of the numbers.
-            data: torques, readings and weights, see `sweep`.
+            data: torques, measurements and weights, see `resimulate`.
 
         Returns:
-            The numbers (r, p) and the sweep that was made with them.
+            Fitted numbers (r, p) and the simulation with them.
         """
         periods, damping = data[0].shape[1], np.full(len(origin), INITIAL_DAMPING)
-        certain, going = 1.0 / prior.deviation**2, np.ones(len(origin), dtype=bool)
-        best, result, least = numbers, self.sweep(origin, numbers, *data), np.full(len(origin), np.inf)
-        tried, sweep = best, result
+        precision, running = 1.0 / prior.deviation**2, np.ones(len(origin), dtype=bool)
+        best, result, least = numbers, self.resimulate(origin, numbers, *data), np.full(len(origin), np.inf)
+        candidate, simulation = best, result
         for attempt in range(MAX_ITERATIONS):
-            cost = sweep.cost + ((prior.mean - tried) ** 2 * certain).sum(axis=1)
+            cost = simulation.cost + ((prior.mean - candidate) ** 2 * precision).sum(axis=1)
             better = np.nan_to_num(cost, nan=np.inf) < least
             damping = np.where(better, 0.3 * damping, 20.0 * damping) if attempt else damping
             least = np.where(better, cost, least)
-            best = np.where(better[:, None], tried, best)
-            result = Resimulation(*(_select_rows(better, *both) for both in zip(sweep, result, strict=True)))
+            best = np.where(better[:, None], candidate, best)
+            result = Resimulation(*(_select_rows(better, *both) for both in zip(simulation, result, strict=True)))
             change, fall = levenberg_marquardt_step(result, best, prior, damping)
-            going &= fall >= max(MIN_DECREASE[0], MIN_DECREASE[1] * periods)
-            if attempt == MAX_ITERATIONS - 1 or not going.any():
+            running &= fall >= max(MIN_DECREASE[0], MIN_DECREASE[1] * periods)
+            if attempt == MAX_ITERATIONS - 1 or not running.any():
                 break
-            tried = np.where(going[:, None], prior.clip(best + change), best)  # no arm goes on because others do
-            sweep = self.sweep(origin, tried, *data)
+            candidate = np.where(running[:, None], prior.clip(best + change), best)  # finished arms stay as they are
+            simulation = self.resimulate(origin, candidate, *data)
         return best, result
 
 
 def levenberg_marquardt_step(
-    sweep: Resimulation, numbers: Array, prior: Prior, damping: Array | float = 0.0
+    simulation: Resimulation, numbers: Array, prior: Prior, damping: Array | float = 0.0
 ) -> tuple[Array, Array]:
-    """Gives the change (r, p) of numbers (r, p) that a sweep and the prior ask for, and the fall (r,) of the cost."""
-    certain = 1.0 / prior.deviation**2
-    whole, each = sweep.information.copy(), np.arange(numbers.shape[1])
-    whole[:, each, each] += certain
-    slope = sweep.gradient + certain * (prior.mean - numbers)
+    """Return the change (r, p) of numbers (r, p) and the predicted decrease (r,) of the cost with its prior."""
+    precision = 1.0 / prior.deviation**2
+    whole, each = simulation.information.copy(), np.arange(numbers.shape[1])
+    whole[:, each, each] += precision
+    slope = simulation.gradient + precision * (prior.mean - numbers)
     damped = whole.copy()
     damped[:, each, each] *= 1.0 + np.reshape(damping, (-1, 1))
     change = solve_scaled(damped, slope)
@@ -297,23 +307,23 @@ def levenberg_marquardt_step(
 
 
 def solve_scaled(matrices: Array, vectors: Array) -> Array:
-    """Gives x (r, p) of matrices (r, p, p) x = vectors (r, p) in units far apart; 0 where they are not finite."""
-    good: BoolArray = np.logical_and(np.isfinite(matrices).all(axis=(1, 2)), np.isfinite(vectors).all(axis=1))
-    even, scale = _unit_diagonal(np.where(good[:, None, None], matrices, np.eye(matrices.shape[1])))
-    result: Array = scale * np.linalg.solve(even, (scale * np.where(good[:, None], vectors, 0.0))[..., None])[..., 0]
+    """Return x (r, p) of matrices (r, p, p) x = vectors (r, p), after diagonal scaling; 0 for entries not finite."""
+    finite: BoolArray = np.logical_and(np.isfinite(matrices).all(axis=(1, 2)), np.isfinite(vectors).all(axis=1))
+    even, scale = _unit_diagonal(np.where(finite[:, None, None], matrices, np.eye(matrices.shape[1])))
+    result: Array = scale * np.linalg.solve(even, (scale * np.where(finite[:, None], vectors, 0.0))[..., None])[..., 0]
     return result
 
 
 def standard_deviations(information: Array) -> Array:
-    """Gives the standard deviations (r, p) of numbers of which there is information (r, p, p)."""
-    good: BoolArray = np.all(np.isfinite(information), axis=(1, 2))
-    even, scale = _unit_diagonal(np.where(good[:, None, None], information, np.eye(information.shape[1])))
+    """Return the standard deviations (r, p) for information matrices (r, p, p); infinite for entries not finite."""
+    finite: BoolArray = np.all(np.isfinite(information), axis=(1, 2))
+    even, scale = _unit_diagonal(np.where(finite[:, None, None], information, np.eye(information.shape[1])))
     variances = np.diagonal(np.linalg.inv(even), axis1=1, axis2=2)
-    return np.where(good[:, None], scale * np.sqrt(np.maximum(variances, 0.0)), np.inf)
+    return np.where(finite[:, None], scale * np.sqrt(np.maximum(variances, 0.0)), np.inf)
 
 
 def _unit_diagonal(matrices: Array) -> tuple[Array, Array]:
-    """Matrices (r, p, p) in units that make their diagonals 1, and these units (r, p)."""
+    """Return matrices (r, p, p) scaled to unit diagonals, and the scales (r, p)."""
     each = np.arange(matrices.shape[1])
     scale = 1.0 / np.sqrt(matrices[:, each, each])
     result = matrices * scale[:, :, None] * scale[:, None]
@@ -322,5 +332,5 @@ def _unit_diagonal(matrices: Array) -> tuple[Array, Array]:
 
 
 def _select_rows(flags: Array, one: Array, other: Array) -> Array:
-    """Rows of one where flags (r,) say so, else of the other."""
+    """Return the rows of `one` where flags (r,) are True, else those of `other`."""
     return np.where(flags.reshape(-1, *(1,) * (one.ndim - 1)), one, other)

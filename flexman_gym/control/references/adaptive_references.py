@@ -1,4 +1,4 @@
-"""References adapted to estimated parameters: slews on straight paths, timed again on the way, and given paths."""
+"""References adapted to estimated parameters: slews along straight paths, planned again on the way, and given paths."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -17,22 +17,25 @@ from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.parameters import varied_model
 
-PATH_POINTS = np.linspace(0.0, 1.0, 11)  # of a path at which an arm is bent
-TYPICAL_ACCELERATION = 0.5  # 1/s^2, second derivative of the path parameter with which an arm is bent
-CANDIDATE_DURATIONS = 0.2 * 1.045 ** np.arange(110)  # s, that are tried; the last is 24 s
-CHECKED_TIMES = np.linspace(0.0, 1.0, 17)[1:-1]  # of a duration at which torques are compared with their limits
-REST, ACCELERATION, SPEED_SQUARED = 0, 1, 2  # layers of a table: at rest, times s'', times s'^2
-NEWTON_STEPS = 2  # steps of Newton by which the end of a path is turned
-MAX_CACHED_PATHS = 1000  # paths, of 20 kB each
-DIFFERENCE_STEP = 0.01  # s, of the differences that give the speeds of bent coordinates
+PATH_POINTS = np.linspace(0.0, 1.0, 11)  # path parameters at which deflections are tabulated
+TYPICAL_ACCELERATION = 0.5  # 1/s^2; second derivative of the path parameter at which deflections are computed
+CANDIDATE_DURATIONS = 0.2 * 1.045 ** np.arange(110)  # s; the last is 24 s
+CHECKED_TIMES = np.linspace(0.0, 1.0, 17)[1:-1]  # fractions of a duration at which torques are checked
+REST = 0  # layers of a table: equilibrium,
+ACCELERATION = 1  # factor of s''
+SPEED_SQUARED = 2  # factor of s'^2
+NEWTON_STEPS = 2  # for the rotation of the end of a path
+MAX_CACHED_PATHS = 1000  # of 20 kB each
+DIFFERENCE_STEP = 0.01  # s; of finite differences for the rates of deflected coordinates
 
 
 class _PathTables(NamedTuple):
-    """How an arm is on its path, for p payloads and the places of PLACES, in three layers.
+    """Deflections and torques at the points of a path, for p payloads, in three layers.
 
     Attributes:
-        coordinates: (p, 11, 3, d) departures from the motors' straight path; at rest, and by s'' and s'^2.
-        torques: (p, 11, 3, n) N m, in the same way.
+        coordinates: (p, 11, 3, d) departures from the straight path of the motors: at rest, and per unit of s'' and
+            s'^2.
+        torques: (p, 11, 3, n) in the same layers, N m.
     """
 
     coordinates: Array
@@ -40,133 +43,133 @@ class _PathTables(NamedTuple):
 
 
 class SlewReferences:
-    """Slews of b arms: place s on the path from 0 to 1, motor angles, bent coordinates and torques of each.
+    """Slews of b arms: path parameter s from 0 to 1, motor angles, deflected coordinates and torques.
 
-    The arm is bent as inertia and weight ask on the way, without vibrating. Torques and bending follow
-    rest + a(s) s'' + b(s) s'^2, tabulated for some payloads, quadratic between these, and for each arm scaled by its
-    own stiffness.
+    The arm is deflected quasi-statically by inertia and gravity, without vibration. Deflections and torques are
+    rest + a(s) s'' + b(s) s'^2, tabulated for some payloads, interpolated by a parabola between them, and scaled by the
+    estimated stiffness of each arm.
 
     Args:
         model: of the arm.
-        limits: (n,) N m.
-        share: of the limits that a slew may take; feedback has the rest.
+        limits: (n,) torque limits, N m.
+        share: fraction of the limits available to a slew; the rest is left to feedback.
         payloads: kg, one or three, ascending.
 
     Attributes:
-        pace, quickening: (b,) how many times faster than timed the clock of a slew runs, and how fast that grows (1/s).
+        time_scaling: (b,) rate of the clock of a slew relative to time.
+        pace_rate: (b,) time derivative of the time scaling, 1/s.
     """
 
-    _rows = (
-        "start", "way", "shift", "coefficients", "begun", "lasting", "_coordinates", "_torques", "_soft", "_friction",
-        "_own_coordinates", "_own_torques", "pace", "quickening",
+    state_fields = (
+        "start", "displacement", "shift", "coefficients", "start_time", "duration", "_coordinates", "_torques",
+        "_compliance", "_friction", "_adapted_coordinates", "_adapted_torques", "time_scaling", "pace_rate",
     )  # fmt: skip
-    state_fields = _rows
 
     def __init__(self, model: Model, limits: Array, share: float, payloads: Sequence[float]) -> None:
         self.model, self._limits, self._share = model, limits, share
         self._payloads = np.array(payloads, dtype=float)
         self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
-        self._give_way = DeflectionCompensation(model)
-        self._bendings = [QuasiStaticDeflection(each) for each in self._models]
+        self._compensation = DeflectionCompensation(model)
+        self._deflections = [QuasiStaticDeflection(each) for each in self._models]
         n, d, p = model.n_joints, model.n_dof, len(payloads)
-        self.start, self.way, self.shift = np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, n))
+        self.start, self.displacement, self.shift = np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, n))
         self._coordinates, self._torques = np.zeros((0, p, 11, 3, d)), np.zeros((0, p, 11, 3, n))
-        # for the payloads as they are estimated
-        self._own_coordinates, self._own_torques = np.zeros((0, 11, 3, d)), np.zeros((0, 11, 3, n))
-        self.coefficients, self.begun, self.lasting = np.zeros((0, 6)), np.zeros(0), np.zeros(0)
-        self._soft, self._friction = np.zeros((0, d)), np.zeros((0, 2, n))
-        self.pace, self.quickening = np.zeros(0), np.zeros(0)
-        self._paths: dict[tuple[bytes, bytes], list[_PathTables]] = {}
+        # for the estimated payloads
+        self._adapted_coordinates, self._adapted_torques = np.zeros((0, 11, 3, d)), np.zeros((0, 11, 3, n))
+        self.coefficients, self.start_time, self.duration = np.zeros((0, 6)), np.zeros(0), np.zeros(0)
+        self._compliance, self._friction = np.zeros((0, d)), np.zeros((0, 2, n))
+        self.time_scaling, self.pace_rate = np.zeros(0), np.zeros(0)
+        self._cached_paths: dict[tuple[bytes, bytes], list[_PathTables]] = {}
         self._flexible = model.constants.motor >= 0
 
-    def grow(self, count: int) -> None:
-        """Makes room for so many arms."""
-        for name in self._rows:
+    def allocate(self, count: int) -> None:
+        """Allocate memory for a number of arms."""
+        for name in self.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), count))
 
     def begin(self, arms: IntArray, start: Array, goal: Array) -> None:
-        """Takes paths of the arms (r,) from start to goal, motor angles (r, n) rad; `adapt` and `time` them next."""
-        self.start[arms], self.way[arms], self.shift[arms] = start, goal - start, 0.0
-        self.pace[arms], self.quickening[arms] = 1.0, 0.0
+        """Start paths of the arms (r,) between motor angles (r, n) rad; `adapt` and `time` complete them."""
+        self.start[arms], self.displacement[arms], self.shift[arms] = start, goal - start, 0.0
+        self.time_scaling[arms], self.pace_rate[arms] = 1.0, 0.0
         for arm, first, last in zip(arms, start, goal, strict=True):
             key = first.tobytes(), last.tobytes()
-            if key not in self._paths:
-                if len(self._paths) >= MAX_CACHED_PATHS:
-                    self._paths.clear()
-                self._paths[key] = [self._bent(payload, first, last) for payload in range(len(self._models))]
-            for payload, tables in enumerate(self._paths[key]):
+            if key not in self._cached_paths:
+                if len(self._cached_paths) >= MAX_CACHED_PATHS:
+                    self._cached_paths.clear()
+                self._cached_paths[key] = [self._tabulate(payload, first, last) for payload in range(len(self._models))]
+            for payload, tables in enumerate(self._cached_paths[key]):
                 self._coordinates[arm, payload], self._torques[arm, payload] = tables
 
-    def _bent(self, payload: int, start: Array, goal: Array) -> _PathTables:
-        """The tables of one arm with one payload."""
-        model, bending, way = self._models[payload], self._bendings[payload], goal - start
+    def _tabulate(self, payload: int, start: Array, goal: Array) -> _PathTables:
+        """Return the tables of one arm with one payload."""
+        model, deflection, displacement = self._models[payload], self._deflections[payload], goal - start
         n = model.n_joints
         coordinates, torques = np.zeros((11, 3, model.n_dof)), np.zeros((11, 3, n))
         for row, place in enumerate(PATH_POINTS):
-            posture = start + place * way
+            posture = start + place * displacement
             rest, straight = rest_state(model, posture)[: model.n_dof], model.at_rest(posture[None])[0, : model.n_dof]
             coordinates[row, REST], torques[row, REST] = rest - straight, holding_torques(model, posture)
-            links, still = rest[:n], np.zeros(n)
-            at_rest, held = bending.at(rest, (links, still, still))
+            links, zero = rest[:n], np.zeros(n)
+            at_rest, static_torque = deflection.at(rest, (links, zero, zero))
             for layer, motion in (
-                (ACCELERATION, (links, still, TYPICAL_ACCELERATION * way)),
-                (SPEED_SQUARED, (links, np.sqrt(TYPICAL_ACCELERATION) * way, still)),
+                (ACCELERATION, (links, zero, TYPICAL_ACCELERATION * displacement)),
+                (SPEED_SQUARED, (links, np.sqrt(TYPICAL_ACCELERATION) * displacement, zero)),
             ):
-                bent, torque = bending.at(rest, motion)
+                deflected, torque = deflection.at(rest, motion)
                 coordinates[row, layer], torques[row, layer] = (
-                    (bent - at_rest) / TYPICAL_ACCELERATION,
-                    (torque - held) / TYPICAL_ACCELERATION,
+                    (deflected - at_rest) / TYPICAL_ACCELERATION,
+                    (torque - static_torque) / TYPICAL_ACCELERATION,
                 )
         return _PathTables(coordinates, torques)
 
     def adapt(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
-        """Takes the physical parameters (b, ...) of the arms (r,) as they are estimated, see `Estimate`."""
+        """Adapt the references of the arms (r,) to estimated parameters (b, ...), see `Estimate`."""
         if not len(arms):
             return
-        weights = payload_interpolation_weights(self._payloads, estimated_payloads(self.model, parameters, arms))
-        for own, every in ((self._own_coordinates, self._coordinates), (self._own_torques, self._torques)):
+        weights, self._compliance[arms], self._friction[arms] = adaptation_factors(
+            self.model, self._payloads, parameters, arms
+        )
+        for own, every in ((self._adapted_coordinates, self._coordinates), (self._adapted_torques, self._torques)):
             own[arms] = (weights[:, :, None, None, None] * every[arms]).sum(axis=1)
-        self._soft[arms] = compliance_factors(self.model, parameters, arms)
-        self._friction[arms] = friction_coefficients(self.model, parameters, arms)
         if self.model.constants.gravity.any():
-            self._aim(arms)
+            self._correct_goal(arms)
 
-    def _aim(self, arms: IntArray) -> None:
-        """Turns the ends of the paths of the arms (r,) so that the tips rest where those of the model's arm would."""
+    def _correct_goal(self, arms: IntArray) -> None:
+        """Rotate the ends of the paths of the arms (r,) so that the tips rest at the positions of the nominal arm."""
         model, d = self.model, self.model.n_dof
         for arm in arms:
-            goal = self.start[arm] + self.way[arm]
-            wanted = rest_state(model, goal)[:d]
+            goal = self.start[arm] + self.displacement[arm]
+            target = rest_state(model, goal)[:d]
             for _ in range(NEWTON_STEPS):
-                sagging = self._soft[arm] * self._own_coordinates[arm, -1, REST]
+                sagging = self._compliance[arm] * self._adapted_coordinates[arm, -1, REST]
                 place = model.at_rest((goal + self.shift[arm])[None])[0, :d] + sagging
-                self.shift[arm] += self._give_way.turn(wanted, place)
+                self.shift[arm] += self._compensation.turn(target, place)
 
     def time(self, arms: IntArray, now: Array, first: bool) -> None:
-        """Times the rest of the way of the arms (r,) anew, as short as torques within the limits allow.
+        """Plan the timing of the rest of the slews of the arms (r,), as fast as the torque limits allow.
 
         Args:
-            arms: (r,) whose parameters `adapt` has taken.
+            arms: (r,) after `adapt`.
             now: (r,) s.
-            first: whether they start at rest at the beginning of their paths; else they go on as they move now.
+            first: True for a start at rest at the beginning of the paths; False to continue the current motion.
         """
         if not len(arms):
             return
         place, speed, change = (np.zeros((3, len(arms))) if first else np.array(self.at(now, arms)))[:, :, None]
         tried = quintic_coefficients(place, speed, change, CANDIDATE_DURATIONS.astype(float))
         places, speeds, changes = evaluate_polynomials(tried[:, :, None], CANDIDATE_DURATIONS[:, None] * CHECKED_TIMES)
-        torques = self._mixed(self._own_torques, arms, places, changes, speeds)
+        torques = self._interpolate(self._adapted_torques, arms, places, changes, speeds)
         if self._friction[arms].any():
-            rates = speeds[..., None] * self.way[arms][:, None, None]
-            torques += friction_torques(self.model, self._friction[arms][:, None, None], rates)
+            rates = speeds[..., None] * self.displacement[arms][:, None, None]
+            torques += _friction_torques(self.model, self._friction[arms][:, None, None], rates)
         shares = (np.abs(torques) / self._limits).max(axis=(2, 3))
-        good = shares <= self._share
-        chosen = np.where(good.any(axis=1), good.argmax(axis=1), shares.argmin(axis=1))
+        feasible = shares <= self._share
+        chosen = np.where(feasible.any(axis=1), feasible.argmax(axis=1), shares.argmin(axis=1))
         self.coefficients[arms] = tried[np.arange(len(arms)), chosen]
-        self.begun[arms], self.lasting[arms] = now, CANDIDATE_DURATIONS[chosen]
+        self.start_time[arms], self.duration[arms] = now, CANDIDATE_DURATIONS[chosen]
 
-    def _mixed(self, table: Array, arms: IntArray, places: Array, changes: Array, speeds: Array) -> Array:
-        """rest + a s'' + b s'^2 (r, ..., m) of a table (b, 11, 3, m) at places, changes and speeds (r, ...)."""
+    def _interpolate(self, table: Array, arms: IntArray, places: Array, changes: Array, speeds: Array) -> Array:
+        """Return rest + a s'' + b s'^2 (r, ..., m) from a table (b, 11, 3, m)."""
         at = np.clip(places, 0.0, 1.0) * (len(PATH_POINTS) - 1)
         low = np.minimum(at.astype(np.int64), len(PATH_POINTS) - 2)
         part, rows = (at - low)[..., None, None], arms.reshape(-1, *(1,) * (places.ndim - 1))
@@ -178,108 +181,116 @@ class SlewReferences:
         )
 
     def at(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
-        """Gives places, speeds (1/s) and second derivatives (1/s^2) of the arms (r,) at times (r,) s."""
-        passed = now - self.begun[arms]
-        # one that was timed on its way moved before
-        earliest = np.where(self.coefficients[arms, 1] != 0.0, -DIFFERENCE_STEP * self.pace[arms], 0.0)
+        """Return path parameters, speeds (1/s) and accelerations (1/s^2) of the arms (r,) at times (r,) s."""
+        passed = now - self.start_time[arms]
+        # a slew that was planned again on its way moved before that time
+        earliest = np.where(self.coefficients[arms, 1] != 0.0, -DIFFERENCE_STEP * self.time_scaling[arms], 0.0)
         place, speed, change = evaluate_polynomials(
-            self.coefficients[arms], np.clip(passed, earliest, self.lasting[arms])
+            self.coefficients[arms], np.clip(passed, earliest, self.duration[arms])
         )
-        over = passed >= self.lasting[arms]
+        over = passed >= self.duration[arms]
         return np.where(over, 1.0, place), np.where(over, 0.0, speed), np.where(over, 0.0, change)
 
-    def _paced(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
-        """The same at the pace of a clock that runs faster or slower than the slews were timed for."""
+    def _scaled_timing(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
+        """Return the result of `at` with the time scaling of the clocks applied."""
         place, speed, change = self.at(now, arms)
-        pace = self.pace[arms]
-        return place, speed * pace, change * pace**2 + speed * self.quickening[arms]
+        pace = self.time_scaling[arms]
+        return place, speed * pace, change * pace**2 + speed * self.pace_rate[arms]
 
     def states(self, now: Array, arms: IntArray) -> Array:
-        """Gives the states (r, 2 d) of the arms (r,) at times (r,) s."""
-        steps = DIFFERENCE_STEP * self.pace[arms]
+        """Return the reference states (r, 2 d) of the arms (r,) at times (r,) s."""
+        steps = DIFFERENCE_STEP * self.time_scaling[arms]
         before, here, after = (self._coordinates_at(now + step, arms) for step in (-steps, 0.0, steps))
         return np.concatenate([here, (after - before) / (2.0 * DIFFERENCE_STEP)], axis=1)
 
     def _coordinates_at(self, now: Array, arms: IntArray) -> Array:
-        place, speed, change = self._paced(now, arms)
-        result = self._soft[arms] * self._mixed(self._own_coordinates, arms, place, change, speed)
-        angles = self.start[arms] + place[:, None] * (self.way[arms] + self.shift[arms])
+        place, speed, change = self._scaled_timing(now, arms)
+        result = self._compliance[arms] * self._interpolate(self._adapted_coordinates, arms, place, change, speed)
+        angles = self.start[arms] + place[:, None] * (self.displacement[arms] + self.shift[arms])
         result[:, self.model.motor_columns] += angles
         result[:, np.flatnonzero(self._flexible)] += angles[:, self._flexible]
         return result
 
     def torques(self, now: Array, arms: IntArray) -> Array:
-        """Gives the torques (r, n) N m of the arms (r,) at times (r,) s."""
-        place, speed, change = self._paced(now, arms)
-        rubbing = friction_torques(self.model, self._friction[arms], speed[:, None] * self.way[arms])
-        return self._mixed(self._own_torques, arms, place, change, speed) + rubbing
+        """Return the feed-forward torques (r, n) of the arms (r,) at times (r,) s, N m."""
+        place, speed, change = self._scaled_timing(now, arms)
+        friction = _friction_torques(self.model, self._friction[arms], speed[:, None] * self.displacement[arms])
+        return self._interpolate(self._adapted_torques, arms, place, change, speed) + friction
 
 
 def estimated_payloads(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
-    """Gives the payloads (r,) kg of arms as they are estimated, of the model where nothing is said of them."""
+    """Return the estimated payloads (r,) of arms (r,), kg; that of the model if there is no estimate."""
     if "payload_mass" in parameters:
         return parameters["payload_mass"][arms]
     return np.full(len(arms), model.constants.payload_mass[0])
 
 
-def payload_interpolation_weights(nodes: Array, payloads: Array) -> Array:
-    """Gives the weights (r, p) of nodes (p,) kg between which payloads (r,) are interpolated."""
-    masses = np.clip(payloads, nodes[0], nodes[-1])
-    result = np.ones((len(payloads), len(nodes)))
+def adaptation_factors(
+    model: Model, nodes: Array, parameters: Mapping[str, Array], arms: IntArray
+) -> tuple[Array, Array, Array]:
+    """Return the factors by which the references of arms (r,) are adapted to estimated parameters.
+
+    Args:
+        model: nominal model of the arm.
+        nodes: (p,) payloads for which references are tabulated, kg.
+        parameters: name -> (b, ...) estimated physical parameters; the nominal value where a name is missing.
+        arms: (r,).
+
+    Returns:
+        Weights (r, p) of the Lagrange interpolation between the payloads; ratios (r, d) of the elastic deflections to
+        those of the nominal arm; viscous (N m s/rad) and Coulomb friction (N m) of the motors, (r, 2, n).
+    """
+    masses = np.clip(estimated_payloads(model, parameters, arms), nodes[0], nodes[-1])
+    weights = np.ones((len(arms), len(nodes)))
     for i, node in enumerate(nodes):
         for other in np.delete(nodes, i):
-            result[:, i] *= (masses - other) / (node - other)
-    return result
-
-
-def compliance_factors(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
-    """Gives factors (r, d) by which bent coordinates of the arms (r,) are larger than those of the model."""
-    n, stiff = model.n_joints, model.constants.motor >= 0
-    result = np.ones((len(arms), model.n_dof))
+            weights[:, i] *= (masses - other) / (node - other)
+    n, flexible = model.n_joints, model.constants.motor >= 0
+    compliance = np.ones((len(arms), model.n_dof))
     if "joint_stiffness" in parameters:
-        stiffness = np.where(stiff, parameters["joint_stiffness"][arms], 1.0)
-        part = np.where(stiff, model.constants.joint_stiffness / stiffness, 1.0)
-        result[:, :n] = result[:, model.motor_columns] = part
+        stiffness = np.where(flexible, parameters["joint_stiffness"][arms], 1.0)
+        ratio = np.where(flexible, model.constants.joint_stiffness / stiffness, 1.0)
+        compliance[:, :n] = compliance[:, model.motor_columns] = ratio
     if "link_stiffness_factor" in parameters:
         links = np.repeat(np.arange(n), np.diff(model.constants.elastic_start))
-        result[:, model.n_dof - len(links) :] = 1.0 / parameters["link_stiffness_factor"][arms][:, links]
-    return result
-
-
-def friction_coefficients(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
-    """Gives viscous (N m s/rad) and Coulomb friction (N m) of the motors of the arms (r,), (r, 2, n)."""
-    result = np.zeros((len(arms), 2, model.n_joints))
+        compliance[:, model.n_dof - len(links) :] = 1.0 / parameters["link_stiffness_factor"][arms][:, links]
+    friction = np.zeros((len(arms), 2, n))
     for i, name in enumerate(("viscous_friction", "coulomb_friction")):
-        result[:, i] = parameters[name][arms] if name in parameters else getattr(model.constants, name)
-    return result
+        friction[:, i] = parameters[name][arms] if name in parameters else getattr(model.constants, name)
+    return weights, compliance, friction
 
 
-def friction_torques(model: Model, coefficients: Array, rates: Array) -> Array:
-    """Gives the torques (..., n) N m that friction, coefficients (..., 2, n), takes at motor rates (..., n) rad/s."""
+def _friction_torques(model: Model, coefficients: Array, rates: Array) -> Array:
+    """Return the friction torques (..., n), N m, for coefficients (..., 2, n) at motor rates (..., n) rad/s."""
     sliding = np.tanh(rates / model.constants.coulomb_rate)
     return coefficients[..., 0, :] * rates + coefficients[..., 1, :] * sliding
 
 
 class PathReferences:
-    """States and torques of b arms along paths of their motors, planned ahead for some payloads, see `plan_path`.
+    """States and torques of b arms along given paths of their motors, planned for some payloads, see `plan_path`.
 
     Args:
         model: of the arm.
-        period: of control, s.
+        period: control period, s.
         payloads: kg, one or three, ascending.
     """
 
-    state_fields = ("_weights", "_soft", "_friction")
+    state_fields = ("_weights", "_compliance", "_friction")
 
     def __init__(self, model: Model, period: float, payloads: Sequence[float]) -> None:
         self.model, self._period, self._payloads = model, period, np.array(payloads, dtype=float)
         self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
-        self._plans: dict[int, tuple[Array, Array, Array]] = {}  # arm -> rigid states, departures, torques by payload
-        self._weights, self._soft = np.zeros((0, len(payloads))), np.zeros((0, model.n_dof))
+        self._plans: dict[
+            int, tuple[Array, Array, Array]
+        ] = {}  # arm -> states of the rigid arm, deflections and torques for each payload
+        self._weights, self._compliance = np.zeros((0, len(payloads))), np.zeros((0, model.n_dof))
         self._friction = np.zeros((0, 2, model.n_joints))
 
     def begin(self, arm: int, path: Array) -> None:
-        """Plans how an arm follows a path (T + 1, n) rad of its motors, one for each period; `adapt` it next."""
+        """Plan the motion of an arm along a path (T + 1, n) rad of its motors; `adapt` completes it.
+
+        The path has one point per control period.
+        """
         plans = [plan_path(model, path, self._period) for model in self._models]
         straight = self.model.at_rest(path)
         straight[:, self.model.n_dof :] = np.gradient(straight[:, : self.model.n_dof], self._period, axis=0)
@@ -289,24 +300,22 @@ class PathReferences:
             setattr(self, name, pad_rows(getattr(self, name), arm + 1))
 
     def adapt(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
-        """Takes the physical parameters (b, ...) of the arms (r,) as they are estimated, see `Estimate`."""
+        """Adapt the references of the arms (r,) to estimated parameters (b, ...), see `Estimate`."""
         if not len(arms):
             return
-        self._weights[arms] = payload_interpolation_weights(
-            self._payloads, estimated_payloads(self.model, parameters, arms)
+        self._weights[arms], self._compliance[arms], self._friction[arms] = adaptation_factors(
+            self.model, self._payloads, parameters, arms
         )
-        self._soft[arms] = compliance_factors(self.model, parameters, arms)
-        self._friction[arms] = friction_coefficients(self.model, parameters, arms)
 
     def at(self, now: Array, arms: IntArray) -> tuple[Array, Array]:
-        """Gives the states (r, 2 d) of arms (r,) at times (r,) s and their torques (r, n) N m in the period after."""
+        """Return the states (r, 2 d) at times (r,) s, and the torques (r, n) of the following period, N m."""
         states, torques = [], []
         rates = self.model.n_dof + self.model.motor_columns
         for moment, arm in zip((now / self._period).round().astype(int).tolist(), arms.tolist(), strict=True):
             straight, departures, forward = self._plans[arm]
             row, weights = min(moment, len(straight) - 1), self._weights[arm, :, None]
-            bent = (weights * departures[:, row]).sum(axis=0) * np.tile(self._soft[arm], 2)
-            states.append(straight[row] + bent)
-            sliding = friction_torques(self.model, self._friction[arm], states[-1][rates])
+            deflected = (weights * departures[:, row]).sum(axis=0) * np.tile(self._compliance[arm], 2)
+            states.append(straight[row] + deflected)
+            sliding = _friction_torques(self.model, self._friction[arm], states[-1][rates])
             torques.append((weights * forward[:, min(moment, forward.shape[1] - 1)]).sum(axis=0) + sliding)
         return np.array(states), np.array(torques)

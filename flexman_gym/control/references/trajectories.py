@@ -1,6 +1,4 @@
-"""Reference trajectories: timing laws, paths, quasi-static deflection, and time-optimal motions within torque
-limits.
-"""
+"""Reference trajectories: timing laws, paths, quasi-static deflection, and time-optimal motions."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -17,11 +15,11 @@ from flexman_gym.model.statics import rest_state
 
 
 class _TimingLaw(NamedTuple):
-    """A motion from rest to rest whose place is a polynomial of time in each of k phases.
+    """Rest-to-rest timing law: the path parameter is a polynomial of time in each of k phases.
 
     Attributes:
-        begins: (k,) s, of the phases.
-        coefficients: (k, 6), lowest power of the time since a phase began first.
+        begins: (k,) start times of the phases, s.
+        coefficients: (k, 6) in ascending powers of the time since the start of a phase.
         duration: s.
     """
 
@@ -30,72 +28,68 @@ class _TimingLaw(NamedTuple):
     duration: float
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
-        """Gives place, speed (1/s) and acceleration (1/s^2) at times (T,) s; it rests before and after."""
+        """Return path parameter, speed (1/s) and acceleration (1/s^2) at times (T,) s; at rest before and after."""
         inside = np.clip(times, 0.0, self.duration)
         phases: IntArray = np.searchsorted(self.begins, inside, side="right") - 1
         place, speed, acceleration = evaluate_polynomials(self.coefficients[phases], inside - self.begins[phases])
         return place, speed, np.where(inside == times, acceleration, 0.0)
 
 
-def trapezoid(way: float, speed: float, acceleration: float) -> _TimingLaw:
-    """Gives the quickest motion over a way within limits of speed (1/s) and acceleration (1/s^2).
-
-    Biagiotti and Melchiorri, Trajectory planning for automatic machines and robots, 2008, section 3.2.
-
-    Raises:
-        ValueError: for what is no number from 1e-30 to 1e30.
-    """
-    limits = physical("speed", speed, "1/s"), physical("acceleration", acceleration, "1/s^2"), np.inf
-    return _constant_jerk_law(physical("way", way), *limits)
-
-
-def double_s(way: float, speed: float, acceleration: float, jerk: float) -> _TimingLaw:
-    """Gives the double S over a way: also within a limit of jerk (1/s^3).
-
-    Biagiotti and Melchiorri, Trajectory planning for automatic machines and robots, 2008, section 3.4.
-
-    Raises:
-        ValueError: for what is no number from 1e-30 to 1e30.
-    """
-    limits = physical("speed", speed, "1/s"), physical("acceleration", acceleration, "1/s^2")
-    return _constant_jerk_law(physical("way", way), *limits, physical("jerk", jerk, "1/s^3"))
-
-
 def quintic_coefficients(place: Array, speed: Array, change: Array, durations: Array) -> Array:
-    """Gives coefficients (..., 6), lowest power first, of the polynomial in time that comes to rest at place 1.
+    """Return coefficients (..., 6), in ascending powers, of the polynomial that comes to rest at path parameter 1.
 
-    Between rests it is the minimum-jerk motion (Flash and Hogan, Journal of Neuroscience 5, 1985, 1688).
+    From rest it is the minimum-jerk motion (Flash and Hogan, Journal of Neuroscience 5, 1985, 1688).
 
     Args:
-        place: where it starts.
-        speed: how fast it starts, 1/s.
-        change: second derivative there, 1/s^2.
+        place: initial path parameter.
+        speed: initial speed, 1/s.
+        change: initial acceleration, 1/s^2.
         durations: s.
+
+    Returns:
+        Coefficients (..., 6).
     """
-    left, squared = 1.0 - place, durations**2
-    cubic = (20.0 * left - 12.0 * speed * durations - 3.0 * change * squared) / (2.0 * durations**3)
-    fourth = (-30.0 * left + 16.0 * speed * durations + 3.0 * change * squared) / (2.0 * durations**4)
-    fifth = (12.0 * left - 6.0 * speed * durations - change * squared) / (2.0 * durations**5)
+    remaining, squared = 1.0 - place, durations**2
+    cubic = (20.0 * remaining - 12.0 * speed * durations - 3.0 * change * squared) / (2.0 * durations**3)
+    fourth = (-30.0 * remaining + 16.0 * speed * durations + 3.0 * change * squared) / (2.0 * durations**4)
+    fifth = (12.0 * remaining - 6.0 * speed * durations - change * squared) / (2.0 * durations**5)
     result: Array = np.stack(np.broadcast_arrays(place, speed, 0.5 * change, cubic, fourth, fifth), axis=-1)
     return result
 
 
 def evaluate_polynomials(coefficients: Array, times: Array) -> tuple[Array, Array, Array]:
-    """Gives place, speed (1/s) and second derivative (1/s^2) of polynomials (..., 6) at times (...) s."""
+    """Return path parameter, speed (1/s) and acceleration (1/s^2) of polynomials (..., 6) at times (...) s."""
     a, b, c, d, e, f = np.moveaxis(coefficients, -1, 0)
     place = a + times * (b + times * (c + times * (d + times * (e + times * f))))
     speed = b + times * (2.0 * c + times * (3.0 * d + times * (4.0 * e + times * 5.0 * f)))
     return place, speed, 2.0 * c + times * (6.0 * d + times * (12.0 * e + times * 20.0 * f))
 
 
-def _constant_jerk_law(way: float, speed: float, acceleration: float, jerk: float) -> _TimingLaw:
-    """Seven phases of constant jerk, less those that take no time; where jerk is infinite, acceleration jumps."""
+def constant_jerk_law(distance: float, speed: float, acceleration: float, jerk: float | None = None) -> _TimingLaw:
+    """Plan the fastest motion from rest to rest over a distance, within limits of its derivatives.
+
+    With a jerk limit this is the double-S law of up to seven phases of constant jerk; without one, the trapezoidal law,
+    whose acceleration jumps (Biagiotti and Melchiorri, Trajectory planning for automatic machines and robots, 2008,
+    sections 3.2 and 3.4).
+
+    Args:
+        distance: 1, along the path.
+        speed: 1/s, largest.
+        acceleration: 1/s^2, largest.
+        jerk: 1/s^3, largest; None for no limit.
+
+    Returns:
+        Timing law without phases of zero duration.
+    """
+    distance, speed = physical("distance", distance), physical("speed", speed, "1/s")
+    acceleration = physical("acceleration", acceleration, "1/s^2")
+    jerk = np.inf if jerk is None else physical("jerk", jerk, "1/s^3")
     most = min(acceleration, np.sqrt(speed * jerk))
-    gaining = most / jerk + speed / most  # s, of speed
-    steady = way / speed - gaining
-    if steady < 0.0:  # the speed is not reached
-        most, steady = min(acceleration, np.cbrt(0.5 * way * jerk**2)), 0.0
-        gaining = 0.5 * most / jerk + np.sqrt((0.5 * most / jerk) ** 2 + way / most)
+    gaining = most / jerk + speed / most  # s; time to reach the speed
+    steady = distance / speed - gaining
+    if steady < 0.0:  # the largest speed is not reached
+        most, steady = min(acceleration, np.cbrt(0.5 * distance * jerk**2)), 0.0
+        gaining = 0.5 * most / jerk + np.sqrt((0.5 * most / jerk) ** 2 + distance / most)
     ramp = most / jerk
     full = max(gaining - 2.0 * ramp, 0.0)
     lasting = np.array([ramp, full, ramp, steady, ramp, full, ramp])
@@ -108,32 +102,28 @@ def _constant_jerk_law(way: float, speed: float, acceleration: float, jerk: floa
     return _TimingLaw(begins, coefficients, float(lasting.sum()))
 
 
-TIMING_LAWS = {  # of slews from 0 to 1 in a duration of 1; the phases of each last as long as each other
+TIMING_LAWS = {  # of slews from 0 to 1 in a duration of 1, with phases of equal length
     "minimum-jerk": _TimingLaw(np.zeros(1), quintic_coefficients(*np.array([[0.0], [0.0], [0.0], [1.0]])), 1.0),
-    "trapezoid": trapezoid(1.0, 1.5, 4.5),
-    "double-s": double_s(1.0, 1.75, 6.125, 42.875),
+    "trapezoid": constant_jerk_law(1.0, 1.5, 4.5),
+    "double-s": constant_jerk_law(1.0, 1.75, 6.125, 42.875),
 }
 
 
-def minimum_jerk(parts: Array) -> tuple[Array, Array, Array]:
-    """Gives position, speed and acceleration of the minimum-jerk motion from 0 to 1 at parts (T,) of its duration."""
-    return TIMING_LAWS["minimum-jerk"].at(parts)
-
-
-DEFLECTION_PASSES = 3  # of bending under the inertia of the bent arm
-SINGULAR_CUTOFF = 0.05  # part of the largest slope of the tip; joints do not give way into directions with less
-SOLVE_INTERVAL, REST_POINTS = (
-    4,
-    6,
-)  # control periods between two places of a path that are solved for; such places before its start
-PATH_SAMPLES, MAX_DURATION = 21, 60.0  # places whose torques time a motion; s
-JUMP_MARGIN = 1e-9  # of a duration, before accelerations jump
+DEFLECTION_PASSES = 3  # fixed-point iterations of the deflection under the inertia of the deflected arm
+SINGULAR_CUTOFF = 0.05  # fraction of the largest singular value of the tip Jacobian; smaller ones are excluded
+SOLVE_INTERVAL = 4  # control periods between two solved points of a path
+REST_POINTS = 6  # solved points at rest before the start of a path
+PATH_SAMPLES = 21  # points of a path at which torques are compared with their limits
+MAX_DURATION = 60.0  # s
+JUMP_MARGIN = 1e-9  # fraction of the duration before a jump of the acceleration
 
 
 class _ReferenceTrajectory(NamedTuple):
-    """A slew in T control periods, then rest.
+    """Reference trajectory over T control periods, followed by rest.
 
-    states: (T + 1, 2 d) at the ends of the periods. torques: (T, n) N m, constant in each.
+    Attributes:
+        states: (T + 1, 2 d) at the ends of the periods.
+        torques: (T, n) constant in each period, N m.
     """
 
     states: Array
@@ -141,9 +131,10 @@ class _ReferenceTrajectory(NamedTuple):
 
 
 class QuasiStaticDeflection:
-    """How a model is bent, and what its motors must give, while the links' sides of its joints move.
+    """Quasi-static deflection of a model and its motor torques, for a prescribed joint motion.
 
-    Springs are wound up and links bend as the inertia of that motion and the weight ask, without vibrating.
+    The motion is that of the link sides of the joints. Joint springs and links deflect under its inertial and
+    gravitational loads, without vibration.
     """
 
     def __init__(self, model: Model) -> None:
@@ -157,11 +148,14 @@ class QuasiStaticDeflection:
         self._compliance = 1.0 / stiffness
 
     def at(self, near: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        """Gives the bent coordinates (d,) and the motor torques (n,) N m.
+        """Return the deflected coordinates (d,) and the motor torques (n,), N m.
 
         Args:
-            near: (d,) coordinates from whose bending the search starts.
-            motion: angles, rates and accelerations (n,) of the links' sides, rad, rad/s and rad/s^2.
+            near: (d,) coordinates with the initial deflection of the iteration.
+            motion: angles, rates and accelerations (n,) of the link sides, rad, rad/s and rad/s^2.
+
+        Returns:
+            Coordinates (d,) and torques (n,), N m.
         """
         n, d = self._model.n_joints, self._model.n_dof
         x, rates, changes = near.copy(), np.zeros(d), np.zeros(d)
@@ -179,13 +173,14 @@ class QuasiStaticDeflection:
 
 
 class _JointPath(NamedTuple):
-    """A way of the links' sides of the joints of a model from rest to rest, for any duration.
+    """Rest-to-rest path of the link sides of the joints, for any duration.
 
     Attributes:
-        bending: of the model.
-        ends: (2, d) coordinates at rest before and after.
-        motion: gives angles (k, n) rad, and their first and second derivatives, by parts (k,) of the duration.
-        parts: of the duration at which torques are compared with their limits.
+        bending: quasi-static deflection of the model.
+        ends: (2, d) equilibrium coordinates at start and end.
+        motion: function of fractions (k,) of the duration that returns angles (k, n) rad and their first and second
+            derivatives with respect to the fraction.
+        parts: fractions of the duration at which torques are compared with their limits.
     """
 
     bending: QuasiStaticDeflection
@@ -194,7 +189,7 @@ class _JointPath(NamedTuple):
     parts: Array
 
     def at(self, parts: Array, duration: float) -> tuple[Array, Array]:
-        """Gives the bent coordinates (k, d) and the motor torques (k, n) N m at parts (k,) of a duration (s)."""
+        """Return deflected coordinates (k, d) and motor torques (k, n) N m at fractions (k,) of a duration (s)."""
         angles, rates, changes = self.motion(parts)
         motions = zip(angles, rates / duration, changes / duration**2, strict=True)
         places, torques = zip(*(self.bending.at(self.ends[0], each) for each in motions), strict=True)
@@ -202,7 +197,7 @@ class _JointPath(NamedTuple):
 
 
 def slew_path(model: Model, start: Array, goal: Array, law: str = "minimum-jerk") -> _JointPath:
-    """Gives the straight path between postures of the motors (n,) rad, by a law of `timing.LAWS`."""
+    """Return the straight path between postures of the motors (n,) rad, with a law from `TIMING_LAWS`."""
     ends, timing = rest_state(model, np.array([start, goal]))[:, : model.n_dof], TIMING_LAWS[law]
     first, last = ends[:, : model.n_joints]
 
@@ -215,23 +210,23 @@ def slew_path(model: Model, start: Array, goal: Array, law: str = "minimum-jerk"
 
 
 def via_path(model: Model, postures: Array, count: int) -> _JointPath:
-    """Gives the path through postures (m, n) rad of the motors, each at the end of one of `count` control periods.
+    """Return the path through postures (m, n) rad of the motors, each at the end of one of `count` control periods.
 
-    It is a cubic spline with two knots more, so that it starts and ends without acceleration (Biagiotti and Melchiorri,
-    Trajectory planning for automatic machines and robots, 2008, section 4.4.4). Times between postures go with the
-    square roots of their distances (Lee, Computer-Aided Design 21, 1989, 363).
+    The path is a cubic spline with two additional knots, so that it starts and ends with zero acceleration (Biagiotti
+    and Melchiorri, Trajectory planning for automatic machines and robots, 2008, section 4.4.4). Times between postures
+    are proportional to the square roots of their distances (Lee, Computer-Aided Design 21, 1989, 363).
     """
     from scipy.interpolate import make_interp_spline
 
     rests, order = rest_state(model, postures)[:, : model.n_dof], np.arange(len(postures))
-    angles, still = rests[:, : model.n_joints], np.zeros(model.n_joints)
-    apart = np.sqrt(np.linalg.norm(np.diff(angles, axis=0), axis=1))
-    rows = np.rint(count * np.append(0.0, np.cumsum(apart)) / apart.sum())
-    rows = np.minimum(np.maximum.accumulate(rows - order) + order, count - order[::-1])  # a period apart at least
+    angles, zero = rests[:, : model.n_joints], np.zeros(model.n_joints)
+    distances = np.sqrt(np.linalg.norm(np.diff(angles, axis=0), axis=1))
+    rows = np.rint(count * np.append(0.0, np.cumsum(distances)) / distances.sum())
+    rows = np.minimum(np.maximum.accumulate(rows - order) + order, count - order[::-1])  # at least a period apart
     times = rows / count
     more = (2.0 * times[0] + times[1]) / 3.0, (times[-2] + 2.0 * times[-1]) / 3.0
     knots = np.concatenate([np.zeros(4), more[:1], times[1:-1], more[1:], np.ones(4)])
-    rest = [(1, still), (2, still)]
+    rest = [(1, zero), (2, zero)]
     spline = make_interp_spline(times, angles, k=3, t=knots, bc_type=(rest, rest))
 
     def motion(parts: Array) -> tuple[Array, Array, Array]:
@@ -241,64 +236,75 @@ def via_path(model: Model, postures: Array, count: int) -> _JointPath:
 
 
 def _sample_parts(*places: Array) -> Array:
-    """Parts of a duration all along it, and others where accelerations may be largest."""
+    """Return equidistant fractions of a duration, together with others at which accelerations may be largest."""
     return np.sort(np.concatenate([np.linspace(0.0, 1.0, PATH_SAMPLES), *places]))
 
 
 def plan_slew(
     model: Model, start: Array, goal: Array, limits: Array, share: float, period: float, law: str = "minimum-jerk"
 ) -> _ReferenceTrajectory:
-    """Plans the quickest slew of a law whose torques stay within a share of the limits.
+    """Plan the fastest slew with a timing law whose torques stay within a share of the limits.
 
     Args:
         model: of the arm.
-        start: (n,) rad, motor angles at the beginning.
-        goal: (n,) rad, motor angles at the end.
-        limits: (n,) N m.
-        share: of the limits, that the slew may take; feedback has the rest.
-        period: s.
-        law: a name of `timing.LAWS`.
+        start: (n,) initial motor angles, rad.
+        goal: (n,) final motor angles, rad.
+        limits: (n,) torque limits, N m.
+        share: fraction of the limits available to the slew; the rest is left to feedback.
+        period: control period, s.
+        law: name in `TIMING_LAWS`.
+
+    Returns:
+        Reference trajectory.
 
     Raises:
-        ValueError: for a goal whose weight alone takes more than that, and another law.
+        ValueError: for a goal at which holding torques alone exceed the share, and for an unknown law.
     """
     path = slew_path(model, start, goal, one_of("law", law, TIMING_LAWS))
     slew = _time_optimal(lambda count: path, share * limits, period, 1)
     if slew is None:
-        raise value_error("goal", goal.tolist(), f"a posture that {share:.0%} of the torque limits can hold")
+        raise value_error(
+            "goal", goal.tolist(), f"a posture with holding torques below {share:.0%} of the torque limits"
+        )
     return slew
 
 
 def plan_via(model: Model, postures: Array, limits: Array, share: float, period: float) -> _ReferenceTrajectory:
-    """Plans the quickest motion through postures, see `via_path`, whose torques stay within a share of the limits.
+    """Plan the fastest motion through postures, see `via_path`, whose torques stay within a share of the limits.
 
-    Postures are at ends of periods, which bends the spline a little with each duration: a shorter one may be left out.
+    Postures coincide with ends of control periods, so that the spline changes slightly with the duration; the search
+    may therefore miss a shorter one.
 
     Args:
         model: of the arm.
-        postures: (m, n) rad, motor angles; it rests at the first and the last.
-        limits: (n,) N m.
-        share: of the limits, that the motion may take; feedback has the rest.
-        period: s.
+        postures: (m, n) motor angles, rad; at rest at the first and the last.
+        limits: (n,) torque limits, N m.
+        share: fraction of the limits available to the motion; the rest is left to feedback.
+        period: control period, s.
+
+    Returns:
+        Reference trajectory.
 
     Raises:
-        ValueError: for fewer than two postures, one that is that before, and one whose weight alone takes too much.
+        ValueError: for fewer than two postures, two equal ones in succession, and holding torques beyond the share.
     """
     if len(postures) < 2 or not np.diff(postures, axis=0).any(axis=1).all():
-        raise value_error("postures", postures.tolist(), "two at least, each another than that before")
+        raise value_error("postures", postures.tolist(), "at least two, no two equal in succession")
     motion = _time_optimal(lambda count: via_path(model, postures, count), share * limits, period, len(postures) - 1)
     if motion is None:
-        raise value_error("postures", postures.tolist(), f"postures that {share:.0%} of the torque limits can hold")
+        raise value_error(
+            "postures", postures.tolist(), f"postures with holding torques below {share:.0%} of the torque limits"
+        )
     return motion
 
 
 def _time_optimal(
     paths: Callable[[int], _JointPath], bounds: Array, period: float, fewest: int
 ) -> _ReferenceTrajectory | None:
-    """The path in the fewest control periods in which torques stay within bounds (n,) N m, None where none does.
+    """Return the path in the fewest control periods with torques within bounds (n,) N m; None if there is none.
 
-    Torques are those at rest and what inertia asks, which goes with 1 / T^2: both at one T tell the shortest. Bending
-    changes that a little, so that it is told anew there.
+    Torques are the holding torques plus an inertial part proportional to 1 / T^2, so that one duration T predicts the
+    shortest. Deflections change this slightly, and the prediction is repeated there.
     """
     count, short = max(fewest, int(MAX_DURATION / period)), fewest - 1
     most, path = count, paths(count)
@@ -306,9 +312,9 @@ def _time_optimal(
     if (np.abs(rest) >= bounds).any():
         return None
     while True:
-        asked = path.at(path.parts, count * period)[1] - rest
-        needed = np.ceil(count * np.sqrt((np.abs(asked) / (bounds - np.sign(asked) * rest)).max()))
-        if not needed <= count:  # nor is no number, of an arm that bends too far
+        inertial = path.at(path.parts, count * period)[1] - rest
+        needed = np.ceil(count * np.sqrt((np.abs(inertial) / (bounds - np.sign(inertial) * rest)).max()))
+        if not needed <= count:  # also for NaN, of an arm that deflects too far
             if count == most:
                 return None
             short, count = count, int(min(np.fmax(needed, count + 1), most))
@@ -320,7 +326,7 @@ def _time_optimal(
 
 
 def _sample_path(path: _JointPath, count: int, period: float) -> _ReferenceTrajectory:
-    """A path in so many control periods."""
+    """Sample a path over a number of control periods."""
     places, _ = path.at(np.linspace(0.0, 1.0, count + 1), count * period)
     places[[0, -1]] = path.ends
     speeds = np.gradient(places, period, axis=0) if count > 1 else np.zeros_like(places)
@@ -331,15 +337,19 @@ def _sample_path(path: _JointPath, count: int, period: float) -> _ReferenceTraje
 
 
 def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTrajectory:
-    """Plans how a model follows postures (T + 1, n) rad of its motors, one for each control period (s).
+    """Plan the motion of a model through postures (T + 1, n) rad of its motors, one per control period (s).
 
-    The tip is to be where it would rest at each posture: the joints give way to the bending that the motion adds, once,
-    for what gives way twice is differentiated too often. All is solved for at every few periods, with splines between.
+    The tip follows its equilibrium positions at these postures: the joints compensate the deflection due to the motion.
+    This is done once, since each repetition differentiates the path further. The motion is solved for at intervals of
+    a few periods and interpolated by splines.
 
     Args:
         model: of the arm.
-        postures: whose second derivatives are continuous.
-        period: s.
+        postures: (T + 1, n) with continuous second derivatives, rad.
+        period: control period, s.
+
+    Returns:
+        Reference trajectory.
     """
     from scipy.interpolate import CubicSpline
 
@@ -347,9 +357,9 @@ def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTraject
     all_times = period * np.arange(len(postures))
     count = max(4, -(-(len(postures) - 1) // SOLVE_INTERVAL) + 1)
     spacing = all_times[-1] / (count - 1)
-    times = spacing * np.arange(-REST_POINTS, count)  # it has rested before
-    wanted = CubicSpline(all_times, postures)(np.maximum(times, 0.0))
-    rests = np.array([rest_state(model, posture)[: model.n_dof] for posture in wanted])
+    times = spacing * np.arange(-REST_POINTS, count)  # at rest before the start
+    target = CubicSpline(all_times, postures)(np.maximum(times, 0.0))
+    rests = np.array([rest_state(model, posture)[: model.n_dof] for posture in target])
     angles = rests[:, :n]
     for last in (False, True):
         motion = [CubicSpline(times, angles).derivative(order)(times) if order else angles for order in range(3)]
@@ -357,24 +367,27 @@ def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTraject
         places, torques = (np.array(each) for each in zip(*result, strict=True))
         if not last:
             angles = angles + np.array([give_way.turn(*both) for both in zip(rests, places, strict=True)])
-    way, middles = CubicSpline(times, places), all_times[:-1] + 0.5 * period
+    spline, middles = CubicSpline(times, places), all_times[:-1] + 0.5 * period
     return _ReferenceTrajectory(
-        np.hstack([way(all_times), way.derivative()(all_times)]), CubicSpline(times, torques)(middles)
+        np.hstack([spline(all_times), spline.derivative()(all_times)]), CubicSpline(times, torques)(middles)
     )
 
 
 class DeflectionCompensation:
-    """How the joints of a model turn, motors with them, for the tip at bent coordinates to come to that at rest."""
+    """Rotation of the joints, motors included, that moves the tip of a deflected model to its equilibrium position."""
 
     def __init__(self, model: Model) -> None:
         self._model, self._work, self._row = model, make_work(model.constants), np.zeros(OUTPUTS)
         self._turns = model.at_rest(np.eye(model.n_joints))[:, : model.n_dof].copy()
 
     def turn(self, rest: Array, place: Array) -> Array:
-        """Gives the turn (n,) rad, to first order, for coordinates (d,) each; none into directions that take far."""
-        wanted, now = self._seen(rest, self._turns[0])[TIP].copy(), self._seen(place, self._turns[0])[TIP].copy()
-        slopes = np.array([self._seen(place, turn)[TIP_VELOCITY].copy() for turn in self._turns]).T
-        result: Array = np.linalg.pinv(slopes, rcond=SINGULAR_CUTOFF) @ (wanted - now)
+        """Return the rotation (n,) rad, to first order, from deflected to equilibrium coordinates (d,) of the tip.
+
+        Directions with small singular values are excluded, since they would require large rotations.
+        """
+        target, now = self._seen(rest, self._turns[0])[TIP].copy(), self._seen(place, self._turns[0])[TIP].copy()
+        jacobian = np.array([self._seen(place, turn)[TIP_VELOCITY].copy() for turn in self._turns]).T
+        result: Array = np.linalg.pinv(jacobian, rcond=SINGULAR_CUTOFF) @ (target - now)
         return result
 
     def _seen(self, x: Array, v: Array) -> Array:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.control.margins import STABLE_RADIUS, SampledLoop, sampled_loop, sampled_loops, spectral_radius
+from flexman_gym.control.margins import STABLE_RADIUS, SampledLoop, sampled_loops, spectral_radius
 from flexman_gym.control.pd import stability_limit
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
@@ -107,7 +107,7 @@ def limits(name: str, quick: bool = False) -> Iterator[ServoRow]:
         for period in PERIODS[1:6:2] if quick else PERIODS:
             for delay in DELAYS[::2] if quick else DELAYS:
                 for bandwidth in BANDWIDTHS[::3] if quick else BANDWIDTHS:
-                    loop = sampled_loop(model, np.zeros(model.n_joints), period, delay, bandwidth or None)
+                    loop = sampled_loops(model, np.zeros(model.n_joints), period, delay, bandwidth or None)[0]
                     yield ServoRow(name, springs, period, delay, bandwidth, limit(loop, **gains))
 
 
@@ -130,7 +130,7 @@ def rounds_of(row: ServoRow) -> int:
     """Control periods in which a vibration shows that grows by gains a tenth above a limit."""
     model = build_model(_arm_of(row.environment, row.springs), 2, 4)
     gains = [(1.0 + APART) * row.factor * np.array(each) for each in NAMED_ENVIRONMENTS[row.environment].pd.values()]
-    loop = sampled_loop(model, np.zeros(model.n_joints), row.period, int(row.delay), row.bandwidth or None)
+    loop = sampled_loops(model, np.zeros(model.n_joints), row.period, int(row.delay), row.bandwidth or None)[0]
     growth = np.log(max(spectral_radius(loop, *gains), STEADY_RADIUS))
     return int(max(LEAST / row.period, np.log(GROWN) / (2.0 * growth)))
 
