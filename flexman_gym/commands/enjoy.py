@@ -15,7 +15,7 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Run one episode, print its metrics and draw it; return 0."""
-    from flexman_gym.draw.learning_curves import draw_episodes
+    from flexman_gym.draw.trajectories import draw_episodes
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation import rollout
     from flexman_gym.evaluation.agent import common_environment
@@ -29,8 +29,8 @@ def _run(options: argparse.Namespace) -> int:
     print(
         f"{options.entrant} on {environment.id}, seed {options.seed}: {record.failure or f'played for {seconds:g} s'}"
     )
-    for figure in task_metrics(environment.task):
-        print(f"  {figure.head:<14}{figure.scale * figure.of(record):.3g}")
+    for metric in task_metrics(environment.task):
+        print(f"  {metric.header:<14}{metric.scale * metric.function(record):.3g}")
     if find_spec("matplotlib"):
         draw_episodes({options.entrant: record}, options.picture)
         print(f"{options.picture} shows the distance of the tip from its target, and the torques.")

@@ -22,14 +22,14 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Print the share of each cause and the remedy for the largest one, for each agent; return 0."""
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.evaluation.agent import change_environment, common_environment
+    from flexman_gym.evaluation.agent import common_environment
     from flexman_gym.evaluation.diagnosis import diagnose
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
     entrants = {name: load_agent(name, options.trust) for name in options.entrant}
     named = Configuration.find(options.env) if options.env else None
-    environment = change_environment(common_environment(list(entrants.values()), named), options.set)
+    environment = common_environment(list(entrants.values()), named, options.set)
     seeds = range(options.seed, options.seed + options.episodes)
     for name, each in entrants.items():
         print(
@@ -58,7 +58,7 @@ def diagnosis_lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
             f"episodes{_dominant_tone(results, cause)}"
         )
     worst = max(shares, key=lambda cause: shares[cause])
-    words = "nothing is needed, so little is left" if all(each.quiet for each in results) else REMEDIES[worst]
+    words = "nothing is needed, so little is left" if all(each.negligible for each in results) else REMEDIES[worst]
     return [*said, f"  what would help: {words}"]
 
 

@@ -3,11 +3,12 @@
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from functools import wraps
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar, cast
 
 MODULES = {
     "flexman_agents.algorithm": "flexman_agents.sb3",
@@ -77,6 +78,30 @@ def deprecated_names(module: str, old: str = "") -> Callable[[str], Any]:
         return value
 
     return getattribute
+
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def deprecated_arguments(**names: str) -> Callable[[Function], Function]:
+    """Return a decorator of a function that still accepts old argument names, with a DeprecationWarning.
+
+    Args:
+        names: old name="present name".
+    """
+
+    def decorate(function: Function) -> Function:
+        @wraps(function)
+        def call(*arguments: Any, **keywords: Any) -> Any:
+            for old in names.keys() & keywords.keys():
+                said = f"{function.__name__}({old}=...) is deprecated; give {names[old]}=..."
+                warnings.warn(said, DeprecationWarning, stacklevel=2)
+                keywords[names[old]] = keywords.pop(old)
+            return function(*arguments, **keywords)
+
+        return cast(Function, call)
+
+    return decorate
 
 
 class _OldModules(MetaPathFinder, Loader):

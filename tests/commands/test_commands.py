@@ -299,7 +299,7 @@ def test_where_nothing_is_left_nothing_has_to_help(capsys):
 
 def test_it_takes_what_evaluate_takes(capsys):
     assert main(["why", "nobody", *GIVEN]) == 2
-    assert capsys.readouterr().err.startswith("entrant: nobody is not allowed; give the folder of a training run")
+    assert capsys.readouterr().err.startswith("agent: nobody is not allowed; give the folder of a training run")
 
 
 def test_one_quiet_episode_does_not_hide_one_that_rings():

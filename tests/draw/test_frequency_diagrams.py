@@ -48,7 +48,7 @@ def test_modes_are_side_by_side_and_each_is_another():
     assert picture.shape == (240, 320, 3) and (picture[120:, 160:] == 255).all()
     cells = [picture[:120, :160], picture[:120, 160:], picture[120:, :160]]
     assert all((one != other).any() for one in cells for other in cells if one is not other)
-    with pytest.raises(ValueError, match=r"^model: it has no mode that rings"):
+    with pytest.raises(ValueError, match=r"^model: it has no vibration mode"):
         draw_mode_shapes(fm.build_model(fm.catalog.planar_2r(), flexible_links=False, flexible_joints=False))
 
 

@@ -35,7 +35,7 @@ def test_other_numbers_are_refused(wrong):
 def test_a_policy_of_another_arm_is_refused_by_its_name(name):
     own, other = ("FlexPlanar-v0", "FlexRRR-v0") if "planar" in name else ("FlexRRR-v0", "FlexOne-v0")
     line = refusal(fm.evaluate, name, other, 1)
-    assert line.startswith(f"entrant: '{name}' is not allowed; give ") and own in line and other in line
+    assert line.startswith(f"agent: '{name}' is not allowed; give ") and own in line and other in line
 
 
 ONE = Configuration("FlexOne-v0", {"horizon": 1.5})
@@ -76,7 +76,7 @@ def test_an_episode_that_fails_ends_there_and_the_arms_beside_it_go_on():
     assert np.array_equal(alone.tips, failed.tips) and alone.failure == failed.failure
     for record in others:
         assert record.failure == "" and len(record.actions) == 75 and not record.actions.any()
-    assert METRICS["settling_time"].of(failed) == METRICS["vibration"].of(failed) == np.inf
+    assert METRICS["settling_time"].function(failed) == METRICS["vibration"].function(failed) == np.inf
     assert np.isnan(together.tips[0, together.lengths[0] + 1 :]).all() and together.tips.shape == (3, 76, 3)
     assert together.actions.shape == (3, 75, 1) and np.isnan(together.rewards[0, together.lengths[0] :]).all()
 
@@ -111,7 +111,7 @@ def test_a_failed_episode_is_counted_to_its_last_period():
         _, reward, failed, _, info = env.step(np.ones(1, dtype=np.float32))
         rewards.append(reward)
         errors.append(info["tip_error"])
-    result = {name: figure.of(record) for name, figure in METRICS.items()}
+    result = {name: metric.function(record) for name, metric in METRICS.items()}
     assert record.failure == info["failure"] and len(record.rewards) == len(rewards)
     assert result["reward"] == pytest.approx(sum(rewards), rel=1e-9) and abs(rewards[-1]) > 1e-3 * abs(result["reward"])
     assert result["rms_error"] == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-9)
@@ -124,7 +124,7 @@ def test_the_band_is_a_part_of_the_reach():
     result = rollout("lqr-tracking", environment, SEEDS)
     assert result.band == pytest.approx(BAND * 1.0) == pytest.approx(0.02 / 8.5), "20 mm where the reach is 8.5 m"
     for record in result.records:
-        after = round(METRICS["settling_time"].of(record) / record.period)
+        after = round(METRICS["settling_time"].function(record) / record.period)
         assert (record.errors[after:] <= record.band).all() and record.errors[after - 1] > record.band
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import astuple
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,15 +12,11 @@ import flexman_gym.league.rows as league
 from flexman_gym.control.base_controllers import BASES
 from flexman_gym.control.references.optimised_slews import SHIPPED_TABLE, SlewTable
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation import METRICS, agent_info, rollout
+from flexman_gym.evaluation import METRICS, rollout
+from flexman_gym.evaluation import agent as agent_module
 from flexman_gym.evaluation.agent import BASELINES
-from flexman_gym.evaluation.agent_info import (
-    check_seeds_unseen,
-    describe_agent,
-    is_realisable,
-    required_information,
-    training_seconds,
-)
+from flexman_gym.evaluation.agent_info import AgentInfo, check_seeds_unseen, describe_agent, training_seconds
+from flexman_gym.evaluation.metrics import equivalent_damping, optimised_settling_times
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, EpisodeRecord, training_seed
 from flexman_gym.league.rows import (
     ROWS,
@@ -27,8 +24,6 @@ from flexman_gym.league.rows import (
     VALUES,
     EpisodeBlock,
     LeagueRows,
-    equivalent_damping,
-    optimised_settling_times,
     run_block,
     run_league,
 )
@@ -69,8 +64,8 @@ def test_rows_hold_the_figures_of_a_rollout_to_the_bit(scenario, tmp_path):
         ours = [row for row in rows if row["agent"] == agent]
         assert [int(row["seed"]) for row in ours] == [*SEEDS]
         records = rollout(agent, scenario, SEEDS).records
-        for name, figure in METRICS.items():
-            assert [float(row[name]) for row in ours] == figure.each(records).tolist(), name
+        for name, metric in METRICS.items():
+            assert [float(row[name]) for row in ours] == metric.values(records).tolist(), name
     assert all(row[TIME_RATIO] == "nan" for row in rows), "no table has slews of this one"
 
 
@@ -141,7 +136,7 @@ def test_another_version_of_a_package_plays_anew(scenario, tmp_path, monkeypatch
 
 def test_other_code_plays_anew(scenario, tmp_path, monkeypatch):
     played(scenario, tmp_path, ["zero"])
-    monkeypatch.setattr(league, "code_hash", lambda: "another")
+    monkeypatch.setattr(league, "_code_hash", lambda: "another")
     assert len(played(scenario, tmp_path, ["zero"])[0]) == 1
 
 
@@ -153,8 +148,8 @@ def test_the_hash_of_the_code_is_that_of_what_plays(tmp_path, monkeypatch):
     monkeypatch.setattr(league, "SOURCES", ("kernels", "envs", "evaluation/rollout.py"))
 
     def digest():
-        league.code_hash.cache_clear()
-        return league.code_hash()
+        league._code_hash.cache_clear()
+        return league._code_hash()
 
     known = digest()
     (tmp_path / "league/page.py").write_text("another page")
@@ -228,7 +223,7 @@ def test_values_of_old_rows_stay_right_whatever_metrics_a_league_has_now(tmp_pat
     monkeypatch.setattr(league, "VALUES", now)
     with pytest.raises(ValueError, match=r"rows\.csv: its heads are not those of a league"):
         LeagueRows.load(tmp_path)
-    monkeypatch.setattr(league, "FORMER", (VALUES[1],))
+    monkeypatch.setattr(league, "FORMER_METRICS", (VALUES[1],))
     results = LeagueRows.load(tmp_path)
     for _ in range(2):
         (row,) = results.rows.values()
@@ -270,14 +265,17 @@ def test_a_controller_without_a_description_fails_at_import():
 def test_who_cannot_play_says_why(scenario):
     cell, rows = run_block(EpisodeBlock("", "optimised", scenario, 9000, 9001))
     assert rows == [] and cell.why.startswith("table: only one of this arm") and np.isnan(cell.action)
-    for agent, words in (("lqr", "it needs more than a laboratory can tell it"), ("optimised", "it needs more")):
+    for agent, words in (
+        ("lqr", "it needs information that a laboratory cannot measure"),
+        ("optimised", "it needs information"),
+    ):
         assert run_block(EpisodeBlock("", agent, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why.startswith(words)
 
 
 def test_times_of_a_cell_are_of_a_start_and_of_an_action_of_one_arm(scenario, monkeypatch):
     """Ten milliseconds of starts in five episodes, and a second of actions in all of their periods."""
-    watch = SimpleNamespace(designing=0.01, acting=1.0)
-    monkeypatch.setattr(league, "_timed", lambda agent, told: (agent, watch))
+    clock = SimpleNamespace(start_seconds=0.01, action_seconds=1.0)
+    monkeypatch.setattr(league, "timed_agent", lambda agent, environment: (agent, clock))
     cell, _ = run_block(EpisodeBlock("", "zero", scenario, 9000, 9005))
     assert cell.design == pytest.approx(1e6 * 0.01 / 5)
     assert cell.action == pytest.approx(1e6 * 1.0 / rollout("zero", scenario, SEEDS).lengths.sum())
@@ -288,7 +286,7 @@ def test_the_multiple_is_the_settling_time_in_those_of_the_slew(scenario, monkey
     errors = np.where(np.arange(301) < 100, 1.0, 0.0)
     record = EpisodeRecord(np.zeros((301, 3)), errors, np.zeros((300, 1)), np.zeros(300), "", 0.01, 0.01)
     monkeypatch.setattr(league, "rollout", lambda *_, **__: SimpleNamespace(records=[record] * 2, lengths=[300] * 2))
-    monkeypatch.setattr(league, "optimised_times", lambda environment: {9000: 0.5})
+    monkeypatch.setattr(league, "optimised_settling_times", lambda environment: {9000: 0.5})
     _, rows = run_block(EpisodeBlock("", "zero", scenario, 9000, 9002))
     multiples = [row.values[VALUES.index(TIME_RATIO)] for row in rows]
     assert multiples == pytest.approx([2.0, np.nan], nan_ok=True)
@@ -297,23 +295,25 @@ def test_the_multiple_is_the_settling_time_in_those_of_the_slew(scenario, monkey
 def test_both_ends_of_the_score_are_played_in_a_laboratory(monkeypatch):
     """Rewards are scaled between them; who else needs the true state is left out."""
 
-    def refuse(agent, told):
+    def refuse(agent, environment):
         raise ValueError("it is made")
 
-    monkeypatch.setattr(league, "_timed", refuse)
+    monkeypatch.setattr(league, "timed_agent", refuse)
     why = {
         who: run_block(EpisodeBlock("", who, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why
-        for who in (*league.SCALE, "lqr")
+        for who in (*league.REFERENCE_AGENTS, "lqr")
     }
-    assert why == dict.fromkeys(league.SCALE, "it is made") | {"lqr": "it needs more than a laboratory can tell it"}
+    assert why == dict.fromkeys(league.REFERENCE_AGENTS, "it is made") | {
+        "lqr": "it needs information that a laboratory cannot measure"
+    }
 
 
 def test_arms_of_a_venue_are_moved_by_its_plant(monkeypatch):
     moved = []
-    monkeypatch.setattr(league, "find_plant", lambda name: name)
+    monkeypatch.setattr(league, "PLANTS", {name: ("", name) for name in league.PLANTS})
 
     def rollout(*_, **named):
-        moved.append(named["moved"])
+        moved.append(named["set_plant"])
         raise ValueError("that is enough")
 
     monkeypatch.setattr(league, "rollout", rollout)
@@ -324,31 +324,31 @@ def test_arms_of_a_venue_are_moved_by_its_plant(monkeypatch):
 
 def test_rows_follow_from_what_is_played_and_from_what_controllers_are_told(monkeypatch):
     one, other = Configuration("FlexOne-v0"), Configuration("FlexOne-v0", {"control_period": 0.02})
-    monkeypatch.setattr(league, "code_hash", lambda: "")
+    monkeypatch.setattr(league, "_code_hash", lambda: "")
     keys = set()
     for scenario in (Scenario(one, one), Scenario(one, other), Scenario(other, one), Scenario(one, one, "finer")):
         monkeypatch.setattr(league, "find_scenario", lambda name: scenario)  # noqa: B023
-        keys.add(league.row_key("pd", "FlexOne-v0"))
+        keys.add(league._row_key("pd", "FlexOne-v0"))
     assert len(keys) == 4
 
 
 def test_rows_follow_from_every_file_of_a_run(scenario, tmp_path, monkeypatch):
-    monkeypatch.setattr(league, "code_hash", lambda: "")
-    keys = [league.row_key(str(tmp_path), scenario)]
+    monkeypatch.setattr(league, "_code_hash", lambda: "")
+    keys = [league._row_key(str(tmp_path), scenario)]
     for name in (league.SETTINGS, league.BEST, league.NEWEST):
         for content in (b"one", b"two"):
             (tmp_path / name).write_bytes(content)
-            keys.append(league.row_key(str(tmp_path), scenario))
+            keys.append(league._row_key(str(tmp_path), scenario))
     assert len(set(keys)) == 7
 
 
 def test_rows_of_another_processor_count(scenario, monkeypatch):
     """Versions of packages change rows, the processor does not."""
-    monkeypatch.setattr(league, "code_hash", lambda: "")
+    monkeypatch.setattr(league, "_code_hash", lambda: "")
     keys = set()
     for processor, version in (("one", "1"), ("two", "1"), ("one", "2")):
         monkeypatch.setattr(league, "computer_info", lambda *_: {"processor": processor, "numpy": version})  # noqa: B023
-        keys.add(league.row_key("pd", scenario))
+        keys.add(league._row_key("pd", scenario))
     assert len(keys) == 2
 
 
@@ -361,14 +361,14 @@ def test_a_watch_keeps_starts_and_actions_apart(monkeypatch):
         return np.zeros((1, 1))
 
     slow = SimpleNamespace(sensors=(), joints=1, names=(), reset=lambda *_: passing(1.0), act=lambda *_: passing(1e-3))
-    monkeypatch.setattr(league, "process_time", lambda: clock[0])
-    watch = league._TimedMode(slow)
+    monkeypatch.setattr(agent_module, "process_time", lambda: clock[0])
+    timed = agent_module._TimedMode(slow)
     for _ in range(2):
-        watch.reset(None, None, 1)
+        timed.reset(None, None, 1)
         passing(100.0)
         for _ in range(3):
-            watch.act(None, {}, None, None)
-    assert (watch.designing, watch.acting) == pytest.approx((2.0, 6e-3))
+            timed.act(None, {}, None, None)
+    assert (timed.start_seconds, timed.action_seconds) == pytest.approx((2.0, 6e-3))
 
 
 def test_times_of_slews_belong_to_the_environment_of_their_table():
@@ -389,31 +389,28 @@ def test_the_multiple_is_that_of_the_optimised_slew():
 
 
 def test_every_baseline_says_what_it_is_and_a_run_who_trained_it(tmp_path):
-    assert {name for name in BASELINES if all(describe_agent(name))} == set(BASELINES)
+    assert {name for name in BASELINES if all(astuple(describe_agent(name))[:2])} == set(BASELINES)
     settings = {"algo": "sac", "environment": {"id": "FlexOne-v0", "base": {"kind": "pd"}}}
     (tmp_path / "settings.json").write_text(json.dumps(settings))
-    assert describe_agent(str(tmp_path)) == (
-        "a policy that SAC has trained, beside the base pd",
-        "for a time that its curves do not tell",
+    found = describe_agent(str(tmp_path))
+    assert (found.description, found.tuning) == (
+        "a policy trained by SAC, with the base controller pd",
+        "for a time that its curves lack",
     )
     (tmp_path / "progress.csv").write_text("time/time_elapsed\n90\n")
-    assert describe_agent(str(tmp_path))[1] == "for 1.5 minutes"
+    assert describe_agent(str(tmp_path)).tuning == "for 1.5 minutes"
 
 
 def test_only_who_is_not_told_the_truth_could_be_built():
-    known = {each for each in BASELINES if is_realisable(each)}
+    known = {each for each in BASELINES if describe_agent(each).realisable}
     assert known >= {"pd", "pd-shaped", "lqg", "adaptive-lqr"}
     assert not known & {"lqr", "lqr-tracking", "privileged-lqr", "optimised"}
 
 
 @pytest.mark.parametrize("truth", ["true state", "true parameters", "its episodes"])
-def test_one_truth_is_enough_not_to_be_buildable(truth, monkeypatch):
-    monkeypatch.setattr(agent_info, "required_information", lambda agent: ("model", truth))
-    assert not is_realisable("mine")
-    monkeypatch.setattr(
-        agent_info, "required_information", lambda agent: ("model", "training", "structure of the model")
-    )
-    assert is_realisable("mine")
+def test_one_truth_is_enough_not_to_be_buildable(truth):
+    assert not AgentInfo("", "", ("model", truth)).realisable
+    assert AgentInfo("", "", ("model", "training", "structure of the model")).realisable
 
 
 def test_in_a_sweep_controllers_are_told_the_range_and_arms_have_the_value():
@@ -434,7 +431,7 @@ def test_in_a_sweep_controllers_are_told_the_range_and_arms_have_the_value():
 def test_who_plays_a_sweep_is_made_for_what_it_is_told(tmp_path, monkeypatch):
     """No observer is made for one payload: its range has a width."""
     made = []
-    monkeypatch.setattr(league, "_timed", lambda agent, told: made.append(told) or (agent, None))
+    monkeypatch.setattr(league, "timed_agent", lambda agent, given: made.append(given) or (agent, None))
     run_block(EpisodeBlock("", "zero", "FlexRRR-v0/payload=25", 9000, 9001))
     assert [each.disturbed.payload_mass for each in made] == [(0.0, 20.0)]
 
@@ -448,19 +445,19 @@ def test_every_venue_has_an_environment():
 
 def test_a_run_that_has_seen_a_seed_of_the_test_is_refused(tmp_path):
     def run(**changes):
-        settings = {"seed": 3, "envs": 4, "judge_every": 100, "environment": {"id": "FlexOne-v0"}} | changes
+        settings = {"seed": 3, "envs": 4, "eval_every": 100, "environment": {"id": "FlexOne-v0"}} | changes
         (tmp_path / "settings.json").write_text(json.dumps(settings))
         return str(tmp_path)
 
     first = training_seed(3)
     check_seeds_unseen(run(), range(9000, 9100))
     check_seeds_unseen(run(), [first - 1, first + 4, SELECTION_SEEDS.start - 1, SELECTION_SEEDS.stop])
-    check_seeds_unseen(run(judge_every=0), SELECTION_SEEDS)
+    check_seeds_unseen(run(eval_every=0), SELECTION_SEEDS)
     for seen in ([first], [first + 3], [*range(9000, 9100), SELECTION_SEEDS.start], [SELECTION_SEEDS.stop - 1]):
         line = refusal(check_seeds_unseen, run(), seen)
-        assert f"neither trained nor chosen on the seed {seen[-1]}, which is one of the test" in line
-    assert "a run whose settings.json say seed" in refusal(check_seeds_unseen, run(seed=None), range(9000, 9100))
-    assert "neither trained nor chosen" in refusal(
+        assert f"neither trained nor selected on the seed {seen[-1]}, a test seed" in line
+    assert "a run whose settings.json have seed" in refusal(check_seeds_unseen, run(seed=None), range(9000, 9100))
+    assert "neither trained nor selected" in refusal(
         run_league, [run()], ["FlexOne-v0"], SELECTION_SEEDS, tmp_path / "league"
     )
 
@@ -470,7 +467,7 @@ def test_a_run_tells_what_it_sees_and_how_long_it_took(tmp_path):
                            ({"kind": "full", "noise": 0.01}, ("training", "true state"))):  # fmt: skip
         settings = {"environment": {"id": "FlexOne-v0", "sensors": sensors}}
         (tmp_path / "settings.json").write_text(json.dumps(settings))
-        assert required_information(str(tmp_path)) == known
+        assert describe_agent(str(tmp_path)).information == known
     assert training_seconds(str(tmp_path)) is None and training_seconds("pd") is None
     (tmp_path / "progress.csv").write_text("time/time_elapsed,time/fps\n10,1\n25,1\n")
     (tmp_path / "progress-400.csv").write_text("time/fps,time/time_elapsed\n1,\n1,7\n")
