@@ -48,8 +48,8 @@ class _Camera(NamedTuple):
 
     def project(self, points: Array) -> Array:
         """Return columns and rows (..., 2), pixels, of points (..., 3), m; rows count downwards."""
-        seen = (points - self.eye) @ self.axes.T
-        return self.lens[1:] + self.lens[0] * seen[..., :2] * (1.0, -1.0) / seen[..., 2:]
+        local = (points - self.eye) @ self.axes.T
+        return self.lens[1:] + self.lens[0] * local[..., :2] * (1.0, -1.0) / local[..., 2:]
 
 
 def camera_direction(model: Model, angles: object = None) -> tuple[float, float, float]:
@@ -91,8 +91,8 @@ def _fit_camera(points: Array, towards: tuple[float, float, float], size: tuple[
     half = np.tan(np.radians(HALF_FIELD_OF_VIEW)) * np.array([size[0] / size[1], 1.0])
     # Slopes of the rays at the edges.
     low, high = half * (2.0 * clear[[0, 3]] - 1.0), half * (1.0 - 2.0 * clear[[1, 2]])
-    seen = points @ axes.T
-    across, depth = seen[:, :2], seen[:, 2:]
+    local = points @ axes.T
+    across, depth = local[:, :2], local[:, 2:]
     # low (depth - eye) <= across - eye <= high (depth - eye) for all points: the eye lies between two lines
     least, most = (across - high * depth).max(axis=0), (across - low * depth).min(axis=0)
     nearest = min(((most - least) / (high - low)).min(), depth.min() - MIN_CLEARANCE * np.ptp(depth) - 1e-9)
@@ -268,7 +268,7 @@ class FramePainter:
         if self.gain != 1.0:
             true = curves(self.model, x, 2).positions[-1, -1]
             self._line(np.array([true, true + 1e-6]), 3.0, 1.0, TRAIL)
-        canvas, ghost = self._canvas, self._seen(tube_surfaces(rigid, self._sections)[0], SUPERSAMPLING)
+        canvas, ghost = self._canvas, self._project(tube_surfaces(rigid, self._sections)[0], SUPERSAMPLING)
         raster.mark_coverage(ghost, self._tubes, canvas.mask, canvas.depth, canvas.box)
         raster.resolve(canvas, rgb(GHOST), GHOST_SHARE)
         picture = canvas.picture.copy()
@@ -294,7 +294,7 @@ class FramePainter:
             canvas.picture[pixels] = shot.plain[pixels]
         canvas.box[:] = 1 << 30, -1, 1 << 30, -1
 
-    def _seen(self, points: Array, samples: int) -> Array:
+    def _project(self, points: Array, samples: int) -> Array:
         """Return columns, rows and inverse depth (p, 3) of points (p, 3); `samples` is the supersampling."""
         assert self._shown is not None
         camera, result = self._shown.camera, np.empty_like(points)
@@ -308,18 +308,18 @@ class FramePainter:
         if self._shadow:
             fallen = mesh.points - (mesh.points[:, 2:] - self._shown.floor) / sun[2] * sun
             raster.mark_coverage(
-                self._seen(fallen, 1), mesh.faces, canvas.shadow, np.zeros((1, 1), dtype=np.float32), box
+                self._project(fallen, 1), mesh.faces, canvas.shadow, np.zeros((1, 1), dtype=np.float32), box
             )
         if box[1] >= 0:
             raster.blur_shadow(canvas.shadow, canvas.scratch, box, max(2, self.size[1] // 180))
             raster.apply_shadow(canvas, box, SHADOW_SHARE)
-        screen = self._seen(mesh.points, SUPERSAMPLING)
+        screen = self._project(mesh.points, SUPERSAMPLING)
         raster.draw_triangles(canvas, screen, mesh.points, mesh.normals, colours, mesh.faces, self._shown.camera.eye)
 
     def _line(self, points: Array, radius: float, faintest: float, colour: str) -> None:
         """Draw a line; its radius is in pixels of a picture with 480 rows."""
         thick = radius * SUPERSAMPLING * max(self.size[1] / 480, 0.5)
-        raster.draw_line(self._canvas, self._seen(points, SUPERSAMPLING), thick, faintest, rgb(colour))
+        raster.draw_line(self._canvas, self._project(points, SUPERSAMPLING), thick, faintest, rgb(colour))
 
     def _parts(self, positions: Array, frames: Array, target: Array | None) -> list[tuple[Mesh, str]]:
         """Return the meshes of motors, post, tip, payload and target, each with its colour."""
@@ -391,8 +391,8 @@ def _strain_scale(model: Model) -> float:
     for link, joint in zip(model.arm.links, model.arm.joints, strict=True):
         section = link.sections[0]
         moment = min(section.second_moment_y, section.second_moment_z)
-        known = section.outline
-        radius = np.sqrt(3.0 * moment / section.area) if known is None else min(known.y, known.z) / 2
+        outline = section.outline
+        radius = np.sqrt(3.0 * moment / section.area) if outline is None else min(outline.y, outline.z) / 2
         bent = 3 * REFERENCE_DEFLECTION / link.length
         if joint.torque_limit:
             bent = 0.5 * joint.torque_limit / (section.youngs_modulus * moment)

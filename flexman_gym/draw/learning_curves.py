@@ -66,11 +66,13 @@ def draw_learning_curves(runs: Mapping[str, Sequence[tuple[Array, Array]]], path
     for (name, seeds), colour in zip(runs.items(), LINK_COLOURS, strict=False):
         steps = np.unique(np.concatenate([each for each, _ in seeds]))
         inside = [np.interp(steps, *each, left=np.nan, right=np.nan) for each in seeds]
-        known = np.array(inside)[:, np.isfinite(inside).all(axis=0)]
+        common_values = np.array(inside)[:, np.isfinite(inside).all(axis=0)]
         common = steps[np.isfinite(inside).all(axis=0)]
-        axes.plot(common, np.median(known, axis=0), color=colour, label=f"{name} ({len(seeds)})")
+        axes.plot(common, np.median(common_values, axis=0), color=colour, label=f"{name} ({len(seeds)})")
         if len(seeds) > 1:
-            axes.fill_between(common, known.min(axis=0), known.max(axis=0), color=colour, alpha=0.2, linewidth=0.0)
+            axes.fill_between(
+                common, common_values.min(axis=0), common_values.max(axis=0), color=colour, alpha=0.2, linewidth=0.0
+            )
     axes.set(xlabel="steps", ylabel=label)
     axes.ticklabel_format(axis="x", scilimits=(-3, 4), useMathText=True)
     axes.grid(color=LIGHT, linewidth=0.6)

@@ -85,12 +85,12 @@ def section_outlines(model: Model, places: int) -> tuple[_SectionOutlines, ...]:
 def _section(section: Any, reach: float) -> tuple[Array, Array, Array]:
     """Return points, normals and gauges (16, 2) of a section."""
     gyration = np.sqrt(np.array([section.second_moment_z, section.second_moment_y]) / section.area)
-    known, alike = section.outline, abs(gyration[0] / gyration[1] - 1.0) < ROUND_TOLERANCE
-    half = np.sqrt(3.0) * gyration if known is None else np.array([known.y, known.z]) / 2
-    if alike if known is None else known.shape != "strip":
+    outline, alike = section.outline, abs(gyration[0] / gyration[1] - 1.0) < ROUND_TOLERANCE
+    half = np.sqrt(3.0) * gyration if outline is None else np.array([outline.y, outline.z]) / 2
+    if alike if outline is None else outline.shape != "strip":
         turn = (np.arange(SIDES) + 0.5) * 2 * np.pi / SIDES
         circle = np.column_stack([np.cos(turn), np.sin(turn)])
-        radius = 2.0 * float(gyration.mean()) if known is None else half[0]
+        radius = 2.0 * float(gyration.mean()) if outline is None else half[0]
         return max(radius, MIN_RADIUS * reach) * circle, circle, radius * circle
     along = np.linspace(-1.0, 1.0, SIDES // 4)
     one = np.ones_like(along)

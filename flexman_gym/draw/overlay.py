@@ -103,12 +103,12 @@ def draw_caption(picture: Picture, caption: Caption, gain: float, scale: float, 
         write_title(picture, caption.title)
     row = edge // 2 + line * bool(caption.title)
     error = "tip error {:.2f} m" if (caption.error or 0.0) >= 1.0 else "tip error {:.1f} mm"
-    known = (
+    entries = (
         (0.0, caption.time, "t {:.2f} s", 1.0),
         (6.5, caption.error, error, 1e3 if error.endswith("mm") else 1.0),
         (18.0, caption.reward, "reward {:.2f}", 1.0),
     )
-    for column, value, form, factor in known:  # fixed columns: the text does not move while numbers change
+    for column, value, form, factor in entries:  # fixed columns: the text does not move while numbers change
         if value is not None:
             _write_text(picture, form.format(factor * value), (edge + round(column * small), row), small)
     if gain != 1.0:

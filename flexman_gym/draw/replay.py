@@ -134,12 +134,14 @@ def _episode_data(episode: Episode, colour: str) -> dict[str, Any]:
 
 def _reading_data(name: str, values: Array) -> dict[str, Any]:
     """Return a reading, quantised in its finite range with enough steps for a curve."""
-    known = np.isfinite(values)
-    low, high = np.where(known, values, np.inf).min(axis=0), np.where(known, values, -np.inf).max(axis=0)
-    low, high = np.where(known.any(axis=0), (low, high), 0.0) / 2  # the difference of two large numbers may be infinite
+    finite = np.isfinite(values)
+    low, high = np.where(finite, values, np.inf).min(axis=0), np.where(finite, values, -np.inf).max(axis=0)
+    low, high = (
+        np.where(finite.any(axis=0), (low, high), 0.0) / 2
+    )  # the difference of two large numbers may be infinite
     middle, scale = low + high, np.maximum((high - low) / QUANTISATION_STEPS, 1e-30)
     steps = _encode_array(
-        np.where(known, np.rint((np.where(known, values, middle) - middle) / scale), MISSING_VALUE), "<i2"
+        np.where(finite, np.rint((np.where(finite, values, middle) - middle) / scale), MISSING_VALUE), "<i2"
     )
     return {"name": name, "size": values.shape[1], "values": steps, "scale": scale.tolist(), "middle": middle.tolist()}
 
@@ -158,10 +160,10 @@ def _episodes_view(episodes: Sequence[Episode]) -> dict[str, Any]:
 
 def _outermost_points(points: Array) -> Array:
     """Return the points (p, 3) that are outermost in one of many directions."""
-    known = points[np.isfinite(points).all(axis=1)]
+    finite = points[np.isfinite(points).all(axis=1)]
     turn = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
     directions = np.array([[np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)] for a in turn for b in turn])
-    corners: Array = known[np.unique((known @ directions.T).argmax(axis=0))]
+    corners: Array = finite[np.unique((finite @ directions.T).argmax(axis=0))]
     return corners
 
 

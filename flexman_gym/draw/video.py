@@ -95,8 +95,8 @@ def _write_gif(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> 
     some = np.concatenate([frame.reshape(-1, 3) for frame in frames[:: max(1, len(frames) // 8)]])
     coarse, counts = np.unique(some // COLOUR_STEP * COLOUR_STEP + COLOUR_STEP // 2, axis=0, return_counts=True)
     # weighted by the root of their frequency: a large background would leave no colours for small details
-    known = np.repeat(coarse, np.ceil(np.sqrt(counts)).astype(int), axis=0)[None].astype(np.uint8)
-    palette = Image.fromarray(known).quantize(
+    weighted = np.repeat(coarse, np.ceil(np.sqrt(counts)).astype(int), axis=0)[None].astype(np.uint8)
+    palette = Image.fromarray(weighted).quantize(
         COLOURS - 1, Image.Quantize.MEDIANCUT
     )  # one more is reserved for unchanged pixels
     numbers = (palette.getpalette() or [])[: 3 * (COLOURS - 1)]
@@ -201,7 +201,7 @@ def side_by_side(
 def _caption(episode: Episode, row: int) -> Caption:
     """Return the caption of an episode at a row."""
     error, torques = float(episode.errors[row]), episode.actions[max(row - 1, 0)] if len(episode.actions) else None
-    known = torques is not None and bool(np.isfinite(torques).all())
+    finite = torques is not None and bool(np.isfinite(torques).all())
     return Caption(
-        episode.name, float(episode.time[row]), error if np.isfinite(error) else None, None, torques if known else None
+        episode.name, float(episode.time[row]), error if np.isfinite(error) else None, None, torques if finite else None
     )

@@ -317,7 +317,7 @@ class _RandomTorques:
 
 
 SB3_MODEL = "model.zip"  # file of a model of Stable-Baselines3
-CHANGEABLE_SETTINGS = ("steps", "eval_every", "judge_every")  # a resumed run may change them; the last is a former name
+CHANGEABLE_SETTINGS = ("steps", "eval_every", "judge_every")  # a resumed run may change them; judge_every: 0.2
 
 
 def is_sb3_folder(folder: Path) -> bool:

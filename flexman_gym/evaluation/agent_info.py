@@ -58,9 +58,9 @@ def describe_agent(agent: str) -> AgentInfo:
     described += f", with the base controller {kind}" if kind else ""
     trained = "for a time that its curves lack" if seconds is None else f"for {seconds / 60.0:.3g} minutes"
     sensors = {each["kind"] if isinstance(each, dict) else each for each in plain_sensors(environment.sensors)}
-    known = ["training", *(["true state"] if sensors & set(TRUE_SENSORS) else [])]
+    needed = ["training", *(["true state"] if sensors & set(TRUE_SENSORS) else [])]
     of_base = BASES[kind].information if isinstance(kind, str) else ()
-    return AgentInfo(described, trained, tuple(dict.fromkeys([*known, *of_base])))
+    return AgentInfo(described, trained, tuple(dict.fromkeys([*needed, *of_base])))
 
 
 def training_seconds(agent: str) -> float | None:
@@ -89,9 +89,9 @@ def check_seeds_unseen(agent: str, seeds: Sequence[int]) -> None:
         selected = bool(settings["eval_every" if "eval_every" in settings else "judge_every"])  # a former name
     except (KeyError, TypeError, ValueError):
         raise value_error("agent", agent, f"a run whose {SETTINGS} have seed, envs and eval_every") from None
-    seen = {*range(first, first + arms), *(SELECTION_SEEDS if selected else ())} & set(seeds)
-    if seen:
-        allowed = f"a policy that was neither trained nor selected on the seed {min(seen)}, a test seed"
+    used = {*range(first, first + arms), *(SELECTION_SEEDS if selected else ())} & set(seeds)
+    if used:
+        allowed = f"a policy that was neither trained nor selected on the seed {min(used)}, a test seed"
         raise value_error("agent", agent, allowed)
 
 

@@ -39,10 +39,10 @@ TRANSIENT, FAILED = "transient", "failed"
 REMEDIES = {
     RINGING: "shape the command (flexman resonance), slew more slowly, or damp by feedback of the links (lqr, lqg)",
     CYCLE: "lower the gains or the delay: flexman tune finds gains with margins for the delay of the environment",
-    OFFSET: "add integral action or the torques that hold the true weight, or look for a bias of sensors",
-    TRANSIENT: "give it a longer horizon, which shows what stays, or stiffer and better damped motors (flexman tune)",
-    NOISE: "lower the gains, of the rates before all, or filter what they act on: an observer, or better sensors",
-    FAILED: "keep the arm within its limits: slower commands, or a controller that holds it (flexman replay shows how)",
+    OFFSET: "add integral action or torques that compensate the true weight, or look for a bias of the sensors",
+    TRANSIENT: "simulate a longer horizon, or use stiffer and better damped motors (flexman tune)",
+    NOISE: "lower the gains, above all those of the rates, or filter the measurements: an observer, or better sensors",
+    FAILED: "keep the arm within its limits by slower commands or another controller (flexman replay shows the motion)",
 }
 
 

@@ -212,9 +212,7 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
     """
     setup, missing = environment, [seed for seed in seeds if seed not in table.found]
     if setup.task.moves or setup.disturbed is not None:
-        raise value_error(
-            "environment", environment.id, "one whose goals stay, with no randomisation and no disturbance"
-        )
+        raise value_error("environment", environment.id, "one with fixed goals, without randomisation and disturbances")
     if table.about.get("environment") != environment.to_plain():
         raise value_error("table", table.about.get("environment"), "a table of this environment, or a new file")
     model, method, step, _ = resolve_fidelity(setup)

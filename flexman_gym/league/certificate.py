@@ -37,7 +37,7 @@ RANGE_EXTENSION = 0.25  # extension beyond a range of the training as a fraction
 
 def certify(
     name: str, seeds: range = TEST_SEEDS, draws: int = SEARCH_EPISODES, folder: Path = FOLDER, jobs: Workers | int = 1,
-    say: Callable[[str], None] = print,
+    log: Callable[[str], None] = print,
 ) -> Path:  # fmt: skip
     """Run a policy in the scenarios of its certificate and write `certificate.json` to its folder; return the path.
 
@@ -49,7 +49,7 @@ def certify(
         draws: number of episodes of the search for the worst ones.
         folder: folder of the rows, with a folder for each policy; stored rows are not computed again.
         jobs: see `run_league`.
-        say: function that takes one line of text for each scenario.
+        log: function that takes one line of text for each scenario.
 
     Raises:
         ValueError: also for a task without the metric "settling_time".
@@ -69,7 +69,7 @@ def certify(
         rows = _run(name, scenario, each, folder / path.name, jobs)
         reference = reference or rows
         result.append(certificate_row(scenario, each, rows, reference[: len(rows)]))
-        say(_row_text(result[-1]))
+        log(_row_text(result[-1]))
     result[-1]["worst"] = _worst_episodes(rows)
     about = {
         "arrays_hash": about["arrays_hash"],
@@ -104,10 +104,10 @@ def _environment_name(name: str) -> str:
     agent, about = find_agent(name), read_policy(policy_folder(name) or Path(name)).about
     assert agent.environment is not None
     named = about["league"].get("environment", agent.environment.id)
-    known = named.partition("/")[0] in NAMED_ENVIRONMENTS and _is_same_motion(
+    same = named.partition("/")[0] in NAMED_ENVIRONMENTS and _is_same_motion(
         agent.environment, find_scenario(named).environment
     )
-    return str(named) if known else name
+    return str(named) if same else name
 
 
 def certificate_row(
@@ -168,10 +168,10 @@ def _changes_beyond_training(environment: Configuration, trained: Configuration)
 
     They are the ranges of the conditions or, for parameters that were randomised in the training, ranges next to these.
     """
-    seen, result = randomised_ranges(trained), []
+    trained_ranges, result = randomised_ranges(trained), []
     for condition in ("payload", "stiffness") if NAMED_ENVIRONMENTS[environment.id].conditions else ():
         spans = randomised_ranges(Configuration(environment.id, {"condition": condition}))
-        ranges = [seen[name] for name in spans if name in seen]
+        ranges = [trained_ranges[name] for name in spans if name in trained_ranges]
         low, high = next(iter(spans.values()))
         if ranges:
             low, high = min(low for low, _ in ranges), max(high for _, high in ranges)

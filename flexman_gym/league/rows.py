@@ -1,4 +1,4 @@
-"""Rows of a league: episodes of every agent in every scenario, run block by block and kept as CSV."""
+"""Rows of a league: results of every agent in every scenario, computed in blocks of episodes and stored as CSV."""
 
 import ast
 import csv
@@ -136,7 +136,7 @@ class LeagueRows:
 
 def run_league(
     agents: Sequence[str], scenarios: Sequence[str], seeds: range, folder: Path, jobs: Workers | int = 1,
-    say: Callable[[str], None] = print,
+    log: Callable[[str], None] = print,
 ) -> LeagueRows:  # fmt: skip
     """Run the cells missing in a folder, and write the files of the folder after each cell.
 
@@ -146,7 +146,7 @@ def run_league(
         seeds: consecutive seeds of the episodes.
         folder: folder of the files.
         jobs: `Workers`, or a number of processes; the rows do not depend on it.
-        say: function that takes one line of text for each cell.
+        log: function that takes one line of text for each cell.
 
     Raises:
         FileNotFoundError: for an agent or environment that does not exist.
@@ -167,7 +167,7 @@ def run_league(
         results.add(cell, rows)
         results.save(folder)
         result = cell.why or f"{cell.action:.0f} us an action"
-        say(f"{count} of {len(missing)}: {cell.agent} on {cell.scenario}, {cell.first} to {cell.end - 1}: {result}")
+        log(f"{count} of {len(missing)}: {cell.agent} on {cell.scenario}, {cell.first} to {cell.end - 1}: {result}")
     return results
 
 

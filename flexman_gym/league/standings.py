@@ -35,10 +35,10 @@ class Standings:
     @cached_property
     def scenarios(self) -> list[str]:
         """Names of the scenarios without those of sweeps and other plants; USUAL_SCENARIOS come first."""
-        known = dict.fromkeys(scenario for scenario, _, _ in self.results.cells if not {"=", "@"} & set(scenario))
+        names = dict.fromkeys(scenario for scenario, _, _ in self.results.cells if not {"=", "@"} & set(scenario))
         return [
-            *(each for each in USUAL_SCENARIOS if each in known),
-            *(each for each in known if each not in USUAL_SCENARIOS),
+            *(each for each in USUAL_SCENARIOS if each in names),
+            *(each for each in names if each not in USUAL_SCENARIOS),
         ]
 
     @cached_property
@@ -56,10 +56,10 @@ class Standings:
     @cached_property
     def plants(self) -> dict[str, list[str]]:
         """Scenario that was run on other plants -> its names on all plants, in the order of PLANTS."""
-        known = {scenario for scenario, _, _ in self.results.cells}
-        checked = dict.fromkeys(scenario.partition("@")[0] for scenario in sorted(known) if "@" in scenario)
+        names = {scenario for scenario, _, _ in self.results.cells}
+        checked = dict.fromkeys(scenario.partition("@")[0] for scenario in sorted(names) if "@" in scenario)
         others = [each for each in PLANTS if each != "usual"]
-        return {each: [each, *(f"{each}@{name}" for name in others if f"{each}@{name}" in known)] for each in checked}
+        return {each: [each, *(f"{each}@{name}" for name in others if f"{each}@{name}" in names)] for each in checked}
 
     @cached_property
     def counted(self) -> list[str]:
@@ -131,8 +131,8 @@ class Standings:
         for agent in dict.fromkeys(agent for _, agent, _ in self.results.cells):
             scenarios = [scenario for scenario in self.counted if scenario not in self.missed(agent)]
             scores = self.scores([agent], scenarios)[0]
-            known = scores if scores.size else np.full((1, 1), -np.inf)
-            result[agent] = float(interquartile_mean(known.ravel())), *stratified_interval(known)
+            values = scores if scores.size else np.full((1, 1), -np.inf)
+            result[agent] = float(interquartile_mean(values.ravel())), *stratified_interval(values)
         return result
 
     def better(self, agent: str, other: str, scenarios: Sequence[str]) -> Interval | None:
@@ -161,8 +161,8 @@ class Standings:
 
     def realisable(self, scenario: str) -> list[str]:
         """Return the agents with rows in a scenario that could act on hardware, the recommended one first."""
-        known = [each for each in self.agents if each not in ("zero", "random") and not self.why(each, scenario)]
-        agents = [each for each in known if describe_agent(each).realisable]
+        agents = [each for each in self.agents if each not in ("zero", "random") and not self.why(each, scenario)]
+        agents = [each for each in agents if describe_agent(each).realisable]
         return sorted(agents, key=lambda each: self.settled(each, scenario), reverse=True)
 
     def cost(self, agent: str, scenarios: Sequence[str]) -> tuple[float, float]:

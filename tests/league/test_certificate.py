@@ -41,7 +41,7 @@ def folder(tmp_path, monkeypatch):
 def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder, tmp_path):
     assert policy_files.describe_policy("still") == "Made up. It has no certificate."
     said = []
-    path = certify(str(folder), SEEDS, 6, tmp_path / "rows", say=said.append)
+    path = certify(str(folder), SEEDS, 6, tmp_path / "rows", log=said.append)
     result = json.loads(path.read_text())
     assert len(said) == len(result["rows"])
     *known, search = result["rows"]
@@ -71,9 +71,9 @@ def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder,
 
 def test_rows_of_a_certificate_are_kept_and_a_refused_cell_says_why(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(certificate, "certificate_scenarios", lambda name: [name])
-    first = certify(str(folder), SEEDS, 2, tmp_path / "rows", say=list).read_bytes()
+    first = certify(str(folder), SEEDS, 2, tmp_path / "rows", log=list).read_bytes()
     monkeypatch.setattr(rows, "rollout", lambda *_, **__: pytest.fail("the rows are there"))
-    assert certify(str(folder), SEEDS, 2, tmp_path / "rows", say=list).read_bytes() == first
+    assert certify(str(folder), SEEDS, 2, tmp_path / "rows", log=list).read_bytes() == first
 
     def refuse(name):
         raise ValueError("plant: 'finer' is not allowed; give a plant that is installed")
@@ -144,7 +144,7 @@ def test_other_physics_are_compared_with_the_episodes_as_trained(folder, tmp_pat
         return SimpleNamespace(cells={}, rows={(names[0], agents[0], row.seed): row for row in found})
 
     monkeypatch.setattr(certificate, "run_league", league)
-    result = json.loads(certify(str(folder), SEEDS, 1, tmp_path, say=list).read_text())
+    result = json.loads(certify(str(folder), SEEDS, 1, tmp_path, log=list).read_text())
     assert result["fails"] == [f"{folder}{each}" for each in louder if each]
 
 
