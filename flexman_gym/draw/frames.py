@@ -58,6 +58,9 @@ def camera_direction(model: Model, angles: object = None) -> tuple[float, float,
     Args:
         model: model of the arm; the default direction for an arm with parallel joint axes is close to these axes.
         angles: azimuth, elevation and, optionally, zoom chosen by the user; None for the default.
+
+    Returns:
+        Azimuth and elevation, degrees, and zoom (1).
     """
     if angles is not None:
         given = vector("camera", angles)
@@ -83,6 +86,9 @@ def _fit_camera(points: Array, towards: tuple[float, float, float], size: tuple[
         towards: azimuth and elevation, degrees, and zoom.
         size: width and height of the picture, pixels.
         clear: margins (4,) at the left, right, top and bottom as fractions of the picture.
+
+    Returns:
+        The camera.
     """
     azimuth, elevation = np.radians(towards[:2])
     back = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
@@ -211,6 +217,9 @@ class FramePainter:
 
         Args:
             points: points (p, 3) in the base frame, m; None for the whole workspace.
+
+        Returns:
+            Camera and background.
         """
         camera, floor = self.camera(_reachable_points(self.model) if points is None else points)
         canvas, (width, height) = self._canvas, self.size
@@ -248,6 +257,9 @@ class FramePainter:
             caption: text and numbers over the picture.
             trail: past positions of the tip (t, 3), m, the oldest first.
             shot: camera and background; None for those of the previous frame, at first for the whole workspace.
+
+        Returns:
+            Pixels (height, width, 3), uint8.
         """
         x = np.array(vector("state", state, 2 * self.model.n_dof))
         place = None if target is None else np.array(vector("target", target, 3, "m"))
@@ -355,6 +367,9 @@ def arm_frame(
         state: state (2 d,).
         target: target of the tip (3,) in the base frame, m; None for no target.
         size: width and height, pixels.
+
+    Returns:
+        Pixels (height, width, 3), uint8.
     """
     painter = FramePainter(model, size)
     points = curves(model, state, POINTS).positions.reshape(-1, 3)
@@ -369,6 +384,9 @@ def grid(frames: Sequence[NDArray[np.uint8]], across: int | None = None) -> NDAr
     Args:
         frames: frames (height, width, 3), such as those a vector environment renders.
         across: number of frames in a row; None for about as many as rows.
+
+    Returns:
+        Pixels (height, width, 3), uint8.
     """
     if not len(frames) or len({each.shape for each in frames}) > 1:
         raise value_error("frames", [each.shape for each in frames], "at least one, all of one size")

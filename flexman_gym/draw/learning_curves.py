@@ -58,6 +58,9 @@ def draw_learning_curves(runs: Mapping[str, Sequence[tuple[Array, Array]]], path
         path: path of the picture.
         label: label of the values.
 
+    Returns:
+        Path of the picture.
+
     Raises:
         ImportError: without Matplotlib.
     """

@@ -36,6 +36,9 @@ class Mesh(NamedTuple):
             axis: direction of its z axis (3,), a unit vector.
             radius: scale of x and y.
             half: scale of z.
+
+        Returns:
+            The transformed mesh.
         """
         x, y, z = axis
         side = np.array([0.0, z, -y] if abs(x) < 0.6 else [-z, 0.0, x]) / np.hypot(z, y if abs(x) < 0.6 else x)
@@ -71,6 +74,9 @@ def section_outlines(model: Model, places: int) -> tuple[_SectionOutlines, ...]:
     Args:
         model: model of the arm.
         places: number of points on each link.
+
+    Returns:
+        Section outlines of each link.
     """
     reach, result = float(model.constants.length.sum()), []
     for i, link in enumerate(model.arm.links):
@@ -117,6 +123,9 @@ def tube_surfaces(curves: Curves, sections: Sequence[_SectionOutlines]) -> tuple
     Args:
         curves: curves of the links, (..., n, P).
         sections: section outlines of each link.
+
+    Returns:
+        Vertices (..., v, 3), m, normals (..., v, 3), and axial strains (..., v).
     """
     points, normals, gauges = (np.array([section[k] for section in sections]) for k in range(3))
     across = curves.frames[..., 1:]
@@ -134,6 +143,9 @@ def _surface_of_revolution(profile: tuple[tuple[float, float, float, float], ...
     Args:
         profile: radius, height, and the two components of the normal, from below to above.
         sides: number of points around the axis.
+
+    Returns:
+        The mesh.
     """
     turn = np.linspace(0.0, 2 * np.pi, sides + 1)
     radius, height, out, up = np.array(profile).T[..., None]

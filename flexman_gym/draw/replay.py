@@ -39,6 +39,9 @@ def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
     Args:
         episodes: 1 to 8 episodes, shown side by side; their arms may differ.
         title: title of the page; "" for the names of environment and agents.
+
+    Returns:
+        HTML.
     """
     if not 1 <= len(episodes) <= len(COLOURS):
         raise value_error("episodes", len(episodes), f"1 to {len(COLOURS)} of them")
@@ -67,6 +70,9 @@ def _html_page(data: dict[str, Any], title: str, words: str) -> str:
         data: mapping with "arms", "runs", "stage" and "live".
         title: title of the page.
         words: text next to the title.
+
+    Returns:
+        HTML.
     """
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     script, style, frame = (
@@ -103,6 +109,9 @@ def _view_data(models: Sequence[Model], points: Array, strain: float) -> dict[st
         models: models of the arms.
         points: points (p, 3), m, that are in the picture.
         strain: strain at the ends of the colour scale; 0 for rigid arms.
+
+    Returns:
+        Reach, points, camera, floor and scale.
     """
     reach = max(float(model.constants.length.sum()) for model in models)
     points = np.concatenate([points[np.isfinite(points).all(axis=1)], np.zeros((1, 3))])
@@ -176,6 +185,12 @@ QUEUE_SIZE = 200  # rows that a slow browser may lag behind before rows are drop
 
 class LivePage:
     """Page of a running environment in a browser, on a local web server whose address is printed to stderr.
+
+    Args:
+        model: model of the arm.
+        title: title of the page.
+        period: time between two states, s.
+        strain: strain at the ends of the colour scale; 0 for a rigid arm.
 
     Attributes:
         address: address of the page.

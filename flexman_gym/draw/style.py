@@ -30,7 +30,10 @@ def new_figure(inches: tuple[float, float], dpi: float, window: bool = False, **
         inches: width and height, inches.
         dpi: pixels per inch.
         window: whether to return a figure of pyplot instead, for `pyplot.show`.
-        options: keyword arguments of Matplotlib's Figure.
+        **options: keyword arguments of Matplotlib's Figure.
+
+    Returns:
+        The figure.
 
     Raises:
         ImportError: without Matplotlib.

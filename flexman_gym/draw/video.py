@@ -33,6 +33,9 @@ def write_video(frames: Sequence[NDArray[np.uint8]], path: str | Path, fps: floa
         path: path of the file with the suffix .mp4 or .gif; its folder is created if it does not exist.
         fps: frames per second.
 
+    Returns:
+        Path of the file.
+
     Raises:
         ImportError: without the package.
     """
@@ -55,6 +58,9 @@ def write_picture(frame: NDArray[np.uint8], path: str | Path) -> Path:
     Args:
         frame: frame (height, width, 3).
         path: path of the file; its folder is created if it does not exist.
+
+    Returns:
+        Path of the file.
 
     Raises:
         OSError: if the file cannot be written.
@@ -124,6 +130,11 @@ def has_display() -> bool:
 
 class Window:
     """Window that shows frames in real time.
+
+    Args:
+        size: width and height, pixels.
+        title: title of the window.
+        period: time between two frames, s.
 
     Attributes:
         shown, late: number of shown frames, and of those shown later than in real time.

@@ -29,7 +29,7 @@ from flexman_gym.evaluation.policy_files import ABOUT, POLICIES, policy_folder, 
 INTERFACE = ("base", "action_repeat", "sensors", "history", "actions")  # settings of the agent, not of the plant
 LAWLESS_AGENTS = {"zero": "no torque at all", "random": "random torques"}  # agents without controller: description
 BASELINES = (*BASES, *LAWLESS_AGENTS)
-"""Names of the agents that need no training."""
+"""Names of the agents without training."""
 AGENTS = (*BASELINES, *POLICIES)  # names of all agents: baselines and shipped policies
 
 
@@ -59,8 +59,11 @@ def find_agent(agent: object) -> AgentSpec:
         agent: a name in BASELINES or POLICIES, a mapping as the keyword `base` takes it, the folder of a training run
             or of an exported policy, a Controller, or an object with a method `predict`, see `predictor_agent`.
 
+    Returns:
+        The specification, with the settings from which an environment makes the agent.
+
     Raises:
-        FileNotFoundError: for a text that is neither a name nor a folder.
+        FileNotFoundError: for an unknown name or folder.
     """
     if isinstance(agent, AgentSpec):
         return agent
@@ -119,6 +122,9 @@ def predictor_agent(model: Any, environment: Configuration | None = None) -> Age
     Args:
         model: the object; `predict` may also return a tuple with the actions first.
         environment: environment of the training, for a model without one.
+
+    Returns:
+        The specification; its law clips the actions to -1 and 1.
     """
     normaliser = getattr(model, "get_vec_normalize_env", lambda: None)()
     venv = getattr(model, "get_env", lambda: None)()
@@ -176,8 +182,11 @@ def network_agent(name: str, network: Law, environment: Configuration, base_in_u
         network: law of the agent.
         environment: environment of the training, with the settings of the agent. Base controller and action mode are
             designed for it wherever the agent acts.
-        base_in_use: base controller in place of that of the training; it is designed for the environment in which the
+        base_in_use: base controller instead of the one of the training; it is designed for the environment in which the
             agent acts.
+
+    Returns:
+        The specification.
     """
     moved, interface = split_interface(environment)
     agent = AgentSpec(name, network, interface, moved)
@@ -237,7 +246,7 @@ class _TimedMode:
         return self.timed(self.mode.look)(readings, applied, playing)  # type: ignore[attr-defined]
 
     def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function whose CPU time is added to that of the actions."""
+        """Return a function whose CPU time counts as time of the actions."""
 
         def call(*arguments: Any) -> Any:
             begun = process_time()
@@ -271,8 +280,11 @@ def common_environment(
 
     Args:
         agents: the agents.
-        named: environment chosen by the user; None for that of the trained agents.
-        changes: changes "name=value" of settings that are not of the agent, see `Configuration.changed`.
+        named: environment chosen by the user; None for the environment of the trained agents.
+        changes: changes "name=value" of settings of the environment, see `Configuration.changed`.
+
+    Returns:
+        The environment without settings of an agent.
 
     Raises:
         ValueError: for agents of different environments when none is named, and for a change of a setting of the agent.

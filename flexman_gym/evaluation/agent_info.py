@@ -27,7 +27,7 @@ class AgentInfo:
     Attributes:
         description: kind of the agent, in a few words.
         tuning: method and cost of its tuning or training.
-        information: information that it needs in addition to the measurements of its motors.
+        information: information needed in addition to the measurements of its motors.
     """
 
     description: str
@@ -43,6 +43,12 @@ class AgentInfo:
 def describe_agent(agent: str) -> AgentInfo:
     """Return the description of an agent given by its name or its folder.
 
+    Args:
+        agent: name of an agent, or folder of a run or a policy.
+
+    Returns:
+        Description, tuning, and required information.
+
     Raises:
         FileNotFoundError: for a folder without a run.
     """
@@ -52,11 +58,11 @@ def describe_agent(agent: str) -> AgentInfo:
         return AgentInfo(LAWLESS_AGENTS[agent], "none", ())
     settings, seconds = _settings(agent), training_seconds(agent)
     environment = Configuration.from_plain(settings.get("environment"))
-    base = settings.get("base_in_use") or environment.base  # a base in use replaces that of the training
+    base = settings.get("base_in_use") or environment.base  # a base in use replaces the base of the training
     kind = base.get("kind") if isinstance(base, dict) else base
     described = f"a policy trained by {str(settings.get('algo', 'a recipe')).upper()}"
     described += f", with the base controller {kind}" if kind else ""
-    trained = "for a time that its curves lack" if seconds is None else f"for {seconds / 60.0:.3g} minutes"
+    trained = "for a time missing in its curves" if seconds is None else f"for {seconds / 60.0:.3g} minutes"
     sensors = {each["kind"] if isinstance(each, dict) else each for each in plain_sensors(environment.sensors)}
     needed = ["training", *(["true state"] if sensors & set(TRUE_SENSORS) else [])]
     of_base = BASES[kind].information if isinstance(kind, str) else ()
@@ -91,7 +97,7 @@ def check_seeds_unseen(agent: str, seeds: Sequence[int]) -> None:
         raise value_error("agent", agent, f"a run whose {SETTINGS} have seed, envs and eval_every") from None
     used = {*range(first, first + arms), *(SELECTION_SEEDS if selected else ())} & set(seeds)
     if used:
-        allowed = f"a policy that was neither trained nor selected on the seed {min(used)}, a test seed"
+        allowed = f"a policy neither trained nor selected on the seed {min(used)}, a test seed"
         raise value_error("agent", agent, allowed)
 
 

@@ -36,9 +36,12 @@ def record_dataset(
         form: "hdf5" or "arrow".
         workers: processes or cluster for the simulations, see `Workers`, or a number of processes.
 
+    Returns:
+        The MinariDataset.
+
     Raises:
         ImportError: without Minari.
-        FileNotFoundError: for an agent or environment that does not exist.
+        FileNotFoundError: for an unknown agent or environment.
         ValueError: also for the name of an existing dataset.
     """
     try:
@@ -46,10 +49,10 @@ def record_dataset(
         from minari.data_collector import EpisodeBuffer
     except ImportError:
         raise ImportError("datasets need Minari: pip install 'flexman_gym[scale]'") from None
-    bare = dataset_environment(Configuration.find(environment))
+    bare = _without_agent(Configuration.find(environment))
     single = gym.make(bare.id, **bare.settings)
     cells = [(agent, bare, tuple(seeds[i : i + BLOCK])) for i in range(0, len(seeds), BLOCK)]
-    blocks = parallel_map(record_episodes, cells, workers, prepare=compile_kernels)
+    blocks = parallel_map(_record_block, cells, workers, prepare=compile_kernels)
     buffers = [
         EpisodeBuffer(id=number, **each) for number, each in enumerate(each for block in blocks for each in block)
     ]
@@ -61,14 +64,14 @@ def record_dataset(
         )  # fmt: skip
 
 
-def dataset_environment(environment: Configuration) -> Configuration:
+def _without_agent(environment: Configuration) -> Configuration:
     """Return an environment without base controller, action repeat and action mode, as plain data without files."""
     whole = environment.to_plain()
     names = (name for name in environment.settings if name not in ("base", "gains", "action_repeat", "actions"))
     return Configuration(environment.id, {name: whole[name] for name in names})
 
 
-def record_episodes(cell: tuple[str, Configuration, tuple[int, ...]]) -> list[dict[str, Any]]:
+def _record_block(cell: tuple[str, Configuration, tuple[int, ...]]) -> list[dict[str, Any]]:
     """Simulate episodes of an agent, then once more with their actions alone; return the data of Minari for each."""
     agent, bare, seeds = cell
     names = [name for name in bare.settings if name not in OBSERVATION_SETTINGS]

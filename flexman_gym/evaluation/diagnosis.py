@@ -76,7 +76,7 @@ class Diagnosis:
 
     Attributes:
         rms: root mean square of the error in the analysed window, m.
-        negligible: whether the error is so small compared with the band of settled tips that no remedy is needed.
+        negligible: whether the error is too small for a remedy, compared with the band of settled tips.
         shares: cause -> its share of the mean square error; the shares sum to 1.
         tones: (frequency in Hz, share, cause, name of the mode or "") of each tone, the largest first.
         failure: reason for which the episode ended early, then the only cause; "" for none.
@@ -121,11 +121,14 @@ def _without_noise(environment: Configuration) -> Configuration | None:
 
 
 def _attribute_noise(found: Diagnosis, quiet: Diagnosis) -> Diagnosis:
-    """Attribute the error that an episode has only with noise to noise, and scale the shares of the other causes.
+    """Attribute the additional error with noise to noise, and scale the shares of the other causes.
 
     Args:
         found: diagnosis of the episode with noise.
         quiet: diagnosis of the same episode without noise.
+
+    Returns:
+        The diagnosis with noise as one of the causes.
     """
     if found.failure or quiet.failure:
         return found
@@ -154,15 +157,18 @@ def split_error(end: EpisodeEnd, modes: Mapping[str, float]) -> Diagnosis:
 
     - The offset is the mean error.
     - A transient is a linear drift, or a tone slower than all modes with fewer than two cycles in the window. The mean
-      counts as a part of a transient that is large compared with it, since the motion has not ended.
-    - A tone is a sinusoid whose amplitude changes linearly, as that of a decaying vibration does.
-    - Noise is the part that no tone explains. A tone is noise too if the actions have other frequencies. If the actions
-      follow the tone and the motors supply the energy that the arm dissipates, it is a limit cycle; otherwise ringing.
+      counts as a part of a large transient, since the motion has not ended.
+    - A tone is a sinusoid whose amplitude changes linearly, as in a decaying vibration.
+    - Noise is the rest. A tone is noise too if the actions have other frequencies. If the actions follow the tone and
+      the motors supply the dissipated energy, it is a limit cycle; otherwise ringing.
     - A failed episode has the failure as its only cause.
 
     Args:
         end: end of an episode; below MIN_SAMPLES control periods no tone is fitted.
         modes: frequency (Hz) of each mode by name.
+
+    Returns:
+        The shares of the causes, and the tones.
     """
     errors, count = end.errors, len(end.errors)
     rms = float(np.sqrt(_power(errors) / count))
@@ -196,6 +202,9 @@ def _fit_tones(errors: Array, period: float) -> tuple[list[Array], list[float]]:
     Args:
         errors: errors (T, 3), m.
         period: sampling period, s.
+
+    Returns:
+        Basis functions, and frequencies (Hz).
     """
     count = len(errors)
     parts = [np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)], axis=1)]
@@ -211,7 +220,7 @@ def _fit_tones(errors: Array, period: float) -> tuple[list[Array], list[float]]:
 
 
 def _slow_tone_frequency(errors: Array, period: float) -> float:
-    """Return the frequency (Hz) of a tone of two cycles or more that explains most of the motion; infinite for none."""
+    """Return the frequency (Hz) of a tone of two or more cycles with most of the motion; infinite for none."""
     count = len(errors)
     if count < MIN_SAMPLES:
         return np.inf
@@ -238,7 +247,7 @@ def _tone_causes(end: EpisodeEnd, parts: list[Array], shares: Array) -> list[str
 
 
 def _strongest_frequency(parts: list[Array], errors: Array, period: float) -> float:
-    """Return the frequency (Hz) of the tone that explains most of the errors (T, 3) beyond the basis functions."""
+    """Return the frequency (Hz) of the strongest tone in the errors (T, 3) beyond the basis functions."""
     from scipy.optimize import minimize_scalar
 
     count, width = len(errors), 1.0 / (len(errors) * period)

@@ -41,9 +41,12 @@ def export_policy(
         folder: new folder of the policy.
         description: one sentence.
         recipe: name or file of the settings of the training.
-        environment: id, id and condition, or file of the environment for which the policy is recommended; "" for that
-            of the training. The settings of the agent, such as sensors and base controller, stay those of the training.
+        environment: id, id and condition, or file of the environment for which the policy is recommended; "" for the
+            environment of the training. The settings of the agent, such as sensors and base controller, do not change.
         licence: licence of the policy.
+
+    Returns:
+        Metrics of the exported policy by name, see `evaluate`.
 
     Raises:
         FileNotFoundError: if a file of the run is missing.
@@ -82,14 +85,14 @@ def export_policy(
 
 
 def _target_environment(trained: Configuration, name: str) -> Configuration:
-    """Return an environment by its name, "" for that of the training, with the settings of the trained agent."""
+    """Return an environment by its name, with the settings of the trained agent; "" for the trained environment."""
     if not name:
         return trained
     return split_interface(Configuration.find(name))[0].replace(**split_interface(trained)[1])
 
 
 class _RecordedNetwork:
-    """Network that records its inputs."""
+    """Network with a record of its inputs."""
 
     def __init__(self, network: Network) -> None:
         self.network, self.size, self.joints = network, network.size, network.joints
@@ -124,16 +127,19 @@ ONNX_TOLERANCE, ONNX_ROWS = 1e-4, 64  # largest difference of an action in float
 def write_onnx(agent: str, path: Path) -> float:
     """Write the network of a policy with its normalisation; return the largest difference from its actions in NumPy.
 
-    The input "observation" (b, size) has the readings of the sensors, with history; the output "action" (b, n) is that
-    of the network, without the base controller. Both are float32.
+    The input "observation" (b, size) has the readings of the sensors, with history; the output "action" (b, n) is the
+    output of the network, without the base controller. Both are float32.
 
     Args:
         agent: name of a policy, or folder of a policy or a run.
         path: path of the file.
 
+    Returns:
+        Largest difference of an action on random observations.
+
     Raises:
         ImportError: without the extra [onnx].
-        FileNotFoundError: for an agent that does not exist.
+        FileNotFoundError: for an unknown agent.
         ValueError: also for an agent without a network, and for a graph with other actions.
     """
     try:

@@ -40,8 +40,8 @@ class Metric:
         better: "high" or "low".
         function: function from the record of an episode to the number.
         statistic: aggregate over episodes: "mean", "median" (tables add its interval) or "share" (a mean, in percent).
-        scale: factor from the unit to that of the table.
-        for_all_tasks: whether the metric applies to every task, or only to tasks that list it.
+        scale: factor from the unit to the unit of the table.
+        for_all_tasks: whether the metric applies to every task, or only to tasks with its name in a list.
     """
 
     name: str
@@ -92,7 +92,7 @@ METRICS = {metric.name: metric for metric in (
     Metric("effort", "effort", "", "low", lambda record: effort(record.actions), MEAN),
     Metric("failed", "failed", "", "low", lambda record: float(record.failure != ""), SHARE),
 )}  # fmt: skip
-"""Metrics that `evaluate` computes: name -> `Metric`."""
+"""Metrics of `evaluate`: name -> `Metric`."""
 DEFAULT_TASK_METRICS = ("settling_time", "error")  # metrics of a task without a list of its own
 
 
@@ -121,7 +121,7 @@ def evaluate(
         roughness, effort and failed (share of episodes).
 
     Raises:
-        FileNotFoundError: for an agent or environment that does not exist.
+        FileNotFoundError: for an unknown agent or environment.
 
     Examples:
         >>> result = fm.evaluate("lqr", "FlexOne-v0", seeds=range(2))
@@ -144,7 +144,7 @@ def optimised_settling_times(environment: Configuration) -> dict[int, float]:
 def equivalent_damping(record: EpisodeRecord) -> float:
     """Return the damping ratio of the tip's oscillation, after its first arrival, along the axis of largest motion.
 
-    It is infinite without an oscillation, and 0 for a tip that never comes within the band.
+    It is infinite without an oscillation, and 0 if the tip never comes within the band.
     """
     inside = np.flatnonzero(record.errors <= record.band)
     if record.failure or not len(inside) or len(record.tips) - inside[0] < 3:
@@ -164,6 +164,9 @@ def metrics_table(results: Mapping[str, Sequence[EpisodeRecord]], environment: C
     Args:
         results: name of an agent -> records of its episodes; all agents have the same episodes.
         environment: environment of the episodes.
+
+    Returns:
+        Lines of text: title, headers, one row for each agent, and a caption.
     """
     columns = task_metrics(environment.task)
     first = next(iter(results.values()))

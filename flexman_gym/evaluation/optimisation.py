@@ -135,7 +135,7 @@ def motor_loops(environment: Configuration) -> list[SampledLoop]:
 
 
 def _draw_gains(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Array]) -> Array:
-    """Return gains (count, 2 n) that have MIN_MARGINS in the loops; `draw` returns their logarithms (2 n,)."""
+    """Return gains (count, 2 n) with MIN_MARGINS in the loops; `draw` returns their logarithms (2 n,)."""
     result: list[Array] = []
     for _ in range(DRAWS * count):
         gains = np.exp(draw())
@@ -155,7 +155,7 @@ def _rewards(environment: Configuration, gains: Array, episodes: int, workers: W
 
 
 def _cell_rewards(cell: tuple[Configuration, Array, int]) -> Array:
-    """Return the mean reward (c,) of gains that are evaluated side by side."""
+    """Return the mean reward (c,) of gains evaluated side by side."""
     environment, gains, episodes = cell
     n = gains.shape[1] // 2
     stiffness, damping = np.split(np.repeat(gains, episodes, axis=0), 2, axis=1)
@@ -200,12 +200,15 @@ def empty_slew_table(environment: Configuration) -> SlewTable:
 def optimise_slews(environment: Configuration, seeds: Sequence[int], table: SlewTable) -> Iterator[_SlewResult]:
     """Optimise the slews of episodes missing in a table, add them to it, and yield the result of each.
 
-    The settling time of a slew is that of its replay in the environment.
+    The settling time of a slew is measured in its replay in the environment.
 
     Args:
         environment: environment of the slews, without randomisation and disturbances.
         seeds: seeds of the episodes.
         table: table of this environment, which is extended.
+
+    Yields:
+        _SlewResult: seed, settling times (s) and CPU time (s) of a slew.
 
     Raises:
         ValueError: also for moving goals, for randomisation or disturbances, and for the table of another environment.

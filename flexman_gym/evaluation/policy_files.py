@@ -39,7 +39,7 @@ class _ExportedPolicy(NamedTuple):
 
 
 def policy_folder(name: str) -> Path | None:
-    """Return the folder of a shipped policy by its name, or a folder that holds an exported policy; else None."""
+    """Return the folder of a shipped policy by its name, or the folder of an exported policy; else None."""
     if name in POLICIES:
         return FOLDER / name
     return Path(name) if os.path.isfile(Path(name) / ABOUT) else None
@@ -48,10 +48,16 @@ def policy_folder(name: str) -> Path | None:
 def read_policy(folder: Path) -> _ExportedPolicy:
     """Read an exported policy without running code of its files.
 
+    Args:
+        folder: folder of the policy.
+
+    Returns:
+        Description and network.
+
     Raises:
         FileNotFoundError: if a file is missing.
-        ValueError: for a file that is too large or broken, for hashes that differ from those of arrays, environment or
-            settings, and for a network whose actions differ from those stored for the check.
+        ValueError: for a too large or broken file, for wrong hashes of arrays, environment or settings, and for a
+            network whose actions differ from the stored ones.
     """
     path = existing_file(folder / ABOUT)
     try:
@@ -69,7 +75,7 @@ def read_policy(folder: Path) -> _ExportedPolicy:
 
 
 def write_policy(folder: Path, about: Mapping[str, Any], arrays: dict[str, NDArray[np.floating]]) -> None:
-    """Write a policy with its format and hashes, and check that it can be read.
+    """Write a policy with its format and hashes, and check it by reading.
 
     Args:
         folder: folder of the policy; it is created if it does not exist.
@@ -99,6 +105,12 @@ def _json_hash(data: object) -> str:
 
 def read_certificate(folder: Path) -> dict[str, Any] | None:
     """Return the certificate in the folder of a policy; None without one, or if it is of other arrays.
+
+    Args:
+        folder: folder of the policy.
+
+    Returns:
+        The certificate with the present names of its keys, or None.
 
     Raises:
         ValueError: for a broken file, and for one without arrays_hash, fails and rows.
@@ -150,7 +162,7 @@ def _check_description(content: bytes) -> dict[str, Any]:
 
 
 def _check_network(about: dict[str, Any], arrays: dict[str, NDArray[np.floating]]) -> Network:
-    """Return the network of arrays, and check that its actions are those stored for the check."""
+    """Return the network of arrays, and compare its actions with the stored ones."""
     settings = about["recipe"]["settings"]
     algo, activation = settings["algo"], settings["hyperparameters"].get("activation")
     layers = policy_parameters(algo, arrays)

@@ -88,7 +88,7 @@ class Rollout:
         targets: targets of the tip (b, T + 1, 3), m.
         torques: applied motor torques (b, T, n), after delay and other effects, N m.
         readings: latest readings of the agent's sensors (b, T + 1, size).
-        about: metadata that the episodes share, their "seeds", and the "slices" of the readings by sensor.
+        about: common metadata of the episodes, their "seeds", and the "slices" of the readings by sensor.
     """
 
     tips: Array
@@ -118,6 +118,12 @@ class Rollout:
 
     def save(self, folder: str | Path) -> list[Path]:
         """Write each episode to a file NAME-SEED.npz, which `fm.Episode.load` reads; return the paths.
+
+        Args:
+            folder: folder of the files; it is created if it does not exist.
+
+        Returns:
+            Paths of the files.
 
         Raises:
             OSError: if a file cannot be written.
@@ -154,15 +160,15 @@ def rollout(
         agent: name of a baseline or a shipped policy, folder of a run, Controller, or another object of `find_agent`.
         environment: id, id and condition such as "FlexRRR-v0/delay", path of a file, or Configuration.
         seeds: seeds of the episodes; a number n <= 100 stands for the first n test seeds, 9000 to 9000 + n - 1.
-        callback: function that is called with the episodes after the reset and after every control period.
-        set_plant: function that replaces the integrator of the arms, see `league.scenarios.PLANTS`.
+        callback: function called with the episodes after the reset and after every control period.
+        set_plant: function to replace the integrator of the arms, see `league.scenarios.PLANTS`.
 
     Returns:
         b episodes of at most T control periods: tips (b, T + 1, 3) m, errors (b, T + 1) m, torques (b, T, n) N m,
         actions (b, T, n) as fractions of the torque limits, the control period (s), and more.
 
     Raises:
-        FileNotFoundError: for an agent or environment that does not exist.
+        FileNotFoundError: for an unknown agent or environment.
 
     Examples:
         >>> result = fm.rollout("pd", "FlexOne-v0", seeds=range(2))
@@ -212,7 +218,7 @@ class _ObservedTask:
 
 
 def _check_joint_count(agent: AgentSpec, environment: Configuration) -> None:
-    """Raise ValueError for a policy that was trained on an arm with another number of joints."""
+    """Raise ValueError for a policy trained on an arm with another number of joints."""
     if agent.environment is None:
         return
     own, count = agent.environment.arm.n_joints, environment.arm.n_joints
@@ -222,7 +228,7 @@ def _check_joint_count(agent: AgentSpec, environment: Configuration) -> None:
 
 
 def _metadata(env: Any, agent: AgentSpec, environment: Configuration) -> dict[str, Any]:
-    """Return the plain metadata that the episodes of an agent in an environment share."""
+    """Return the common plain metadata of the episodes of an agent in an environment."""
     sensors = env.episodes.sensors
     settings = {"environment": split_interface(environment)[0].to_plain(strict=False), "interface": agent.interface}
     return episode_metadata(

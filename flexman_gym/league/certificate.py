@@ -49,7 +49,10 @@ def certify(
         draws: number of episodes of the search for the worst ones.
         folder: folder of the rows, with a folder for each policy; stored rows are not computed again.
         jobs: see `run_league`.
-        log: function that takes one line of text for each scenario.
+        log: function of one line of text for each scenario.
+
+    Returns:
+        Path of the certificate.
 
     Raises:
         ValueError: also for a task without the metric "settling_time".
@@ -120,6 +123,9 @@ def certificate_row(
         seeds: seeds of the rows.
         rows: rows of the scenario.
         reference: rows of the same seeds in the environment of the policy.
+
+    Returns:
+        Name, seeds, metrics and "fails" of the scenario.
     """
     values = _summaries(METRIC_NAMES, rows)
     physics = "@" in scenario or f"/method={METHOD}" in scenario
@@ -138,7 +144,7 @@ def certificate_row(
 
 
 def _failed_scenarios(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return the names of the scenarios that fail, with the seeds of those that have other seeds than the first."""
+    """Return the names of the failed scenarios, with their seeds where these differ from those of the first."""
     first = rows[0]["seeds"][0]
     return [
         row["scenario"] + (f" on seeds {row['seeds'][0]} to {row['seeds'][1] - 1}" if row["seeds"][0] != first else "")
@@ -166,7 +172,7 @@ def _is_same_motion(one: Configuration, two: Configuration) -> bool:
 def _changes_beyond_training(environment: Configuration, trained: Configuration) -> list[str]:
     """Return changes of payload and stiffness beyond the ranges of the training.
 
-    They are the ranges of the conditions or, for parameters that were randomised in the training, ranges next to these.
+    They are the ranges of the conditions or, for parameters randomised in the training, ranges next to these.
     """
     trained_ranges, result = randomised_ranges(trained), []
     for condition in ("payload", "stiffness") if NAMED_ENVIRONMENTS[environment.id].conditions else ():

@@ -54,6 +54,12 @@ def write_page(results: LeagueRows, folder: Path) -> None:
 def page_text(standings: Standings) -> str:
     """Return the page in Markdown, made from TEMPLATE.
 
+    Args:
+        standings: comparison of the agents.
+
+    Returns:
+        Markdown.
+
     Raises:
         ImportError: without Jinja2.
     """
@@ -99,7 +105,7 @@ def recommendation(standings: Standings) -> str:
         lines += [f"The first has the larger reward in {_share(won)} of the same episodes."] if won else []
     if reference := standings.values(REFERENCE_AGENTS[1], LAB_SCENARIO, "settling_time"):
         time = median_interval(np.array([*reference.values()]))[0]
-        lines.append(f"An LQR with the true state and parameters settles within {time:.2f} s.")
+        lines.append(f"The median settling time of an LQR with the true state and parameters is {time:.2f} s.")
     if not standings.why(best, PAYLOAD_SCENARIO):
         lines.append(f"If only the payload is unknown (`{PAYLOAD_SCENARIO}`), use `{best}` too.")
         lines.append(_settling_sentence(standings, best, PAYLOAD_SCENARIO))
@@ -176,6 +182,9 @@ def _comparison(standings: Standings, scenarios: list[str], own: list[str], plac
         scenarios: names of the scenarios.
         own: scenarios whose agents and episodes are compared.
         places: description of each scenario in notes.
+
+    Returns:
+        Number of episodes, rows of the table, and notes.
     """
     seeds = frozenset(seed for name, _, seed in standings.results.rows if name in own)
     agents = [each for each in standings.agents if any(not standings.why(each, name) for name in own)]
@@ -262,6 +271,14 @@ def _notes(standings: Standings, scenario: str, times: bool) -> list[str]:
 
 def draw_charts(standings: Standings, folder: Path, sweeps_only: bool = False) -> list[Path]:
     """Draw the chart of the scenarios and one for each sweep; return their paths.
+
+    Args:
+        standings: comparison of the agents.
+        folder: folder of the pictures.
+        sweeps_only: whether to leave out the chart of the scenarios.
+
+    Returns:
+        Paths of the pictures.
 
     Raises:
         ImportError: without Matplotlib.

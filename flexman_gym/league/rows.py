@@ -48,7 +48,7 @@ class EpisodeRow(NamedTuple):
     """Results of one episode.
 
     Attributes:
-        key: hash of everything that determines the results, see `_row_key`.
+        key: hash of all inputs of the results, see `_row_key`.
         agent: name of the agent.
         scenario: name of the scenario.
         seed: seed of the episode.
@@ -66,7 +66,7 @@ class EpisodeBlock(NamedTuple):
     """Cell of a league: a block of episodes of an agent in a scenario, simulated side by side.
 
     Attributes:
-        key: hash of everything that determines the results, see `_row_key`.
+        key: hash of all inputs of the results, see `_row_key`.
         agent: name of the agent.
         scenario: name of the scenario.
         first, end: first seed, and the seed after the last one.
@@ -87,6 +87,10 @@ class EpisodeBlock(NamedTuple):
 class LeagueRows:
     """Results of a league.
 
+    Args:
+        rows: results of episodes.
+        cells: cells of the rows.
+
     Attributes:
         rows: results of an episode by scenario, agent and seed.
         cells: cells by scenario, agent and first seed.
@@ -100,13 +104,19 @@ class LeagueRows:
     def load(cls, folder: Path) -> Self:
         """Read the rows and cells of a folder; empty for a folder without them.
 
-        Columns are found by their heads, in any order. A metric that older rows lack is nan, and the columns of
+        Columns are found by their heads, in any order. A metric missing in older rows is nan, and the columns of
         FORMER_METRICS are skipped.
+
+        Args:
+            folder: folder of the files.
+
+        Returns:
+            Rows and cells.
 
         Raises:
             FileNotFoundError: for cells without rows.
             ValueError: for unknown, missing and repeated heads, for a line with too few or too many entries, and for
-                an entry that is not a number in a column of numbers.
+                an entry other than a number in a column of numbers.
         """
         if not os.path.exists(folder / CELLS):  # False for any text; Path.exists raises for some
             return cls()
@@ -146,10 +156,13 @@ def run_league(
         seeds: consecutive seeds of the episodes.
         folder: folder of the files.
         jobs: `Workers`, or a number of processes; the rows do not depend on it.
-        log: function that takes one line of text for each cell.
+        log: function of one line of text for each cell.
+
+    Returns:
+        All rows and cells of the folder.
 
     Raises:
-        FileNotFoundError: for an agent or environment that does not exist.
+        FileNotFoundError: for an unknown agent or environment.
         ValueError: also, before any simulation, for a run whose training included some of the seeds.
     """
     for agent in agents:
@@ -219,7 +232,7 @@ def _is_text(statement: ast.stmt) -> bool:
 
 
 def _row_key(agent: str, scenario: str) -> str:
-    """Return a hash of everything that determines rows: scenario, agent, files of a run, code, versions of packages."""
+    """Return a hash of all inputs of rows: scenario, agent, files of a run, code, and versions of packages."""
     *both, plant = find_scenario(scenario)
     parts: list[Any] = [*(each.to_plain() for each in both), plant, _code_hash()]
     parts += [computer_info(("mujoco",) if plant == "mujoco" else ()) | {"processor": ""}, _is_lab(scenario)]
@@ -230,7 +243,7 @@ def _row_key(agent: str, scenario: str) -> str:
 
 
 def _is_lab(scenario: str) -> bool:
-    """Return whether agents of a scenario may need only information that a laboratory can measure."""
+    """Return whether agents of a scenario may need only information from measurements of a laboratory."""
     where, _, change = scenario.partition("@")[0].rpartition("/")
     name = where if "=" in change else scenario.partition("@")[0]
     return policy_folder(name) is None and Configuration.find(name).settings.get("sensors") == "lab"

@@ -55,7 +55,7 @@ CONDITIONS = ("payload", "stiffness", "delay", "random-delay", "friction", "unkn
 TASKS = ("FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexRRR-Gravity-v0", "FlexPlanar-v0")
 USUAL_SCENARIOS = (DEFAULT_ID, *(f"{DEFAULT_ID}/{condition}" for condition in CONDITIONS), *TASKS)
 LAB_SCENARIO = f"{DEFAULT_ID}/unknown-lab"  # unknown arm with the sensors of a laboratory
-PLANT_CHECKED_SCENARIOS = (DEFAULT_ID, LAB_SCENARIO)  # scenarios that are also run on the other plants
+PLANT_SCENARIOS = [f"{each}@{plant}" for each in (DEFAULT_ID, LAB_SCENARIO) for plant in PLANTS if plant != "usual"]
 GIVEN_NOISE = 0.001  # fraction of the range of each sensor; noise for which controllers are designed in its sweep
 GIVEN = "+given"  # suffix of a scenario whose controllers are designed for the changed environment
 
@@ -91,7 +91,7 @@ def randomised_ranges(environment: Configuration) -> dict[str, Any]:
 
 
 def _range_settings(*names: str) -> Callable[[Configuration, str], dict[str, Any]]:
-    """Return the function `settings` of a change that draws some parameters from "value" or "low:high"."""
+    """Return the function `settings` of a change of randomised parameters to "value" or "low:high"."""
 
     def settings(environment: Configuration, value: str) -> dict[str, Any]:
         low, colon, high = value.partition(":")
@@ -153,7 +153,7 @@ class Scenario(NamedTuple):
 
     Attributes:
         environment: environment of the episodes.
-        given: environment for which controllers are designed: the information on the arm that is given to the agent.
+        given: environment for which controllers are designed: the information on the arm given to the agent.
         plant: simulation of the arms, a name in PLANTS.
     """
 
@@ -171,8 +171,14 @@ def find_scenario(name: str) -> Scenario:
     environment. An id alone stands for the condition of the change: "random-delay" in "FlexRRR-v0/delay=3", and the
     nominal environment in "FlexRRR-v0/nominal/delay=3".
 
+    Args:
+        name: name of the scenario.
+
+    Returns:
+        Environment, information given to the agent, and plant.
+
     Raises:
-        FileNotFoundError: for an environment that does not exist.
+        FileNotFoundError: for an unknown environment.
     """
     name, at, plant = name.partition("@")
     if at:
@@ -208,8 +214,3 @@ def _find_environment(name: str) -> Configuration:
 def sweep_scenarios(id: str, sweep: str) -> list[str]:
     """Return the names of the scenarios of a sweep of an environment."""
     return [f"{id}/{sweep}={value:g}" for value in SWEEPS[one_of("sweep", sweep, SWEEPS)].values]
-
-
-def plant_scenarios() -> list[str]:
-    """Return the names of the scenarios with other plants."""
-    return [f"{scenario}@{plant}" for scenario in PLANT_CHECKED_SCENARIOS for plant in PLANTS if plant != "usual"]

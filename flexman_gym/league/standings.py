@@ -55,7 +55,7 @@ class Standings:
 
     @cached_property
     def plants(self) -> dict[str, list[str]]:
-        """Scenario that was run on other plants -> its names on all plants, in the order of PLANTS."""
+        """Scenario run on other plants -> its names on all plants, in the order of PLANTS."""
         names = {scenario for scenario, _, _ in self.results.cells}
         checked = dict.fromkeys(scenario.partition("@")[0] for scenario in sorted(names) if "@" in scenario)
         others = [each for each in PLANTS if each != "usual"]
@@ -136,7 +136,7 @@ class Standings:
         return result
 
     def better(self, agent: str, other: str, scenarios: Sequence[str]) -> Interval | None:
-        """Return the probability of a larger reward than that of another agent in the same episode, and its interval.
+        """Return the probability of a larger reward than another agent in the same episode, and its interval.
 
         The result is None without common episodes in scenarios with a scale.
         """
@@ -154,13 +154,16 @@ class Standings:
             agent: name of an agent with rows in the scenario.
             scenario: name of the scenario.
             seeds: seeds of the episodes; None for all.
+
+        Returns:
+            Share of settled episodes (1), and minus the median settling time (s).
         """
         values = self.values(agent, scenario, "settling_time")
         times = np.sort([time for seed, time in values.items() if seeds is None or seed in seeds])
         return float(np.mean(np.isfinite(times))), -float(times[len(times) // 2])
 
     def realisable(self, scenario: str) -> list[str]:
-        """Return the agents with rows in a scenario that could act on hardware, the recommended one first."""
+        """Return the realisable agents with rows in a scenario, the recommended one first."""
         agents = [each for each in self.agents if each not in ("zero", "random") and not self.why(each, scenario)]
         agents = [each for each in agents if describe_agent(each).realisable]
         return sorted(agents, key=lambda each: self.settled(each, scenario), reverse=True)

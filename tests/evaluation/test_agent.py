@@ -149,7 +149,7 @@ def test_random_torques_go_both_ways():
     assert np.abs(result.mean(axis=0)).max() < 0.2, "five deviations of the mean of so many"
 
 
-def test_a_controller_of_ones_own_is_an_entrant_like_any_other():
+def test_a_controller_of_ones_own_is_an_agent_like_any_other():
     setup = ONE
     own = PD(**NAMED_ENVIRONMENTS[ONE.id].pd, torque_limit=setup.torque_limit)
     assert fm.evaluate(own, ONE, SEEDS) == fm.evaluate("pd", ONE, SEEDS)
@@ -157,7 +157,7 @@ def test_a_controller_of_ones_own_is_an_entrant_like_any_other():
 
 
 def test_who_acts_brings_everything_that_it_wants_of_an_environment(run):
-    """Neither base nor hold, sensors or history of a description reach an entrant that has none."""
+    """Neither base nor hold, sensors or history of a description reach an agent that has none."""
     own = {"base": "pd", "action_repeat": 3, "history": 2, "sensors": "lab"}
     for name in ("zero", "pd", str(run)):
         expected = evaluate(name, Configuration("FlexPlanar-v0", {"horizon": 1.5}), SEEDS)
@@ -309,8 +309,8 @@ def test_an_agent_acts_alike_in_training_live_loaded_and_under_another_agent(con
         def predict(self, observations):
             return network(observations)
 
-    entrants = find_agent(tmp_path), predictor_agent(Live(), described)
-    loaded, live = (rollout(each, described, [0, 1]) for each in entrants)
+    agents = find_agent(tmp_path), predictor_agent(Live(), described)
+    loaded, live = (rollout(each, described, [0, 1]) for each in agents)
     assert np.array_equal(loaded.actions, live.actions) and np.array_equal(loaded.readings, live.readings)
     trained = FlexManVectorEnv(2, name="FlexPlanar-v0", **described.keywords())
     assert np.array_equal(asked(trained, network, 20), loaded.actions) and np.ptp(loaded.actions) > 0.1

@@ -81,7 +81,7 @@ BAND = 0.02 * 0.8 / 8.5  # m, of FlexOne-v0
 
 
 def rows(names, count=3, settled=2.5):
-    """A table of entrants that do the same."""
+    """A table of agents that do the same."""
     return metrics_table(
         {name: [record(settled=settled, error=1e-3, band=BAND)] * count for name in names}, ONE
     ).splitlines()
@@ -108,7 +108,7 @@ def test_what_has_not_settled_is_a_dash():
     assert "- (- to -)" in rows(["pd"], settled=np.inf)[2]
 
 
-def test_a_task_that_does_not_settle_is_judged_by_its_rms_error():
+def test_a_task_that_does_not_settle_is_evaluated_by_its_rms_error():
     text = metrics_table({"pd": [record()]}, Configuration("FlexRRR-Track-v0"))
     assert "RMS error, mm" in text and "settling, s" not in text
 

@@ -78,7 +78,7 @@ def test_it_acts_as_the_network_from_which_it_was_made(folder):
     assert about["observation"][0] == {"name": "motor_angles", "unit": "rad", "size": 2}
 
 
-def test_the_league_is_told_of_it_what_it_is_told_of_a_run(folder):
+def test_the_league_is_given_of_it_what_it_is_given_of_a_run(folder):
     assert (
         describe_agent(str(folder)).information == ("training", "true state") and training_seconds(str(folder)) == 2.0
     )
@@ -87,10 +87,12 @@ def test_the_league_is_told_of_it_what_it_is_told_of_a_run(folder):
 
 
 def test_what_its_base_knows_it_needs_too(tmp_path):
-    told = Configuration.from_plain({"id": "FlexPlanar-v0", "base": "privileged-lqr", "sensors": "lab", "horizon": 1.0})
-    write_policy(tmp_path, *made.made_up(told))
+    environment = Configuration.from_plain(
+        {"id": "FlexPlanar-v0", "base": "privileged-lqr", "sensors": "lab", "horizon": 1.0}
+    )
+    write_policy(tmp_path, *made.made_up(environment))
     assert describe_agent(str(tmp_path)).information == ("training", *BASES["privileged-lqr"].information)
-    about, arrays = made.made_up(told)
+    about, arrays = made.made_up(environment)
     about["recipe"]["settings"]["base_in_use"] = "adaptive-lqr"
     write_policy(tmp_path, about, arrays)
     assert describe_agent(str(tmp_path)).information == ("training", *BASES["adaptive-lqr"].information), (

@@ -43,12 +43,12 @@ SEEDS = range(9000, 9003)
 
 
 def test_a_policy_with_a_history_sees_what_it_saw_in_training():
-    """Readings a hold apart, also where all episodes are judged side by side."""
+    """Readings an action repeat apart, also for episodes side by side."""
     interface = {"base": "pd", "action_repeat": 3, "history": 4, "sensors": ["full"]}
-    judged, seen = [], []
+    observed, seen = [], []
 
     def act(observations):
-        judged.append(observations.copy())
+        observed.append(observations.copy())
         return np.tanh(observations[:, -1:])
 
     rollout(AgentSpec("watching", act, interface), ONE, [9001, 9002])
@@ -58,7 +58,7 @@ def test_a_policy_with_a_history_sees_what_it_saw_in_training():
         seen.append(observation)
         action = np.tanh(observation[-1:])
         observation, _, _, ended, _ = env.step(action)
-    assert np.array_equal(np.array(judged)[:, 0], seen) and np.ptp(seen, axis=0).max() > 0.1
+    assert np.array_equal(np.array(observed)[:, 0], seen) and np.ptp(seen, axis=0).max() > 0.1
 
 
 def test_an_episode_that_fails_ends_there_and_the_arms_beside_it_go_on():
@@ -82,19 +82,19 @@ def test_an_episode_that_fails_ends_there_and_the_arms_beside_it_go_on():
 
 
 def test_nothing_begins_anew_where_an_episode_has_ended():
-    """The base is told of the episodes of the seeds, and of no others."""
-    told = []
+    """The base controller is reset for the episodes of the seeds only."""
+    begun = []
 
-    class Told(PD):
+    class RecordedPD(PD):
         def reset(self, arms, episode, count):
-            told.extend(arms.tolist())
+            begun.extend(arms.tolist())
 
         def act(self, readings, applied=None, playing=None):
             return np.array([[1.0], [0.0], [0.0]])
 
     environment = Configuration("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
-    lengths = rollout(Told([1.0], [0.1], 1.0), environment, SEEDS).lengths
-    assert lengths[0] < 70 and lengths[1:].tolist() == [75, 75] and told == [0, 1, 2]
+    lengths = rollout(RecordedPD([1.0], [0.1], 1.0), environment, SEEDS).lengths
+    assert lengths[0] < 70 and lengths[1:].tolist() == [75, 75] and begun == [0, 1, 2]
 
 
 def test_a_failed_episode_is_counted_to_its_last_period():

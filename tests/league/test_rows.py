@@ -1,4 +1,4 @@
-"""League: rows are those of a rollout, to the bit the same however they are played, and a killed league goes on."""
+"""League: rows are those of a rollout, to the bit the same however they are computed, and a killed league resumes."""
 
 import csv
 import json
@@ -48,7 +48,7 @@ def small_blocks(monkeypatch):
     monkeypatch.setattr(league, "BLOCK", 2)
 
 
-def played(scenario, folder, agents=AGENTS, jobs=1, seeds=SEEDS):
+def league_of(scenario, folder, agents=AGENTS, jobs=1, seeds=SEEDS):
     """What a league said, and its rows as bytes."""
     said = []
     run_league(agents, [scenario], seeds, folder, jobs, said.append)
@@ -56,7 +56,7 @@ def played(scenario, folder, agents=AGENTS, jobs=1, seeds=SEEDS):
 
 
 def test_rows_hold_the_figures_of_a_rollout_to_the_bit(scenario, tmp_path):
-    played(scenario, tmp_path, ["pd", "privileged-lqr"])
+    league_of(scenario, tmp_path, ["pd", "privileged-lqr"])
     with (tmp_path / ROWS).open(newline="") as file:
         rows = [*csv.DictReader(file)]
     assert len(rows) == 10
@@ -70,11 +70,11 @@ def test_rows_hold_the_figures_of_a_rollout_to_the_bit(scenario, tmp_path):
 
 
 def test_rows_are_the_same_in_repeats_and_over_two_processes(scenario, tmp_path, small_blocks):
-    said, rows = played(scenario, tmp_path / "a")
+    said, rows = league_of(scenario, tmp_path / "a")
     assert len(said) == 4 * 3, "cells of two, two and one episode"
-    assert played(scenario, tmp_path / "b")[1] == rows
-    assert played(scenario, tmp_path / "c", jobs=2)[1] == rows
-    assert played(scenario, tmp_path / "a") == ([], rows), "nothing is left"
+    assert league_of(scenario, tmp_path / "b")[1] == rows
+    assert league_of(scenario, tmp_path / "c", jobs=2)[1] == rows
+    assert league_of(scenario, tmp_path / "a") == ([], rows), "nothing is left"
 
 
 def test_a_killed_league_goes_on(scenario, tmp_path, small_blocks):
@@ -84,35 +84,35 @@ def test_a_killed_league_goes_on(scenario, tmp_path, small_blocks):
 
     with pytest.raises(KeyboardInterrupt):
         run_league(AGENTS, [scenario], SEEDS, tmp_path / "a", 1, kill)
-    said, rows = played(scenario, tmp_path / "a")
-    assert len(said) == 12 - 5 and rows == played(scenario, tmp_path / "b")[1]
+    said, rows = league_of(scenario, tmp_path / "a")
+    assert len(said) == 12 - 5 and rows == league_of(scenario, tmp_path / "b")[1]
 
 
-def test_a_new_entrant_plays_alone_and_more_episodes_are_those_that_miss(scenario, tmp_path, small_blocks):
-    played(scenario, tmp_path, ["zero"], seeds=range(9000, 9004))
-    said, _ = played(scenario, tmp_path, ["zero", "pd"], seeds=range(9000, 9006))
+def test_a_new_agent_runs_alone_and_more_episodes_are_those_that_miss(scenario, tmp_path, small_blocks):
+    league_of(scenario, tmp_path, ["zero"], seeds=range(9000, 9004))
+    said, _ = league_of(scenario, tmp_path, ["zero", "pd"], seeds=range(9000, 9006))
     assert [each.split(": ")[1].partition(" on")[0] for each in said] == ["zero", "pd", "pd", "pd"]
     assert len(LeagueRows.load(tmp_path).rows) == 12
 
 
-def test_a_block_that_was_short_is_played_whole(scenario, tmp_path):
-    played(scenario, tmp_path, ["pd"], seeds=range(9000, 9002))
-    said, rows = played(scenario, tmp_path, ["pd"])
+def test_a_block_that_was_short_is_run_whole(scenario, tmp_path):
+    league_of(scenario, tmp_path, ["pd"], seeds=range(9000, 9002))
+    said, rows = league_of(scenario, tmp_path, ["pd"])
     assert len(said) == 1 and len(LeagueRows.load(tmp_path).rows) == 5
-    assert played(scenario, tmp_path, ["pd"], seeds=range(9000, 9002)) == ([], rows), "fewer are there already"
+    assert league_of(scenario, tmp_path, ["pd"], seeds=range(9000, 9002)) == ([], rows), "fewer are there already"
 
 
-def test_another_environment_by_the_same_name_is_played_anew(scenario, tmp_path):
-    before = played(scenario, tmp_path / "a", ["zero", "pd"])[1]
+def test_another_environment_by_the_same_name_is_run_anew(scenario, tmp_path):
+    before = league_of(scenario, tmp_path / "a", ["zero", "pd"])[1]
     (tmp_path / "one.yaml").write_text("id: FlexOne-v0\nhorizon: 1.0\n")
-    said, after = played(scenario, tmp_path / "a", ["pd"], seeds=range(9000, 9002))
+    said, after = league_of(scenario, tmp_path / "a", ["pd"], seeds=range(9000, 9002))
     assert len(said) == 1 and after != before
     kept = {(row.agent, row.seed) for row in LeagueRows.load(tmp_path / "a").rows.values()}
     assert kept == {("zero", seed) for seed in SEEDS} | {("pd", 9000), ("pd", 9001)}, "no row of the old one"
 
 
 def test_a_league_that_is_killed_between_its_files_misses_no_row(scenario, tmp_path, monkeypatch):
-    """Rows come first: a cell that is told to be played has them."""
+    """Rows come first: a cell in the file has them."""
 
     def write(path, fill):
         if path.name == league.CELLS:
@@ -122,25 +122,25 @@ def test_a_league_that_is_killed_between_its_files_misses_no_row(scenario, tmp_p
     true_write = league.write_atomically
     monkeypatch.setattr(league, "write_atomically", write)
     with pytest.raises(KeyboardInterrupt):
-        played(scenario, tmp_path / "a", ["pd"])
+        league_of(scenario, tmp_path / "a", ["pd"])
     monkeypatch.undo()
-    assert played(scenario, tmp_path / "a", ["pd"])[1] == played(scenario, tmp_path / "b", ["pd"])[1]
+    assert league_of(scenario, tmp_path / "a", ["pd"])[1] == league_of(scenario, tmp_path / "b", ["pd"])[1]
 
 
-def test_another_version_of_a_package_plays_anew(scenario, tmp_path, monkeypatch):
-    played(scenario, tmp_path, ["zero"])
-    assert played(scenario, tmp_path, ["zero"])[0] == []
+def test_another_version_of_a_package_runs_again(scenario, tmp_path, monkeypatch):
+    league_of(scenario, tmp_path, ["zero"])
+    assert league_of(scenario, tmp_path, ["zero"])[0] == []
     monkeypatch.setattr(league, "computer_info", lambda *_: {"numpy": "0.1"})
-    assert len(played(scenario, tmp_path, ["zero"])[0]) == 1
+    assert len(league_of(scenario, tmp_path, ["zero"])[0]) == 1
 
 
-def test_other_code_plays_anew(scenario, tmp_path, monkeypatch):
-    played(scenario, tmp_path, ["zero"])
+def test_other_code_runs_again(scenario, tmp_path, monkeypatch):
+    league_of(scenario, tmp_path, ["zero"])
     monkeypatch.setattr(league, "_code_hash", lambda: "another")
-    assert len(played(scenario, tmp_path, ["zero"])[0]) == 1
+    assert len(league_of(scenario, tmp_path, ["zero"])[0]) == 1
 
 
-def test_the_hash_of_the_code_is_that_of_what_plays(tmp_path, monkeypatch):
+def test_the_hash_of_the_code_is_that_of_what_runs(tmp_path, monkeypatch):
     for name in ("kernels/a.py", "envs/conditions/b.yaml", "evaluation/rollout.py", "league/page.py"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("a = 1\n")
@@ -262,7 +262,7 @@ def test_a_controller_without_a_description_fails_at_import():
         type(entry)(entry.make, entry.information, entry.takes)
 
 
-def test_who_cannot_play_says_why(scenario):
+def test_who_cannot_run_says_why(scenario):
     cell, rows = run_block(EpisodeBlock("", "optimised", scenario, 9000, 9001))
     assert rows == [] and cell.why.startswith("table: only one of this arm") and np.isnan(cell.action)
     for agent, words in (
@@ -292,7 +292,7 @@ def test_the_multiple_is_the_settling_time_in_those_of_the_slew(scenario, monkey
     assert multiples == pytest.approx([2.0, np.nan], nan_ok=True)
 
 
-def test_both_ends_of_the_score_are_played_in_a_laboratory(monkeypatch):
+def test_both_ends_of_the_score_are_run_in_a_laboratory(monkeypatch):
     """Rewards are scaled between them; who else needs the true state is left out."""
 
     def refuse(agent, environment):
@@ -308,7 +308,7 @@ def test_both_ends_of_the_score_are_played_in_a_laboratory(monkeypatch):
     }
 
 
-def test_arms_of_a_venue_are_moved_by_its_plant(monkeypatch):
+def test_arms_of_a_scenario_are_moved_by_its_plant(monkeypatch):
     moved = []
     monkeypatch.setattr(league, "PLANTS", {name: ("", name) for name in league.PLANTS})
 
@@ -322,7 +322,7 @@ def test_arms_of_a_venue_are_moved_by_its_plant(monkeypatch):
     assert moved == ["usual", "finer"]
 
 
-def test_rows_follow_from_what_is_played_and_from_what_controllers_are_told(monkeypatch):
+def test_rows_follow_from_what_is_run_and_from_what_controllers_are_given(monkeypatch):
     one, other = Configuration("FlexOne-v0"), Configuration("FlexOne-v0", {"control_period": 0.02})
     monkeypatch.setattr(league, "_code_hash", lambda: "")
     keys = set()
@@ -352,7 +352,7 @@ def test_rows_of_another_processor_count(scenario, monkeypatch):
     assert len(keys) == 2
 
 
-def test_a_watch_keeps_starts_and_actions_apart(monkeypatch):
+def test_a_clock_keeps_starts_and_actions_apart(monkeypatch):
     """By a clock that goes on by one second in a start and by a thousandth in an action."""
     clock = [0.0]
 
@@ -395,40 +395,40 @@ def test_every_baseline_says_what_it_is_and_a_run_who_trained_it(tmp_path):
     found = describe_agent(str(tmp_path))
     assert (found.description, found.tuning) == (
         "a policy trained by SAC, with the base controller pd",
-        "for a time that its curves lack",
+        "for a time missing in its curves",
     )
     (tmp_path / "progress.csv").write_text("time/time_elapsed\n90\n")
     assert describe_agent(str(tmp_path)).tuning == "for 1.5 minutes"
 
 
-def test_only_who_is_not_told_the_truth_could_be_built():
+def test_only_who_is_not_given_the_truth_could_be_built():
     known = {each for each in BASELINES if describe_agent(each).realisable}
     assert known >= {"pd", "pd-shaped", "lqg", "adaptive-lqr"}
     assert not known & {"lqr", "lqr-tracking", "privileged-lqr", "optimised"}
 
 
 @pytest.mark.parametrize("truth", ["true state", "true parameters", "its episodes"])
-def test_one_truth_is_enough_not_to_be_buildable(truth):
+def test_one_truth_is_enough_not_to_be_realisable(truth):
     assert not AgentInfo("", "", ("model", truth)).realisable
     assert AgentInfo("", "", ("model", "training", "structure of the model")).realisable
 
 
-def test_in_a_sweep_controllers_are_told_the_range_and_arms_have_the_value():
-    played, told = (each for each in find_scenario("FlexRRR-v0/payload=25")[:2])
-    assert played.disturbed.payload_mass == (25.0, 25.0) and told.disturbed.payload_mass == (0.0, 20.0)
-    played, told = (each for each in find_scenario("FlexRRR-v0/delay=3")[:2])
-    assert (played.latest_delay, told.latest_delay) == (3, 2)
-    assert told.gains == Configuration.find("FlexRRR-v0/random-delay").gains
-    played, told = (each for each in find_scenario("FlexRRR-v0/noise=0")[:2])
-    assert played.disturbed.sensor_noise == (0.0, 0.0) and told.disturbed.sensor_noise == (0.001, 0.001)
-    played, told = (each for each in find_scenario("FlexRRR-v0/period=0.04")[:2])
-    assert played.control_period == told.control_period == 0.04
-    played, told = (each for each in find_scenario("FlexRRR-v0/stiffness=0.5")[:2])
-    assert played.disturbed.link_stiffness_factor == played.disturbed.joint_stiffness_factor == (0.5, 0.5)
-    assert told.disturbed.link_stiffness_factor == (0.7, 1.3)
+def test_in_a_sweep_controllers_are_given_the_range_and_arms_have_the_value():
+    environment, given = (each for each in find_scenario("FlexRRR-v0/payload=25")[:2])
+    assert environment.disturbed.payload_mass == (25.0, 25.0) and given.disturbed.payload_mass == (0.0, 20.0)
+    environment, given = (each for each in find_scenario("FlexRRR-v0/delay=3")[:2])
+    assert (environment.latest_delay, given.latest_delay) == (3, 2)
+    assert given.gains == Configuration.find("FlexRRR-v0/random-delay").gains
+    environment, given = (each for each in find_scenario("FlexRRR-v0/noise=0")[:2])
+    assert environment.disturbed.sensor_noise == (0.0, 0.0) and given.disturbed.sensor_noise == (0.001, 0.001)
+    environment, given = (each for each in find_scenario("FlexRRR-v0/period=0.04")[:2])
+    assert environment.control_period == given.control_period == 0.04
+    environment, given = (each for each in find_scenario("FlexRRR-v0/stiffness=0.5")[:2])
+    assert environment.disturbed.link_stiffness_factor == environment.disturbed.joint_stiffness_factor == (0.5, 0.5)
+    assert given.disturbed.link_stiffness_factor == (0.7, 1.3)
 
 
-def test_who_plays_a_sweep_is_made_for_what_it_is_told(tmp_path, monkeypatch):
+def test_who_runs_a_sweep_is_made_for_what_it_is_given(tmp_path, monkeypatch):
     """No observer is made for one payload: its range has a width."""
     made = []
     monkeypatch.setattr(league, "timed_agent", lambda agent, given: made.append(given) or (agent, None))
@@ -436,7 +436,7 @@ def test_who_plays_a_sweep_is_made_for_what_it_is_told(tmp_path, monkeypatch):
     assert [each.disturbed.payload_mass for each in made] == [(0.0, 20.0)]
 
 
-def test_every_venue_has_an_environment():
+def test_every_scenario_has_an_environment():
     for name in [*USUAL_SCENARIOS, *(each for sweep in SWEEPS for each in sweep_scenarios("FlexRRR-v0", sweep))]:
         assert find_scenario(name).environment.base is None, "what acts is the agent's"
     assert refusal(find_scenario, "FlexRRR-v0/mass=3").startswith("sweep: 'mass' is not allowed; give one of payload")
@@ -453,6 +453,9 @@ def test_a_run_that_has_seen_a_seed_of_the_test_is_refused(tmp_path):
     check_seeds_unseen(run(), range(9000, 9100))
     check_seeds_unseen(run(), [first - 1, first + 4, SELECTION_SEEDS.start - 1, SELECTION_SEEDS.stop])
     check_seeds_unseen(run(eval_every=0), SELECTION_SEEDS)
+    old = {"seed": 3, "envs": 4, "judge_every": 100, "environment": {"id": "FlexOne-v0"}}
+    (tmp_path / "settings.json").write_text(json.dumps(old))
+    assert "neither trained nor selected" in refusal(check_seeds_unseen, str(tmp_path), SELECTION_SEEDS)
     for seen in ([first], [first + 3], [*range(9000, 9100), SELECTION_SEEDS.start], [SELECTION_SEEDS.stop - 1]):
         line = refusal(check_seeds_unseen, run(), seen)
         assert f"neither trained nor selected on the seed {seen[-1]}, a test seed" in line

@@ -7,7 +7,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.metrics import METRICS, evaluate
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.league import scenarios
-from flexman_gym.league.scenarios import PLANTS, find_scenario, plant_scenarios
+from flexman_gym.league.scenarios import PLANT_SCENARIOS, PLANTS, find_scenario
 
 from oracles.assertions import refusal
 
@@ -47,7 +47,7 @@ def test_each_arm_is_its_own_there():
 
 
 def test_plants_have_names(monkeypatch):
-    assert plant_scenarios()[0] == "FlexRRR-v0@method" and find_scenario("FlexRRR-v0@finer").plant == "finer"
+    assert PLANT_SCENARIOS[0] == "FlexRRR-v0@method" and find_scenario("FlexRRR-v0@finer").plant == "finer"
     assert find_scenario("FlexRRR-v0/unknown@mujoco").environment == find_scenario("FlexRRR-v0/unknown").environment
     assert "give one of usual, method, finer, mujoco" in refusal(find_scenario, "FlexRRR-v0@webots")
     monkeypatch.setattr(scenarios, "find_spec", lambda name: None)

@@ -89,7 +89,7 @@ def test_the_one_to_take_settles_most_and_first_and_is_given_no_truth():
     assert said.startswith("For an arm with unknown payload, stiffness and delay (`FlexRRR-v0/unknown-lab`), use `lqg`")
     for words in ("settles 100 % of the episodes, half of them within 4.00 s", "needs: model",
                   "An action takes 12 microseconds, and the start of an episode 3 ms", "is `pd`. It settles 0 % of",
-                  "true state and parameters settles within 3.00 s", "fails in `friction`"):  # fmt: skip
+                  "true state and parameters is 3.00 s", "fails in `friction`"):  # fmt: skip
         assert words in said, words
     quicker = standing(settled={("pd", LAB_SCENARIO): 2.9})
     assert quicker.realisable(LAB_SCENARIO) == ["pd", "lqg"] and "fails in none" in recommendation(quicker)
