@@ -18,7 +18,7 @@ from flexman_gym.common.computer import computer_text
 from flexman_gym.common.files import write_atomically
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
 from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
-from flexman_gym.evaluation.rollout import compile_kernels
+from flexman_gym.envs.vector_env import compile_kernels
 
 JOURNAL_FILE, BEST_FILE, STUDY_NAME = "study.log", "best.yaml", "flexman"
 MAX_TRIALS = 100_000

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from flexman_gym.common.parallel import Workers, parallel_map
-from flexman_gym.evaluation.rollout import compile_kernels
+from flexman_gym.envs.vector_env import compile_kernels
 from studies.fidelity.measure import SCENES, FidelityRow, rows_of
 from studies.fidelity.page import page
 from studies.files import folder, read_rows, write_rows

@@ -31,7 +31,7 @@ def print_certificate(policy: str, jobs: "Workers | int" = 1) -> int:
 
     from flexman_gym.league.certificate import certify
 
-    path = certify(policy, jobs=jobs, say=lambda line: print(line, flush=True))
+    path = certify(policy, jobs=jobs, log=lambda line: print(line, flush=True))
     fails = json.loads(path.read_bytes())["fails"]
     print(f"{path}: {'not recommended, it fails ' + ', '.join(fails) if fails else 'recommended'}")
     return 1 if fails else 0

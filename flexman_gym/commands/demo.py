@@ -17,7 +17,7 @@ from flexman_agents.settings import find_recipe
 from flexman_agents.training import train
 from flexman_gym import draw
 from flexman_gym.commands import CommandLine
-from flexman_gym.draw.learning_curves import draw_episodes
+from flexman_gym.draw.trajectories import draw_episodes
 from flexman_gym.evaluation import find_agent, metrics_table, rollout
 from flexman_gym.evaluation.agent import common_environment
 from flexman_gym.evaluation.rollout import TEST_SEEDS

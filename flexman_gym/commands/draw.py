@@ -134,7 +134,7 @@ def _league(options: argparse.Namespace, out: Path) -> list[Path]:
 
 
 def _episode(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.draw.learning_curves import draw_episodes
+    from flexman_gym.draw.trajectories import draw_episodes
     from flexman_gym.simulation.episode import Episode
 
     loaded = [Episode.load(path) for path in options.subject]

@@ -23,7 +23,7 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Run one episode, print its metrics and draw it; return 0."""
-    from flexman_gym.draw.learning_curves import draw_episodes
+    from flexman_gym.draw.trajectories import draw_episodes
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation import rollout
     from flexman_gym.evaluation.agent import common_environment
@@ -38,8 +38,8 @@ def _run(options: argparse.Namespace) -> int:
         f"{options.agent} on {environment.id}, seed {options.seed}: "
         f"{record.failure or f'{seconds:g} s without failure'}"
     )
-    for figure in task_metrics(environment.task):
-        print(f"  {figure.head:<14}{figure.scale * figure.of(record):.3g}")
+    for metric in task_metrics(environment.task):
+        print(f"  {metric.header:<14}{metric.scale * metric.function(record):.3g}")
     if find_spec("matplotlib"):
         draw_episodes({options.agent: record}, options.picture)
         print(f"{options.picture} shows the tip error and the torques.")

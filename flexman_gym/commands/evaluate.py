@@ -18,13 +18,13 @@ def _run(options: argparse.Namespace) -> int:
     """Print one table of all agents; return 0."""
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation import metrics_table, rollout
-    from flexman_gym.evaluation.agent import change_environment, common_environment
+    from flexman_gym.evaluation.agent import common_environment
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
     named = Configuration.find(options.env) if options.env else None
     agents = {name: load_agent(name, options.trust, named) for name in options.agent}
-    environment = change_environment(common_environment(list(agents.values()), named), options.set)
+    environment = common_environment(list(agents.values()), named, options.set)
     seeds = range(options.seed, options.seed + options.episodes)
     results = {name: rollout(each, environment, seeds) for name, each in agents.items()}
     print(metrics_table({name: each.records for name, each in results.items()}, environment))

@@ -1,6 +1,7 @@
 """Export a policy as data or ONNX, or an arm for MuJoCo."""
 
 import argparse
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -39,9 +40,16 @@ def _policy_arguments(result: argparse.ArgumentParser) -> None:
 
 
 def _policy(options: argparse.Namespace) -> str:
-    from flexman_gym.evaluation.export import export_policy, shipped_policy_folder
+    from flexman_gym.common.checks import value_error
+    from flexman_gym.evaluation.export import export_policy
+    from flexman_gym.evaluation.policy_files import FOLDER
 
-    folder = options.folder if len(options.folder.parts) > 1 else shipped_policy_folder(str(options.folder))
+    folder = options.folder
+    if len(folder.parts) <= 1:
+        if not re.fullmatch(r"[A-Za-z0-9-]{0,59}[A-Za-z0-9]", str(folder)):
+            allowed = "1 to 60 letters a to z, digits and hyphens, with no hyphen at the end"
+            raise value_error("name", str(folder), allowed)
+        folder = FOLDER / folder
     metrics = export_policy(options.run, folder, options.description, options.recipe, options.env, options.licence)
     text = ", ".join(f"{name} {metrics[name]:.3g}" for name in ("settled", "settling_time", "vibration"))
     return f"{folder} holds the policy: {text}"

@@ -79,12 +79,12 @@ def _scenarios(options: argparse.Namespace, results: "LeagueRows") -> dict[int, 
     """Return number of episodes -> scenarios with this number."""
     from flexman_gym.envs.config.named_environments import DEFAULT_ID
     from flexman_gym.evaluation.rollout import TEST_SEEDS
-    from flexman_gym.league.scenarios import USUAL_SCENARIOS, plant_scenarios, sweep_scenarios
+    from flexman_gym.league.scenarios import PLANT_SCENARIOS, USUAL_SCENARIOS, sweep_scenarios
 
     scenarios = options.scenarios or USUAL_SCENARIOS
     episodes = options.episodes or (PHYSICAL_EPISODES if options.physical else len(TEST_SEEDS))
     if options.physical:
-        scenarios = plant_scenarios()
+        scenarios = PLANT_SCENARIOS
     elif options.sweep:
         scenarios = [each for id in options.scenarios or [DEFAULT_ID] for sweep in options.sweep
                      for each in sweep_scenarios(id, sweep)]  # fmt: skip

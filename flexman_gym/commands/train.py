@@ -139,7 +139,7 @@ def _train_runs(options: argparse.Namespace) -> list[Path]:
     """Train one run for each seed; return their folders."""
     from flexman_agents.training import train, train_or_resume
     from flexman_gym.common.parallel import Workers, parallel_map
-    from flexman_gym.evaluation.rollout import compile_kernels
+    from flexman_gym.envs.vector_env import compile_kernels
 
     settings, keywords = _make_settings(options), _training_options(options)
     if options.seeds == 1:

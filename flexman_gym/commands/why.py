@@ -25,14 +25,14 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Print the share of each cause and the remedy for the largest one, for each agent; return 0."""
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.evaluation.agent import change_environment, common_environment
+    from flexman_gym.evaluation.agent import common_environment
     from flexman_gym.evaluation.diagnosis import diagnose
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
     agents = {name: load_agent(name, options.trust) for name in options.agent}
     named = Configuration.find(options.env) if options.env else None
-    environment = change_environment(common_environment(list(agents.values()), named), options.set)
+    environment = common_environment(list(agents.values()), named, options.set)
     seeds = range(options.seed, options.seed + options.episodes)
     for name, each in agents.items():
         print(
@@ -63,7 +63,7 @@ def _diagnosis_lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
             f"episodes{_dominant_tone(results, cause)}"
         )
     worst = max(shares, key=lambda cause: shares[cause])
-    remedy = "none needed, the error is small" if all(each.quiet for each in results) else REMEDIES[worst]
+    remedy = "none needed, the error is small" if all(each.negligible for each in results) else REMEDIES[worst]
     return [*lines, f"  remedy: {remedy}"]
 
 

@@ -93,6 +93,7 @@ def current_methods(text: str, warn: bool = False) -> str:
 
     return re.sub(rf"\b({'|'.join(METHODS)})\b", present, text)
 
+
 RUN_SETTINGS = {"judge_every": "eval_every", "rounds_kept": "iterations_kept", "value_first": "value_warmup"}
 """Old setting or hyperparameter of a training run, in recipes and settings.json -> present name."""
 OPTIONS = {

@@ -71,17 +71,23 @@ def set_state(field: str, old: Any, data: Any) -> Any:
     if old is None or isinstance(old, bool | int | float | str | np.random.Generator):
         return get_state(data)
     names = _state_fields(old)
-    _check_kind(field, data, dict, "a mapping")
-    if set(data) != set(names):
-        data = {FORMER_FIELDS.get(name, name): each for name, each in data.items()}
-    if set(data) != set(names):
-        raise value_error(field, sorted(map(str, data)), f"a mapping with {', '.join(sorted(names)) or 'nothing'}")
+    data = _named_fields(field, data, names)
     for name in names:
         before = getattr(old, name)
         after = set_state(f"{field}.{name}", before, data[name])
         if after is not before:
             setattr(old, name, after)
     return old
+
+
+def _named_fields(field: str, data: Any, names: tuple[str, ...]) -> dict[str, Any]:
+    """Return the state of an object with the fields `names`, also one with the field names of release 0.2."""
+    _check_kind(field, data, dict, "a mapping")
+    if set(data) != set(names):
+        data = {FORMER_FIELDS.get(name, name): each for name, each in data.items()}
+    if set(data) != set(names):
+        raise value_error(field, sorted(map(str, data)), f"a mapping with {', '.join(sorted(names)) or 'nothing'}")
+    return data
 
 
 def _state_fields(value: Any) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Pictures: frames of an arm and the paper's figures, in Matplotlib, which is imported when something is drawn."""
+"""Pictures and plots: frames of an arm, videos, and Matplotlib plots; Matplotlib is imported by the first plot."""
 
 from flexman_gym.draw.frames import FramePainter, arm_frame, grid
 from flexman_gym.draw.overlay import Caption

@@ -1,4 +1,4 @@
-"""Frames of an arm, rendered by kernels: camera, painter, grid of frames."""
+"""Frames of an arm, rendered by kernels: camera, painter, and grid of frames."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -8,34 +8,38 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import flag, non_negative, number_array, positive, value_error, vector, whole_number
-from flexman_gym.draw.mesh import Mesh, cylinder, ring, section_outlines, sphere, tube_faces, tube_surfaces
+from flexman_gym.draw.mesh import (
+    CYLINDER,
+    RING,
+    SHARP_CYLINDER,
+    SPHERE,
+    Mesh,
+    section_outlines,
+    tube_faces,
+    tube_surfaces,
+)
 from flexman_gym.draw.overlay import Caption, draw_caption, strain_colours
 from flexman_gym.draw.style import rgb, round_up
 from flexman_gym.kernels import raster
 from flexman_gym.model.deformation import curves
 from flexman_gym.model.model import Model, check_model
 
-AZIMUTH, ELEVATION = -58.0, 24.0  # degrees, as seen from the base; +X points to the right and +Y away
-SIDE_ANGLE, LOW_ELEVATION, HIGH_ELEVATION = (
-    28.0,
-    14.0,
-    48.0,
-)  # degrees: beside the axes of a plane arm that stands, and above one that lies
-PARALLEL_TOLERANCE = 1e-6  # how far unit vectors of one direction may be apart
-HALF_FIELD_OF_VIEW = 15.0  # degrees from the middle to the upper edge
-DISTANCE_SLACK, MIN_CLEARANCE = (
-    1e-3,
-    0.05,
-)  # part of the distance beyond what is needed; of the depth of the points in front of them
+AZIMUTH, ELEVATION = -58.0, 24.0  # degrees; direction from the base to the camera: +X to the right, +Y away
+SIDE_ANGLE, LOW_ELEVATION = 28.0, 14.0  # degrees; azimuth from the joint axes, and elevation, for a vertical plane arm
+HIGH_ELEVATION = 48.0  # degrees; elevation for a horizontal plane arm
+PARALLEL_TOLERANCE = 1e-6  # difference of the cosine from 1 up to which axes count as parallel
+HALF_FIELD_OF_VIEW = 15.0  # degrees; from the centre to the upper edge
+DISTANCE_SLACK = 1e-3  # extra distance of the camera as a fraction of the depth
+MIN_CLEARANCE = 0.05  # least distance of the nearest point from the camera as a fraction of the range of depths
 
 
 class _Camera(NamedTuple):
-    """A pinhole camera.
+    """Pinhole camera.
 
     Attributes:
-        eye: (3,) m, base frame.
-        axes: (3, 3) directions right, up and forward as rows.
-        lens: (3,) focal length and centre, in pixels: columns grow to the right, rows downwards.
+        eye: position (3,) in the base frame, m.
+        axes: directions right, up and forward as rows (3, 3).
+        lens: focal length, and column and row of the centre (3,), pixels.
     """
 
     eye: Array
@@ -43,20 +47,20 @@ class _Camera(NamedTuple):
     lens: Array
 
     def project(self, points: Array) -> Array:
-        """Gives columns and rows (..., 2) of the picture where points (..., 3) are seen, in pixels."""
-        seen = (points - self.eye) @ self.axes.T
-        return self.lens[1:] + self.lens[0] * seen[..., :2] * (1.0, -1.0) / seen[..., 2:]
+        """Return columns and rows (..., 2), pixels, of points (..., 3), m; rows count downwards."""
+        local = (points - self.eye) @ self.axes.T
+        return self.lens[1:] + self.lens[0] * local[..., :2] * (1.0, -1.0) / local[..., 2:]
 
 
 def camera_direction(model: Model, angles: object = None) -> tuple[float, float, float]:
-    """Gives azimuth and elevation in degrees, and how much nearer than needed the camera stands.
+    """Return azimuth and elevation of the camera, degrees, and its zoom.
 
     Args:
-        model: the arm. One whose joints all turn about one direction is seen from along that, somewhat aside.
-        angles: what a person asks for, two or three numbers; None for none.
+        model: model of the arm; the default direction for an arm with parallel joint axes is close to these axes.
+        angles: azimuth, elevation and, optionally, zoom chosen by the user; None for the default.
 
-    Raises:
-        ValueError: for anything else.
+    Returns:
+        Azimuth and elevation, degrees, and zoom (1).
     """
     if angles is not None:
         given = vector("camera", angles)
@@ -70,30 +74,31 @@ def camera_direction(model: Model, angles: object = None) -> tuple[float, float,
         return AZIMUTH, ELEVATION, 1.0
     if abs(axis[2]) > 0.5:
         return AZIMUTH, HIGH_ELEVATION, 1.0
-    along = np.degrees(np.arctan2(-abs(axis[1]), -abs(axis[0])))  # the side that has +X to its right
+    along = np.degrees(np.arctan2(-abs(axis[1]), -abs(axis[0])))  # the side from which +X points to the right
     return along + SIDE_ANGLE, LOW_ELEVATION, 1.0
 
 
 def _fit_camera(points: Array, towards: tuple[float, float, float], size: tuple[int, int], clear: Array) -> _Camera:
-    """Gives the nearest camera of a direction that has all points between the edges.
+    """Return the nearest camera in a direction that has all points in the picture.
 
     Args:
-        points: (p, 3) m, base frame.
-        towards: azimuth and elevation, degrees, and a zoom.
+        points: points (p, 3) in the base frame, m.
+        towards: azimuth and elevation, degrees, and zoom.
         size: width and height of the picture, pixels.
-        clear: (4,) parts of the picture that stay free at the left, the right, the top and the bottom.
+        clear: margins (4,) at the left, right, top and bottom as fractions of the picture.
+
+    Returns:
+        The camera.
     """
     azimuth, elevation = np.radians(towards[:2])
     back = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     axes = np.array([right, np.cross(back, right), -back])
     half = np.tan(np.radians(HALF_FIELD_OF_VIEW)) * np.array([size[0] / size[1], 1.0])
-    low, high = (
-        half * (2.0 * clear[[0, 3]] - 1.0),
-        half * (1.0 - 2.0 * clear[[1, 2]]),
-    )  # slopes of the rays at the edges
-    seen = points @ axes.T
-    across, depth = seen[:, :2], seen[:, 2:]
+    # Slopes of the rays at the edges.
+    low, high = half * (2.0 * clear[[0, 3]] - 1.0), half * (1.0 - 2.0 * clear[[1, 2]])
+    local = points @ axes.T
+    across, depth = local[:, :2], local[:, 2:]
     # low (depth - eye) <= across - eye <= high (depth - eye) for all points: the eye lies between two lines
     least, most = (across - high * depth).max(axis=0), (across - low * depth).min(axis=0)
     nearest = min(((most - least) / (high - low)).min(), depth.min() - MIN_CLEARANCE * np.ptp(depth) - 1e-9)
@@ -105,7 +110,7 @@ def _fit_camera(points: Array, towards: tuple[float, float, float], size: tuple[
 
 
 def _common_axis(model: Model) -> Array | None:
-    """Gives the direction (3,) about which all joints turn, in the base frame; None where there is no such one."""
+    """Return the common direction (3,) of all joint axes in the base frame; None if they are not parallel."""
     frame, axes = np.eye(3), []
     for mount, axis in zip(model.constants.mount.reshape(-1, 3, 3), model.constants.axis, strict=True):
         frame = frame @ mount
@@ -114,7 +119,7 @@ def _common_axis(model: Model) -> Array | None:
 
 
 def _reachable_points(model: Model) -> Array:
-    """Gives points (p, 3) m around all that an arm can reach: of a ball, or of a disc if it moves in one plane."""
+    """Return points (p, 3), m, around the workspace of an arm: on a sphere, or on a circle for a plane arm."""
     reach, axis = float(model.constants.length.sum()), _common_axis(model)
     turn = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
     around = np.array([[np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)] for a in turn for b in turn])
@@ -124,28 +129,29 @@ def _reachable_points(model: Model) -> Array:
     return reach * around
 
 
-POINTS = 24  # of the curve of a link
-SUPERSAMPLING = 2  # of a pixel, each way
-MAX_SIDE = 4096  # pixels a side
-MARGINS, OVERLAY_MARGINS = np.full(4, 0.06), np.array([0.06, 0.06, 0.15, 0.15])  # parts at left, right, top, bottom
-FLOOR_GAP = 0.05  # of the reach, from the lowest thing to the floor
-REFERENCE_DEFLECTION = (
-    0.01  # deflection of a link as a part of its length, whose strain ends the scale of colours without limits
-)
+POINTS = 24  # number of points on the curve of a link
+SUPERSAMPLING = 2  # samples of a pixel in each direction
+MAX_SIDE = 4096  # pixels; largest width and height
+MARGINS, OVERLAY_MARGINS = (
+    np.full(4, 0.06),
+    np.array([0.06, 0.06, 0.15, 0.15]),
+)  # fractions of the picture: left, right, top, bottom
+FLOOR_GAP = 0.05  # distance of the floor from the lowest point as a fraction of the reach
+REFERENCE_DEFLECTION = 0.01  # of the length of a link; its strain is the end of the colour scale without torque limits
 GHOST, MOTOR, TIP, TARGET, POST = "#5b6b82", "#334155", "#1e293b", "#e11d48", "#64748b"
 PAYLOAD, TRAIL, PLUMB_LINE = "#8a6d3b", "#6d28d9", "#e58ba0"
 GHOST_SHARE, SHADOW_SHARE, TRAIL_START = 0.42, 0.34, 0.05
-PAYLOAD_DENSITY = 7800.0  # kg/m^3, of the ball that a payload is drawn as
+PAYLOAD_DENSITY = 7800.0  # kg/m^3; steel; density of the sphere that is drawn for a payload
 
 
 class Shot(NamedTuple):
-    """A camera and the empty scene that it sees.
+    """Camera and background of a frame.
 
     Attributes:
-        camera: in pixels.
-        floor: height, m.
-        back: (s H, s W, 3) samples.
-        plain: (H, W, 3) pixels.
+        camera: the camera.
+        floor: height of the floor, m.
+        back: samples (s H, s W, 3) of the background.
+        plain: pixels (H, W, 3) of the background.
     """
 
     camera: _Camera
@@ -155,29 +161,26 @@ class Shot(NamedTuple):
 
 
 class FramePainter:
-    """Paints an arm at one state after another.
+    """Painter of frames of an arm at given states.
 
-    A frame shows the links, which bend and twist, in colours of the strain at their surface: red is stretched, blue
-    compressed. It shows motors, payload, target, the rigid arm at the motor angles as a grey ghost, the way of the tip,
-    and the shadow on a floor with a grid. The same arguments give the same picture, bit for bit.
+    A frame shows the deformed links in colours of the strain at their surface, red for tension and blue for
+    compression, with motors, payload and target, the rigid arm at the motor angles in transparent grey, the path of the
+    tip, and a shadow on a floor with a grid. Equal arguments give equal pictures, to the bit.
 
     Args:
-        model: the arm.
-        size: width and height in pixels.
-        camera: azimuth and elevation in degrees, and a zoom if wanted; None chooses them by the joints.
-        gain: by which the deflection is multiplied in the picture, which says so.
-        overlays: whether numbers are written over the picture.
-        shadow: whether there is one; a moving picture without it is a third smaller.
-
-    Raises:
-        ValueError: one line with field, value and what is allowed.
+        model: model of the arm.
+        size: width and height, pixels.
+        camera: azimuth and elevation, degrees, and optionally a zoom; None for a direction chosen from the joint axes.
+        gain: factor of the drawn deflection; the overlay shows it.
+        overlays: whether to draw numbers over the picture.
+        shadow: whether to draw the shadow; a GIF without it is a third smaller.
 
     Attributes:
-        model: the Model.
-        size: pixels, width and height.
-        reach: the sum of the lengths of the links, m.
-        radii: (n,) m, of the motors as they are drawn.
-        scale: strain at the ends of the colours; 0 for an arm that does not bend.
+        model: model of the arm.
+        size: width and height, pixels.
+        reach: sum of the lengths of the links, m.
+        radii: drawn radii of the motors (n,), m.
+        scale: strain at the ends of the colour scale; 0 for a rigid arm.
     """
 
     def __init__(
@@ -210,10 +213,13 @@ class FramePainter:
         self._shown: Shot | None = None
 
     def shot(self, points: Array | None = None) -> Shot:
-        """Gives a camera that has points and the base in the picture, and the empty scene that it sees.
+        """Return a camera that has points and the base in the picture, with its background.
 
         Args:
-            points: (p, 3) m, base frame; None takes all that the arm can reach.
+            points: points (p, 3) in the base frame, m; None for the whole workspace.
+
+        Returns:
+            Camera and background.
         """
         camera, floor = self.camera(_reachable_points(self.model) if points is None else points)
         canvas, (width, height) = self._canvas, self.size
@@ -229,7 +235,7 @@ class FramePainter:
         return Shot(camera, floor, back, plain)
 
     def camera(self, points: Array) -> tuple[_Camera, float]:
-        """Gives the camera of a `shot`, and the height of the floor, m; points as there."""
+        """Return the camera of a `shot` of points (p, 3), m, and the height of the floor, m."""
         places = np.concatenate([np.asarray(points, dtype=float).reshape(-1, 3), np.zeros((1, 3))])
         floor = float(places[:, 2].min()) - FLOOR_GAP * self.reach
         places = np.concatenate([places, [[0.0, 0.0, floor]]])
@@ -243,20 +249,17 @@ class FramePainter:
         trail: Array | None = None,
         shot: Shot | None = None,
     ) -> NDArray[np.uint8]:
-        """Paints the arm at a state.
+        """Return a frame (height, width, 3) of the arm at a state.
 
         Args:
-            state: (2 d,).
-            target: (3,) in the base frame, m; None without one.
-            caption: what is written over it.
-            trail: (t, 3) m where the tip was, the oldest first.
-            shot: from where it is seen; None takes that of the last frame, and all that the arm can reach at first.
+            state: state (2 d,).
+            target: target of the tip (3,) in the base frame, m; None for no target.
+            caption: text and numbers over the picture.
+            trail: past positions of the tip (t, 3), m, the oldest first.
+            shot: camera and background; None for those of the previous frame, at first for the whole workspace.
 
         Returns:
-            The picture (height, width, 3).
-
-        Raises:
-            ValueError: for a wrong shape or values that are not finite.
+            Pixels (height, width, 3), uint8.
         """
         x = np.array(vector("state", state, 2 * self.model.n_dof))
         place = None if target is None else np.array(vector("target", target, 3, "m"))
@@ -270,14 +273,14 @@ class FramePainter:
         colours = np.concatenate([links, *(np.tile(rgb(colour), (len(part.points), 1)) for part, colour in parts)])
         self._draw(mesh, colours)
         if trail is not None and len(trail) > 1:
-            way = number_array("trail", trail, (len(trail), 3), "places (t, 3), m")
-            self._line(way, 1.2, TRAIL_START, TRAIL)
+            path = number_array("trail", trail, (len(trail), 3), "positions (t, 3), m")
+            self._line(path, 1.2, TRAIL_START, TRAIL)
         if place is not None:
             self._line(np.array([[*place[:2], self._shown.floor], place]), 0.5, 1.0, PLUMB_LINE)
         if self.gain != 1.0:
             true = curves(self.model, x, 2).positions[-1, -1]
             self._line(np.array([true, true + 1e-6]), 3.0, 1.0, TRAIL)
-        canvas, ghost = self._canvas, self._seen(tube_surfaces(rigid, self._sections)[0], SUPERSAMPLING)
+        canvas, ghost = self._canvas, self._project(tube_surfaces(rigid, self._sections)[0], SUPERSAMPLING)
         raster.mark_coverage(ghost, self._tubes, canvas.mask, canvas.depth, canvas.box)
         raster.resolve(canvas, rgb(GHOST), GHOST_SHARE)
         picture = canvas.picture.copy()
@@ -286,7 +289,7 @@ class FramePainter:
         return picture
 
     def _show(self, shot: Shot) -> None:
-        """Brings back the empty scene of this shot where something was drawn, or everywhere for another shot."""
+        """Restore the background where something was drawn, or everywhere if the shot changed."""
         canvas = self._canvas
         if shot is not self._shown:
             height, width = canvas.mask.shape
@@ -303,72 +306,69 @@ class FramePainter:
             canvas.picture[pixels] = shot.plain[pixels]
         canvas.box[:] = 1 << 30, -1, 1 << 30, -1
 
-    def _seen(self, points: Array, samples: int) -> Array:
-        """Gives columns, rows and nearness (p, 3) of points, for so many samples of a pixel."""
+    def _project(self, points: Array, samples: int) -> Array:
+        """Return columns, rows and inverse depth (p, 3) of points (p, 3); `samples` is the supersampling."""
         assert self._shown is not None
         camera, result = self._shown.camera, np.empty_like(points)
         raster.project(np.ascontiguousarray(points), camera.eye, camera.axes, camera.lens * samples, result)
         return result
 
     def _draw(self, mesh: Mesh, colours: Array) -> None:
-        """Draws a mesh and its shadow on the floor; colours (p, 3)."""
+        """Draw a mesh with colours (p, 3) of its vertices, and its shadow on the floor."""
         assert self._shown is not None
         canvas, sun, box = self._canvas, np.array(raster.KEY_DIRECTION), np.array([1 << 30, -1, 1 << 30, -1])
         if self._shadow:
             fallen = mesh.points - (mesh.points[:, 2:] - self._shown.floor) / sun[2] * sun
             raster.mark_coverage(
-                self._seen(fallen, 1), mesh.faces, canvas.shadow, np.zeros((1, 1), dtype=np.float32), box
+                self._project(fallen, 1), mesh.faces, canvas.shadow, np.zeros((1, 1), dtype=np.float32), box
             )
         if box[1] >= 0:
             raster.draw_shadow(canvas, box, max(2, self.size[1] // 180), SHADOW_SHARE)
-        screen = self._seen(mesh.points, SUPERSAMPLING)
+        screen = self._project(mesh.points, SUPERSAMPLING)
         raster.draw_triangles(canvas, screen, mesh.points, mesh.normals, colours, mesh.faces, self._shown.camera.eye)
 
     def _line(self, points: Array, radius: float, faintest: float, colour: str) -> None:
-        """Draws a line with a radius in pixels of a picture of 480 rows."""
+        """Draw a line; its radius is in pixels of a picture with 480 rows."""
         thick = radius * SUPERSAMPLING * max(self.size[1] / 480, 0.5)
-        raster.draw_line(self._canvas, self._seen(points, SUPERSAMPLING), thick, faintest, rgb(colour))
+        raster.draw_line(self._canvas, self._project(points, SUPERSAMPLING), thick, faintest, rgb(colour))
 
     def _parts(self, positions: Array, frames: Array, target: Array | None) -> list[tuple[Mesh, str]]:
-        """Gives motors, post, tip with payload and target, each with its colour."""
+        """Return the meshes of motors, post, tip, payload and target, each with its colour."""
         assert self._shown is not None
         model, radii, up, floor = self.model, self.radii, np.array([0.0, 0.0, 1.0]), self._shown.floor
-        result = [
-            (
-                cylinder().placed(positions[i, 0], frames[i, 0] @ model.constants.axis[i], radii[i], 1.15 * radii[i]),
-                MOTOR,
-            )
-            for i in range(model.n_joints)
-        ]
+        result = []
+        for i in range(model.n_joints):
+            axis = frames[i, 0] @ model.constants.axis[i]
+            result.append((CYLINDER.transformed(positions[i, 0], axis, radii[i], 1.15 * radii[i]), MOTOR))
         foot, half = np.array([0.0, 0.0, floor / 2]), -floor / 2
-        result.append((cylinder(0.01).placed(foot, up, 0.8 * radii[0], half), POST))
-        result.append((cylinder().placed(np.array([0.0, 0.0, floor]), up, 2.0 * radii[0], 0.25 * radii[0]), POST))
+        result.append((SHARP_CYLINDER.transformed(foot, up, 0.8 * radii[0], half), POST))
+        result.append((CYLINDER.transformed(np.array([0.0, 0.0, floor]), up, 2.0 * radii[0], 0.25 * radii[0]), POST))
         load, end = model.arm.payload, positions[-1, -1]
-        result.append((sphere().placed(end, up, radii[-1], radii[-1]), TIP))
+        result.append((SPHERE.transformed(end, up, radii[-1], radii[-1]), TIP))
         if load is not None:
             ball = max((load.mass / PAYLOAD_DENSITY * 0.75 / np.pi) ** (1 / 3), radii[-1])
             held = frames[-1, -1] @ (np.array(model.arm.links[-1].orientation).T @ (load.offset or np.zeros(3)))
-            result.append((sphere().placed(end + held, up, ball, ball), PAYLOAD))
+            result.append((SPHERE.transformed(end + held, up, ball, ball), PAYLOAD))
         if target is not None:
-            result.append((sphere().placed(target, up, 0.55 * radii[-1], 0.55 * radii[-1]), TARGET))
+            result.append((SPHERE.transformed(target, up, 0.55 * radii[-1], 0.55 * radii[-1]), TARGET))
             facing = -self._shown.camera.axes[2]
-            result.append((ring().placed(target, facing, 2.0 * radii[-1], 2.0 * radii[-1]), TARGET))
+            result.append((RING.transformed(target, facing, 2.0 * radii[-1], 2.0 * radii[-1]), TARGET))
         return result
 
 
 def arm_frame(
     model: Model, state: Vector, target: Vector | None = None, size: tuple[int, int] = (480, 360)
 ) -> NDArray[np.uint8]:
-    """Paints one picture (height, width, 3) of an arm, as near as it fits; for many pictures keep a FramePainter.
+    """Return one frame (height, width, 3) that shows an arm as large as possible; for many frames use a FramePainter.
 
     Args:
-        model: as of a FramePainter.
-        size: as of a FramePainter.
-        state: as of `FramePainter.paint`.
-        target: as of `FramePainter.paint`.
+        model: model of the arm.
+        state: state (2 d,).
+        target: target of the tip (3,) in the base frame, m; None for no target.
+        size: width and height, pixels.
 
-    Raises:
-        ValueError: as of FramePainter and its `paint`.
+    Returns:
+        Pixels (height, width, 3), uint8.
     """
     painter = FramePainter(model, size)
     points = curves(model, state, POINTS).positions.reshape(-1, 3)
@@ -378,14 +378,14 @@ def arm_frame(
 
 
 def grid(frames: Sequence[NDArray[np.uint8]], across: int | None = None) -> NDArray[np.uint8]:
-    """Gives frames of one size side by side, in rows, as one picture.
+    """Return several frames of one size as one picture, in rows.
 
     Args:
-        frames: (height, width, 3) each, such as a vector environment renders.
-        across: frames in a row; None takes about as many as there are rows.
+        frames: frames (height, width, 3), such as those a vector environment renders.
+        across: number of frames in a row; None for about as many as rows.
 
-    Raises:
-        ValueError: for no frames, and for frames of different sizes.
+    Returns:
+        Pixels (height, width, 3), uint8.
     """
     if not len(frames) or len({each.shape for each in frames}) > 1:
         raise value_error("frames", [each.shape for each in frames], "at least one, all of one size")
@@ -400,16 +400,16 @@ def grid(frames: Sequence[NDArray[np.uint8]], across: int | None = None) -> NDAr
 
 
 def _strain_scale(model: Model) -> float:
-    """Gives a round strain about as large as motors cause: that of half a torque limit in the link it turns.
+    """Return a round strain of the size that the motors cause: that of half the torque limit at the root of its link.
 
-    Where no joint says a limit, it is that of a tip force that bends a link by a small part of its length.
+    A joint without a torque limit counts with the strain of a tip force that deflects its link by REFERENCE_DEFLECTION.
     """
     result = []
     for link, joint in zip(model.arm.links, model.arm.joints, strict=True):
         section = link.sections[0]
         moment = min(section.second_moment_y, section.second_moment_z)
-        known = section.outline
-        radius = np.sqrt(3.0 * moment / section.area) if known is None else min(known.y, known.z) / 2
+        outline = section.outline
+        radius = np.sqrt(3.0 * moment / section.area) if outline is None else min(outline.y, outline.z) / 2
         bent = 3 * REFERENCE_DEFLECTION / link.length
         if joint.torque_limit:
             bent = 0.5 * joint.torque_limit / (section.youngs_modulus * moment)

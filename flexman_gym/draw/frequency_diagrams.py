@@ -17,37 +17,40 @@ from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import rest_state
 from flexman_gym.model.vibration import modes, spin_frequencies
 
-AMPLITUDE = 0.08  # of the reach, the largest displacement that is drawn
+AMPLITUDE = 0.08  # largest displacement in the picture of a mode as a fraction of the reach
 
 
 def draw_mode_shapes(
     model: Model, joint_angles: Vector | None = None, count: int = 6, size: tuple[int, int] = (480, 360)
 ) -> NDArray[np.uint8]:
-    """Draws the lowest modes with held motors (`modes`), each beside the arm at rest, as one picture.
+    """Draw the lowest modes with held motors, see `fm.modes`, each with the arm at rest, as one picture.
 
-    Amplitudes are alike, a part of the reach, and say nothing; colours are those of the strain, each to its own scale.
+    All modes have the same arbitrary amplitude. Colours show the strain, with a scale of its own for each mode.
 
     Args:
-        model: the arm.
-        joint_angles: (n,) rad of the motors, zero by default.
-        count: modes at most.
-        size: width and height of each of the pictures, pixels.
+        model: model of the arm.
+        joint_angles: angles of the motors (n,), rad; None for zero.
+        count: largest number of modes.
+        size: width and height of the picture of one mode, pixels.
+
+    Returns:
+        Pictures of the modes in a grid, (height, width, 3).
 
     Raises:
-        ValueError: for what `modes` and a FramePainter refuse, and an arm that does not ring.
+        ValueError: also for an arm without vibration modes.
     """
     angles = np.zeros(check_model(model).n_joints) if joint_angles is None else joint_angles
     found, rest = modes(model, angles), rest_state(model, angles)
     number = min(whole_number("count", count, 1, 64), len(found))
     if number == 0:
-        raise ValueError("model: it has no mode that rings; give an arm with flexible links or joints")
+        raise ValueError("model: it has no vibration mode; give an arm with flexible links or joints")
     painter, reach, states = FramePainter(model, size, overlays=False), float(model.constants.length.sum()), []
-    still = curves(model, rest, POINTS).positions
+    positions = curves(model, rest, POINTS).positions
     for shape in found.shapes[:number].real:
         small = 1e-4 / np.abs(shape).max()
-        away = curves(model, rest + np.append(small * shape, 0.0 * shape), POINTS).positions - still
-        moved = np.linalg.norm(away, axis=-1).max()
-        states.append(rest + np.append(small * AMPLITUDE * reach / moved * shape, 0.0 * shape))
+        away = curves(model, rest + np.append(small * shape, 0.0 * shape), POINTS).positions - positions
+        largest = np.linalg.norm(away, axis=-1).max()
+        states.append(rest + np.append(small * AMPLITUDE * reach / largest * shape, 0.0 * shape))
     shot = painter.shot(curves(model, np.array([rest, *states]), POINTS).positions.reshape(-1, 3))
     frames = []
     for i, state in enumerate(states):
@@ -59,45 +62,49 @@ def draw_mode_shapes(
     return grid(frames)
 
 
-GRID_POINTS = 41  # postures along an axis of the map
-EXCITATION_ORDERS = (1, 2, 3)  # of the spin rate, which a rotating arm is excited with
+GRID_POINTS = 41  # number of angles along each axis of the map
+EXCITATION_ORDERS = (1, 2, 3)  # multiples of the spin rate that excite a rotating arm
 
 
 def frequency_map(model: Model, path: str | Path, mode: int = 1, span: float = np.pi) -> Path:
-    """Draws a natural frequency with held motors over the angles of the last two joints, the others at zero.
+    """Plot a natural frequency with held motors over the angles of the last two joints; return the path.
 
-    Gravity is left out, as in `frequencies`. An arm of one joint has a line.
+    The other joint angles are zero, and gravity is ignored, as in `fm.frequencies`. For an arm of one joint the plot is
+    a curve.
 
     Args:
-        model: the arm.
-        path: of the picture.
-        mode: counted from 1, the lowest.
-        span: rad, of the angles either way.
+        model: model of the arm.
+        path: path of the picture.
+        mode: number of the mode; 1 is the lowest.
+        span: largest joint angle in both directions, rad.
+
+    Returns:
+        Path of the picture.
 
     Raises:
         ImportError: without Matplotlib.
-        ValueError: for a mode that does not exist.
+        ValueError: also for a mode that does not exist.
     """
     n, path, angles = check_model(model).n_joints, Path(path), np.linspace(-span, span, GRID_POINTS)
     number = whole_number("mode", mode, 1, max(model.n_dof - n, 1)) - 1
-    two = min(n, 2)
-    places = np.stack(np.meshgrid(*[angles] * two, indexing="ij"), axis=-1).reshape(-1, two)
-    postures = np.hstack([np.zeros((len(places), n - two)), places])
+    varied = min(n, 2)
+    last = np.stack(np.meshgrid(*[angles] * varied, indexing="ij"), axis=-1).reshape(-1, varied)
+    postures = np.hstack([np.zeros((len(last), n - varied)), last])
     if model.n_dof == n:
         raise value_error("model", "this one", "an arm with flexible links or joints")
     values = frequencies(model, postures, lock_joints=True)[:, number]
     figure = new_figure((6.4, 5.2), 120.0, layout="constrained")
     axes = figure.add_subplot()
-    if two == 1:
+    if varied == 1:
         axes.plot(np.degrees(angles), values, color=DARK)
         axes.set(xlabel="joint 1 (degrees)", ylabel="frequency (Hz)")
     else:
         table, ends = values.reshape(GRID_POINTS, GRID_POINTS), np.degrees([-span, span] * 2)
-        shown = axes.imshow(table.T, origin="lower", extent=ends, cmap="viridis", interpolation="bilinear")
+        image = axes.imshow(table.T, origin="lower", extent=ends, cmap="viridis", interpolation="bilinear")
         if np.ptp(table) > 1e-6 * table.max():
             lines = axes.contour(np.degrees(angles), np.degrees(angles), table.T, 8, colors="white", linewidths=0.7)
             axes.clabel(lines, fmt="%.3g", fontsize=8)
-        figure.colorbar(shown, label="frequency (Hz)", shrink=0.9)
+        figure.colorbar(image, label="frequency (Hz)", shrink=0.9)
         axes.set(xlabel=f"joint {n - 1} (degrees)", ylabel=f"joint {n} (degrees)")
     axes.set_title(f"natural frequency {mode}, motors held", fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -106,31 +113,35 @@ def frequency_map(model: Model, path: str | Path, mode: int = 1, span: float = n
 
 
 def campbell_diagram(model: Model, rates: Vector, path: str | Path, count: int = 6) -> Path:
-    """Draws `spin_frequencies` over the spin rate, with the multiples of the rate as rays (Campbell, 1924).
+    """Plot natural frequencies over the spin rate, with multiples of the rate (Campbell, 1924); return the path.
 
     Args:
-        model: the arm; build it with stiffening.
-        rates: (r,) rad/s.
-        path: of the picture.
-        count: frequencies at most.
+        model: model of the arm; it should include stiffening, see `model.vibration.spin_frequencies`.
+        rates: spin rates (r,), rad/s.
+        path: path of the picture.
+        count: largest number of frequencies.
+
+    Returns:
+        Path of the picture.
 
     Raises:
         ImportError: without Matplotlib.
-        ValueError: as of `spin_frequencies`.
     """
-    path, turns = Path(path), np.array(vector("rates", rates, unit="rad/s")) / (2 * np.pi)
+    path, spins = Path(path), np.array(vector("rates", rates, unit="rad/s")) / (2 * np.pi)
     values = spin_frequencies(model, rates)[:, :count]
     figure = new_figure((6.8, 5.0), 120.0, layout="constrained")
     axes = figure.add_subplot()
-    axes.plot(turns, values, color=DARK, linewidth=1.5)
+    axes.plot(spins, values, color=DARK, linewidth=1.5)
     top = float(np.nanmax(values)) * 1.08 if np.isfinite(values).any() else 1.0
     for multiple in EXCITATION_ORDERS:
-        axes.plot(turns, multiple * turns, "--", color=MIDDLE, linewidth=0.9)
-        if multiple * turns[-1] < top:
-            axes.annotate(f"{multiple}x", (turns[-1], multiple * turns[-1]), color=MIDDLE, fontsize=9)
-    axes.set(xlabel="spin rate (turns a second)", ylabel="frequency (Hz)", ylim=(0.0, top), xlim=(turns[0], turns[-1]))
+        axes.plot(spins, multiple * spins, "--", color=MIDDLE, linewidth=0.9)
+        if multiple * spins[-1] < top:
+            axes.annotate(f"{multiple}x", (spins[-1], multiple * spins[-1]), color=MIDDLE, fontsize=9)
+    axes.set(
+        xlabel="spin rate (turns per second)", ylabel="frequency (Hz)", ylim=(0.0, top), xlim=(spins[0], spins[-1])
+    )
     words = "" if model.choice.stiffening else ", links without foreshortening"
-    axes.set_title(f"Campbell diagram: motors keep their rates{words}", fontsize=11)
+    axes.set_title(f"Campbell diagram: motors at constant rates{words}", fontsize=11)
     axes.grid(color=LIGHT, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -142,13 +153,13 @@ _Response = NDArray[np.complex128]
 
 
 class _LoopMargins(NamedTuple):
-    """Where a response comes nearest to -1 along the axes of its diagram; nan where it does not cross.
+    """Stability margins of an open loop, from its frequency response; nan without a crossing.
 
     Attributes:
-        gain: factor > 1 by which the loop may grow until its phase is -180 degrees at a gain of 1.
-        gain_frequency: of that, Hz.
-        phase: degrees that are left to -180 where the gain is 1, the least of them.
-        phase_frequency: of that, Hz.
+        gain: gain margin: smallest factor > 1 by which the loop gain may grow.
+        gain_frequency: phase crossover frequency, Hz.
+        phase: smallest phase margin, degrees.
+        phase_frequency: gain crossover frequency, Hz.
     """
 
     gain: float
@@ -158,7 +169,7 @@ class _LoopMargins(NamedTuple):
 
 
 def loop_margins(frequencies: Array, response: _Response) -> _LoopMargins:
-    """Gives the margins of a response (f,) at frequencies (f,) in Hz, linear between them."""
+    """Return the margins of a response (f,) at frequencies (f,), Hz, with linear interpolation."""
     gain, gain_frequency, phase, phase_frequency = np.nan, np.nan, np.nan, np.nan
     for i in np.flatnonzero(np.diff(np.sign(response.imag)) != 0):
         part = response.imag[i] / (response.imag[i] - response.imag[i + 1])
@@ -175,13 +186,16 @@ def loop_margins(frequencies: Array, response: _Response) -> _LoopMargins:
 
 
 def bode_diagram(frequencies: Array, responses: dict[str, _Response], path: str | Path, title: str = "") -> Path:
-    """Draws gain and phase of loops, and marks their margins.
+    """Plot gain and phase of open loops over frequency with their stability margins; return the path.
 
     Args:
-        frequencies: (f,) Hz, ascending.
-        responses: name of a loop -> (f,).
-        path: of the picture.
-        title: of the picture.
+        frequencies: frequencies (f,), Hz, ascending.
+        responses: name of a loop -> its frequency response (f,).
+        path: path of the picture.
+        title: title of the picture.
+
+    Returns:
+        Path of the picture.
 
     Raises:
         ImportError: without Matplotlib.
@@ -191,8 +205,8 @@ def bode_diagram(frequencies: Array, responses: dict[str, _Response], path: str 
     for (name, response), colour in zip(responses.items(), LINK_COLOURS, strict=False):
         found, size = loop_margins(frequencies, response), np.abs(response)
         angle = np.degrees(np.unwrap(np.angle(response)))
-        said = f"{name}: gain margin {found.gain:.3g}, phase margin {found.phase:.3g}°".replace("nan°", "none")
-        gain.loglog(frequencies, size, color=colour, label=said.replace("nan", "none"))
+        label = f"{name}: gain margin {found.gain:.3g}, phase margin {found.phase:.3g}°".replace("nan°", "none")
+        gain.loglog(frequencies, size, color=colour, label=label.replace("nan", "none"))
         phase.semilogx(frequencies, angle, color=colour)
         for axes, place, values in ((gain, found.gain_frequency, size), (phase, found.phase_frequency, angle)):
             if np.isfinite(place):

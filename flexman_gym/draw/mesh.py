@@ -1,7 +1,6 @@
-"""Mesh: surfaces of links as their curves bend and twist them, and of the round parts beside them."""
+"""Triangle meshes of deformed links and of round parts: motors, payload, target."""
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,26 +10,36 @@ from flexman_gym.model.deformation import Curves
 from flexman_gym.model.element import find_element
 from flexman_gym.model.model import Model
 
-SIDES = 16  # points around a section
-MIN_RADIUS, MIN_HALF_SIDE = 0.008, 0.0025  # of the reach: radius of a round link and half a side of a strip, at least
-ROUND_TOLERANCE = 0.02  # how far the radii of gyration of a section that is drawn round may be apart
+SIDES = 16  # number of points on the outline of a section
+MIN_RADIUS, MIN_HALF_SIDE = 0.008, 0.0025  # fractions of the reach; least radius of a round link, half side of a strip
+ROUND_TOLERANCE = 0.02  # relative difference of the radii of gyration up to which a section is drawn round
 
 
 class Mesh(NamedTuple):
-    """Triangles.
+    """Triangle mesh.
 
     Attributes:
-        points: (p, 3).
-        normals: (p, 3) outward; not of unit length.
-        faces: (f, 3) int32 points of triangles, counter-clockwise as seen from outside.
+        points: vertices (p, 3), m.
+        normals: outward normals (p, 3), not of unit length.
+        faces: vertices of triangles (f, 3) int32, counter-clockwise as seen from outside.
     """
 
     points: Array
     normals: Array
     faces: IntArray
 
-    def placed(self, origin: Array, axis: Array, radius: float, half: float) -> "Mesh":
-        """Gives it with its z axis along a unit `axis`, so much as large across and along."""
+    def transformed(self, origin: Array, axis: Array, radius: float, half: float) -> "Mesh":
+        """Return the mesh scaled, rotated and translated.
+
+        Args:
+            origin: position of its origin (3,), m.
+            axis: direction of its z axis (3,), a unit vector.
+            radius: scale of x and y.
+            half: scale of z.
+
+        Returns:
+            The transformed mesh.
+        """
         x, y, z = axis
         side = np.array([0.0, z, -y] if abs(x) < 0.6 else [-z, 0.0, x]) / np.hypot(z, y if abs(x) < 0.6 else x)
         turned = np.array([side, axis[[1, 2, 0]] * side[[2, 0, 1]] - axis[[2, 0, 1]] * side[[1, 2, 0]], axis])
@@ -38,12 +47,12 @@ class Mesh(NamedTuple):
 
 
 class _SectionOutlines(NamedTuple):
-    """Sections of a link as they are drawn, at P places.
+    """Outlines of the drawn sections of a link at P points.
 
     Attributes:
-        points: (P, 16, 2) y and z, m.
-        normals: (P, 16, 2).
-        gauges: (P, 16, 2) y and z of the points whose strain is shown there: where the true section ends.
+        points: y and z of the drawn outline (P, 16, 2), m.
+        normals: outward normals (P, 16, 2).
+        gauges: y and z of the true outline (P, 16, 2), m, where the strain is evaluated.
     """
 
     points: Array
@@ -52,19 +61,22 @@ class _SectionOutlines(NamedTuple):
 
     @property
     def radius(self) -> float:
-        """Half the largest width that is drawn, m."""
+        """Half of the largest drawn width, m."""
         return float(np.abs(self.points).max())
 
 
 def section_outlines(model: Model, places: int) -> tuple[_SectionOutlines, ...]:
-    """Gives the sections of all links at equally spaced places.
+    """Return the outlines of the sections of each link at equally spaced points.
 
-    A section has the outline that its link says. Without one it is a solid disc where its radii of gyration agree,
-    else a solid rectangle, of the same radii of gyration. What would be thinner than a stroke is drawn thicker.
+    A section without an outline of its own is drawn as a solid disc if its radii of gyration are equal, and otherwise
+    as a solid rectangle with the same radii of gyration. Very thin sections are drawn thicker.
 
     Args:
-        model: the model.
-        places: on each link.
+        model: model of the arm.
+        places: number of points on each link.
+
+    Returns:
+        Section outlines of each link.
     """
     reach, result = float(model.constants.length.sum()), []
     for i, link in enumerate(model.arm.links):
@@ -77,14 +89,14 @@ def section_outlines(model: Model, places: int) -> tuple[_SectionOutlines, ...]:
 
 
 def _section(section: Any, reach: float) -> tuple[Array, Array, Array]:
-    """Points, normals and gauges (16, 2) of a section."""
+    """Return points, normals and gauges (16, 2) of a section."""
     gyration = np.sqrt(np.array([section.second_moment_z, section.second_moment_y]) / section.area)
-    known, alike = section.outline, abs(gyration[0] / gyration[1] - 1.0) < ROUND_TOLERANCE
-    half = np.sqrt(3.0) * gyration if known is None else np.array([known.y, known.z]) / 2
-    if alike if known is None else known.shape != "strip":
+    outline, alike = section.outline, abs(gyration[0] / gyration[1] - 1.0) < ROUND_TOLERANCE
+    half = np.sqrt(3.0) * gyration if outline is None else np.array([outline.y, outline.z]) / 2
+    if alike if outline is None else outline.shape != "strip":
         turn = (np.arange(SIDES) + 0.5) * 2 * np.pi / SIDES
         circle = np.column_stack([np.cos(turn), np.sin(turn)])
-        radius = 2.0 * float(gyration.mean()) if known is None else half[0]
+        radius = 2.0 * float(gyration.mean()) if outline is None else half[0]
         return max(radius, MIN_RADIUS * reach) * circle, circle, radius * circle
     along = np.linspace(-1.0, 1.0, SIDES // 4)
     one = np.ones_like(along)
@@ -95,7 +107,7 @@ def _section(section: Any, reach: float) -> tuple[Array, Array, Array]:
 
 
 def tube_faces(links: int, places: int) -> IntArray:
-    """Gives the triangles (f, 3) of links whose points are counted by link, place and side; their ends are closed."""
+    """Return the triangles (f, 3) of links with closed ends; vertices are numbered by link, point and side."""
     point = np.arange(links * places * SIDES, dtype=np.int32).reshape(links, places, SIDES)
     after = np.roll(point, -1, axis=2)
     a, b, c, d = (each.ravel() for each in (point[:, :-1], after[:, :-1], after[:, 1:], point[:, 1:]))
@@ -106,11 +118,14 @@ def tube_faces(links: int, places: int) -> IntArray:
 
 
 def tube_surfaces(curves: Curves, sections: Sequence[_SectionOutlines]) -> tuple[Array, Array, Array]:
-    """Gives points and normals (..., v, 3) of all links and the axial strain (..., v) that their points show.
+    """Return vertices and normals (..., v, 3) of all links, and the axial strain (..., v) at the vertices.
 
     Args:
-        curves: of the links, (..., n, P).
-        sections: of each link.
+        curves: curves of the links, (..., n, P).
+        sections: section outlines of each link.
+
+    Returns:
+        Vertices (..., v, 3), m, normals (..., v, 3), and axial strains (..., v).
     """
     points, normals, gauges = (np.array([section[k] for section in sections]) for k in range(3))
     across = curves.frames[..., 1:]
@@ -122,13 +137,15 @@ def tube_surfaces(curves: Curves, sections: Sequence[_SectionOutlines]) -> tuple
     return surface.reshape(*front, -1, 3), outward.reshape(*front, -1, 3), strain.reshape(*front, -1)
 
 
-@lru_cache(maxsize=8)
 def _surface_of_revolution(profile: tuple[tuple[float, float, float, float], ...], sides: int = 24) -> Mesh:
-    """Gives the surface that a profile of radius, height and their normal sweeps about the z axis.
+    """Return the surface of revolution of a profile about the z axis.
 
     Args:
-        profile: from below to above, the outside of a round part.
-        sides: around the axis.
+        profile: radius, height, and the two components of the normal, from below to above.
+        sides: number of points around the axis.
+
+    Returns:
+        The mesh.
     """
     turn = np.linspace(0.0, 2 * np.pi, sides + 1)
     radius, height, out, up = np.array(profile).T[..., None]
@@ -142,22 +159,24 @@ def _surface_of_revolution(profile: tuple[tuple[float, float, float, float], ...
     return Mesh(points, normals, np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]).astype("i4"))
 
 
-def cylinder(bevel: float = 0.1) -> Mesh:
-    """Gives a cylinder of radius 1 from -1 to 1, its edges broken."""
+def _cylinder(bevel: float) -> Mesh:
     inner, half = 1.0 - bevel, ((0.0, -1.0), (1.0 - bevel, -1.0))
     low = [(radius, height, 0.0, -1.0) for radius, height in half]
     edge = [(inner, -1.0, 0.4, -0.9), (1.0, -inner, 0.95, -0.3), (1.0, inner, 0.95, 0.3), (inner, 1.0, 0.4, 0.9)]
     return _surface_of_revolution((*low, *edge, (inner, 1.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)))
 
 
-def sphere(rings: int = 12) -> Mesh:
-    """Gives a sphere of radius 1."""
+def _sphere(rings: int) -> Mesh:
     turn = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)
     return _surface_of_revolution(tuple((np.cos(t), np.sin(t), np.cos(t), np.sin(t)) for t in turn.tolist()))
 
 
-def ring(thick: float = 0.11, rings: int = 10) -> Mesh:
-    """Gives a ring of radius 1 in the x-y plane."""
+def _ring(thick: float, rings: int) -> Mesh:
     turn = np.linspace(-np.pi, np.pi, rings + 1)
     profile = ((1.0 + thick * np.cos(t), thick * np.sin(t), np.cos(t), np.sin(t)) for t in turn.tolist())
     return _surface_of_revolution(tuple(profile), 40)
+
+
+CYLINDER, SHARP_CYLINDER = _cylinder(0.1), _cylinder(0.01)  # radius 1, from z = -1 to 1; edges bevelled by 0.1 and 0.01
+SPHERE = _sphere(12)  # radius 1
+RING = _ring(0.11, 10)  # torus of radius 1 in the x-y plane

@@ -1,4 +1,4 @@
-"""Overlay: numbers, bars and a scale of colours that are written over a frame."""
+"""Overlay of a frame: title, numbers, torque bars and colour scale of the strain."""
 
 from functools import lru_cache
 from pathlib import Path
@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array
 from flexman_gym.draw.style import LINK_COLOURS, rgb
 
-GLYPHS = Path(__file__).parent / "glyphs.npz"  # of scripts/glyphs.py
-FONT_SIZES = (10, 12, 14, 18, 24, 32)  # pixels of the letters there are
+GLYPHS = Path(__file__).parent / "glyphs.npz"  # shapes of letters, written by scripts/glyphs.py
+FONT_SIZES = (10, 12, 14, 18, 24, 32)  # pixels; heights of the letters in GLYPHS
 TIMES = "\N{MULTIPLICATION SIGN}"
 INK, GREY, WARNING = "#1f2937", "#6b7280", "#b91c1c"
 Picture = NDArray[np.uint8]
 
 
 class Caption(NamedTuple):
-    """What a frame says of its moment; what is None or "" is left out.
+    """Text and numbers in a frame; entries that are None or "" are not shown.
 
     Attributes:
-        title: of the picture.
-        time: s.
-        error: distance of tip and target, m.
-        reward: of the last step.
-        torques: (n,) what the motors were asked for, parts of their limits.
+        title: title of the frame.
+        time: time since the reset, s.
+        error: distance of the tip from its target, m.
+        reward: reward of the last step.
+        torques: commanded motor torques (n,) as fractions of their limits.
     """
 
     title: str = ""
@@ -44,7 +44,7 @@ def _font(size: int) -> tuple[dict[str, int], NDArray[np.uint8], list[int]]:
 
 @lru_cache(maxsize=256)
 def _text_mask(text: str, size: int) -> NDArray[np.float32]:
-    """Return the coverage (h, w), 0 to 1, of each pixel by letters of a size; "?" for a letter without a shape."""
+    """Return the coverage (h, w), 0 to 1, of each pixel by the letters; "?" replaces letters without a shape."""
     letters, shapes, starts = _font(size)
     places = [letters.get(letter, letters["?"]) for letter in text]
     parts = [shapes[:, starts[place] : starts[place + 1]] for place in places]
@@ -52,12 +52,12 @@ def _text_mask(text: str, size: int) -> NDArray[np.float32]:
 
 
 def _font_size(height: int) -> int:
-    """Gives the size of letters that a picture of so many rows takes."""
+    """Return the size of the letters for a picture with `height` rows."""
     return max(size for size in FONT_SIZES if size <= max(height / 33.0, FONT_SIZES[0]))
 
 
 def _write_text(picture: Picture, text: str, place: tuple[int, int], size: int, colour: str = INK) -> None:
-    """Writes text into a picture: its upper left corner at column and row, its right end there where column < 0."""
+    """Write text with its upper left corner at column and row; a negative column is that of its right end."""
     shape = _text_mask(text, size)
     column, row = place
     if column < 0:
@@ -74,7 +74,7 @@ def write_title(picture: Picture, text: str) -> None:
 
 
 def _blend(part: Picture, colour: str, share: "NDArray[np.float32] | float") -> None:
-    """Lays a colour over a part of a picture, by a share from 0 to 1."""
+    """Blend a colour into a part of a picture with a weight from 0 to 1."""
     base = part.astype(np.float32)
     part[:] = (base + np.float32(share) * (rgb(colour).astype(np.float32) - base) + np.float32(0.5)).astype(np.uint8)
 
@@ -82,19 +82,19 @@ def _blend(part: Picture, colour: str, share: "NDArray[np.float32] | float") -> 
 def _fill_rectangle(
     picture: Picture, columns: tuple[int, int], rows: tuple[int, int], colour: str, share: float = 1.0
 ) -> None:
-    """Fills a rectangle, its ends left out."""
+    """Fill a rectangle; the ends of the ranges are excluded."""
     _blend(picture[rows[0] : rows[1], columns[0] : columns[1]], colour, share)
 
 
 def draw_caption(picture: Picture, caption: Caption, gain: float, scale: float, grid: float) -> None:
-    """Writes what a frame says: title, time and error above, strain and torques below, and a gain that is not 1.
+    """Draw the overlay of a frame: title, time and error at the top, strain scale and torques at the bottom.
 
     Args:
-        picture: (height, width, 3), in place.
-        caption: what is known.
-        gain: of the deflection.
-        scale: strain at the ends of the colours; 0 for an arm that cannot bend.
-        grid: distance of the lines of the floor, m.
+        picture: frame (height, width, 3), changed in place.
+        caption: text and numbers.
+        gain: factor of the drawn deflection; it is shown unless it is 1.
+        scale: strain at the ends of the colour scale; 0 for a rigid arm.
+        grid: spacing of the floor grid, m.
     """
     height, width = picture.shape[:2]
     size, small = _font_size(height), _font_size(int(0.82 * height))
@@ -103,28 +103,28 @@ def draw_caption(picture: Picture, caption: Caption, gain: float, scale: float, 
         write_title(picture, caption.title)
     row = edge // 2 + line * bool(caption.title)
     error = "tip error {:.2f} m" if (caption.error or 0.0) >= 1.0 else "tip error {:.1f} mm"
-    known = (
+    entries = (
         (0.0, caption.time, "t {:.2f} s", 1.0),
         (6.5, caption.error, error, 1e3 if error.endswith("mm") else 1.0),
         (18.0, caption.reward, "reward {:.2f}", 1.0),
     )
-    for column, value, form, factor in known:  # at places of their own, so that they stand still while numbers change
+    for column, value, form, factor in entries:  # fixed columns: the text does not move while numbers change
         if value is not None:
             _write_text(picture, form.format(factor * value), (edge + round(column * small), row), small)
     if gain != 1.0:
         _write_text(picture, f"deflection {TIMES} {gain:g}", (-edge, edge // 2), size, WARNING)
-    said = f"grid {grid:g} m"
+    line_text = f"grid {grid:g} m"
     if scale > 0.0:
         unit, factor = ("µε", 1e6) if scale < 1e-3 else ("%", 1e2)
-        said = f"strain ±{factor * scale:g} {unit}   {said}"
+        line_text = f"strain ±{factor * scale:g} {unit}   {line_text}"
         _draw_colour_bar(picture, (edge, height - edge), small)
-    _write_text(picture, said, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
+    _write_text(picture, line_text, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
     if caption.torques is not None:
         _draw_torque_bars(picture, caption.torques, (width - edge, height - edge), small)
 
 
 def _draw_colour_bar(picture: Picture, place: tuple[int, int], size: int) -> None:
-    """Draws the scale of strain, its lower left corner at a place."""
+    """Draw the colour scale of the strain with its lower left corner at a pixel."""
     column, row = place
     wide, high = min(9 * size, picture.shape[1] - 2 * column), max(size // 2, 5)
     share = np.linspace(-1.0, 1.0, wide)
@@ -132,7 +132,7 @@ def _draw_colour_bar(picture: Picture, place: tuple[int, int], size: int) -> Non
 
 
 def _draw_torque_bars(picture: Picture, torques: Array, place: tuple[int, int], size: int) -> None:
-    """Draws a bar for each motor from the middle up or down, the lower right corner at a place."""
+    """Draw a bar for each motor, up or down from the middle, with the lower right corner at a pixel."""
     wide, half, gap = size, round(2.3 * size), size // 2
     column, middle = place[0] - len(torques) * (wide + gap) + gap, place[1] - half
     _write_text(picture, "torque / limit", (place[0] - picture.shape[1], middle - half - round(1.5 * size)), size)
@@ -146,6 +146,6 @@ def _draw_torque_bars(picture: Picture, torques: Array, place: tuple[int, int], 
 
 
 def strain_colours(share: Array) -> Array:
-    """Gives colours (..., 3) from 0 to 255 of strains as parts of the scale: blue for -1, grey for 0, red for 1."""
+    """Return colours (..., 3) between 0 and 255 of strains relative to the scale: blue -1, grey 0, red 1."""
     ends = np.where(share[..., None] < 0.0, (47.0, 87.0, 200.0), (192.0, 32.0, 44.0))
     return np.array([205.0, 208.0, 212.0]) + np.clip(np.abs(share), 0.0, 1.0)[..., None] * (ends - (205, 208, 212))

@@ -26,22 +26,22 @@ from flexman_gym.model.model import Model
 from flexman_gym.simulation.episode import Episode
 
 TEMPLATE_FOLDER = Path(__file__).parent
-POINTS = 24  # of the curve of a link
+POINTS = 24  # number of points on the curve of a link
 COLOURS = (BLUE, RED, GREEN, ORANGE, SKY, "#CC79A7", "#555555", "#8a6d3b")
-VIEW_STATES = 60  # states of an episode by which camera and scales are chosen
-QUANTISATION_STEPS = 2**15 - 1  # of a reading, either way from the middle
-MISSING_VALUE = -QUANTISATION_STEPS - 1  # step of a reading that is no finite number: its curve has a gap there
+VIEW_STATES = 60  # number of states of an episode from which camera and scales are chosen
+QUANTISATION_STEPS = 2**15 - 1  # steps of a reading from the middle of its range to each end, int16
+MISSING_VALUE = -QUANTISATION_STEPS - 1  # step of a reading that is not finite; its curve has a gap there
 
 
 def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
-    """Gives the page, HTML that needs no network.
+    """Return an HTML page that replays episodes in a browser without a network connection.
 
     Args:
-        episodes: 1 to 8, side by side; each with its own arm.
-        title: of the page; "" for that of the first environment and who acts.
+        episodes: 1 to 8 episodes, shown side by side; their arms may differ.
+        title: title of the page; "" for the names of environment and agents.
 
-    Raises:
-        ValueError: for none or more than 8 episodes.
+    Returns:
+        HTML.
     """
     if not 1 <= len(episodes) <= len(COLOURS):
         raise value_error("episodes", len(episodes), f"1 to {len(COLOURS)} of them")
@@ -57,19 +57,22 @@ def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
         if names.count(name) > 1:
             runs[i]["name"] = f"{name} {i + 1}"
     first = episodes[0].about
-    told = {"seed": first.get("seed"), "settings": first.get("hash"), **first.get("versions", {})}
-    words = " \N{MIDDLE DOT} ".join(f"{name} {value}" for name, value in told.items() if value is not None)
+    about = {"seed": first.get("seed"), "settings": first.get("hash"), **first.get("versions", {})}
+    words = " \N{MIDDLE DOT} ".join(f"{name} {value}" for name, value in about.items() if value is not None)
     data = {"live": False, "arms": arms, "runs": runs, "stage": _episodes_view(episodes)}
     return _html_page(data, title or f"{first.get('environment', '')} {' and '.join(names)}".strip(), words)
 
 
 def _html_page(data: dict[str, Any], title: str, words: str) -> str:
-    """Gives the page of plain data; whatever text is in them, none of it is read as a part of the page.
+    """Return the HTML page of plain data, whose texts are escaped.
 
     Args:
-        data: "arms", "runs", "stage" and "live".
-        title: in the head.
-        words: beside it.
+        data: mapping with "arms", "runs", "stage" and "live".
+        title: title of the page.
+        words: text next to the title.
+
+    Returns:
+        HTML.
     """
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     script, style, frame = (
@@ -82,7 +85,7 @@ def _html_page(data: dict[str, Any], title: str, words: str) -> str:
 
 
 def _arm_data(model: Model) -> dict[str, Any]:
-    """Return the data of a model that the page draws, in plain form; arrays as texts."""
+    """Return the data of a model for the page in plain form, with encoded arrays."""
     links, constants = [], model.constants
     painter, sections = FramePainter(model, (16, 16)), section_outlines(model, POINTS)
     for i, (shapes, section) in enumerate(zip(link_shapes(model, POINTS), sections, strict=True)):
@@ -100,12 +103,15 @@ def _arm_data(model: Model) -> dict[str, Any]:
 
 
 def _view_data(models: Sequence[Model], points: Array, strain: float) -> dict[str, Any]:
-    """Gives camera, floor and scale of the page, plain.
+    """Return camera, floor and scale of the page in plain form.
 
     Args:
-        models: of the arms.
-        points: (p, 3) m, all that should be seen.
-        strain: at the ends of the colours; 0 for arms that do not bend.
+        models: models of the arms.
+        points: points (p, 3), m, that are in the picture.
+        strain: strain at the ends of the colour scale; 0 for rigid arms.
+
+    Returns:
+        Reach, points, camera, floor and scale.
     """
     reach = max(float(model.constants.length.sum()) for model in models)
     points = np.concatenate([points[np.isfinite(points).all(axis=1)], np.zeros((1, 3))])
@@ -119,12 +125,12 @@ def _view_data(models: Sequence[Model], points: Array, strain: float) -> dict[st
 
 
 def _encode_array(values: NDArray[Any], kind: str = "<f4") -> str:
-    """Gives numbers as a text that the page reads: base64 of little-endian float32 or of another kind."""
+    """Return numbers as base64 of little-endian float32, or of another NumPy type."""
     return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
 
 
 def _episode_data(episode: Episode, colour: str) -> dict[str, Any]:
-    """What the page shows of an episode."""
+    """Return the data of an episode for the page in plain form."""
     torques = np.vstack([episode.actions, episode.actions[-1:]]) if len(episode.actions) else np.zeros((1, 1))
     return {
         "name": episode.name, "colour": colour, "note": episode.about.get("failure") or "over",
@@ -136,19 +142,21 @@ def _episode_data(episode: Episode, colour: str) -> dict[str, Any]:
 
 
 def _reading_data(name: str, values: Array) -> dict[str, Any]:
-    """Return a reading in steps of a part of its finite range; they are more than enough for a curve."""
-    known = np.isfinite(values)
-    low, high = np.where(known, values, np.inf).min(axis=0), np.where(known, values, -np.inf).max(axis=0)
-    low, high = np.where(known.any(axis=0), (low, high), 0.0) / 2  # the difference of two large numbers may be infinite
+    """Return a reading, quantised in its finite range with enough steps for a curve."""
+    finite = np.isfinite(values)
+    low, high = np.where(finite, values, np.inf).min(axis=0), np.where(finite, values, -np.inf).max(axis=0)
+    low, high = (
+        np.where(finite.any(axis=0), (low, high), 0.0) / 2
+    )  # the difference of two large numbers may be infinite
     middle, scale = low + high, np.maximum((high - low) / QUANTISATION_STEPS, 1e-30)
     steps = _encode_array(
-        np.where(known, np.rint((np.where(known, values, middle) - middle) / scale), MISSING_VALUE), "<i2"
+        np.where(finite, np.rint((np.where(finite, values, middle) - middle) / scale), MISSING_VALUE), "<i2"
     )
     return {"name": name, "size": values.shape[1], "values": steps, "scale": scale.tolist(), "middle": middle.tolist()}
 
 
 def _episodes_view(episodes: Sequence[Episode]) -> dict[str, Any]:
-    """Camera and scales by what happens in the episodes."""
+    """Return camera, floor and scale for the motions of some episodes."""
     points, largest = [], 0.0
     for episode in episodes:
         some = np.unique(np.linspace(0, len(episode.time) - 1, VIEW_STATES).astype(int))
@@ -160,11 +168,11 @@ def _episodes_view(episodes: Sequence[Episode]) -> dict[str, Any]:
 
 
 def _outermost_points(points: Array) -> Array:
-    """Some of the points (p, 3): those that are outermost in one of many directions."""
-    known = points[np.isfinite(points).all(axis=1)]
+    """Return the points (p, 3) that are outermost in one of many directions."""
+    finite = points[np.isfinite(points).all(axis=1)]
     turn = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
-    ways = np.array([[np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)] for a in turn for b in turn])
-    corners: Array = known[np.unique((known @ ways.T).argmax(axis=0))]
+    directions = np.array([[np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)] for a in turn for b in turn])
+    corners: Array = finite[np.unique((finite @ directions.T).argmax(axis=0))]
     return corners
 
 
@@ -172,15 +180,21 @@ def _percent(strain: float) -> str:
     return f"{1e6 * strain:g} µε" if strain < 1e-3 else f"{1e2 * strain:g} %"
 
 
-QUEUE_SIZE = 200  # rows that a slow browser may be behind before it misses some
+QUEUE_SIZE = 200  # rows that a slow browser may lag behind before rows are dropped
 
 
 class LivePage:
-    """A page that follows an arm; a line on stderr says its address, once.
+    """Page of a running environment in a browser, on a local web server whose address is printed to stderr.
+
+    Args:
+        model: model of the arm.
+        title: title of the page.
+        period: time between two states, s.
+        strain: strain at the ends of the colour scale; 0 for a rigid arm.
 
     Attributes:
-        address: of the page.
-        shown, late: rows that were shown, and those of them that came later than the clock wanted.
+        address: address of the page.
+        shown, late: number of shown states, and of those shown later than in real time.
     """
 
     def __init__(self, model: Model, title: str, period: float, strain: float) -> None:
@@ -194,36 +208,36 @@ class LivePage:
         self._server.daemon_threads = True
         threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True).start()
         self.address = f"http://127.0.0.1:{self._server.server_address[1]}/"
-        print(f"the arm can be seen at {self.address}", file=sys.stderr, flush=True)
+        print(f"the arm is shown at {self.address}", file=sys.stderr, flush=True)
 
     def begin(self, points: Array) -> None:
-        """Starts an episode.
+        """Start an episode.
 
         Args:
-            points: (p, 3) m, all that should be seen.
+            points: points (p, 3), m, that are in the picture.
         """
         run = {"name": self._title, "colour": BLUE, "note": "", "dt": self._period, "rows": 0, "arm": 0}
         data = {"live": True, "arms": [_arm_data(self._model)], "runs": [run],
                 "stage": _view_data([self._model], points, self._strain)}  # fmt: skip
         with self._lock:
             self._page, self._rows = _html_page(data, self._title, "live").encode(), []
-            self._tell(b"event: begin\ndata: \n\n")
+            self._send(b"event: begin\ndata: \n\n")
         self._next = time.perf_counter()
 
     def show(self, coordinates: Array, target: Array, error: float, torques: Array) -> None:
-        """Send the state of the arm, and wait until its time.
+        """Send the state of the arm and wait until its time.
 
         Args:
-            coordinates: (d,).
-            target: (3,) m.
+            coordinates: generalised coordinates (d,).
+            target: target of the tip (3,), m.
             error: distance of the tip from the target, m.
-            torques: (n,) as parts of their limits.
+            torques: commanded motor torques (n,) as fractions of their limits.
         """
         row = np.concatenate([coordinates, target, [error], torques])
         message = b"data: " + _encode_array(row).encode() + b"\n\n"
         with self._lock:
             self._rows.append(message)
-            self._tell(message)
+            self._send(message)
         self.shown += 1
         now, self._next = time.perf_counter(), self._next + self._period
         if now > self._next:
@@ -231,29 +245,29 @@ class LivePage:
         else:
             time.sleep(self._next - now)
 
-    def _tell(self, message: bytes) -> None:
+    def _send(self, message: bytes) -> None:
         for client in self._clients:
             if not client.full():
                 client.put_nowait(message)
 
     def listen(self) -> "tuple[bytes, queue.Queue[bytes]]":
-        """Gives what the episode has had so far, and a queue of what follows."""
+        """Return the messages of the episode so far, and a queue of the following ones."""
         with self._lock:
             client: queue.Queue[bytes] = queue.Queue(QUEUE_SIZE)
             self._clients.append(client)
             return b"".join(self._rows), client
 
     def leave(self, client: "queue.Queue[bytes]") -> None:
-        """Ends what `listen` began."""
+        """Remove the queue of a closed connection."""
         with self._lock:
             self._clients.remove(client)
 
     def html(self) -> bytes:
-        """The page of the present episode."""
+        """Return the page of the present episode."""
         return self._page
 
     def close(self) -> None:
-        """Ends the server; a line on stderr says how many rows were late, if any."""
+        """Stop the server; print the number of late states, if any, to stderr."""
         self._server.shutdown()
         self._server.server_close()
         if self.late:
@@ -262,15 +276,15 @@ class LivePage:
 
 def _handler(live: LivePage) -> type[http.server.BaseHTTPRequestHandler]:
     class Handler(http.server.BaseHTTPRequestHandler):
-        """Gives the page at / and the events at /live."""
+        """Handler that serves the page at / and the events at /live."""
 
         def log_message(self, *_: Any) -> None:
             pass
 
         def do_GET(self) -> None:
-            known = {"/": "text/html; charset=utf-8", "/live": "text/event-stream"}
-            self.send_response(200 if self.path in known else 404)
-            self.send_header("Content-Type", known.get(self.path, "text/plain"))
+            types = {"/": "text/html; charset=utf-8", "/live": "text/event-stream"}
+            self.send_response(200 if self.path in types else 404)
+            self.send_header("Content-Type", types.get(self.path, "text/plain"))
             self.send_header("Cache-Control", "no-store")
             self.end_headers()
             if self.path == "/":
@@ -284,7 +298,7 @@ def _handler(live: LivePage) -> type[http.server.BaseHTTPRequestHandler]:
                 self.wfile.write(before)
                 while True:
                     self.wfile.write(client.get())
-            except OSError:  # the browser has gone
+            except OSError:  # the browser closed the connection
                 live.leave(client)
 
     return Handler

@@ -1,4 +1,4 @@
-"""Style: the colours of all pictures, and figures without a window."""
+"""Style: colours of all plots and pictures, and Matplotlib figures without a window."""
 
 from typing import Any
 
@@ -6,31 +6,34 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 
-# Colours that people who cannot tell red from green can tell apart (Okabe and Ito).
+# Colours that people with red-green colour blindness can distinguish (Okabe and Ito, 2008).
 BLUE, ORANGE, GREEN, SKY, YELLOW, RED = "#0072B2", "#E69F00", "#009E73", "#56B4E9", "#F0E442", "#D55E00"
 LINK_COLOURS = (BLUE, ORANGE, GREEN, SKY, YELLOW, RED)
 DARK, MIDDLE, LIGHT = "#222222", "#8a8f98", "#d5d8dd"
 
 
 def rgb(colour: str) -> Array:
-    """Gives red, green and blue (3,) from 0 to 255 of a colour such as "#0072b2"."""
+    """Return red, green and blue (3,) between 0 and 255 of a colour such as "#0072b2"."""
     return np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)], dtype=float)
 
 
 def round_up(value: float) -> float:
-    """Gives the least of 1, 2, 5, 10, ... times a power of ten that is not below a value > 0."""
+    """Return the smallest of 1, 2, 5, 10 times a power of ten that is at least a value > 0."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(power * step for step in (1, 2, 5, 10) if power * step >= value))
 
 
 def new_figure(inches: tuple[float, float], dpi: float, window: bool = False, **options: Any) -> Any:
-    """Make a Matplotlib figure on its own canvas: no window, and nothing of pyplot's global state.
+    """Return a Matplotlib figure on its own canvas, without a window and without the global state of pyplot.
 
     Args:
-        inches: width and height.
+        inches: width and height, inches.
         dpi: pixels per inch.
-        window: whether it is one of pyplot's figures in place of that, which `pyplot.show` shows.
-        options: of Matplotlib's Figure.
+        window: whether to return a figure of pyplot instead, for `pyplot.show`.
+        **options: keyword arguments of Matplotlib's Figure.
+
+    Returns:
+        The figure.
 
     Raises:
         ImportError: without Matplotlib.

@@ -1,33 +1,34 @@
-"""Figures of trajectories: one simulation, and Figures 6 to 11 of the paper."""
+"""Plots of motions over time: a simulation, episodes of agents, and Figures 6 to 11 of the paper."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
-from flexman_gym.draw.style import BLUE, DARK, LIGHT, LINK_COLOURS, MIDDLE, RED, new_figure
+from flexman_gym.draw.style import BLUE, DARK, GREEN, LIGHT, LINK_COLOURS, MIDDLE, ORANGE, RED, SKY, new_figure
 from flexman_gym.simulation.trajectory import Trajectory
 
 
 def trajectory_figure(trajectory: Trajectory, path: str | Path | None = None) -> Path | None:
-    """Draw the tip, joint and motor angles, the springs' wind-up, and the energy residual.
+    """Plot tip position, joint and motor angles, joint twists and energy residual of a simulation over time.
 
-    The residual is a part of the energy turned over until the end, as `Trajectory.energy_alarm` judges it; in J where
-    nothing was. A solution that ended early is drawn to its end, and the title says so.
+    The residual is divided by the energy turnover, as in `Trajectory.energy_alarm`; without a turnover it is in J.
+    A simulation that ended early is plotted up to its end, with its status in the title.
 
     Args:
-        trajectory: what is drawn.
-        path: of the picture; its suffix says the kind of file. Its folder is created where it does not exist. None
+        trajectory: result of the simulation.
+        path: path of the picture, whose suffix selects the format; its folder is created if it does not exist. None
             shows the figure in a window or in a notebook, by Matplotlib's `pyplot.show`.
 
     Returns:
-        The path of the picture, None where it was shown.
+        The path of the picture; None if the figure was shown.
 
     Raises:
         ImportError: without Matplotlib.
-        ValueError: for a suffix that Matplotlib does not know.
+        ValueError: for a suffix that Matplotlib does not support.
     """
     figure = new_figure((8.4, 8.0), 120.0, window=path is None, layout="constrained")
     _draw(figure, trajectory)
@@ -43,7 +44,7 @@ def trajectory_figure(trajectory: Trajectory, path: str | Path | None = None) ->
 
 
 def _draw(figure: Any, trajectory: Trajectory) -> None:
-    """Draw the four axes."""
+    """Draw the four panels."""
     time = trajectory.time
     tip, angles, twists, energy = figure.subplots(4, 1, sharex=True, height_ratios=(3, 3, 2, 2))
     for i, name in enumerate("xyz"):
@@ -69,16 +70,16 @@ def _draw(figure: Any, trajectory: Trajectory) -> None:
 
 
 def _residual(trajectory: Trajectory) -> tuple[Array, str]:
-    """The residual and its unit."""
+    """Return the energy residual and its unit."""
     turned = float(trajectory.energy_turnover[-1])
     if turned > 0.0:
-        return trajectory.energy_residual / turned, "part of the turnover"
+        return trajectory.energy_residual / turned, "of the turnover"
     return trajectory.energy_residual, "J"
 
 
 def _plain(axes: Any, time: Array) -> None:
     axes.axhline(0.0, color=MIDDLE, linewidth=0.8, zorder=0)
-    axes.set_xlim(time[0], np.nextafter(time[-1], np.inf))  # a single time has a width, too
+    axes.set_xlim(time[0], np.nextafter(time[-1], np.inf))  # a single time needs a width too
     axes.grid(color=LIGHT, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     axes.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
@@ -87,22 +88,22 @@ def _plain(axes: Any, time: Array) -> None:
 def paper_figures(
     rigid: Trajectory, flexible_links: Trajectory, flexible_both: Trajectory, folder: str | Path
 ) -> list[Path]:
-    """Draws Figures 6 to 11 of the paper, each as a PNG, and all of them in `paper_figures.png`.
+    """Plot Figures 6 to 11 of the paper, each as a PNG, and all of them in `paper_figures.png`.
 
-    A solution that ended early is drawn to its end, and its label says so.
+    A simulation that ended early is plotted up to its end, with its status in the legend.
 
     Args:
-        rigid: solution of the paper's case "rr".
-        flexible_links: of its case "fr", at the same output times.
-        flexible_both: of its case "ff", at the same output times.
-        folder: for the files; it is created where it does not exist.
+        rigid: simulation of the case "rr" of the paper: rigid links and joints.
+        flexible_links: simulation of the case "fr", at the same output times.
+        flexible_both: simulation of the case "ff", at the same output times.
+        folder: folder of the files; it is created if it does not exist.
 
     Returns:
         The paths of the files.
 
     Raises:
         ImportError: without Matplotlib.
-        ValueError: for other output times or another number of joints than 3.
+        ValueError: for different output times, and for arms without 3 joints.
     """
     cases = {"flexible links, rigid joints": flexible_links, "flexible links and joints": flexible_both}
     for name, trajectory in (("flexible_links", flexible_links), ("flexible_both", flexible_both)):
@@ -135,14 +136,14 @@ def _all_figures(rigid: Trajectory, cases: dict[str, Trajectory], path: Path) ->
         grid[row, 0].set_ylabel(f"difference to the rigid arm ({_unit(3 * row)})")
     for axes in grid[1]:
         axes.set_xlabel("time (s)")
-    figure.suptitle("How far the flexible arm departs from the rigid one under 400 N m at every joint", fontsize=13)
+    figure.suptitle("Difference between the flexible and the rigid arm under 400 N m at every joint", fontsize=13)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=11)
     figure.savefig(path)
     return path
 
 
 def _difference(axes: Any, column: int, rigid: Trajectory, cases: dict[str, Trajectory]) -> None:
-    """Draws column 0 to 2 (tip x, y, z) or 3 to 5 (joint angles) of each case minus the rigid one over time."""
+    """Plot the difference of each case to the rigid arm: column 0 to 2 is tip x, y, z, and 3 to 5 the joint angles."""
     axes.axhline(0.0, color=MIDDLE, linewidth=0.8)
     for (label, case), colour, style in zip(cases.items(), (BLUE, RED), ("-", "--"), strict=True):
         rows = min(len(rigid.time), len(case.time))
@@ -162,3 +163,61 @@ def _column(trajectory: Trajectory, column: int) -> Array:
 
 def _unit(column: int) -> str:
     return "m" if column < 3 else "rad"
+
+
+COLOURS = (BLUE, RED, ORANGE, GREEN, SKY, MIDDLE)  # one for each agent
+MIN_ERROR = 1e-5  # m; lower end of the logarithmic axis of tip errors
+
+
+class _RecordedEpisode(Protocol):
+    """Signals of an episode that are plotted, of an `evaluation.EpisodeRecord` or an `fm.Episode`."""
+
+    @property
+    def errors(self) -> Array:
+        """Distances of the tip from its target (T + 1,), m."""
+
+    @property
+    def actions(self) -> Array:
+        """Commanded motor torques (T, n) as fractions of the torque limits."""
+
+    @property
+    def period(self) -> float:
+        """Control period, s."""
+
+    @property
+    def band(self) -> float:
+        """Distance from the target within which a tip counts as settled, m."""
+
+
+def draw_episodes(records: Mapping[str, _RecordedEpisode], path: Path) -> None:
+    """Plot tip error and commanded torques of one episode of each agent over time.
+
+    Args:
+        records: name of an agent -> its episode.
+        path: path of the picture.
+
+    Raises:
+        ImportError: without Matplotlib.
+    """
+    first = next(iter(records.values()))
+    joints, band = first.actions.shape[1], first.band
+    figure = new_figure((10.0, 3.6 + 1.3 * joints), 110.0, layout="constrained")
+    axes = figure.subplots(1 + joints, 1, sharex=True, height_ratios=[3.0, *[1.0] * joints])
+    for (name, record), colour in zip(records.items(), COLOURS, strict=False):
+        times = record.period * np.arange(len(record.errors))
+        axes[0].semilogy(times, np.maximum(record.errors, MIN_ERROR), color=colour, linewidth=1.5, label=name)
+        for joint in range(joints):
+            axes[1 + joint].step(times[1:], record.actions[:, joint], color=colour, linewidth=1.0, where="pre")
+    axes[0].axhline(band, color=DARK, linewidth=0.8, linestyle="--")
+    axes[0].text(0.1, 1.15 * band, f"{1e3 * band:.3g} mm", fontsize=8, color=DARK)
+    axes[0].set_ylim(bottom=MIN_ERROR)
+    axes[0].set_ylabel("distance of the tip from its target (m)")
+    axes[0].legend(frameon=False, ncols=6, fontsize=9, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    for joint in range(joints):
+        axes[1 + joint].set(ylabel=f"motor {joint + 1}", ylim=(-1.08, 1.08))
+    axes[-1].set_xlabel("time (s); torques as fractions of their limits")
+    for each in axes:
+        each.grid(color=LIGHT, linewidth=0.6)
+        each.spines[["top", "right"]].set_visible(False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)

@@ -1,4 +1,4 @@
-"""Videos and pictures: frames in a file, in a window, and saved episodes side by side."""
+"""Videos and pictures: frames in files, in a window, and of episodes side by side."""
 
 import os
 import struct
@@ -17,27 +17,27 @@ from flexman_gym.draw.overlay import Caption
 from flexman_gym.model.deformation import curves
 from flexman_gym.simulation.episode import Episode
 
-COLOUR_TOLERANCE = 6  # levels by which a colour of a GIF may be off before it is drawn anew
-COLOURS, COLOUR_STEP = 64, 4  # of a GIF; levels of a channel that count as one when they are chosen
+COLOUR_TOLERANCE = 6  # of 255; largest error of a colour that a pixel of a GIF keeps from the previous frame
+COLOURS, COLOUR_STEP = 64, 4  # number of colours of a GIF; levels of a channel merged for their choice
 SUFFIXES = (".mp4", ".gif")
 
 
 def write_video(frames: Sequence[NDArray[np.uint8]], path: str | Path, fps: float = 50.0) -> Path:
-    """Writes frames (height, width, 3) of one size as an MP4 (H.264) or as a GIF of 64 colours that repeats.
+    """Write frames of one size as an MP4 (H.264) or as a repeating GIF of 64 colours; return the path.
 
-    An MP4 needs the package imageio-ffmpeg, a GIF Pillow. Of an MP4 the sides are even: an odd last row or column goes.
+    An MP4 needs the package imageio-ffmpeg, a GIF needs Pillow. MP4 has even widths and heights: an odd last row or
+    column is dropped.
 
     Args:
-        frames: at least one.
-        path: of the file, whose suffix says what it is; its folder is created where it does not exist.
-        fps: frames a second.
+        frames: frames (height, width, 3), at least one.
+        path: path of the file with the suffix .mp4 or .gif; its folder is created if it does not exist.
+        fps: frames per second.
 
     Returns:
-        The path.
+        Path of the file.
 
     Raises:
         ImportError: without the package.
-        ValueError: for no frames, another suffix and a rate that is not > 0.
     """
     path, rate = Path(path), positive("fps", fps)
     if path.suffix not in SUFFIXES:
@@ -53,14 +53,17 @@ def write_video(frames: Sequence[NDArray[np.uint8]], path: str | Path, fps: floa
 
 
 def write_picture(frame: NDArray[np.uint8], path: str | Path) -> Path:
-    """Writes a frame (height, width, 3) as a PNG, for which no other package is needed; returns the path.
+    """Write a frame as a PNG, without any further package; return the path.
 
     Args:
-        frame: the picture.
-        path: of the file; its folder is created where it does not exist.
+        frame: frame (height, width, 3).
+        path: path of the file; its folder is created if it does not exist.
+
+    Returns:
+        Path of the file.
 
     Raises:
-        OSError: where it cannot be written.
+        OSError: if the file cannot be written.
     """
     path, (height, width, _) = Path(path), frame.shape
     rows = np.concatenate([np.zeros((height, 1), dtype=np.uint8), frame.reshape(height, -1)], axis=1)  # unfiltered
@@ -97,26 +100,28 @@ def _write_gif(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> 
 
     some = np.concatenate([frame.reshape(-1, 3) for frame in frames[:: max(1, len(frames) // 8)]])
     coarse, counts = np.unique(some // COLOUR_STEP * COLOUR_STEP + COLOUR_STEP // 2, axis=0, return_counts=True)
-    # by the root of how often they are: else a large background leaves no colours for what is small and matters
-    known = np.repeat(coarse, np.ceil(np.sqrt(counts)).astype(int), axis=0)[None].astype(np.uint8)
-    palette = Image.fromarray(known).quantize(COLOURS - 1, Image.Quantize.MEDIANCUT)  # and one for what stays
+    # weighted by the root of their frequency: a large background would leave no colours for small details
+    weighted = np.repeat(coarse, np.ceil(np.sqrt(counts)).astype(int), axis=0)[None].astype(np.uint8)
+    palette = Image.fromarray(weighted).quantize(
+        COLOURS - 1, Image.Quantize.MEDIANCUT
+    )  # one more is reserved for unchanged pixels
     numbers = (palette.getpalette() or [])[: 3 * (COLOURS - 1)]
     colours = np.array(numbers, dtype=np.int16).reshape(-1, 3)
     shown: list[NDArray[np.uint8]] = []
     for frame in frames:
         now = np.array(Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE))
-        if shown:  # what has hardly changed stays, and needs no bytes
-            still = np.abs(colours[shown[-1]] - frame).max(axis=2) <= COLOUR_TOLERANCE
-            now[still] = shown[-1][still]
+        if shown:  # pixels that hardly change stay the same, which needs no bytes
+            unchanged = np.abs(colours[shown[-1]] - frame).max(axis=2) <= COLOUR_TOLERANCE
+            now[unchanged] = shown[-1][unchanged]
         shown.append(now)
     first, *rest = images = [Image.fromarray(now) for now in shown]
     for image in images:
-        image.putpalette(numbers)  # its numbers are now those of colours
+        image.putpalette(numbers)
     first.save(path, save_all=True, append_images=rest, duration=round(1e3 / rate), loop=0, optimize=True)
 
 
 def has_display() -> bool:
-    """Whether a window could be opened: there is pygame and, on Linux, a display."""
+    """Return whether a window can be opened: it needs pygame and, on Linux, a display."""
     from importlib.util import find_spec
 
     shown = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"))
@@ -124,10 +129,15 @@ def has_display() -> bool:
 
 
 class Window:
-    """A window that shows frames at their pace.
+    """Window that shows frames in real time.
+
+    Args:
+        size: width and height, pixels.
+        title: title of the window.
+        period: time between two frames, s.
 
     Attributes:
-        shown, late: frames that were shown, and those of them that came later than the clock wanted.
+        shown, late: number of shown frames, and of those shown later than in real time.
     """
 
     def __init__(self, size: tuple[int, int], title: str, period: float) -> None:
@@ -141,7 +151,7 @@ class Window:
         self._period, self.shown, self.late = period, 0, 0
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Shows a picture (height, width, 3), and waits until it is time for the next."""
+        """Show a frame (height, width, 3) and wait until the time of the next."""
         surface = self._pygame.surfarray.make_surface(picture.swapaxes(0, 1))
         self._screen.blit(surface, (0, 0))
         self._pygame.event.pump()
@@ -151,32 +161,30 @@ class Window:
         self.late += bool(self.shown > 1 and taken > 1500.0 * self._period)
 
     def close(self) -> None:
-        """Closes it."""
+        """Close the window; print the number of late frames, if any, to stderr."""
         self._pygame.display.quit()
         if self.late:
             print(f"{self.late} of {self.shown} frames came late", file=sys.stderr)
 
 
-GIF_SIZE, FILM_SIZE = (480, 360), (1280, 720)  # pixels of a moving picture and of a film, all arms together
-GIF_SECONDS, GIF_RATE, FILM_RATE = 5.0, 10.0, 50.0  # of a moving picture; frames a second
-TRAIL_SECONDS = 1.5  # s
+GIF_SIZE, FILM_SIZE = (480, 360), (1280, 720)  # pixels; default width and height of a GIF and of a film
+GIF_SECONDS = 5.0  # s; duration of a GIF
+GIF_RATE, FILM_RATE = 10.0, 50.0  # frames per second
+TRAIL_SECONDS = 1.5  # s; duration of the drawn path of the tip
 
 
 def side_by_side(
     episodes: Sequence[Episode], small: bool = False, size: tuple[int, int] | None = None
 ) -> tuple[list[NDArray[np.uint8]], float]:
-    """Paints frames of episodes side by side, from one camera direction and with one scale.
+    """Return frames of several episodes side by side, with one camera direction and one scale.
 
     Args:
-        episodes: at least one.
-        small: a moving picture of 5 s at 10 frames a second, instead of a film of the whole at 50.
-        size: width and height of all together, pixels; None takes 480 x 360 or 1280 x 720.
+        episodes: at least one episode.
+        small: whether to make a GIF of 5 s at 10 frames per second, instead of a film of the whole at 50.
+        size: width and height of the picture, pixels; None for 480 x 360 (small) or 1280 x 720.
 
     Returns:
-        Frames (height, width, 3), and how many of them a second.
-
-    Raises:
-        ValueError: for no episode, and what a FramePainter refuses.
+        Frames (height, width, 3), and the number of frames per second.
     """
     if not episodes:
         raise value_error("episodes", episodes, "at least one")
@@ -202,9 +210,9 @@ def side_by_side(
 
 
 def _caption(episode: Episode, row: int) -> Caption:
-    """What is known at a row."""
+    """Return the caption of an episode at a row."""
     error, torques = float(episode.errors[row]), episode.actions[max(row - 1, 0)] if len(episode.actions) else None
-    known = torques is not None and bool(np.isfinite(torques).all())
+    finite = torques is not None and bool(np.isfinite(torques).all())
     return Caption(
-        episode.name, float(episode.time[row]), error if np.isfinite(error) else None, None, torques if known else None
+        episode.name, float(episode.time[row]), error if np.isfinite(error) else None, None, torques if finite else None
     )

@@ -1,8 +1,13 @@
 """Vector environment: many arms with separate episodes, with the vector interface of Gymnasium."""
 
+import fcntl
 from collections.abc import Sequence
+from contextlib import nullcontext
+from functools import cache
+from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from gymnasium import logger
 from gymnasium.utils import seeding
@@ -19,7 +24,7 @@ from flexman_gym.envs.env import MAX_SEED, FlexManEnv
 from flexman_gym.envs.episodes import Episodes, make_spaces, validate_actions
 from flexman_gym.envs.rendering import RENDER_KEYWORDS, make_renderer
 from flexman_gym.envs.stateful import Observations, StatefulEnv
-from flexman_gym.kernels import layout
+from flexman_gym.kernels import CACHE_FOLDER, layout
 from flexman_gym.simulation.batch import MAX_ARMS, Batch
 
 Infos = dict[str, Any]
@@ -307,3 +312,14 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         if isinstance(mask, np.ndarray) and mask.shape == (self.num_envs,) and mask.dtype == bool and mask.any():
             return mask
         raise value_error("options['reset_mask']", mask, f"an array ({self.num_envs},) of bool, not all of them False")
+
+
+@cache
+def compile_kernels() -> None:
+    """Compile the kernels of the environments; a lock lets only one process on a computer compile while others wait."""
+    with (Path(CACHE_FOLDER) / "lock").open("w") if CACHE_FOLDER else nullcontext() as lock:
+        if lock is not None:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        for env in (gym.make("FlexRRR-v0"), gym.make_vec("FlexRRR-v0", 2, "vector_entry_point")):
+            env.reset(seed=0)
+            env.step(env.action_space.sample())

@@ -1,4 +1,4 @@
-"""Evaluation: what judges controllers and policies: one loop, figures of what happened, and a table."""
+"""Evaluation of one agent: rollouts, metrics of their episodes, tables, and tuning of controllers."""
 
 from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.evaluation.agent import BASELINES, AgentSpec, find_agent

@@ -1,11 +1,12 @@
 """Agents to be evaluated: baselines by name, shipped policies, runs from disk, controllers and predictors."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from inspect import signature
 from pathlib import Path
-from typing import Any
+from time import process_time
+from typing import Any, Self
 
 import gymnasium as gym
 import numpy as np
@@ -14,8 +15,8 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import short_path, value_error
 from flexman_gym.common.files import existing_file
-from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, read_settings
+from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.agent import Law
 from flexman_gym.control.base_controllers import BASES, parse_base
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
@@ -25,26 +26,24 @@ from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.evaluation.policy_files import ABOUT, POLICIES, policy_folder, read_policy
 
-INTERFACE = ("base", "action_repeat", "sensors", "history", "actions")  # settings of what acts, not of what is moved
-LAWLESS_AGENTS = {
-    "zero": "no torque at all",
-    "random": "random torques",
-}  # agents without a controller: name -> description
+INTERFACE = ("base", "action_repeat", "sensors", "history", "actions")  # settings of the agent, not of the plant
+LAWLESS_AGENTS = {"zero": "no torque at all", "random": "random torques"}  # agents without controller: description
 BASELINES = (*BASES, *LAWLESS_AGENTS)
-"""Agents that need no training, by name."""
-AGENTS = (*BASELINES, *POLICIES)  # all that have a name
+"""Names of the agents without training."""
+AGENTS = (*BASELINES, *POLICIES)  # names of all agents: baselines and shipped policies
 
 
 @dataclass(frozen=True)
 class AgentSpec:
-    """Specification of an agent: name, law, and the settings with which an environment makes its `control.Agent`.
+    """Specification of an agent: name, law, and the settings from which an environment makes its `control.Agent`.
 
     Attributes:
-        name: as in a table.
-        law: commands (b, k) for observations (b, size); None for zeros, so that the base controller acts alone.
-        interface: base, its gains, action_repeat, sensors, history and actions; None for those of the environment in
-            which it acts.
-        environment: the environment that it was trained on; None for a baseline, which suits any.
+        name: name in tables.
+        law: function from observations (b, size) to commands (b, k) between -1 and 1; None for zero commands, so that
+            the base controller acts alone.
+        interface: base controller and its gains, action_repeat, sensors, history and actions; None for those of the
+            environment in which the agent acts.
+        environment: environment of the training; None for a baseline, which acts in any environment.
     """
 
     name: str
@@ -53,26 +52,30 @@ class AgentSpec:
     environment: Configuration | None = None
 
 
-def find_agent(entrant: object) -> AgentSpec:
-    """Gives the entrant that a name, a mapping as `base` takes it, a folder, a Controller or a predictor means.
+def find_agent(agent: object) -> AgentSpec:
+    """Return the specification of an agent.
 
-    A name is one of BASELINES and POLICIES. A folder holds a training run or an exported policy. A predictor is an
-    object with `predict`, as Stable-Baselines3 has them, see `predictor_agent`.
+    Args:
+        agent: a name in BASELINES or POLICIES, a mapping as the keyword `base` takes it, the folder of a training run
+            or of an exported policy, a Controller, or an object with a method `predict`, see `predictor_agent`.
+
+    Returns:
+        The specification, with the settings from which an environment makes the agent.
 
     Raises:
-        FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
+        FileNotFoundError: for an unknown name or folder.
     """
-    if isinstance(entrant, AgentSpec):
-        return entrant
-    if isinstance(entrant, Controller) and not isinstance(entrant, type):
-        return AgentSpec(type(entrant).__name__, None, {"base": entrant})
-    if isinstance(entrant, dict):
-        return AgentSpec(parse_base(entrant)[0], None, {"base": entrant})
-    if hasattr(entrant, "predict") and not isinstance(entrant, type):
-        return predictor_agent(entrant)
-    name = str(entrant)
+    if isinstance(agent, AgentSpec):
+        return agent
+    if isinstance(agent, Controller) and not isinstance(agent, type):
+        return AgentSpec(type(agent).__name__, None, {"base": agent})
+    if isinstance(agent, dict):
+        return AgentSpec(parse_base(agent)[0], None, {"base": agent})
+    if hasattr(agent, "predict") and not isinstance(agent, type):
+        return predictor_agent(agent)
+    name = str(agent)
     if folder := policy_folder(name):
-        return load_policy(folder)
+        return _load_policy(folder)
     if name in BASES:
         return AgentSpec(name, None, {"base": name})
     if name == "zero":
@@ -81,88 +84,81 @@ def find_agent(entrant: object) -> AgentSpec:
         return AgentSpec(name, None, {"base": _RandomTorques()})
     if name.endswith(".zip"):
         raise _untrusted_file_error(name)
-    if not os.path.isdir(name):  # whatever the name is
+    if not os.path.isdir(name):  # False for any text; Path.is_dir raises for some
         allowed = f"the folder of a training run, or one of {', '.join(AGENTS)}"
-        raise FileNotFoundError(f"entrant: {short_path(name)} is not allowed; give {allowed}")
-    return load_run(Path(name))
+        raise FileNotFoundError(f"agent: {short_path(name)} is not allowed; give {allowed}")
+    return _load_run(Path(name))
 
 
-def load_policy(folder: Path) -> AgentSpec:
-    """Loads a policy that was exported; nothing in its files is run.
-
-    Raises:
-        FileNotFoundError, ValueError: one line, see `read_policy`, also where its sensors read something else now.
-    """
+def _load_policy(folder: Path) -> AgentSpec:
+    """Load an exported policy without running code of its files; check that its sensors have the same readings now."""
     about, network = read_policy(folder)
     try:
-        described = Configuration.from_plain(about["environment"])
-        if observation_layout(described) != about["observation"]:
-            raise value_error(
-                "observation", about["observation"], "the names, units and sizes that its sensors read here"
-            )
-        return network_agent(folder.name, network, described, about["recipe"]["settings"].get("base_in_use"))
+        environment = Configuration.from_plain(about["environment"])
+        if observation_layout(environment) != about["observation"]:
+            raise value_error("observation", about["observation"], "the names, units and sizes of its sensors here")
+        return network_agent(folder.name, network, environment, about["recipe"]["settings"].get("base_in_use"))
     except ValueError as error:
         raise ValueError(f"{short_path(folder / ABOUT)}: {error}") from None
 
 
-def observation_layout(described: Configuration) -> list[dict[str, Any]]:
-    """Gives what the agent of an environment observes, in order: name, unit and how many numbers, without history."""
-    venv = gym.make_vec(described.id, 1, "vector_entry_point", **described.keywords())
+def observation_layout(environment: Configuration) -> list[dict[str, Any]]:
+    """Return name, unit and size of each part of the observation of an environment, in order and without history."""
+    venv = gym.make_vec(environment.id, 1, "vector_entry_point", **environment.keywords())
     episodes: Any = venv.unwrapped.episodes  # type: ignore[attr-defined]
     venv.close()
-    seen = [(name, episodes.sensors.units[name], part.stop - part.start)
-            for name, part in episodes.sensors.slices.items()]  # fmt: skip
-    seen += [(name, "1", size) for name, size in getattr(episodes.agent.mode, "observation_sizes", {}).items()]
-    return [{"name": name, "unit": unit, "size": size} for name, unit, size in seen]
+    parts = [(name, episodes.sensors.units[name], part.stop - part.start)
+             for name, part in episodes.sensors.slices.items()]  # fmt: skip
+    parts += [(name, "1", size) for name, size in getattr(episodes.agent.mode, "observation_sizes", {}).items()]
+    return [{"name": name, "unit": unit, "size": size} for name, unit, size in parts]
 
 
-def predictor_agent(model: Any, described: Configuration | None = None) -> AgentSpec:
-    """Gives the entrant of an object with `predict`, which gives actions (b, n) for observations (b, size).
+def predictor_agent(model: Any, environment: Configuration | None = None) -> AgentSpec:
+    """Return the agent of an object whose method `predict` maps observations (b, size) to actions (b, n).
 
-    A model of Stable-Baselines3 brings the environment that it learned in, and the statistics of a `VecNormalize`
-    there. Anything else sees what the environment shows in which it is to act.
+    A model of Stable-Baselines3 has the environment of its training, and the statistics of its `VecNormalize` if it has
+    one. The observations of any other object are those of the environment in which it acts.
 
     Args:
-        model: the object; `predict` may also give a pair with the actions first.
-        described: the environment that it learned in, where the model does not bring it.
-    """
-    beside = getattr(model, "get_vec_normalize_env", lambda: None)()
-    arms = getattr(model, "get_env", lambda: None)()
-    if described is None and arms is not None:
-        described = arms.get_attr("configuration")[0]
-    environment, interface = (None, None) if described is None else split_interface(described)
+        model: the object; `predict` may also return a tuple with the actions first.
+        environment: environment of the training, for a model without one.
 
-    told = {"deterministic": True}
+    Returns:
+        The specification; its law clips the actions to -1 and 1.
+    """
+    normaliser = getattr(model, "get_vec_normalize_env", lambda: None)()
+    venv = getattr(model, "get_env", lambda: None)()
+    if environment is None and venv is not None:
+        environment = venv.get_attr("setup")[0]
+    moved, interface = (None, None) if environment is None else split_interface(environment)
+
+    options = {"deterministic": True}
     try:
-        signature(model.predict).bind(None, **told)
+        signature(model.predict).bind(None, **options)
     except TypeError:
-        told = {}  # which an object of one's own need not know
+        options = {}  # `predict` of another library may lack the argument
 
     def law(observations: NDArray[np.float32]) -> NDArray[np.floating]:
-        seen = observations if beside is None else beside.normalize_obs(observations)
-        said = model.predict(seen, **told)
-        actions = np.asarray(said[0] if isinstance(said, tuple) else said, dtype=np.float32)
+        inputs = observations if normaliser is None else normaliser.normalize_obs(observations)
+        outputs = model.predict(inputs, **options)
+        actions = np.asarray(outputs[0] if isinstance(outputs, tuple) else outputs, dtype=np.float32)
         return np.clip(actions, -1, 1).reshape(len(observations), -1)
 
-    return AgentSpec(type(model).__name__, law, interface, environment)
+    return AgentSpec(type(model).__name__, law, interface, moved)
 
 
-def load_run(folder: Path) -> AgentSpec:
-    """Loads the policy of a run: its best one where there is one, else its newest; nothing in its files is run.
-
-    Raises:
-        FileNotFoundError, ValueError: one clear line.
-    """
+def _load_run(folder: Path) -> AgentSpec:
+    """Load the best policy of a run, or the newest where there is no best one, without running code of its files."""
     if is_sb3_folder(folder):
         raise _untrusted_file_error(folder)
     settings = read_settings(folder)
     try:
-        described = Configuration.from_plain(settings["environment"])
+        environment = Configuration.from_plain(settings["environment"])
         algo, activation = settings["algo"], settings["hyperparameters"].get("activation")
-        in_use = settings.get("base_in_use")
+        base_in_use = settings.get("base_in_use")
     except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        said = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"{short_path(folder / SETTINGS)}: {said}; give the settings of a training run") from None
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ValueError(f"{short_path(folder / SETTINGS)}: {reason}; give the settings of a training run") from None
     path = folder / BEST if (folder / BEST).is_file() else existing_file(folder / NEWEST)
     data = read_npz(path)
     check_settings(path, data, settings)
@@ -170,45 +166,54 @@ def load_run(folder: Path) -> AgentSpec:
         network = Network(algo, activation, data.get("policy"), data.get("statistics"))
     except ValueError as error:
         raise ValueError(f"{short_path(path)}: {error}") from None
-    return network_agent(folder.name, network, described, in_use)
+    return network_agent(folder.name, network, environment, base_in_use)
 
 
-def _untrusted_file_error(place: object) -> ValueError:
+def _untrusted_file_error(path: object) -> ValueError:
     allowed = "--trust, if you trust whoever made them: they are pickles, which run any code when they are read"
-    return ValueError(f"entrant: the files of Stable-Baselines3 in {place} are not read; give {allowed}")
+    return ValueError(f"agent: the files of Stable-Baselines3 in {path} are not read; give {allowed}")
 
 
-def network_agent(name: str, network: Law, described: Configuration, in_use: object = None) -> AgentSpec:
-    """Return the specification of a network with the environment of its training.
+def network_agent(name: str, network: Law, environment: Configuration, base_in_use: object = None) -> AgentSpec:
+    """Return the agent of a network.
 
-    Its base controller and action mode are those of that environment wherever it acts; a base in use is made for the
-    environment in which it acts.
+    Args:
+        name: name of the agent.
+        network: law of the agent.
+        environment: environment of the training, with the settings of the agent. Base controller and action mode are
+            designed for it wherever the agent acts.
+        base_in_use: base controller instead of the one of the training; it is designed for the environment in which the
+            agent acts.
+
+    Returns:
+        The specification.
     """
-    environment, interface = split_interface(described)
-    agent = AgentSpec(name, network, interface, environment)
-    if in_use is None:
-        return design_for(agent, described)
-    parse_base(in_use)
+    moved, interface = split_interface(environment)
+    agent = AgentSpec(name, network, interface, moved)
+    if base_in_use is None:
+        return design_for(agent, environment)
+    parse_base(base_in_use)
     interface.pop("gains", None)
-    return replace(agent, interface={**interface, "base": in_use})
+    return replace(agent, interface={**interface, "base": base_in_use})
 
 
-def split_interface(described: Configuration) -> tuple[Configuration, dict[str, Any]]:
-    """Parts a description into what is moved and the settings of what acts on it.
+def split_interface(environment: Configuration) -> tuple[Configuration, dict[str, Any]]:
+    """Split an environment into the environment without an agent and the settings of the agent, see INTERFACE.
 
-    The gains of a PD are in both: those with which a policy learned are its own, and the environment has a PD too.
+    The gains of a PD controller are in both: those of a policy's training belong to the policy, and the environment
+    has the baseline "pd" too.
     """
-    interface = {name: value for name, value in described.settings.items() if name in INTERFACE}
-    if described.base == "pd":
-        interface["gains"] = described.to_plain(strict=False)["gains"]
-    return described.without(INTERFACE), interface
+    interface = {name: value for name, value in environment.settings.items() if name in INTERFACE}
+    if environment.base == "pd":
+        interface["gains"] = environment.to_plain(strict=False)["gains"]
+    return environment.without(INTERFACE), interface
 
 
 def design_for(agent: AgentSpec, environment: Configuration) -> AgentSpec:
-    """Return an agent whose base controller and action mode are made for an environment, whatever the one it acts in.
+    """Return an agent whose base controller and action mode are designed for one environment, wherever it acts.
 
-    Without this, a controller that is given by its name is made for the environment in which it acts, with the delay,
-    noise, friction and ranges there. A controller or mode that is made already stays as it is.
+    Without this, a controller given by its name is designed for the environment in which it acts, with the delay,
+    noise, friction and ranges there. A controller or action mode given as an object stays as it is.
     """
     if agent.interface is None:
         return agent
@@ -218,34 +223,91 @@ def design_for(agent: AgentSpec, environment: Configuration) -> AgentSpec:
     return replace(agent, interface={**others, "base": base, "actions": mode})
 
 
-def common_environment(entrants: Sequence[AgentSpec], named: Configuration | None) -> Configuration:
-    """Gives the environment on which all entrants are evaluated: the named one, or that of the trained ones.
+class _TimedMode:
+    """Action mode with its base controller, and the CPU time (s) of its calls and of the law of its agent."""
 
-    Its PD, which is a baseline, has the gains of the first of them that has any.
+    def __init__(self, mode: ActionMode) -> None:
+        self.mode, self.action_seconds, self.start_seconds = mode, 0.0, 0.0
+        self.joints, self.names, self.sensors = mode.joints, mode.names, mode.sensors
+        self.shown = getattr(mode, "shown", {})
+
+    def __deepcopy__(self, memo: object) -> Self:
+        return self  # a rollout copies the mode; the times are read from this object
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
+        begun = process_time()
+        self.mode.reset(arms, episode, count)
+        self.start_seconds += process_time() - begun
+
+    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
+        return self.timed(self.mode.act)(actions, readings, applied, playing)
+
+    def look(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
+        return self.timed(self.mode.look)(readings, applied, playing)  # type: ignore[attr-defined]
+
+    def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function whose CPU time counts as time of the actions."""
+
+        def call(*arguments: Any) -> Any:
+            begun = process_time()
+            result = function(*arguments)
+            self.action_seconds += process_time() - begun
+            return result
+
+        return call
+
+
+def timed_agent(agent: AgentSpec, environment: Configuration) -> tuple[AgentSpec, _TimedMode | None]:
+    """Return an agent designed for an environment, and the clock of its CPU time; None for "zero", which computes none.
+
+    The clock has `action_seconds` of all actions and `start_seconds` of all starts of episodes.
+    """
+    if agent.interface is None or (agent.law is None and "base" not in agent.interface):
+        return agent, None
+    designed = design_for(agent, environment)
+    assert designed.interface is not None
+    clock = _TimedMode(designed.interface["actions"])
+    law: Law | None = clock.timed(designed.law) if designed.law else None
+    return replace(designed, law=law, interface={**designed.interface, "base": None, "actions": clock}), clock
+
+
+def common_environment(
+    agents: Sequence[AgentSpec], named: Configuration | None = None, changes: Sequence[str] = ()
+) -> Configuration:
+    """Return the environment, without settings of an agent, in which several agents are evaluated.
+
+    The gains of its PD controller, a baseline, are those of the first agent whose training had a PD controller.
+
+    Args:
+        agents: the agents.
+        named: environment chosen by the user; None for the environment of the trained agents.
+        changes: changes "name=value" of settings of the environment, see `Configuration.changed`.
+
+    Returns:
+        The environment without settings of an agent.
 
     Raises:
-        ValueError: for policies that were trained on different ones, when none is named.
+        ValueError: for agents of different environments when none is named, and for a change of a setting of the agent.
     """
-    if named is not None:
-        return split_interface(named)[0]
-    trained = [(each.name, each.environment, each.environment.to_plain()) for each in entrants if each.environment]
+    return _change(split_interface(named)[0] if named is not None else _training_environment(agents), changes)
+
+
+def _training_environment(agents: Sequence[AgentSpec]) -> Configuration:
+    trained = [(each.name, each.environment, each.environment.to_plain()) for each in agents if each.environment]
     for name, _, whole in trained:
         if {**whole, "gains": None} != {**trained[0][2], "gains": None}:
-            allowed = f"policies of one environment, or name one with --env: {trained[0][0]} knows another"
-            raise value_error("entrant", name, allowed)
+            allowed = "policies of one environment, or name one with --env: "
+            raise value_error("agent", name, f"{allowed}{trained[0][0]} was trained in another environment")
     with_gains = [environment for _, environment, whole in trained if whole.get("gains")]
     return next(iter([*with_gains, *(environment for _, environment, _ in trained)]), Configuration())
 
 
-def change_environment(environment: Configuration, changes: Sequence[str]) -> Configuration:
-    """Gives an environment with settings of "name=value" changed.
-
-    Raises:
-        ValueError: for those that belong to what acts, and what `Configuration.changed` refuses.
-    """
+def _change(environment: Configuration, changes: Sequence[str]) -> Configuration:
+    if not changes:
+        return environment
     for change in changes:
         if current_name(change.split("=")[0].split(".")[0], warn=False) in INTERFACE:
-            allowed = f"a setting of what is moved: {', '.join(INTERFACE)} are those that a policy was trained with"
+            allowed = f"a setting of the environment: {', '.join(INTERFACE)} are those of the training of a policy"
             raise value_error("--set", change, allowed)
     return split_interface(environment.changed(changes))[0]
 
@@ -262,41 +324,40 @@ class _RandomTorques:
         """Start new episodes."""
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Return torques (b, n), parts of the limits."""
+        """Return torques (b, n) as fractions of the torque limits."""
         return self._random.uniform(-1.0, 1.0, applied.shape).astype(np.float32).astype(np.float64)
 
 
-SB3_MODEL = "model.zip"  # of Stable-Baselines3
+SB3_MODEL = "model.zip"  # file of a model of Stable-Baselines3
 CHANGEABLE_SETTINGS = ("steps", "eval_every")  # settings that a resumed run may change
 
 
 def is_sb3_folder(folder: Path) -> bool:
-    """Return whether a folder holds a policy in files of Stable-Baselines3 and no run of this library."""
+    """Return whether a folder has a model file of Stable-Baselines3 and no run of this library."""
     return (folder / SB3_MODEL).is_file() and not any((folder / name).is_file() for name in (BEST, NEWEST))
 
 
 def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
-    """Raise ValueError when the settings of a run were changed after its file of arrays was written.
+    """Raise ValueError where the settings of a run differ from those stored with its arrays.
 
     Args:
-        path: of the file of arrays.
+        path: path of the file of arrays.
         data: content of that file.
-        settings: of the run now.
+        settings: present settings of the run.
     """
-    kept = data.get("settings") if isinstance(data, dict) else None
-    if not isinstance(kept, dict):
-        raise ValueError(f"{path}: this is not what a training run has written (it has no settings)")
-    kept = rename_keys(kept, RUN_SETTINGS, warn=False)
-    names = kept.keys() - set(CHANGEABLE_SETTINGS)
-    changed = [name for name in names if not _is_equal(settings.get(name), kept.get(name))]
+    stored = data.get("settings") if isinstance(data, dict) else None
+    if not isinstance(stored, dict):
+        raise ValueError(f"{path}: this is no file of a training run (it has no settings)")
+    names = stored.keys() - set(CHANGEABLE_SETTINGS)
+    changed = [name for name in names if not _is_equal(settings.get(name), stored.get(name))]
     if changed:
-        allowed = f"the settings with which {path.name} was written: {', '.join(sorted(changed))} is another now"
+        allowed = f"the settings with which {path.name} was written: different now are {', '.join(sorted(changed))}"
         raise ValueError(f"{path.parent / SETTINGS}: this was changed; give {allowed}")
 
 
-def _is_equal(setting: object, kept: object) -> bool:
-    """Return whether a setting equals the kept one, which is an array in a forged file."""
+def _is_equal(setting: object, stored: object) -> bool:
+    """Return whether a setting equals the stored one, which may be an array in a forged file."""
     try:
-        return bool(setting == kept)
+        return bool(setting == stored)
     except ValueError:
         return False

@@ -1,6 +1,7 @@
-"""Information on an agent: description, required information, training time, and seeds seen in training."""
+"""Information on an agent: description, required information, training time, and seeds of its training."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,52 +16,62 @@ from flexman_gym.evaluation.agent import BASELINES, LAWLESS_AGENTS
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, training_seed
 
-ORACLE_INFORMATION = ("true state", "true parameters", "its episodes")  # not available for a real arm
-TRUE_SENSORS = ("full", "fine", "state")
-TIME_COLUMN = "time/time_elapsed"  # the column of Stable-Baselines3
+ORACLE_INFORMATION = ("true state", "true parameters", "its episodes")  # not available on hardware
+TRUE_SENSORS = ("full", "fine", "state")  # sensors that read the true state
+TIME_COLUMN = "time/time_elapsed"  # column of the training time (s) in the curves of Stable-Baselines3
 
 
-def describe_agent(agent: str) -> tuple[str, str]:
-    """Return the description of an agent, and how it was tuned or trained.
+@dataclass(frozen=True)
+class AgentInfo:
+    """Description of an agent.
+
+    Attributes:
+        description: kind of the agent, in a few words.
+        tuning: method and cost of its tuning or training.
+        information: information needed in addition to the measurements of its motors.
+    """
+
+    description: str
+    tuning: str
+    information: tuple[str, ...]
+
+    @property
+    def realisable(self) -> bool:
+        """Whether the agent could act on hardware: it needs no ORACLE_INFORMATION."""
+        return not set(self.information) & set(ORACLE_INFORMATION)
+
+
+def describe_agent(agent: str) -> AgentInfo:
+    """Return the description of an agent given by its name or its folder.
+
+    Args:
+        agent: name of an agent, or folder of a run or a policy.
+
+    Returns:
+        Description, tuning, and required information.
 
     Raises:
-        FileNotFoundError, ValueError: one line, for a folder that holds no run.
+        FileNotFoundError: for a folder without a run.
     """
     if agent in BASES:
-        return BASES[agent].description, BASES[agent].tuning
+        return AgentInfo(BASES[agent].description, BASES[agent].tuning, BASES[agent].information)
     if agent in LAWLESS_AGENTS:
-        return LAWLESS_AGENTS[agent], "none"
+        return AgentInfo(LAWLESS_AGENTS[agent], "none", ())
     settings, seconds = _settings(agent), training_seconds(agent)
-    base = settings.get("base_in_use") or (settings.get("environment") or {}).get("base")
-    what = f"a policy that {str(settings.get('algo', 'a recipe')).upper()} has trained"
-    trained = "for a time that its curves do not tell" if seconds is None else f"for {seconds / 60.0:.3g} minutes"
-    return what + (f", beside the base {base if isinstance(base, str) else base['kind']}" if base else ""), trained
-
-
-def required_information(agent: str) -> tuple[str, ...]:
-    """Return the information that an agent needs beside the measurements of its motors.
-
-    Raises:
-        FileNotFoundError, ValueError: one line, for a folder that holds no run.
-    """
-    if agent in BASELINES:
-        return BASES[agent].information if agent in BASES else ()
-    settings = _settings(agent)
-    setup = Configuration.from_plain(settings.get("environment"))
-    kinds = {each["kind"] if isinstance(each, dict) else each for each in plain_sensors(setup.sensors)}
-    beside = settings.get("base_in_use") or setup.base  # a base in use takes the place of the one it learned with
-    base = beside.get("kind") if isinstance(beside, dict) else beside
-    known = ["training", *(["true state"] if kinds & set(TRUE_SENSORS) else [])]
-    return tuple(dict.fromkeys([*known, *(BASES[base].information if isinstance(base, str) else ())]))
-
-
-def is_realisable(agent: str) -> bool:
-    """Return whether an agent could act on a real arm: it needs no ORACLE_INFORMATION."""
-    return not set(required_information(agent)) & set(ORACLE_INFORMATION)
+    environment = Configuration.from_plain(settings.get("environment"))
+    base = settings.get("base_in_use") or environment.base  # a base in use replaces the base of the training
+    kind = base.get("kind") if isinstance(base, dict) else base
+    described = f"a policy trained by {str(settings.get('algo', 'a recipe')).upper()}"
+    described += f", with the base controller {kind}" if kind else ""
+    trained = "for a time missing in its curves" if seconds is None else f"for {seconds / 60.0:.3g} minutes"
+    sensors = {each["kind"] if isinstance(each, dict) else each for each in plain_sensors(environment.sensors)}
+    needed = ["training", *(["true state"] if sensors & set(TRUE_SENSORS) else [])]
+    of_base = BASES[kind].information if isinstance(kind, str) else ()
+    return AgentInfo(described, trained, tuple(dict.fromkeys([*needed, *of_base])))
 
 
 def training_seconds(agent: str) -> float | None:
-    """Return the training time (s) of a policy or of the curves of a run, None without curves."""
+    """Return the training time (s) of a policy, or of a run from its curves; None without curves."""
     if folder := policy_folder(agent):
         return float(read_policy(folder).about["training_seconds"])
     result = None
@@ -76,23 +87,19 @@ def training_seconds(agent: str) -> float | None:
 
 
 def check_seeds_unseen(agent: str, seeds: Sequence[int]) -> None:
-    """Check that a run was not trained or selected on the episodes of some seeds, according to its settings.
-
-    Raises:
-        FileNotFoundError, ValueError: one line.
-    """
+    """Raise ValueError if a run was trained or selected on episodes of some seeds, according to its settings."""
     if agent in BASELINES:
         return
     settings = _settings(agent)
     try:
         first, arms = training_seed(int(settings["seed"])), int(settings["envs"])
-        chosen = bool(settings["eval_every"])
+        selected = bool(settings["eval_every"])
     except (KeyError, TypeError, ValueError):
-        raise value_error("entrant", agent, f"a run whose {SETTINGS} say seed, envs and eval_every") from None
-    seen = {*range(first, first + arms), *(SELECTION_SEEDS if chosen else ())} & set(seeds)
-    if seen:
-        allowed = f"a policy that was neither trained nor chosen on the seed {min(seen)}, which is one of the test"
-        raise value_error("entrant", agent, allowed)
+        raise value_error("agent", agent, f"a run whose {SETTINGS} have seed, envs and eval_every") from None
+    used = {*range(first, first + arms), *(SELECTION_SEEDS if selected else ())} & set(seeds)
+    if used:
+        allowed = f"a policy neither trained nor selected on the seed {min(used)}, a test seed"
+        raise value_error("agent", agent, allowed)
 
 
 def _settings(agent: str) -> dict[str, Any]:

@@ -8,91 +8,101 @@ import gymnasium as gym
 import numpy as np
 
 from flexman_gym.common.parallel import Workers, parallel_map
+from flexman_gym.common.renamed import deprecated_arguments
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.rollout import compile_kernels, find_environment, rollout
+from flexman_gym.envs.vector_env import compile_kernels
+from flexman_gym.evaluation.rollout import rollout
 
-BLOCK = 50  # episodes side by side
-OBSERVATION_SETTINGS = ("sensors", "history")  # settings of an agent that the environment of a dataset keeps
+BLOCK = 50  # episodes simulated side by side
+OBSERVATION_SETTINGS = ("sensors", "history")  # settings of an agent in the environment of a dataset
 
 
+@deprecated_arguments(entrant="agent")
 def record_dataset(
-    entrant: str, environment: str | Configuration, seeds: Sequence[int], name: str, form: str = "hdf5",
+    agent: str, environment: str | Configuration, seeds: Sequence[int], name: str, form: str = "hdf5",
     workers: Workers | int = 1,
 ) -> Any:  # fmt: skip
-    """Writes episodes of an entrant into a new dataset where Minari keeps its own; returns the MinariDataset.
+    """Record episodes of an agent as a new dataset in Minari's folder; return the MinariDataset.
 
-    The environment of the dataset has nothing beside its agent and holds no actions: an action is all that the motors
-    were asked for in a control period, by whoever acted, as float32. The single environment, which
-    `recover_environment` gives, goes through the same observations and rewards under these actions, bit for bit.
+    The environment of the dataset has neither base controller nor action repeat: its actions are the commanded torques
+    of each control period, as float32, whichever agent they came from. The environment that `recover_environment` of
+    the dataset returns has the same observations and rewards under these actions, to the bit.
 
     Args:
-        entrant: as of `rollout`.
-        environment: as of `rollout`; its sensors and history say what is observed.
+        agent: see `rollout`.
+        environment: see `rollout`; its sensors and history determine the observations.
         seeds: one for each episode.
-        name: of the dataset, such as "flexrrr/pd-v0".
+        name: name of the dataset, such as "flexrrr/pd-v0".
         form: "hdf5" or "arrow".
-        workers: who plays, see `Workers`, or so many processes.
+        workers: processes or cluster for the simulations, see `Workers`, or a number of processes.
+
+    Returns:
+        The MinariDataset.
 
     Raises:
         ImportError: without Minari.
-        FileNotFoundError, ValueError: one line; also where there is a dataset of that name.
+        FileNotFoundError: for an unknown agent or environment.
+        ValueError: also for the name of an existing dataset.
     """
     try:
         import minari
         from minari.data_collector import EpisodeBuffer
     except ImportError:
         raise ImportError("datasets need Minari: pip install 'flexman_gym[scale]'") from None
-    bare = dataset_environment(find_environment(environment))
+    bare = _without_agent(Configuration.find(environment))
     single = gym.make(bare.id, **bare.settings)
-    cells = [(entrant, bare, tuple(seeds[i : i + BLOCK])) for i in range(0, len(seeds), BLOCK)]
-    episodes = [
-        each for block in parallel_map(record_episodes, cells, workers, prepare=compile_kernels) for each in block
+    cells = [(agent, bare, tuple(seeds[i : i + BLOCK])) for i in range(0, len(seeds), BLOCK)]
+    blocks = parallel_map(_record_block, cells, workers, prepare=compile_kernels)
+    buffers = [
+        EpisodeBuffer(id=number, **each) for number, each in enumerate(each for block in blocks for each in block)
     ]
-    buffers = [EpisodeBuffer(id=number, **episode) for number, episode in enumerate(episodes)]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of an author and a page, whom the user may add
+        warnings.simplefilter("ignore", UserWarning)  # about the author and the page, which the user may add
         return minari.create_dataset_from_buffers(
-            name, buffers, env=single, eval_env=single, algorithm_name=entrant, data_format=form,
-            description=f"{entrant} on {bare.id}, seeds {seeds[0]} to {seeds[-1]}", requirements=["flexman_gym"],
+            name, buffers, env=single, eval_env=single, algorithm_name=agent, data_format=form,
+            description=f"{agent} on {bare.id}, seeds {seeds[0]} to {seeds[-1]}", requirements=["flexman_gym"],
         )  # fmt: skip
 
 
-def dataset_environment(described: Configuration) -> Configuration:
-    """Gives an environment without base, held actions and other meanings of these, as plain data without files."""
-    whole = described.to_plain()
-    names = (name for name in described.settings if name not in ("base", "gains", "action_repeat", "actions"))
-    return Configuration(described.id, {name: whole[name] for name in names})
+def _without_agent(environment: Configuration) -> Configuration:
+    """Return an environment without base controller, action repeat and action mode, as plain data without files."""
+    whole = environment.to_plain()
+    names = (name for name in environment.settings if name not in ("base", "gains", "action_repeat", "actions"))
+    return Configuration(environment.id, {name: whole[name] for name in names})
 
 
-def record_episodes(cell: tuple[str, Configuration, tuple[int, ...]]) -> list[dict[str, Any]]:
-    """Plays episodes side by side, then their actions alone; gives what Minari keeps of each."""
-    entrant, bare, seeds = cell
-    moved = Configuration(
-        bare.id, {name: value for name, value in bare.settings.items() if name not in OBSERVATION_SETTINGS}
-    )
-    actions = np.nan_to_num(rollout(entrant, moved, seeds).actions).astype(np.float32)
+def _record_block(cell: tuple[str, Configuration, tuple[int, ...]]) -> list[dict[str, Any]]:
+    """Simulate episodes of an agent, then once more with their actions alone; return the data of Minari for each."""
+    agent, bare, seeds = cell
+    names = [name for name in bare.settings if name not in OBSERVATION_SETTINGS]
+    moved = Configuration(bare.id, {name: bare.settings[name] for name in names})
+    actions = np.nan_to_num(rollout(agent, moved, seeds).actions).astype(np.float32)
     venv = gym.make_vec(bare.id, len(seeds), "vector_entry_point", autoreset_mode="Disabled", infos="at end",
                         **bare.keywords())  # fmt: skip
     observations, _ = venv.reset(seed=list(seeds))  # type: ignore[arg-type]
-    over, seen, told = np.zeros(len(seeds), dtype=bool), [observations], []
+    over, observed, results = np.zeros(len(seeds), dtype=bool), [observations], []
     for action in actions.swapaxes(0, 1):
         if over.any():
-            venv.reset(options={"reset_mask": over})  # which is not kept
+            venv.reset(options={"reset_mask": over})  # the data of these episodes are cut off below
         observations, *rest, _ = venv.step(action)
         over = rest[1] | rest[2]
-        seen.append(observations)
-        told.append(rest)
+        observed.append(observations)
+        results.append(rest)
     venv.close()
-    return [*_split_episodes(seeds, np.array(seen), actions, [np.array(each) for each in zip(*told, strict=True)])]
+    return [
+        *_split_episodes(seeds, np.array(observed), actions, [np.array(each) for each in zip(*results, strict=True)])
+    ]
 
 
-def _split_episodes(seeds: Sequence[int], seen: Any, actions: Any, told: Sequence[Any]) -> Iterator[dict[str, Any]]:
-    """Each episode to its end."""
-    rewards, terminations, truncations = told
+def _split_episodes(
+    seeds: Sequence[int], observed: Any, actions: Any, results: Sequence[Any]
+) -> Iterator[dict[str, Any]]:
+    """Yield the data of each episode up to its end."""
+    rewards, terminations, truncations = results
     for arm, seed in enumerate(seeds):
         ends = np.flatnonzero((terminations | truncations)[:, arm])
         end = int(ends[0]) + 1 if len(ends) else len(rewards)
-        truncations[end - 1, arm] |= not len(ends)  # a failure that float32 has put off
-        yield {"seed": seed, "observations": seen[: end + 1, arm], "actions": actions[arm, :end],
+        truncations[end - 1, arm] |= not len(ends)  # rounding to float32 may delay a failure beyond the recorded end
+        yield {"seed": seed, "observations": observed[: end + 1, arm], "actions": actions[arm, :end],
                "rewards": rewards[:end, arm].tolist(), "terminations": terminations[:end, arm].tolist(),
                "truncations": truncations[:end, arm].tolist()}  # fmt: skip

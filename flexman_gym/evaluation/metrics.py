@@ -9,11 +9,14 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of
+from flexman_gym.common.renamed import deprecated_arguments
 from flexman_gym.control.controller import Controller
+from flexman_gym.control.references.optimised_slews import SHIPPED_TABLE, SlewTable
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import AgentSpec
 from flexman_gym.evaluation.rollout import EpisodeRecord, rollout
 from flexman_gym.metrics import (
+    damping_ratio,
     effort,
     final_error,
     median_interval,
@@ -29,43 +32,43 @@ MEAN, MEDIAN, SHARE = "mean", "median", "share"
 
 @dataclass(frozen=True)
 class Metric:
-    """A number that an episode has.
+    """Number computed from the record of an episode, and its aggregate over episodes.
 
     Attributes:
-        name: by which it is known.
-        head: of its column in a table.
-        unit: of the number, "" for none.
+        name: key in METRICS.
+        header: header of its column in a table.
+        unit: unit of the number, "" for none.
         better: "high" or "low".
-        of: function of a Record.
-        many: how many episodes are summed up, by "mean", "median" (with an interval) or "share" (a mean in percent).
-        scale: of the number in a table, beside its unit there.
-        everywhere: whether it matters for every task, or only for those that name it.
+        function: function from the record of an episode to the number.
+        statistic: aggregate over episodes: "mean", "median" (tables add its interval) or "share" (a mean, in percent).
+        scale: factor from the unit to the unit of the table.
+        for_all_tasks: whether the metric applies to every task, or only to tasks with its name in a list.
     """
 
     name: str
-    head: str
+    header: str
     unit: str
     better: str
-    of: Callable[[EpisodeRecord], float]
-    many: str
+    function: Callable[[EpisodeRecord], float]
+    statistic: str
     scale: float = 1.0
-    everywhere: bool = True
+    for_all_tasks: bool = True
 
-    def sum_up(self, records: Sequence[EpisodeRecord]) -> float:
-        """Return the mean or the median over episodes; of an even number of them the upper of the middle two."""
-        return self.summary(self.each(records))
+    def evaluate(self, records: Sequence[EpisodeRecord]) -> float:
+        """Return the mean or median over episodes; the median of an even number is the upper of the middle two."""
+        return self.aggregate(self.values(records))
 
-    def summary(self, values: Array) -> float:
-        """Return the mean or the median of the numbers (b,) of episodes, see `sum_up`."""
-        return upper_median(values) if self.many == MEDIAN else float(np.mean(values))
+    def aggregate(self, values: Array) -> float:
+        """Return the mean or median of the numbers (b,) of b episodes, see `evaluate`."""
+        return upper_median(values) if self.statistic == MEDIAN else float(np.mean(values))
 
-    def each(self, records: Sequence[EpisodeRecord]) -> Array:
-        """Gives the number of each of the episodes, (b,)."""
-        return np.array([self.of(record) for record in records])
+    def values(self, records: Sequence[EpisodeRecord]) -> Array:
+        """Return the number of each episode, (b,)."""
+        return np.array([self.function(record) for record in records])
 
     def interval(self, records: Sequence[EpisodeRecord]) -> tuple[float, float, float]:
-        """Gives the median of episodes and its bootstrap interval."""
-        return median_interval(self.each(records))
+        """Return the median over episodes and the ends of its bootstrap interval."""
+        return median_interval(self.values(records))
 
 
 def _settling_time(record: EpisodeRecord) -> float:
@@ -76,97 +79,122 @@ def _vibration(record: EpisodeRecord) -> float:
     return np.inf if record.failure else peak_to_peak(record.tips, record.period)
 
 
-# One that failed never settles and vibrates without end.
-METRICS = {figure.name: figure for figure in (
+# A failed episode has an infinite settling time and an infinite vibration.
+METRICS = {metric.name: metric for metric in (
     Metric("reward", "reward", "", "high", lambda record: float(record.rewards.sum()), MEAN),
     Metric("settled", "settled", "", "high", lambda record: float(np.isfinite(_settling_time(record))), SHARE),
-    Metric("settling_time", "settling, s", "s", "low", _settling_time, MEDIAN, everywhere=False),
+    Metric("settling_time", "settling, s", "s", "low", _settling_time, MEDIAN, for_all_tasks=False),
     Metric("vibration", "p-p, mm", "m", "low", _vibration, MEDIAN, 1e3),
     Metric("error", "error, mm", "m", "low", lambda record: final_error(record.errors, record.period), MEDIAN, 1e3,
-           everywhere=False),
-    Metric("rms_error", "RMS error, mm", "m", "low", lambda record: rms(record.errors), MEDIAN, 1e3, everywhere=False),
+           for_all_tasks=False),
+    Metric("rms_error", "RMS error, mm", "m", "low", lambda record: rms(record.errors), MEDIAN, 1e3,
+           for_all_tasks=False),
     Metric("roughness", "roughness", "", "low", lambda record: roughness(record.actions), MEAN),
     Metric("effort", "effort", "", "low", lambda record: effort(record.actions), MEAN),
     Metric("failed", "failed", "", "low", lambda record: float(record.failure != ""), SHARE),
 )}  # fmt: skip
-"""What `evaluate` gives: name -> `Metric`."""
-DEFAULT_TASK_METRICS = ("settling_time", "error")  # figures of a task that names none
+"""Metrics of `evaluate`: name -> `Metric`."""
+DEFAULT_TASK_METRICS = ("settling_time", "error")  # metrics of a task without a list of its own
 
 
 def task_metrics(task: Any) -> tuple[Metric, ...]:
-    """Gives the figures that matter for a task: those of every task, and those that it names in `figures`."""
-    names = getattr(task, "metrics", None)
-    if names is None:
-        names = getattr(task, "figures", DEFAULT_TASK_METRICS)
-        if hasattr(task, "figures"):
-            warnings.warn("task.figures is deprecated; give metrics", DeprecationWarning, stacklevel=2)
+    """Return the metrics of a task: those for all tasks, and those listed in its attribute `metrics`."""
+    names = getattr(task, "metrics", DEFAULT_TASK_METRICS)
+    if hasattr(task, "figures") and not hasattr(task, "metrics"):
+        warnings.warn("task.figures is deprecated; give metrics", DeprecationWarning, stacklevel=2)
+        names = task.figures
     own = [one_of("task.metrics", name, METRICS) for name in names]
-    return tuple(figure for name, figure in METRICS.items() if figure.everywhere or name in own)
+    return tuple(metric for name, metric in METRICS.items() if metric.for_all_tasks or name in own)
 
 
+@deprecated_arguments(entrant="agent")
 def evaluate(
-    entrant: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int] | int
+    agent: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int] | int
 ) -> dict[str, float]:
-    """Gives every figure of FIGURES, summed up over an episode from each seed.
+    """Simulate one episode for each seed and return all metrics of METRICS over these episodes.
 
-    Among them "vibration" is the motion of the tip from peak to peak in the last 3 s, in m (`tip_vibration` in an info
-    is a speed, in m/s), and "effort" the mean square of what the motors were asked for.
+    The metric "vibration" is the peak-to-peak motion of the tip in the last 3 s (m); `tip_vibration` in `info` is a
+    speed (m/s). The metric "effort" is the mean square of the commanded torques as fractions of their limits.
 
     Args:
-        entrant: see `rollout`.
-        environment: see `rollout`.
-        seeds: see `rollout`; a number of test seeds, such as 10, will do.
+        agent: name of a baseline or a shipped policy, folder of a run, Controller, or another object of `find_agent`.
+        environment: id, id and condition such as "FlexRRR-v0/delay", path of a file, or Configuration.
+        seeds: seeds of the episodes; a number n <= 100 stands for the first n test seeds.
 
     Returns:
-        reward, settled (share), settling_time (s), vibration (m), error (m), rms_error (m), roughness, effort and
-        failed (share), by name.
+        Metric by name: reward, settled (share of episodes), settling_time (s), vibration (m), error (m), rms_error (m),
+        roughness, effort and failed (share of episodes).
 
     Raises:
-        FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
+        FileNotFoundError: for an unknown agent or environment.
 
     Examples:
-        >>> found = fm.evaluate("lqr", "FlexOne-v0", seeds=range(2))
-        >>> found["settled"], found["failed"]
+        >>> result = fm.evaluate("lqr", "FlexOne-v0", seeds=range(2))
+        >>> result["settled"], result["failed"]
         (1.0, 0.0)
+        >>> result["settling_time"] < 3.0  # s
+        True
     """
-    records = rollout(entrant, environment, seeds).records
-    return {name: figure.sum_up(records) for name, figure in METRICS.items()}
+    records = rollout(agent, environment, seeds).records
+    return {name: metric.evaluate(records) for name, metric in METRICS.items()}
 
 
-MAX_NAME_LENGTH = 100  # letters in a line of the table
+def optimised_settling_times(environment: Configuration) -> dict[int, float]:
+    """Return settling times (s) of optimised slews by seed; {} if the shipped table is of another environment."""
+    table = SlewTable.load(SHIPPED_TABLE)
+    same = table.about.get("environment") == environment.to_plain()
+    return {seed: table.settling_time(seed) for seed in table.found} if same else {}
+
+
+def equivalent_damping(record: EpisodeRecord) -> float:
+    """Return the damping ratio of the tip's oscillation, after its first arrival, along the axis of largest motion.
+
+    It is infinite without an oscillation, and 0 if the tip never comes within the band.
+    """
+    inside = np.flatnonzero(record.errors <= record.band)
+    if record.failure or not len(inside) or len(record.tips) - inside[0] < 3:
+        return 0.0
+    tips = record.tips[inside[0] :]
+    ratio = damping_ratio(tips[:, np.argmax(np.ptp(tips, axis=0))])
+    return np.inf if np.isnan(ratio) else ratio
+
+
+MAX_NAME_LENGTH = 100  # letters of a name in the table
 CAPTION = "medians with 95 % bootstrap intervals; shares, reward, roughness and effort are means"
 
 
 def metrics_table(results: Mapping[str, Sequence[EpisodeRecord]], environment: Configuration) -> str:
-    """Gives a table with a row for each entrant; its head says on which environment all of them were run.
+    """Return a table of text with the metrics of the task, one row for each agent.
 
     Args:
-        results: name -> what happened in its episodes.
-        environment: on which they were run.
+        results: name of an agent -> records of its episodes; all agents have the same episodes.
+        environment: environment of the episodes.
+
+    Returns:
+        Lines of text: title, headers, one row for each agent, and a caption.
     """
-    setup = environment
-    columns = task_metrics(setup.task)
+    columns = task_metrics(environment.task)
     first = next(iter(results.values()))
     changes = ", ".join(sorted(environment.settings)) or "as it is"
     title = f"{len(first)} episodes of {environment.id} ({changes}), the same for all"
-    heads = ["entrant", *(_head(figure, first[0].band) for figure in columns)]
-    rows = [[_shorten(name), *(_cell(figure, records) for figure in columns)] for name, records in results.items()]
-    widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
-    return "\n".join([title, *(_line(row, widths) for row in (heads, *rows)), CAPTION])
+    headers = ["agent", *(_header(metric, first[0].band) for metric in columns)]
+    rows = [[_shorten(name), *(_cell(metric, records) for metric in columns)] for name, records in results.items()]
+    widths = [max(map(len, column)) for column in zip(headers, *rows, strict=True)]
+    return "\n".join([title, *(_line(row, widths) for row in (headers, *rows)), CAPTION])
 
 
-def _head(figure: Metric, band: float) -> str:
-    return f"in {1e3 * band:.3g} mm" if figure.name == "settled" else figure.head
+def _header(metric: Metric, band: float) -> str:
+    return f"in {1e3 * band:.3g} mm" if metric.name == "settled" else metric.header
 
 
-def _cell(figure: Metric, records: Sequence[EpisodeRecord]) -> str:
-    if figure.many == MEDIAN:
+def _cell(metric: Metric, records: Sequence[EpisodeRecord]) -> str:
+    if metric.statistic == MEDIAN:
         middle, low, high = (
-            f"{figure.scale * value:.3g}" if np.isfinite(value) else "-" for value in figure.interval(records)
+            f"{metric.scale * value:.3g}" if np.isfinite(value) else "-" for value in metric.interval(records)
         )
         return f"{middle} ({low} to {high})"
-    result = figure.sum_up(records)
-    if figure.many == SHARE:
+    result = metric.evaluate(records)
+    if metric.statistic == SHARE:
         return f"{result:.0%}"
     return f"{result:.1f}" if abs(result) >= 10.0 else f"{result:.3f}"
 
@@ -176,6 +204,6 @@ def _shorten(name: str) -> str:
 
 
 def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
-    """Cells side by side, the first to the left."""
+    """Return a line of the table, the first cell aligned to the left and the rest to the right."""
     others = [f"{cell:>{width}}" for cell, width in zip(cells[1:], widths[1:], strict=True)]
     return "  ".join([f"{cells[0]:<{widths[0]}}", *others]).rstrip()

@@ -24,17 +24,19 @@ from flexman_gym.control.references.optimised_slews import (
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_controller
+from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.agent import split_interface
 from flexman_gym.evaluation.metrics import METRICS
-from flexman_gym.evaluation.rollout import compile_kernels, find_environment, rollout
+from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.simulation.batch import Batch
 
-MIN_MARGINS = Margins(2.0, 30.0)  # of all gains that are tried
-POSTURES = 4  # of goals, at which they have these margins
-STIFFNESS_RANGE, MIN_DAMPING_SHARE = (0.01, 25.0), 0.05  # torque limits a radian, and part of the largest damping
-LOCAL_DEVIATIONS = np.geomspace(0.5, 0.1, 8)  # standard deviations of the rounds around the best, in logarithms
-CELL = 15  # gains that are judged side by side
-DRAWS = 1000  # for each of the gains that are looked for, before the search gives up
+MIN_MARGINS = Margins(2.0, 30.0)  # 1, degrees; margins of all candidate gains
+POSTURES = 4  # number of goals at which the margins are checked
+STIFFNESS_RANGE = (0.01, 25.0)  # torque limits per radian; range of the drawn stiffness
+MIN_DAMPING_SHARE = 0.05  # smallest drawn damping as a fraction of the largest
+LOCAL_DEVIATIONS = np.geomspace(0.5, 0.1, 8)  # standard deviation of the logarithms in each round around the best
+CELL = 15  # candidates evaluated side by side
+DRAWS = 1000  # draws for each candidate before the search fails
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class TunedGains:
     Attributes:
         stiffness: (n,) N m/rad.
         damping: (n,) N m s/rad.
-        reward: mean of an episode with them.
+        reward: mean reward of an episode.
         margins: gain margin (1) and phase margin (degrees).
     """
 
@@ -63,35 +65,37 @@ def tune(
     environment: str | Configuration, first: int = 60, around: int = 30, episodes: int = 8, seed: int = 0,
     margin: bool = True, workers: Workers | int = 1,
 ) -> TunedGains:  # fmt: skip
-    """Tune the PD controller of an environment: the best of random gains, then rounds of gains around the best so far.
+    """Tune the gains of the PD controller of an environment by random search.
 
-    All candidates act side by side on the same episodes. Stiffness is drawn between 0.01 and 25 torque limits a radian,
-    damping between 0.05 and 1 of the most, evenly on a logarithmic scale; the most is where the motors are half as
-    damped as the sampled loop bears with the largest delay of the environment.
+    A first round draws gains at random; eight further rounds draw them around the best so far. All candidates are
+    evaluated on the same episodes. Stiffness is drawn between 0.01 and 25 torque limits per radian and damping between
+    0.05 and 1 of the largest, both uniformly on a logarithmic scale. The largest damping is half the stability limit of
+    the sampled loop with the largest delay of the environment.
 
     Args:
-        environment: whose PD is tuned: an id, an id and a condition, a file, or a Configuration.
-        first: how many gains the first round draws.
-        around: how many gains each further round draws.
-        episodes: for which they are judged.
-        seed: of the search.
-        margin: whether only gains count that have a gain margin of 2 and a phase margin of 30 degrees in the sampled
-            loop, with the largest delay, at goals of the environment.
-        workers: who judges the gains, see `grid.Workers`, or so many processes.
+        environment: id, id and condition such as "FlexRRR-v0/delay", path of a file, or Configuration.
+        first: number of candidates of the first round.
+        around: number of candidates of each further round.
+        episodes: number of episodes on which each candidate is evaluated.
+        seed: seed of the search.
+        margin: whether each candidate must have a gain margin of 2 and a phase margin of 30 degrees in the sampled
+            loop with the largest delay, at goals of the environment.
+        workers: processes or cluster for the simulations, see `common.parallel.Workers`, or a number of processes.
 
     Returns:
         Stiffness (n,) N m/rad, damping (n,) N m s/rad, margins (1 and degrees) and the mean reward of an episode.
 
     Raises:
-        ValueError: for an environment for which too few gains with these margins are drawn.
+        ValueError: also if too few draws have these margins.
 
     Examples:
+        >>> import gymnasium as gym
         >>> found = fm.tune("FlexOne-v0", first=2, around=1, episodes=1)
         >>> found.margins.gain >= 2.0, found.margins.phase >= 30.0
         (True, True)
         >>> env = gym.make("FlexOne-v0", base="pd", gains=found.gains)
     """
-    environment = find_environment(environment)
+    environment = Configuration.find(environment)
     random, setup, loops = np.random.default_rng(seed), environment, motor_loops(environment)
     limits = np.array(setup.torque_limit)
     rotors = np.array([joint.rotor_inertia for joint in setup.arm.joints])
@@ -116,11 +120,11 @@ def _draw_near(random: np.random.Generator, best: Array, deviation: float, low: 
 
 
 def motor_loops(environment: Configuration) -> list[SampledLoop]:
-    """Return the loops of the motors of an environment, with its largest delay, at goals of its first episodes.
+    """Return the sampled loops of the motors of an environment, with its largest delay, at goals of its first episodes.
 
-    Motors with Coulomb friction slide or stick, see `control.margins`: a posture has a loop for each set of these.
+    Motors with Coulomb friction slide or stick, see `control.margins`: a posture has a loop for each combination.
     """
-    moved = split_interface(environment)[0]  # without what acts, which may need the gains that are looked for
+    moved = split_interface(environment)[0]  # a base controller may need the gains to be found
     venv = gym.make_vec(environment.id, POSTURES, "vector_entry_point", **moved.keywords())
     venv.reset(seed=list(range(POSTURES)))  # type: ignore[arg-type]
     episodes, setup = venv.unwrapped.episodes, environment  # type: ignore[attr-defined]
@@ -131,7 +135,7 @@ def motor_loops(environment: Configuration) -> list[SampledLoop]:
 
 
 def _draw_gains(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Array]) -> Array:
-    """Gains (count, 2 n) of drawn logarithms, all of which have the least margins in the loops."""
+    """Return gains (count, 2 n) with MIN_MARGINS in the loops; `draw` returns their logarithms (2 n,)."""
     result: list[Array] = []
     for _ in range(DRAWS * count):
         gains = np.exp(draw())
@@ -145,20 +149,20 @@ def _draw_gains(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Arr
 
 
 def _rewards(environment: Configuration, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:
-    """Mean reward (c,) of the first episodes with each of the gains (c, 2 n)."""
+    """Return the mean reward (c,) of the first episodes with each of the gains (c, 2 n)."""
     parts = [(environment, gains[i : i + CELL], episodes) for i in range(0, len(gains), CELL)]
     return np.concatenate(parallel_map(_cell_rewards, parts, workers, prepare=compile_kernels))
 
 
 def _cell_rewards(cell: tuple[Configuration, Array, int]) -> Array:
-    """The same of some of the gains, which act side by side."""
+    """Return the mean reward (c,) of gains evaluated side by side."""
     environment, gains, episodes = cell
     n = gains.shape[1] // 2
     stiffness, damping = np.split(np.repeat(gains, episodes, axis=0), 2, axis=1)
-    setup, still = environment, [0.0] * n
-    base = make_controller(setup, {"kind": "pd", "stiffness": still, "damping": still}, resolve_fidelity(setup).model)
+    setup, zeros = environment, [0.0] * n
+    base = make_controller(setup, {"kind": "pd", "stiffness": zeros, "damping": zeros}, resolve_fidelity(setup).model)
     assert isinstance(base, PD)
-    base.stiffness, base.damping = stiffness, damping  # of each candidate its own, which no list of gains has
+    base.stiffness, base.damping = stiffness, damping  # (b, n): one row for each arm, which settings cannot give
     rewards = rollout(base, environment, np.tile(np.arange(episodes), len(gains)).tolist()).rewards
     return np.nansum(rewards, axis=1).reshape(len(gains), episodes).mean(axis=1)
 
@@ -167,7 +171,14 @@ SETTLING = METRICS["settling_time"]
 
 
 class _SlewResult(NamedTuple):
-    """Settling times (s) of the slew of an episode and of the tracking LQR, and CPU seconds of the search."""
+    """Result of one optimised slew.
+
+    Attributes:
+        seed: seed of the episode.
+        time: settling time of the optimised slew, s.
+        tracking: settling time of the tracking LQR, s.
+        seconds: CPU time of the search, s.
+    """
 
     seed: int
     time: float
@@ -176,7 +187,7 @@ class _SlewResult(NamedTuple):
 
 
 def empty_slew_table(environment: Configuration) -> SlewTable:
-    """Gives a table without slews, which says what it is for."""
+    """Return a table without slews for the arm of an environment."""
     setup = environment
     model, method, step, _ = resolve_fidelity(setup)
     about = {
@@ -187,48 +198,49 @@ def empty_slew_table(environment: Configuration) -> SlewTable:
 
 
 def optimise_slews(environment: Configuration, seeds: Sequence[int], table: SlewTable) -> Iterator[_SlewResult]:
-    """Puts the slews of the episodes that a table does not have yet into it, and tells of each.
+    """Optimise the slews of episodes missing in a table, add them to it, and yield the result of each.
 
-    A slew counts with the settling time of its replay in the environment.
+    The settling time of a slew is measured in its replay in the environment.
 
     Args:
-        environment: whose slews are optimised; its arms must be the model.
-        seeds: of the episodes.
-        table: of this arm.
+        environment: environment of the slews, without randomisation and disturbances.
+        seeds: seeds of the episodes.
+        table: table of this environment, which is extended.
+
+    Yields:
+        _SlewResult: seed, settling times (s) and CPU time (s) of a slew.
 
     Raises:
-        ValueError: one line, for an environment that disturbs its arms or moves its goals, and for a table of another.
+        ValueError: also for moving goals, for randomisation or disturbances, and for the table of another environment.
     """
-    setup, left = environment, [seed for seed in seeds if seed not in table.found]
+    setup, missing = environment, [seed for seed in seeds if seed not in table.found]
     if setup.task.moves or setup.disturbances is not None:
-        raise value_error(
-            "environment", environment.id, "one whose goals stay, with no randomisation and no disturbance"
-        )
+        raise value_error("environment", environment.id, "one with fixed goals, without randomisation and disturbances")
     if table.about.get("environment") != environment.to_plain():
         raise value_error("table", table.about.get("environment"), "a table of this environment, or a new file")
     model, method, step, _ = resolve_fidelity(setup)
     regulator = LQR(model, setup.torque_limit, setup.control_period)
-    player = OptimisedController(table, model, setup.torque_limit, setup.control_period)
+    replay = OptimisedController(table, model, setup.torque_limit, setup.control_period)
 
     def arms(count: int) -> Batch:
         return Batch(model, method, step, setup.control_period, arms=count)
 
     draws: list[Array] = []
     tracked = rollout(
-        "lqr-tracking", environment, left, lambda episodes: _record_start_and_goal(draws, episodes.view.plan)
+        "lqr-tracking", environment, missing, lambda episodes: _record_start_and_goal(draws, episodes.view.plan)
     )
-    for seed, ends, record in zip(left, draws, tracked.records, strict=True):
+    for seed, ends, record in zip(missing, draws, tracked.records, strict=True):
         begun = time.process_time()
         slew = SingleShooting(regulator, arms, record.band, setup.limits.rate, *ends).search()
         seconds, reached = time.process_time() - begun, np.inf
         if slew is not None:
             table.found[seed] = ends, slew, reached
-            reached = SETTLING.sum_up(rollout(player, environment, [seed]).records)
+            reached = SETTLING.evaluate(rollout(replay, environment, [seed]).records)
             table.found[seed] = ends, slew, reached
-        yield _SlewResult(seed, reached, SETTLING.sum_up([record]), seconds)
+        yield _SlewResult(seed, reached, SETTLING.evaluate([record]), seconds)
 
 
 def _record_start_and_goal(draws: list[Array], plan: Mapping[str, Array]) -> None:
-    """Keeps starts and goals (2, n) rad of the first episodes."""
+    """Append start and goal (2, n), rad, of each of the first episodes."""
     if not draws:
         draws += list(np.stack([plan["start"], plan["goal_angles"]], axis=1))

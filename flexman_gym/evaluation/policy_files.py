@@ -28,35 +28,40 @@ KEYS = (
     "environment_hash", "settings_hash", "observation", "league", "arrays_hash",
 )  # fmt: skip
 STATISTICS, CHECKS = ("statistics.mean", "statistics.var"), ("check.observations", "check.actions")
-CERTIFICATE_KEYS = (("arrays_hash", str), ("fails", list), ("rows", list))  # keys of a certificate, and their types
-FORMER_KEYS = {"trials": "rows", "name": "scenario"}  # keys in certificates of version 0.2 -> keys
-CHECK_ROWS, CHECK_TOLERANCE = (
-    64,
-    1e-9,
-)  # observations that are kept, and how far their actions may be from those that are kept
+CERTIFICATE_KEYS = (("arrays_hash", str), ("fails", list), ("rows", list))  # required keys and their types
+# Key in a certificate of version 0.2 -> present key
+FORMER_KEYS = {"trials": "rows", "name": "scenario", "machine": "computer"}
+CHECK_ROWS = 64  # number of observations stored with their actions as a check of the network
+CHECK_TOLERANCE = 1e-9  # largest difference of an action from the stored one
 
 
 class _ExportedPolicy(NamedTuple):
-    """A policy as its files hold it: what is said of it, see KEYS, and what acts."""
+    """Exported policy: its description, with the entries KEYS, and its network."""
 
     about: dict[str, Any]
     network: Network
 
 
 def policy_folder(name: str) -> Path | None:
-    """Gives the folder of a shipped policy: one by its name, or a folder with one; None for anything else."""
+    """Return the folder of a shipped policy by its name, or the folder of an exported policy; else None."""
     if name in POLICIES:
         return FOLDER / name
     return Path(name) if os.path.isfile(Path(name) / ABOUT) else None
 
 
 def read_policy(folder: Path) -> _ExportedPolicy:
-    """Reads a policy; nothing in its files is run.
+    """Read an exported policy without running code of its files.
+
+    Args:
+        folder: folder of the policy.
+
+    Returns:
+        Description and network.
 
     Raises:
-        FileNotFoundError, ValueError: one line, for files that are missing, larger than a policy, broken, or of other
-            arrays than they say, for another environment than it says, and for a network that gives other actions for
-            the observations kept beside it.
+        FileNotFoundError: if a file is missing.
+        ValueError: for a too large or broken file, for wrong hashes of arrays, environment or settings, and for a
+            network whose actions differ from the stored ones.
     """
     path = existing_file(folder / ABOUT)
     try:
@@ -69,23 +74,27 @@ def read_policy(folder: Path) -> _ExportedPolicy:
     except FileNotFoundError:
         raise
     except READ_ERRORS as error:
-        said = " ".join(str(error).split())[:300] or type(error).__name__
-        raise ValueError(f"{short_path(path)}: this is no policy that was exported ({said})") from None
+        reason = " ".join(str(error).split())[:300] or type(error).__name__
+        raise ValueError(f"{short_path(path)}: this is no exported policy ({reason})") from None
 
 
 def write_policy(folder: Path, about: Mapping[str, Any], arrays: dict[str, NDArray[np.floating]]) -> None:
-    """Writes a policy, once reading it gives one: `about` lacks format and hashes, which are added.
+    """Write a policy with its format and hashes, and check it by reading.
+
+    Args:
+        folder: folder of the policy; it is created if it does not exist.
+        about: description with the entries KEYS, without format and hashes.
+        arrays: layers, statistics and check of the network by name.
 
     Raises:
-        ValueError: one line, for what `read_policy` refuses.
-        OSError: when the folder cannot be written.
+        OSError: if the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     _write_tensors(folder / ARRAYS, arrays)
     own = {
         "format": FORMAT,
-        "environment_hash": json_hash(about["environment"]),
-        "settings_hash": json_hash(about["recipe"]["settings"]),
+        "environment_hash": _json_hash(about["environment"]),
+        "settings_hash": _json_hash(about["recipe"]["settings"]),
         "arrays_hash": hashlib.sha256((folder / ARRAYS).read_bytes()).hexdigest(),
     }
     whole = {name: own.get(name, about.get(name)) for name in KEYS}
@@ -93,16 +102,22 @@ def write_policy(folder: Path, about: Mapping[str, Any], arrays: dict[str, NDArr
     read_policy(folder)
 
 
-def json_hash(data: object) -> str:
-    """Gives the SHA-256 of plain data, whatever the order of its keys."""
+def _json_hash(data: object) -> str:
+    """Return the SHA-256 of plain data; the order of keys does not change it."""
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
 def read_certificate(folder: Path) -> dict[str, Any] | None:
-    """Return the certificate beside a policy; None where it has none, or one of other arrays.
+    """Return the certificate in the folder of a policy; None without one, or if it is of other arrays.
+
+    Args:
+        folder: folder of the policy.
+
+    Returns:
+        The certificate with the present names of its keys, or None.
 
     Raises:
-        ValueError: one line, for a broken file, and for one without arrays_hash, fails and rows.
+        ValueError: for a broken file, and for one without arrays_hash, fails and rows.
     """
     path = folder / CERTIFICATE
     if not path.is_file():
@@ -123,16 +138,16 @@ def read_certificate(folder: Path) -> dict[str, Any] | None:
 
 
 def _present_keys(data: Any) -> Any:
-    """Return a mapping with the present names of its keys, see FORMER_KEYS; anything else as it is."""
+    """Return a mapping with the keys of FORMER_KEYS replaced by the present ones; other data unchanged."""
     return {FORMER_KEYS.get(name, name): value for name, value in data.items()} if isinstance(data, dict) else data
 
 
 def describe_policy(name: str) -> str:
-    """Says in words what a shipped policy is, and whether its certificate recommends it."""
-    about, said = _parse_json(_read_bytes(FOLDER / name / ABOUT)), read_certificate(FOLDER / name)
-    if said is None:
+    """Return the description of a shipped policy and whether its certificate recommends it, as text."""
+    about, certificate = _parse_json(_read_bytes(FOLDER / name / ABOUT)), read_certificate(FOLDER / name)
+    if certificate is None:
         return f"{about['words']} It has no certificate."
-    fails = ", ".join(map(str, said["fails"]))
+    fails = ", ".join(map(str, certificate["fails"]))
     return f"{about['words']} {f'Not recommended: it fails {fails}.' if fails else 'Recommended.'}"
 
 
@@ -141,20 +156,20 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def _check_description(content: bytes) -> dict[str, Any]:
-    """What is said of a policy, once it is all there, and the environment is the one that it was exported with."""
+    """Return the description of a policy; check its keys, its format, and the hashes of environment and settings."""
     about = _parse_json(content)
     if not isinstance(about, dict) or set(about) != set(KEYS):
         raise value_error("keys", sorted(about) if isinstance(about, dict) else about, ", ".join(KEYS))
     if about["format"] != FORMAT:
         raise value_error("format", about["format"], FORMAT)
     for name, data in (("environment", about["environment"]), ("settings", about["recipe"]["settings"])):
-        if json_hash(data) != about[f"{name}_hash"]:
-            raise value_error(name, "something with another hash", "what it was exported with")
+        if _json_hash(data) != about[f"{name}_hash"]:
+            raise value_error(name, "data with another hash", f"the {name} of the export")
     return about
 
 
 def _check_network(about: dict[str, Any], arrays: dict[str, NDArray[np.floating]]) -> Network:
-    """The network of arrays, once it does what it did."""
+    """Return the network of arrays, and compare its actions with the stored ones."""
     settings = about["recipe"]["settings"]
     algo, activation = settings["algo"], settings["hyperparameters"].get("activation")
     layers = policy_parameters(algo, arrays)
@@ -162,15 +177,14 @@ def _check_network(about: dict[str, Any], arrays: dict[str, NDArray[np.floating]
         raise value_error("arrays", sorted(unknown), f"layers of {algo}, {', '.join((*STATISTICS, *CHECKS))}")
     moments = {name.partition(".")[2]: arrays[name] for name in STATISTICS}
     network = Network(algo, activation, layers, moments)
-    seen, wanted = (arrays[name] for name in CHECKS)
-    if seen.shape != (CHECK_ROWS, network.size) or wanted.shape != (CHECK_ROWS, network.joints):
+    observations, actions = (arrays[name] for name in CHECKS)
+    if observations.shape != (CHECK_ROWS, network.size) or actions.shape != (CHECK_ROWS, network.joints):
         allowed = f"arrays {(CHECK_ROWS, network.size)} and {(CHECK_ROWS, network.joints)}"
-        raise value_error("check", f"arrays {seen.shape} and {wanted.shape}", allowed)
-    apart = np.abs(network(seen) - wanted).max()
-    if not apart <= CHECK_TOLERANCE:
-        raise value_error(
-            "check", f"actions {apart:.2g} from those that were kept", f"a network that is within {CHECK_TOLERANCE}"
-        )
+        raise value_error("check", f"arrays {observations.shape} and {actions.shape}", allowed)
+    difference = np.abs(network(observations) - actions).max()
+    if not difference <= CHECK_TOLERANCE:
+        given = f"actions that differ by {difference:.2g} from the stored ones"
+        raise value_error("check", given, f"a network whose actions differ by at most {CHECK_TOLERANCE}")
     return network
 
 

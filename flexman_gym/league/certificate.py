@@ -16,116 +16,116 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS, NOMINAL
 from flexman_gym.envs.tasks import plain_task
 from flexman_gym.evaluation.agent import INTERFACE, find_agent
-from flexman_gym.evaluation.metrics import METRICS
+from flexman_gym.evaluation.metrics import METRICS, task_metrics
 from flexman_gym.evaluation.policy_files import CERTIFICATE, policy_folder, read_policy
 from flexman_gym.evaluation.rollout import TEST_SEEDS
 from flexman_gym.league.rows import VALUES, EpisodeRow, run_league
 from flexman_gym.league.scenarios import GIVEN, PLANTS, find_scenario, randomised_ranges
 
-FOLDER = Path("out/certificates")  # of the rows, a folder for each policy
-MIN_SETTLED, MIN_SETTLED_CHANGED_ARM = 0.95, 0.9  # least share of episodes that settle: same arm, and changed arm
-MAX_VIBRATION_RATIO, MAX_VIBRATION_INCREASE = (
-    1.2,
-    1e-4,
-)  # most vibration under other physics: factor of that as trained, or m above it
-SEARCH_EPISODES, LISTED_EPISODES, SEARCH_SEED = (
-    1000,
-    5,
-    50_000,
-)  # of the search: episodes, episodes that are listed, first seed
+FOLDER = Path("out/certificates")  # rows of the scenarios, in a folder for each policy
+MIN_SETTLED, MIN_SETTLED_CHANGED_ARM = 0.95, 0.9  # required share of settled episodes: same arm, changed arm
+MAX_VIBRATION_RATIO = 1.2  # allowed vibration with another simulation relative to that of the training environment
+MAX_VIBRATION_INCREASE = 1e-4  # m; allowed increase of that vibration, if larger
+SEARCH_EPISODES, SEARCH_SEED = 1000, 50_000  # number and first seed of the episodes of the search for the worst
+LISTED_EPISODES = 5  # number of the worst episodes in the certificate
 METRIC_NAMES = ("settled", "settling_time", "vibration", "error", "roughness", "failed")
-METHOD = "gauss_2"  # of another order than the default
-OTHER_PLANTS = {"finer": len(TEST_SEEDS), "mujoco": 8}  # plant -> most episodes
-DELAYS, NOISES = (0, 1, 2, 3), (0.001, 0.003)  # control periods, and parts of the ranges of sensors
-RANGE_EXTENSION = 0.25  # part of a range of the training by which a scenario goes beyond it
+METHOD = "gauss_2"  # order unlike that of the default method
+OTHER_PLANTS = {"finer": len(TEST_SEEDS), "mujoco": 8}  # plant -> largest number of episodes
+DELAYS, NOISES = (0, 1, 2, 3), (0.001, 0.003)  # control periods; fractions of the ranges of the sensors
+RANGE_EXTENSION = 0.25  # extension beyond a range of the training as a fraction of the range
 
 
 def certify(
     name: str, seeds: range = TEST_SEEDS, draws: int = SEARCH_EPISODES, folder: Path = FOLDER, jobs: Workers | int = 1,
-    say: Callable[[str], None] = print,
+    log: Callable[[str], None] = print,
 ) -> Path:  # fmt: skip
-    """Run a policy in the scenarios of its certificate and write `certificate.json` beside it; return the path.
+    """Run a policy in the scenarios of its certificate and write `certificate.json` to its folder; return the path.
 
-    The scenarios and seeds that fail are under "fails": a policy is recommended where that is empty.
+    The entry "fails" lists the scenarios that fail, with their seeds; the policy is recommended if it is empty.
 
     Args:
-        name: of a shipped policy, or the folder of an exported one.
-        seeds: of the episodes of each scenario.
-        draws: episodes of the search for the worst ones.
-        folder: of the rows, in a folder with the name of the policy; rows that it has are not run again.
+        name: name of a shipped policy, or folder of an exported one.
+        seeds: seeds of the episodes of each scenario.
+        draws: number of episodes of the search for the worst ones.
+        folder: folder of the rows, with a folder for each policy; stored rows are not computed again.
         jobs: see `run_league`.
-        say: function that takes one line of text for each scenario.
+        log: function of one line of text for each scenario.
+
+    Returns:
+        Path of the certificate.
 
     Raises:
-        ValueError: one line, for anything else, and for a task in which nothing settles.
+        ValueError: also for a task without the metric "settling_time".
     """
-    place = policy_folder(name)
-    if place is None:
+    path = policy_folder(name)
+    if path is None:
         raise value_error("name", name, "an exported policy, by its name or folder")
-    about, environment = read_policy(place).about, _environment_name(name)
-    if "settling_time" not in getattr(find_scenario(environment).environment.task, "metrics", METRIC_NAMES):
-        raise value_error("name", name, "a policy for a task in which the arm settles")
-    trials = [(each, seeds[: OTHER_PLANTS.get(each.partition("@")[2])]) for each in certificate_scenarios(name)]
-    trials.append((environment, range(SEARCH_SEED, SEARCH_SEED + draws)))
+    about, environment = read_policy(path).about, _environment_name(name)
+    task = find_scenario(environment).environment.task
+    if "settling_time" not in {metric.name for metric in task_metrics(task)}:
+        raise value_error("name", name, "a policy for a task with the metric settling_time")
+    runs = [(each, seeds[: OTHER_PLANTS.get(each.partition("@")[2])]) for each in certificate_scenarios(name)]
+    runs.append((environment, range(SEARCH_SEED, SEARCH_SEED + draws)))
     result: list[dict[str, Any]] = []
-    usual: list[EpisodeRow] = []
-    for scenario, each in trials:
-        rows = _run(name, scenario, each, folder / place.name, jobs)
-        usual = usual or rows
-        result.append(certificate_row(scenario, each, rows, usual[: len(rows)]))
-        say(_row_text(result[-1]))
+    reference: list[EpisodeRow] = []
+    for scenario, each in runs:
+        rows = _run(name, scenario, each, folder / path.name, jobs)
+        reference = reference or rows
+        result.append(certificate_row(scenario, each, rows, reference[: len(rows)]))
+        log(_row_text(result[-1]))
     result[-1]["worst"] = _worst_episodes(rows)
     about = {
         "arrays_hash": about["arrays_hash"],
-        "machine": computer_info(),
+        "computer": computer_info(),
         "fails": _failed_scenarios(result),
         "rows": result,
     }
-    write_atomically(place / CERTIFICATE, lambda file: file.write((json.dumps(about, indent=1) + "\n").encode()))
-    return place / CERTIFICATE
+    write_atomically(path / CERTIFICATE, lambda file: file.write((json.dumps(about, indent=1) + "\n").encode()))
+    return path / CERTIFICATE
 
 
 def certificate_scenarios(name: str) -> list[str]:
-    """Return the names of the scenarios of a policy: as trained, under other physics, and with a changed arm."""
+    """Return the names of the scenarios of a policy: its environment, other simulations of it, and changed arms."""
     about, where = read_policy(policy_folder(name) or Path(name)).about, _environment_name(name)
     environment = find_scenario(where).environment
-    changes = _changes_beyond_training(
-        environment, Configuration.from_plain(about["recipe"]["settings"]["environment"])
-    )
+    trained = Configuration.from_plain(about["recipe"]["settings"]["environment"])
+    changes = _changes_beyond_training(environment, trained)
     if NAMED_ENVIRONMENTS[environment.id].conditions and environment.arm == NAMED_ENVIRONMENTS[environment.id].arm:
         changes.append("friction=1")
     changes += [*(f"delay={delay}" for delay in DELAYS), *(f"noise={noise:g}" for noise in NOISES)]
-    base = (
-        f"{where}/{NOMINAL}" if where in NAMED_ENVIRONMENTS else where
-    )  # an id alone stands for the condition of the change
+    # With a change, an id alone stands for the condition of the change.
+    base = f"{where}/{NOMINAL}" if where in NAMED_ENVIRONMENTS else where
     physics = [*(f"{where}@{plant}" for plant in OTHER_PLANTS if plant in PLANTS), f"{base}/method={METHOD}"]
     return [where, *physics, *(f"{base}/{change}{given}" for change in changes for given in (GIVEN, ""))]
 
 
 def _environment_name(name: str) -> str:
-    """Return the named environment for which a policy was exported, or the policy where it is for another one.
+    """Return the named environment for which a policy was exported; the policy itself for any other environment.
 
-    Gains of a PD and the reward may differ: a policy has its own gains, and nothing is trained here.
+    Gains of a PD controller and the reward may differ: a policy has its own gains, and nothing is trained here.
     """
     agent, about = find_agent(name), read_policy(policy_folder(name) or Path(name)).about
     assert agent.environment is not None
     named = about["league"].get("environment", agent.environment.id)
-    known = named.partition("/")[0] in NAMED_ENVIRONMENTS and _is_same_motion(
+    same = named.partition("/")[0] in NAMED_ENVIRONMENTS and _is_same_motion(
         agent.environment, find_scenario(named).environment
     )
-    return str(named) if known else name
+    return str(named) if same else name
 
 
 def certificate_row(
-    scenario: str, seeds: range, rows: Sequence[EpisodeRow], usual: Sequence[EpisodeRow]
+    scenario: str, seeds: range, rows: Sequence[EpisodeRow], reference: Sequence[EpisodeRow]
 ) -> dict[str, Any]:
-    """Return the metrics of the rows of a scenario, and the reasons for which they fail, "" for none.
+    """Return the metrics of a scenario and the reasons for which it fails, "" for none.
 
     Args:
-        scenario: name.
-        seeds: of the rows.
-        rows: of the scenario.
-        usual: rows of the same seeds as trained.
+        scenario: name of the scenario.
+        seeds: seeds of the rows.
+        rows: rows of the scenario.
+        reference: rows of the same seeds in the environment of the policy.
+
+    Returns:
+        Name, seeds, metrics and "fails" of the scenario.
     """
     values = _summaries(METRIC_NAMES, rows)
     physics = "@" in scenario or f"/method={METHOD}" in scenario
@@ -136,7 +136,7 @@ def certificate_row(
     if not (values["settled"] or 0.0) >= least:
         why.append(f"less than {least:.0%} settle")
     if physics:
-        before, now = METRICS["vibration"].summary(_values("vibration", usual)), values["vibration"]
+        before, now = METRICS["vibration"].aggregate(_values("vibration", reference)), values["vibration"]
         most = max(MAX_VIBRATION_RATIO * before, before + MAX_VIBRATION_INCREASE)
         if now is None or now > most:
             why.append(f"the tip moves by more than {1e3 * most:.2g} mm")
@@ -144,7 +144,7 @@ def certificate_row(
 
 
 def _failed_scenarios(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return the scenarios that fail, with their seeds where these are not those of the first row."""
+    """Return the names of the failed scenarios, with their seeds where these differ from those of the first."""
     first = rows[0]["seeds"][0]
     return [
         row["scenario"] + (f" on seeds {row['seeds'][0]} to {row['seeds'][1] - 1}" if row["seeds"][0] != first else "")
@@ -163,18 +163,21 @@ def _run(name: str, scenario: str, seeds: range, folder: Path, jobs: Workers | i
 
 
 def _is_same_motion(one: Configuration, two: Configuration) -> bool:
-    """Return whether the motion of the arms is the same: settings of the agent, gains and reward may differ."""
+    """Return whether the arms have the same motion; settings of the agent, gains and reward may differ."""
     others = (*INTERFACE, "gains", "reward", "task")
     tasks = [{**plain_task(each.task), "reward": None} for each in (one, two)]
     return one.without(others) == two.without(others) and tasks[0] == tasks[1]
 
 
 def _changes_beyond_training(environment: Configuration, trained: Configuration) -> list[str]:
-    """Return changes of payload and stiffness beyond the training: the range of the condition, or beyond the drawn."""
-    seen, result = randomised_ranges(trained), []
+    """Return changes of payload and stiffness beyond the ranges of the training.
+
+    They are the ranges of the conditions or, for parameters randomised in the training, ranges next to these.
+    """
+    trained_ranges, result = randomised_ranges(trained), []
     for condition in ("payload", "stiffness") if NAMED_ENVIRONMENTS[environment.id].conditions else ():
         spans = randomised_ranges(Configuration(environment.id, {"condition": condition}))
-        ranges = [seen[name] for name in spans if name in seen]
+        ranges = [trained_ranges[name] for name in spans if name in trained_ranges]
         low, high = next(iter(spans.values()))
         if ranges:
             low, high = min(low for low, _ in ranges), max(high for _, high in ranges)
@@ -185,22 +188,22 @@ def _changes_beyond_training(environment: Configuration, trained: Configuration)
 
 
 def _row_text(row: dict[str, Any]) -> str:
-    """Return a row as a line of text."""
+    """Return the result of a scenario as a line of text."""
     values = ", ".join(f"{name} {row[name]:.3g}" for name in METRIC_NAMES if row[name] is not None)
     verdict = f"FAILS ({row['fails']})" if row["fails"] else "passes"
     return f"{row['scenario']:<42}{verdict}: {values}"
 
 
 def _worst_episodes(rows: Sequence[EpisodeRow]) -> list[dict[str, Any]]:
-    """Return the metrics of the episodes with the lowest reward, which includes the penalty of a failure."""
+    """Return the metrics of the episodes with the lowest reward; a failure lowers the reward by its penalty."""
     at = VALUES.index("reward")
     worst = sorted(rows, key=lambda row: (row.values[at], row.seed))[:LISTED_EPISODES]
     return [{"seed": row.seed, **_summaries(("reward", *METRIC_NAMES[1:]), [row])} for row in worst]
 
 
 def _summaries(names: Sequence[str], rows: Sequence[EpisodeRow]) -> dict[str, float | None]:
-    """Return means, medians and shares as JSON has them, None for an infinite one."""
-    values = {name: METRICS[name].summary(_values(name, rows)) for name in names}
+    """Return means, medians and shares by name; None for an infinite one, which JSON lacks."""
+    values = {name: METRICS[name].aggregate(_values(name, rows)) for name in names}
     return {name: float(value) if np.isfinite(value) else None for name, value in values.items()}
 
 

@@ -1,26 +1,22 @@
 """Scenarios: environments, conditions, parameter sweeps, and plants simulated by other methods."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 from flexman_gym.common.checks import one_of, value_error
-from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS, NOMINAL
-from flexman_gym.evaluation.agent import INTERFACE, AgentSpec
-from flexman_gym.evaluation.metrics import METRICS
+from flexman_gym.evaluation.agent import INTERFACE
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
-from flexman_gym.evaluation.rollout import rollout
-from flexman_gym.scene.serialization import to_plain
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import SequentialIntegrator
 from flexman_gym.simulation.external_simulator import ExternalIntegrator, ExternalSimulator, RefinedSimulator
 from flexman_gym.simulation.integrator import Integrator, default_step, find_method
 from flexman_gym.simulation.methods import METHODS
 
-METHOD, TOLERANCE = "dop853", (1e-6, 1e-9)  # it chooses its steps, relative and absolute local error
-ELEMENTS, STEP_DIVISOR = 3, 4  # of a section; of the usual step
+METHOD, TOLERANCE = "dop853", (1e-6, 1e-9)  # method with adaptive steps; relative and absolute local error
+ELEMENTS, STEP_DIVISOR = 3, 4  # elements for each section of a link; divisor of the usual step
 
 
 def _set_method_plant(batch: Batch) -> None:
@@ -40,72 +36,39 @@ def _set_mujoco_plant(batch: Batch) -> None:
     _set_external_plant(batch, MuJoCoSimulator(batch.model, batch.control_period, len(batch.rows)))
 
 
-def _set_external_plant(batch: Batch, double: ExternalSimulator) -> None:
-    batch.replace_integrator(lambda mover: ExternalIntegrator(batch.model, mover, double))
+def _set_external_plant(batch: Batch, simulator: ExternalSimulator) -> None:
+    batch.replace_integrator(lambda integrator: ExternalIntegrator(batch.model, integrator, simulator))
 
 
 PLANTS: dict[str, tuple[str, Callable[[Batch], None]]] = {
-    "usual": ("the simulator as it is", lambda batch: None),
-    "method": (f"the same model, moved by {METHOD}, which chooses its steps", _set_method_plant),
+    "usual": ("the simulator of the environment", lambda batch: None),
+    "method": (f"the same model, integrated by {METHOD} with adaptive steps", _set_method_plant),
     "finer": (
-        f"{ELEMENTS} elements a link, all coordinates, foreshortening, steps {STEP_DIVISOR} times as short",
+        f"{ELEMENTS} elements for each link, all coordinates, foreshortening, a step {STEP_DIVISOR} times shorter",
         _set_finer_plant,
     ),
-    "mujoco": ("MuJoCo, every link 3 rigid pieces between springs", _set_mujoco_plant),
+    "mujoco": ("MuJoCo, each link as 3 rigid bodies connected by springs", _set_mujoco_plant),
 }
-
-
-def find_plant(name: str) -> Callable[[Batch], None]:
-    """Return the function that hands a batch over to a plant of PLANTS; the argument `moved` of `rollout`.
-
-    Raises:
-        ValueError: for another name.
-    """
-    return PLANTS[one_of("plant", name, PLANTS)][1]
-
-
-def evaluate_on_plants(
-    agent: str | AgentSpec | Controller,
-    environment: str | Configuration,
-    seeds: Sequence[int],
-    plants: Sequence[str] = tuple(PLANTS),
-) -> dict[str, dict[str, float]]:
-    """Evaluate an agent on several plants: plant -> name of a metric -> number, as of `evaluate`.
-
-    Args:
-        agent: see `rollout`.
-        environment: see `rollout`.
-        seeds: see `rollout`.
-        plants: names in PLANTS.
-
-    Raises:
-        FileNotFoundError, ValueError: one line, also for "mujoco" where it is not installed.
-    """
-    result = {}
-    for plant in plants:
-        records = rollout(agent, environment, seeds, moved=find_plant(plant)).records
-        result[plant] = {name: figure.sum_up(records) for name, figure in METRICS.items()}
-    return result
-
+"""Name -> description, and function that replaces the integrator of the arms, the argument `set_plant` of `rollout`."""
 
 CONDITIONS = ("payload", "stiffness", "delay", "random-delay", "friction", "unknown", "unknown-lab")
 TASKS = ("FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexRRR-Gravity-v0", "FlexPlanar-v0")
 USUAL_SCENARIOS = (DEFAULT_ID, *(f"{DEFAULT_ID}/{condition}" for condition in CONDITIONS), *TASKS)
-LAB_SCENARIO = f"{DEFAULT_ID}/unknown-lab"  # where an arm is as a laboratory has it
-PLANT_CHECKED_SCENARIOS = (DEFAULT_ID, LAB_SCENARIO)  # on other plants too, see `physical`
-GIVEN_NOISE = 0.001  # part of the range of each sensor; given in the sweep of noise
-GIVEN = "+given"  # end of the name of a scenario whose change is given to the design of controllers
+LAB_SCENARIO = f"{DEFAULT_ID}/unknown-lab"  # unknown arm with the sensors of a laboratory
+PLANT_SCENARIOS = [f"{each}@{plant}" for each in (DEFAULT_ID, LAB_SCENARIO) for plant in PLANTS if plant != "usual"]
+GIVEN_NOISE = 0.001  # fraction of the range of each sensor; noise for which controllers are designed in its sweep
+GIVEN = "+given"  # suffix of a scenario whose controllers are designed for the changed environment
 
 
 class _ParameterChange(NamedTuple):
-    """Change of an environment that the name of a scenario may state, such as "delay=3".
+    """Change of an environment in the name of a scenario, such as "delay=3".
 
     Attributes:
         text: quantity and unit, label of an axis.
-        settings: function of an environment and the text after "=" that returns the changed settings.
-        values: of a sweep.
-        condition: of the environment that is changed where the name of the scenario has an id alone.
-        background: settings that are laid over this condition.
+        settings: function from an environment and the text after "=" to the changed settings.
+        values: values of a sweep.
+        condition: condition of the changed environment if the name of the scenario has an id alone.
+        background: further settings of this condition, for an id alone.
         always_given: whether controllers are always designed for the changed environment.
     """
 
@@ -122,13 +85,13 @@ def _number(text: str) -> int | float:
 
 
 def randomised_ranges(environment: Configuration) -> dict[str, Any]:
-    """Return the ranges from which the episodes of an environment draw, by name."""
+    """Return the ranges of the randomised parameters of an environment by name."""
     own = environment.randomisation
     return dict(own.given) if own else {}
 
 
 def _range_settings(*names: str) -> Callable[[Configuration, str], dict[str, Any]]:
-    """Return the settings of `_ParameterChange` in which these names are drawn from "value" or "low:high"."""
+    """Return the function `settings` of a change of randomised parameters to "value" or "low:high"."""
 
     def settings(environment: Configuration, value: str) -> dict[str, Any]:
         low, colon, high = value.partition(":")
@@ -139,9 +102,9 @@ def _range_settings(*names: str) -> Callable[[Configuration, str], dict[str, Any
 
 
 def _friction_settings(environment: Configuration, value: str) -> dict[str, Any]:
-    """Return the arm with a multiple of the motor friction that the condition of its named environment has."""
-    frictional = to_plain(Configuration(environment.id, {"condition": "friction"}).arm)
-    factor, plain = _number(value), to_plain(environment.arm)
+    """Return the arm with a multiple of the motor friction in the condition "friction" of its named environment."""
+    frictional = Configuration(environment.id, {"condition": "friction"}).to_plain()["arm"]
+    factor, plain = _number(value), environment.to_plain(strict=False)["arm"]
     if len(plain["joints"]) != len(frictional["joints"]):
         raise value_error("arm", f"one of {len(plain['joints'])} joints", f"one of {len(frictional['joints'])}")
     scaled = [{name: each[name] * factor for name in ("viscous_friction", "coulomb_friction")}
@@ -151,7 +114,7 @@ def _friction_settings(environment: Configuration, value: str) -> dict[str, Any]
 
 
 def _method_settings(environment: Configuration, value: str) -> dict[str, Any]:
-    """Return a method of integration and a quarter of the step (s) of the environment."""
+    """Return an integration method and a quarter of the step (s) of the environment."""
     step = environment.step or default_step(environment.control_period, NAMED_ENVIRONMENTS[environment.id].longest_step)
     return {"method": find_method(value).name, "step": step / 4.0}
 
@@ -161,14 +124,14 @@ CHANGES = {
         "payload, kg", _range_settings("payload_mass"), (0.0, 5.0, 10.0, 15.0, 20.0, 25.0), "payload"
     ),
     "stiffness": _ParameterChange(
-        "stiffness of joints and links, parts of the nominal one",
+        "stiffness of joints and links relative to the nominal",
         _range_settings("joint_stiffness_factor", "link_stiffness_factor"),
         (0.5, 0.7, 0.85, 1.0, 1.15, 1.3, 1.5),
         "stiffness",
     ),
     "delay": _ParameterChange("delay, control periods", _range_settings("delay"), (0.0, 1.0, 2.0, 3.0), "random-delay"),
     "noise": _ParameterChange(
-        "noise of sensors, parts of their ranges",
+        "sensor noise relative to the range",
         _range_settings("sensor_noise"),
         (0.0, 0.001, 0.003, 0.01),
         background={"randomisation": {"sensor_noise": [GIVEN_NOISE, GIVEN_NOISE]}},
@@ -179,18 +142,18 @@ CHANGES = {
         (0.005, 0.01, 0.02, 0.04),
         always_given=True,
     ),
-    "friction": _ParameterChange("friction of motors, parts of that of the condition", _friction_settings),
-    "method": _ParameterChange("method of integration, at a quarter of the step", _method_settings, always_given=True),
+    "friction": _ParameterChange("motor friction relative to that of the condition", _friction_settings),
+    "method": _ParameterChange("integration method, at a quarter of the step", _method_settings, always_given=True),
 }
 SWEEPS = {name: change for name, change in CHANGES.items() if change.values}
 
 
 class Scenario(NamedTuple):
-    """Trial of an agent.
+    """Environment, information given to the agent, and plant.
 
     Attributes:
-        environment: of the episodes.
-        given: environment for which controllers are designed: all that is given of the trial.
+        environment: environment of the episodes.
+        given: environment for which controllers are designed: the information on the arm given to the agent.
         plant: simulation of the arms, a name in PLANTS.
     """
 
@@ -202,13 +165,20 @@ class Scenario(NamedTuple):
 def find_scenario(name: str) -> Scenario:
     """Return the scenario of a name: ENVIRONMENT[/CHANGE=VALUE[+given]][@PLANT].
 
-    ENVIRONMENT is an id, an id and a condition, a file, or a policy, whose environment it then is. CHANGE is one of
-    CHANGES; VALUE is a number or, where it is drawn, a range "low:high". Controllers are designed for ENVIRONMENT
-    without the change, with "+given" for the changed environment. An id alone stands for the condition of the change:
-    in "FlexRRR-v0/delay=3" that is "random-delay", in "FlexRRR-v0/nominal/delay=3" the nominal environment.
+    ENVIRONMENT is an id, an id and a condition, a file, or the name or folder of a policy, which stands for the
+    environment of its training. CHANGE is one of CHANGES, and VALUE a number or, for a randomised parameter, a range
+    "low:high". Controllers are designed for ENVIRONMENT without the change; "+given" has them designed for the changed
+    environment. An id alone stands for the condition of the change: "random-delay" in "FlexRRR-v0/delay=3", and the
+    nominal environment in "FlexRRR-v0/nominal/delay=3".
+
+    Args:
+        name: name of the scenario.
+
+    Returns:
+        Environment, information given to the agent, and plant.
 
     Raises:
-        FileNotFoundError, ValueError: one line with what is wrong and what is allowed.
+        FileNotFoundError: for an unknown environment.
     """
     name, at, plant = name.partition("@")
     if at:
@@ -219,17 +189,17 @@ def find_scenario(name: str) -> Scenario:
         environment = _find_environment(name)
         return Scenario(environment, environment)
     change = CHANGES[one_of("sweep", parameter, CHANGES)]
-    known = _find_environment(f"{where}/{change.condition}" if where in NAMED_ENVIRONMENTS else where)
+    base = _find_environment(f"{where}/{change.condition}" if where in NAMED_ENVIRONMENTS else where)
     if where in NAMED_ENVIRONMENTS:
-        known = known.replace(**change.background)
+        base = base.replace(**change.background)
     try:
-        settings = change.settings(known, value)
+        settings = change.settings(base, value)
     except ValueError as error:
         if " is not allowed" in str(error):
             raise
         raise value_error("sweep", name, f"a number after {parameter}=") from None
-    changed = known.replace(**settings)
-    return Scenario(changed, changed if change.always_given or name.endswith(GIVEN) else known)
+    changed = base.replace(**settings)
+    return Scenario(changed, changed if change.always_given or name.endswith(GIVEN) else base)
 
 
 def _find_environment(name: str) -> Configuration:
@@ -242,14 +212,5 @@ def _find_environment(name: str) -> Configuration:
 
 
 def sweep_scenarios(id: str, sweep: str) -> list[str]:
-    """Return the names of the scenarios of a sweep of an environment.
-
-    Raises:
-        ValueError: for another sweep.
-    """
+    """Return the names of the scenarios of a sweep of an environment."""
     return [f"{id}/{sweep}={value:g}" for value in SWEEPS[one_of("sweep", sweep, SWEEPS)].values]
-
-
-def plant_scenarios() -> list[str]:
-    """Return the names of the scenarios of the physical check."""
-    return [f"{scenario}@{plant}" for scenario in PLANT_CHECKED_SCENARIOS for plant in PLANTS if plant != "usual"]

@@ -37,7 +37,7 @@ class VerificationRow:
 
     @property
     def verdict(self) -> str:
-        """ "pass", "fail" or "shown" (no tolerance); a NaN error fails."""
+        """Verdict: "pass", "fail" or "shown" (no tolerance); a NaN error fails."""
         if self.tolerance is None:
             return SHOWN
         return PASS if self.error <= self.tolerance else FAIL

@@ -17,7 +17,7 @@ from flexman_agents.callbacks import STEPS_COLUMN, Interrupted, open_logger
 from flexman_agents.training import resume, train
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, write_npz
-from flexman_gym.evaluation.agent import load_run
+from flexman_gym.evaluation.agent import find_agent
 from studies.faults import same
 
 from oracles.assertions import refusal
@@ -68,7 +68,7 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
     assert read_npz(whole / NEWEST)["training"]["counts"]["num_timesteps"] >= RUNS[algo].steps
     assert (whole / BEST).read_bytes() != b"" and sorted(read_npz(whole / BEST)) == sorted(read_npz(parts / BEST))
     seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
-    one, other = (load_run(folder).law(seen) for folder in (whole, parts))
+    one, other = (find_agent(folder).law(seen) for folder in (whole, parts))
     assert np.array_equal(one, other)
 
 

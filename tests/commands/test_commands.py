@@ -22,7 +22,7 @@ from flexman_gym.envs.sensors import SENSOR_NAMES
 from flexman_gym.evaluation.diagnosis import REMEDIES, RINGING, Diagnosis, diagnose
 from flexman_gym.league import certificate
 from flexman_gym.league.rows import EpisodeBlock, LeagueRows
-from flexman_gym.league.scenarios import USUAL_SCENARIOS, plant_scenarios
+from flexman_gym.league.scenarios import PLANT_SCENARIOS, USUAL_SCENARIOS
 
 from oracles.files import REFERENCE, ROOT
 
@@ -191,7 +191,7 @@ def test_a_league_takes_the_options_of_version_0_2_and_prints_its_table_without_
 def test_a_league_takes_few_episodes_on_other_plants_and_those_of_others_for_one_more():
     plain = Namespace(scenarios=None, episodes=None, physical=False, sweep=[], add=None, seed=9000)
     assert league._scenarios(plain, LeagueRows()) == {100: [*USUAL_SCENARIOS]}
-    assert league._scenarios(Namespace(**vars(plain) | {"physical": True}), LeagueRows()) == {10: plant_scenarios()}
+    assert league._scenarios(Namespace(**vars(plain) | {"physical": True}), LeagueRows()) == {10: PLANT_SCENARIOS}
     cells = [EpisodeBlock("", "pd", *each) for each in (("a", 9000, 9025), ("a", 9025, 9050), ("b@finer", 9000, 9010))]
     more = Namespace(**vars(plain) | {"add": ["run"]})
     assert league._scenarios(more, LeagueRows(cells=cells)) == {50: ["a"], 10: ["b@finer"]}
@@ -303,7 +303,7 @@ def test_where_nothing_is_left_nothing_has_to_help(capsys):
 
 def test_it_takes_what_evaluate_takes(capsys):
     assert main(["why", "nobody", *GIVEN]) == 2
-    assert capsys.readouterr().err.startswith("entrant: nobody is not allowed; give the folder of a training run")
+    assert capsys.readouterr().err.startswith("agent: nobody is not allowed; give the folder of a training run")
 
 
 def test_one_quiet_episode_does_not_hide_one_that_rings(monkeypatch, capsys):

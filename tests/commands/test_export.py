@@ -9,12 +9,10 @@ pytest.importorskip("stable_baselines3")
 
 from flexman_gym.__main__ import main
 from flexman_gym.common.run_folder import SETTINGS
-from flexman_gym.evaluation import evaluate, find_agent
-from flexman_gym.evaluation.export import shipped_policy_folder
+from flexman_gym.evaluation import evaluate, find_agent, policy_files
 from flexman_gym.evaluation.policy_files import read_policy
 
 from oracles import shipped as made
-from oracles.assertions import refusal
 from oracles.mutants import policy
 
 
@@ -77,13 +75,14 @@ def test_it_may_be_for_another_environment_with_what_acts_as_it_was(run, tmp_pat
     assert about["recipe"]["settings"]["environment"]["horizon"] == 0.6
 
 
-def test_a_name_is_no_path():
-    assert (
-        shipped_policy_folder("ppo-own").name == "ppo-own"
-        and shipped_policy_folder("ppo-own").parent.name == "policies"
-    )
-    for wrong in ("../a", "", "a b", "-", "a-", "ppo-\N{SUPERSCRIPT TWO}", "a" * 300, "a\n"):
-        assert refusal(shipped_policy_folder, wrong).startswith("name: ")
+def test_a_name_is_no_path(run, tmp_path, monkeypatch, capsys):
+    (tmp_path / "ppo-own").mkdir()
+    monkeypatch.setattr(policy_files, "FOLDER", tmp_path)
+    assert main(["export", "policy", str(run), "ppo-own", "--words", "W."]) == 2
+    assert f"folder: '{tmp_path / 'ppo-own'}' is not allowed" in capsys.readouterr().err
+    for wrong in ("..", "", "a b", "a-", "ppo-\N{SUPERSCRIPT TWO}", "a" * 300, "a\n"):
+        assert main(["export", "policy", str(run), wrong, "--words", "W."]) == 2
+        assert "name: " in capsys.readouterr().err
 
 
 def test_a_graph_gives_the_actions_of_numpy(tmp_path, capsys):
@@ -107,6 +106,6 @@ def test_a_network_that_cannot_act_alone_is_refused_with_what_to_do(name, tmp_pa
     pytest.importorskip("onnx")
     assert main(["export", "onnx", name, str(tmp_path / "a.onnx")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"entrant: '{name}' is not allowed; give a policy whose network acts alone, such as ")
+    assert line.startswith(f"agent: '{name}' is not allowed; give a policy whose network acts alone, such as ")
     assert "controller" in line and f'fm.rollout("{name}", ' in line
     assert main(["export", "onnx", line.partition("such as ")[2].split(":")[0], str(tmp_path / "b.onnx")]) == 0

@@ -65,7 +65,7 @@ def test_long_episodes_say_how_far_they_are(impatient, capsys):
 
 
 def test_a_long_league_says_how_far_it_is(impatient, capsys, tmp_path):
-    run_league(["zero", "pd"], ["FlexOne-v0"], range(9000, 9001), tmp_path, say=lambda line: None)
+    run_league(["zero", "pd"], ["FlexOne-v0"], range(9000, 9001), tmp_path, log=lambda line: None)
     lines = capsys.readouterr().err.splitlines()
     assert any(line.startswith("1 of 500 control periods of 1 episodes") for line in lines)
     assert any(line.startswith("1 of 2 cells, about ") for line in lines)
@@ -75,7 +75,7 @@ def test_a_long_certificate_says_how_far_it_is(impatient, capsys, tmp_path, monk
     """Of each scenario, and of the search, which runs many episodes and prints nothing until its end."""
     write_still(tmp_path / "still")
     monkeypatch.setattr(certificate, "certificate_scenarios", lambda name: [name])
-    path = certificate.certify(str(tmp_path / "still"), range(9000, 9002), 6, tmp_path / "rows", say=list)
+    path = certificate.certify(str(tmp_path / "still"), range(9000, 9002), 6, tmp_path / "rows", log=list)
     lines = capsys.readouterr().err.splitlines()
     assert json.loads(path.read_text())["rows"]
     for count in (2, 6):

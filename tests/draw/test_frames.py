@@ -8,7 +8,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.draw.frames import GHOST, GHOST_SHARE, PAYLOAD, TARGET, TIP, FramePainter, arm_frame, grid
-from flexman_gym.draw.mesh import cylinder, ring, section_outlines, sphere, tube_faces, tube_surfaces
+from flexman_gym.draw.mesh import CYLINDER, RING, SPHERE, section_outlines, tube_faces, tube_surfaces
 from flexman_gym.draw.overlay import Caption, strain_colours, write_title
 from flexman_gym.draw.style import rgb
 
@@ -113,7 +113,7 @@ def test_all_points_are_between_the_edges_and_two_of_them_touch(size):
 def test_surfaces_are_closed_and_point_outwards():
     straight = fm.curves(ONE, np.zeros(2 * ONE.n_dof), 5)
     links = (*tube_surfaces(straight, section_outlines(ONE, 5))[:2], tube_faces(1, 5))
-    for points, normals, faces in (links, cylinder(), sphere(), ring()):
+    for points, normals, faces in (links, CYLINDER, SPHERE, RING):
         a, b, c = (points[faces[:, k]] for k in range(3))
         across = np.cross(b - a, c - a)
         assert (a * across).sum() / 6 > 0.0 and np.allclose(across.sum(axis=0), 0.0, atol=1e-12), "a volume, no hole"

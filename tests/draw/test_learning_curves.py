@@ -1,67 +1,32 @@
-"""Pictures of episodes: they show errors and torques of every policy, and one episode has one picture."""
+"""Learning curves: the progress files are read, and the plot shows the median and the range over seeds."""
 
-import numpy as np
 import pytest
 
 pytest.importorskip("matplotlib")
 
-from matplotlib.cbook import STEP_LOOKUP_MAP
-from matplotlib.image import imread
-
-from flexman_gym.draw import learning_curves as pictures
-from flexman_gym.draw.learning_curves import draw_episodes
-from flexman_gym.evaluation import EpisodeRecord
+from flexman_gym.draw import learning_curves
+from flexman_gym.draw.learning_curves import draw_learning_curves, read_progress
 
 
-def record(error, action):
-    """An episode of 1 s whose error fades and whose action stays."""
-    times = np.linspace(0.0, 1.0, 51)
-    errors, actions = error * np.exp(-5.0 * times), np.full((50, 2), action)
-    return EpisodeRecord(np.zeros((51, 3)), errors, actions, np.zeros(50), "", 0.02, 0.005)
-
-
-def test_a_picture_shows_errors_and_actions_of_every_policy(tmp_path):
-    def picture(**records):
-        draw_episodes(records, tmp_path / "folder" / "a.png")
-        return imread(tmp_path / "folder" / "a.png")
-
-    first = picture(a=record(1.0, 0.5), b=record(0.5, -0.5))
-    assert np.array_equal(first, picture(a=record(1.0, 0.5), b=record(0.5, -0.5)))
-    for other in (
-        {"a": record(0.9, 0.5), "b": record(0.5, -0.5)},
-        {"a": record(1.0, 0.5), "b": record(0.5, -0.4)},
-        {"a": record(1.0, 0.5), "c": record(0.5, -0.5)},
-    ):
-        assert not np.array_equal(first, picture(**other))
-
-
-def test_no_error_at_all_can_be_drawn(tmp_path):
-    draw_episodes({"still": record(0.0, 0.0)}, tmp_path / "a.png")
-    assert (tmp_path / "a.png").stat().st_size > 5_000
-
-
-@pytest.fixture
-def axes(monkeypatch):
-    """The axes of the figure that is drawn."""
-    made, new_figure = [], pictures.new_figure
+def test_learning_curves_are_those_of_the_files_with_a_band_over_seeds(monkeypatch, tmp_path):
+    for seed, values in enumerate(([1.0, 3.0], [2.0, 8.0], [3.0, 4.0])):
+        folder = tmp_path / f"seed-{seed}"
+        folder.mkdir()
+        (folder / "progress.csv").write_text(
+            f"time/total_timesteps,rollout/ep_rew_mean,b\n100,{values[0]},\n300,{values[1]},1\n"
+        )
+    seeds = [read_progress(tmp_path / f"seed-{seed}") for seed in range(3)]
+    assert seeds[1][0].tolist() == [100.0, 300.0] and seeds[1][2] == "rollout/ep_rew_mean"
+    made, new_figure = [], learning_curves.new_figure
     monkeypatch.setattr(
-        pictures, "new_figure", lambda *given, **named: made.append(new_figure(*given, **named)) or made[-1]
+        learning_curves, "new_figure", lambda *given, **named: made.append(new_figure(*given, **named)) or made[-1]
     )
-    return lambda: made[-1].axes
-
-
-def test_a_torque_is_drawn_over_the_period_in_which_it_acts(axes, tmp_path):
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2))
-    made = EpisodeRecord(np.zeros((51, 3)), np.ones(51), actions, np.zeros(50), "", 0.02, 0.02)
-    draw_episodes({"a": made}, tmp_path / "a.png")
-    middles = 0.02 * (np.arange(50) + 0.5)
-    for motor in range(2):
-        curve = axes()[1 + motor].get_lines()[0]
-        result = np.interp(middles, *STEP_LOOKUP_MAP[curve.get_drawstyle()](*curve.get_data()))
-        assert result[1:] == pytest.approx(actions[1:, motor]), "the first has no width"
-
-
-def test_the_line_of_the_band_is_at_the_band_and_says_so(axes, tmp_path):
-    draw_episodes({"a": record(1.0, 0.5)}, tmp_path / "a.png")
-    (line,) = (line for line in axes()[0].get_lines() if line.get_linestyle() == "--")
-    assert set(line.get_ydata()) == {0.005} and [text.get_text() for text in axes()[0].texts] == ["5 mm"]
+    draw_learning_curves({"ppo": [each[:2] for each in seeds]}, tmp_path / "a.png", "reward")
+    axes = made[0].axes[0]
+    assert axes.get_lines()[0].get_ydata().tolist() == [2.0, 4.0]
+    band = axes.collections[0].get_paths()[0].vertices
+    assert (band[:, 1].min(), band[:, 1].max()) == (1.0, 8.0)
+    with pytest.raises(ValueError, match=r"^column: 'c' is not allowed; give one of b, "):
+        read_progress(tmp_path / "seed-0", "c")
+    with pytest.raises(FileNotFoundError, match=r"no progress\.csv"):
+        read_progress(tmp_path)

@@ -77,9 +77,9 @@ def test_the_axes_show_what_is_written_on_them(drawn, tmp_path):
 def test_the_residual_is_a_part_of_what_was_turned_over_or_in_joules_where_nothing_was(drawn, tmp_path):
     moved, still = run(), run(torque=0.0)
     for trajectory, unit, whole in (
-        (moved, "part of the turnover", moved.energy_turnover[-1]),
+        (moved, "of the turnover", moved.energy_turnover[-1]),
         (still, "J", 1.0),
-        (replace(still, work=np.linspace(0.0, 3.0, 11), moving_energy=np.zeros(11)), "part of the turnover", 3.0),
+        (replace(still, work=np.linspace(0.0, 3.0, 11), moving_energy=np.zeros(11)), "of the turnover", 3.0),
     ):
         trajectory_figure(trajectory, tmp_path / "a.png")
         result = curves(drawn()[f"energy residual\n({unit})"])[:, 0]

@@ -15,9 +15,7 @@ from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.evaluation import BASELINES, AgentSpec, evaluate, find_agent, rollout
 from flexman_gym.evaluation.agent import (
-    change_environment,
     common_environment,
-    load_policy,
     predictor_agent,
     split_interface,
 )
@@ -117,8 +115,8 @@ def test_rows_on_different_environments_are_refused_and_a_named_one_settles_it(r
     one = find_agent(str(run))
     other = AgentSpec("other", one.law, one.interface, Configuration("FlexPlanar-v0"))
     line = refusal(common_environment, [one, find_agent("pd"), other], None)
-    assert line.startswith("entrant: 'other' is not allowed; give policies of one environment")
-    assert line.endswith("or name one with --env: planar knows another")
+    assert line.startswith("agent: 'other' is not allowed; give policies of one environment")
+    assert line.endswith("or name one with --env: planar was trained in another environment")
     assert common_environment([one, other], ONE) == ONE
     same = AgentSpec("same", one.law, {"action_repeat": 1}, one.environment)
     assert common_environment([one, same], None) == one.environment, "another hold is not another environment"
@@ -139,10 +137,10 @@ def test_the_pd_beside_policies_has_the_gains_of_the_first_that_learned_on_one()
 
 
 def test_what_a_policy_was_trained_with_is_not_changed_in_part_either():
-    assert change_environment(ONE, ["arm.payload.mass=0.1"]).arm.payload.mass == 0.1
+    assert common_environment([], ONE, ["arm.payload.mass=0.1"]).arm.payload.mass == 0.1
     for change in ("sensors.kind=fine", "action_repeat=2", "base=pd"):
-        line = refusal(change_environment, ONE, [change])
-        assert line.startswith(f"--set: '{change}' is not allowed; give a setting of what is moved: base, action_rep")
+        line = refusal(common_environment, [], ONE, [change])
+        assert line.startswith(f"--set: '{change}' is not allowed; give a setting of the environment: base, action_rep")
 
 
 def test_random_torques_go_both_ways():
@@ -151,7 +149,7 @@ def test_random_torques_go_both_ways():
     assert np.abs(result.mean(axis=0)).max() < 0.2, "five deviations of the mean of so many"
 
 
-def test_a_controller_of_ones_own_is_an_entrant_like_any_other():
+def test_a_controller_of_ones_own_is_an_agent_like_any_other():
     setup = ONE
     own = PD(**NAMED_ENVIRONMENTS[ONE.id].pd, torque_limit=setup.torque_limit)
     assert fm.evaluate(own, ONE, SEEDS) == fm.evaluate("pd", ONE, SEEDS)
@@ -159,20 +157,23 @@ def test_a_controller_of_ones_own_is_an_entrant_like_any_other():
 
 
 def test_who_acts_brings_everything_that_it_wants_of_an_environment(run):
-    """Neither base nor hold, sensors or history of a description reach an entrant that has none."""
+    """Neither base nor hold, sensors or history of a description reach an agent that has none."""
     own = {"base": "pd", "action_repeat": 3, "history": 2, "sensors": "lab"}
     for name in ("zero", "pd", str(run)):
         expected = evaluate(name, Configuration("FlexPlanar-v0", {"horizon": 1.5}), SEEDS)
         assert evaluate(name, Configuration("FlexPlanar-v0", {"horizon": 1.5, **own}), SEEDS) == expected
     environment, interface = split_interface(Configuration("FlexPlanar-v0", {"condition": "unknown-lab"}))
     assert interface == {"sensors": "lab"} and environment.randomisation is not None
-    bare = change_environment(ONE, []), change_environment(Configuration("FlexPlanar-v0"), ["condition=unknown-lab"])
+    bare = (
+        common_environment([], ONE),
+        common_environment([], Configuration("FlexPlanar-v0"), ["condition=unknown-lab"]),
+    )
     assert bare[0] == ONE and "sensors" not in bare[1].settings and bare[1].disturbances.delay == (1, 1)
 
 
 def test_runs_of_one_name_on_different_environments_are_refused():
     both = [AgentSpec("seed-0", None, {}, Configuration(name)) for name in ("FlexOne-v0", "FlexRRR-v0")]
-    assert refusal(common_environment, both, None).startswith("entrant: 'seed-0' is not allowed")
+    assert refusal(common_environment, both, None).startswith("agent: 'seed-0' is not allowed")
 
 
 def test_a_controller_may_act_on_fewer_arms_afterwards():
@@ -192,17 +193,20 @@ def test_a_policy_may_act_on_fewer_arms_afterwards(run):
 def test_a_policy_refuses_what_it_was_not_trained_for(run):
     policy = find_agent(str(run))
     allowed = "a policy for FlexOne-v0, of 1 joints: it is one for FlexPlanar-v0, of 2"
-    assert refusal(rollout, policy, ONE, [0]) == f"entrant: {policy.name!r} is not allowed; give {allowed}"
+    assert refusal(rollout, policy, ONE, [0]) == f"agent: {policy.name!r} is not allowed; give {allowed}"
     path = Configuration("FlexPlanar-Track-v0")
     assert rollout(policy, path, [0]).lengths.tolist() == [1000], "a task that it did not learn, seen as its own"
     other = AgentSpec("other", policy.law, {"sensors": "servo"})
     line = refusal(rollout, other, Configuration("FlexPlanar-v0"), [0])
-    assert line == "base: 'a policy with 49 inputs' is not allowed; give one with 6, the number of values of its sensors here"
+    assert (
+        line
+        == "base: 'a policy with 49 inputs' is not allowed; give one with 6, the number of values of its sensors here"
+    )
 
 
 def test_what_acts_nowhere_is_refused_in_one_line(tmp_path):
     for nobody in ("nobody", PD):
-        with pytest.raises(FileNotFoundError, match=r"^entrant: .* is not allowed; give the folder of a training"):
+        with pytest.raises(FileNotFoundError, match=r"^agent: .* is not allowed; give the folder of a training"):
             find_agent(nobody)
     with pytest.raises(FileNotFoundError, match="no such file"):
         find_agent(str(tmp_path))
@@ -236,7 +240,7 @@ def test_a_policy_is_used_with_the_base_that_its_run_says(tmp_path):
     assert 0.0 < np.abs(result.actions - controller.actions).max() < 0.5, "it does a little beside it"
     path = tmp_path / "run" / "settings.json"
     path.write_text(path.read_text().replace('"adaptive-lqr"', '"lqg"'))
-    assert refusal(find_agent, str(tmp_path / "run")).endswith("base_in_use is another now")
+    assert refusal(find_agent, str(tmp_path / "run")).endswith("different now are base_in_use")
 
 
 AGENT = {"base": "pd", "action_repeat": 3, "history": 2, "sensors": ["full", "fine"]}
@@ -308,8 +312,8 @@ def test_an_agent_acts_alike_in_training_live_loaded_and_under_another_agent(con
         def predict(self, observations):
             return network(observations)
 
-    entrants = load_policy(tmp_path), predictor_agent(Live(), described)
-    loaded, live = (rollout(each, described, [0, 1]) for each in entrants)
+    agents = find_agent(tmp_path), predictor_agent(Live(), described)
+    loaded, live = (rollout(each, described, [0, 1]) for each in agents)
     assert np.array_equal(loaded.actions, live.actions) and np.array_equal(loaded.readings, live.readings)
     trained = FlexManVectorEnv(2, name="FlexPlanar-v0", **described.keywords())
     assert np.array_equal(asked(trained, network, 20), loaded.actions) and np.ptp(loaded.actions) > 0.1

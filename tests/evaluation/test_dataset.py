@@ -1,14 +1,17 @@
-"""Recording: datasets of any entrant are read back as they were, and replay to the bit."""
+"""Datasets: those of any agent are read back as they were recorded, and replay to the bit."""
+
+import sys
+from types import ModuleType
 
 import numpy as np
 import pytest
 
 from flexman_gym.__main__ import main
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.dataset import dataset_environment, record_dataset, record_episodes
+from flexman_gym.evaluation.dataset import record_dataset
 from flexman_gym.evaluation.rollout import rollout
 
-ENTRANTS = ("pd", "random", "ppo-flexrrr", "zero")
+AGENTS = ("pd", "random", "ppo-flexrrr", "zero")
 SEEDS = range(40, 43)
 NOISY = Configuration("FlexRRR-v0", {
     "sensors": ["full", {"kind": "tip", "noise": 0.01}], "history": 2, "horizon": 0.6, "base": "pd", "action_repeat": 5,
@@ -24,6 +27,22 @@ def datasets(tmp_path, monkeypatch):
     return pytest.importorskip("minari", reason="Minari is not installed")
 
 
+@pytest.fixture
+def recorded(monkeypatch):
+    """Function that returns the episodes and the environment of a dataset, without Minari."""
+    minari, collector = ModuleType("minari"), ModuleType("minari.data_collector")
+    minari.create_dataset_from_buffers = lambda name, buffers, env, **_: (buffers, env)
+    collector.EpisodeBuffer = lambda **data: data
+
+    def record(agent, environment):
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, "minari", minari)
+            patch.setitem(sys.modules, "minari.data_collector", collector)
+            return record_dataset(agent, environment, list(SEEDS), "made-up-v0")
+
+    return record
+
+
 def replayed(env, seed, actions):
     """Observations and rewards of a single environment under actions."""
     seen, rewards = [env.reset(seed=seed)[0]], []
@@ -34,34 +53,31 @@ def replayed(env, seed, actions):
     return np.array(seen), np.array(rewards), terminated, truncated
 
 
-@pytest.mark.parametrize("entrant", ENTRANTS)
-def test_episodes_replay_to_the_bit_in_the_single_environment_although_everything_is_noisy(entrant):
-    import gymnasium as gym
-
-    bare = dataset_environment(NOISY)
-    assert not {"base", "action_repeat"} & set(bare.settings)
-    env = gym.make(bare.id, **bare.settings)
-    for seed, episode in zip(SEEDS, record_episodes((entrant, bare, tuple(SEEDS))), strict=True):
+@pytest.mark.parametrize("agent", AGENTS)
+def test_episodes_replay_to_the_bit_in_the_single_environment_although_everything_is_noisy(agent, recorded):
+    episodes, env = recorded(agent, NOISY)
+    assert not {"base", "action_repeat"} & set(env.spec.kwargs)
+    for seed, episode in zip(SEEDS, episodes, strict=True):
         seen, rewards, terminated, truncated = replayed(env, seed, episode["actions"])
         assert seen.tobytes() == episode["observations"].tobytes() and rewards.tolist() == episode["rewards"]
         assert [terminated, truncated] == [episode["terminations"][-1], episode["truncations"][-1]] != [False, False]
         assert not any(episode["terminations"][:-1]) and not any(episode["truncations"][:-1])
 
 
-def test_actions_are_those_of_the_rollout_as_float32():
-    bare = dataset_environment(Configuration("FlexRRR-v0", {"horizon": 0.5}))
-    played = rollout("lqr", bare, list(SEEDS))
-    for number, episode in enumerate(record_episodes(("lqr", bare, tuple(SEEDS)))):
-        assert np.array_equal(episode["actions"], played.actions[number].astype(np.float32))
-        assert episode["rewards"] == pytest.approx(played.rewards[number].tolist(), abs=1e-6)
+def test_actions_are_those_of_the_rollout_as_float32(recorded):
+    environment = Configuration("FlexRRR-v0", {"horizon": 0.5})
+    result = rollout("lqr", environment, list(SEEDS))
+    for number, episode in enumerate(recorded("lqr", environment)[0]):
+        assert np.array_equal(episode["actions"], result.actions[number].astype(np.float32))
+        assert episode["rewards"] == pytest.approx(result.rewards[number].tolist(), abs=1e-6)
 
 
 @pytest.mark.parametrize("form", ["hdf5", "arrow"])
-def test_a_dataset_is_read_back_to_the_bit_and_gives_its_environment(datasets, form):
+def test_a_dataset_is_read_back_to_the_bit_and_gives_its_environment(datasets, recorded, form):
     pytest.importorskip("h5py" if form == "hdf5" else "pyarrow")
     record_dataset("random", NOISY, SEEDS, "flexman/random-v0", form)
     data = datasets.load_dataset("flexman/random-v0")
-    known = record_episodes(("random", dataset_environment(NOISY), tuple(SEEDS)))
+    known, _ = recorded("random", NOISY)
     env = data.recover_environment()
     assert data.total_episodes == 3 and data.total_steps == sum(len(each["rewards"]) for each in known)
     assert env.spec.id == "FlexRRR-v0" and env.unwrapped.configuration.history == 2
@@ -72,7 +88,7 @@ def test_a_dataset_is_read_back_to_the_bit_and_gives_its_environment(datasets, f
         assert replayed(env, seed, read.actions)[0].tobytes() == read.observations.tobytes()
 
 
-def test_the_command_writes_a_dataset_for_each_entrant(datasets, capsys):
+def test_the_command_writes_a_dataset_for_each_agent(datasets, capsys):
     given = ["--env", "FlexOne-v0", "--set", "horizon=0.4", "--episodes", "2", "--name", "one"]
     assert main(["record", "zero", "pd", *given]) == 0
     assert capsys.readouterr().out.splitlines()[0].startswith("one/zero-v0: 2 episodes, 40 steps, ")

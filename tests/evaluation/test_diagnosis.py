@@ -84,7 +84,7 @@ def test_an_end_that_is_short_or_still_has_no_tones():
         brief = split_error(EpisodeEnd(*cut), MODES)
         assert brief.tones == () and sum(brief.shares.values()) == pytest.approx(1.0)
     still = split_error(ending(np.zeros(COUNT)), MODES)
-    assert still.rms == 0.0 and still.quiet and not split_error(ending(tone(2.0)), MODES).quiet
+    assert still.rms == 0.0 and still.negligible and not split_error(ending(tone(2.0)), MODES).negligible
 
 
 def test_torques_that_stay_are_no_noise():
@@ -179,7 +179,7 @@ def test_a_slow_sway_is_no_offset():
     ((end, modes),) = episode_ends(soft, environment, [9001])
     found = split_error(end, modes)
     frequency = found.tones[0][0]
-    assert not found.quiet and frequency < 0.2 * min(modes.values())
+    assert not found.negligible and frequency < 0.2 * min(modes.values())
     assert found.cause in (RINGING, CYCLE) and found.shares[OFFSET] < 0.1
 
 

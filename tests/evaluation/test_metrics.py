@@ -14,7 +14,7 @@ from oracles.records import record
 
 def of(*records):
     """Every figure of some episodes together."""
-    return {name: figure.sum_up(records) for name, figure in METRICS.items()}
+    return {name: metric.evaluate(records) for name, metric in METRICS.items()}
 
 
 def test_figures_are_those_of_the_metrics():
@@ -33,12 +33,12 @@ def test_the_error_at_the_end_is_the_median_of_its_last_second():
     """Neither the last sample nor what was before."""
     errors = np.concatenate([np.full(450, 1.0), np.full(50, 0.01), [0.5]])
     made = EpisodeRecord(np.zeros((501, 3)), errors, np.zeros((500, 1)), np.zeros(500), "", 0.02, 0.02)
-    assert METRICS["error"].of(made) == 0.01
+    assert METRICS["error"].function(made) == 0.01
 
 
 def test_rms_error_is_over_the_whole_episode():
     made = EpisodeRecord(np.zeros((3, 3)), np.array([0.3, 0.4, 0.0]), np.zeros((2, 3)), np.zeros(2), "", 0.02, 0.01)
-    assert METRICS["rms_error"].of(made) == pytest.approx(np.sqrt(0.25 / 3.0))
+    assert METRICS["rms_error"].function(made) == pytest.approx(np.sqrt(0.25 / 3.0))
 
 
 def test_shares_are_parts_of_all_and_a_failure_never_settles():
@@ -63,8 +63,8 @@ def test_of_many_episodes_a_median_is_that_of_the_upper_middle_and_a_mean_the_me
     records = [
         replace(record(), rewards=np.array([value]), errors=np.full(501, value)) for value in (1.0, 2.0, 4.0, 9.0)
     ]
-    assert METRICS["reward"].sum_up(records) == 4.0 and METRICS["error"].sum_up(records) == pytest.approx(4.0)
-    assert METRICS["error"].sum_up(records[:3]) == pytest.approx(2.0)
+    assert METRICS["reward"].evaluate(records) == 4.0 and METRICS["error"].evaluate(records) == pytest.approx(4.0)
+    assert METRICS["error"].evaluate(records[:3]) == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("name", METRICS)
@@ -72,7 +72,7 @@ def test_every_figure_says_what_is_better(name):
     """A calm episode that settles is better in every figure than a rough one that fails."""
     good, bad = record(), record(0.0, np.inf, 1.0, 0.5, 0.9, "rate")
     bad = replace(bad, actions=bad.actions * np.where(np.arange(500) % 2, -1.0, 1.0)[:, None])
-    one, other = METRICS[name].of(good), METRICS[name].of(bad)
+    one, other = METRICS[name].function(good), METRICS[name].function(bad)
     assert one > other if METRICS[name].better == "high" else one < other
 
 
@@ -81,7 +81,7 @@ BAND = 0.02 * 0.8 / 8.5  # m, of FlexOne-v0
 
 
 def rows(names, count=3, settled=2.5):
-    """A table of entrants that do the same."""
+    """A table of agents that do the same."""
     return metrics_table(
         {name: [record(settled=settled, error=1e-3, band=BAND)] * count for name in names}, ONE
     ).splitlines()
@@ -108,7 +108,7 @@ def test_what_has_not_settled_is_a_dash():
     assert "- (- to -)" in rows(["pd"], settled=np.inf)[2]
 
 
-def test_a_task_that_does_not_settle_is_judged_by_its_rms_error():
+def test_a_task_that_does_not_settle_is_evaluated_by_its_rms_error():
     text = metrics_table({"pd": [record()]}, Configuration("FlexRRR-Track-v0"))
     assert "RMS error, mm" in text and "settling, s" not in text
 
@@ -121,7 +121,7 @@ def test_every_figure_stands_below_its_name():
     head, line, caption = metrics_table({"pd": made}, ONE).splitlines()[1:4]
     result = dict(zip(re.split(r" {2,}", head), re.split(r" {2,}", line), strict=True))
     assert result == {
-        "entrant": "pd", "reward": "100.0", f"in {1e3 * BAND:.3g} mm": "67%", "settling, s": "3.5 (2.5 to -)",
+        "agent": "pd", "reward": "100.0", f"in {1e3 * BAND:.3g} mm": "67%", "settling, s": "3.5 (2.5 to -)",
         "p-p, mm": "2 (1 to -)", "error, mm": "0.5 (0.4 to 0.6)", "roughness": "0.000", "effort": "0.250",
         "failed": "33%",
     }  # fmt: skip

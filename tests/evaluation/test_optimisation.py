@@ -68,7 +68,7 @@ def test_an_arm_for_which_no_gains_have_margins_is_refused_in_one_line(monkeypat
 
 
 def test_the_reward_is_that_of_whole_episodes_and_of_no_others():
-    """Limits so tight that episodes end at different times: played one by one, they have that mean reward."""
+    """Limits so tight that episodes end at different times: simulated one by one, they have that mean reward."""
     environment = Configuration("FlexOne-v0", {"horizon": 1.0, "limits": {"rate": 1.3}})
     episodes = 3
     (mean,) = optimisation._rewards(environment, np.array([[0.3, 0.1]]), episodes)
@@ -107,7 +107,7 @@ def test_every_round_is_around_the_best_so_far(monkeypatch):
     assert -result.reward < 0.01 < ((tried[0] - peak) ** 2).sum(axis=1).min(), "which finds a better one"
 
 
-def test_gains_that_are_judged_in_parts_have_the_same_rewards_to_the_bit(monkeypatch):
+def test_gains_that_are_evaluated_in_parts_have_the_same_rewards_to_the_bit(monkeypatch):
     gains, environment = np.geomspace(0.1, 2.0, 14).reshape(7, 2), Configuration("FlexOne-v0", {"horizon": 0.5})
     whole = optimisation._rewards(environment, gains, 2)
     monkeypatch.setattr(optimisation, "CELL", 3)

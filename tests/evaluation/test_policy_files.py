@@ -1,5 +1,6 @@
 """Shipped: an exported policy acts as it did, by its name too, and one in which something was changed is refused."""
 
+import hashlib
 import json
 import os
 import pickle
@@ -8,21 +9,18 @@ import sys
 
 import numpy as np
 import pytest
+from safetensors.numpy import load, save
 
 import flexman_gym as fm
 from flexman_gym.control.base_controllers import BASES
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import find_agent, policy_files, rollout
-from flexman_gym.evaluation.agent import load_policy
-from flexman_gym.evaluation.agent_info import check_seeds_unseen, required_information, training_seconds
+from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent, training_seconds
 from flexman_gym.evaluation.policy_files import (
     ABOUT,
     ARRAYS,
     MAX_BYTES,
     POLICIES,
-    _read_tensors,
-    _write_tensors,
-    json_hash,
     policy_folder,
     read_certificate,
     read_policy,
@@ -49,17 +47,22 @@ def changed(folder, change):
     (folder / ABOUT).write_text(json.dumps(about))
 
 
+def hash_of(data):
+    """Return the SHA-256 of plain data."""
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+
+
 def settings(about, **given):
     """Changes settings of the training, and the hash beside them too."""
     about["recipe"]["settings"] |= given
-    about["settings_hash"] = json_hash(about["recipe"]["settings"])
+    about["settings_hash"] = hash_of(about["recipe"]["settings"])
 
 
 def forged(folder, change):
     """Changes its arrays, and the hash beside them too."""
-    arrays = {name: each.copy() for name, each in _read_tensors((folder / ARRAYS).read_bytes()).items()}
+    arrays = {name: each.copy() for name, each in load((folder / ARRAYS).read_bytes()).items()}
     change(arrays)
-    _write_tensors(folder / ARRAYS, arrays)
+    (folder / ARRAYS).write_bytes(save(arrays))
     changed(folder, lambda about: about.__setitem__("arrays_hash", policy_files.hashlib.sha256(
         (folder / ARRAYS).read_bytes()).hexdigest()))  # fmt: skip
 
@@ -76,20 +79,24 @@ def test_it_acts_as_the_network_from_which_it_was_made(folder):
     assert about["observation"][0] == {"name": "motor_angles", "unit": "rad", "size": 2}
 
 
-def test_the_league_is_told_of_it_what_it_is_told_of_a_run(folder):
-    assert required_information(str(folder)) == ("training", "true state") and training_seconds(str(folder)) == 2.0
+def test_the_league_is_given_of_it_what_it_is_given_of_a_run(folder):
+    assert (
+        describe_agent(str(folder)).information == ("training", "true state") and training_seconds(str(folder)) == 2.0
+    )
     check_seeds_unseen(str(folder), range(9000, 9100))
-    assert "trained nor chosen on the seed 4000001" in refusal(check_seeds_unseen, str(folder), [4_000_001])
+    assert "trained nor selected on the seed 4000001" in refusal(check_seeds_unseen, str(folder), [4_000_001])
 
 
 def test_what_its_base_knows_it_needs_too(tmp_path):
-    told = Configuration.from_plain({"id": "FlexPlanar-v0", "base": "privileged-lqr", "sensors": "lab", "horizon": 1.0})
-    write_policy(tmp_path, *made.made_up(told))
-    assert required_information(str(tmp_path)) == ("training", *BASES["privileged-lqr"].information)
-    about, arrays = made.made_up(told)
+    environment = Configuration.from_plain(
+        {"id": "FlexPlanar-v0", "base": "privileged-lqr", "sensors": "lab", "horizon": 1.0}
+    )
+    write_policy(tmp_path, *made.made_up(environment))
+    assert describe_agent(str(tmp_path)).information == ("training", *BASES["privileged-lqr"].information)
+    about, arrays = made.made_up(environment)
     about["recipe"]["settings"]["base_in_use"] = "adaptive-lqr"
     write_policy(tmp_path, about, arrays)
-    assert required_information(str(tmp_path)) == ("training", *BASES["adaptive-lqr"].information), (
+    assert describe_agent(str(tmp_path)).information == ("training", *BASES["adaptive-lqr"].information), (
         "that in use takes its place"
     )
 
@@ -108,20 +115,20 @@ def test_a_scale_an_index_and_gains_that_were_changed_are_refused(folder, tmp_pa
         for file, content in made.files().items():
             (folder / file).write_bytes(content)
         forged(folder, change)
-        assert "actions" in refusal(load_policy, folder), name
+        assert "actions" in refusal(find_agent, folder), name
     for file, content in made.files().items():
         (folder / file).write_bytes(content)
     changed(folder, lambda about: about["environment"]["gains"]["damping"].__setitem__(0, 9.4))
-    assert "give what it was exported with" in refusal(load_policy, folder)
+    assert "of the export" in refusal(find_agent, folder)
 
 
 def test_sensors_in_another_order_are_refused_by_their_names(folder):
     def swap(about):
         about["environment"]["sensors"] = ["fine", "full"]
-        about["environment_hash"] = json_hash(about["environment"])
+        about["environment_hash"] = hash_of(about["environment"])
 
     changed(folder, swap)
-    assert refusal(load_policy, folder).startswith(f"{folder / ABOUT}: observation: ")
+    assert refusal(find_agent, folder).startswith(f"{folder / ABOUT}: observation: ")
 
 
 @pytest.mark.parametrize(
@@ -151,7 +158,7 @@ def test_other_keys_forms_and_sizes_are_refused(folder):
         (lambda about: settings(about, algo="sac"), "arrays: "),
         (lambda about: settings(about, hyperparameters={"activation": "relu"}), "check: "),
         (lambda about: about["recipe"]["settings"].__setitem__("base_in_use", "lqg"), "settings: "),
-        (lambda about: about.__setitem__("recipe", None), "this is no policy"),
+        (lambda about: about.__setitem__("recipe", None), "this is no exported policy"),
     ):
         (folder / ABOUT).write_text(whole)
         changed(folder, change)
@@ -175,7 +182,7 @@ def test_nothing_in_it_runs(folder):
     for name in (ABOUT, ARRAYS):
         kept = (folder / name).read_bytes()
         (folder / name).write_bytes(pickle.dumps(Bomb()))
-        assert "this is no policy that was exported" in refusal(read_policy, folder)
+        assert "this is no exported policy" in refusal(read_policy, folder)
         (folder / name).write_bytes(kept)
     assert "FLEXMAN_BOMB" not in os.environ
 

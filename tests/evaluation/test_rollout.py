@@ -35,7 +35,7 @@ def test_other_numbers_are_refused(wrong):
 def test_a_policy_of_another_arm_is_refused_by_its_name(name):
     own, other = ("FlexPlanar-v0", "FlexRRR-v0") if "planar" in name else ("FlexRRR-v0", "FlexOne-v0")
     line = refusal(fm.evaluate, name, other, 1)
-    assert line.startswith(f"entrant: '{name}' is not allowed; give ") and own in line and other in line
+    assert line.startswith(f"agent: '{name}' is not allowed; give ") and own in line and other in line
 
 
 ONE = Configuration("FlexOne-v0", {"horizon": 1.5})
@@ -43,12 +43,12 @@ SEEDS = range(9000, 9003)
 
 
 def test_a_policy_with_a_history_sees_what_it_saw_in_training():
-    """Readings a hold apart, also where all episodes are judged side by side."""
+    """Readings an action repeat apart, also for episodes side by side."""
     interface = {"base": "pd", "action_repeat": 3, "history": 4, "sensors": ["full"]}
-    judged, seen = [], []
+    observed, seen = [], []
 
     def act(observations):
-        judged.append(observations.copy())
+        observed.append(observations.copy())
         return np.tanh(observations[:, -1:])
 
     rollout(AgentSpec("watching", act, interface), ONE, [9001, 9002])
@@ -58,7 +58,7 @@ def test_a_policy_with_a_history_sees_what_it_saw_in_training():
         seen.append(observation)
         action = np.tanh(observation[-1:])
         observation, _, _, ended, _ = env.step(action)
-    assert np.array_equal(np.array(judged)[:, 0], seen) and np.ptp(seen, axis=0).max() > 0.1
+    assert np.array_equal(np.array(observed)[:, 0], seen) and np.ptp(seen, axis=0).max() > 0.1
 
 
 def test_an_episode_that_fails_ends_there_and_the_arms_beside_it_go_on():
@@ -76,25 +76,25 @@ def test_an_episode_that_fails_ends_there_and_the_arms_beside_it_go_on():
     assert np.array_equal(alone.tips, failed.tips) and alone.failure == failed.failure
     for record in others:
         assert record.failure == "" and len(record.actions) == 75 and not record.actions.any()
-    assert METRICS["settling_time"].of(failed) == METRICS["vibration"].of(failed) == np.inf
+    assert METRICS["settling_time"].function(failed) == METRICS["vibration"].function(failed) == np.inf
     assert np.isnan(together.tips[0, together.lengths[0] + 1 :]).all() and together.tips.shape == (3, 76, 3)
     assert together.actions.shape == (3, 75, 1) and np.isnan(together.rewards[0, together.lengths[0] :]).all()
 
 
 def test_nothing_begins_anew_where_an_episode_has_ended():
-    """The base is told of the episodes of the seeds, and of no others."""
-    told = []
+    """The base controller is reset for the episodes of the seeds only."""
+    begun = []
 
-    class Told(PD):
+    class RecordedPD(PD):
         def reset(self, arms, episode, count):
-            told.extend(arms.tolist())
+            begun.extend(arms.tolist())
 
         def act(self, readings, applied=None, playing=None):
             return np.array([[1.0], [0.0], [0.0]])
 
     environment = Configuration("FlexOne-v0", {"horizon": 1.5, "limits": {"rate": 3.0, "angle": 4.0}})
-    lengths = rollout(Told([1.0], [0.1], 1.0), environment, SEEDS).lengths
-    assert lengths[0] < 70 and lengths[1:].tolist() == [75, 75] and told == [0, 1, 2]
+    lengths = rollout(RecordedPD([1.0], [0.1], 1.0), environment, SEEDS).lengths
+    assert lengths[0] < 70 and lengths[1:].tolist() == [75, 75] and begun == [0, 1, 2]
 
 
 def test_a_failed_episode_is_counted_to_its_last_period():
@@ -111,7 +111,7 @@ def test_a_failed_episode_is_counted_to_its_last_period():
         _, reward, failed, _, info = env.step(np.ones(1, dtype=np.float32))
         rewards.append(reward)
         errors.append(info["tip_error"])
-    result = {name: figure.of(record) for name, figure in METRICS.items()}
+    result = {name: metric.function(record) for name, metric in METRICS.items()}
     assert record.failure == info["failure"] and len(record.rewards) == len(rewards)
     assert result["reward"] == pytest.approx(sum(rewards), rel=1e-9) and abs(rewards[-1]) > 1e-3 * abs(result["reward"])
     assert result["rms_error"] == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-9)
@@ -124,7 +124,7 @@ def test_the_band_is_a_part_of_the_reach():
     result = rollout("lqr-tracking", environment, SEEDS)
     assert result.band == pytest.approx(BAND * 1.0) == pytest.approx(0.02 / 8.5), "20 mm where the reach is 8.5 m"
     for record in result.records:
-        after = round(METRICS["settling_time"].of(record) / record.period)
+        after = round(METRICS["settling_time"].function(record) / record.period)
         assert (record.errors[after:] <= record.band).all() and record.errors[after - 1] > record.band
 
 

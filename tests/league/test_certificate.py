@@ -19,7 +19,7 @@ from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.league import certificate, rows, scenarios
 from flexman_gym.league.certificate import METRIC_NAMES, certificate_row, certificate_scenarios, certify
 from flexman_gym.league.rows import VALUES, EpisodeBlock, EpisodeRow, run_block
-from flexman_gym.league.scenarios import evaluate_on_plants, find_plant, find_scenario
+from flexman_gym.league.scenarios import PLANTS, find_scenario
 
 from oracles.assertions import refusal
 from oracles.shipped import DESCRIBED, made_up, write_still
@@ -41,13 +41,14 @@ def folder(tmp_path, monkeypatch):
 def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder, tmp_path):
     assert policy_files.describe_policy("still") == "Made up. It has no certificate."
     said = []
-    path = certify(str(folder), SEEDS, 6, tmp_path / "rows", say=said.append)
+    path = certify(str(folder), SEEDS, 6, tmp_path / "rows", log=said.append)
     result = json.loads(path.read_text())
     assert len(said) == len(result["rows"])
     *known, search = result["rows"]
     found = {row["scenario"].removeprefix(str(folder)): row for row in known}
     assert list(found)[:3] == ["", "@finer", "/method=midpoint_2"]
-    assert found["@finer"]["error"] == evaluate_on_plants("pd", DESCRIBED, SEEDS, ("finer",))["finer"]["error"]
+    finer = rollout("pd", DESCRIBED, SEEDS, set_plant=PLANTS["finer"][1]).records
+    assert found["@finer"]["error"] == METRICS["error"].evaluate(finer)
     far = ("payload=0:0.2", "stiffness=0.7:1.3", "friction=1", "delay=0", "delay=3", "noise=0.003")
     assert {f"/{name}{given}" for name in far for given in ("+given", "")} <= found.keys()
     for name, changes in (
@@ -70,15 +71,16 @@ def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder,
 
 def test_rows_of_a_certificate_are_kept_and_a_refused_cell_says_why(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(certificate, "certificate_scenarios", lambda name: [name])
-    first = certify(str(folder), SEEDS, 2, tmp_path / "rows", say=list).read_bytes()
+    first = certify(str(folder), SEEDS, 2, tmp_path / "rows", log=list).read_bytes()
     monkeypatch.setattr(rows, "rollout", lambda *_, **__: pytest.fail("the rows are there"))
-    assert certify(str(folder), SEEDS, 2, tmp_path / "rows", say=list).read_bytes() == first
+    assert certify(str(folder), SEEDS, 2, tmp_path / "rows", log=list).read_bytes() == first
 
     def refuse(name):
         raise ValueError("plant: 'finer' is not allowed; give a plant that is installed")
 
     monkeypatch.setattr(certificate, "certificate_scenarios", lambda name: [f"{name}@finer"])
-    monkeypatch.setattr(rows, "find_plant", refuse)
+    monkeypatch.setattr(rows, "PLANTS", dict.fromkeys(PLANTS, ("", refuse)))
+    monkeypatch.setattr(rows, "rollout", lambda *_, set_plant, **__: set_plant("finer"))
     line = refusal(certify, str(folder), SEEDS, 2, tmp_path / "rows")
     assert line == f"{folder}@finer: plant: only a plant that is installed"
 
@@ -142,7 +144,7 @@ def test_other_physics_are_compared_with_the_episodes_as_trained(folder, tmp_pat
         return SimpleNamespace(cells={}, rows={(names[0], agents[0], row.seed): row for row in found})
 
     monkeypatch.setattr(certificate, "run_league", league)
-    result = json.loads(certify(str(folder), SEEDS, 1, tmp_path, say=list).read_text())
+    result = json.loads(certify(str(folder), SEEDS, 1, tmp_path, log=list).read_text())
     assert result["fails"] == [f"{folder}{each}" for each in louder if each]
 
 
@@ -203,7 +205,7 @@ def test_only_policies_of_tasks_in_which_something_settles(tmp_path):
     assert refusal(certify, "pd") == "name: 'pd' is not allowed; give an exported policy, by its name or folder"
     path = Configuration.from_plain({"id": "FlexPlanar-Track-v0", "base": "pd", "sensors": "full", "horizon": 1.0})
     write_policy(tmp_path, *made_up(path))
-    assert "a policy for a task in which the arm settles" in refusal(certify, str(tmp_path))
+    assert "a policy for a task with the metric settling_time" in refusal(certify, str(tmp_path))
 
 
 def test_shipped_certificates_have_the_scenarios_of_a_league():
@@ -227,7 +229,7 @@ def test_certificates_and_the_league_have_the_same_numbers():
                 continue
             compared += 1
             for metric in METRIC_NAMES:
-                value = METRICS[metric].summary(np.array([float(episodes[seed][metric]) for seed in seeds]))
+                value = METRICS[metric].aggregate(np.array([float(episodes[seed][metric]) for seed in seeds]))
                 assert row[metric] == pytest.approx(value, rel=1e-3, abs=1e-8), (name, row["scenario"], metric)
     assert compared >= 2 * len(POLICIES) - 1, "the environment of each, and MuJoCo"
 
@@ -248,12 +250,14 @@ def test_a_cell_of_a_certificate_is_the_episode_of_the_policy_in_its_own_changed
                   "stiffness": ("joint_stiffness_factor", "link_stiffness_factor")}  # fmt: skip
         settings = {"friction": lambda: {"arm": Configuration.find(f"{own.id}/friction").settings["arm"]},
                     "method": lambda: {"method": value, "step": find_scenario(scenario).environment.step},
-                    }.get(known, lambda: {"randomisation": scenarios.randomised_ranges(own) | dict.fromkeys(ranges[known],
-                        span)})()  # fmt: skip
+                    }.get(known, lambda: {"randomisation":
+                        scenarios.randomised_ranges(own) | dict.fromkeys(ranges[known], span)})()  # fmt: skip
         changed = own.replace(**settings)
     given = changed if scenario.endswith("+given") or "method" in change else own
-    moved = find_plant(scenario.partition("@")[2] or "usual")
-    (record,) = rollout(design_for(agent, given), changed, [seed], moved=moved).records
+    set_plant = PLANTS[scenario.partition("@")[2] or "usual"][1]
+    (record,) = rollout(design_for(agent, given), changed, [seed], set_plant=set_plant).records
     _, (row,) = run_block(EpisodeBlock("", name, scenario, seed, seed + 1))
     values = dict(zip(VALUES, row.values, strict=True))
-    assert {each: values[each] for each in METRIC_NAMES} == {each: METRICS[each].of(record) for each in METRIC_NAMES}
+    assert {each: values[each] for each in METRIC_NAMES} == {
+        each: METRICS[each].function(record) for each in METRIC_NAMES
+    }

@@ -1,7 +1,8 @@
-"""League: rows are those of a rollout, to the bit the same however they are played, and a killed league goes on."""
+"""League: rows are those of a rollout, to the bit the same however they are computed, and a killed league resumes."""
 
 import csv
 import json
+from dataclasses import astuple
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,15 +12,11 @@ import flexman_gym.league.rows as league
 from flexman_gym.control.base_controllers import BASES
 from flexman_gym.control.references.optimised_slews import SHIPPED_TABLE, SlewTable
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation import METRICS, agent_info, rollout
+from flexman_gym.evaluation import METRICS, rollout
+from flexman_gym.evaluation import agent as agent_module
 from flexman_gym.evaluation.agent import BASELINES
-from flexman_gym.evaluation.agent_info import (
-    check_seeds_unseen,
-    describe_agent,
-    is_realisable,
-    required_information,
-    training_seconds,
-)
+from flexman_gym.evaluation.agent_info import AgentInfo, check_seeds_unseen, describe_agent, training_seconds
+from flexman_gym.evaluation.metrics import equivalent_damping, optimised_settling_times
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, EpisodeRecord, training_seed
 from flexman_gym.league.rows import (
     ROWS,
@@ -27,8 +24,6 @@ from flexman_gym.league.rows import (
     VALUES,
     EpisodeBlock,
     LeagueRows,
-    equivalent_damping,
-    optimised_settling_times,
     run_block,
     run_league,
 )
@@ -53,7 +48,7 @@ def small_blocks(monkeypatch):
     monkeypatch.setattr(league, "BLOCK", 2)
 
 
-def played(scenario, folder, agents=AGENTS, jobs=1, seeds=SEEDS):
+def league_of(scenario, folder, agents=AGENTS, jobs=1, seeds=SEEDS):
     """What a league said, and its rows as bytes."""
     said = []
     run_league(agents, [scenario], seeds, folder, jobs, said.append)
@@ -61,7 +56,7 @@ def played(scenario, folder, agents=AGENTS, jobs=1, seeds=SEEDS):
 
 
 def test_rows_hold_the_figures_of_a_rollout_to_the_bit(scenario, tmp_path):
-    played(scenario, tmp_path, ["pd", "privileged-lqr"])
+    league_of(scenario, tmp_path, ["pd", "privileged-lqr"])
     with (tmp_path / ROWS).open(newline="") as file:
         rows = [*csv.DictReader(file)]
     assert len(rows) == 10
@@ -69,17 +64,17 @@ def test_rows_hold_the_figures_of_a_rollout_to_the_bit(scenario, tmp_path):
         ours = [row for row in rows if row["agent"] == agent]
         assert [int(row["seed"]) for row in ours] == [*SEEDS]
         records = rollout(agent, scenario, SEEDS).records
-        for name, figure in METRICS.items():
-            assert [float(row[name]) for row in ours] == figure.each(records).tolist(), name
+        for name, metric in METRICS.items():
+            assert [float(row[name]) for row in ours] == metric.values(records).tolist(), name
     assert all(row[TIME_RATIO] == "nan" for row in rows), "no table has slews of this one"
 
 
 def test_rows_are_the_same_in_repeats_and_over_two_processes(scenario, tmp_path, small_blocks):
-    said, rows = played(scenario, tmp_path / "a")
+    said, rows = league_of(scenario, tmp_path / "a")
     assert len(said) == 4 * 3, "cells of two, two and one episode"
-    assert played(scenario, tmp_path / "b")[1] == rows
-    assert played(scenario, tmp_path / "c", jobs=2)[1] == rows
-    assert played(scenario, tmp_path / "a") == ([], rows), "nothing is left"
+    assert league_of(scenario, tmp_path / "b")[1] == rows
+    assert league_of(scenario, tmp_path / "c", jobs=2)[1] == rows
+    assert league_of(scenario, tmp_path / "a") == ([], rows), "nothing is left"
 
 
 def test_a_killed_league_goes_on(scenario, tmp_path, small_blocks):
@@ -89,35 +84,35 @@ def test_a_killed_league_goes_on(scenario, tmp_path, small_blocks):
 
     with pytest.raises(KeyboardInterrupt):
         run_league(AGENTS, [scenario], SEEDS, tmp_path / "a", 1, kill)
-    said, rows = played(scenario, tmp_path / "a")
-    assert len(said) == 12 - 5 and rows == played(scenario, tmp_path / "b")[1]
+    said, rows = league_of(scenario, tmp_path / "a")
+    assert len(said) == 12 - 5 and rows == league_of(scenario, tmp_path / "b")[1]
 
 
-def test_a_new_entrant_plays_alone_and_more_episodes_are_those_that_miss(scenario, tmp_path, small_blocks):
-    played(scenario, tmp_path, ["zero"], seeds=range(9000, 9004))
-    said, _ = played(scenario, tmp_path, ["zero", "pd"], seeds=range(9000, 9006))
+def test_a_new_agent_runs_alone_and_more_episodes_are_those_that_miss(scenario, tmp_path, small_blocks):
+    league_of(scenario, tmp_path, ["zero"], seeds=range(9000, 9004))
+    said, _ = league_of(scenario, tmp_path, ["zero", "pd"], seeds=range(9000, 9006))
     assert [each.split(": ")[1].partition(" on")[0] for each in said] == ["zero", "pd", "pd", "pd"]
     assert len(LeagueRows.load(tmp_path).rows) == 12
 
 
-def test_a_block_that_was_short_is_played_whole(scenario, tmp_path):
-    played(scenario, tmp_path, ["pd"], seeds=range(9000, 9002))
-    said, rows = played(scenario, tmp_path, ["pd"])
+def test_a_block_that_was_short_is_run_whole(scenario, tmp_path):
+    league_of(scenario, tmp_path, ["pd"], seeds=range(9000, 9002))
+    said, rows = league_of(scenario, tmp_path, ["pd"])
     assert len(said) == 1 and len(LeagueRows.load(tmp_path).rows) == 5
-    assert played(scenario, tmp_path, ["pd"], seeds=range(9000, 9002)) == ([], rows), "fewer are there already"
+    assert league_of(scenario, tmp_path, ["pd"], seeds=range(9000, 9002)) == ([], rows), "fewer are there already"
 
 
-def test_another_environment_by_the_same_name_is_played_anew(scenario, tmp_path):
-    before = played(scenario, tmp_path / "a", ["zero", "pd"])[1]
+def test_another_environment_by_the_same_name_is_run_anew(scenario, tmp_path):
+    before = league_of(scenario, tmp_path / "a", ["zero", "pd"])[1]
     (tmp_path / "one.yaml").write_text("id: FlexOne-v0\nhorizon: 1.0\n")
-    said, after = played(scenario, tmp_path / "a", ["pd"], seeds=range(9000, 9002))
+    said, after = league_of(scenario, tmp_path / "a", ["pd"], seeds=range(9000, 9002))
     assert len(said) == 1 and after != before
     kept = {(row.agent, row.seed) for row in LeagueRows.load(tmp_path / "a").rows.values()}
     assert kept == {("zero", seed) for seed in SEEDS} | {("pd", 9000), ("pd", 9001)}, "no row of the old one"
 
 
 def test_a_league_that_is_killed_between_its_files_misses_no_row(scenario, tmp_path, monkeypatch):
-    """Rows come first: a cell that is told to be played has them."""
+    """Rows come first: a cell in the file has them."""
 
     def write(path, fill):
         if path.name == league.CELLS:
@@ -127,25 +122,25 @@ def test_a_league_that_is_killed_between_its_files_misses_no_row(scenario, tmp_p
     true_write = league.write_atomically
     monkeypatch.setattr(league, "write_atomically", write)
     with pytest.raises(KeyboardInterrupt):
-        played(scenario, tmp_path / "a", ["pd"])
+        league_of(scenario, tmp_path / "a", ["pd"])
     monkeypatch.undo()
-    assert played(scenario, tmp_path / "a", ["pd"])[1] == played(scenario, tmp_path / "b", ["pd"])[1]
+    assert league_of(scenario, tmp_path / "a", ["pd"])[1] == league_of(scenario, tmp_path / "b", ["pd"])[1]
 
 
-def test_another_version_of_a_package_plays_anew(scenario, tmp_path, monkeypatch):
-    played(scenario, tmp_path, ["zero"])
-    assert played(scenario, tmp_path, ["zero"])[0] == []
+def test_another_version_of_a_package_runs_again(scenario, tmp_path, monkeypatch):
+    league_of(scenario, tmp_path, ["zero"])
+    assert league_of(scenario, tmp_path, ["zero"])[0] == []
     monkeypatch.setattr(league, "computer_info", lambda *_: {"numpy": "0.1"})
-    assert len(played(scenario, tmp_path, ["zero"])[0]) == 1
+    assert len(league_of(scenario, tmp_path, ["zero"])[0]) == 1
 
 
-def test_other_code_plays_anew(scenario, tmp_path, monkeypatch):
-    played(scenario, tmp_path, ["zero"])
-    monkeypatch.setattr(league, "code_hash", lambda: "another")
-    assert len(played(scenario, tmp_path, ["zero"])[0]) == 1
+def test_other_code_runs_again(scenario, tmp_path, monkeypatch):
+    league_of(scenario, tmp_path, ["zero"])
+    monkeypatch.setattr(league, "_code_hash", lambda: "another")
+    assert len(league_of(scenario, tmp_path, ["zero"])[0]) == 1
 
 
-def test_the_hash_of_the_code_is_that_of_what_plays(tmp_path, monkeypatch):
+def test_the_hash_of_the_code_is_that_of_what_runs(tmp_path, monkeypatch):
     for name in ("kernels/a.py", "envs/conditions/b.yaml", "evaluation/rollout.py", "league/page.py"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("a = 1\n")
@@ -153,8 +148,8 @@ def test_the_hash_of_the_code_is_that_of_what_plays(tmp_path, monkeypatch):
     monkeypatch.setattr(league, "SOURCES", ("kernels", "envs", "evaluation/rollout.py"))
 
     def digest():
-        league.code_hash.cache_clear()
-        return league.code_hash()
+        league._code_hash.cache_clear()
+        return league._code_hash()
 
     known = digest()
     (tmp_path / "league/page.py").write_text("another page")
@@ -228,7 +223,7 @@ def test_values_of_old_rows_stay_right_whatever_metrics_a_league_has_now(tmp_pat
     monkeypatch.setattr(league, "VALUES", now)
     with pytest.raises(ValueError, match=r"rows\.csv: its heads are not those of a league"):
         LeagueRows.load(tmp_path)
-    monkeypatch.setattr(league, "FORMER", (VALUES[1],))
+    monkeypatch.setattr(league, "FORMER_METRICS", (VALUES[1],))
     results = LeagueRows.load(tmp_path)
     for _ in range(2):
         (row,) = results.rows.values()
@@ -267,17 +262,20 @@ def test_a_controller_without_a_description_fails_at_import():
         type(entry)(entry.make, entry.information, entry.arguments)
 
 
-def test_who_cannot_play_says_why(scenario):
+def test_who_cannot_run_says_why(scenario):
     cell, rows = run_block(EpisodeBlock("", "optimised", scenario, 9000, 9001))
-    assert rows == [] and cell.why.startswith("table: only a table of this arm") and np.isnan(cell.action)
-    for agent, words in (("lqr", "it needs more than a laboratory can tell it"), ("optimised", "it needs more")):
+    assert rows == [] and cell.why.startswith("table: only one of this arm") and np.isnan(cell.action)
+    for agent, words in (
+        ("lqr", "it needs information that a laboratory cannot measure"),
+        ("optimised", "it needs information"),
+    ):
         assert run_block(EpisodeBlock("", agent, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why.startswith(words)
 
 
 def test_times_of_a_cell_are_of_a_start_and_of_an_action_of_one_arm(scenario, monkeypatch):
     """Ten milliseconds of starts in five episodes, and a second of actions in all of their periods."""
-    watch = SimpleNamespace(designing=0.01, acting=1.0)
-    monkeypatch.setattr(league, "_timed", lambda agent, told: (agent, watch))
+    clock = SimpleNamespace(start_seconds=0.01, action_seconds=1.0)
+    monkeypatch.setattr(league, "timed_agent", lambda agent, environment: (agent, clock))
     cell, _ = run_block(EpisodeBlock("", "zero", scenario, 9000, 9005))
     assert cell.design == pytest.approx(1e6 * 0.01 / 5)
     assert cell.action == pytest.approx(1e6 * 1.0 / rollout("zero", scenario, SEEDS).lengths.sum())
@@ -288,32 +286,34 @@ def test_the_multiple_is_the_settling_time_in_those_of_the_slew(scenario, monkey
     errors = np.where(np.arange(301) < 100, 1.0, 0.0)
     record = EpisodeRecord(np.zeros((301, 3)), errors, np.zeros((300, 1)), np.zeros(300), "", 0.01, 0.01)
     monkeypatch.setattr(league, "rollout", lambda *_, **__: SimpleNamespace(records=[record] * 2, lengths=[300] * 2))
-    monkeypatch.setattr(league, "optimised_times", lambda environment: {9000: 0.5})
+    monkeypatch.setattr(league, "optimised_settling_times", lambda environment: {9000: 0.5})
     _, rows = run_block(EpisodeBlock("", "zero", scenario, 9000, 9002))
     multiples = [row.values[VALUES.index(TIME_RATIO)] for row in rows]
     assert multiples == pytest.approx([2.0, np.nan], nan_ok=True)
 
 
-def test_both_ends_of_the_score_are_played_in_a_laboratory(monkeypatch):
+def test_both_ends_of_the_score_are_run_in_a_laboratory(monkeypatch):
     """Rewards are scaled between them; who else needs the true state is left out."""
 
-    def refuse(agent, told):
+    def refuse(agent, environment):
         raise ValueError("it is made")
 
-    monkeypatch.setattr(league, "_timed", refuse)
+    monkeypatch.setattr(league, "timed_agent", refuse)
     why = {
         who: run_block(EpisodeBlock("", who, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why
-        for who in (*league.SCALE, "lqr")
+        for who in (*league.REFERENCE_AGENTS, "lqr")
     }
-    assert why == dict.fromkeys(league.SCALE, "it is made") | {"lqr": "it needs more than a laboratory can tell it"}
+    assert why == dict.fromkeys(league.REFERENCE_AGENTS, "it is made") | {
+        "lqr": "it needs information that a laboratory cannot measure"
+    }
 
 
-def test_arms_of_a_venue_are_moved_by_its_plant(monkeypatch):
+def test_arms_of_a_scenario_are_moved_by_its_plant(monkeypatch):
     moved = []
-    monkeypatch.setattr(league, "find_plant", lambda name: name)
+    monkeypatch.setattr(league, "PLANTS", {name: ("", name) for name in league.PLANTS})
 
     def rollout(*_, **named):
-        moved.append(named["moved"])
+        moved.append(named["set_plant"])
         raise ValueError("that is enough")
 
     monkeypatch.setattr(league, "rollout", rollout)
@@ -322,37 +322,37 @@ def test_arms_of_a_venue_are_moved_by_its_plant(monkeypatch):
     assert moved == ["usual", "finer"]
 
 
-def test_rows_follow_from_what_is_played_and_from_what_controllers_are_told(monkeypatch):
+def test_rows_follow_from_what_is_run_and_from_what_controllers_are_given(monkeypatch):
     one, other = Configuration("FlexOne-v0"), Configuration("FlexOne-v0", {"control_period": 0.02})
-    monkeypatch.setattr(league, "code_hash", lambda: "")
+    monkeypatch.setattr(league, "_code_hash", lambda: "")
     keys = set()
     for scenario in (Scenario(one, one), Scenario(one, other), Scenario(other, one), Scenario(one, one, "finer")):
         monkeypatch.setattr(league, "find_scenario", lambda name: scenario)  # noqa: B023
-        keys.add(league.row_key("pd", "FlexOne-v0"))
+        keys.add(league._row_key("pd", "FlexOne-v0"))
     assert len(keys) == 4
 
 
 def test_rows_follow_from_every_file_of_a_run(scenario, tmp_path, monkeypatch):
-    monkeypatch.setattr(league, "code_hash", lambda: "")
-    keys = [league.row_key(str(tmp_path), scenario)]
+    monkeypatch.setattr(league, "_code_hash", lambda: "")
+    keys = [league._row_key(str(tmp_path), scenario)]
     for name in (league.SETTINGS, league.BEST, league.NEWEST):
         for content in (b"one", b"two"):
             (tmp_path / name).write_bytes(content)
-            keys.append(league.row_key(str(tmp_path), scenario))
+            keys.append(league._row_key(str(tmp_path), scenario))
     assert len(set(keys)) == 7
 
 
 def test_rows_of_another_processor_count(scenario, monkeypatch):
     """Versions of packages change rows, the processor does not."""
-    monkeypatch.setattr(league, "code_hash", lambda: "")
+    monkeypatch.setattr(league, "_code_hash", lambda: "")
     keys = set()
     for processor, version in (("one", "1"), ("two", "1"), ("one", "2")):
         monkeypatch.setattr(league, "computer_info", lambda *_: {"processor": processor, "numpy": version})  # noqa: B023
-        keys.add(league.row_key("pd", scenario))
+        keys.add(league._row_key("pd", scenario))
     assert len(keys) == 2
 
 
-def test_a_watch_keeps_starts_and_actions_apart(monkeypatch):
+def test_a_clock_keeps_starts_and_actions_apart(monkeypatch):
     """By a clock that goes on by one second in a start and by a thousandth in an action."""
     clock = [0.0]
 
@@ -361,14 +361,14 @@ def test_a_watch_keeps_starts_and_actions_apart(monkeypatch):
         return np.zeros((1, 1))
 
     slow = SimpleNamespace(sensors=(), joints=1, names=(), reset=lambda *_: passing(1.0), act=lambda *_: passing(1e-3))
-    monkeypatch.setattr(league, "process_time", lambda: clock[0])
-    watch = league._TimedMode(slow)
+    monkeypatch.setattr(agent_module, "process_time", lambda: clock[0])
+    timed = agent_module._TimedMode(slow)
     for _ in range(2):
-        watch.reset(None, None, 1)
+        timed.reset(None, None, 1)
         passing(100.0)
         for _ in range(3):
-            watch.act(None, {}, None, None)
-    assert (watch.designing, watch.acting) == pytest.approx((2.0, 6e-3))
+            timed.act(None, {}, None, None)
+    assert (timed.start_seconds, timed.action_seconds) == pytest.approx((2.0, 6e-3))
 
 
 def test_times_of_slews_belong_to_the_environment_of_their_table():
@@ -389,57 +389,56 @@ def test_the_multiple_is_that_of_the_optimised_slew():
 
 
 def test_every_baseline_says_what_it_is_and_a_run_who_trained_it(tmp_path):
-    assert {name for name in BASELINES if all(describe_agent(name))} == set(BASELINES)
+    assert {name for name in BASELINES if all(astuple(describe_agent(name))[:2])} == set(BASELINES)
     settings = {"algo": "sac", "environment": {"id": "FlexOne-v0", "base": {"kind": "pd"}}}
     (tmp_path / "settings.json").write_text(json.dumps(settings))
-    assert describe_agent(str(tmp_path)) == (
-        "a policy that SAC has trained, beside the base pd",
-        "for a time that its curves do not tell",
+    found = describe_agent(str(tmp_path))
+    assert (found.description, found.tuning) == (
+        "a policy trained by SAC, with the base controller pd",
+        "for a time missing in its curves",
     )
     (tmp_path / "progress.csv").write_text("time/time_elapsed\n90\n")
-    assert describe_agent(str(tmp_path))[1] == "for 1.5 minutes"
+    assert describe_agent(str(tmp_path)).tuning == "for 1.5 minutes"
 
 
-def test_only_who_is_not_told_the_truth_could_be_built():
-    known = {each for each in BASELINES if is_realisable(each)}
+def test_only_who_is_not_given_the_truth_could_be_built():
+    known = {each for each in BASELINES if describe_agent(each).realisable}
     assert known >= {"pd", "pd-shaped", "lqg", "adaptive-lqr"}
     assert not known & {"lqr", "lqr-tracking", "privileged-lqr", "optimised"}
 
 
 @pytest.mark.parametrize("truth", ["true state", "true parameters", "its episodes"])
-def test_one_truth_is_enough_not_to_be_buildable(truth, monkeypatch):
-    monkeypatch.setattr(agent_info, "required_information", lambda agent: ("model", truth))
-    assert not is_realisable("mine")
-    monkeypatch.setattr(
-        agent_info, "required_information", lambda agent: ("model", "training", "structure of the model")
+def test_one_truth_is_enough_not_to_be_realisable(truth):
+    assert not AgentInfo("", "", ("model", truth)).realisable
+    assert AgentInfo("", "", ("model", "training", "structure of the model")).realisable
+
+
+def test_in_a_sweep_controllers_are_given_the_range_and_arms_have_the_value():
+    environment, given = (each for each in find_scenario("FlexRRR-v0/payload=25")[:2])
+    assert environment.disturbances.payload_mass == (25.0, 25.0) and given.disturbances.payload_mass == (0.0, 20.0)
+    environment, given = (each for each in find_scenario("FlexRRR-v0/delay=3")[:2])
+    assert (environment.max_delay, given.max_delay) == (3, 2)
+    assert given.gains == Configuration.find("FlexRRR-v0/random-delay").gains
+    environment, given = (each for each in find_scenario("FlexRRR-v0/noise=0")[:2])
+    assert environment.disturbances.sensor_noise == (0.0, 0.0) and given.disturbances.sensor_noise == (0.001, 0.001)
+    environment, given = (each for each in find_scenario("FlexRRR-v0/period=0.04")[:2])
+    assert environment.control_period == given.control_period == 0.04
+    environment, given = (each for each in find_scenario("FlexRRR-v0/stiffness=0.5")[:2])
+    assert (
+        environment.disturbances.link_stiffness_factor == environment.disturbances.joint_stiffness_factor == (0.5, 0.5)
     )
-    assert is_realisable("mine")
+    assert given.disturbances.link_stiffness_factor == (0.7, 1.3)
 
 
-def test_in_a_sweep_controllers_are_told_the_range_and_arms_have_the_value():
-    played, told = (each for each in find_scenario("FlexRRR-v0/payload=25")[:2])
-    assert played.disturbances.payload_mass == (25.0, 25.0) and told.disturbances.payload_mass == (0.0, 20.0)
-    played, told = (each for each in find_scenario("FlexRRR-v0/delay=3")[:2])
-    assert (played.max_delay, told.max_delay) == (3, 2)
-    assert told.gains == Configuration.find("FlexRRR-v0/random-delay").gains
-    played, told = (each for each in find_scenario("FlexRRR-v0/noise=0")[:2])
-    assert played.disturbances.sensor_noise == (0.0, 0.0) and told.disturbances.sensor_noise == (0.001, 0.001)
-    played, told = (each for each in find_scenario("FlexRRR-v0/period=0.04")[:2])
-    assert played.control_period == told.control_period == 0.04
-    played, told = (each for each in find_scenario("FlexRRR-v0/stiffness=0.5")[:2])
-    assert played.disturbances.link_stiffness_factor == played.disturbances.joint_stiffness_factor == (0.5, 0.5)
-    assert told.disturbances.link_stiffness_factor == (0.7, 1.3)
-
-
-def test_who_plays_a_sweep_is_made_for_what_it_is_told(tmp_path, monkeypatch):
+def test_who_runs_a_sweep_is_made_for_what_it_is_given(tmp_path, monkeypatch):
     """No observer is made for one payload: its range has a width."""
     made = []
-    monkeypatch.setattr(league, "_timed", lambda agent, told: made.append(told) or (agent, None))
+    monkeypatch.setattr(league, "timed_agent", lambda agent, given: made.append(given) or (agent, None))
     run_block(EpisodeBlock("", "zero", "FlexRRR-v0/payload=25", 9000, 9001))
     assert [each.disturbances.payload_mass for each in made] == [(0.0, 20.0)]
 
 
-def test_every_venue_has_an_environment():
+def test_every_scenario_has_an_environment():
     for name in [*USUAL_SCENARIOS, *(each for sweep in SWEEPS for each in sweep_scenarios("FlexRRR-v0", sweep))]:
         assert find_scenario(name).environment.base is None, "what acts is the agent's"
     assert refusal(find_scenario, "FlexRRR-v0/mass=3").startswith("sweep: 'mass' is not allowed; give one of payload")
@@ -456,11 +455,14 @@ def test_a_run_that_has_seen_a_seed_of_the_test_is_refused(tmp_path):
     check_seeds_unseen(run(), range(9000, 9100))
     check_seeds_unseen(run(), [first - 1, first + 4, SELECTION_SEEDS.start - 1, SELECTION_SEEDS.stop])
     check_seeds_unseen(run(eval_every=0), SELECTION_SEEDS)
+    old = {"seed": 3, "envs": 4, "judge_every": 100, "environment": {"id": "FlexOne-v0"}}
+    (tmp_path / "settings.json").write_text(json.dumps(old))
+    assert "neither trained nor selected" in refusal(check_seeds_unseen, str(tmp_path), SELECTION_SEEDS)
     for seen in ([first], [first + 3], [*range(9000, 9100), SELECTION_SEEDS.start], [SELECTION_SEEDS.stop - 1]):
         line = refusal(check_seeds_unseen, run(), seen)
-        assert f"neither trained nor chosen on the seed {seen[-1]}, which is one of the test" in line
-    assert "a run whose settings.json say seed" in refusal(check_seeds_unseen, run(seed=None), range(9000, 9100))
-    assert "neither trained nor chosen" in refusal(
+        assert f"neither trained nor selected on the seed {seen[-1]}, a test seed" in line
+    assert "a run whose settings.json have seed" in refusal(check_seeds_unseen, run(seed=None), range(9000, 9100))
+    assert "neither trained nor selected" in refusal(
         run_league, [run()], ["FlexOne-v0"], SELECTION_SEEDS, tmp_path / "league"
     )
 
@@ -470,7 +472,7 @@ def test_a_run_tells_what_it_sees_and_how_long_it_took(tmp_path):
                            ({"kind": "full", "noise": 0.01}, ("training", "true state"))):  # fmt: skip
         settings = {"environment": {"id": "FlexOne-v0", "sensors": sensors}}
         (tmp_path / "settings.json").write_text(json.dumps(settings))
-        assert required_information(str(tmp_path)) == known
+        assert describe_agent(str(tmp_path)).information == known
     assert training_seconds(str(tmp_path)) is None and training_seconds("pd") is None
     (tmp_path / "progress.csv").write_text("time/time_elapsed,time/fps\n10,1\n25,1\n")
     (tmp_path / "progress-400.csv").write_text("time/fps,time/time_elapsed\n1,\n1,7\n")

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.metrics import evaluate
+from flexman_gym.evaluation.metrics import METRICS, evaluate
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.league import scenarios
-from flexman_gym.league.scenarios import PLANTS, evaluate_on_plants, find_plant, find_scenario, plant_scenarios
+from flexman_gym.league.scenarios import PLANT_SCENARIOS, PLANTS, find_scenario
 
 from oracles.assertions import refusal
 
@@ -16,14 +16,15 @@ SEEDS = range(9000, 9002)
 
 
 def test_the_usual_plant_is_what_there_was():
-    assert evaluate_on_plants("pd", ONE, SEEDS, ["usual"]) == {"usual": evaluate("pd", ONE, SEEDS)}
+    records = rollout("pd", ONE, SEEDS, set_plant=PLANTS["usual"][1]).records
+    assert {name: metric.evaluate(records) for name, metric in METRICS.items()} == evaluate("pd", ONE, SEEDS)
 
 
 @pytest.mark.parametrize("plant", [name for name in PLANTS if name != "usual"])
 def test_other_plants_move_the_tip_about_alike(plant):
     if plant == "mujoco":
         pytest.importorskip("mujoco", minversion="4")
-    ours, theirs = rollout("lqr", ONE, SEEDS), rollout("lqr", ONE, SEEDS, moved=find_plant(plant))
+    ours, theirs = rollout("lqr", ONE, SEEDS), rollout("lqr", ONE, SEEDS, set_plant=PLANTS[plant][1])
     swing = np.abs(ours.tips - ours.tips[:, :1]).max()
     apart = np.abs(theirs.tips - ours.tips).max()
     assert 0.0 < apart < 0.03 * swing
@@ -36,18 +37,21 @@ def test_each_arm_is_its_own_there():
     hard = Configuration("FlexOne-v0", {"horizon": 0.6, "randomisation": {"link_stiffness_factor": [1.15, 1.15]}})
     for plant in ("method", "finer"):
         usual, other = (
-            np.abs(rollout("lqr", hard, SEEDS, moved=moved).tips - rollout("lqr", soft, SEEDS, moved=moved).tips).max()
-            for moved in (find_plant("usual"), find_plant(plant))
+            np.abs(
+                rollout("lqr", hard, SEEDS, set_plant=set_plant).tips
+                - rollout("lqr", soft, SEEDS, set_plant=set_plant).tips
+            ).max()
+            for set_plant in (PLANTS["usual"][1], PLANTS[plant][1])
         )
         assert other == pytest.approx(usual, rel=0.05), plant
 
 
 def test_plants_have_names(monkeypatch):
-    assert plant_scenarios()[0] == "FlexRRR-v0@method" and find_scenario("FlexRRR-v0@finer").plant == "finer"
+    assert PLANT_SCENARIOS[0] == "FlexRRR-v0@method" and find_scenario("FlexRRR-v0@finer").plant == "finer"
     assert find_scenario("FlexRRR-v0/unknown@mujoco").environment == find_scenario("FlexRRR-v0/unknown").environment
     assert "give one of usual, method, finer, mujoco" in refusal(find_scenario, "FlexRRR-v0@webots")
     monkeypatch.setattr(scenarios, "find_spec", lambda name: None)
-    assert "pip install mujoco" in refusal(evaluate_on_plants, "pd", ONE, SEEDS, ["mujoco"])
+    assert "pip install mujoco" in refusal(lambda: rollout("pd", ONE, SEEDS, set_plant=PLANTS["mujoco"][1]))
 
 
 def test_what_is_given_is_part_of_the_name():

@@ -40,11 +40,11 @@ def test_scores_lie_between_who_does_nothing_and_who_knows_all():
     assert known.score("zero", NOMINAL)[0] == pytest.approx(0.0, abs=1e-12)
     assert known.score("privileged-lqr", NOMINAL)[0] == pytest.approx(1.0)
     assert known.score("pd", NOMINAL) == pytest.approx((0.25, 0.25, 0.25)), "episodes differ alike for all"
-    assert known.whole["lqg"][0] == pytest.approx(0.75)
+    assert known.overall["lqg"][0] == pytest.approx(0.75)
     assert known.agents == ["privileged-lqr", "lqr", "lqg", "pd", "zero"]
 
 
-def test_of_two_venues_with_the_same_episodes_one_counts():
+def test_of_two_scenarios_with_the_same_episodes_one_counts():
     assert standing().scenarios == [NOMINAL, UNKNOWN, LAB_SCENARIO] and standing().counted == [NOMINAL, UNKNOWN]
 
 
@@ -64,15 +64,15 @@ def test_better_is_asked_in_the_same_episode():
     assert known.better("pd", "lqr", ["nowhere"]) is None
 
 
-def test_who_misses_a_venue_stands_after_the_others():
+def test_an_agent_that_misses_a_scenario_comes_last():
     one, two = book(), book({"optimised": 400.0}, [NOMINAL])
     known = Standings(LeagueRows([*one.rows.values(), *two.rows.values()], [*one.cells.values(), *two.cells.values()]))
     assert known.agents[-1] == "optimised" and known.missed("optimised") == [UNKNOWN]
-    assert known.why("optimised", UNKNOWN) == "it was not played there" and known.why("optimised", NOMINAL) == ""
-    assert known.whole["optimised"][0] == pytest.approx(1.5), "above 1 is shown"
+    assert known.why("optimised", UNKNOWN) == "it was not run there" and known.why("optimised", NOMINAL) == ""
+    assert known.overall["optimised"][0] == pytest.approx(1.5), "above 1 is shown"
 
 
-def test_who_played_other_episodes_is_beside_no_other():
+def test_agents_without_common_episodes_are_not_compared():
     one, two = book({"zero": 100.0, "privileged-lqr": 300.0}), book({"pd": 200.0})
     moved = [row._replace(seed=row.seed + 1000) for row in two.rows.values()]
     known = Standings(LeagueRows([*one.rows.values(), *moved], [*one.cells.values(), *two.cells.values()]))
@@ -80,20 +80,20 @@ def test_who_played_other_episodes_is_beside_no_other():
     assert "| `pd` |" in page_text(known)
 
 
-def test_the_one_to_take_settles_most_and_first_and_is_told_no_truth():
+def test_the_one_to_take_settles_most_and_first_and_is_given_no_truth():
     times = {("pd", LAB_SCENARIO): np.inf, ("lqg", LAB_SCENARIO): 4.0, ("lqr", LAB_SCENARIO): 2.0}
     times["lqg", FRICTION] = np.inf
     known = standing(scenarios=(NOMINAL, UNKNOWN, LAB_SCENARIO, FRICTION), settled=times)
-    assert known.buildable(LAB_SCENARIO) == ["lqg", "pd"]
+    assert known.realisable(LAB_SCENARIO) == ["lqg", "pd"]
     said = recommendation(known)
-    assert said.startswith("Take `lqg` for an arm whose payload, stiffness and delay nobody knows")
-    for words in ("settles 100 % of the episodes, half of them within 4.00 s", "needs to know: model",
+    assert said.startswith("For an arm with unknown payload, stiffness and delay (`FlexRRR-v0/unknown-lab`), use `lqg`")
+    for words in ("settles 100 % of the episodes, half of them within 4.00 s", "needs: model",
                   "An action takes 12 microseconds, and the start of an episode 3 ms", "is `pd`. It settles 0 % of",
-                  "told everything needs 3.00 s", "breaks in `friction`"):  # fmt: skip
+                  "true state and parameters is 3.00 s", "fails in `friction`"):  # fmt: skip
         assert words in said, words
     quicker = standing(settled={("pd", LAB_SCENARIO): 2.9})
-    assert quicker.buildable(LAB_SCENARIO) == ["pd", "lqg"] and "breaks in none" in recommendation(quicker)
-    assert "Nobody who could act" in recommendation(standing(scenarios=(NOMINAL,)))
+    assert quicker.realisable(LAB_SCENARIO) == ["pd", "lqg"] and "fails in none" in recommendation(quicker)
+    assert "No agent that is realisable on hardware" in recommendation(standing(scenarios=(NOMINAL,)))
 
 
 def test_no_cell_of_the_page_is_empty_without_a_sentence(tmp_path):
@@ -105,10 +105,10 @@ def test_no_cell_of_the_page_is_empty_without_a_sentence(tmp_path):
         for agent in REWARDS:
             assert f"| `{agent}` |" in section
         assert "`lqr-tracking` has no row: it has no model." in section
-    assert "Nothing was played by `lqr-tracking`." in text.split("## Sweep: FlexRRR-v0/payload")[1]
+    assert "Not run at all: `lqr-tracking`." in text.split("## Sweep: FlexRRR-v0/payload")[1]
     cells = [cell.strip() for line in text.splitlines() if line.startswith("|") for cell in line.split("|")[1:-1]]
     assert cells and all(cells) and "nan" not in cells
-    known = text.split("known to ")[1].split(":")[0]
+    known = text.split("a wrong one here: ")[1].split(".")[0]
     assert "`lqg`" in known and "`privileged-lqr`" not in known and "`pd`" not in known
 
 
@@ -128,10 +128,12 @@ def test_the_charts_are_there(tmp_path):
 
 def test_sweeps_go_from_the_smallest_value():
     names = [f"FlexRRR-v0/payload={value}" for value in (10, 5, 25)]
-    assert standing(scenarios=names).sweeps == {"FlexRRR-v0/payload": [names[1], names[0], names[2]]}
+    (values,) = standing(scenarios=names).sweeps.values()
+    assert [*values.items()] == [(names[1], 5.0), (names[0], 10.0), (names[2], 25.0)]
     more = [f"FlexRRR-v0/delay={value}+given" for value in (3, 0)]
     others = ["FlexRRR-v0/payload=5@finer", "FlexRRR-v0/payload=5:10", "FlexRRR-v0/friction=1"]
-    assert standing(scenarios=[*more, *others]).sweeps == {"FlexRRR-v0/delay+given": more[::-1]}
+    found = standing(scenarios=[*more, *others]).sweeps
+    assert {name: [*values] for name, values in found.items()} == {"FlexRRR-v0/delay+given": more[::-1]}
     assert "## Sweep: FlexRRR-v0/delay+given" in page_text(standing(scenarios=more))
 
 
@@ -144,24 +146,24 @@ def test_other_plants_stand_beside_the_same_episodes_and_count_nowhere():
             one.rows[place] = row._replace(values=(*row.values[:at], np.inf, *row.values[at + 1 :]))
     known = Standings(LeagueRows([*one.rows.values(), *two.rows.values()], [*one.cells.values(), *two.cells.values()]))
     assert known.scenarios == known.counted == [NOMINAL] and known.sweeps == {}
-    assert known.physical == {NOMINAL: [NOMINAL, names[1], names[0]]}
-    text = page_text(known).split("## Physical check")[1]
+    assert known.plants == {NOMINAL: [NOMINAL, names[1], names[0]]}
+    text = page_text(known).split("## Other plants")[1]
     assert "| agent | usual | method | finer |" in text and "4 episodes." in text
     assert "| `lqr` | 0 % | 100 %, 3.00 s | 100 %, 3.00 s |" in text
     assert "| `pd` | 100 %, 3.00 s | 100 %, 3.00 s | 100 %, 3.00 s |" in text
-    assert "It was not played." in page_text(standing())
+    assert "Not run yet." in page_text(standing())
 
 
 def test_baselines_without_a_row_are_named():
-    glance = page_text(standing()).split("## At a glance")[1].split("## Cards")[0]
-    absent = glance.split("Not played yet: ")[1].split(".")[0].split(", ")
+    glance = page_text(standing()).split("## Results at a glance")[1].split("## Agents")[0]
+    absent = glance.split("Not run yet: ")[1].split(".")[0].split(", ")
     assert set(absent) == {f"`{each}`" for each in BASELINES if each not in REWARDS}
 
 
-def test_every_entrant_has_a_card():
-    text = page_text(standing()).split("## Cards")[1].split("## On the whole")[0]
+def test_every_agent_has_a_section():
+    text = page_text(standing()).split("## Agents")[1].split("## Overall score")[0]
     for agent in REWARDS:
-        card = text.split(f"### Card: {agent}\n")[1].split("###")[0]
-        for words in ("It is ", "It needs to know: ", "Tuning or training: ", "It breaks in"):
+        card = text.split(f"### Agent: {agent}\n")[1].split("###")[0]
+        for words in ("Kind: ", "Information needed: ", "Tuning or training: ", "It fails in"):
             assert words in card, (agent, words)
         assert ("An action takes" in card) == (agent != "zero")

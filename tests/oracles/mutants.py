@@ -63,9 +63,9 @@ def policy():
 
 def read_policy(folder):
     """What the policy of a folder does when all it sees is zero."""
-    from flexman_gym.evaluation.agent import load_run
+    from flexman_gym.evaluation.agent import find_agent
 
-    network = load_run(folder).law
+    network = find_agent(folder).law
     size = len(np.load(io.BytesIO(policy()["newest.npz"]))["/statistics/mean"])
     return network(np.zeros((1, size), np.float32))
 

@@ -15,7 +15,7 @@ import numpy as np
 from flexman_gym.control.agent import history_length
 from flexman_gym.control.network import Network
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import load_policy, observation_layout
+from flexman_gym.evaluation.agent import find_agent, observation_layout
 from flexman_gym.evaluation.policy_files import ABOUT, ARRAYS, CHECK_ROWS, write_policy
 
 from oracles.mutants import bent, mangled
@@ -76,7 +76,7 @@ def acting(folder, contents):
     """The policy in a folder into which files of these contents are written."""
     for name, content in contents.items():
         (folder / name).write_bytes(content)
-    return load_policy(folder)
+    return find_agent(folder)
 
 
 def mutant(random):

@@ -82,7 +82,7 @@ class DiscreteJacobians:
         self._size = 2 * model.n_dof
         self._around = np.vstack([np.zeros(len(self._changes)), np.diag(self._changes)])  # nominal, perturbed
         none = np.zeros(model.n_joints)
-        smooth = model.constants._replace(coulomb_friction=none, rubbing=none.astype(np.int64))
+        smooth = model.constants._replace(coulomb_friction=none, has_coulomb_friction=none.astype(np.int64))
         self._models = InternalModels(plant._replace(model=replace(model, constants=smooth)))
 
     def __call__(self, states: Array, torques: Array) -> tuple[Array, BoolArray]:

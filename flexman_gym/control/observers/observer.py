@@ -85,7 +85,7 @@ class MeasurementModel:
             allowed = f"motor_encoders, and any of {optional}: other sensors are not linear in the state"
             raise value_error("sensors", sensors, allowed)
         self.names = tuple(name for each in dict.fromkeys(sensors) for name in LINEAR_SENSORS[each])
-        columns, measured = LinearMeasurements(plant.model).named(np.eye(2 * plant.model.n_dof)), plant.measured()
+        columns, measured = LinearMeasurements(plant.model).measure(np.eye(2 * plant.model.n_dof)), plant.measured()
         ends = np.cumsum([0, *(columns[name].shape[1] for name in self.names)]).tolist()
         self.places = {name: slice(*both) for name, *both in zip(self.names, ends, ends[1:], strict=False)}
         self.matrix: Array = np.hstack([columns[name] for name in self.names]).T.copy()

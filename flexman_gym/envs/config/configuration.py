@@ -160,16 +160,18 @@ class Configuration(EnvironmentSettings):
             raise ValueError(f"{short_path(path)}: {error}") from None
 
     @classmethod
-    def find(cls, name: str, changes: Sequence[str] = ()) -> Self:
+    def find(cls, name: "str | Configuration", changes: Sequence[str] = ()) -> "Configuration":
         """Return a named environment, one under a condition such as "FlexRRR-v0/unknown", or that of a file.
 
         Args:
-            name: an id, an id and a condition, or the path of a file.
+            name: an id, an id and a condition, the path of a file, or a Configuration.
             changes: "name=value", see `changed`.
 
         Raises:
             FileNotFoundError: if the name is neither an id nor the path of a file.
         """
+        if isinstance(name, Configuration):
+            return name.changed(changes) if changes else name
         id, slash, condition = text("environment", name).partition("/")
         if id in NAMED_ENVIRONMENTS and (slash or name in NAMED_ENVIRONMENTS):
             settings = condition_settings(id, condition) if slash else {}

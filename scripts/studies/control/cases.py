@@ -110,7 +110,7 @@ def played(case: ControlCase, episodes: int, seed: int) -> ControlRow:
     started = time.process_time()
     result = rollout(entrant, environment, range(seed, seed + episodes), _loader(setup.control_period, case.load))
     cost = (time.process_time() - started) / float(np.sum(result.lengths))
-    values = {figure.name: figure.sum_up(result.records) for figure in METRICS.values()}
+    values = {metric.name: metric.evaluate(result.records) for metric in METRICS.values()}
     few = {name: values[name] for name in ("settled", "settling_time", "vibration", "error", "failed", "roughness")}
     return ControlRow(
         case.name, **few, followed=_followed(result), again=_again(result) if case.load else None, cost=cost

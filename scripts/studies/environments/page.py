@@ -153,7 +153,7 @@ def baselines(name: str, runs: dict[str | None, Rollout]) -> list[str]:
         f"{len(SEEDS)} test episodes (seeds {SEEDS[0]} to {SEEDS[-1]}). The LQR knows the arm and its whole state; the "
         f"PD sees its motors. {_ends(name) if own == SLEW else MOVING}",
         "",
-        *markdown_table(("", *(figure.head for figure in shown)), rows),
+        *markdown_table(("", *(metric.header for metric in shown)), rows),
     ]
 
 
@@ -168,11 +168,11 @@ def _ends(name: str) -> str:
     )
 
 
-def _cell(figure: Metric, runs: Rollout) -> str:
-    result = figure.sum_up(runs.records)
-    if figure.many == SHARE:
+def _cell(metric: Metric, runs: Rollout) -> str:
+    result = metric.evaluate(runs.records)
+    if metric.statistic == SHARE:
         return f"{result:.0%}"
-    shown = figure.scale * result
+    shown = metric.scale * result
     return f"<{LEAST:g}" if 0.0 < shown < LEAST else f"{shown:.3g}" if np.isfinite(shown) else "-"
 
 

@@ -16,11 +16,11 @@ from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.draw.learning_curves import draw_learning_curves, read_progress
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-from flexman_gym.envs.vector_env import FlexManVectorEnv
+from flexman_gym.envs.vector_env import FlexManVectorEnv, compile_kernels
 from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.policy_files import POLICIES
-from flexman_gym.evaluation.rollout import TEST_SEEDS, compile_kernels, rollout
+from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
 from flexman_gym.simulation.integrator import default_step
 from studies.stopwatch import Stopwatch
 
@@ -283,7 +283,7 @@ def _row(
     environment: Configuration,
 ) -> LearningRow:
     records = rollout(who, environment, TEST_SEEDS).records
-    result = {name: figure.sum_up(records) for name, figure in METRICS.items()}
+    result = {name: metric.evaluate(records) for name, metric in METRICS.items()}
     time, low, high = METRICS["settling_time"].interval(records)
     known: dict[str, Any] = {key: costs.get(key) for key in ("steps", "cpu", "rate", "share")}
     return LearningRow(

@@ -9,7 +9,7 @@ from typing import Any
 
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.parallel import Workers, parallel_map
-from flexman_gym.evaluation.rollout import compile_kernels
+from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.simulation.methods import METHODS
 from studies.files import read_rows, write_rows
 from studies.markdown import introduced_table

@@ -9,7 +9,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.parallel import Workers, parallel_map
-from flexman_gym.evaluation.rollout import compile_kernels
+from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene import catalog
