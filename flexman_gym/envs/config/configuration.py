@@ -299,7 +299,7 @@ class Configuration:
             raise ValueError(f"{short_path(path)}: {error}") from None
 
     @classmethod
-    def find(cls, name: "str | Self", changes: Sequence[str] = ()) -> Self:
+    def find(cls, name: "str | Configuration", changes: Sequence[str] = ()) -> Self:
         """Return a named environment, one under a condition such as "FlexRRR-v0/unknown", or that of a file.
 
         Args:
@@ -309,8 +309,8 @@ class Configuration:
         Raises:
             FileNotFoundError, ValueError: one line, also where it is none of them.
         """
-        if isinstance(name, cls):
-            return name.changed(changes) if changes else name
+        if isinstance(name, Configuration):
+            return name.changed(changes) if changes else name  # type: ignore[return-value]
         id, slash, condition = text("environment", name).partition("/")
         if id in NAMED_ENVIRONMENTS and (slash or name in NAMED_ENVIRONMENTS):
             settings = condition_settings(id, condition) if slash else {}
