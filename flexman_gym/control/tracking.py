@@ -130,12 +130,12 @@ class Tracking:
             start = np.where(self._holding[first, None], self._goal[first], estimate.states[first][:, self._motors])
             self.slews.begin(first, start, self._goal[first])
             self.slews.adapt(first, estimate.parameters)
-            self.slews.time(first, self.clock(estimate, first), first=True)
+            self.slews.plan_timing(first, self.clock(estimate, first), first=True)
         retimed = arms[np.isin(self._ages[arms], self._retimed)] if estimate.parameters else arms[:0]
         self.slews.adapt(np.union1d(arms[due], retimed), estimate.parameters)
         if len(retimed):
             retimed = retimed[self.slews.at(self.clock(estimate, retimed), retimed)[0] < LAST_RETIMING]
-            self.slews.time(retimed, self.clock(estimate, retimed), first=False)
+            self.slews.plan_timing(retimed, self.clock(estimate, retimed), first=False)
 
 
 class OutputFeedback:

@@ -39,7 +39,7 @@ def begun(own, payloads=PAYLOADS, parameters=None, start=START, goal=GOAL):
     slews.allocate(1)
     slews.begin(ONE, start, goal)
     slews.adapt(ONE, parameters or {})
-    slews.time(ONE, np.zeros(1), first=True)
+    slews.plan_timing(ONE, np.zeros(1), first=True)
     return slews
 
 
@@ -103,7 +103,7 @@ def test_timed_anew_on_its_way_it_goes_on_without_a_jump_and_stops_at_the_end(pa
     slews.adapt(ONE, {"payload_mass": np.array([0.02])})
     now, before = part * slews.duration, slews.duration.copy()
     motion, state, torque = np.array(slews.at(now, ONE)), slews.states(now, ONE), slews.torques(now, ONE)
-    slews.time(ONE, now, first=False)
+    slews.plan_timing(ONE, now, first=False)
     assert np.array(slews.at(now, ONE)) == pytest.approx(motion, rel=1e-9)
     assert slews.torques(now, ONE) == pytest.approx(torque, rel=1e-9)
     d = own.n_dof
@@ -128,11 +128,11 @@ def test_arms_on_their_ways_do_not_touch_each_other():
         slews.allocate(3)
         slews.begin(arms, starts[arms], goals[arms])
         slews.adapt(arms, {})
-        slews.time(arms, np.zeros(len(arms)), first=True)
+        slews.plan_timing(arms, np.zeros(len(arms)), first=True)
         slews.adapt(arms, masses)
         for arm, now in ((0, 0.1), (2, 0.2)):
             some = arms[arms == arm]
-            slews.time(some, np.full(len(some), now), first=False)
+            slews.plan_timing(some, np.full(len(some), now), first=False)
         later = np.full(len(arms), 0.3)
         return np.hstack([slews.states(later, arms), slews.torques(later, arms)])
 

@@ -104,7 +104,7 @@ def slew_of(way, **settings):
     result.allocate(1)
     result.begin(ARM, np.zeros((1, len(way))), np.array([way]))
     result.adapt(ARM, {})
-    result.time(ARM, np.zeros(1), first=True)
+    result.plan_timing(ARM, np.zeros(1), first=True)
     return result
 
 

@@ -88,7 +88,7 @@ class SlewReferences:
             setattr(self, name, pad_rows(getattr(self, name), count))
 
     def begin(self, arms: IntArray, start: Array, goal: Array) -> None:
-        """Start paths of the arms (r,) between motor angles (r, n) rad; `adapt` and `time` complete them."""
+        """Start paths of the arms (r,) between motor angles (r, n) rad; `adapt` and `plan_timing` complete them."""
         self.start[arms], self.displacement[arms], self.shift[arms] = start, goal - start, 0.0
         self.time_scaling[arms], self.pace_rate[arms] = 1.0, 0.0
         for arm, first, last in zip(arms, start, goal, strict=True):
@@ -145,7 +145,7 @@ class SlewReferences:
                 place = model.at_rest((goal + self.shift[arm])[None])[0, :d] + sagging
                 self.shift[arm] += self._compensation.turn(target, place)
 
-    def time(self, arms: IntArray, now: Array, first: bool) -> None:
+    def plan_timing(self, arms: IntArray, now: Array, first: bool) -> None:
         """Plan the timing of the rest of the slews of the arms (r,), as fast as the torque limits allow.
 
         Args:
