@@ -40,7 +40,7 @@ def test_mypy_agrees(tmp_path):
     [
         ("METHODS", ("order", "kind", "step", "(s)", "rtol", "Integration methods")),
         ("catalog", ("SI units", "m, kg, s, rad", "N m", "Hz")),
-        ("rollout", ("tips (b, T + 1, 3) m", "errors (b, T + 1) m", "torques (b, T, n) N m", "period s")),
+        ("rollout", ("tips (b, T + 1, 3) m", "errors (b, T + 1) m", "torques (b, T, n) N m", "the control period (s)")),
         ("evaluate", ("settling_time (s)", "vibration (m)", "error (m)")),
         ("tune", ("N m/rad", "N m s/rad", "degrees")),
     ],

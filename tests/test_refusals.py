@@ -117,7 +117,9 @@ CALLS = {
     "LQR": lambda value: LQR(value, 1.0, 0.01),
     "TrackingLQR": lambda value: TrackingLQR(value, 1.0, 0.01),
     **{
-        f"InputShapedController.{name}": lambda value, name=name: InputShapedController(PD(TWO, TWO, 1.0), MODEL, **{name: value})
+        f"InputShapedController.{name}": (
+            lambda value, name=name: InputShapedController(PD(TWO, TWO, 1.0), MODEL, **{name: value})
+        )
         for name in ("shaper", "modes", "places", "duration", "tolerance")
     },
     "InputShapedController.inner": lambda value: InputShapedController(value, MODEL),
