@@ -147,7 +147,7 @@ class DAgger:
         strength = _strength(mode)  # refuses a mode of something else before a teacher is made
         teacher = make_controller(described, chosen["teacher"], model)
         self._student = _StudentMode(self._network(), mode, strength, teacher)
-        self._per_round = settings.envs * -(-described.longest // described.action_repeat)
+        self._per_round = settings.envs * -(-described.max_periods // described.action_repeat)
         self.steps = self._per_round * -(-settings.steps // self._per_round)
         self._rounds: list[list[NDArray[np.float32]]] = []  # what was seen, what is wanted, and how much it counts
 
