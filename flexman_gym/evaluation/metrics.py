@@ -95,7 +95,7 @@ DEFAULT_TASK_METRICS = ("settling_time", "error")  # figures of a task that name
 
 def task_metrics(task: Any) -> tuple[Metric, ...]:
     """Gives the figures that matter for a task: those of every task, and those that it names in `figures`."""
-    names = getattr(task, "metrics", None)
+    names: Any = getattr(task, "metrics", None)
     if names is None:
         names = getattr(task, "figures", DEFAULT_TASK_METRICS)
         if hasattr(task, "figures"):
