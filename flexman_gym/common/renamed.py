@@ -48,8 +48,8 @@ NAMES = {
     "flexman_gym.envs.config.configuration": {"Description": "Configuration", "Setup": "Configuration"},
     "flexman_gym.envs.effects": {"Stage": "EffectContext"},
     "flexman_gym.envs.sensors": {
-        "Action": "LastAction", "Command": "GoalCommand", "Fine": "FineScale", "Sensors": "SensorArray",
-        "Servo": "ServoErrors", "State": "ModelState",
+        "Action": "LastAction", "Command": "GoalCommand", "Fine": "FineScale", "NAMES": "SENSOR_NAMES",
+        "Sensors": "SensorArray", "Servo": "ServoErrors", "SETS": "SENSOR_SETS", "State": "ModelState",
     },
     "flexman_gym.evaluation": {
         "Entrant": "AgentSpec", "Figure": "Metric", "FIGURES": "METRICS", "find_entrant": "find_agent",

@@ -1,4 +1,6 @@
-"""Seams: tasks, sensors, arms, controllers and effects of one's own plug in from outside, one class or entry each."""
+"""Extensions: tasks, sensors, arms, controllers, effects and named environments from outside the package."""
+
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -6,13 +8,14 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import flexman_gym as fm
+from flexman_gym.common import files
 from flexman_gym.control import Controller
 from flexman_gym.envs import FlexManEnv, FlexManVectorEnv
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS, NamedEnvironment
 from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.sensors import Entry
-from flexman_gym.envs.tasks import Goal
+from flexman_gym.envs.tasks import Goal, Hold
 
 from oracles.random_inputs import actions
 
@@ -205,6 +208,26 @@ def test_a_named_environment_is_one_entry(monkeypatch):
     assert env.torque_limit.tolist() == [3.0, 1.0] and env.simulator.control_period == 0.01
     readings = {name: observation[place] for name, place in env.sensors.slices.items()}
     assert make_controller(env.configuration, "pd", env.simulator.model).act(readings).shape == (2,)
+
+
+def test_a_named_environment_is_a_file_that_may_extend_another(tmp_path):
+    arm = {"catalog": "planar_2r", "joints": {"torque_limit": [3.0, 1.0]}}
+    pd = {"stiffness": [2.0, 1.0], "damping": [1.0, 0.5]}
+    files.write_data(tmp_path / "First-v0.yaml", {"arm": arm, "pd": pd, "limits": {"rate": 9.0}, "sensors": ["lab"]})
+    files.write_data(tmp_path / "Second-v0.yaml", {"extends": "First-v0", "task": "hold", "horizon": 3.0})
+    first, second = (NamedEnvironment.load(tmp_path / f"{name}-v0.yaml") for name in ("First", "Second"))
+    assert [joint.torque_limit for joint in first.arm.joints] == [3.0, 1.0] and first.sensors == ("lab",)
+    assert first.arm.links == fm.catalog.planar_2r().links and first.pd["damping"] == (1.0, 0.5)
+    assert second == replace(first, task=Hold(), horizon=3.0)
+    for data, line in (
+        ({"extends": "First-v0", "horizn": 3.0}, "Third-v0.yaml: environment: 'horizn' is not allowed"),
+        ({"extends": "First-v0", "limits": {"rate": 0.0}}, "Third-v0.yaml: Limits.rate: 0.0 is not allowed"),
+        ({"arm": arm}, "Third-v0.yaml: environment: ['arm'] is not allowed; give a mapping with arm and pd"),
+    ):
+        files.write_data(tmp_path / "Third-v0.yaml", data)
+        with pytest.raises(ValueError) as error:
+            NamedEnvironment.load(tmp_path / "Third-v0.yaml")
+        assert str(error.value).startswith(line) and "\n" not in str(error.value)
 
 
 def test_a_controller_is_known_by_what_it_can_do():

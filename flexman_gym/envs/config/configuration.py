@@ -31,7 +31,7 @@ LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")  # packages skipped i
 MAX_PERIODS = 10**9  # control periods of an episode
 RENAMED = {old: name for name, setting in SETTINGS.items() for old in setting.deprecated}
 HINTS = {foreign: hint for setting in SETTINGS.values() for foreign, hint in setting.foreign.items()}
-SET_HELP = f"a setting of the environment: {', '.join(SETTINGS)}; arm.payload.mass=0.5 changes a part"
+SET_HELP = f"environment setting: {', '.join(SETTINGS)}; arm.payload.mass=0.5 changes a part"
 
 
 class Configuration(EnvironmentSettings):

@@ -60,6 +60,8 @@ class NamedEnvironment:
         """
         try:
             data = mapping("environment", _read(path), [each.name for each in fields(cls)])
+            if not {"arm", "pd"} <= data.keys():
+                raise value_error("environment", sorted(data), "a mapping with arm and pd")
             for name, build in {"arm": _arm, "task": find_task, "limits": find_limits}.items():
                 if name in data:
                     data[name] = build(data[name])
