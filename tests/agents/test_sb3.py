@@ -117,7 +117,9 @@ def test_a_schedule_that_rl_zoo3_cannot_say_is_refused():
         "schedules.learning_rate: Schedule(start=0.001, end=0.0001, until=1.0) is"
     )
     early = replace(settings, schedules={"learning_rate": {"start": 1e-3, "end": 0.0, "until": 0.5}})
-    assert "decreases to zero at the end, for rl_zoo3" in refusal(zoo_hyperparameters, early), "it falls to zero half way"
+    assert "decreases to zero at the end, for rl_zoo3" in refusal(zoo_hyperparameters, early), (
+        "it falls to zero half way"
+    )
 
 
 def test_a_rate_that_stays_is_written_as_a_number():
