@@ -73,6 +73,9 @@ def open_logger(folder: Path, before: int, steps: int) -> Logger:
         folder: folder of the run.
         before: steps of all earlier runs in the folder.
         steps: steps of this run so far.
+
+    Returns:
+        Logger of Stable-Baselines3 for the CSV file and the TensorBoard events.
     """
     for path in folder.glob("progress*.csv"):
         first = path.stem.removeprefix("progress").removeprefix("-") or "0"

@@ -147,11 +147,14 @@ class DAgger:
         self._iterations: list[list[NDArray[np.float32]]] = []  # of each: observations, labels, weights
 
     def learn(self, stop: Callable[[int, Mapping[str, float]], bool]) -> bool:
-        """Train to the end of the steps; return False if the training was stopped.
+        """Train to the end of the steps.
 
         Args:
             stop: function of the steps so far and the metrics of the last iteration, called before each iteration and
                 at the end; it returns True to stop the training.
+
+        Returns:
+            False if the training was stopped.
         """
         iterations, updates = self.steps // self._per_iteration, self._chosen["updates"]
         schedule, metrics = self._settings.schedule("learning_rate"), dict[str, float]()

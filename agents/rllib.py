@@ -141,12 +141,15 @@ class ArrayEnvRunner(SingleAgentEnvRunner):
         self._needs_initial_reset = False
 
     def _episodes(self, arrays: dict[str, NDArray[Any]], ends: list[Any], steps: int) -> list[Any]:
-        """Return the episodes in some arrays; unfinished episodes end with the arrays.
+        """Split arrays into episodes.
 
         Args:
             arrays: name -> (arms, steps, ...).
             ends: arm, step, last observation and failure of each end of an episode.
             steps: number of steps.
+
+        Returns:
+            Episodes of RLlib; unfinished ones end with the arrays.
         """
         starts, result = np.zeros(self.num_envs, dtype=int), []
         open_ends = [(arm, steps, None, False) for arm in range(self.num_envs)]
@@ -200,11 +203,14 @@ SB3_PREFIXES = {"encoder.actor_encoder.net.mlp.": "mlp_extractor.policy_net.", "
 
 
 def ppo_config(settings: Settings, runners: int) -> PPOConfig:
-    """Return the configuration of RLlib's PPO for the settings of a run.
+    """Translate the settings of a run for RLlib.
 
     Args:
         settings: settings of the run; SAC, evaluations, value warm-up and some hyperparameters are not supported.
         runners: processes that step environments; 0 for the learning process itself.
+
+    Returns:
+        Configuration of PPO.
     """
     if settings.algo != "ppo":
         raise value_error("algo", settings.algo, "ppo with RLlib")

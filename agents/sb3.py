@@ -45,11 +45,14 @@ DEFAULT_NET_ARCH, DEFAULT_LOG_STD = (
 
 
 def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
-    """Return a new model with its environments, all seeded.
+    """Make the model of a run and its environments, all seeded.
 
     Args:
         settings: settings of the run.
         device: device of the networks, as PyTorch names it.
+
+    Returns:
+        New model of Stable-Baselines3.
     """
     try:
         torch.zeros(1, device=device)
@@ -101,11 +104,14 @@ def algorithm_arguments(settings: Settings) -> dict[str, Any]:
 
 
 def action_function(model: BaseAlgorithm, statistics: VecNormalize) -> Law:
-    """Return the deterministic policy of a model, from observations (b, size) to actions (b, n).
+    """Return the deterministic policy of a model as a function.
 
     Args:
         model: model with the policy.
         statistics: normalisation of its observations.
+
+    Returns:
+        Function from observations (b, size) to actions (b, n).
     """
 
     def law(observations: NDArray[np.float32]) -> NDArray[np.floating]:
@@ -125,7 +131,7 @@ LOADING_ERRORS = (
 
 
 def load_sb3(path: Path, environment: Configuration | None = None) -> AgentSpec:
-    """Return a policy from files of Stable-Baselines3: a zip written by `save`, or the folder of an early run.
+    """Load a policy from files of Stable-Baselines3: a zip written by `save`, or the folder of an early run.
 
     A zip may have its normalisation (VecNormalize) beside it, in a file of the same name with the suffix .pkl. The
     files are pickles, which can run any code: load files from trusted sources only.
@@ -134,6 +140,9 @@ def load_sb3(path: Path, environment: Configuration | None = None) -> AgentSpec:
         path: zip, or folder with model.zip, normalisation.pkl and settings.json.
         environment: environment in which the policy of a zip was trained, with the settings of its agent; None for the
             environment in which it acts.
+
+    Returns:
+        The policy as an agent.
 
     Raises:
         FileNotFoundError: if a file is missing.
@@ -177,9 +186,15 @@ EXPLORATION_CALLBACK = "flexman_agents.callbacks.Exploration"
 
 
 def zoo_hyperparameters(settings: Settings) -> dict[str, Any]:
-    """Return settings in the format of rl_zoo3: id of the environment -> hyperparameters.
+    """Convert settings to the format of rl_zoo3.
 
     The exploration schedule becomes a callback. The seed and the evaluations are left to the command line of rl_zoo3.
+
+    Args:
+        settings: settings of a run.
+
+    Returns:
+        Id of the environment -> hyperparameters.
 
     Raises:
         ValueError: for a learning rate that is neither constant nor decreases to zero at the end.

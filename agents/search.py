@@ -120,11 +120,14 @@ def _flatten_ranges(over: Mapping[str, Any], path: str = "") -> dict[str, Any]:
 
 
 def change_settings(recipe: Settings, values: Mapping[str, Any]) -> Settings:
-    """Return a recipe with changed settings.
+    """Change settings of a recipe.
 
     Args:
         recipe: settings.
         values: path of a setting, such as "hyperparameters.gamma" -> value.
+
+    Returns:
+        The changed settings.
     """
     data = json.loads(json.dumps(recipe.plain()))
     for path, value in values.items():

@@ -182,7 +182,13 @@ class Settings:
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Return the settings of the training run in a folder.
+        """Read the settings of a training run.
+
+        Args:
+            folder: folder of the run.
+
+        Returns:
+            The settings; names of release 0.2 are translated.
 
         Raises:
             FileNotFoundError: if the folder has no settings.

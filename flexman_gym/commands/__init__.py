@@ -68,12 +68,17 @@ def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[st
 
 
 def load_agent(name: str, trust: bool, environment: "Configuration | None" = None) -> "AgentSpec":
-    """Return an agent by its name or folder; read files of Stable-Baselines3 only if trusted, as reading runs code.
+    """Return an agent by its name or folder.
+
+    Files of Stable-Baselines3 are read only if trusted, as reading them can run code.
 
     Args:
         name: name of an agent, folder of a run or a policy, or a zip of Stable-Baselines3.
         trust: whether files of Stable-Baselines3 may be read.
-        environment: environment whose observations and action repeat the policy of a zip has.
+        environment: environment in which the policy of a zip was trained, with the settings of its agent.
+
+    Returns:
+        The agent.
 
     Raises:
         FileNotFoundError, ValueError: one line, for a name without an agent.

@@ -1,6 +1,6 @@
 """Run a demonstration: simulation, training, evaluation and plots.
 
-It simulates the three cases of the paper, trains a policy with PPO for about a minute, and evaluates it beside four
+It simulates the three cases of the paper, trains a policy with PPO for about a minute, and evaluates it and four
 controllers on 100 episodes. The plots are written to the folder out.
 """
 

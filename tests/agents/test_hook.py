@@ -6,13 +6,14 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
+from flexman_agents.callbacks import TrainingReport
 from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train, train_or_resume
 from flexman_gym.common.run_folder import BEST, NEWEST, read_npz
 
 from oracles.runs import RUNS
 
-SETTINGS = RUNS["ppo"]  # 160 steps, 24 a rollout, judged after 72, 144 and at the end
+SETTINGS = RUNS["ppo"]  # 160 steps, 24 a rollout, evaluated after 72, 144 and at the end
 
 
 def bits(folder):
@@ -63,11 +64,17 @@ def test_a_cell_of_a_grid_goes_on_with_its_hook_after_it_was_killed(tmp_path):
     assert heard == [48, 72, 96, 120, 144, 168]
 
 
-def test_the_policy_of_the_end_is_judged_but_not_that_of_a_run_that_was_stopped(tmp_path):
-    """Even where the run is shorter than the steps between judgements."""
+def test_the_policy_of_the_end_is_evaluated_but_not_that_of_a_run_that_was_stopped(tmp_path):
+    """Even where the run is shorter than the steps between evaluations."""
     settings = replace(SETTINGS, eval_every=10 * SETTINGS.steps)
     train(settings, tmp_path / "whole", progress=False)
     best = read_npz(tmp_path / "whole" / BEST)["policy"]
     assert {name: values.tobytes() for name, values in best.items()} == bits(tmp_path / "whole")
     train(settings, tmp_path / "stopped", progress=False, hook=lambda report: report.steps > 0)
     assert not (tmp_path / "stopped" / BEST).exists()
+
+
+def test_the_old_name_of_the_metrics_in_a_report_warns():
+    report = TrainingReport(1, {"reward": 2.0}, lambda: None)
+    with pytest.warns(DeprecationWarning, match=r"TrainingReport\.figures is TrainingReport\.metrics now"):
+        assert report.figures == {"reward": 2.0}

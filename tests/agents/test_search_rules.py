@@ -98,7 +98,7 @@ def test_a_trial_that_was_killed_when_it_was_pruned_does_not_go_on(optuna, monke
     assert ran(monkeypatch, study, [1.0, 2.0]) == ([(0, None, "PRUNED")], 0)
 
 
-def test_a_judgement_is_reported_once(optuna, monkeypatch):
+def test_an_evaluation_is_reported_once(optuna, monkeypatch):
     """Rollouts that begin after it show it again."""
     study = Study()
     ran(monkeypatch, study, [1.0, 1.0, 2.0, 2.0])

@@ -43,7 +43,7 @@ def acts(folder):
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """A PPO run of two rollouts on the PD controller, judged once on three episodes: its folder and its model."""
+    """A PPO run of two rollouts on the PD controller, evaluated once on three episodes: its folder and its model."""
     folder = tmp_path_factory.mktemp("runs") / "ppo"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(callbacks, "SELECTION_SEEDS", range(5000, 5003))
@@ -60,7 +60,7 @@ def test_a_run_keeps_model_statistics_settings_versions_and_the_whole_arm(traine
 
 
 def test_the_same_seed_trains_the_same_policy_and_another_seed_another(trained, tmp_path):
-    """Judged or not."""
+    """Evaluated or not."""
     for seed in (3, 4):
         train(SHORT.with_seed(seed), tmp_path / str(seed), progress=False)
     assert np.array_equal(acts(trained[0]), acts(tmp_path / "3"))
@@ -81,10 +81,10 @@ def test_curves_are_in_a_csv_and_in_events(trained):
     with (folder / "progress.csv").open() as lines:
         rows = list(csv.DictReader(lines))
     assert [int(row["time/total_timesteps"]) for row in rows] == [256, 512]
-    judged = {name for name in rows[0] if name.startswith("selection/")}
-    assert judged == {f"selection/{name}" for name in (
+    columns = {name for name in rows[0] if name.startswith("selection/")}
+    assert columns == {f"selection/{name}" for name in (
         "settled", "settling_time_s", "vibration_m", "error_m", "roughness", "reward", "failed")}  # fmt: skip
-    assert all(rows[-1][name] for name in judged)
+    assert all(rows[-1][name] for name in columns)
     assert "rollout/ep_rew_mean" in rows[0]
 
 
@@ -116,7 +116,7 @@ def test_the_curves_of_every_further_run_begin_after_all_steps_before(tmp_path):
     assert lasts == {"progress.csv": 32, "progress-32.csv": 96, "progress-128.csv": 64}
 
 
-def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_judged(trained, tmp_path, monkeypatch):
+def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_evaluated(trained, tmp_path, monkeypatch):
     """The best so far is remembered: a worse one later does not take its place."""
     folder = tmp_path / "run"
     shutil.copytree(trained[0], folder)
@@ -186,7 +186,7 @@ def test_rewards_are_normalised_where_they_should_be_and_by_returns_of_the_same_
 
 
 def test_a_training_begins_with_seeds_of_its_own(trained):
-    """Those that no judge and no table sees, one after the other for the arms."""
+    """Those that no evaluation and no table has, one after the other for the arms."""
     model, env = make_model(SHORT), gym.make(PD["id"], **SHORT.environment.keywords())
     model.get_env().reset()
     for arm, seen in enumerate(model.get_vec_normalize_env().get_original_obs()):
@@ -224,11 +224,11 @@ def test_missing_and_broken_runs_give_one_line(trained, tmp_path):
         resume(tmp_path / "nothing", 64)
 
 
-# The judge
+# Evaluation
 
 
-def judge_with(monkeypatch, outcomes, rollout=50):
-    """A judge of a policy whose shares of settled episodes and rewards are given, one pair at every 100 steps."""
+def evaluate_with(monkeypatch, outcomes, rollout=50):
+    """An evaluation of a policy whose shares of settled episodes and rewards are given, one pair at every 100 steps."""
     kept, logged, results = [], [], iter(outcomes)
 
     def evaluate(entrant, environment, seeds):
@@ -239,24 +239,24 @@ def judge_with(monkeypatch, outcomes, rollout=50):
         return dict.fromkeys(METRICS, 0.0) | {"settled": share, "reward": reward}
 
     monkeypatch.setattr(callbacks, "evaluate", evaluate)
-    judge = Evaluation(replace(SHORT, eval_every=100), None, lambda: kept.append(judge.num_timesteps))
-    judge.model = SimpleNamespace(logger=SimpleNamespace(record=lambda name, value: logged.append((name, value))))
+    evaluation = Evaluation(replace(SHORT, eval_every=100), None, lambda: kept.append(evaluation.num_timesteps))
+    evaluation.model = SimpleNamespace(logger=SimpleNamespace(record=lambda name, value: logged.append((name, value))))
     for step in range(rollout, 100 * len(outcomes) + 1, rollout):
-        judge.num_timesteps = step
-        judge._on_rollout_end()
+        evaluation.num_timesteps = step
+        evaluation._on_rollout_end()
     return kept, logged
 
 
-def test_the_judge_keeps_the_policy_of_the_highest_reward(monkeypatch):
+def test_the_evaluation_saves_the_policy_of_the_highest_reward(monkeypatch):
     outcomes = [(0.5, -1.0), (0.4, -2.0), (0.4, 0.5), (0.9, 0.5), (0.8, 2.0), (0.9, 1.0)]
-    kept, logged = judge_with(monkeypatch, outcomes)
+    kept, logged = evaluate_with(monkeypatch, outcomes)
     assert kept == [100, 300, 500]
     assert [value for name, value in logged if name == "selection/settled"] == [share for share, _ in outcomes]
     assert [value for name, value in logged if name == "selection/reward"] == [reward for _, reward in outcomes]
 
 
-def test_the_judge_warns_once_when_a_policy_has_become_much_worse(monkeypatch, capsys):
-    judge_with(monkeypatch, [(0.9, 1.0), (0.75, 1.0), (0.6, 1.0), (0.5, 1.0), (1.0, 2.0), (0.1, 1.0)])
+def test_the_evaluation_warns_once_when_a_policy_has_become_much_worse(monkeypatch, capsys):
+    evaluate_with(monkeypatch, [(0.9, 1.0), (0.75, 1.0), (0.6, 1.0), (0.5, 1.0), (1.0, 2.0), (0.1, 1.0)])
     said = capsys.readouterr()
     assert said.out == "" and said.err.splitlines() == [
         "after 300 steps the policy is worse than before: 60% settle instead of 90%; the best one is kept",
@@ -264,20 +264,20 @@ def test_the_judge_warns_once_when_a_policy_has_become_much_worse(monkeypatch, c
     ]
 
 
-def test_two_judgements_are_never_nearer_than_asked_for(monkeypatch):
+def test_two_evaluations_are_never_nearer_than_asked_for(monkeypatch):
     """Rollouts of 60 steps, each better than the one before; after the first that is too long none makes up for it."""
-    kept, _ = judge_with(monkeypatch, [(1.0, float(reward)) for reward in range(8)], rollout=60)
+    kept, _ = evaluate_with(monkeypatch, [(1.0, float(reward)) for reward in range(8)], rollout=60)
     assert kept[0] == 120 and np.diff(kept).min() >= 100 and len(kept) > 3
 
 
-def test_the_curves_show_what_the_judge_has_seen_with_its_units(monkeypatch):
+def test_the_curves_show_the_evaluations_with_their_units(monkeypatch):
     logged = {}
     seen = dict.fromkeys(METRICS, 0.0) | {"settling_time": 2.0, "vibration": 0.2, "error": 0.02}
     monkeypatch.setattr(callbacks, "evaluate", lambda *given: seen)
-    judge = Evaluation(replace(SHORT, eval_every=1), None, lambda: None)
-    judge.model = SimpleNamespace(logger=SimpleNamespace(record=logged.__setitem__))
-    judge.num_timesteps = 1
-    judge._on_rollout_end()
+    evaluation = Evaluation(replace(SHORT, eval_every=1), None, lambda: None)
+    evaluation.model = SimpleNamespace(logger=SimpleNamespace(record=logged.__setitem__))
+    evaluation.num_timesteps = 1
+    evaluation._on_rollout_end()
     names = "settling_time_s", "vibration_m", "error_m"
     assert [logged[f"selection/{name}"] for name in names] == pytest.approx([2.0, 0.2, 0.02])
 
