@@ -25,7 +25,7 @@ CALLS, FILES = 8, 100  # of each target, and in all
 @pytest.fixture(scope="module", autouse=True)
 def compiled():
     """The methods that `choose_model` tries: to compile one takes longer than a call may."""
-    for method in {*CANDIDATE_METHODS, *MeshSearch.tried}:
+    for method in {*CANDIDATE_METHODS, *MeshSearch.methods}:
         fm.simulate(SCENE, method=method, step=1e-3)
 
 

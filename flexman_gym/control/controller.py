@@ -93,7 +93,7 @@ class Controller(Protocol):
     Attributes:
         sensors: names of the sensors that the controller reads.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from flexman_gym.control import PD, Controller, EpisodeInfo
         >>> pd = PD(stiffness=[40.0, 6.0], damping=[9.0, 1.3], torque_limit=10.0)

@@ -234,7 +234,7 @@ class LQR:
         period: control period, s.
         weights: cost weights; None for `default_weights`.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> import flexman_gym as fm
         >>> from flexman_gym.control import LQR, EpisodeInfo

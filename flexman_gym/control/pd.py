@@ -25,7 +25,7 @@ class PD:
         torque_limit: N m, for all joints or for each.
         gravity_model: model whose holding torques at the goal are added as feed-forward; None for none.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from flexman_gym.control import PD
         >>> pd = PD(stiffness=[40.0, 6.0], damping=[9.0, 1.3], torque_limit=[10.0, 4.0])

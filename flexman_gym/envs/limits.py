@@ -24,7 +24,7 @@ class Limits:
         deflection_rate: of the tip of a link, m/s.
         tip_speed: of the tip along each base axis, m/s.
 
-    Example:
+    Examples:
         >>> import gymnasium as gym
         >>> env = gym.make("FlexOne-v0", limits=fm.Limits(rate=12.0, tip_speed=10.0))
         >>> env.unwrapped.configuration.limits.rate

@@ -44,7 +44,7 @@ class Choice:
             was chosen they are mesh, modes, foreshortening, method and reference, else model and reference.
         runs: number of simulations of the scene for the choice.
 
-    Example:
+    Examples:
         >>> choice = fm.choose_model(fm.catalog.paper_scene("rr"), tolerance=0.1)
         >>> choice.method in fm.METHODS, sorted(choice.errors)
         (True, ['model', 'reference'])
@@ -99,7 +99,7 @@ def choose_model(scene: Scene, tolerance: float, longest_step: float | None = No
     Raises:
         ValueError: for a wrong scene or tolerance, and where no candidate meets the tolerance, with the error reached.
 
-    Example:
+    Examples:
         >>> choice = fm.choose_model(fm.catalog.paper_scene("rr"), tolerance=0.01)
         >>> choice.estimated_error < 0.01
         True

@@ -25,7 +25,7 @@ def curvature(model: Model, state: Vector, link: int, position: float) -> Array:
         position: distance along the link, from 0 at its joint to its length at its tip, m. At a node between two
             elements (and thus between two sections) the outboard element is used.
 
-    Example:
+    Examples:
         >>> model = fm.build_model(fm.catalog.one_joint())
         >>> fm.curvature(model, fm.rest_state(model, [0.0]), link=0, position=0.4)
         array([0., 0., 0.])
@@ -46,7 +46,7 @@ def strain(model: Model, state: Vector, link: int, position: float, y: float = 0
         y: position in the cross-section, m.
         z: position in the cross-section, m.
 
-    Example:
+    Examples:
         >>> model = fm.build_model(fm.catalog.one_joint())
         >>> fm.strain(model, fm.rest_state(model, [0.0]), link=0, position=0.0, y=0.001)
         0.0
@@ -171,7 +171,7 @@ def curves(model: Model, states: Vector, points: int, gain: float = 1.0) -> Curv
         gain: magnification of elastic displacements and joint twists in positions and frames, at least 0; curvatures
             and strains are not magnified.
 
-    Example:
+    Examples:
         >>> model = fm.build_model(fm.catalog.one_joint())
         >>> shape = fm.curves(model, fm.rest_state(model, [0.0]), points=5)
         >>> shape.positions.shape, shape.positions[0, -1].round(3)

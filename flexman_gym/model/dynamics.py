@@ -35,7 +35,7 @@ def acceleration(model: Model, state: Vector, torque: Vector) -> Array:
         state: (2 d,) coordinates and speeds in the order of `kernels.layout`.
         torque: (n,) motor torques, N m.
 
-    Example:
+    Examples:
         A torque of 1 N m on a rotor of 0.01 kg m^2 behind a joint spring:
 
         >>> model = fm.build_model(fm.catalog.one_joint())
@@ -57,7 +57,7 @@ def mass_matrix(model: Model, state: Vector) -> Array:
         model: model of the arm.
         state: (2 d,); only the coordinates matter.
 
-    Example:
+    Examples:
         >>> model = fm.build_model(fm.catalog.one_joint(), elements=1)
         >>> mass = fm.mass_matrix(model, fm.rest_state(model, [0.5]))
         >>> mass.shape, bool((mass == mass.T).all())
@@ -80,7 +80,7 @@ def stiffness_matrix(model: Model) -> Array:
     Args:
         model: model of the arm.
 
-    Example:
+    Examples:
         >>> model = fm.build_model(fm.catalog.one_joint(), elements=1)
         >>> stiffness = fm.stiffness_matrix(model)
         >>> stiffness.shape, stiffness[:2, :2]  # joint spring between joint and motor angle, N m/rad
@@ -98,7 +98,7 @@ def damping_matrix(model: Model) -> Array:
     Args:
         model: model of the arm.
 
-    Example:
+    Examples:
         >>> model = fm.build_model(fm.catalog.one_joint(), elements=1)
         >>> fm.damping_matrix(model)[:2, :2]  # joint damper between joint and motor angle, N m s/rad
         array([[ 0.005, -0.005],
@@ -125,7 +125,7 @@ def frequencies(model: Model, joint_angles: Vector | Matrix | None = None, lock_
     Returns:
         Frequencies (d,) or (d - n,), with a leading axis of length k for k postures.
 
-    Example:
+    Examples:
         >>> model = fm.build_model(fm.catalog.one_joint())
         >>> fm.frequencies(model, lock_joints=True)[:2].round(2)
         array([ 1.41, 11.26])
@@ -167,7 +167,7 @@ def tip_acceleration(model: Model, state: Vector, torque: Vector) -> Array:
         state: (2 d,) coordinates and speeds.
         torque: (n,) motor torques, N m.
 
-    Example:
+    Examples:
         >>> arm = fm.catalog.one_joint()
         >>> model = fm.build_model(arm, flexible_links=False, flexible_joints=False)
         >>> fm.tip_acceleration(model, fm.rest_state(model, [0.0]), [0.0])
@@ -201,7 +201,7 @@ def inverse_dynamics(
         joint_jerks: (n,) rad/s^3; required for flexible joints.
         joint_snaps: (n,) rad/s^4; required for flexible joints.
 
-    Example:
+    Examples:
         >>> model = fm.build_model(fm.catalog.one_joint(), flexible_links=False, flexible_joints=False)
         >>> torque = fm.inverse_dynamics(model, [0.0], [0.0], [2.0])
         >>> torque.round(6), fm.acceleration(model, fm.rest_state(model, [0.0]), torque).round(6)

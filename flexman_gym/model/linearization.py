@@ -272,7 +272,7 @@ def linearize(
         inputs: names of u: "motor_torques" (n), "tip_force" (3) and "base_acceleration" (3).
         friction: "sliding", or "at rest" for the slope of the smoothed Coulomb friction at the rates of the state.
 
-    Example:
+    Examples:
         >>> system = fm.linearize(fm.build_model(fm.catalog.one_joint()), outputs=("tip",))
         >>> system.A.shape, system.B.shape, system.outputs
         ((28, 28), (28, 1), ('tip_x (m)', 'tip_y (m)', 'tip_z (m)'))

@@ -222,7 +222,7 @@ class Model:
             for a rigid link.
         modal_damping: modal part of `constants.damping`, packed in the same way.
 
-    Example:
+    Examples:
         >>> model = fm.build_model(fm.catalog.paper_rrr(), elements=2)
         >>> model.n_joints, model.n_motors, model.n_elastic, model.n_dof
         (3, 3, 36, 42)
@@ -336,7 +336,7 @@ def build_model(
     Warns:
         UserWarning: if the first bending frequency of the links suggests wrong units.
 
-    Example:
+    Examples:
         >>> model = fm.build_model(fm.catalog.one_joint(), elements=4, modes=3)
         >>> model.n_elastic, fm.frequencies(model, lock_joints=True)[:2].round(2)
         (3, array([ 1.41, 11.19]))

@@ -28,7 +28,7 @@ def rest_state(model: Model, motor_angles: Vector | Matrix) -> Array:
     Raises:
         ValueError: for an arm too compliant for the iteration to converge.
 
-    Example:
+    Examples:
         An arm in a vertical plane sags: its joint springs twist under its weight.
 
         >>> model = fm.build_model(fm.catalog.vertical_2r())
@@ -79,7 +79,7 @@ def holding_torques(model: Model, motor_angles: Vector) -> Array:
     Raises:
         ValueError: for an arm too compliant for the equilibrium to be found, see `rest_state`.
 
-    Example:
+    Examples:
         >>> model = fm.build_model(fm.catalog.vertical_2r())
         >>> fm.holding_torques(model, [0.0, 0.0]).round(3)
         array([3.621, 1.147])

@@ -73,7 +73,7 @@ class Modes:
         motors: "held" or "free".
         eigenvalues: (k,) complex eigenvalues s, 1/s.
 
-    Example:
+    Examples:
         >>> vibration = fm.modes(fm.build_model(fm.catalog.one_joint()))
         >>> len(vibration), vibration.parts
         (13, ('link 1', 'joint 1'))
@@ -114,7 +114,7 @@ def modes(model: Model, joint_angles: Vector | None = None, motors: str = "held"
     Raises:
         ValueError: for an arm too compliant for its equilibrium to be found.
 
-    Example:
+    Examples:
         >>> vibration = fm.modes(fm.build_model(fm.catalog.one_joint()), motors="held")
         >>> vibration.frequencies[:2].round(2), vibration.damping_ratios[:2].round(3)
         (array([ 1.41, 11.26]), array([0.004, 0.007]))

@@ -24,7 +24,7 @@ class Counter:
 
 def test_kept_names_the_state_with_a_warning():
     counter = Counter()
-    with pytest.warns(DeprecationWarning, match="Counter.kept is deprecated; name it state_fields"):
+    with pytest.warns(DeprecationWarning, match="Counter.kept is state_fields now"):
         assert get_state(counter) == {"count": np.zeros(1)}
     with pytest.warns(DeprecationWarning, match="state_fields"):
         set_state("state", counter, {"count": np.ones(1)})

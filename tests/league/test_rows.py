@@ -264,7 +264,7 @@ def test_a_controller_without_a_description_fails_at_import():
 
 def test_who_cannot_run_says_why(scenario):
     cell, rows = run_block(EpisodeBlock("", "optimised", scenario, 9000, 9001))
-    assert rows == [] and cell.why.startswith("table: only one of this arm") and np.isnan(cell.action)
+    assert rows == [] and cell.why.startswith("table: only a table of this arm") and np.isnan(cell.action)
     for agent, words in (
         ("lqr", "it needs information that a laboratory cannot measure"),
         ("optimised", "it needs information"),

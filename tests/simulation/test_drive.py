@@ -196,8 +196,8 @@ def test_a_scene_keeps_its_drive_in_a_file(tmp_path):
     ("change", "field", "allowed"),
     [
         ({"prescribed": [WOBBLE, None, None]}, "Scene.torque of joint 0: 400.0", "0 (N m)"),
-        ({"prescribed": [None]}, "Scene.prescribed: [None]", "3 of Signal or None"),
-        ({"prescribed": [1.0, None, None]}, "Scene.prescribed", "3 of Signal or None"),
+        ({"prescribed": [None]}, "Scene.prescribed: [None]", "3 of Signal, SampledSignal, SampledAngles or None"),
+        ({"prescribed": [1.0, None, None]}, "Scene.prescribed", "3 of Signal, SampledSignal, SampledAngles or None"),
         ({"tip_force": [WOBBLE]}, "Scene.tip_force", "three of Signal"),
         ({"base_acceleration": 9.81}, "Scene.base_acceleration: 9.81", "three of Signal"),
     ],

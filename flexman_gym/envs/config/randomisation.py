@@ -29,7 +29,7 @@ class Randomisation:
         ranges: name -> (low, high) of each of them; each range is also an attribute, None if disabled.
         given: given arguments, by name.
 
-    Example:
+    Examples:
         >>> import gymnasium as gym
         >>> ranges = fm.Randomisation(payload_mass=(0.0, 0.2), delay=(0, 2))
         >>> env = gym.make("FlexOne-v0", randomisation=ranges)

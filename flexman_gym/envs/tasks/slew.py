@@ -77,7 +77,7 @@ class Slew:
         pairs: number of different pairs of start and goal, from which each episode draws one; 0 for no restriction.
             Controllers with planning cache the plans of known pairs, so few pairs speed up training.
 
-    Example:
+    Examples:
         >>> import gymnasium as gym
         >>> env = gym.make("FlexOne-v0", task=fm.Slew(slew=0.5, reward="distance"))
         >>> _, info = env.reset(seed=0)
