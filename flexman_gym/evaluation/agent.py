@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import short_path, value_error
 from flexman_gym.common.files import existing_file
+from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, read_settings
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.agent import Law
@@ -129,7 +130,7 @@ def predictor_agent(model: Any, environment: Configuration | None = None) -> Age
     normaliser = getattr(model, "get_vec_normalize_env", lambda: None)()
     venv = getattr(model, "get_env", lambda: None)()
     if environment is None and venv is not None:
-        environment = venv.get_attr("setup")[0]
+        environment = venv.get_attr("configuration")[0]
     moved, interface = (None, None) if environment is None else split_interface(environment)
 
     options = {"deterministic": True}
@@ -229,7 +230,7 @@ class _TimedMode:
     def __init__(self, mode: ActionMode) -> None:
         self.mode, self.action_seconds, self.start_seconds = mode, 0.0, 0.0
         self.joints, self.names, self.sensors = mode.joints, mode.names, mode.sensors
-        self.shown = getattr(mode, "shown", {})
+        self.observation_sizes = getattr(mode, "observation_sizes", {})
 
     def __deepcopy__(self, memo: object) -> Self:
         return self  # a rollout copies the mode; the times are read from this object
@@ -239,11 +240,11 @@ class _TimedMode:
         self.mode.reset(arms, episode, count)
         self.start_seconds += process_time() - begun
 
-    def act(self, actions: Array, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        return self.timed(self.mode.act)(actions, readings, applied, playing)
+    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        return self.timed(self.mode.act)(actions, readings, applied, active)
 
-    def look(self, readings: Readings, applied: Array, playing: BoolArray) -> Array:
-        return self.timed(self.mode.look)(readings, applied, playing)  # type: ignore[attr-defined]
+    def observe(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        return self.timed(self.mode.observe)(readings, applied, active)  # type: ignore[attr-defined]
 
     def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Return a function whose CPU time counts as time of the actions."""
@@ -348,6 +349,7 @@ def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
     stored = data.get("settings") if isinstance(data, dict) else None
     if not isinstance(stored, dict):
         raise ValueError(f"{path}: this is no file of a training run (it has no settings)")
+    stored = rename_keys(stored, RUN_SETTINGS, warn=False)
     names = stored.keys() - set(CHANGEABLE_SETTINGS)
     changed = [name for name in names if not _is_equal(settings.get(name), stored.get(name))]
     if changed:

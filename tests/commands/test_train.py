@@ -83,7 +83,11 @@ def test_a_recipe_is_a_start_and_options_go_before_it(run, tmp_path):
         ("evaluate", ["no_such_run"], "agent: no_such_run is not allowed; give the folder of a training run, or one"),
         ("evaluate", ["pd", "--env", "nowhere.yaml"], "nowhere.yaml: there is no such file"),
         ("evaluate", ["pd", "--set", "horizon"], "--set: 'horizon' is not allowed; give name=value, such as"),
-        ("evaluate", ["pd", "--set", "horizont=3"], "horizont: 3 is not allowed; give a known setting: the nearest is"),
+        (
+            "evaluate",
+            ["pd", "--set", "horizont=3"],
+            "horizont: 3 is not allowed; give a setting: the nearest is horizon",
+        ),
         (
             "evaluate",
             ["pd", "--set", "base=lqr"],
