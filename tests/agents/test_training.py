@@ -306,9 +306,9 @@ def test_a_run_plays_as_by_itself_and_is_played_anew_when_it_has_learned(tmp_pat
         book = run_league([folder], ["FlexOne-v0"], range(9000, 9002), tmp_path, log=said.append)
     values = [row.values[: len(METRICS)] for _, row in sorted(book.rows.items())]
     records = rollout(folder, "FlexOne-v0", range(9000, 9002)).records
-    assert values == [tuple(figure.of(record) for figure in METRICS.values()) for record in records]
+    assert values == [tuple(metric.function(record) for metric in METRICS.values()) for record in records]
     assert len(said) == 1, "nothing is played twice"
     (tmp_path / "run" / "best.npz").unlink()  # the newest policy acts now
     run_league([folder], ["FlexOne-v0"], range(9000, 9002), tmp_path, log=said.append)
     assert len(said) == 2
-    assert "nor chosen on the seed 5000" in refusal(run_league, [folder], ["FlexOne-v0"], SELECTION_SEEDS, tmp_path)
+    assert "nor selected on the seed 5000" in refusal(run_league, [folder], ["FlexOne-v0"], SELECTION_SEEDS, tmp_path)
