@@ -146,7 +146,7 @@ class MeshSearch(ModelSearch):
         """Return the meshes and the accuracy of the reference, and the estimated effect of large rotations, as text."""
         run, pose = self.halved_runs[max(self.halved_runs)], self.scene.initial.joint_angles
         slowest = frequencies(self.reference_model, pose)[self.reference_model.n_joints :][:1]
-        angles, moved = _large_rotation_error(
+        angles, moved = large_rotation_error(
             self.reference_model, run.states, float(slowest.sum()) * self.scene.duration
         )
         return (
@@ -158,7 +158,7 @@ class MeshSearch(ModelSearch):
         )
 
 
-def _large_rotation_error(model: Model, states: Array, cycles: float) -> tuple[Array, float]:
+def large_rotation_error(model: Model, states: Array, cycles: float) -> tuple[Array, float]:
     """Return the rotations of links at their tips by bending, and the estimated tip displacement by large rotations.
 
     In linear theory a force turns the tip of a cantilever of length L by a. The true rotation is less by 11/30 a^3 and
