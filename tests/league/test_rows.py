@@ -3,7 +3,7 @@
 import csv
 import json
 import shutil
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +16,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import METRICS, rollout
 from flexman_gym.evaluation import agent as agent_module
 from flexman_gym.evaluation.agent import BASELINES
-from flexman_gym.evaluation.agent_info import AgentInfo, check_seeds_unseen, describe_agent, training_seconds
+from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent, training_seconds
 from flexman_gym.evaluation.metrics import equivalent_damping, optimised_settling_times
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, EpisodeRecord, training_seed
 from flexman_gym.league.rows import (
@@ -410,8 +410,9 @@ def test_only_who_is_not_given_the_truth_could_be_built():
 
 @pytest.mark.parametrize("truth", ["true state", "true parameters", "its episodes"])
 def test_one_truth_is_enough_not_to_be_realisable(truth):
-    assert not AgentInfo("", "", ("model", truth)).realisable
-    assert AgentInfo("", "", ("model", "training", "structure of the model")).realisable
+    known = describe_agent("pd")
+    assert not replace(known, information=("model", truth)).realisable
+    assert replace(known, information=("model", "training", "structure of the model")).realisable
 
 
 def test_in_a_sweep_controllers_are_given_the_range_and_arms_have_the_value():
