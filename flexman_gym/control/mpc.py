@@ -48,7 +48,7 @@ class _Horizon(NamedTuple):
     terminal: Array
 
 
-def design_horizon(
+def _design_horizon(
     model: Model, posture: Array, limits: Array, weights: CostWeights, period: float, blocks: Sequence[int]
 ) -> _Horizon:
     """Return the prediction about a posture (n,) rad of the motors; the lengths of the blocks, in periods, sum to N."""
@@ -150,7 +150,7 @@ class MPC:
         batch.reset(np.arange(len(states)), states)
         postures = start + np.linspace(0.0, 1.0, LINEARISATION_POSTURES)[:, None] * (goal - start)
         each = [
-            design_horizon(self.model, one, self.limits, self._weights, self.period, MOVE_BLOCKS) for one in postures
+            _design_horizon(self.model, one, self.limits, self._weights, self.period, MOVE_BLOCKS) for one in postures
         ]
         horizons = _Horizon(*(np.array(parts) for parts in zip(*each, strict=True)))
         return _Plan(horizons, start, goal - start, states, batch.outputs, torques / self.limits)

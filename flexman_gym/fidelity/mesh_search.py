@@ -12,7 +12,6 @@ from flexman_gym.fidelity.model_search import (
     CandidateRun,
     ModelSearch,
     full_candidate,
-    tip_distance,
 )
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, build_model
@@ -130,17 +129,15 @@ class MeshSearch(ModelSearch):
         parts["foreshortening"] = self._between(candidate, shortened)
         every = round(run.time[1] / self.scene.output_step)
         exact = self.screening_runs[candidate].tip + (self.reference_tips[-1] - self.screening_reference.tip)
-        return parts | {"method": tip_distance(run.tip, exact[::every]), "reference": self.error}
+        distances = np.linalg.norm(run.tip - exact[::every], axis=-1)
+        return parts | {"method": float(distances.max()), "reference": self.error}
 
     def _between(self, candidate: Candidate, other: Candidate) -> float:
         """Return the distance (m) between two candidates at the tip."""
         self.screen(candidate)
         self.screen(other)
-        return (
-            tip_distance(self.screening_runs[candidate].tip, self.screening_runs[other].tip)
-            if candidate != other
-            else 0.0
-        )
+        tips, others = self.screening_runs[candidate].tip, self.screening_runs[other].tip
+        return float(np.linalg.norm(tips - others, axis=-1).max()) if candidate != other else 0.0
 
     def describe_reference(self) -> str:
         """Return the meshes and the accuracy of the reference, and the estimated effect of large rotations, as text."""

@@ -35,12 +35,22 @@ def about(model, posture):
     return fm.linearize(model, state=fm.rest_state(model, posture), torque=held)
 
 
+def horizon_at(monkeypatch, model, posture, limits, blocks):
+    """The first linear prediction of a controller whose arm is at its goal, with the weights of these tests."""
+    monkeypatch.setattr(mpc, "MOVE_BLOCKS", blocks)
+    controller = mpc.MPC(model, limits, PERIOD)
+    controller._weights = WEIGHTS
+    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD), 1)
+    horizons = controller._plans[0].horizons
+    return type(horizons)(*(each[0] for each in horizons))
+
+
 @pytest.mark.parametrize("blocks", [(1,) * 9, (1, 1)])
-def test_without_limits_the_first_torque_is_that_of_the_lqr(blocks):
+def test_without_limits_the_first_torque_is_that_of_the_lqr(blocks, monkeypatch):
     """Over any horizon, as the cost of its end is that of the LQR; for any torques that were planned before."""
     model, limits, posture = posed()
     linear, random = about(model, posture), np.random.default_rng(0)
-    horizon, n = mpc.design_horizon(model, posture, limits, WEIGHTS, PERIOD, blocks), len(limits)
+    horizon, n = horizon_at(monkeypatch, model, posture, limits, blocks), len(limits)
     transition, inputs = discretize(linear.A, linear.B, PERIOD)
     start, planned = 1e-2 * random.normal(size=2 * model.n_dof), random.normal(size=(len(blocks), n))
     states = [start]
@@ -72,11 +82,11 @@ def test_near_its_goal_the_controller_is_the_lqr(monkeypatch):
         assert np.abs(action - expected).max() < 2e-3 * np.abs(expected).max()
 
 
-def test_changes_of_blocks_cost_the_least():
+def test_changes_of_blocks_cost_the_least(monkeypatch):
     """No change of a block beside them makes the sum of squares of outputs and torques less, period by period."""
     model, limits, posture = posed()
     linear, random, blocks = about(model, posture), np.random.default_rng(0), (1, 2, 4)
-    horizon, n = mpc.design_horizon(model, posture, limits, WEIGHTS, PERIOD, blocks), len(limits)
+    horizon, n = horizon_at(monkeypatch, model, posture, limits, blocks), len(limits)
     transition, inputs = discretize(linear.A, linear.B, PERIOD)
     start = 1e-2 * random.normal(size=len(transition))
 
