@@ -67,7 +67,7 @@ def search(
             _proposed(study, running[-1], over)  # drawn now: after a kill the sampler would have another seed
         if not running:
             return _keep_best(study, recipe, folder)
-        cells = [(change_settings(recipe, _proposed(study, number, over)), str(folder), number) for number in running]
+        cells = [(_change_settings(recipe, _proposed(study, number, over)), str(folder), number) for number in running]
         for _ in parallel_map_unordered(_run_trial, cells, workers, prepare=compile_kernels):
             pass
 
@@ -119,7 +119,7 @@ def _flatten_ranges(over: Mapping[str, Any], path: str = "") -> dict[str, Any]:
     return result
 
 
-def change_settings(recipe: Settings, values: Mapping[str, Any]) -> Settings:
+def _change_settings(recipe: Settings, values: Mapping[str, Any]) -> Settings:
     """Change settings of a recipe.
 
     Args:
@@ -154,7 +154,7 @@ def _check(path: str, given: Any, recipe: Settings) -> None:
         values = [int(value) if span.get("whole") else value for value in values]
     one_of(field, path.partition(".")[0], sorted({*recipe.plain()} - {"algo", "steps", "eval_every"}))
     for value in values:
-        change_settings(recipe, {path: value})
+        _change_settings(recipe, {path: value})
 
 
 def _proposed(study: Any, number: int, over: Mapping[str, Any]) -> dict[str, Any]:
@@ -175,7 +175,7 @@ def _keep_best(study: Any, recipe: Settings, folder: Path) -> Path:
     best = study.best_trial
     finished = [each.state.name.lower() for each in study.get_trials(deepcopy=False)]
     counts = ", ".join(f"{finished.count(state)} {state}" for state in sorted(set(finished)))
-    settings = change_settings(recipe, best.params)
+    settings = _change_settings(recipe, best.params)
     lines = [f"Found by flexman search: trial {best.number} of {len(finished)} ({counts}).",
              f"Mean reward on the selection seeds: {best.value!r}.",
              *(f"{path}: {value!r}" for path, value in best.params.items()),

@@ -186,16 +186,8 @@ def _write_table(path: Path, cases: "Sequence[OperatingPoint]", evaluations: "Se
                     known = motors == "held" and number < evaluations[0].residuals.shape[1]
                     left = [f"{each.residuals[row, number]:.6g}" if known else "" for each in evaluations]
                     place = [f"{angle:.6g}" for angle in case.posture]
-                    cells = [
-                        *place,
-                        f"{case.payload:.6g}",
-                        motors,
-                        number + 1,
-                        f"{frequency:.8g}",
-                        f"{ratio:.6g}",
-                        *left,
-                    ]
-                    table.writerow(cells)
+                    mode = [motors, number + 1, f"{frequency:.8g}", f"{ratio:.6g}"]
+                    table.writerow([*place, f"{case.payload:.6g}", *mode, *left])
 
 
 COMMAND = CommandLine(_arguments, _run)

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from flexman_agents.search import BEST_FILE, change_settings, search
+from flexman_agents.search import BEST_FILE, search
 from flexman_agents.settings import find_recipe
 from flexman_agents.training import train
 from flexman_gym.__main__ import main
@@ -42,13 +42,6 @@ def trials(folder):
     backend = optuna.storages.journal.JournalFileBackend(str(folder / "study.log"))
     study = optuna.load_study(study_name="flexman", storage=optuna.storages.JournalStorage(backend))
     return [(each.state.name, each.params, each.value) for each in study.trials]
-
-
-def test_settings_are_changed_by_their_paths():
-    result = change_settings(RECIPE, {"hyperparameters.gamma": 0.7, "environment.action_repeat": 2,
-                                      "schedules.log_std.start": -1.0, "schedules.log_std.end": -2.0})  # fmt: skip
-    assert result.hyperparameters["gamma"] == 0.7 and result.environment.action_repeat == 2
-    assert result.schedule("log_std").at(1.0) == -2.0 and change_settings(RECIPE, {}) == RECIPE
 
 
 def test_the_command_reads_what_settings_may_be_as_a_file_has_it(tmp_path, capsys):

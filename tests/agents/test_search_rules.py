@@ -10,7 +10,7 @@ pytest.importorskip("stable_baselines3")
 
 from flexman_agents import search as module
 from flexman_agents.callbacks import TrainingReport
-from flexman_agents.search import change_settings, search
+from flexman_agents.search import search
 from flexman_agents.settings import find_recipe
 
 from oracles.assertions import refusal
@@ -146,12 +146,16 @@ def test_every_trial_is_proposed_by_a_seed_of_its_own(optuna, monkeypatch, tmp_p
 def test_the_best_trial_becomes_a_recipe(optuna, monkeypatch, tmp_path):
     study = Study()
     study.ask(), study.ask()
-    study.best_trial = SimpleNamespace(number=1, params={"hyperparameters.gamma": 0.7}, value=5.0)
+    changes = {"hyperparameters.gamma": 0.7, "environment.action_repeat": 2,
+               "schedules.log_std.start": -1.0, "schedules.log_std.end": -2.0}  # fmt: skip
+    study.best_trial = SimpleNamespace(number=1, params=dict(changes), value=5.0)
     monkeypatch.setattr(module, "computer_text", lambda packages: "a machine")
     study.tell(0, 1.0), study.tell(1, 5.0)
     monkeypatch.setattr(module, "_study", lambda folder: study)
     path = search(RECIPE, OVER, tmp_path, 2)
-    assert find_recipe(str(path)) == change_settings(RECIPE, {"hyperparameters.gamma": 0.7})
+    found = find_recipe(str(path))
+    assert found.hyperparameters["gamma"] == 0.7 and found.environment.action_repeat == 2
+    assert found.schedule("log_std").at(1.0) == -2.0 and found.steps == RECIPE.steps
     assert path.read_text().startswith("# Found by flexman search: trial 1 of 2 (2 complete).\n")
 
 
