@@ -43,7 +43,7 @@ class Episode:
         about: metadata as plain data: name of the agent, environment, its settings and their hash, seed, versions,
             failure, arm and model, units of the readings.
 
-    Example:
+    Examples:
         >>> trajectory = fm.simulate(fm.catalog.paper_scene("rr"), step=0.01)
         >>> episode = fm.Episode.from_trajectory(trajectory, "paper")
         >>> episode.name, episode.tips.shape

@@ -350,7 +350,7 @@ def generalised_alpha(radius: float) -> Implicit:
     Returns:
         A Method for `simulate` and `Simulator`.
 
-    Example:
+    Examples:
         >>> method = fm.generalised_alpha(0.8)
         >>> method.name, method.order, method.radius
         ('generalised_alpha', 2, 0.8)
@@ -429,7 +429,7 @@ class _Methods(dict[str, Method]):
     when no step is given, choose their steps by `rtol` (1) and `atol` (rad, m, and their rates). `flexman list methods`
     prints the table.
 
-    Example:
+    Examples:
         >>> fm.METHODS["midpoint_3"].order, fm.METHODS["midpoint_3"].kind
         (2, 'linearly implicit')
         >>> [name for name, method in fm.METHODS.items() if method.kind == "reference"]

@@ -157,7 +157,7 @@ def simulate(
     Returns:
         The trajectory at the output times. A failure is a status of the trajectory, not an exception.
 
-    Example:
+    Examples:
         >>> trajectory = fm.simulate(fm.catalog.paper_scene("ff"), method="midpoint_3", step=0.005)
         >>> trajectory.status, trajectory.tip.shape, trajectory.tip[-1].round(1)
         ('ok', (201, 3), array([ 1.1,  2.1, -0.6]))
@@ -314,7 +314,7 @@ def simulate_all(
     Returns:
         b trajectories.
 
-    Example:
+    Examples:
         >>> scene = fm.catalog.paper_scene("rr")
         >>> both = fm.simulate_all([scene, scene], step=0.01, payload_mass=[0.0, 2.0])
         >>> [trajectory.status for trajectory in both]

@@ -42,7 +42,7 @@ class Simulator:
         status: status of the last step: "ok", "diverged" or "not converged". After a failure, state and outputs stay
             those at the end of the last successful control period, until a reset.
 
-    Example:
+    Examples:
         >>> simulator = fm.Simulator(fm.build_model(fm.catalog.one_joint()), control_period=0.01)
         >>> simulator.reset(joint_angles=[0.3])
         >>> simulator.step([0.1])
