@@ -81,8 +81,8 @@ class Trajectory:
 
     Examples:
         >>> trajectory = fm.simulate(fm.catalog.paper_scene("rr"), step=0.01)
-        >>> trajectory.status, trajectory.time.shape, trajectory.tip.shape
-        ('ok', (201,), (201, 3))
+        >>> trajectory.status, float(trajectory.time[-1]), trajectory.tip.shape
+        ('ok', 2.0, (201, 3))
         >>> bool(abs(trajectory.energy_residual).max() < 0.01 * trajectory.energy_turnover[-1])
         True
     """
