@@ -79,7 +79,7 @@ class NormalisationConnector(ConnectorV2):
         return result.get_state()
 
 
-class ArrayEnvRunner(SingleAgentEnvRunner):
+class _ArrayEnvRunner(SingleAgentEnvRunner):
     """Environment runner that steps all arms at once and splits the arrays into episodes at the end.
 
     The runner of RLlib handles each arm separately, which is slower.
@@ -244,7 +244,7 @@ def ppo_config(settings: Settings, runners: int) -> PPOConfig:
         .environment("flexman", env_config=context, disable_env_checking=True, normalize_actions=False,
                      clip_actions=False)
         .env_runners(num_env_runners=runners, num_envs_per_env_runner=settings.envs // max(1, runners),
-                     gym_env_vectorize_mode="vector_entry_point", env_runner_cls=ArrayEnvRunner,
+                     gym_env_vectorize_mode="vector_entry_point", env_runner_cls=_ArrayEnvRunner,
                      rollout_fragment_length=chosen["n_steps"], episode_lookback_horizon=0,
                      env_to_module_connector=_moments)
         .learners(num_learners=0)

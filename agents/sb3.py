@@ -64,7 +64,7 @@ def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
         ) from None
     torch.set_num_threads(1)  # for networks of this size, two threads are many times slower than one
     chosen = algorithm_arguments(settings)
-    env = VecNormalize(make_environments(settings), norm_reward=settings.normalise_reward, gamma=chosen["gamma"])
+    env = VecNormalize(_make_environments(settings), norm_reward=settings.normalise_reward, gamma=chosen["gamma"])
     model = ALGORITHMS[settings.algo]("MlpPolicy", env, seed=settings.seed, device=device, **chosen)
     if (
         chosen["policy_kwargs"].get("ortho_init") is False
@@ -75,7 +75,7 @@ def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
     return model
 
 
-def make_environments(settings: Settings) -> VecMonitor:
+def _make_environments(settings: Settings) -> VecMonitor:
     """Return the vector environment of a training, with statistics of its episodes."""
     described = settings.environment
     keywords = described.keywords() | {"autoreset_mode": AutoresetMode.SAME_STEP, "infos": "at end"}
@@ -162,7 +162,7 @@ def _load_run(folder: Path) -> AgentSpec:
     settings = Settings.load(folder)
     place = folder / BEST_FOLDER if (folder / BEST_FOLDER / SB3_MODEL).is_file() else folder
     model = ALGORITHMS[settings.algo].load(existing_file(place / SB3_MODEL), device="cpu")
-    arms = make_environments(replace(settings, envs=1))
+    arms = _make_environments(replace(settings, envs=1))
     statistics = VecNormalize.load(str(existing_file(place / STATISTICS_FILE)), arms)
     environment, interface = split_interface(settings.environment)
     return AgentSpec(folder.name, action_function(model, statistics), interface, environment)

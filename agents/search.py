@@ -68,11 +68,11 @@ def search(
         if not running:
             return _keep_best(study, recipe, folder)
         cells = [(change_settings(recipe, _proposed(study, number, over)), str(folder), number) for number in running]
-        for _ in parallel_map_unordered(run_trial, cells, workers, prepare=compile_kernels):
+        for _ in parallel_map_unordered(_run_trial, cells, workers, prepare=compile_kernels):
             pass
 
 
-def run_trial(cell: tuple[Settings, str, int]) -> None:
+def _run_trial(cell: tuple[Settings, str, int]) -> None:
     """Train a trial to its end or until it is pruned, report it to the study, and resume it after a kill.
 
     Args:

@@ -50,7 +50,7 @@ def _arguments(result: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Print modes, shapers and a recommendation; return 0."""
-    from flexman_gym.control.input_shaping.shapers import evaluate_shapers, find_operating_points
+    from flexman_gym.control.input_shaping.shapers import compare_shapers, find_operating_points
 
     if options.postures < 1:
         options.parser.error(f"--postures: {options.postures} is not allowed; give a whole number > 0")
@@ -62,8 +62,9 @@ def _run(options: argparse.Namespace) -> int:
     if not all(len(case.held) for case in cases):
         print("recommendation: none, as the motors excite no vibration")
         return 0
-    evaluations = evaluate_shapers(cases)
-    print("\n".join([*_mode_lines(cases), "", *_shaper_lines(evaluations), "", _recommendation(cases, evaluations)]))
+    median, evaluations, best = compare_shapers(cases)
+    sentence = _recommendation(cases, evaluations, median, best)
+    print("\n".join([*_mode_lines(cases), "", *_shaper_lines(evaluations), "", sentence]))
     if options.csv:
         _write_table(options.csv, cases, evaluations)
     return 0
@@ -145,11 +146,15 @@ def _shaper_name(shaper: "ShaperEvaluation") -> str:
     return f"{shaper.name}, 1" if shaper.modes == 1 else f"{shaper.name}, 1 + 2"
 
 
-def _recommendation(cases: "Sequence[OperatingPoint]", evaluations: "Sequence[ShaperEvaluation]") -> str:
+def _recommendation(
+    cases: "Sequence[OperatingPoint]",
+    evaluations: "Sequence[ShaperEvaluation]",
+    middle: "OperatingPoint",
+    best: "ShaperEvaluation | None",
+) -> str:
     """Return the recommendation with its reason."""
-    from flexman_gym.control.input_shaping.shapers import TIP_VIBRATION_LIMIT, median_operating_point, recommend_shaper
+    from flexman_gym.control.input_shaping.shapers import TIP_VIBRATION_LIMIT
 
-    best = recommend_shaper(evaluations)
     if best is not None:
         return (
             f"recommendation: {_shaper_name(best)}, designed for the median case. In the worst case it leaves "
@@ -159,7 +164,7 @@ def _recommendation(cases: "Sequence[OperatingPoint]", evaluations: "Sequence[Sh
     best = min(evaluations, key=lambda each: float(each.tip.max()))
     row = int(best.tip.argmax())
     number = int((best.residuals[row] * cases[row].held[: best.residuals.shape[1], 2]).argmax())
-    median, worst = (float(case.held[number, 0]) for case in (median_operating_point(cases), cases[row]))
+    median, worst = (float(case.held[number, 0]) for case in (middle, cases[row]))
     return (
         f"recommendation: none. The best shaper, {_shaper_name(best)}, leaves {best.tip.max():.1f} % of the vibration "
         f"of the tip in the worst case, more than {TIP_VIBRATION_LIMIT:g} %: there mode {number + 1} is at "

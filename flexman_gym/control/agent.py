@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
-from flexman_gym.common.checks import positive, sequence, value_error, whole_number
+from flexman_gym.common.checks import value_error
 from flexman_gym.control.actions import MAX_OBSERVATION, ActionMode
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 
@@ -63,16 +63,6 @@ class _History:
 def history_length(kind: int | tuple[float, ...]) -> int:
     """Return the number of observations in a history."""
     return kind if isinstance(kind, int) else 1 + len(kind)
-
-
-def parse_history(value: object) -> int | tuple[float, ...]:
-    """Return a number of observations, or time constants (s) of averages as a tuple."""
-    if not isinstance(value, list | tuple) and not (isinstance(value, np.ndarray) and value.ndim):
-        return whole_number("history", value, 1, MAX_HISTORY)
-    times = sequence("history", value, "times (s)")
-    if not 0 < len(times) <= MAX_HISTORY:
-        raise value_error("history", value, f"a whole number, or 1 to {MAX_HISTORY} times (s)")
-    return tuple(positive(f"history[{i}]", time, "s") for i, time in enumerate(times))
 
 
 class Agent:

@@ -120,14 +120,6 @@ def _write_gif(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> 
     first.save(path, save_all=True, append_images=rest, duration=round(1e3 / rate), loop=0, optimize=True)
 
 
-def has_display() -> bool:
-    """Return whether a window can be opened: it needs pygame and, on Linux, a display."""
-    from importlib.util import find_spec
-
-    shown = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"))
-    return find_spec("pygame") is not None and (shown or not sys.platform.startswith("linux"))
-
-
 class Window:
     """Window that shows frames in real time.
 

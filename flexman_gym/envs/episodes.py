@@ -15,7 +15,7 @@ from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import Controller, EpisodeInfo
 from flexman_gym.envs.active_effects import ActiveEffects
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.reset_options import parse_reset_options, replace_tip_positions
+from flexman_gym.envs.config.reset_options import TIP_OPTIONS, inverse_kinematics, parse_reset_options
 from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.envs.effects import EffectContext
 from flexman_gym.envs.limits import limit_violation
@@ -201,7 +201,7 @@ class Episodes:
             arms: (r,) indices of the arms.
             randoms: generator of each of these arms.
             options: values of the task's draw, such as "start" and "goal_angles", for all arms or with a leading axis
-                b; positions of the tip in their place, "start_tip" and "goal_tip" (3,), m, see `replace_tip_positions`;
+                b; positions of the tip in their place, "start_tip" and "goal_tip" (3,), m, see `inverse_kinematics`;
                 and "parameters" of the arms from this episode on, see `Batch.vary`.
 
         Raises:
@@ -218,7 +218,7 @@ class Episodes:
             parameters = self.effects.draw(arms, randoms, parameters)
         if parameters:
             self.batch.vary(arms, **parameters)
-        plan = replace_tip_positions(plan | {name: values[arms] for name, values in given.items()}, self.view)
+        plan = _replace_tip_positions(plan | {name: values[arms] for name, values in given.items()}, self.view)
         self._set_goal(arms, plan)
         start = self.view.rest_states(plan["start"])
         if self.effects is not None:
@@ -411,3 +411,17 @@ def _goal_path(task: Task, plan: Mapping[str, Array], periods: int, view: View) 
     count, times = len(next(iter(plan.values()))), view.control_period * np.arange(periods + 1.0)
     alike = [{name: np.repeat(each[i : i + 1], len(times), 0) for name, each in plan.items()} for i in range(count)]
     return np.array([task.goal(each, times, view).angles for each in alike])
+
+
+def _replace_tip_positions(plan: Mapping[str, Array], view: View) -> dict[str, Array]:
+    """Return plans with postures (r, n), rad, in place of the tip positions (r, 3), m, of TIP_OPTIONS.
+
+    The search for a goal starts at the start posture, that for a start at zero angles; see `inverse_kinematics`.
+    """
+    result = dict(plan)
+    for name, posture in TIP_OPTIONS.items():
+        if name in plan:
+            near = result["start"] if posture != "start" else np.zeros((len(plan[name]), view.n_joints))
+            pairs = zip(result.pop(name), near, strict=True)
+            result[posture] = np.array([inverse_kinematics(f"options[{name!r}]", *pair, view) for pair in pairs])
+    return result

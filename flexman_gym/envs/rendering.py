@@ -1,5 +1,7 @@
 """Rendering: frames of arms during their episodes."""
 
+import os
+import sys
 from typing import Any
 
 import numpy as np
@@ -60,7 +62,7 @@ class _Renderer:
     def show(self) -> None:
         """Show the first arm in a window, or on a local web page on a computer without a display."""
         from flexman_gym.draw.replay import LivePage
-        from flexman_gym.draw.video import Window, has_display
+        from flexman_gym.draw.video import Window
 
         view, model = self._episodes.view, self._episodes.batch.model
         period = self._episodes.agent.action_repeat * view.control_period
@@ -68,7 +70,7 @@ class _Renderer:
             shown = self._painter
             self.screen = (
                 Window(shown.size, self._title, period)
-                if has_display()
+                if _has_display()
                 else LivePage(model, self._title, period, shown.scale)
             )
         if isinstance(self.screen, Window):
@@ -112,3 +114,11 @@ def make_renderer(
         return None
     one_of("render_mode", mode, modes)
     return _Renderer(episodes, title, look)
+
+
+def _has_display() -> bool:
+    """Return whether a window can be opened: it needs pygame and, on Linux, a display."""
+    from importlib.util import find_spec
+
+    shown = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"))
+    return find_spec("pygame") is not None and (shown or not sys.platform.startswith("linux"))

@@ -192,7 +192,7 @@ def network_agent(name: str, network: Law, environment: Configuration, base_in_u
     moved, interface = split_interface(environment)
     agent = AgentSpec(name, network, interface, moved)
     if base_in_use is None:
-        return design_for(agent, environment)
+        return _design_for(agent, environment)
     parse_base(base_in_use)
     interface.pop("gains", None)
     return replace(agent, interface={**interface, "base": base_in_use})
@@ -210,7 +210,7 @@ def split_interface(environment: Configuration) -> tuple[Configuration, dict[str
     return environment.without(INTERFACE), interface
 
 
-def design_for(agent: AgentSpec, environment: Configuration) -> AgentSpec:
+def _design_for(agent: AgentSpec, environment: Configuration) -> AgentSpec:
     """Return an agent whose base controller and action mode are designed for one environment, wherever it acts.
 
     Without this, a controller given by its name is designed for the environment in which it acts, with the delay,
@@ -265,7 +265,7 @@ def timed_agent(agent: AgentSpec, environment: Configuration) -> tuple[AgentSpec
     """
     if agent.interface is None or (agent.law is None and "base" not in agent.interface):
         return agent, None
-    designed = design_for(agent, environment)
+    designed = _design_for(agent, environment)
     assert designed.interface is not None
     clock = _TimedMode(designed.interface["actions"])
     law: Law | None = clock.timed(designed.law) if designed.law else None

@@ -22,7 +22,7 @@ TIME_COLUMN = "time/time_elapsed"  # column of the training time (s) in the curv
 
 
 @dataclass(frozen=True)
-class AgentInfo:
+class _AgentInfo:
     """Description of an agent.
 
     Attributes:
@@ -41,7 +41,7 @@ class AgentInfo:
         return not set(self.information) & set(ORACLE_INFORMATION)
 
 
-def describe_agent(agent: str) -> AgentInfo:
+def describe_agent(agent: str) -> _AgentInfo:
     """Return the description of an agent given by its name or its folder.
 
     Args:
@@ -54,9 +54,9 @@ def describe_agent(agent: str) -> AgentInfo:
         FileNotFoundError: for a folder without a run.
     """
     if agent in BASES:
-        return AgentInfo(BASES[agent].description, BASES[agent].tuning, BASES[agent].information)
+        return _AgentInfo(BASES[agent].description, BASES[agent].tuning, BASES[agent].information)
     if agent in LAWLESS_AGENTS:
-        return AgentInfo(LAWLESS_AGENTS[agent], "none", ())
+        return _AgentInfo(LAWLESS_AGENTS[agent], "none", ())
     settings, seconds = _settings(agent), training_seconds(agent)
     environment = Configuration.from_plain(settings.get("environment"))
     base = settings.get("base_in_use") or environment.base  # a base in use replaces the base of the training
@@ -67,7 +67,7 @@ def describe_agent(agent: str) -> AgentInfo:
     sensors = {each["kind"] if isinstance(each, dict) else each for each in plain_sensors(environment.sensors)}
     needed = ["training", *(["true state"] if sensors & set(TRUE_SENSORS) else [])]
     of_base = BASES[kind].information if isinstance(kind, str) else ()
-    return AgentInfo(described, trained, tuple(dict.fromkeys([*needed, *of_base])))
+    return _AgentInfo(described, trained, tuple(dict.fromkeys([*needed, *of_base])))
 
 
 def training_seconds(agent: str) -> float | None:

@@ -46,7 +46,7 @@ REMEDIES = {
 }
 
 
-class EpisodeEnd(NamedTuple):
+class _EpisodeEnd(NamedTuple):
     """Signals of the last T control periods of an episode.
 
     Attributes:
@@ -142,7 +142,7 @@ def _attribute_noise(found: Diagnosis, quiet: Diagnosis) -> Diagnosis:
 
 def episode_ends(
     agent: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int]
-) -> list[tuple[EpisodeEnd, dict[str, float]]]:
+) -> list[tuple[_EpisodeEnd, dict[str, float]]]:
     """Return the end of one episode for each seed, and the frequency (Hz) of each mode at its goal by name.
 
     Arguments and errors are those of `rollout`.
@@ -152,7 +152,7 @@ def episode_ends(
     return [recorder.episode_end(result, arm) for arm in range(len(result.lengths))]
 
 
-def split_error(end: EpisodeEnd, modes: Mapping[str, float]) -> Diagnosis:
+def split_error(end: _EpisodeEnd, modes: Mapping[str, float]) -> Diagnosis:
     """Split the mean square of the tip error into offset, transient, tones and noise, with the cause of each tone.
 
     - The offset is the mean error.
@@ -231,7 +231,7 @@ def _slow_tone_frequency(errors: Array, period: float) -> float:
     return frequency if long and tone_power > MIN_SLOW_TONE_SHARE * (_power(errors) - level_power) else np.inf
 
 
-def _tone_causes(end: EpisodeEnd, parts: list[Array], shares: Array) -> list[str]:
+def _tone_causes(end: _EpisodeEnd, parts: list[Array], shares: Array) -> list[str]:
     """Return the cause of each tone: ringing, limit cycle or noise."""
     if not len(shares):
         return []
@@ -304,7 +304,7 @@ class _EndRecorder:
         now = (view.target, view.motor_angles, episodes.motors.torques, rows[:, -1])
         self._rows.append(tuple(each.copy() for each in now))
 
-    def episode_end(self, result: Rollout, arm: int) -> tuple[EpisodeEnd, dict[str, float]]:
+    def episode_end(self, result: Rollout, arm: int) -> tuple[_EpisodeEnd, dict[str, float]]:
         """Return the end of the episode of an arm, and the frequency (Hz) of each mode at its goal by name."""
         modes = {
             f"mode {number + 1}, motors {'held' if held else 'free'}": float(frequency)
@@ -321,4 +321,4 @@ class _EndRecorder:
         _, motors, torques, loss = signals
         rates, actions = np.diff(motors, axis=0) / period, result.actions[arm, first:length]
         rest = (period, result.band, result.failures[arm])
-        return EpisodeEnd(errors[first:], actions, torques[1:], rates, loss[1:], *rest), modes
+        return _EpisodeEnd(errors[first:], actions, torques[1:], rates, loss[1:], *rest), modes

@@ -104,12 +104,13 @@ def tune(
     high = np.log(np.concatenate([STIFFNESS_RANGE[1] * limits, most]))
     wanted = loops if margin else []
     gains = _draw_gains(wanted, first, lambda: random.uniform(low, high))
-    rewards = _rewards(environment, gains, episodes, workers)
+    rewards = gain_rewards(environment, gains, episodes, workers)
     for deviation in LOCAL_DEVIATIONS:
         best = np.log(gains[np.argmax(rewards)])
         spread = partial(_draw_near, random, best, float(deviation), low, high)
         near = _draw_gains(wanted, around, spread)
-        gains, rewards = np.vstack([gains, near]), np.append(rewards, _rewards(environment, near, episodes, workers))
+        rewards = np.append(rewards, gain_rewards(environment, near, episodes, workers))
+        gains = np.vstack([gains, near])
     stiffness, damping = np.split(gains[np.argmax(rewards)], 2)
     reached = margins(loops, stiffness, damping)
     return TunedGains(tuple(stiffness.tolist()), tuple(damping.tolist()), float(rewards.max()), reached)
@@ -148,7 +149,7 @@ def _draw_gains(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Arr
     raise value_error("gains", f"{len(result)} of {DRAWS * count} drawn", allowed)
 
 
-def _rewards(environment: Configuration, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:
+def gain_rewards(environment: Configuration, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:
     """Return the mean reward (c,) of the first episodes with each of the gains (c, 2 n)."""
     parts = [(environment, gains[i : i + CELL], episodes) for i in range(0, len(gains), CELL)]
     return np.concatenate(parallel_map(_cell_rewards, parts, workers, prepare=compile_kernels))

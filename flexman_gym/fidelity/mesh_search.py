@@ -12,7 +12,6 @@ from flexman_gym.fidelity.model_search import (
     CandidateRun,
     ModelSearch,
     full_candidate,
-    tip_distance,
 )
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, build_model
@@ -130,23 +129,21 @@ class MeshSearch(ModelSearch):
         parts["foreshortening"] = self._between(candidate, shortened)
         every = round(run.time[1] / self.scene.output_step)
         exact = self.screening_runs[candidate].tip + (self.reference_tips[-1] - self.screening_reference.tip)
-        return parts | {"method": tip_distance(run.tip, exact[::every]), "reference": self.error}
+        distances = np.linalg.norm(run.tip - exact[::every], axis=-1)
+        return parts | {"method": float(distances.max()), "reference": self.error}
 
     def _between(self, candidate: Candidate, other: Candidate) -> float:
         """Return the distance (m) between two candidates at the tip."""
         self.screen(candidate)
         self.screen(other)
-        return (
-            tip_distance(self.screening_runs[candidate].tip, self.screening_runs[other].tip)
-            if candidate != other
-            else 0.0
-        )
+        tips, others = self.screening_runs[candidate].tip, self.screening_runs[other].tip
+        return float(np.linalg.norm(tips - others, axis=-1).max()) if candidate != other else 0.0
 
     def describe_reference(self) -> str:
         """Return the meshes and the accuracy of the reference, and the estimated effect of large rotations, as text."""
         run, pose = self.halved_runs[max(self.halved_runs)], self.scene.initial.joint_angles
         slowest = frequencies(self.reference_model, pose)[self.reference_model.n_joints :][:1]
-        angles, moved = _large_rotation_error(
+        angles, moved = large_rotation_error(
             self.reference_model, run.states, float(slowest.sum()) * self.scene.duration
         )
         return (
@@ -158,7 +155,7 @@ class MeshSearch(ModelSearch):
         )
 
 
-def _large_rotation_error(model: Model, states: Array, cycles: float) -> tuple[Array, float]:
+def large_rotation_error(model: Model, states: Array, cycles: float) -> tuple[Array, float]:
     """Return the rotations of links at their tips by bending, and the estimated tip displacement by large rotations.
 
     In linear theory a force turns the tip of a cantilever of length L by a. The true rotation is less by 11/30 a^3 and

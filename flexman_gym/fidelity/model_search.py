@@ -221,7 +221,7 @@ class ModelSearch:
             self._controlled += 1
             run = self._reference(METHODS["dop853"], None, rtol)
             if run.status == "ok":
-                self.time_error = tip_distance(run.tip, self.reference_tips[-1]) if self.reference_tips else np.inf
+                self.time_error = _tip_distance(run.tip, self.reference_tips[-1]) if self.reference_tips else np.inf
                 self.reference_tips.append(run.tip)
         if not np.isfinite(self.time_error):
             raise value_error("scene", "a motion without a converged reference", "a slower motion or less bending")
@@ -234,7 +234,7 @@ class ModelSearch:
         if longer is not None and run.status == longer.status == "ok":
             self.reference_tips.append((4.0 * run.tip - longer.tip) / 3.0)
             if len(self.reference_tips) > 1:
-                self.time_error = EXTRAPOLATION_ERROR * tip_distance(self.reference_tips[-1], self.reference_tips[-2])
+                self.time_error = EXTRAPOLATION_ERROR * _tip_distance(self.reference_tips[-1], self.reference_tips[-2])
 
     def _reference(self, method: Method, step: float | None, rtol: float = 1e-6) -> Trajectory:
         """Return a run of the reference model, and store it if it did not fail."""
@@ -289,12 +289,12 @@ class ModelSearch:
         times, reference = self.scene.output_times, self.reference_tips[-1]
         if run.status != "ok" or not np.isclose(run.time[-1], times[-1], rtol=1e-6):
             return np.inf
-        error = tip_distance(run.tip, reference[:: (len(times) - 1) // (len(run.time) - 1)])
+        error = _tip_distance(run.tip, reference[:: (len(times) - 1) // (len(run.time) - 1)])
         if len(run.time) < len(times):
             from scipy.interpolate import CubicHermiteSpline
 
             between = CubicHermiteSpline(run.time, run.tip, run.tip_velocity)(times)
-            error = error if tip_distance(between, reference) <= self.tolerance else np.inf
+            error = error if _tip_distance(between, reference) <= self.tolerance else np.inf
         return error
 
     def screen(self, candidate: Candidate) -> float:
@@ -311,7 +311,7 @@ class ModelSearch:
 
     def _screening_error(self, run: Trajectory) -> float:
         """Return the distance (m) of a run from the full candidate at the same step; inf for a failed run."""
-        return tip_distance(run.tip, self.screening_reference.tip) if run.status == "ok" else np.inf
+        return _tip_distance(run.tip, self.screening_reference.tip) if run.status == "ok" else np.inf
 
     def estimate_step_cost(self, candidate: Candidate, method: Method) -> float:
         """Return a low estimate of the cost of the scene times the step of a method."""
@@ -387,6 +387,6 @@ class ModelSearch:
         return without(gone)
 
 
-def tip_distance(tips: Array, others: Array) -> float:
+def _tip_distance(tips: Array, others: Array) -> float:
     """Return the largest distance (m) between tips (T, 3)."""
     return float(np.linalg.norm(tips - others, axis=-1).max())

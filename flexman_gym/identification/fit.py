@@ -386,7 +386,7 @@ def _is_poor(problem: LeastSquaresProblem, x: Array) -> bool:
 def _make_fit(problem: LeastSquaresProblem, x: Array, warnings: tuple[str, ...], arguments: tuple[Any, ...]) -> Fit:
     """Return the Fit of a parameter vector."""
     residuals, free = problem.evaluate(x)[0], problem.free
-    covariance, p = _covariance(problem, x), len(free.numbers)
+    covariance, p = parameter_covariance(problem, x), len(free.numbers)
     values, deviations = problem.values(x), np.sqrt(np.diag(covariance))
     own, spread = free.parameters(values), free.parameters(values * deviations[:p], rest=0.0)
     names, sentence = _find_undetermined(free, values, covariance[:p, :p])
@@ -419,7 +419,7 @@ def _by_name(free: FreeParameters, parameters: Mapping[str, Array]) -> dict[str,
     return result
 
 
-def _covariance(problem: LeastSquaresProblem, x: Array) -> Array:
+def parameter_covariance(problem: LeastSquaresProblem, x: Array) -> Array:
     """Return the covariance (u, u) of the parameter vector, also for coloured noise that differs by record."""
     residuals, jacobian = problem.evaluate(x)
     prior = WEAK_PRIOR * np.eye(len(x)) * np.maximum((jacobian**2).sum(axis=0).max(), 1.0) * 1e-4

@@ -23,7 +23,7 @@ from numba.core.typed_passes import NativeLowering
 DIGEST_SIZE = hashlib.sha256().digest_size  # bytes; digest at the beginning of a file
 
 
-class ChecksummedFiles(IndexDataCacheFile):
+class _ChecksummedFiles(IndexDataCacheFile):
     """Numba's cache files of a kernel, each with a digest of its content; a damaged file counts as missing."""
 
     def _load_index(self) -> Any:
@@ -62,7 +62,7 @@ class _ChecksummedCache(FunctionCache):
         stamp = self._impl.locator.get_source_stamp()
         if Path(function.__code__.co_filename).parent == Path(__file__).parent:
             self._cache_path, stamp = folder, None
-        self._cache_file = ChecksummedFiles(self._cache_path, self._impl.filename_base, stamp)
+        self._cache_file = _ChecksummedFiles(self._cache_path, self._impl.filename_base, stamp)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Write the compiled code of a kernel to the disk."""

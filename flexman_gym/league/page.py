@@ -46,12 +46,12 @@ def write_page(results: LeagueRows, folder: Path) -> None:
     except ImportError as error:
         print(f"no charts: {error}")
     try:
-        (folder / PAGE).write_text(page_text(standings), encoding="utf-8")
+        (folder / PAGE).write_text(_page_text(standings), encoding="utf-8")
     except ImportError as error:
         print(f"no page: {error}")
 
 
-def page_text(standings: Standings) -> str:
+def _page_text(standings: Standings) -> str:
     """Return the page in Markdown, made from TEMPLATE.
 
     Args:

@@ -48,7 +48,7 @@ class EpisodeRow(NamedTuple):
     """Results of one episode.
 
     Attributes:
-        key: hash of all inputs of the results, see `_row_key`.
+        key: hash of all inputs of the results, see `row_key`.
         agent: name of the agent.
         scenario: name of the scenario.
         seed: seed of the episode.
@@ -66,7 +66,7 @@ class EpisodeBlock(NamedTuple):
     """Cell of a league: a block of episodes of an agent in a scenario, simulated side by side.
 
     Attributes:
-        key: hash of all inputs of the results, see `_row_key`.
+        key: hash of all inputs of the results, see `row_key`.
         agent: name of the agent.
         scenario: name of the scenario.
         first, end: first seed, and the seed after the last one.
@@ -169,7 +169,7 @@ def run_league(
         check_seeds_unseen(agent, seeds)
         describe_agent(agent)
     results = LeagueRows.load(folder)
-    keys = {(agent, scenario): _row_key(agent, scenario) for scenario in scenarios for agent in agents}
+    keys = {(agent, scenario): row_key(agent, scenario) for scenario in scenarios for agent in agents}
     blocks = [(first, min(first + BLOCK, seeds.stop)) for first in range(seeds.start, seeds.stop, BLOCK)]
     cells = [EpisodeBlock(key, *pair, *block) for pair, key in keys.items() for block in blocks]
     missing = [cell for cell in cells if not results.has(cell)]
@@ -207,11 +207,11 @@ def run_block(cell: EpisodeBlock) -> tuple[EpisodeBlock, list[EpisodeRow]]:
 
 
 @cache
-def _code_hash() -> str:
-    """Return a hash of the files of SOURCES without comments and docstrings."""
-    found = (path for name in SOURCES for path in ([PACKAGE / name] if "." in name else (PACKAGE / name).rglob("*")))
+def _code_hash(package: Path, sources: tuple[str, ...]) -> str:
+    """Return a hash of the sources of a package without comments and docstrings."""
+    found = (path for name in sources for path in ([package / name] if "." in name else (package / name).rglob("*")))
     files = sorted(path for path in found if path.suffix in (".py", ".yaml", ".npz"))
-    text = b"".join(path.relative_to(PACKAGE).as_posix().encode() + _content_without_comments(path) for path in files)
+    text = b"".join(path.relative_to(package).as_posix().encode() + _content_without_comments(path) for path in files)
     return hashlib.sha256(text).hexdigest()[:16]
 
 
@@ -231,10 +231,10 @@ def _is_text(statement: ast.stmt) -> bool:
     return isinstance(statement, ast.Expr) and isinstance(getattr(statement.value, "value", None), str)
 
 
-def _row_key(agent: str, scenario: str) -> str:
+def row_key(agent: str, scenario: str) -> str:
     """Return a hash of all inputs of rows: scenario, agent, files of a run, code, and versions of packages."""
     *both, plant = find_scenario(scenario)
-    parts: list[Any] = [*(each.to_plain() for each in both), plant, _code_hash()]
+    parts: list[Any] = [*(each.to_plain() for each in both), plant, _code_hash(PACKAGE, SOURCES)]
     parts += [computer_info(("mujoco",) if plant == "mujoco" else ()) | {"processor": ""}, _is_lab(scenario)]
     folder = policy_folder(agent) or Path(agent)
     files = [] if agent in BASELINES else [folder / name for name in (SETTINGS, BEST, NEWEST, ABOUT, ARRAYS)]

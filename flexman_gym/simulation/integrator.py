@@ -94,7 +94,7 @@ def prescribed_flags(joints: int, prescribed: Collection[int]) -> IntArray:
     return np.isin(np.arange(joints), list(prescribed)).astype(np.int64)
 
 
-def _extrapolation_schedule(sequence: Sequence[int], lanes: int) -> IntArray:
+def extrapolation_schedule(sequence: Sequence[int], lanes: int) -> IntArray:
     """Return the schedule (r, lanes, 2) of an extrapolated step: sequence and substep of each lane in each round.
 
     A free lane takes the longest sequence that is left; without one it continues past the end of its last sequence.
@@ -158,7 +158,7 @@ class Integrator:
         if isinstance(method, LinearlyImplicit) and len(method.sequence) >= fewest:
             self._abreast = make_work(model.constants, partial(aligned_zeros, lanes=SEQUENCES.width))
             tables = address_table(self.constants, SEQUENCES), address_table(self._abreast, SEQUENCES)
-            self._lanes = self.constants, (*tables, _extrapolation_schedule(method.sequence, SEQUENCES.width))
+            self._lanes = self.constants, (*tables, extrapolation_schedule(method.sequence, SEQUENCES.width))
 
     def __call__(
         self, drive: Array, moment: tuple[float, float, int], state: Array, rows: Array, result: Array

@@ -9,13 +9,13 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
+import flexman_gym as fm
 from flexman_agents.callbacks import Interrupted
-from flexman_agents.imitation import ACTION_SCALE, EMA_DECAY, DAgger, _strength
+from flexman_agents.imitation import ACTION_SCALE, EMA_DECAY, DAgger
 from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train, train_or_resume
 from flexman_gym.__main__ import main
 from flexman_gym.common.run_folder import NEWEST, read_npz
-from flexman_gym.control.actions import TorqueMode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.export import export_policy
@@ -170,9 +170,14 @@ def test_the_command_line_imitates_a_controller(tmp_path, capsys):
 
 def test_a_mode_of_torques_says_how_much_an_action_adds():
     """A current whose limit gives less than the torque limit adds less, or a student would learn a part of it."""
-    for mode in (TorqueMode(2), TorqueMode(2, None, np.array([0.5, 0.8]), "current")):
-        added = mode.act(np.full((1, 2), 0.5), {}, None, None) - mode.act(np.zeros((1, 2)), {}, None, None)
-        assert added == pytest.approx(0.5 * np.broadcast_to(_strength(mode), (1, 2)))
+    motor = fm.Motor(50.0, 0.02, 1e-6, 0.7)
+    arm = fm.catalog.one_link(rotor_inertia=motor.reflected_inertia)
+    arm = replace(arm, joints=[replace(joint, motor=motor) for joint in arm.joints])
+    for environment in (ENVIRONMENT, {**ENVIRONMENT, "arm": arm, "torque_limit": 2.0, "actions": "current"}):
+        student = DAgger(replace(SHORT, environment=environment))._student
+        mode = student._mode
+        added = mode.act(np.full((1, 1), 0.5), {}, None, None) - mode.act(np.zeros((1, 1)), {}, None, None)
+        assert added == pytest.approx(0.5 * np.broadcast_to(student._strength, (1, 1)))
 
 
 def test_what_cannot_be_imitated_is_refused():

@@ -64,14 +64,15 @@ def test_runners_begin_with_episodes_of_their_own():
     whole = rllib.ppo_config(SETTINGS, 0)
     seen = []
     for config, index in ((both, 1), (both, 2), (whole, 0)):
-        runner = rllib.ArrayEnvRunner(config=config, worker_index=index)
+        runner = config.env_runner_cls(config=config, worker_index=index)
         runner._begin()
         seen.append(runner._observed)
     assert np.array_equal(np.concatenate(seen[:2]), seen[2]) and len(np.unique(seen[2], axis=0)) == 8
 
 
 def test_a_sample_holds_what_the_environment_said_cut_into_episodes():
-    runner = rllib.ArrayEnvRunner(config=rllib.ppo_config(replace(SETTINGS, normalise_reward=False), 0), worker_index=0)
+    config = rllib.ppo_config(replace(SETTINGS, normalise_reward=False), 0)
+    runner = config.env_runner_cls(config=config, worker_index=0)
     episodes = runner.sample(num_timesteps=8 * 24)
     assert sum(map(len, episodes)) == 8 * 24 and sum(each.is_truncated for each in episodes) == 8
     for arm, first in enumerate(each for each in episodes if each.is_truncated):

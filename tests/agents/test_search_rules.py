@@ -10,7 +10,7 @@ pytest.importorskip("stable_baselines3")
 
 from flexman_agents import search as module
 from flexman_agents.callbacks import TrainingReport
-from flexman_agents.search import change_settings, run_trial, search
+from flexman_agents.search import change_settings, search
 from flexman_agents.settings import find_recipe
 
 from oracles.assertions import refusal
@@ -56,7 +56,7 @@ def optuna(monkeypatch):
     ))  # fmt: skip
 
 
-def ran(monkeypatch, study, rewards):
+def ran(monkeypatch, tmp_path, study, rewards):
     """What a study was told of a trial that earns these rewards, one after the other, and how many were waited for."""
     steps, seen = RECIPE.steps // len(rewards), []
 
@@ -73,35 +73,38 @@ def ran(monkeypatch, study, rewards):
     monkeypatch.setattr(module, "_study", lambda folder: study)
     monkeypatch.setattr(module, "_trial", lambda study, number: study)
     monkeypatch.setattr(module, "train_or_resume", trained)
-    run_trial((RECIPE, "nowhere", 0))
+    monkeypatch.setattr(module, "_proposed", lambda study, number, over: {})
+    monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
+    monkeypatch.setattr(module, "parallel_map_unordered", lambda run, cells, *_, **__: [run(each) for each in cells])
+    search(RECIPE, OVER, tmp_path, 1)
     return study.told, len(seen)
 
 
-def test_a_trial_is_worth_its_best_policy(optuna, monkeypatch):
+def test_a_trial_is_worth_its_best_policy(optuna, monkeypatch, tmp_path):
     """Which is the one that a run keeps."""
-    assert ran(monkeypatch, Study(), [1.0, 5.0, 3.0]) == ([(0, 5.0, "COMPLETE")], 3)
+    assert ran(monkeypatch, tmp_path, Study(), [1.0, 5.0, 3.0]) == ([(0, 5.0, "COMPLETE")], 3)
 
 
-def test_a_trial_is_pruned_on_its_way_and_not_at_its_end(optuna, monkeypatch):
-    assert ran(monkeypatch, Study(prunes=True), [1.0, 5.0, 3.0]) == ([(0, None, "PRUNED")], 1)
-    assert ran(monkeypatch, Study(prunes=True), [2.0]) == ([(0, 2.0, "COMPLETE")], 1)
+def test_a_trial_is_pruned_on_its_way_and_not_at_its_end(optuna, monkeypatch, tmp_path):
+    assert ran(monkeypatch, tmp_path, Study(prunes=True), [1.0, 5.0, 3.0]) == ([(0, None, "PRUNED")], 1)
+    assert ran(monkeypatch, tmp_path, Study(prunes=True), [2.0]) == ([(0, 2.0, "COMPLETE")], 1)
 
 
-def test_a_trial_that_diverges_has_failed(optuna, monkeypatch, capsys):
-    assert ran(monkeypatch, Study(), [1.0, np.nan]) == ([(0, None, "FAIL")], 1)
+def test_a_trial_that_diverges_has_failed(optuna, monkeypatch, tmp_path, capsys):
+    assert ran(monkeypatch, tmp_path, Study(), [1.0, np.nan]) == ([(0, None, "FAIL")], 1)
     assert capsys.readouterr().err == "trial 0: it diverges\n"
 
 
-def test_a_trial_that_was_killed_when_it_was_pruned_does_not_go_on(optuna, monkeypatch):
+def test_a_trial_that_was_killed_when_it_was_pruned_does_not_go_on(optuna, monkeypatch, tmp_path):
     study = Study(prunes=True)
     study._cached_frozen_trial.intermediate_values[16] = 1.0
-    assert ran(monkeypatch, study, [1.0, 2.0]) == ([(0, None, "PRUNED")], 0)
+    assert ran(monkeypatch, tmp_path, study, [1.0, 2.0]) == ([(0, None, "PRUNED")], 0)
 
 
-def test_an_evaluation_is_reported_once(optuna, monkeypatch):
+def test_an_evaluation_is_reported_once(optuna, monkeypatch, tmp_path):
     """Rollouts that begin after it show it again."""
     study = Study()
-    ran(monkeypatch, study, [1.0, 1.0, 2.0, 2.0])
+    ran(monkeypatch, tmp_path, study, [1.0, 1.0, 2.0, 2.0])
     assert [*study.values.values()] == [1.0, 2.0]
 
 
@@ -145,26 +148,45 @@ def test_the_best_trial_becomes_a_recipe(optuna, monkeypatch, tmp_path):
     study.ask(), study.ask()
     study.best_trial = SimpleNamespace(number=1, params={"hyperparameters.gamma": 0.7}, value=5.0)
     monkeypatch.setattr(module, "computer_text", lambda packages: "a machine")
-    path = module._keep_best(study, RECIPE, tmp_path)
+    study.tell(0, 1.0), study.tell(1, 5.0)
+    monkeypatch.setattr(module, "_study", lambda folder: study)
+    path = search(RECIPE, OVER, tmp_path, 2)
     assert find_recipe(str(path)) == change_settings(RECIPE, {"hyperparameters.gamma": 0.7})
     assert path.read_text().startswith("# Found by flexman search: trial 1 of 2 (2 complete).\n")
 
 
-def test_whole_numbers_choices_and_logarithms_are_asked_for(monkeypatch):
+def test_whole_numbers_choices_and_logarithms_are_asked_for(optuna, monkeypatch, tmp_path):
+    study, asked, cells = Study(), [], []
     names = ("suggest_int", "suggest_float", "suggest_categorical")
+    values = dict(zip(names, (3, 0.5, 4), strict=True))
     trial = SimpleNamespace(
-        **{name: lambda *given, name=name, **more: (name, *given, *more.values()) for name in names}
-    )
+        **{name: lambda *given, name=name, **more: asked.append((name, *given, *more.values())) or values[name]
+           for name in names}
+    )  # fmt: skip
+
+    def spread(run, given, workers, prepare):
+        cells.extend(given)
+        study.tell(0, 1.0)
+        return iter([None])
+
+    monkeypatch.setattr(module, "_study", lambda folder: study)
     monkeypatch.setattr(module, "_trial", lambda study, number: trial)
+    monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
+    monkeypatch.setattr(module, "parallel_map_unordered", spread)
     over = {
-        "a": {"low": 1, "high": 3, "whole": True},
-        "b": {"low": 0.1, "high": 2.0, "log": True},
-        "c": {"choices": [4]},
+        "hyperparameters.n_epochs": {"low": 1, "high": 3, "whole": True},
+        "hyperparameters.gamma": {"low": 0.1, "high": 0.9, "log": True},
+        "envs": {"choices": [2, 4]},
     }
-    assert module._proposed(None, 0, over) == {
-        "a": ("suggest_int", "a", 1, 3, False), "b": ("suggest_float", "b", 0.1, 2.0, True),
-        "c": ("suggest_categorical", "c", [4]),
-    }  # fmt: skip
+    search(RECIPE, over, tmp_path, 1)
+    assert set(map(str, asked)) == {
+        "('suggest_int', 'hyperparameters.n_epochs', 1, 3, False)",
+        "('suggest_float', 'hyperparameters.gamma', 0.1, 0.9, True)",
+        "('suggest_categorical', 'envs', [2, 4])",
+    }
+    ((settings, _, _),) = cells
+    chosen = settings.hyperparameters
+    assert (chosen["n_epochs"], chosen["gamma"], settings.envs) == (3, 0.5, 4)
 
 
 @pytest.mark.parametrize("ends", [(0.0, 1.0, True), (-1.0, 1.0, True), (0.5, 0.5, False)])

@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from argparse import Namespace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -12,7 +11,6 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.__main__ import COMMAND_GROUPS, main
-from flexman_gym.commands import league
 from flexman_gym.commands.list import KINDS
 from flexman_gym.control import BASES
 from flexman_gym.envs import NAMED_ENVIRONMENTS
@@ -20,7 +18,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import CONDITIONS
 from flexman_gym.envs.sensors import SENSOR_NAMES
 from flexman_gym.evaluation.diagnosis import REMEDIES, RINGING, Diagnosis, diagnose
-from flexman_gym.league import certificate
+from flexman_gym.league import certificate, page, rows
 from flexman_gym.league.rows import EpisodeBlock, LeagueRows
 from flexman_gym.league.scenarios import PLANT_SCENARIOS, USUAL_SCENARIOS
 
@@ -188,14 +186,27 @@ def test_a_league_takes_the_options_of_version_0_2_and_prints_its_table_without_
     assert lines[-1] == f"{tmp_path} has the rows." and not (tmp_path / "league.md").exists()
 
 
-def test_a_league_takes_few_episodes_on_other_plants_and_those_of_others_for_one_more():
-    plain = Namespace(scenarios=None, episodes=None, physical=False, sweep=[], add=None, seed=9000)
-    assert league._scenarios(plain, LeagueRows()) == {100: [*USUAL_SCENARIOS]}
-    assert league._scenarios(Namespace(**vars(plain) | {"physical": True}), LeagueRows()) == {10: PLANT_SCENARIOS}
+def test_a_league_takes_few_episodes_on_other_plants_and_those_of_others_for_one_more(tmp_path, monkeypatch):
+    runs = {}
+
+    def run_league(agents, scenarios, seeds, *_):
+        runs[len(seeds)] = [*scenarios]
+        return LeagueRows()
+
+    def found(*options):
+        runs.clear()
+        assert main(["league", "--folder", str(tmp_path), *options]) == 0
+        return dict(runs)
+
+    monkeypatch.setattr(rows, "run_league", run_league)
+    monkeypatch.setattr(page, "summary_rows", lambda *_: [])
+    monkeypatch.setattr(page, "write_page", lambda *_: None)
+    usual = {100: [each.removesuffix("/nominal") for each in USUAL_SCENARIOS]}
+    assert found() == found("--add", "pd") == usual
+    assert found("--physical") == {10: [*PLANT_SCENARIOS]}
     cells = [EpisodeBlock("", "pd", *each) for each in (("a", 9000, 9025), ("a", 9025, 9050), ("b@finer", 9000, 9010))]
-    more = Namespace(**vars(plain) | {"add": ["run"]})
-    assert league._scenarios(more, LeagueRows(cells=cells)) == {50: ["a"], 10: ["b@finer"]}
-    assert league._scenarios(more, LeagueRows()) == {100: [*USUAL_SCENARIOS]}
+    LeagueRows(cells=cells).save(tmp_path)
+    assert found("--add", "pd") == {50: ["a"], 10: ["b@finer"]}
 
 
 @pytest.mark.parametrize(

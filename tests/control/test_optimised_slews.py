@@ -1,5 +1,7 @@
 """Optimised slews: single shooting, tables and replay."""
 
+from types import SimpleNamespace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -17,9 +19,7 @@ from flexman_gym.control.references.optimised_slews import (
     OptimisedController,
     SingleShooting,
     SlewTable,
-    SlewTorques,
     broyden_update,
-    interpolate_torques,
 )
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
@@ -43,20 +43,30 @@ def shooting(model, limits, band, start, goal, rate=1e3, **moved):
     )
 
 
+def made_up(knots, periods, arrival=1):
+    """A slew with given torques at knots."""
+    return SimpleNamespace(knots=np.array(knots), periods=periods, arrival=arrival)
+
+
+def interpolated(slew):
+    """The torques of a slew that a table returns."""
+    return SlewTable({}, np.zeros(1), {0: (np.zeros((2, 1)), slew, 1.0)}).torques(np.zeros(1), np.zeros(1))
+
+
 def test_torques_of_periods_are_those_in_their_middles():
     """Of a line through the knots, and the mean of two neighbours where a period lies between them."""
-    line = interpolate_torques(np.array([[3.0, 0.0], [5.0, 1.0], [7.0, 2.0]]), 10)
+    line = interpolated(made_up([[3.0, 0.0], [5.0, 1.0], [7.0, 2.0]], 10))
     middles = (np.arange(10) + 0.5) / 10
     assert line == pytest.approx(np.array([3.0 + 4.0 * middles, 2.0 * middles]).T)
-    assert interpolate_torques(np.array([[1.0], [5.0], [2.0]]), 2).tolist() == [[3.0], [3.5]]
+    assert interpolated(made_up([[1.0], [5.0], [2.0]], 2)).tolist() == [[3.0], [3.5]]
 
 
-def test_torques_of_slews_side_by_side_are_those_of_each_alone():
-    knots = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 7, 2))
-    both = interpolate_torques(knots, 25)
-    assert both.shape == (3, 25, 2) and all(
-        np.array_equal(interpolate_torques(one, 25), each) for one, each in zip(knots, both, strict=True)
-    )
+def test_slews_side_by_side_move_as_each_alone():
+    model, limit = fm.build_model(fm.catalog.planar_2r(), 1), 5.0
+    search, knots = shooting(model, limit, 0.01, [0.1, 0.2], [0.3, 0.1]), np.random.default_rng(0)
+    knots = knots.uniform(-1.0, 1.0, (3, 7, 2))
+    both = search.errors(knots, 25)
+    assert all(np.array_equal(search.errors(one[None], 25)[0], each) for one, each in zip(knots, both, strict=True))
 
 
 @pytest.mark.parametrize(("start", "way", "seconds"), [(0.2, 1.0, 2.0), (0.5, -0.7, 1.5)])
@@ -118,7 +128,7 @@ def test_a_stretched_slew_holds_as_before_and_moves_with_the_square_of_its_speed
     tail, ends = round(TAIL_TIME / PERIOD), [fm.holding_torques(model, posture) for posture in (start, goal)]
     held = ends[0] + parts * (ends[1] - ends[0])
     moving = np.concatenate([held + np.sin(2.0 * np.pi * parts), np.repeat(ends[1:], 2 * tail, axis=0)])
-    known = SlewTorques(moving, len(moving) - 1, 50)
+    known = made_up(moving, len(moving) - 1, 50)
     for arrival, factor in ((50, 1.0), (25, 4.0), (100, 0.25)):
         knots = search._rescale(known, arrival)
         come = np.minimum(np.linspace(0.0, arrival + tail, len(knots)) / arrival, 1.0)[:, None]
@@ -162,7 +172,7 @@ def test_a_replay_is_the_search_s_own_simulation_to_the_bit():
     expected = []
     for seed, (each, pair) in enumerate(zip(search, ends, strict=True)):
         knots = fm.holding_torques(model, pair[0]) + 0.02 * random.uniform(-1.0, 1.0, (5, 2)) * setup.torque_limit
-        table.found[seed] = pair, SlewTorques(knots, 20 + seed, 1), 1.0
+        table.found[seed] = pair, made_up(knots, 20 + seed), 1.0
         expected.append(each.errors(knots[None], 20 + seed)[0])
     base = OptimisedController(table, model, setup.torque_limit, period)
     venv = gym.make_vec("FlexPlanar-v0", 3, "vector_entry_point", base=base, horizon=2.0).unwrapped
@@ -189,7 +199,7 @@ def table():
     result, random = empty_slew_table(ONE), np.random.default_rng(4)
     for seed in (7, 3):
         ends = random.uniform(-1.0, 1.0, (2, 1))
-        result.found[seed] = ends, SlewTorques(random.uniform(-1.0, 1.0, (seed + 2, 1)), 20 + seed, 11), 0.1 * seed
+        result.found[seed] = ends, made_up(random.uniform(-1.0, 1.0, (seed + 2, 1)), 20 + seed, 11), 0.1 * seed
     return result
 
 
@@ -210,7 +220,7 @@ def test_a_table_comes_back_from_its_file_as_it_was(table, tmp_path):
         own_ends, own_slew, own_time = again.found[seed]
         assert np.array_equal(own_ends, ends) and np.array_equal(own_slew.knots, slew.knots)
         assert (own_slew.periods, own_slew.arrival, own_time) == (slew.periods, slew.arrival, time)
-        assert np.array_equal(again.torques(*ends), interpolate_torques(slew.knots, slew.periods))
+        assert np.array_equal(again.torques(*ends), interpolated(slew))
     assert again.settling_time(7) == pytest.approx(0.7)
     empty_slew_table(ONE).save(path)
     assert SlewTable.load(path).found == {}
@@ -226,10 +236,10 @@ def test_it_replays_torques_then_regulates_and_each_arm_has_its_own(table):
     torques = [controller.torques(states) for _ in range(28)]
     closed = regulator.torques(states)
     for arm, slew in enumerate((one, other)):
-        expected = [*interpolate_torques(slew.knots, slew.periods), *[closed[arm]] * 28][:28]
+        expected = [*interpolated(slew), *[closed[arm]] * 28][:28]
         assert np.array_equal([each[arm] for each in torques], expected)
     controller.reset(np.array([1]), EpisodeInfo(*first[:, None], 0.02), 2)
-    assert np.array_equal(controller.torques(states), [closed[0], interpolate_torques(one.knots, one.periods)[0]])
+    assert np.array_equal(controller.torques(states), [closed[0], interpolated(one)[0]])
 
 
 def test_what_no_table_has_is_refused_with_the_command_that_makes_one(table):

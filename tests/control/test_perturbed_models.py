@@ -1,6 +1,7 @@
 """Perturbed models and uncertain parameters, against independent simulations and sums."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,6 @@ from flexman_gym.control.observers.perturbed_models import (
     RANGE_MARGIN,
     PerturbedModels,
     Prior,
-    Resimulation,
     UncertainParameters,
     levenberg_marquardt_step,
     solve_scaled,
@@ -296,7 +296,7 @@ def test_a_step_is_that_of_the_normal_equations_with_the_prior():
 def _sweep(slopes, errors):
     across = slopes.transpose(0, 2, 1)
     gradient = (across @ errors[..., None])[..., 0]
-    return Resimulation(np.zeros((2, 1, 1)), across @ slopes, gradient, (errors**2).sum(axis=1))
+    return SimpleNamespace(information=across @ slopes, gradient=gradient, cost=(errors**2).sum(axis=1))
 
 
 def test_equations_in_units_far_apart_are_solved():

@@ -12,7 +12,6 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.effects import SIGNALS
-from flexman_gym.envs.effects.signals import TipLoad
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import Instrument, ServoErrors
 from flexman_gym.envs.vector_env import FlexManVectorEnv
@@ -190,7 +189,7 @@ class Measuring(ServoErrors):
     measure = ()
 
 
-class Pushing(TipLoad):
+class Pushing(SIGNALS["tip_load"]):
     """An effect whose hook has a name of its own."""
 
     def add_tip_force(self, forces, over):

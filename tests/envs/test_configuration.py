@@ -340,15 +340,14 @@ def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
 def test_a_training_starts_with_the_episode_that_its_environment_gives():
     """The arms of a training are those of gym.make_vec with the training's seed."""
     pytest.importorskip("stable_baselines3")
-    from flexman_agents.sb3 import make_environments
+    from flexman_agents.sb3 import make_model
     from flexman_agents.settings import Settings
     from flexman_gym.evaluation.rollout import training_seed
 
-    arms = make_environments(Settings(environment=OWN, seed=2, envs=3))
-    arms.seed(training_seed(2))
+    arms = make_model(Settings(environment=OWN, seed=2, envs=3)).get_vec_normalize_env()
     result = Configuration.from_plain(OWN)
     alone = gym.make(result.id, **result.keywords())
-    assert np.array_equal(arms.reset()[1], alone.reset(seed=training_seed(2) + 1)[0])
+    assert np.array_equal(arms.venv.reset()[1], alone.reset(seed=training_seed(2) + 1)[0])
 
 
 def test_the_limit_of_deflection_is_a_part_of_each_links_length():

@@ -11,7 +11,7 @@ import flexman_gym as fm
 from flexman_gym.common import files
 from flexman_gym.control import Controller
 from flexman_gym.envs import FlexManEnv, FlexManVectorEnv
-from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS, NamedEnvironment
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.specification import make_controller
 from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.sensors import Entry
@@ -197,7 +197,7 @@ def test_what_a_task_says_of_a_step_stays_as_it_was():
 
 
 def test_a_named_environment_is_one_entry(monkeypatch):
-    entry = NamedEnvironment(
+    entry = type(NAMED_ENVIRONMENTS["FlexPlanar-v0"])(
         fm.Arm(fm.catalog.planar_2r().links, [fm.Joint((0, 0, 1), 0.1, torque_limit=limit) for limit in (3, 1)]),
         {"stiffness": (2.0, 1.0), "damping": (1.0, 0.5)},
         control_period=0.01,
@@ -215,7 +215,8 @@ def test_a_named_environment_is_a_file_that_may_extend_another(tmp_path):
     pd = {"stiffness": [2.0, 1.0], "damping": [1.0, 0.5]}
     files.write_data(tmp_path / "First-v0.yaml", {"arm": arm, "pd": pd, "limits": {"rate": 9.0}, "sensors": ["lab"]})
     files.write_data(tmp_path / "Second-v0.yaml", {"extends": "First-v0", "task": "hold", "horizon": 3.0})
-    first, second = (NamedEnvironment.load(tmp_path / f"{name}-v0.yaml") for name in ("First", "Second"))
+    load = NAMED_ENVIRONMENTS["FlexPlanar-v0"].load
+    first, second = (load(tmp_path / f"{name}-v0.yaml") for name in ("First", "Second"))
     assert [joint.torque_limit for joint in first.arm.joints] == [3.0, 1.0] and first.sensors == ("lab",)
     assert first.arm.links == fm.catalog.planar_2r().links and first.pd["damping"] == (1.0, 0.5)
     assert second == replace(first, task=Hold(), horizon=3.0)
@@ -226,7 +227,7 @@ def test_a_named_environment_is_a_file_that_may_extend_another(tmp_path):
     ):
         files.write_data(tmp_path / "Third-v0.yaml", data)
         with pytest.raises(ValueError) as error:
-            NamedEnvironment.load(tmp_path / "Third-v0.yaml")
+            load(tmp_path / "Third-v0.yaml")
         assert str(error.value).startswith(line) and "\n" not in str(error.value)
 
 

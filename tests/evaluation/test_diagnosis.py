@@ -1,5 +1,7 @@
 """Diagnosis: causes that were planted are named, and shares of made-up errors are those that went in."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,6 @@ from flexman_gym.evaluation.diagnosis import (
     REMEDIES,
     RINGING,
     TRANSIENT,
-    EpisodeEnd,
     diagnose,
     episode_ends,
     split_error,
@@ -35,7 +36,9 @@ def ending(errors, actions=None, feed=0.0, loss=1.0):
     actions = np.zeros(COUNT) if actions is None else actions
     swing = np.sqrt(2.0) * np.sin(2.0 * np.pi * 2.0 * TIME)
     three = np.stack([errors, np.zeros(COUNT), np.zeros(COUNT)], axis=1)
-    return EpisodeEnd(three, actions[:, None], feed * swing[:, None], swing[:, None], loss * TIME, PERIOD, 0.02)
+    signals = {"torques": feed * swing[:, None], "rates": swing[:, None], "loss": loss * TIME}
+    own = {"actions": actions[:, None], "period": PERIOD, "band": 0.02, "failure": ""}
+    return SimpleNamespace(errors=three, **signals, **own)
 
 
 def tone(frequency, size=1.0, phase=0.3):
@@ -80,8 +83,9 @@ def test_a_slow_motion_that_has_not_ended_is_a_transient():
 
 def test_an_end_that_is_short_or_still_has_no_tones():
     for length in (1, 20):
-        cut = (values[:length] if isinstance(values, np.ndarray) else values for values in ending(tone(2.0)))
-        brief = split_error(EpisodeEnd(*cut), MODES)
+        end = vars(ending(tone(2.0))).items()
+        cut = {name: values[:length] if isinstance(values, np.ndarray) else values for name, values in end}
+        brief = split_error(SimpleNamespace(**cut), MODES)
         assert brief.tones == () and sum(brief.shares.values()) == pytest.approx(1.0)
     still = split_error(ending(np.zeros(COUNT)), MODES)
     assert still.rms == 0.0 and still.negligible and not split_error(ending(tone(2.0)), MODES).negligible

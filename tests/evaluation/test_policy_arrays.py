@@ -1,22 +1,19 @@
 """Arrays and JSON of a policy: arrays survive the file to the bit, and a damaged file is refused in one line."""
 
+import hashlib
 import json
+import shutil
 
 import numpy as np
 import pytest
+from safetensors.numpy import load
 
 from flexman_gym.evaluation import policy_files
-from flexman_gym.evaluation.policy_files import MAX_BYTES, _parse_json, _read_tensors, _write_tensors
+from flexman_gym.evaluation.policy_files import ABOUT, MAX_BYTES, POLICIES, policy_folder, read_policy, write_policy
 
 from oracles.assertions import refusal
 
-ARRAYS = {
-    "a.weight": np.arange(6, dtype=np.float32).reshape(2, 3) / 7.0,
-    "b": np.array([np.pi, -0.0, 5e-324]),
-    "nothing": np.zeros((0, 4)),
-    "transposed": np.arange(6.0).reshape(2, 3).T,
-    "strided": np.arange(6.0)[::2],
-}
+SHIPPED = policy_folder(POLICIES[0])
 
 
 def packed(header, numbers=b""):
@@ -30,30 +27,37 @@ def entry(first, last, shape, dtype="F32"):
     return {"dtype": dtype, "shape": shape, "data_offsets": [first, last]}
 
 
-def test_arrays_come_back_to_the_bit(tmp_path):
-    _write_tensors(tmp_path / "a", ARRAYS)
-    content = (tmp_path / "a").read_bytes()
-    result = _read_tensors(content)
-    assert result.keys() == ARRAYS.keys()
-    for name, array in ARRAYS.items():
-        assert result[name].dtype == array.dtype and result[name].shape == array.shape
-        assert result[name].tobytes() == array.tobytes()
-    start = 8 + int.from_bytes(content[:8], "little")
-    assert start % 8 == 0 and len(content) - start == 6 * 4 + 12 * 8
+def policy_with(folder, content):
+    """Write the first shipped policy with another content of its arrays, and their hash, to a folder."""
+    shutil.copytree(SHIPPED, folder, dirs_exist_ok=True)
+    (folder / policy_files.ARRAYS).write_bytes(content)
+    about = json.loads((folder / ABOUT).read_text()) | {"arrays_hash": hashlib.sha256(content).hexdigest()}
+    (folder / ABOUT).write_text(json.dumps(about))
+    return folder
 
 
-def test_the_file_is_the_one_that_the_format_describes():
-    """By hand, from the description of safetensors: a length of 8 bytes, JSON that may end in spaces, and numbers."""
-    numbers = np.array([1.5, -2.0], dtype="<f4").tobytes()
-    content = packed('{"x":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}}  ', numbers)
-    assert _read_tensors(content)["x"].tolist() == [1.5, -2.0]
+@pytest.mark.parametrize(("end", "metadata"), [("  ", {}), ("", {"__metadata__": {"format": "np"}})])
+def test_the_file_is_the_one_that_the_format_describes(end, metadata, tmp_path):
+    """By hand, from the description of safetensors: a length of 8 bytes, JSON that may end in spaces, and numbers.
+
+    Metadata and further members of an entry do not change the arrays.
+    """
+    arrays = load((SHIPPED / policy_files.ARRAYS).read_bytes())
+    header, numbers = dict(metadata), b""
+    for name, array in arrays.items():
+        first, numbers = len(numbers), numbers + array.tobytes()
+        kind = {"float32": "F32", "float64": "F64"}[array.dtype.name]
+        header[name] = {**entry(first, len(numbers), [*array.shape], kind), **({"code": "1"} if metadata else {})}
+    network = read_policy(policy_with(tmp_path, packed(json.dumps(header) + end, numbers))).network
+    observations = arrays["check.observations"]
+    assert np.array_equal(network(observations), read_policy(SHIPPED).network(observations))
 
 
 @pytest.mark.parametrize(
     ("content", "said"),
     [
         (b"", "header too small"),
-        (bytes(MAX_BYTES + 1), f"file: '{MAX_BYTES + 1} bytes'"),
+        (bytes(MAX_BYTES + 1), f"at most {MAX_BYTES}"),
         ((100).to_bytes(8, "little") + b"{}", "invalid header length"),
         ((2**62).to_bytes(8, "little") + b"{}", "header too large"),
         (packed("[]"), "invalid JSON in header"),
@@ -79,27 +83,21 @@ def test_the_file_is_the_one_that_the_format_describes():
         (b"\x04" + bytes(7) + b"\xff\xfe{}", "invalid UTF-8 in header"),
     ],
 )
-def test_a_file_that_says_something_else_is_refused(content, said):
-    assert said in refusal(_read_tensors, content)
+def test_a_file_that_says_something_else_is_refused(content, said, tmp_path):
+    assert said in refusal(read_policy, policy_with(tmp_path, content))
 
 
-def test_other_members_of_a_header_do_not_change_the_arrays():
-    header = {"__metadata__": {"format": "np"}, "x": {**entry(0, 4, [1]), "code": "1"}}
-    result = _read_tensors(packed(header, np.float32(3.0).tobytes()))
-    assert result.keys() == {"x"} and result["x"].tolist() == [3.0]
-
-
-def test_arrays_of_other_numbers_are_not_written(tmp_path):
-    for wrong in (np.zeros(2, dtype=int), np.array(["a"]), np.zeros(2, dtype=np.float16)):
-        assert refusal(_write_tensors, tmp_path / "a", {"x": wrong}).startswith("x.dtype: ")
-    assert not (tmp_path / "a").exists()
-
-
-@pytest.mark.parametrize("name", policy_files.POLICIES)
+@pytest.mark.parametrize("name", POLICIES)
 def test_shipped_policies_are_written_with_the_same_bytes(name, tmp_path):
-    content = (policy_files.policy_folder(name) / policy_files.ARRAYS).read_bytes()
-    _write_tensors(tmp_path / "a", _read_tensors(content))
-    assert (tmp_path / "a").read_bytes() == content
+    """Whatever the order of the numbers of their arrays in memory; arrays of other numbers are not written."""
+    content = (policy_folder(name) / policy_files.ARRAYS).read_bytes()
+    arrays = {key: np.asfortranarray(array) for key, array in load(content).items()}
+    about = json.loads((policy_folder(name) / ABOUT).read_text())
+    for wrong in (np.zeros(2, dtype=int), np.array(["a"]), np.zeros(2, dtype=np.float16)):
+        assert refusal(write_policy, tmp_path / "a", about, arrays | {"x": wrong}).startswith("x.dtype: ")
+    assert not (tmp_path / "a" / policy_files.ARRAYS).exists()
+    write_policy(tmp_path / "a", about, arrays)
+    assert (tmp_path / "a" / policy_files.ARRAYS).read_bytes() == content
 
 
 @pytest.mark.parametrize(
@@ -112,5 +110,6 @@ def test_shipped_policies_are_written_with_the_same_bytes(name, tmp_path):
         (b"{", "Expecting property name"),
     ],
 )
-def test_broken_json_is_refused(text, said):
-    assert said in refusal(_parse_json, text)
+def test_broken_json_is_refused(text, said, tmp_path):
+    (tmp_path / ABOUT).write_bytes(text)
+    assert said in refusal(read_policy, tmp_path)

@@ -9,7 +9,7 @@ from scipy.linalg import eigh
 import flexman_gym as fm
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.fidelity.model_search import CandidateRun, ModelSearch
-from flexman_gym.fidelity.model_selection import _candidates, _choose, _describe_dropped, _write_report, assembled_modes
+from flexman_gym.fidelity.model_selection import REPORTED_GROWTH, assembled_modes
 from flexman_gym.model.dynamics import stiffness_matrix
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.stability import NEGLIGIBLE_GROWTH, remaining_amplitude, spectral_radii, stability_limit
@@ -83,41 +83,57 @@ def test_a_loose_tolerance_drops_more_and_the_report_says_how():
         assert word in tight.report, word
 
 
-def test_a_loose_tolerance_allows_what_has_no_foreshortening_and_texts_say_what_is_gone():
+def choose_cheapest(monkeypatch, scene, tolerance, cost, longest_step=None):
+    """Return the choice where runs cost what a function of candidate and method returns, and all candidates."""
+    tried = []
+
+    def run_timed(search, candidate, method, step):
+        tried.append(candidate)
+        run = search.run(candidate, method, step)
+        return CandidateRun(candidate, method, step or 0.0, np.nan, cost(candidate, method), 1), run
+
+    monkeypatch.setattr(ModelSearch, "run_timed", run_timed)
+    return fm.choose_model(scene, tolerance, longest_step), tried
+
+
+@pytest.mark.parametrize("parts", [("springs",), ("stiffening",), ("springs", "stiffening"), ()])
+def test_a_loose_tolerance_allows_what_has_no_foreshortening_and_texts_say_what_is_gone(parts, monkeypatch):
     """Which of the models that are good is quickest is a matter of the clock; which are good is none."""
-    scene = SCENES["paper ff"]()
-    search = ModelSearch(scene, 0.1)
-    parts = search.contributions()
-    candidates = _candidates(search, parts)
-    assert any(not each.stiffening for each in candidates) and any(not each.springs for each in candidates)
-    for candidate in candidates:
-        texts = _describe_dropped(search, candidate, parts)
-        said = "\n".join(texts)
-        assert ("foreshortening" in said) == (not candidate.stiffening)
-        assert ("springs of the joints" in said) == (not candidate.springs)
-        for i, kept in enumerate(candidate.modes):
-            assert (f"link {i + 1}, component modes" in said) == (kept != search.full.modes[i])
-        assert all(" m" in text for text in texts)
+    scene = replace(SCENES["paper ff"](), duration=0.48)
+    choice, tried = choose_cheapest(
+        monkeypatch, scene, 0.1 + 1e-6 * len("".join(parts)),
+        lambda candidate, _: 1.0 if all(getattr(candidate, part) for part in parts) else 2.0,
+    )  # fmt: skip
+    assert any(not each.stiffening for each in tried) and any(not each.springs for each in tried)
+    said, model = "\n".join(choice.dropped), choice.model
+    assert ("foreshortening" in said) == (not model.choice.stiffening)
+    assert ("springs of the joints" in said) == (model.n_dof == model.n_joints + sum(map(_modes, model.bases)))
+    full = fm.build_model(scene.arm, scene.model.elements)
+    for i, (kept, basis) in enumerate(zip(model.bases, full.bases, strict=True)):
+        assert (f"link {i + 1}, component modes" in said) == (_modes(kept) < _modes(basis))
+    assert all(" m" in text for text in choice.dropped)
+
+
+def _modes(basis):
+    return basis.shape[1]
 
 
 @pytest.mark.parametrize(("dearer", "coordinates"), [(1.2, 3), (1.3, 6)])
 def test_of_models_that_cost_alike_the_smallest_is_chosen(monkeypatch, dearer, coordinates):
-    def cost(search, candidate, method, step):
-        run = search.run(candidate, method, step)
-        return CandidateRun(candidate, method, step or 0.0, np.nan, 1.0 if candidate.springs else dearer, 1), run
-
-    monkeypatch.setattr(ModelSearch, "run_timed", cost)
-    choice = _choose.__wrapped__(SCENES["paper ff"](), 0.1, np.inf)
+    scene, tolerance = SCENES["paper ff"](), 0.1 + 1e-9 * dearer  # choices are cached by scene and tolerance
+    choice, _ = choose_cheapest(monkeypatch, scene, tolerance, lambda each, _: 1.0 if each.springs else dearer)
     assert choice.model.n_dof == coordinates
 
 
-@pytest.mark.parametrize(("method", "step"), [("extrapolated_euler_3", 0.02), ("midpoint_2", 0.02)])
-def test_a_report_speaks_of_every_method_that_lets_a_mode_grow(method, step):
-    search = ModelSearch(SCENES["two links"](), 0.01)
-    best = CandidateRun(search.full, METHODS[method], step, 0.0, 1.0, 1)
-    own = fm.frequencies(search.model(search.full), [0.0, 0.0])[2:]
-    grown = max(remaining_amplitude(METHODS[method], step, frequency) for frequency in own) - 1.0
-    assert ("grow by" in _write_report(search, best, [best], 0.0)) == (grown > 0.01) == (method != "midpoint_2")
+@pytest.mark.parametrize("method", ["extrapolated_euler_3", "midpoint_2"])
+def test_a_report_speaks_of_every_method_that_lets_a_mode_grow(method, monkeypatch):
+    monkeypatch.setattr(ModelSearch, "methods", (method,))
+    scene = replace(SCENES["two links"](), duration=0.4)
+    choice, _ = choose_cheapest(monkeypatch, scene, 0.01 + 1e-9 * len(method), lambda *_: 1.0, 0.02)
+    own = fm.frequencies(choice.model, [0.0, 0.0])[2:]
+    grown = max(remaining_amplitude(METHODS[method], choice.step, frequency) for frequency in own) - 1.0
+    assert choice.method == method
+    assert ("grow by" in choice.report) == (grown > REPORTED_GROWTH) == (method != "midpoint_2")
 
 
 def test_what_a_scene_declares_rigid_stays_rigid():

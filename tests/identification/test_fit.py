@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.identification.fit import _r_squared
 from flexman_gym.identification.measurement import SimulatedResponse
 from flexman_gym.simulation.parameters import PARAMETERS, varied_arm, varied_model
 
@@ -75,7 +74,8 @@ def test_hub_motion_in_deflection_out_with_an_unknown_gain():
     assert found.values["joint_stiffness"] == pytest.approx(TRUE["joint_stiffness"], rel=1e-4)
     assert found.gains[name][0] == pytest.approx(1.7, rel=1e-3)
     assert found.score(record)[name] > 0.99999
-    assert _r_squared(record.outputs[name], found.predicted(record)[name]) > 0.99999
+    missed = record.outputs[name] - found.predicted(record)[name]
+    assert np.var(missed) < 1e-5 * np.var(record.outputs[name])
     # the same without the filter in the record: damping and stiffness are nonsense, and the filter is told
     bare = replace(record, filters={})
     found = fm.fit(start, "joint_stiffness", records=[bare], starts=0, **CHOICE)

@@ -8,7 +8,6 @@ import pytest
 from scipy.optimize import least_squares
 
 import flexman_gym as fm
-from flexman_gym.identification.fit import _find_undetermined
 from flexman_gym.identification.least_squares import LOG_STEP, FreeParameters
 from flexman_gym.identification.ringing import Ringing
 from flexman_gym.model.dynamics import frequencies
@@ -125,11 +124,16 @@ def test_what_frequencies_cannot_tell_is_named():
 
 
 def test_a_number_is_untold_from_half_of_itself_on():
-    free = FreeParameters(fm.catalog.planar_2r(), "link_stiffness_factor")
-    assert _find_undetermined(free, free.start, np.diag([0.6**2, 0.4**2]))[0] == ("link_stiffness_factor[0]",)
-    names, sentence = _find_undetermined(free, free.start, np.array([[1.0, -0.99], [-0.99, 1.0]]))
-    assert names == ("link_stiffness_factor[0]", "link_stiffness_factor[1]")
-    assert sentence == "The data do not determine link_stiffness_factor[0] and link_stiffness_factor[1] separately."
+    """A frequency is the square root of a stiffness factor: it has half of its relative deviation."""
+    arm = fm.catalog.planar_2r()
+    known = frequencies(build_model(arm, 1), lock_joints=True)[:1]
+    free = "link_stiffness_factor[0]"
+    sizes = [fm.fit(arm, free, {"frequencies": known, "deviation": part}, elements=1) for part in (1e-3, 2e-3)]
+    unit = sizes[0].deviations[free] / 1e-3
+    assert sizes[1].deviations[free] == pytest.approx(2e-3 * unit, rel=1e-3) and unit >= 2.0
+    for deviation, undetermined in ((0.49, ()), (0.51, (free,))):
+        found = fm.fit(arm, free, {"frequencies": known, "deviation": deviation / unit}, elements=1)
+        assert found.undetermined == undetermined
 
 
 def test_a_fit_shows_its_numbers_with_deviations():

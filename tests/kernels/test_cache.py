@@ -18,7 +18,6 @@ import pytest
 import flexman_gym
 from flexman_gym.kernels import batch as kernels
 from flexman_gym.kernels.cache import find_cache_folder, is_quiet
-from flexman_gym.kernels.compile import ChecksummedFiles
 
 from oracles.small_package import CALL, copied, process, run
 
@@ -161,7 +160,7 @@ DAMAGES = {
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_file_counts_as_missing_until_it_is_written_again(tmp_path, damage, suffix):
-    files = ChecksummedFiles(str(tmp_path), "kernel", "stamp")
+    files = type(kernels.run_batch._cache._cache_file)(str(tmp_path), "kernel", "stamp")
     files.save("key", "code")
     assert files.load("key") == "code" and files.load("other") is None
     (path,) = tmp_path.glob(f"*.{suffix}")

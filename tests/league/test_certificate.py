@@ -13,7 +13,7 @@ from flexman_gym.envs.config import specification
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.evaluation import METRICS, policy_files
-from flexman_gym.evaluation.agent import design_for, find_agent
+from flexman_gym.evaluation.agent import find_agent, timed_agent
 from flexman_gym.evaluation.policy_files import ABOUT, CERTIFICATE, FOLDER, POLICIES, read_certificate, write_policy
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.league import certificate, rows, scenarios
@@ -255,7 +255,7 @@ def test_a_cell_of_a_certificate_is_the_episode_of_the_policy_in_its_own_changed
         changed = own.replace(**settings)
     given = changed if scenario.endswith("+given") or "method" in change else own
     set_plant = PLANTS[scenario.partition("@")[2] or "usual"][1]
-    (record,) = rollout(design_for(agent, given), changed, [seed], set_plant=set_plant).records
+    (record,) = rollout(timed_agent(agent, given)[0], changed, [seed], set_plant=set_plant).records
     _, (row,) = run_block(EpisodeBlock("", name, scenario, seed, seed + 1))
     values = dict(zip(VALUES, row.values, strict=True))
     assert {each: values[each] for each in METRIC_NAMES} == {

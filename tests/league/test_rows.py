@@ -2,7 +2,8 @@
 
 import csv
 import json
-from dataclasses import astuple
+import shutil
+from dataclasses import astuple, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +16,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import METRICS, rollout
 from flexman_gym.evaluation import agent as agent_module
 from flexman_gym.evaluation.agent import BASELINES
-from flexman_gym.evaluation.agent_info import AgentInfo, check_seeds_unseen, describe_agent, training_seconds
+from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent, training_seconds
 from flexman_gym.evaluation.metrics import equivalent_damping, optimised_settling_times
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, EpisodeRecord, training_seed
 from flexman_gym.league.rows import (
@@ -136,20 +137,21 @@ def test_another_version_of_a_package_runs_again(scenario, tmp_path, monkeypatch
 
 def test_other_code_runs_again(scenario, tmp_path, monkeypatch):
     league_of(scenario, tmp_path, ["zero"])
-    monkeypatch.setattr(league, "_code_hash", lambda: "another")
+    monkeypatch.setattr(league, "_code_hash", lambda *_: "another")
     assert len(league_of(scenario, tmp_path, ["zero"])[0]) == 1
 
 
-def test_the_hash_of_the_code_is_that_of_what_runs(tmp_path, monkeypatch):
+def test_the_hash_of_the_code_is_that_of_what_runs(tmp_path, tmp_path_factory, monkeypatch):
     for name in ("kernels/a.py", "envs/conditions/b.yaml", "evaluation/rollout.py", "league/page.py"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("a = 1\n")
-    monkeypatch.setattr(league, "PACKAGE", tmp_path)
     monkeypatch.setattr(league, "SOURCES", ("kernels", "envs", "evaluation/rollout.py"))
+    copies = tmp_path_factory.mktemp("copies")
 
     def digest():
-        league._code_hash.cache_clear()
-        return league._code_hash()
+        """Return the key of a row with the code of a copy: a hash of a folder is computed once."""
+        monkeypatch.setattr(league, "PACKAGE", shutil.copytree(tmp_path, copies / str(len([*copies.iterdir()]))))
+        return league.row_key("pd", "FlexOne-v0")
 
     known = digest()
     (tmp_path / "league/page.py").write_text("another page")
@@ -162,7 +164,6 @@ def test_the_hash_of_the_code_is_that_of_what_runs(tmp_path, monkeypatch):
     (tmp_path / "kernels/a.py").rename(tmp_path / "kernels/c.py")
     assert digest() != known
     monkeypatch.undo()
-    digest()
     assert all((league.PACKAGE / name).exists() for name in league.SOURCES)
 
 
@@ -324,31 +325,31 @@ def test_arms_of_a_scenario_are_moved_by_its_plant(monkeypatch):
 
 def test_rows_follow_from_what_is_run_and_from_what_controllers_are_given(monkeypatch):
     one, other = Configuration("FlexOne-v0"), Configuration("FlexOne-v0", {"control_period": 0.02})
-    monkeypatch.setattr(league, "_code_hash", lambda: "")
+    monkeypatch.setattr(league, "_code_hash", lambda *_: "")
     keys = set()
     for scenario in (Scenario(one, one), Scenario(one, other), Scenario(other, one), Scenario(one, one, "finer")):
         monkeypatch.setattr(league, "find_scenario", lambda name: scenario)  # noqa: B023
-        keys.add(league._row_key("pd", "FlexOne-v0"))
+        keys.add(league.row_key("pd", "FlexOne-v0"))
     assert len(keys) == 4
 
 
 def test_rows_follow_from_every_file_of_a_run(scenario, tmp_path, monkeypatch):
-    monkeypatch.setattr(league, "_code_hash", lambda: "")
-    keys = [league._row_key(str(tmp_path), scenario)]
+    monkeypatch.setattr(league, "_code_hash", lambda *_: "")
+    keys = [league.row_key(str(tmp_path), scenario)]
     for name in (league.SETTINGS, league.BEST, league.NEWEST):
         for content in (b"one", b"two"):
             (tmp_path / name).write_bytes(content)
-            keys.append(league._row_key(str(tmp_path), scenario))
+            keys.append(league.row_key(str(tmp_path), scenario))
     assert len(set(keys)) == 7
 
 
 def test_rows_of_another_processor_count(scenario, monkeypatch):
     """Versions of packages change rows, the processor does not."""
-    monkeypatch.setattr(league, "_code_hash", lambda: "")
+    monkeypatch.setattr(league, "_code_hash", lambda *_: "")
     keys = set()
     for processor, version in (("one", "1"), ("two", "1"), ("one", "2")):
         monkeypatch.setattr(league, "computer_info", lambda *_: {"processor": processor, "numpy": version})  # noqa: B023
-        keys.add(league._row_key("pd", scenario))
+        keys.add(league.row_key("pd", scenario))
     assert len(keys) == 2
 
 
@@ -409,8 +410,9 @@ def test_only_who_is_not_given_the_truth_could_be_built():
 
 @pytest.mark.parametrize("truth", ["true state", "true parameters", "its episodes"])
 def test_one_truth_is_enough_not_to_be_realisable(truth):
-    assert not AgentInfo("", "", ("model", truth)).realisable
-    assert AgentInfo("", "", ("model", "training", "structure of the model")).realisable
+    known = describe_agent("pd")
+    assert not replace(known, information=("model", truth)).realisable
+    assert replace(known, information=("model", "training", "structure of the model")).realisable
 
 
 def test_in_a_sweep_controllers_are_given_the_range_and_arms_have_the_value():

@@ -4,13 +4,19 @@ import numpy as np
 import pytest
 
 from flexman_gym.evaluation.agent import BASELINES
-from flexman_gym.league.page import CHART, PAGE, page_text, recommendation, write_page
+from flexman_gym.league.page import CHART, PAGE, recommendation, write_page
 from flexman_gym.league.rows import VALUES, EpisodeBlock, EpisodeRow, LeagueRows
 from flexman_gym.league.scenarios import LAB_SCENARIO
 from flexman_gym.league.standings import Standings
 
 NOMINAL, UNKNOWN, FRICTION = "FlexRRR-v0", "FlexRRR-v0/unknown", "FlexRRR-v0/friction"
 REWARDS = {"zero": 100.0, "privileged-lqr": 300.0, "pd": 150.0, "lqg": 250.0, "lqr": 280.0}
+
+
+def page_text(standings, folder):
+    """Return the page of the rows of standings."""
+    write_page(standings.results, folder)
+    return (folder / PAGE).read_text(encoding="utf-8")
 
 
 def book(rewards=REWARDS, scenarios=(NOMINAL, UNKNOWN, LAB_SCENARIO), settled=None, count=12, spread=10.0):
@@ -48,13 +54,13 @@ def test_of_two_scenarios_with_the_same_episodes_one_counts():
     assert standing().scenarios == [NOMINAL, UNKNOWN, LAB_SCENARIO] and standing().counted == [NOMINAL, UNKNOWN]
 
 
-def test_there_is_no_scale_where_its_ends_are_close_or_missing():
+def test_there_is_no_scale_where_its_ends_are_close_or_missing(tmp_path):
     """A slew has 500 control periods, each worth 1 at most."""
     assert standing(REWARDS | {"privileged-lqr": 124.0}).scale(NOMINAL) is None
     assert standing(REWARDS | {"privileged-lqr": 126.0}).scale(NOMINAL) == pytest.approx((100.0, 126.0))
     missing = standing({"pd": 1.0, "zero": 2.0})
     assert missing.scale(NOMINAL) is None and missing.counted == [] and missing.score("pd", NOMINAL) is None
-    assert "There is no score" in page_text(missing)
+    assert "There is no score" in page_text(missing, tmp_path)
 
 
 def test_better_is_asked_in_the_same_episode():
@@ -72,12 +78,12 @@ def test_an_agent_that_misses_a_scenario_comes_last():
     assert known.overall["optimised"][0] == pytest.approx(1.5), "above 1 is shown"
 
 
-def test_agents_without_common_episodes_are_not_compared():
+def test_agents_without_common_episodes_are_not_compared(tmp_path):
     one, two = book({"zero": 100.0, "privileged-lqr": 300.0}), book({"pd": 200.0})
     moved = [row._replace(seed=row.seed + 1000) for row in two.rows.values()]
     known = Standings(LeagueRows([*one.rows.values(), *moved], [*one.cells.values(), *two.cells.values()]))
     assert known.score("pd", NOMINAL) is None and known.better("pd", "zero", [NOMINAL]) is None
-    assert "| `pd` |" in page_text(known)
+    assert "| `pd` |" in page_text(known, tmp_path)
 
 
 def test_the_one_to_take_settles_most_and_first_and_is_given_no_truth():
@@ -112,8 +118,8 @@ def test_no_cell_of_the_page_is_empty_without_a_sentence(tmp_path):
     assert "`lqg`" in known and "`privileged-lqr`" not in known and "`pd`" not in known
 
 
-def test_each_is_compared_with_the_next():
-    lines = page_text(standing(REWARDS | {"lqg": 280.0})).split("| agent | needs |")[1].splitlines()[2:7]
+def test_each_is_compared_with_the_next(tmp_path):
+    lines = page_text(standing(REWARDS | {"lqg": 280.0}), tmp_path).split("| agent | needs |")[1].splitlines()[2:7]
     assert [line.split("|")[1].strip(" `") for line in lines] == ["privileged-lqr", "lqg", "lqr", "pd", "zero"]
     assert [line.split("|")[5].strip() for line in lines] == ["100 %", "50 %", "100 %", "100 %", "-"]
 
@@ -126,7 +132,7 @@ def test_the_charts_are_there(tmp_path):
     assert all(f"]({path.name})" in text for path in tmp_path.glob("*.png"))
 
 
-def test_sweeps_go_from_the_smallest_value():
+def test_sweeps_go_from_the_smallest_value(tmp_path):
     names = [f"FlexRRR-v0/payload={value}" for value in (10, 5, 25)]
     (values,) = standing(scenarios=names).sweeps.values()
     assert [*values.items()] == [(names[1], 5.0), (names[0], 10.0), (names[2], 25.0)]
@@ -134,10 +140,10 @@ def test_sweeps_go_from_the_smallest_value():
     others = ["FlexRRR-v0/payload=5@finer", "FlexRRR-v0/payload=5:10", "FlexRRR-v0/friction=1"]
     found = standing(scenarios=[*more, *others]).sweeps
     assert {name: [*values] for name, values in found.items()} == {"FlexRRR-v0/delay+given": more[::-1]}
-    assert "## Sweep: FlexRRR-v0/delay+given" in page_text(standing(scenarios=more))
+    assert "## Sweep: FlexRRR-v0/delay+given" in page_text(standing(scenarios=more), tmp_path)
 
 
-def test_other_plants_stand_beside_the_same_episodes_and_count_nowhere():
+def test_other_plants_stand_beside_the_same_episodes_and_count_nowhere(tmp_path):
     names = [f"{NOMINAL}@{plant}" for plant in ("finer", "method")]
     one, two = book(settled={("lqr", NOMINAL): np.inf}, scenarios=[NOMINAL]), book(scenarios=names, count=4)
     at = VALUES.index("settling_time")
@@ -147,21 +153,21 @@ def test_other_plants_stand_beside_the_same_episodes_and_count_nowhere():
     known = Standings(LeagueRows([*one.rows.values(), *two.rows.values()], [*one.cells.values(), *two.cells.values()]))
     assert known.scenarios == known.counted == [NOMINAL] and known.sweeps == {}
     assert known.plants == {NOMINAL: [NOMINAL, names[1], names[0]]}
-    text = page_text(known).split("## Other plants")[1]
+    text = page_text(known, tmp_path).split("## Other plants")[1]
     assert "| agent | usual | method | finer |" in text and "4 episodes." in text
     assert "| `lqr` | 0 % | 100 %, 3.00 s | 100 %, 3.00 s |" in text
     assert "| `pd` | 100 %, 3.00 s | 100 %, 3.00 s | 100 %, 3.00 s |" in text
-    assert "Not run yet." in page_text(standing())
+    assert "Not run yet." in page_text(standing(), tmp_path)
 
 
-def test_baselines_without_a_row_are_named():
-    glance = page_text(standing()).split("## Results at a glance")[1].split("## Agents")[0]
+def test_baselines_without_a_row_are_named(tmp_path):
+    glance = page_text(standing(), tmp_path).split("## Results at a glance")[1].split("## Agents")[0]
     absent = glance.split("Not run yet: ")[1].split(".")[0].split(", ")
     assert set(absent) == {f"`{each}`" for each in BASELINES if each not in REWARDS}
 
 
-def test_every_agent_has_a_section():
-    text = page_text(standing()).split("## Agents")[1].split("## Overall score")[0]
+def test_every_agent_has_a_section(tmp_path):
+    text = page_text(standing(), tmp_path).split("## Agents")[1].split("## Overall score")[0]
     for agent in REWARDS:
         card = text.split(f"### Agent: {agent}\n")[1].split("###")[0]
         for words in ("Kind: ", "Information needed: ", "Tuning or training: ", "It fails in"):

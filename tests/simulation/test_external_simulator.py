@@ -7,13 +7,7 @@ import flexman_gym as fm
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.external_simulator import (
-    ExternalIntegrator,
-    RefinedSimulator,
-    _parameters_from_constants,
-    _shape_matrices,
-)
-from flexman_gym.simulation.parameters import varied_constants
+from flexman_gym.simulation.external_simulator import ArmShapes, ExternalIntegrator, RefinedSimulator
 
 PERIOD, ARMS = 0.02, 3
 ARM = NAMED_ENVIRONMENTS["FlexRRR-v0"].arm
@@ -57,17 +51,50 @@ def played(model, double=None, periods=10):
     return [np.array(each) for each in zip(*trail, strict=True)]
 
 
+class Recorder:
+    """External simulator that keeps what each arm is started from, and returns given shapes."""
+
+    def __init__(self, stations, shapes):
+        self.stations, self.shapes, self.started = stations, shapes, {}
+
+    def start(self, arm, shape, rate, parameters):
+        self.started[arm] = shape, rate, parameters
+
+    def read(self, arms):
+        return ArmShapes(self.shapes[arms], 0.0 * self.shapes[arms], np.zeros((len(arms), layout.DEFLECTION_COLUMN)))
+
+
+def started(model, stations, states, shapes=None, parameters=None):
+    """Return the arguments of the start of each arm, and the states that are read from its shapes."""
+    count = len(states)
+    arms, size = np.arange(count), 2 * model.n_joints + 6 * sum(map(len, stations))
+    recorder = Recorder(stations, np.zeros((count, size)) if shapes is None else shapes)
+    result = Batch(model, "midpoint_3", PERIOD / 6, PERIOD, arms=count)
+    if parameters:
+        result.vary(arms, **parameters)
+    result.replace_integrator(lambda mover: ExternalIntegrator(model, mover, recorder))
+    result.reset(arms, states)
+    return [recorder.started[arm] for arm in range(count)], result.state[:, : model.n_dof]
+
+
+def shape_matrices(model, stations):
+    """Return the matrices from coordinates to shapes and from shapes to coordinates, of unit rows."""
+    d, size = model.n_dof, 2 * model.n_joints + 6 * sum(map(len, stations))
+    into = np.array([shape for shape, _, _ in started(model, stations, np.eye(d, 2 * d))[0]])
+    return into, started(model, stations, np.zeros((size, 2 * d)), np.eye(size))[1]
+
+
 @pytest.mark.parametrize("model", [FULL, USUAL, fm.build_model(fm.catalog.paper_rrr(), 1, flexible_joints=False)])
 def test_coordinates_come_back_from_their_shapes(model):
     stations = [np.linspace(0.0, link.length, 6)[1:] for link in model.arm.links]
-    into, back = _shape_matrices(model, stations)
+    into, back = shape_matrices(model, stations)
     assert np.allclose(into @ back, np.eye(model.n_dof), rtol=0.0, atol=1e-9)
 
 
 def test_shapes_say_where_tips_are():
     """Of each link, as its tip's translation and rotation; stations are in order."""
     stations = [np.array([0.4 * link.length, link.length]) for link in ARM.links]
-    into, _ = _shape_matrices(USUAL, stations)
+    into, _ = shape_matrices(USUAL, stations)
     state = np.random.default_rng(0).normal(size=USUAL.n_dof)
     shape = (state @ into)[6:].reshape(3, 2, 6)
     for i in range(3):
@@ -83,20 +110,17 @@ def test_modes_that_a_model_lacks_are_left_out():
     """Loaded modes are orthogonal where all that a link carries has its weight; both models scale them alike."""
     few, many = fm.build_model(ARM, 2, 4), fm.build_model(ARM, 2, 8)
     stations = [np.linspace(0.0, link.length, 13)[1:] for link in ARM.links]
-    into, back = _shape_matrices(many, stations)[0], _shape_matrices(few, stations)[1]
+    into, back = shape_matrices(many, stations)[0], shape_matrices(few, stations)[1]
     for i in range(3):
         left = into[many.elastic_columns(i)][4:] @ back[:, few.elastic_columns(i)]
         assert np.abs(left).max() < 0.12, i
 
 
 def test_parameters_are_those_that_were_given():
-    for arm in range(ARMS):
-        own = {name: values[arm] for name, values in OWN.items()}
-        constants = {
-            name: rows[0] for name, rows in varied_constants(USUAL, 1, {n: v[None] for n, v in own.items()}).items()
-        }
-        found = _parameters_from_constants(USUAL, USUAL.constants._asdict() | constants)
-        assert all(np.allclose(found[name], values, rtol=1e-12) for name, values in own.items())
+    stations = [np.array([link.length]) for link in ARM.links]
+    given, _ = started(USUAL, stations, np.zeros((ARMS, 2 * USUAL.n_dof)), parameters=OWN)
+    for arm, (_, _, found) in enumerate(given):
+        assert all(np.allclose(found[name], values[arm], rtol=1e-12) for name, values in OWN.items())
         assert found["rotor_inertia"].tolist() == [10.0] * 3
 
 
@@ -139,10 +163,9 @@ def test_mujoco_starts_where_it_is_put():
     from flexman_gym.simulation.mujoco import MuJoCoSimulator
 
     double = MuJoCoSimulator(USUAL, PERIOD, 1)
-    into, _ = _shape_matrices(USUAL, double.stations)
-    random = np.random.default_rng(1)
-    shape, rate = 1e-4 * random.normal(size=(2, USUAL.n_dof)) @ into
-    double.start(0, shape, rate, _parameters_from_constants(USUAL, USUAL.constants._asdict()))
+    state = 1e-4 * np.random.default_rng(1).normal(size=2 * USUAL.n_dof)
+    ((shape, rate, parameters),), _ = started(USUAL, double.stations, state[None])
+    double.start(0, shape, rate, parameters)
     now = double.read(np.array([0]))
     turned = [np.r_[:6], *(6 + 18 * i + 6 * j + np.arange(3, 6) for i in range(3) for j in range(3))]
     places = np.concatenate(turned)

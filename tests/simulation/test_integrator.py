@@ -139,7 +139,7 @@ def test_constants_that_are_changed_between_two_calls_count(monkeypatch):
 @given(st.sets(st.integers(1, 20), min_size=1, max_size=8), st.integers(1, 8))
 def test_every_part_has_its_turn_and_no_lane_waits_long(numbers, lanes):
     sequence = sorted(numbers)
-    rounds = integrator._extrapolation_schedule(sequence, lanes)
+    rounds = integrator.extrapolation_schedule(sequence, lanes)
     done = {number: [] for number in range(len(sequence))}
     for turn in rounds:
         for number, part in turn:

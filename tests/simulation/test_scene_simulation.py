@@ -9,7 +9,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
-from flexman_gym.simulation.scene_simulation import _integration_intervals
+from flexman_gym.simulation.integrator import Integrator
 
 from oracles.assertions import refusal
 
@@ -244,16 +244,20 @@ def test_sampled_pushes_are_the_pulses_that_they_sample(name):
     np.testing.assert_allclose(runs[1].states, runs[0].states, atol=1e-6 * np.abs(runs[0].states).max())
 
 
-def test_calls_fill_the_time_and_none_goes_over_a_sample():
-    drives = [fm.SampledSignal(UNEVEN, PUSHES), fm.Signal()]
-    from flexman_gym.scene.signals import PiecewiseSignals
+def test_calls_fill_the_time_and_none_goes_over_a_sample(monkeypatch):
+    """Each call integrates from its start by its number of rows, steps between them and step."""
+    calls, integrate = [], Integrator.__call__
 
-    made = list(_integration_intervals(PiecewiseSignals(drives, 0.5), 0.05, 4, range(10)))
-    ends = [call.moment[0] + call.moment[1] * call.moment[2] * max(call.rows, 1) for call in made]
-    assert [call.moment[0] for call in made] == pytest.approx([0.0, *ends[:-1]]) and ends[-1] == pytest.approx(0.5)
-    assert all(call.moment[1] <= 0.0125 * (1.0 + 1e-9) for call in made)
+    def watched(self, drive, moment, state, rows, outputs):
+        calls.append((moment[0], moment[1], moment[0] + moment[1] * moment[2] * len(rows)))
+        return integrate(self, drive, moment, state, rows, outputs)
+
+    monkeypatch.setattr(Integrator, "__call__", watched)
+    torque = fm.SampledTorque(UNEVEN, PUSHES[:, None])
+    scene = fm.Scene(ROTOR, fm.ModelChoice(False, 1), torque, fm.Initial([0.0], [0.0]), 0.5, 0.05)
+    assert len(fm.simulate(scene, method="midpoint_3", step=0.0125).time) == 11
+    starts, steps, ends = (list(each) for each in zip(*calls, strict=True))
+    assert starts == pytest.approx([0.0, *ends[:-1]]) and ends[-1] == pytest.approx(0.5)
+    assert max(steps) <= 0.0125 * (1.0 + 1e-9)
     for moment in UNEVEN:
         assert not any(start + 1e-9 < moment < end - 1e-9 for start, end in pairwise([0.0, *ends]))
-    assert sum(call.rows for call in made) + sum(call.complete and not call.rows for call in made) == 10
-    again = list(_integration_intervals(PiecewiseSignals(drives, 0.5), 0.05, 4, range(5, 6)))
-    assert [call for call in made if call.row == 5 and call.rows < 2] == again or again[0].rows == 1

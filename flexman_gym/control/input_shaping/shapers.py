@@ -253,29 +253,27 @@ def find_operating_points(model: Model, postures: Array, payloads: Sequence[floa
     return result
 
 
-def median_operating_point(cases: Sequence[OperatingPoint]) -> OperatingPoint:
-    """Return the operating point with the median lowest frequency with held motors."""
-    return sorted(cases, key=lambda case: float(case.held[0, 0]))[len(cases) // 2]
+class _ShaperComparison(NamedTuple):
+    """Comparison of all shapers.
 
-
-def evaluate_shapers(cases: Sequence[OperatingPoint]) -> list[ShaperEvaluation]:
-    """Evaluate all shapers over operating points, designed for one and for two modes of the median one.
-
-    Args:
-        cases: operating points, each with at least one mode with held motors.
-
-    Returns:
-        Evaluations, first of all shapers for one mode, then for two.
+    Attributes:
+        median: operating point with the median lowest frequency with held motors.
+        evaluations: first of all shapers for one mode of the median point, then for two.
+        recommended: evaluation of shortest delay with at most TIP_VIBRATION_LIMIT in every case, or None.
     """
-    middle = median_operating_point(cases).held
-    counts = [count for count in (1, 2) if count <= len(middle)]
-    return [_evaluate_shaper(name, middle[:count], cases) for count in counts for name in SHAPERS]
+
+    median: OperatingPoint
+    evaluations: list[ShaperEvaluation]
+    recommended: ShaperEvaluation | None
 
 
-def recommend_shaper(evaluations: Sequence[ShaperEvaluation]) -> ShaperEvaluation | None:
-    """Return the shaper of shortest delay with at most TIP_VIBRATION_LIMIT in every case, or None."""
-    feasible = [evaluation for evaluation in evaluations if evaluation.tip.max() <= TIP_VIBRATION_LIMIT]
-    return min(feasible, key=lambda evaluation: evaluation.delay, default=None)
+def compare_shapers(cases: Sequence[OperatingPoint]) -> _ShaperComparison:
+    """Evaluate all shapers over operating points, each with at least one mode with held motors; recommend one."""
+    median = sorted(cases, key=lambda case: float(case.held[0, 0]))[len(cases) // 2]
+    counts = [count for count in (1, 2) if count <= len(median.held)]
+    found = [_evaluate_shaper(name, median.held[:count], cases) for count in counts for name in SHAPERS]
+    feasible = [evaluation for evaluation in found if evaluation.tip.max() <= TIP_VIBRATION_LIMIT]
+    return _ShaperComparison(median, found, min(feasible, key=lambda evaluation: evaluation.delay, default=None))
 
 
 def _evaluate_shaper(name: str, modes: Array, cases: Sequence[OperatingPoint]) -> ShaperEvaluation:

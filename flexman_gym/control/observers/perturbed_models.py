@@ -117,7 +117,7 @@ class Prior(NamedTuple):
         return np.clip(numbers, self.low, self.high)
 
 
-class Resimulation(NamedTuple):
+class _Resimulation(NamedTuple):
     """Result of a simulation of r arms from their start, compared with the measurements.
 
     Attributes:
@@ -132,9 +132,9 @@ class Resimulation(NamedTuple):
     gradient: Array
     cost: Array
 
-    def of(self, arms: BoolArray) -> "Resimulation":
+    def of(self, arms: BoolArray) -> "_Resimulation":
         """Return the result of the flagged arms (r,)."""
-        return Resimulation(*(values[arms] for values in self))
+        return _Resimulation(*(values[arms] for values in self))
 
 
 class PerturbedModels:
@@ -213,7 +213,7 @@ class PerturbedModels:
 
     def resimulate(
         self, origin: Array, numbers: Array, torques: Array, readings: Array, weights: Array
-    ) -> Resimulation:
+    ) -> _Resimulation:
         """Simulate r arms from their start over k control periods and compare them with the measurements.
 
         Args:
@@ -228,11 +228,11 @@ class PerturbedModels:
         """
         parts = [slice(first, first + BATCH_ARMS) for first in range(0, len(origin), BATCH_ARMS)]
         results = [self._resimulate_batch(origin[p], numbers[p], torques[p], readings[p], weights[p]) for p in parts]
-        return Resimulation(*(np.concatenate(each) for each in zip(*results, strict=True)))
+        return _Resimulation(*(np.concatenate(each) for each in zip(*results, strict=True)))
 
     def _resimulate_batch(
         self, origin: Array, numbers: Array, torques: Array, readings: Array, weights: Array
-    ) -> Resimulation:
+    ) -> _Resimulation:
         arms, periods, n = torques.shape
         start = self.initial_states(origin, numbers)
         models = start.shape[1]
@@ -257,11 +257,11 @@ class PerturbedModels:
         error = (error * root).reshape(arms, -1)
         across = jacobian.transpose(0, 2, 1)
         gradient = row_dots(across, error[:, None])
-        return Resimulation(states[:, :, -1].copy(), across @ jacobian, gradient, row_dots(error, error))
+        return _Resimulation(states[:, :, -1].copy(), across @ jacobian, gradient, row_dots(error, error))
 
     def fit(
         self, origin: Array, numbers: Array, prior: Prior, data: tuple[Array, Array, Array]
-    ) -> tuple[Array, Resimulation]:
+    ) -> tuple[Array, _Resimulation]:
         """Fit the numbers of r arms to all measurements by a few Levenberg-Marquardt iterations.
 
         Args:
@@ -283,7 +283,7 @@ class PerturbedModels:
             damping = np.where(better, 0.3 * damping, 20.0 * damping) if attempt else damping
             least = np.where(better, cost, least)
             best = np.where(better[:, None], candidate, best)
-            result = Resimulation(*(_select_rows(better, *both) for both in zip(simulation, result, strict=True)))
+            result = _Resimulation(*(_select_rows(better, *both) for both in zip(simulation, result, strict=True)))
             change, fall = levenberg_marquardt_step(result, best, prior, damping)
             running &= fall >= max(MIN_DECREASE[0], MIN_DECREASE[1] * periods)
             if attempt == MAX_ITERATIONS - 1 or not running.any():
@@ -294,7 +294,7 @@ class PerturbedModels:
 
 
 def levenberg_marquardt_step(
-    simulation: Resimulation, numbers: Array, prior: Prior, damping: Array | float = 0.0
+    simulation: _Resimulation, numbers: Array, prior: Prior, damping: Array | float = 0.0
 ) -> tuple[Array, Array]:
     """Return the change (r, p) of numbers (r, p) and the predicted decrease (r,) of the cost with its prior."""
     precision = 1.0 / prior.deviation**2

@@ -48,7 +48,7 @@ TINY = 1e-12  # m
 ROUNDING = 1e-9  # fraction of the torque limits
 
 
-class SlewTorques(NamedTuple):
+class _SlewTorques(NamedTuple):
     """Torques over T control periods; afterwards an LQR acts at the goal.
 
     Attributes:
@@ -62,7 +62,7 @@ class SlewTorques(NamedTuple):
     arrival: int
 
 
-def interpolate_torques(knots: Array, periods: int) -> Array:
+def _interpolate_torques(knots: Array, periods: int) -> Array:
     """Return the torques (..., T, n) in the middles of control periods, linear between knots (..., K, n)."""
     places = (np.arange(periods) + 0.5) / periods * (knots.shape[-2] - 1)
     lower = np.minimum(places.astype(int), knots.shape[-2] - 2)
@@ -116,13 +116,13 @@ class SingleShooting:
         self._gain, self._target = regulator.gain(goal), rest_tips(model, goal[None])[0]
         self._tail, self._stay = (round(time / regulator.period) for time in (TAIL_TIME, SETTLING_TIME))
 
-    def search(self) -> SlewTorques | None:
+    def search(self) -> _SlewTorques | None:
         """Return the fastest slew found; None if none settles."""
         torques = plan_slew(
             self._regulator.model, *self._ends, self._regulator.limits, TORQUE_SHARE, self._regulator.period
         )
         solution, best, part = (
-            SlewTorques(torques.torques, len(torques.torques), len(torques.torques)),
+            _SlewTorques(torques.torques, len(torques.torques), len(torques.torques)),
             None,
             SHORTER_FACTOR,
         )
@@ -152,7 +152,7 @@ class SingleShooting:
         batch, rates = self._batch(len(knots)), self._regulator.model.n_dof + self._regulator.model.motor_columns
         result = np.empty((len(knots), periods + self._stay, 3 + n))
         drives = np.zeros((len(knots), periods, n + 6))
-        drives[..., :n] = np.clip(interpolate_torques(knots, periods) / limits, -1.0, 1.0) * limits
+        drives[..., :n] = np.clip(_interpolate_torques(knots, periods) / limits, -1.0, 1.0) * limits
         states, read = batch.roll(drives)
         result[:, :periods, :3], result[:, :periods, 3:] = (
             read[..., TIP] - self._target,
@@ -174,7 +174,7 @@ class SingleShooting:
         self._batches[count].reset(np.arange(count), np.tile(self._start, (count, 1)))
         return self._batches[count]
 
-    def _rescale(self, solution: SlewTorques, arrival: int) -> Array:
+    def _rescale(self, solution: _SlewTorques, arrival: int) -> Array:
         """Return the knots (K, n) of a slew with another arrival time.
 
         The inertial part of the torques scales with the square of the speed.
@@ -188,14 +188,14 @@ class SingleShooting:
         )
         return np.clip(holding + (torques - holding) * speed**2, -limits, limits)
 
-    def _solve(self, knots: Array, arrival: int) -> SlewTorques | None:
+    def _solve(self, knots: Array, arrival: int) -> _SlewTorques | None:
         """Return the slew whose tip stays within the band from the arrival on; None if the iteration fails."""
         periods, damping, reused, counted = arrival + self._tail, INITIAL_DAMPING, 0, 1
         errors, jacobian = self._jacobian(knots, periods)
         for _ in range(MAX_STEPS):
             outside = np.flatnonzero(np.linalg.norm(errors[:, :3], axis=1) > SETTLED_BAND * self._band)
             if outside.max(initial=-1) < arrival - 1 and np.abs(errors[:, 3:]).max() <= MAX_RATE:
-                return SlewTorques(knots, periods, int(outside.max(initial=-1)) + 2)
+                return _SlewTorques(knots, periods, int(outside.max(initial=-1)) + 2)
             tried = self._steps(knots, errors, jacobian, arrival, damping * DAMPING_FACTORS)
             candidate_errors = self.errors(tried, periods)
             costs = np.square(self._residuals(np.concatenate([candidate_errors, errors[None]]), arrival)).sum(axis=1)
@@ -270,13 +270,13 @@ class SlewTable:
     Attributes:
         about: origin of the table: environment, method, model, command and so on, as texts, numbers and lists.
         arm: numbers that identify the arm, see `arm_fingerprint`.
-        found: seed of an episode -> its start and goal (2, n) rad, its `SlewTorques`, and the settling time (s) of its
+        found: seed of an episode -> its start and goal (2, n) rad, its torques (knots, periods, arrival), and the settling time (s) of its
             replay in the environment; infinite if it did not settle.
     """
 
     about: Mapping[str, Any]
     arm: Array
-    found: dict[int, tuple[Array, SlewTorques, float]] = field(default_factory=dict)
+    found: dict[int, tuple[Array, _SlewTorques, float]] = field(default_factory=dict)
 
     def torques(self, start: Array, goal: Array) -> Array:
         """Return the torques (T, n) of the slew between two postures (n,) rad, N m.
@@ -293,7 +293,7 @@ class SlewTable:
         """
         for ends, slew, _ in self.found.values():
             if ends.shape == (2, len(start)) and np.abs(ends - [start, goal]).max() <= POSTURE_TOLERANCE:
-                return interpolate_torques(slew.knots, slew.periods)
+                return _interpolate_torques(slew.knots, slew.periods)
         allowed = f"start and goal of a slew in the table, or compute one: {COMMAND}"
         raise value_error("episode", [start.tolist(), goal.tolist()], allowed)
 
@@ -366,7 +366,7 @@ class SlewTable:
             parts = np.split(knots, np.cumsum(counts))[:-1]
             rows = zip(seeds, ends, parts, periods, times, strict=True)
             slews = {
-                int(seed): (both, SlewTorques(part, *map(int, ages)), float(time))
+                int(seed): (both, _SlewTorques(part, *map(int, ages)), float(time))
                 for seed, both, part, ages, time in rows
             }
             return cls(json.loads(str(about)), arm, slews)

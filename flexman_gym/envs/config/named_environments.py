@@ -19,7 +19,7 @@ Gains = dict[str, tuple[float, ...]]
 
 
 @dataclass(frozen=True)
-class NamedEnvironment:
+class _NamedEnvironment:
     """Default settings of a named environment.
 
     Attributes:
@@ -108,7 +108,7 @@ def _merged(old: object, change: object) -> object:
 
 
 NAMED_ENVIRONMENTS = {
-    id: NamedEnvironment.load(ENVIRONMENT_FOLDER / f"{id}.yaml")
+    id: _NamedEnvironment.load(ENVIRONMENT_FOLDER / f"{id}.yaml")
     for id in (
         "FlexRRR-v0",
         "FlexRRR-Track-v0",

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from flexman_gym.common.checks import non_negative, positive, text, value_error, vector
+from flexman_gym.common.checks import non_negative, positive, value_error, vector
 from flexman_gym.envs.effects import SIGNALS, Range
 from flexman_gym.simulation.parameters import PARAMETERS
 
@@ -93,12 +93,3 @@ def range_name(effect: str) -> str:
     """Return the name of the range of an effect: NAME_factor for factors on the nominal value."""
     entry = PARAMETERS[effect] if effect in PARAMETERS else SIGNALS[effect]
     return f"{effect.removesuffix('_factor')}_factor" if getattr(entry, "factor", False) else effect
-
-
-def find_randomisation(value: object) -> Randomisation | None:
-    """Return a Randomisation from a dict of its arguments, a Randomisation as it is, or None."""
-    if isinstance(value, dict):
-        return Randomisation(**{text("a key of randomisation", name): each for name, each in value.items()})
-    if value is not None and not isinstance(value, Randomisation):
-        raise value_error("randomisation", value, "a Randomisation, or a dict of its arguments")
-    return value

@@ -20,20 +20,6 @@ STARTS, MAX_ITERATIONS = 24, 20  # start postures of the search; corrections for
 TOLERANCE = 1e-8  # accepted distance of the tip, fraction of the reach
 
 
-def replace_tip_positions(plan: Mapping[str, Array], view: View) -> dict[str, Array]:
-    """Return plans with postures (r, n), rad, in place of the tip positions (r, 3), m, of TIP_OPTIONS.
-
-    The search for a goal starts at the start posture, that for a start at zero angles; see `inverse_kinematics`.
-    """
-    result = dict(plan)
-    for name, posture in TIP_OPTIONS.items():
-        if name in plan:
-            near = result["start"] if posture != "start" else np.zeros((len(plan[name]), view.n_joints))
-            pairs = zip(result.pop(name), near, strict=True)
-            result[posture] = np.array([inverse_kinematics(f"options[{name!r}]", *pair, view) for pair in pairs])
-    return result
-
-
 def inverse_kinematics(field: str, place: Array, near: Array, view: View) -> Array:
     """Return motor angles (n,), rad, at which the tip rests at a position (3,) in the base frame, m.
 

@@ -5,12 +5,14 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from flexman_gym.common.checks import finite, one_of, physical, positive, sequence, text, value_error, whole_number
 from flexman_gym.control.actions import ActionMode, parse_action_mode
-from flexman_gym.control.agent import parse_history
+from flexman_gym.control.agent import MAX_HISTORY
 from flexman_gym.control.base_controllers import BASES, parse_base
 from flexman_gym.control.controller import checked_controller
-from flexman_gym.envs.config.randomisation import Randomisation, find_randomisation
+from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.limits import Limits, find_limits
 from flexman_gym.envs.sensors import find_sensors, plain_sensors
 from flexman_gym.envs.tasks import Task, find_task, plain_task
@@ -26,7 +28,7 @@ MAX_REPEATS = 1000  # control periods of an action
 
 
 @dataclass(frozen=True)
-class Setting:
+class _Setting:
     """Declaration of one setting.
 
     Attributes:
@@ -52,7 +54,7 @@ class Setting:
 
 def _setting(*arguments: Any, **columns: Any) -> Any:
     """Return a declaration; the annotation of the class attribute is the type of the stored value."""
-    return Setting(*arguments, **columns)
+    return _Setting(*arguments, **columns)
 
 
 def _as_given(value: Any) -> Any:
@@ -109,6 +111,25 @@ def _info_keys_setting(value: object) -> tuple[str, ...]:
     return tuple(text(f"info_keys[{i}]", each) for i, each in enumerate(sequence("info_keys", value, "names")))
 
 
+def _find_randomisation(value: object) -> Randomisation | None:
+    """Return a Randomisation from a dict of its arguments, a Randomisation as it is, or None."""
+    if isinstance(value, dict):
+        return Randomisation(**{text("a key of randomisation", name): each for name, each in value.items()})
+    if value is not None and not isinstance(value, Randomisation):
+        raise value_error("randomisation", value, "a Randomisation, or a dict of its arguments")
+    return value
+
+
+def _parse_history(value: object) -> int | tuple[float, ...]:
+    """Return a number of observations, or time constants (s) of averages as a tuple."""
+    if not isinstance(value, list | tuple) and not (isinstance(value, np.ndarray) and value.ndim):
+        return whole_number("history", value, 1, MAX_HISTORY)
+    times = sequence("history", value, "times (s)")
+    if not 0 < len(times) <= MAX_HISTORY:
+        raise value_error("history", value, f"a whole number, or 1 to {MAX_HISTORY} times (s)")
+    return tuple(positive(f"history[{i}]", time, "s") for i, time in enumerate(times))
+
+
 class EnvironmentSettings:
     """Settings of an environment, declared as class attributes; an instance stores their checked values."""
 
@@ -140,7 +161,7 @@ class EnvironmentSettings:
     history: int | tuple[float, ...] = _setting(
         "Number of recent observations in the input of the agent, the newest first. Or time constants in s: the input "
         "is then the present observation and its exponential averages with these time constants.",
-        parse_history, 1,
+        _parse_history, 1,
     )
     limits: Limits = _setting(
         "Limits of the motion, beyond which an episode ends. A Limits object, or a mapping of its arguments.",
@@ -220,7 +241,7 @@ class EnvironmentSettings:
     )
     randomisation: Randomisation | None = _setting(
         "Ranges of parameters and disturbances, drawn in each episode. A Randomisation, or a mapping of its arguments.",
-        find_randomisation, plain=lambda value: {name: getattr(value, name) for name in value.given}, foreign={
+        _find_randomisation, plain=lambda value: {name: getattr(value, name) for name in value.given}, foreign={
             "delay": 'randomisation={"delay": (1, 1)}, the smallest and the largest delay of the torques in control '
             "periods",
             "noise": 'randomisation={"sensor_noise": ...}, or sensors with flaws',
@@ -230,7 +251,7 @@ class EnvironmentSettings:
     # fmt: on
 
 
-SETTINGS: dict[str, Setting] = {
-    name: each for name, each in vars(EnvironmentSettings).items() if isinstance(each, Setting)
+SETTINGS: dict[str, _Setting] = {
+    name: each for name, each in vars(EnvironmentSettings).items() if isinstance(each, _Setting)
 }
-"""Declared settings of an environment: name -> Setting."""
+"""Declared settings of an environment: name -> _Setting."""

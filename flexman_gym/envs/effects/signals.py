@@ -223,7 +223,7 @@ class _TipImpulse:
         return int(self._inner[arm].geometric(self._period / self._gap_time))
 
 
-class TipLoad:
+class _TipLoad:
     """Forces, N, at the tip with random directions; each is constant until the next change at a random time.
 
     The first force acts from the start of the episode. The mean time between two changes is `impulse_gap`.
@@ -311,7 +311,7 @@ SIGNALS: dict[str, Any] = {
     "delay": _Delay,
     "initial_vibration": _InitialVibration,
     "tip_impulse": _TipImpulse,
-    "tip_load": TipLoad,
+    "tip_load": _TipLoad,
     "base_sway": _BaseSway,
 }
 """Effects on signals: name -> class."""
