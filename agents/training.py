@@ -33,7 +33,7 @@ from flexman_agents.sb3 import action_function, make_model
 from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings, write_settings
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common.checks import value_error, whole_number
-from flexman_gym.common.renamed import deprecated_arguments
+from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.common.run_folder import (
     BEST,
     NEWEST,
@@ -278,7 +278,7 @@ def train(
         return run.learn(checkpoint_every, progress, hook)
 
 
-@deprecated_arguments(judge_every="eval_every")
+@deprecated_arguments(**ARGUMENTS["resume"])
 def resume(
     folder: Path,
     steps: int | None = None,

@@ -69,31 +69,6 @@ METHODS = {
     "midpoint_2_sweeps": "midpoint_2", "midpoint_3_sweeps": "midpoint_3",
 }  # fmt: skip
 """Old name of an integration method -> present name; the number counts Newton iterations."""
-LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")  # packages whose frames are no callers of a deprecated name
-
-
-def current_methods(text: str, warn: bool = False) -> str:
-    """Replace old names of integration methods in a text, such as a stored row or the name of a scenario.
-
-    Args:
-        text: a name of a method, or a longer text with such names in it.
-        warn: issue a DeprecationWarning for each old name, at the first caller outside of LIBRARIES; files of earlier
-            releases are read without.
-    """
-
-    def present(match: re.Match[str]) -> str:
-        old = match[0]
-        if warn:
-            level, frame = 2, sys._getframe(1)
-            while frame.f_back and frame.f_globals["__name__"].partition(".")[0] in ("re", *LIBRARIES):
-                level, frame = level + 1, frame.f_back
-            message = f"method {old!r} is deprecated; give {METHODS[old]!r}"
-            warnings.warn(message, DeprecationWarning, stacklevel=level)
-        return METHODS[old]
-
-    return re.sub(rf"\b({'|'.join(METHODS)})\b", present, text)
-
-
 RUN_SETTINGS = {"judge_every": "eval_every", "rounds_kept": "iterations_kept", "value_first": "value_warmup"}
 """Old setting or hyperparameter of a training run, in recipes and settings.json -> present name."""
 OPTIONS = {
@@ -103,7 +78,55 @@ OPTIONS = {
     "train": {"--judge-every": "--eval-every"},
 }
 """Command -> old option or value on its command line -> present one."""
-LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")
+STATE_FIELDS = {
+    "_apart": "_perturbations_reduced", "_following": "_paths", "_given_up": "_fallback_active", "_known": "_latest",
+    "_looked": "_updated", "_own_coordinates": "_adapted_coordinates", "_own_torques": "_adapted_torques",
+    "_pushed": "_filtering", "_residuals": "_detector", "_soft": "_compliance", "_tight": "_holding",
+    "ahead": "clock_offset", "begun": "start_time", "lasting": "duration", "pace": "time_scaling",
+    "quickening": "pace_rate", "shape": "shaping", "wanted": "action", "way": "displacement",
+}  # fmt: skip
+"""Old field of a saved state -> present field."""
+LEAGUE_COLUMNS = {"entrant": "agent", "venue": "scenario"}
+"""Old head of a column in the rows of a league -> present head."""
+CERTIFICATE_KEYS = {"trials": "rows", "name": "scenario", "machine": "computer"}
+"""Old key of a certificate -> present key."""
+MEMBERS = {
+    "Controller, Observer, ActionMode, Task, Sensor, Effect": {"kept": "state_fields"},
+    "Controller.reset": {"reset(arms, episode)": "reset(arms, episode, count)"},
+    "Observer": {"wrong": "inconsistent"},
+    "ActionMode": {"shown": "observation_sizes", "look": "observe"},
+    "Task": {"figures": "metrics"},
+    "FlexManEnv, FlexManVectorEnv": {"setup": "configuration"},
+    "View": {"alone": "single", "heavy": "has_gravity", "places": "slices", "reaching": "inverse_kinematics"},
+    "Simulator": {"keep": "record"},
+    "Episode": {"of_trajectory": "from_trajectory"},
+    "TrainingReport": {"figures": "metrics"},
+}
+"""Class or protocol -> old member -> present member; the class itself accepts the old one."""
+ARGUMENTS = {
+    "diagnose": {"entrant": "agent"}, "evaluate": {"entrant": "agent"},
+    "export_policy": {"words": "description", "venue": "environment"}, "record_dataset": {"entrant": "agent"},
+    "resume": {"judge_every": "eval_every"}, "rollout": {"entrant": "agent", "watch": "callback", "moved": "set_plant"},
+    "write_onnx": {"entrant": "agent"},
+}  # fmt: skip
+"""Function -> old argument -> present argument, see `deprecated_arguments`."""
+PARAMETER_KEYS = {"link_stiffness": "link_stiffness_factor"}
+"""Old name of a physical parameter in fits, reset options and draws -> present name."""
+LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")  # packages whose frames are no callers of a deprecated name
+
+
+def current_methods(text: str, warn: bool = False) -> str:
+    """Replace old names of integration methods in a text, such as a stored row or the name of a scenario.
+
+    Args:
+        text: a name of a method, or a longer text with such names in it.
+        warn: issue a DeprecationWarning for each old name; files of earlier releases are read without.
+    """
+    pattern = rf"\b({'|'.join(METHODS)})\b"
+    if warn:
+        for old in re.findall(pattern, text):
+            warn_deprecated(f"method {old!r} is deprecated; give {METHODS[old]!r}")
+    return re.sub(pattern, lambda match: METHODS[match[0]], text)
 
 
 def warn_deprecated(text: str) -> None:

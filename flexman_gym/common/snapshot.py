@@ -10,15 +10,8 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.checks import value_error
+from flexman_gym.common.renamed import STATE_FIELDS
 
-FORMER_FIELDS = {
-    "_apart": "_perturbations_reduced", "_following": "_paths", "_given_up": "_fallback_active", "_known": "_latest",
-    "_looked": "_updated", "_own_coordinates": "_adapted_coordinates", "_own_torques": "_adapted_torques",
-    "_pushed": "_filtering", "_residuals": "_detector", "_soft": "_compliance", "_tight": "_holding",
-    "ahead": "clock_offset", "begun": "start_time", "lasting": "duration", "pace": "time_scaling",
-    "quickening": "pace_rate", "shape": "shaping", "wanted": "action", "way": "displacement",
-}  # fmt: skip
-"""State field of release 0.2 -> present field: snapshots of older releases are read under their present names."""
 GENERATOR = "bit_generator"  # key of the state of a random generator
 
 
@@ -84,7 +77,7 @@ def _named_fields(field: str, data: Any, names: tuple[str, ...]) -> dict[str, An
     """Return the state of an object with the fields `names`, also one with the field names of release 0.2."""
     _check_kind(field, data, dict, "a mapping")
     if set(data) != set(names):
-        data = {FORMER_FIELDS.get(name, name): each for name, each in data.items()}
+        data = {STATE_FIELDS.get(name, name): each for name, each in data.items()}
     if set(data) != set(names):
         raise value_error(field, sorted(map(str, data)), f"a mapping with {', '.join(sorted(names)) or 'nothing'}")
     return data

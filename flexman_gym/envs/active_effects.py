@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import check_member_names, value_error
+from flexman_gym.common.renamed import PARAMETER_KEYS
 from flexman_gym.envs.config.randomisation import Randomisation, range_name
 from flexman_gym.envs.effects import HOOKS, SIGNALS, EffectContext
 from flexman_gym.envs.random_streams import RandomStreams
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.parameters import LINK, PARAMETERS, RENAMED_PARAMETERS
+from flexman_gym.simulation.parameters import LINK, PARAMETERS
 
 
 class ActiveEffects:
@@ -69,7 +70,7 @@ class ActiveEffects:
     @drawn.setter
     def drawn(self, values: dict[str, NDArray[Any]]) -> None:
         self._drawn = {
-            RENAMED_PARAMETERS.get(name, name): each for name, each in values.items()
+            PARAMETER_KEYS.get(name, name): each for name, each in values.items()
         }  # saved states of release 0.2 have the old names
 
     def _find_hooks(self, hook: str) -> list[Any]:

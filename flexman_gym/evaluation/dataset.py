@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 from flexman_gym.common.parallel import Workers, parallel_map
-from flexman_gym.common.renamed import deprecated_arguments
+from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.rollout import rollout
@@ -17,7 +17,7 @@ BLOCK = 50  # episodes simulated side by side
 OBSERVATION_SETTINGS = ("sensors", "history")  # settings of an agent in the environment of a dataset
 
 
-@deprecated_arguments(entrant="agent")
+@deprecated_arguments(**ARGUMENTS["record_dataset"])
 def record_dataset(
     agent: str, environment: str | Configuration, seeds: Sequence[int], name: str, form: str = "hdf5",
     workers: Workers | int = 1,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.renamed import deprecated_arguments
+from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.control.controller import Controller
 from flexman_gym.control.input_shaping.shapers import excited_modes
 from flexman_gym.envs.config.configuration import Configuration
@@ -94,7 +94,7 @@ class Diagnosis:
         return max(self.shares, key=lambda name: self.shares[name])
 
 
-@deprecated_arguments(entrant="agent")
+@deprecated_arguments(**ARGUMENTS["diagnose"])
 def diagnose(
     agent: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int]
 ) -> list[Diagnosis]:

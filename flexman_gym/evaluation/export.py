@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.files import existing_file
-from flexman_gym.common.renamed import deprecated_arguments
+from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.common.run_folder import BEST, NEWEST, read_npz, read_settings
 from flexman_gym.control.network import MAX_INPUT, Network, policy_parameters
 from flexman_gym.envs.config.configuration import Configuration
@@ -30,7 +30,7 @@ DEFAULT_LICENCE = "MIT"
 CHECK_SEEDS = SELECTION_SEEDS[:16]  # episodes of the observations stored as a check of the network
 
 
-@deprecated_arguments(words="description", venue="environment")
+@deprecated_arguments(**ARGUMENTS["export_policy"])
 def export_policy(
     run: Path, folder: Path, description: str, recipe: str, environment: str = "", licence: str = DEFAULT_LICENCE
 ) -> dict[str, float]:
@@ -123,7 +123,7 @@ OPSET, IR_VERSION = 13, 8  # versions of the ONNX operators and of the file form
 ONNX_TOLERANCE, ONNX_ROWS = 1e-4, 64  # largest difference of an action in float32; number of compared observations
 
 
-@deprecated_arguments(entrant="agent")
+@deprecated_arguments(**ARGUMENTS["write_onnx"])
 def write_onnx(agent: str, path: Path) -> float:
     """Write the network of a policy with its normalisation; return the largest difference from its actions in NumPy.
 

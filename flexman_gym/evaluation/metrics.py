@@ -9,7 +9,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of
-from flexman_gym.common.renamed import deprecated_arguments
+from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.control.controller import Controller
 from flexman_gym.control.references.optimised_slews import SHIPPED_TABLE, SlewTable
 from flexman_gym.envs.config.configuration import Configuration
@@ -107,7 +107,7 @@ def task_metrics(task: Any) -> tuple[Metric, ...]:
     return tuple(metric for name, metric in METRICS.items() if metric.for_all_tasks or name in own)
 
 
-@deprecated_arguments(entrant="agent")
+@deprecated_arguments(**ARGUMENTS["evaluate"])
 def evaluate(
     agent: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int] | int
 ) -> dict[str, float]:

@@ -14,7 +14,7 @@ from safetensors.numpy import load, save
 
 from flexman_gym.common.checks import one_of, short_path, short_repr, value_error
 from flexman_gym.common.files import READ_ERRORS, existing_file, regular_file, write_atomically
-from flexman_gym.common.renamed import current_methods
+from flexman_gym.common.renamed import CERTIFICATE_KEYS, current_methods
 from flexman_gym.control.network import Network, policy_parameters
 
 FOLDER = Path(__file__).parents[1] / "policies"
@@ -28,9 +28,7 @@ KEYS = (
     "environment_hash", "settings_hash", "observation", "league", "arrays_hash",
 )  # fmt: skip
 STATISTICS, CHECKS = ("statistics.mean", "statistics.var"), ("check.observations", "check.actions")
-CERTIFICATE_KEYS = (("arrays_hash", str), ("fails", list), ("rows", list))  # required keys and their types
-# Key in a certificate of version 0.2 -> present key
-FORMER_KEYS = {"trials": "rows", "name": "scenario", "machine": "computer"}
+REQUIRED_KEYS = (("arrays_hash", str), ("fails", list), ("rows", list))  # required keys and their types
 CHECK_ROWS = 64  # number of observations stored with their actions as a check of the network
 CHECK_TOLERANCE = 1e-9  # largest difference of an action from the stored one
 
@@ -124,10 +122,8 @@ def read_certificate(folder: Path) -> dict[str, Any] | None:
         return None
     try:
         result = _present_keys(_parse_json(_read_bytes(path)))
-        if not isinstance(result, dict) or not all(
-            isinstance(result.get(name), kind) for name, kind in CERTIFICATE_KEYS
-        ):
-            raise ValueError(f"give a mapping with {', '.join(name for name, _ in CERTIFICATE_KEYS)}")
+        if not isinstance(result, dict) or not all(isinstance(result.get(name), kind) for name, kind in REQUIRED_KEYS):
+            raise ValueError(f"give a mapping with {', '.join(name for name, _ in REQUIRED_KEYS)}")
     except ValueError as error:
         raise ValueError(f"{short_path(path)}: this is no certificate ({error})") from None
     result["rows"] = [_present_keys(row) for row in result["rows"]]
@@ -138,8 +134,8 @@ def read_certificate(folder: Path) -> dict[str, Any] | None:
 
 
 def _present_keys(data: Any) -> Any:
-    """Return a mapping with the keys of FORMER_KEYS replaced by the present ones; other data unchanged."""
-    return {FORMER_KEYS.get(name, name): value for name, value in data.items()} if isinstance(data, dict) else data
+    """Return a mapping with the keys of CERTIFICATE_KEYS replaced by the present ones; other data unchanged."""
+    return {CERTIFICATE_KEYS.get(name, name): value for name, value in data.items()} if isinstance(data, dict) else data
 
 
 def describe_policy(name: str) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.progress import Progress
-from flexman_gym.common.renamed import deprecated_arguments
+from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes, validate_actions
@@ -143,7 +143,7 @@ class Rollout:
         ]  # fmt: skip
 
 
-@deprecated_arguments(entrant="agent", watch="callback", moved="set_plant")
+@deprecated_arguments(**ARGUMENTS["rollout"])
 def rollout(
     agent: str | AgentSpec | Controller,
     environment: str | Configuration,

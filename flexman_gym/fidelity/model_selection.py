@@ -16,7 +16,7 @@ from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.methods import EXPLICIT, METHODS, Method
-from flexman_gym.simulation.stability import explicit_limit, remaining_amplitude, spectral_radii
+from flexman_gym.simulation.stability import NEGLIGIBLE_GROWTH, remaining_amplitude, spectral_radii, stability_limit
 
 SAFETY_FACTOR = 0.8  # 1; largest estimated error of the chosen run relative to the tolerance
 COST_TOLERANCE = 1.25  # 1; ratio of costs below which their difference is within the scatter of the timing
@@ -294,7 +294,7 @@ def _write_report(search: ModelSearch, best: CandidateRun, trials: list[Candidat
         lines.append("system frequencies (Hz, motors free): " + ", ".join(f"{each:.4g}" for each in own))
         lines.append(f"the highest is {own[-1]:.4g} Hz, with all coordinates {all_[-1]:.4g} Hz")
     if best.method.kind == EXPLICIT and len(own):
-        limit = explicit_limit(best.method) / (2.0 * np.pi * own[-1])
+        limit = stability_limit(best.method, NEGLIGIBLE_GROWTH) / (2.0 * np.pi * own[-1])
         lines.append(f"longest stable step: {limit:.3g} s for {best.method.name}")
     same = [each for each in trials if each[:2] == best[:2] and each.step > best.step]
     if same:

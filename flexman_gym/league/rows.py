@@ -17,7 +17,7 @@ from flexman_gym.common.checks import short_path
 from flexman_gym.common.computer import computer_info
 from flexman_gym.common.files import write_atomically
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
-from flexman_gym.common.renamed import current_methods
+from flexman_gym.common.renamed import LEAGUE_COLUMNS, current_methods
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS
 from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.envs.config.configuration import Configuration
@@ -36,7 +36,6 @@ BLOCK = 25  # episodes simulated side by side in a cell
 TIME_RATIO = "multiple"  # 1; settling time relative to that of the optimised slew
 DAMPING = "damping"  # 1; equivalent damping ratio of the tip's oscillation after its first arrival
 VALUES = (*METRICS, TIME_RATIO, DAMPING)  # columns of the values of a row
-FORMER_HEADS = {"entrant": "agent", "venue": "scenario"}  # head of a column in rows of version 0.2 -> present head
 FORMER_METRICS: tuple[str, ...] = ()  # columns of metrics of earlier versions; they are skipped in older rows
 # Code that determines a row in addition to agent, scenario and packages; the texts of pages are not included.
 SOURCES = ("common/arrays.py", "kernels", "scene", "model", "simulation", "control", "envs", "metrics",
@@ -255,7 +254,7 @@ def _read(
 ) -> list[Kind]:
     """Return the result of `make` for each line of a CSV file with these heads and some of the metrics."""
     lines = read_csv_rows(path)
-    found = [FORMER_HEADS.get(name, name) for name in next(lines, [])]
+    found = [LEAGUE_COLUMNS.get(name, name) for name in next(lines, [])]
     unknown, missing = [name for name in found if name not in (*heads, *metrics)], set(heads) - {*found}
     if unknown or missing or len(set(found)) < len(found):
         allowed = f"{', '.join(heads)}{' and the metrics of the league' if metrics else ''}, each once"

@@ -84,7 +84,8 @@ def holding_torques(model: Model, motor_angles: Vector) -> Array:
         >>> fm.holding_torques(model, [0.0, 0.0]).round(3)
         array([3.621, 1.147])
     """
-    x, zero = rest_state(model, motor_angles)[: model.n_dof], np.zeros(model.n_dof)
+    angles = vector("motor_angles", motor_angles, check_model(model).n_joints, "rad")
+    x, zero = rest_state(model, angles)[: model.n_dof], np.zeros(model.n_dof)
     return (inertial_forces(model)(x, zero, zero) + stiffness_matrix(model) @ x)[model.motor_columns]
 
 

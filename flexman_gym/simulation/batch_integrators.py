@@ -213,7 +213,7 @@ GROUPS_PER_THREAD = 4  # least number of groups of a thread; passing a task cost
 
 
 class LaneIntegrator(BatchIntegrator):
-    """Batch integrator by fixed steps of a linearly implicit method, for ARMS_ABREAST arms in one pass of the kernels.
+    """Batch integrator by fixed steps of a linearly implicit method, ARMS_PER_GROUP arms in one pass of the kernels.
 
     A single arm without foreshortening is integrated by the kernels of one arm, which are faster and give the same
     bits.
@@ -447,7 +447,7 @@ def _arm_slice(groups: slice) -> slice:
 
 
 def _lane_constants(constants: Constants) -> Constants:
-    """Return the constants of ARMS_ABREAST equal arms."""
+    """Return the constants of ARMS_PER_GROUP equal arms."""
     own: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in PER_ARM}
     for name, values in own.items():
         values[:] = getattr(constants, name)[..., None]

@@ -11,7 +11,8 @@ from flexman_gym.model.dynamics import frequencies, stiffness_matrix
 from flexman_gym.model.linearization import coordinate_scales
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.integrator import Integrator
-from flexman_gym.simulation.stability import explicit_limit
+from flexman_gym.simulation.methods import EXPLICIT
+from flexman_gym.simulation.stability import NEGLIGIBLE_GROWTH, stability_limit
 
 LARGE_RATE = 100.0  # rad/s; bound of the rates of joints and motors
 LARGE_TWIST = 1.0  # rad; bound of the twists of joint springs
@@ -118,7 +119,8 @@ def _quantities(model: Model, states: Array) -> Iterator[_Quantity]:
 def _advice(model: Model, run: Integrator, step: float, states: Array) -> list[str]:
     """Return remedies, the most promising first."""
     method, d, result = run.method, model.n_dof, []
-    highest, limit = frequencies(model).max(initial=0.0), explicit_limit(method)
+    highest = frequencies(model).max(initial=0.0)
+    limit = stability_limit(method, NEGLIGIBLE_GROWTH) if method.kind == EXPLICIT else np.inf
     if run.tolerance[0] > 0.0:
         result.append("a method with fixed steps, such as midpoint_3")
     elif 2.0 * np.pi * highest * step > limit:

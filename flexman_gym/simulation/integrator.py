@@ -27,7 +27,7 @@ from flexman_gym.simulation.methods import (
 )
 
 MAX_CALL_COST = 1e8  # matrix entries to the power 3 / 2; work of one kernel call, at most 0.1 s
-LANE_COST_RATIO = 4  # 1; upper bound of the cost of an evaluation of ARMS_ABREAST arms relative to a single arm
+LANE_COST_RATIO = 4  # 1; upper bound of the cost of an evaluation of ARMS_PER_GROUP arms relative to a single arm
 MAX_STEPS = 100_000  # steps between two outputs, or in a control period
 DEFAULT_MAX_STEP = 0.005  # s; longest step where none is given
 

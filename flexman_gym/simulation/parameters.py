@@ -9,6 +9,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray
 from flexman_gym.common.checks import MAX_SIZE, number_array, one_of, value_error
+from flexman_gym.common.renamed import PARAMETER_KEYS
 from flexman_gym.model.model import Model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.link import NonUniformLink
@@ -173,14 +174,11 @@ PARAMETERS: dict[str, _Parameter] = {
 }  # fmt: skip
 
 
-RENAMED_PARAMETERS = {"link_stiffness": "link_stiffness_factor"}  # old name, until release 0.3 -> present name
 UNCERTAIN = {f"{name.removesuffix('_factor')}_factor" if row.factor else name: name for name, row in PARAMETERS.items()}
 """Name of a range -> parameter: NAME_factor where the range holds factors on the nominal value of NAME."""
 
 
-def rename_old_keys(
-    field: str, given: Mapping[str, Any], names: Mapping[str, str] = RENAMED_PARAMETERS
-) -> dict[str, Any]:
+def rename_old_keys(field: str, given: Mapping[str, Any], names: Mapping[str, str] = PARAMETER_KEYS) -> dict[str, Any]:
     """Return a mapping under the present names of its keys, with a DeprecationWarning for each old name.
 
     Args:

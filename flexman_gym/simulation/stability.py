@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array
 from flexman_gym.kernels.implicit import DIAGONAL, FROZEN_ITERATIONS, GAUSS_NODE, LOWER, RELAXATION, REMAINDER
 from flexman_gym.simulation.methods import (
-    EXPLICIT,
     Explicit,
     Implicit,
     IteratedGauss,
     LinearlyImplicit,
     Method,
 )
+
+NEGLIGIBLE_GROWTH = 1e-6  # 1; growth per step still counted as stable for explicit methods
 
 
 def amplification_factors(method: Method, angle: float | Array) -> NDArray[np.complex128]:
@@ -127,11 +128,6 @@ def stability_limit(method: Method, growth: float = 0.0) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if spectral_radii(method, middle) <= highest else (low, middle)
     return float(low)
-
-
-def explicit_limit(method: Method) -> float:
-    """Return the stability limit (rad) of an explicit method for a growth of 1e-6 per step; infinity for the others."""
-    return stability_limit(method, 1e-6) if method.kind == EXPLICIT else math.inf
 
 
 def remaining_amplitude(method: Method, step: float, frequency: float, duration: float = 10.0) -> float:

@@ -233,7 +233,7 @@ def test_what_is_shown_of_an_arm_on_its_way(lifting):
     here = Estimate(np.zeros((3, 2 * model.n_dof)), zero, known)
     reference, now = law.reference(here, arms), law.clock(here, arms)
     shown = mode._parts(here._replace(states=reference + off), np.zeros((3, 2)), arms)
-    ranges = np.concatenate([each[0] for each in (mode._plant.measured()[name] for name in mode._quantities.places)])
+    ranges = np.concatenate([each[0] for each in (mode._plant.measured()[name] for name in mode._quantities.columns)])
     assert np.sinh(shown["departures"]) * SMALL_DEPARTURE * ranges == pytest.approx(mode._read(off), abs=1e-12)
     assert shown["estimate"] == pytest.approx(mode._read(reference + off))
     motors, h = model.motor_columns, 1e-4

@@ -301,8 +301,12 @@ def test_a_setting_has_help_and_a_plain_form(name):
     assert getattr(again, name) == value or name == "sensors"
 
 
-def test_the_page_of_keywords_is_that_of_the_table():
-    assert (ROOT / "docs" / "environments" / "keywords.md").read_text(encoding="utf-8") == keywords.page()
+@pytest.mark.parametrize(
+    ("path", "page"),
+    [(keywords.KEYWORDS_PAGE, keywords.keywords_page), (keywords.MIGRATION_PAGE, keywords.migration_page)],
+)
+def test_pages_of_keywords_and_of_renamed_names_are_those_of_the_tables(path, page):
+    assert (ROOT / "docs" / path).read_text(encoding="utf-8") == page()
 
 
 # The same episode everywhere

@@ -12,7 +12,7 @@ from flexman_gym.fidelity.model_search import CandidateRun, ModelSearch
 from flexman_gym.fidelity.model_selection import REPORTED_GROWTH, assembled_modes
 from flexman_gym.model.dynamics import stiffness_matrix
 from flexman_gym.simulation.methods import METHODS
-from flexman_gym.simulation.stability import explicit_limit, remaining_amplitude, spectral_radii
+from flexman_gym.simulation.stability import NEGLIGIBLE_GROWTH, remaining_amplitude, spectral_radii, stability_limit
 
 from oracles.chains import random_joint, random_link
 from oracles.files import REFERENCE
@@ -185,9 +185,9 @@ def test_the_amplification_is_what_a_vibration_does(name):
 
 
 def test_explicit_limits_are_those_of_the_books():
-    assert explicit_limit(METHODS["rk4"]) == pytest.approx(np.sqrt(8.0), abs=0.01)
-    assert explicit_limit(METHODS["semi_implicit_euler"]) == pytest.approx(2.0, abs=0.01)
-    assert explicit_limit(METHODS["ros2"]) == np.inf
+    assert stability_limit(METHODS["rk4"], NEGLIGIBLE_GROWTH) == pytest.approx(np.sqrt(8.0), abs=0.01)
+    assert stability_limit(METHODS["semi_implicit_euler"], NEGLIGIBLE_GROWTH) == pytest.approx(2.0, abs=0.01)
+    assert stability_limit(METHODS["ros2"], NEGLIGIBLE_GROWTH) == np.inf
     with pytest.raises(ValueError, match=r"^method: dop853 chooses its steps"):
         spectral_radii(METHODS["dop853"], 0.1)
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, row_dots
 from flexman_gym.common.checks import mapping, number_array, value_error
+from flexman_gym.common.renamed import PARAMETER_KEYS
 from flexman_gym.control.controller import Plant
 from flexman_gym.control.observers.internal_model import InternalModels
 from flexman_gym.model.model import Model
@@ -39,7 +40,7 @@ class UncertainParameters:
     def __init__(self, model: Model, ranges: Mapping[str, tuple[float, float]]) -> None:
         names, joints, scales, spans = [], [], [], []
         former = {name: key for key, name in UNCERTAIN.items() if key != name}
-        former |= {"link_stiffness": "link_stiffness_factor"}
+        former |= PARAMETER_KEYS
         for key, span in mapping("unknown", rename_old_keys("unknown", ranges, former), tuple(UNCERTAIN)).items():
             low, high = number_array(f"unknown.{key}", span, (2,), "a range (low, high)")
             if not 0.0 <= low <= high:

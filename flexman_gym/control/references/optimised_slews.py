@@ -270,8 +270,8 @@ class SlewTable:
     Attributes:
         about: origin of the table: environment, method, model, command and so on, as texts, numbers and lists.
         arm: numbers that identify the arm, see `arm_fingerprint`.
-        found: seed of an episode -> its start and goal (2, n) rad, its torques (with knots, periods and arrival), and
-            the settling time (s) of its replay in the environment; infinite if it did not settle.
+        found: seed of an episode -> its start and goal (2, n) rad, its torques (knots, periods, arrival), and the
+            settling time (s) of its replay in the environment; infinite if it did not settle.
     """
 
     about: Mapping[str, Any]

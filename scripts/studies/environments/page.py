@@ -45,7 +45,7 @@ def docstring_sections(task: type) -> dict[str, list[str]]:
         KeyError: for a docstring without one of the SECTIONS.
     """
     lines = inspect.cleandoc(task.__doc__ or "").splitlines()
-    titles = [*SECTIONS, "Attributes:", "Example:", "Raises:"]
+    titles = [*SECTIONS, "Attributes:", "Examples:", "Raises:"]
     starts = {title: lines.index(title) for title in titles if title in lines}
     result = {}
     for title in SECTIONS:
@@ -136,7 +136,7 @@ def _arguments(name: str) -> list[str]:
     task = NAMED_ENVIRONMENTS[name].task
     lines = inspect.cleandoc(type(task).__doc__ or "").splitlines()
     first = lines.index("Attributes:") + 1
-    last = next((i for i, line in enumerate(lines) if i > first and line in ("Example:", "Raises:")), len(lines))
+    last = next((i for i, line in enumerate(lines) if i > first and line in ("Examples:", "Raises:")), len(lines))
     kind = type(task).__name__.lower()
     text = " ".join(line.strip() if line.startswith("        ") else "\n" + line.strip() for line in lines[first:last])
     given = [f"- `{each.strip().replace(':', '`:', 1)}" for each in text.split("\n") if each.strip()]
