@@ -24,7 +24,7 @@ from flexman_gym.kernels.runge_kutta import out_of_bounds, pause, resume, step_s
 
 
 @inner
-def _midpoint_step(constants, work, iterations, table, span, state):
+def _midpoint_step(constants, work, iterations, correction, table, span, state):
     """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
 
     With g = step / 2 the accelerations w at the midpoint solve M w = F(x, v) at v = v0 + g w and x = x0 + g v. A Newton
@@ -33,24 +33,75 @@ def _midpoint_step(constants, work, iterations, table, span, state):
     drive or a new start needs no special case. Accelerations of the previous step would reduce the error of the tip
     after a release by a third at most: they are a good guess for slow modes, but not for modes that turn by more than a
     radian per step.
+
+    With a `correction` > 0, iterations after the first one add its share of the force of `_corrected_springs`.
     """
     d, (time, step) = len(state) // 2 - 1, span
     g, w, x, v = 0.5 * step, work.rates, work.new_state[:d], work.new_state[d : 2 * d]
+    springs = work.stages[0][:d]
     evaluate_drive(table, time + g, work.drive)
     for k in range(d):
         work.stage_state[k], work.stage_state[d + k] = state[k] + g * state[d + k], state[d + k]
-        w[k] = 0.0
+        springs[k], w[k] = work.stage_state[k], 0.0
     _update_midpoint(work, g, x, v)
-    for _ in range(iterations):
-        _newton_iteration(constants, work, g, x, v)
+    for n in range(iterations):
+        _newton_iteration(constants, work, g, x, v, springs)
+        if n == 0 and correction > 0.0:
+            _corrected_springs(constants, work, g, correction, v)
         _update_midpoint(work, g, x, v)
     # the ledger needs the power at the final x and v, not at those of the last iteration
     power = prescribed_power(constants, work, v)
     supplied, dissipated = applied_forces(constants, work, x, v)
+    if correction > 0.0:
+        dissipated -= _correction_power(constants, work, v)
     work.new_state[2 * d] = state[2 * d] + step * (supplied + power)
     work.new_state[2 * d + 1] = state[2 * d + 1] + step * dissipated
     for k in range(d):
         x[k], v[k] = state[k] + step * v[k], state[d + k] + step * w[k]
+
+
+@inner
+def _corrected_springs(constants, work, g, correction, v):
+    """Set the coordinates (d,) at which springs act, work.stages[0], to those of the corrected midpoint rule.
+
+    The midpoint rule turns the phase of a vibration by 2 atan(omega h / 2) a step. It has order 4 in a linear system
+    M w + C v + K x = 0 with the force (h^2 / 6) K w + (h^2 / 12) C j added, j the jerk: Numerov's rule, in the form of
+    Stormer and Cowell (Hairer, Norsett and Wanner, Solving ODEs I, III.10). By itself this force is unstable for fast
+    modes. With S = M + g C + g^2 K and g = h / 2, w is replaced by S^-1 M S^-1 (M w - C v / 2): the filters S^-1 M are
+    one for slow modes and vanish for fast ones, which thereby move as with the midpoint rule, and half of C v takes the
+    place of the jerk. work.rates (d,) are the accelerations w of the first iteration, whose factors are used again.
+    """
+    d = len(v)
+    springs, w, position, speed = work.stages[0][:d], work.stages[1], work.stages[2][:d], work.stages[3][:d]
+    for k in range(d):
+        w[k] = work.rates[k]
+        position[k] = fma(g * g, w[k], work.stage_state[k])
+        speed[k] = 1.5 * fma(g, w[k], work.stage_state[d + k])
+        work.shift[k] = fma(g, w[k], work.shift[k])
+    stage_forces(constants, work, v, position, speed, work.shift[:d])
+    solve(constants, work, work.rates)
+    for k in range(d):
+        position[k] = fma(g * g, work.rates[k], position[k])
+        speed[k] = fma(g, work.rates[k], speed[k])
+        work.shift[k] = fma(g, work.rates[k], work.shift[k])
+    stage_forces(constants, work, v, position, speed, work.shift[:d])
+    solve(constants, work, work.rates)
+    for k in range(d):
+        springs[k] = fma(-4.0 * correction * g * g, work.rates[k], work.stage_state[k])
+        work.rates[k] = w[k]
+
+
+@inner
+def _correction_power(constants, work, v):
+    """Return the power (W) of the force that `_corrected_springs` adds, at the speeds v (d,)."""
+    d, power = len(v), 0.0
+    change, zero = work.stages[2][:d], work.stages[3][:d]
+    for k in range(d):
+        change[k], zero[k], work.force[k] = work.stages[0][k] - work.stage_state[k], 0.0, 0.0
+    shift_forces(constants, work, change, zero)
+    for k in range(d):
+        power = fma(work.force[k], v[k], power)
+    return power
 
 
 @inner
@@ -64,22 +115,25 @@ def _update_midpoint(work, g, x, v):
 
 
 @inner
-def _newton_iteration(constants, work, g, x, v):
-    """Set work.rates to the accelerations at the midpoint by one Newton iteration from x and v (d,)."""
+def _newton_iteration(constants, work, g, x, v, springs):
+    """Set work.rates to the accelerations at the midpoint by one Newton iteration from x and v (d,).
+
+    Springs act at the coordinates `springs` (d,) plus the displacement by the accelerations.
+    """
     compute_kinematics(constants, work, x, v)
     secant_friction(constants, work, v)
     factorise(constants, work, (g, g * g))
-    _solve_stage(constants, work, v)
+    _solve_stage(constants, work, v, springs)
 
 
 @inner
-def _solve_stage(constants, work, v):
-    """Set work.rates to the accelerations at the speeds v (d,), with springs and dampers at work.stage_state.
+def _solve_stage(constants, work, v, springs):
+    """Set work.rates to the accelerations at the speeds v (d,), springs at `springs` (d,), dampers at work.stage_state.
 
     Friction is that of the speeds v + work.shift[:d], to first order.
     """
     d = len(v)
-    stage_forces(constants, work, v, work.stage_state[:d], work.stage_state[d : 2 * d], work.shift[:d])
+    stage_forces(constants, work, v, springs, work.stage_state[d : 2 * d], work.shift[:d])
     solve(constants, work, work.rates)
 
 
@@ -108,7 +162,7 @@ def _gauss_step(constants, work, iterations, table, span, state):
             evaluate_drive(table, time + (0.5 + (2 * i - 1) * GAUSS_NODE) * step, work.drive)
             _explicit_part(work, i, step, state)
             _update_midpoint(work, g, x, v)
-            _newton_iteration(constants, work, g, x, v)
+            _newton_iteration(constants, work, g, x, v, work.stage_state[:d])
             _relax_stage(work, i, g, 1.0)
             if n == iterations - 1:
                 power = prescribed_power(constants, work, work.stages[i][:d])
@@ -150,7 +204,7 @@ def _solve_frozen(constants, work, v):
     d = len(v)
     for k in range(d):
         work.shift[k] = work.stage_state[d + k] - v[k]
-    _solve_stage(constants, work, v)
+    _solve_stage(constants, work, v, work.stage_state[:d])
 
 
 @inner
@@ -208,22 +262,22 @@ def run_fixed_newton(constants, work, counts, table, grid, state, rows, outputs)
 def fixed_newton_step(constants, work, counts, table, span, state):
     """Set work.new_state to the state and ledger after a step; return the number of evaluations.
 
-    `counts` are the number of iterations and the number of stages: None for the midpoint rule, 2 for the Gauss method.
-    span = (start time, step), s.
+    `counts` are the number of iterations and the correction of the midpoint rule, see `_corrected_springs`; None stands
+    for the Gauss method of two stages. span = (start time, step), s.
     """
-    iterations, stages = counts
-    return _dispatch_step(constants, work, iterations, stages, table, span, state)
+    iterations, correction = counts
+    return _dispatch_step(constants, work, iterations, correction, table, span, state)
 
 
 @inner
-def _dispatch_step(constants, work, iterations, stages, table, span, state):
+def _dispatch_step(constants, work, iterations, correction, table, span, state):
     """Call the step of the method; a function of its own because Numba prunes branches on None arguments only."""
-    if stages is None:
-        _midpoint_step(constants, work, iterations, table, span, state)
-        evaluations = iterations
-    else:
+    if correction is None:
         _gauss_step(constants, work, iterations, table, span, state)
         evaluations = 2 * iterations + 1
+    else:
+        _midpoint_step(constants, work, iterations, correction, table, span, state)
+        evaluations = iterations
     return evaluations
 
 

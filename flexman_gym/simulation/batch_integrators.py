@@ -229,7 +229,7 @@ class LaneIntegrator(BatchIntegrator):
         arms: int,
         threads: int,
     ) -> None:
-        self._method: tuple[Tableau | None, tuple[int, int | None]]  # tableau, or None and the Newton iterations
+        self._method: tuple[Tableau | None, tuple[int, float | None]]  # tableau, or None and the Newton iterations
         self._method = (None, method.counts) if isinstance(method, IteratedGauss) else (method.tableau, (0, None))
         self._step, self._substeps = period[0] / period[1], period[1]
         self._single = arms == 1 and len(constants.station_mass) == 0

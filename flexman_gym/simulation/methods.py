@@ -59,6 +59,7 @@ ERROR8_3 = (-0.18980075407240762, *B8[1:8], -0.4226823213237919, *B8[9:11], 0.02
 EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE = "explicit", "linearly implicit", "implicit", "reference"
 KINDS = (EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE)
 ORDER_TOLERANCE = 1e-12  # 1; largest residual of an order condition: rounding of its sum
+MAX_CORRECTION = 1.6  # 1; beyond 27/16 the corrected midpoint rule is unstable at omega h = sqrt(2)
 MAX_ITERATIONS = 1000  # Newton iterations of a step with a fixed number
 
 
@@ -263,10 +264,13 @@ class IteratedGauss:
         name, order, source: see the module.
         iterations: Newton iterations of a step; each evaluates every stage.
         stages: 1 or 2.
+        correction: share a of the force a h^2 K w that the midpoint rule adds in iterations after the first one, see
+            `kernels.implicit`; 1/6 gives order 4 for undamped vibrations, 0 no correction.
 
     Raises:
-        ValueError: for fewer than 1 iteration, another number of stages, or too few iterations for the order. Each
-            iteration raises the order by one: from 1 to 2 with one stage, from 2 to 4 with two stages.
+        ValueError: for fewer than 1 iteration, another number of stages, too few iterations for the order, or a
+            correction with one iteration, with two stages or outside of [0, 1.6]. Each iteration raises the order by
+            one: from 1 to 2 with one stage, from 2 to 4 with two stages.
     """
 
     name: str
@@ -274,6 +278,7 @@ class IteratedGauss:
     source: str
     iterations: int
     stages: int = 1
+    correction: float = 0.0
     kind = LINEARLY_IMPLICIT
     adaptive = False
     estimates = False
@@ -281,6 +286,10 @@ class IteratedGauss:
     def __post_init__(self) -> None:
         whole_number(f"{self.name}.iterations", self.iterations, 1, MAX_ITERATIONS)
         whole_number(f"{self.name}.stages", self.stages, 1, 2)
+        if not 0.0 <= finite(f"{self.name}.correction", self.correction) <= MAX_CORRECTION:
+            raise value_error(f"{self.name}.correction", self.correction, f"a number from 0 to {MAX_CORRECTION}")
+        if self.correction and (self.stages > 1 or self.iterations < 2):
+            raise value_error(f"{self.name}.correction", self.correction, "0 with two stages or with one iteration")
         most = min(self.iterations + self.stages - 1, 2 * self.stages)
         if not 1 <= self.order <= most:
             raise ValueError(
@@ -293,9 +302,9 @@ class IteratedGauss:
         return self.iterations if self.stages == 1 else 2 * self.iterations + 1
 
     @property
-    def counts(self) -> tuple[int, int | None]:
-        """Iterations and stages (None for one stage) in the form of the kernels, see `fixed_newton_step`."""
-        return self.iterations, None if self.stages == 1 else self.stages
+    def counts(self) -> tuple[int, float | None]:
+        """Iterations and correction (None for two stages) in the form of the kernels, see `fixed_newton_step`."""
+        return self.iterations, None if self.stages > 1 else float(self.correction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -411,6 +420,8 @@ def _implicit_methods() -> tuple[Method, ...]:
     source = "Hairer, Lubich and Wanner, Geometric Numerical Integration, II.1"
     midpoint = Implicit("implicit_midpoint", 2, source)
     iterated = [IteratedGauss(f"midpoint_{n}", 2, f"{source}; Newton's iterations: VIII.6", n) for n in (2, 3)]
+    corrected = f"{source}; Stormer and Cowell's correction: Hairer, Norsett and Wanner, Solving ODEs I, III.10"
+    iterated += [IteratedGauss(f"midpoint_corrected_{n}", 2, corrected, n, correction=1 / 6) for n in (2, 3)]
     pairs = f"{source}; van der Houwen and Swart 1997, SIAM J. Sci. Comput. 18, 41"
     iterated += [IteratedGauss(f"gauss_{n}", n + 1, pairs, n, 2) for n in (2, 3)]
     radau = ScipyMethod("radau", 5, "Hairer and Wanner, Solving ODEs II, IV.8; the integrator of SciPy")

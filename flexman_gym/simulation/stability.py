@@ -67,6 +67,8 @@ def _stability(matrix: Array, b: Array, z: np.ndarray) -> np.ndarray:
 def _implicit_factors(method: Implicit | IteratedGauss, angle: Array) -> NDArray[np.complex128]:
     if isinstance(method, IteratedGauss) and method.stages > 1:
         return _pair_factors(method.iterations, angle)
+    if isinstance(method, IteratedGauss) and method.correction:
+        return _corrected_factors(method.correction, angle)
     if isinstance(method, IteratedGauss) or method.radius is None:  # one iteration is exact for a linear problem
         return ((1.0 + 0.5j * angle) / (1.0 - 0.5j * angle))[..., None]
     mass, force, beta, gamma = method.averages[:4]
@@ -75,6 +77,13 @@ def _implicit_factors(method: Implicit | IteratedGauss, angle: Array) -> NDArray
     after: list[list[Any]] = [[1.0, 0.0, -beta], [0.0, 1.0, -gamma], [(1.0 - force) * square, 0.0, 1.0 - mass]]
     before: list[list[Any]] = [[1.0, 1.0, 0.5 - beta], [0.0, 1.0, 1.0 - gamma], [-force * square, 0.0, -mass]]
     return _eigenvalues(np.linalg.solve(_matrices(after), _matrices(before)))
+
+
+def _corrected_factors(correction: float, angle: Array) -> NDArray[np.complex128]:
+    """Return the factors of the corrected midpoint rule: eigenvalues of one step for q, h v; q'' = -omega^2 q."""
+    u = 0.25 * angle**2
+    w = -4.0 * u / (1.0 + u) * (1.0 + 4.0 * correction * u / (1.0 + u) ** 3)  # h^2 acceleration for q + h v / 2 = 1
+    return _eigenvalues(_matrices([[1.0 + 0.5 * w, 1.0 + 0.25 * w], [w, 1.0 + 0.5 * w]]))
 
 
 def _pair_factors(iterations: int, angle: Array) -> NDArray[np.complex128]:

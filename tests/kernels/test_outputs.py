@@ -40,7 +40,7 @@ def tip_accelerations(integrator, states, drives):
 
 
 @QUICK
-@given(affected(), st.sampled_from(["ros2", "midpoint_3"]))
+@given(affected(), st.sampled_from(["ros2", "midpoint_3", "midpoint_corrected_3"]))
 def test_a_single_arm_has_the_bits_of_one_among_seventeen(case, method):
     """The neighbours include infinite numbers and NaN; without foreshortening all methods agree."""
     (x, v), method = case.sample.state(), METHODS[method]

@@ -63,7 +63,7 @@ def test_lanes_hold_the_bits_of_an_arm_alone(case, method):
             assert np.array_equal(result[arm], other[0], equal_nan=True)
 
 
-@pytest.mark.parametrize("method", ["ros2", "midpoint_3", "gauss_2"])
+@pytest.mark.parametrize("method", ["ros2", "midpoint_3", "midpoint_corrected_3", "gauss_2"])
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_threads_share_the_groups(threads, method):
     model = fm.build_model(fm.catalog.paper_rrr(), modes=2)
@@ -77,7 +77,7 @@ def test_threads_share_the_groups(threads, method):
         assert np.array_equal(result, wanted)
 
 
-@pytest.mark.parametrize("method", ["ros2", "midpoint_3", "gauss_2"])
+@pytest.mark.parametrize("method", ["ros2", "midpoint_3", "midpoint_corrected_3", "gauss_2"])
 def test_a_lane_that_diverges_disturbs_no_other(method):
     model = fm.build_model(fm.catalog.paper_rrr(), modes=2)
     states = 1e-3 * np.random.default_rng(0).normal(size=(9, 2 * model.n_dof))
@@ -92,7 +92,7 @@ def test_a_lane_that_diverges_disturbs_no_other(method):
     assert np.array_equal(rows[3, :-2], wild[3])  # it stays where it was
 
 
-@pytest.mark.parametrize("method", ["rk4", "ros2", "midpoint_3"])
+@pytest.mark.parametrize("method", ["rk4", "ros2", "midpoint_3", "midpoint_corrected_3"])
 @pytest.mark.parametrize("arms", [1, 9])
 def test_a_mass_matrix_that_is_not_positive_is_a_divergence(method, arms):
     """Of no arm that there is: its elastic masses are turned round. The numbers would be finite."""

@@ -298,6 +298,7 @@ def test_a_method_may_claim_less_than_its_order():
 
 
 SWEPT = ["midpoint_2", "midpoint_3"]
+CORRECTED = ["midpoint_corrected_2", "midpoint_corrected_3"]
 PAIRS = ["gauss_2", "gauss_3"]
 PERIOD = 0.02  # s
 
@@ -404,7 +405,7 @@ def test_two_stages_follow_a_slew_ten_times_closer_at_the_cost_of_the_default():
     assert np.abs(ours - truth).max() < 0.1 * np.abs(default - truth).max() < 1e-3
 
 
-@pytest.mark.parametrize("method", [*SWEPT, *PAIRS])
+@pytest.mark.parametrize("method", [*SWEPT, *CORRECTED, *PAIRS])
 def test_an_arm_does_not_remember_an_episode(method):
     """One that is reset among arms that move on has the bits of one that never did anything else."""
     model, random = default_model(), np.random.default_rng(0)
@@ -423,7 +424,7 @@ def test_an_arm_does_not_remember_an_episode(method):
         assert np.array_equal(batch.rows[4], fresh.rows[0]) and np.array_equal(batch.outputs[4], fresh.outputs[0])
 
 
-@pytest.mark.parametrize("method", [*SWEPT, *PAIRS])
+@pytest.mark.parametrize("method", [*SWEPT, *CORRECTED, *PAIRS])
 def test_control_periods_add_up_to_a_scene(method):
     scene = replace(fm.catalog.paper_scene("ff"), torque=fm.ConstantTorque([5.0, -3.0, 2.0]), duration=0.2)
     scene = replace(scene, output_step=0.1)
