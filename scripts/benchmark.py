@@ -1,4 +1,4 @@
-"""Times environments, training, starts and evaluations beside peers: python scripts/benchmark.py --folder docs"""
+"""Time environments, training, starts and evaluations beside peers: python scripts/benchmark.py --folder docs"""
 
 import argparse
 
@@ -13,7 +13,7 @@ PEERS = ("gymnasium", "stable-baselines3", "torch", "mujoco", "pin")
 
 
 def main() -> None:
-    """Reads the command line, runs everything in turns, and writes rows and a page."""
+    """Read the command line, run everything in turns, and write rows and a page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a few steps of each, which compile nothing anew")
     parser.add_argument("--redraw", action="store_true", help="only write about the rows of an earlier run")

@@ -1,4 +1,4 @@
-"""Bundles the replay page: builds it from `scripts/web` with three.js and uPlot into the folder draw, or compares."""
+"""Bundle the replay page: builds it from `scripts/web` with three.js and uPlot into the folder draw, or compares."""
 
 import argparse
 import subprocess
@@ -12,7 +12,7 @@ FILES = ("replay.js", "replay.css")
 
 
 def main() -> int:
-    """Reads the command line, builds, and writes or compares; returns the exit code."""
+    """Read the command line, build, and write or compare; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing; tell what differs")
     options = parser.parse_args()
@@ -30,7 +30,7 @@ def main() -> int:
 
 
 def build(folder: Path) -> dict[str, bytes]:
-    """Gives the files of the bundle, name -> content, with the licences of what is in them."""
+    """Return the files of the bundle, name -> content, with the licences of their parts."""
     command = ["node_modules/.bin/esbuild", "main.js", "--bundle", "--minify", "--legal-comments=eof", "--charset=utf8",
                "--log-level=warning", f"--outfile={folder / FILES[0]}"]  # fmt: skip
     subprocess.run(command, cwd=WEB, check=True)

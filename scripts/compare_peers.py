@@ -1,4 +1,4 @@
-"""Charts our runs beside those of other codes on the paper's arm: python scripts/compare_peers.py --folder docs"""
+"""Chart our runs beside those of other codes on the paper's arm: python scripts/compare_peers.py --folder docs"""
 
 import argparse
 
@@ -13,7 +13,7 @@ SHOWN = 5  # last lines of the page
 
 
 def main() -> None:
-    """Reads the command line, runs everything in turns, and writes rows, a picture and a page."""
+    """Read the command line, run everything in turns, and write rows, a picture and a page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--redraw", action="store_true", help="only draw and write about the rows of an earlier run")
     parser.add_argument("--folder", type=folder, default="out", help="where rows, picture and page go")

@@ -1,4 +1,4 @@
-"""Compares controllers on the arm that nobody knows: python scripts/control.py --folder docs"""
+"""Compare controllers on the arm that nobody knows: python scripts/control.py --folder docs"""
 
 import argparse
 
@@ -8,7 +8,7 @@ from studies.files import folder, read_rows, write_rows
 
 
 def main() -> None:
-    """Reads the command line, plays the episodes that are missing and writes table and page."""
+    """Read the command line, run the missing episodes and write table and page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--seed", type=int, default=9000, help="of the first episode")

@@ -1,4 +1,4 @@
-"""Prints a digest of results, bit for bit, to compare two versions: python scripts/digest.py [folder of the other]"""
+"""Print a digest of results, bit for bit, to compare two versions: python scripts/digest.py [folder of the other]"""
 
 import hashlib
 import os
@@ -15,7 +15,7 @@ FIDELITY: dict[str, Any] = {"modes": MODES, "method": "ros2", "step": 0.005}
 
 
 def taken(digest: Any, value: Any) -> None:
-    """Adds a value to a digest: arrays and numbers by their bits, dicts by sorted keys, texts as they are."""
+    """Add a value to a digest: arrays and numbers by their bits, dicts by sorted keys, texts as they are."""
     if isinstance(value, dict):
         for key in sorted(value):
             digest.update(key.encode())
@@ -46,7 +46,7 @@ def single(seed: int) -> str:
 
 
 def vector(arms: int, seed: int, mode: str) -> str:
-    """Steps of a vector environment."""
+    """Step of a vector environment."""
     import gymnasium as gym
 
     import flexman_gym  # noqa: F401  registers the environments
@@ -87,7 +87,7 @@ def digests() -> dict[str, str]:
 
 
 def main() -> int:
-    """Prints the digests; with the folder of another version, whether its are the same (1 when one is not)."""
+    """Print the digests; with the folder of another version, whether its are the same (1 when one is not)."""
     if len(sys.argv) == 1:
         print("\n".join(f"{value[:16]}  {name}" for name, value in digests().items()))
         return 0

@@ -1,4 +1,4 @@
-"""Takes random steps of many randomised arms, of which none may give a NaN or keep memory."""
+"""Run random steps of many randomised arms and check for NaN and for growing memory."""
 
 import argparse
 
@@ -16,7 +16,7 @@ FEW = 8  # arms that are moved alone too
 
 
 def every(steps: int, arms: int) -> None:
-    """Prints a line for each environment, with all conditions that it has, and each set of sensors.
+    """Print a line for each environment, with all conditions that it has, and each set of sensors.
 
     It fails with an alarm too many.
     """
@@ -34,7 +34,7 @@ def every(steps: int, arms: int) -> None:
 
 
 def compare(steps: int) -> None:
-    """Prints a line for each autoreset mode: arms alone and at once, with history, hold and all conditions."""
+    """Print a line for each autoreset mode: arms alone and at once, with history, hold and all conditions."""
     settings = all_conditions("FlexRRR-v0") | {"history": 4, "action_repeat": 3, "limits": TIGHT}
     for mode in AutoresetMode:
         count = steps // len(AutoresetMode)
@@ -43,7 +43,7 @@ def compare(steps: int) -> None:
 
 
 def main() -> None:
-    """Reads the command line, runs, and writes the section; fails where memory grows."""
+    """Read the command line, run, and write the section; fail if memory grows."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=10_000_000, help="of all arms together")
     parser.add_argument("--arms", type=int, default=256)

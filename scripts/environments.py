@@ -1,4 +1,4 @@
-"""Writes the pages of the named environments: python scripts/environments.py --folder docs/environments"""
+"""Write the pages of the named environments: python scripts/environments.py --folder docs/environments"""
 
 import argparse
 
@@ -9,7 +9,7 @@ from studies.files import folder
 
 
 def main() -> None:
-    """Reads the command line, runs the baselines, draws and writes."""
+    """Read the command line, run the baselines, draw and write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", choices=sorted(NAMED_ENVIRONMENTS), help="one of them")
     parser.add_argument("--folder", type=folder, default="out/environments", help="where pages and pictures go")

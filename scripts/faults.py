@@ -10,7 +10,7 @@ from studies.files import folder
 
 
 def main() -> int:
-    """Reads the command line, tries the faults and writes the page; returns 1 when something is lost."""
+    """Read the command line, try the faults and write the page; return 1 if a run loses its results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=folder, default="docs", help="where the page goes")
     parser.add_argument("--kills", type=int, nargs=2, default=(30, 15), help="inside saving and at any time, of each")

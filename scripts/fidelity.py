@@ -1,4 +1,4 @@
-"""Judges the choices of `choose_model`: are they right, do they know their errors, and are they cheap?"""
+"""Evaluate the choices of `choose_model`: are they right, do they know their errors, and are they cheap?"""
 
 import argparse
 from pathlib import Path
@@ -13,7 +13,7 @@ DIGITS = 9
 
 
 def main() -> None:
-    """Reads the command line, measures, and writes rows and page."""
+    """Read the command line, measure, and write rows and page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--redraw", action="store_true", help="only write about the rows of an earlier run")
     parser.add_argument("--kept", type=Path, help="folder for cells that are done, from which a killed study goes on")

@@ -1,4 +1,4 @@
-"""Trains the recipes and judges them: what they reach, and what each of their means contributes."""
+"""Train the recipes and judges them: what they reach, and what each of their means contributes."""
 
 import argparse
 import sys
@@ -27,7 +27,7 @@ CURVES = "learning_curves.csv"
 
 
 def main() -> int:
-    """Reads the command line, trains, judges, and writes rows and page; returns the exit code."""
+    """Read the command line, train, evaluate, and write rows and page; return the exit code."""
     known = {f"{case.kind}/{case.name}": case for case in cases()}
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("case", nargs="*", help=f"some of {', '.join([*ALONE, *known])}; without it all")
@@ -57,12 +57,12 @@ def main() -> int:
 
 
 def _curves(case: LearningCase, folder: Path) -> list[Point]:
-    """How the runs of a recipe went."""
+    """Return the learning curves of the runs of a recipe."""
     return [point for seed in range(case.seeds) for point in points(case.name, seed, place(case, folder, seed))]
 
 
 def _keep(result: Sequence[LearningRow] | Sequence[Point], file: Path) -> None:
-    """Writes rows beside those of other cases that are there already."""
+    """Write rows beside those of other cases that are there already."""
     own, kind = {_case(row) for row in result}, type(result[0])
     others = [row for row in read_rows(file, kind) if _case(row) not in own] if file.exists() else []
     write_rows([*others, *result], file, comment=computer_text(("stable-baselines3", "torch")))

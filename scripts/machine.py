@@ -1,4 +1,4 @@
-"""Compares our model with a real two-link flexible arm: python scripts/machine.py --folder docs"""
+"""Compare our model with a real two-link flexible arm: python scripts/machine.py --folder docs"""
 
 import argparse
 from pathlib import Path
@@ -10,7 +10,7 @@ from studies.machine.page import draw, page
 
 
 def main() -> None:
-    """Reads the command line, fits, and writes rows, pictures and a page."""
+    """Read the command line, fit, and write rows, pictures and a page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=DATA, help="folder of the runs, such as lqg_10deg.csv")
     parser.add_argument("--stages", type=Path, help="a record of both stages; two_stages.csv of the data without one")

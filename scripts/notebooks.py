@@ -11,7 +11,7 @@ BLOCK = re.compile(r"^```(python|sh|text)\n(.*?)^```\n?", re.MULTILINE | re.DOTA
 
 
 def cells(page: str) -> list[tuple[str, str]]:
-    """Gives kinds, "markdown" or "code", and texts of the cells of a page; what a block prints is left to the cell."""
+    """Return kind ("markdown" or "code") and text of each cell of a page, without the printed output of its code."""
     result, end = [], 0
     for block in BLOCK.finditer(page):
         language, text = block.groups()
@@ -26,7 +26,7 @@ def cells(page: str) -> list[tuple[str, str]]:
 
 
 def notebook(page: str) -> dict[str, Any]:
-    """Gives a page as a notebook of format 4.5."""
+    """Return a page as a notebook of format 4.5."""
     made: list[dict[str, Any]] = []
     for number, (kind, text) in enumerate(cells(page)):
         own: dict[str, Any] = {"outputs": [], "execution_count": None} if kind == "code" else {}
@@ -37,7 +37,7 @@ def notebook(page: str) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Writes the notebooks."""
+    """Write the notebooks."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, default=Path("notebooks"))
     folder = parser.parse_args().folder

@@ -1,4 +1,4 @@
-"""Plants errors one at a time and says which the tests notice: python scripts/plant.py --room kernels --folder docs"""
+"""Plant errors one at a time and says which the tests notice: python scripts/plant.py --room kernels --folder docs"""
 
 import argparse
 import sys
@@ -10,7 +10,7 @@ from studies.planted.page import counts, page
 
 
 def main() -> int:
-    """Reads the command line, plants the errors and writes the page; returns 1 when one survives."""
+    """Read the command line, plant the errors and write the page; return 1 if one survives."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--room", choices=ROOMS, help="errors of one room only")
     parser.add_argument("--only", default="", help="errors whose words or file contain this")

@@ -1,4 +1,4 @@
-"""Measures what methods leave of a released vibration: python scripts/ring_down.py --folder docs"""
+"""Measure what methods leave of a released vibration: python scripts/ring_down.py --folder docs"""
 
 import argparse
 
@@ -13,7 +13,7 @@ ARMS, FEW, THEIRS, MANY = 128, 12, 6, 300  # of methods in lanes, of others, of 
 
 
 def compute(quick: bool) -> list[RingDownRow]:
-    """Measures all kinds, or a few arms."""
+    """Measure all kinds, or a few arms."""
     arms, few, theirs = (2, 1, 1) if quick else (ARMS, FEW, THEIRS)
     result = [row for kind in TITLES for row in rows(kind, arms, few)]
     try:
@@ -25,7 +25,7 @@ def compute(quick: bool) -> list[RingDownRow]:
 
 
 def main() -> None:
-    """Reads the command line, measures, and writes rows, a picture and a page."""
+    """Read the command line, measure, and write rows, a picture and a page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a few arms")
     parser.add_argument("--redraw", action="store_true", help="only draw and write about the rows of an earlier run")

@@ -1,4 +1,4 @@
-"""Measures what libraries cost beside the environment, and workers beside cells: python scripts/scale.py [NAME ...]"""
+"""Measure what libraries cost beside the environment, and workers beside cells: python scripts/scale.py [NAME ...]"""
 
 import argparse
 import sys
@@ -104,7 +104,7 @@ PARTS: dict[str, Callable[[], float]] = {
 
 
 def main() -> None:
-    """Prints a line for each part."""
+    """Print a line for each part."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("part", nargs="*", help=f"of {', '.join(PARTS)}; without it all")
     for name in parser.parse_args().part or PARTS:

@@ -1,4 +1,4 @@
-"""Measures how much gain servos bear: python scripts/servos.py --folder docs"""
+"""Measure how much gain servos bear: python scripts/servos.py --folder docs"""
 
 import argparse
 import warnings
@@ -10,7 +10,7 @@ from studies.servos.page import page
 
 
 def main() -> None:
-    """Reads the command line, measures, and writes rows and a page."""
+    """Read the command line, measure, and write rows and a page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--redraw", action="store_true", help="only write about the rows of an earlier run")
     parser.add_argument("--folder", type=folder, default="out", help="where rows and page go")

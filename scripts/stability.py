@@ -1,4 +1,4 @@
-"""Measures where each method fails, and what it damps: python scripts/stability.py --folder docs"""
+"""Measure where each method fails, and what it damps: python scripts/stability.py --folder docs"""
 
 import argparse
 import sys
@@ -17,7 +17,7 @@ DIGITS = 9
 
 
 def main() -> int:
-    """Reads the command line, prints a summary and writes what it is asked for."""
+    """Read the command line, print a summary and write the chosen files."""
     parser = argparse.ArgumentParser(description="Measure where each method fails, and what it damps.")
     parser.add_argument("--quick", action="store_true", help="a small grid, less than 30 s once compiled")
     parser.add_argument("--csv", type=Path, help="file for the rows")

@@ -1,4 +1,4 @@
-"""Computes the full verification table: python scripts/verification.py --folder docs"""
+"""Compute the full verification table: python scripts/verification.py --folder docs"""
 
 import argparse
 import sys
@@ -11,7 +11,7 @@ from studies.verification.page import markdown_page
 
 
 def main() -> int:
-    """Read the command line, print the table and write its page; return 1 when a row fails."""
+    """Read the command line, print the table and write its page; return 1 when a row fail."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="without the motions that take minutes")
     parser.add_argument("--folder", type=folder, default="out", help="where the page goes")

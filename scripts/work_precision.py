@@ -1,4 +1,4 @@
-"""Charts error against cost of all methods and models: python scripts/work_precision.py --folder docs"""
+"""Chart error against cost of all methods and models: python scripts/work_precision.py --folder docs"""
 
 import argparse
 import warnings
@@ -11,7 +11,7 @@ from studies.verification.motions import REFERENCE
 
 
 def main() -> None:
-    """Reads the command line; computes, draws and writes."""
+    """Read the command line; compute, draw and write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a small grid of one short scene")
     parser.add_argument("--redraw", action="store_true", help="only draw and write about the rows of an earlier run")

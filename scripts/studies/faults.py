@@ -70,7 +70,7 @@ def page(faults: list[Fault]) -> str:
 
 
 def faults(folder: Path, kills: tuple[int, int]) -> Iterator[Fault]:
-    """Tries all faults in a folder; `kills` are those inside saving and those at any time, of each algorithm."""
+    """Try all faults in a folder; `kills` are those inside saving and those at any time, of each algorithm."""
     for algo, recipe in RECIPES.items():
         path = folder / f"{algo}.yaml"
         files.write_data(path, {"environment": ENVIRONMENT, **recipe})
@@ -85,7 +85,7 @@ def faults(folder: Path, kills: tuple[int, int]) -> Iterator[Fault]:
 
 
 def same(first: Path, second: Path) -> bool:
-    """Whether two runs have the same bits, but for the times of the clock."""
+    """Return whether two runs are equal to the bit except for clock times."""
     result = []
     for folder in (first, second):
         data = read_npz(folder / NEWEST)
@@ -105,14 +105,14 @@ def _start(arguments: list[Any], algo: str) -> subprocess.Popen[str]:
 
 
 def _finish(arguments: list[Any], recipe: Path | None, algo: str) -> tuple[int, str]:
-    """Runs to the end; returns the exit status and what was said."""
+    """Run to the end; return the exit status and what was said."""
     process = _start([recipe, *arguments] if recipe else arguments, algo)
     _, said = process.communicate()
     return process.returncode, said
 
 
 def _killed(name: str, run: tuple[Path, str, Path], kills: int, moment: Callable[[Path, random.Random], None]) -> Fault:
-    """Kills a run again and again, goes on with it each time, and compares its end with that of one left alone."""
+    """Kill a run again and again, goes on with it each time, and compares its end with that of one left alone."""
     recipe, algo, whole = run
     folder, chance = whole.with_name(f"{algo}-{moment.__name__}"), random.Random(0)
     shutil.rmtree(folder, ignore_errors=True)
@@ -139,7 +139,7 @@ def _killed(name: str, run: tuple[Path, str, Path], kills: int, moment: Callable
 
 
 def _steps(folder: Path) -> int:
-    """Steps of the newest file; -1 where it is broken."""
+    """Step of the newest file; -1 where it is broken."""
     if not (folder / NEWEST).is_file():
         return 0
     try:
@@ -149,7 +149,7 @@ def _steps(folder: Path) -> int:
 
 
 def _inside_saving(folder: Path, chance: random.Random) -> None:
-    """Waits for a saving, not always the first, and for a part of the time that one takes."""
+    """Wait for a saving, not always the first, and for a part of the time that one takes."""
     for _ in range(chance.randint(1, 4)):
         _wait_for(lambda: (folder / PART).exists())
         last = time.perf_counter()
@@ -170,7 +170,7 @@ def _wait_for(happened: Callable[[], bool], longest: float = 60.0) -> None:
 
 
 def _interrupted(name: str, recipe: Path, folder: Path, steps: int) -> Fault:
-    """Presses Ctrl-C once and goes on."""
+    """Press Ctrl-C once and goes on."""
     process = _start([recipe, "--folder", folder], "ppo")
     if steps:
         _wait_for(lambda: _steps(folder) >= steps)
@@ -185,7 +185,7 @@ def _interrupted(name: str, recipe: Path, folder: Path, steps: int) -> Fault:
 
 
 def _two_at_once(recipe: Path, folder: Path) -> Fault:
-    """Starts a second training in the folder of one that goes on."""
+    """Start a second training in the folder of one that goes on."""
     process = _start([recipe, "--folder", folder], "ppo")
     _wait_for(lambda: (folder / NEWEST).exists())
     code, said = _finish(["--resume", "--folder", folder], None, "ppo")
@@ -196,7 +196,7 @@ def _two_at_once(recipe: Path, folder: Path) -> Fault:
 
 
 def disk_full(folder: Path, small: Path) -> Fault:
-    """Trains on a small file system that a ballast fills, takes the ballast away, and goes on."""
+    """Train on a small file system that a ballast fills, takes the ballast away, and goes on."""
     run, ballast = small / "run", small / "ballast"
     process = _start([folder / "ppo.yaml", "--folder", run], "ppo")
     _wait_for(lambda: _steps(run) > 0)

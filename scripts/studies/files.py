@@ -12,7 +12,7 @@ from flexman_gym.common.renamed import current_methods
 
 
 def folder(text: str) -> Path:
-    """Gives a folder that can be written, made where there is none, for `type` of an argument.
+    """Return a writable folder, created if necessary; for `type` of an argument.
 
     Raises:
         argparse.ArgumentTypeError: one line with what is wrong.

@@ -31,7 +31,7 @@ class Stopwatch:
 
 
 class Cost(NamedTuple):
-    """What one step, evaluation or start costs: seconds of the processor and of a clock; part that is simulation."""
+    """Cost of one step, evaluation or start: CPU time, clock time (s), and the share of simulation."""
 
     cpu: float
     wall: float

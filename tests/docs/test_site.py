@@ -79,7 +79,7 @@ def test_wrong_links_are_found():
 
 
 def found(entry):
-    """What an entry of the API is in Python."""
+    """Return the Python object of an entry of the API."""
     parts = entry.split(".")
     for count in range(len(parts) - 1, 0, -1):
         try:
@@ -93,7 +93,7 @@ def found(entry):
 
 
 def key(value, name):
-    """What a thing is known by: a class or a function by itself, other values by their names."""
+    """Return the identity of an object: classes and functions themselves, other values by name."""
     return (value.__module__, value.__qualname__) if isinstance(value, type | types.FunctionType) else name
 
 

@@ -58,7 +58,7 @@ class Browser:
         self.wait(ready)
 
     def run(self, script, *arguments):
-        """Gives what a script returns."""
+        """Return the result of a script."""
         return self._ask("POST", "/execute/sync", {"script": script, "args": list(arguments)})
 
     def wait(self, condition, seconds=60):
@@ -85,11 +85,11 @@ class Browser:
         self._ask("POST", "/actions", {"actions": [{"type": "key", "id": "keys", "actions": keys}]})
 
     def said(self):
-        """Gives the messages of the console."""
+        """Return the messages of the console."""
         return [each["message"] for each in self._ask("POST", "/se/log", {"type": "browser"})]
 
     def picture(self):
-        """Gives what is seen, base64 of a PNG."""
+        """Return a screenshot, base64 of a PNG."""
         return self._ask("GET", "/screenshot")
 
     def close(self):

@@ -26,7 +26,7 @@ def mortal(cell):
 
 
 def dying_once(grave, task, cell):
-    """What a task makes of a cell; the first worker that comes by dies instead."""
+    """Return the result of a cell; the first worker to call it dies instead."""
     try:
         Path(grave).touch(exist_ok=False)
     except FileExistsError:

@@ -26,7 +26,7 @@ class Stations:
 
 
 def outboard_masses(arm, elements):
-    """What each tip carries: the inertia (6, 6) of all points behind it at zero angles, in its beam frame."""
+    """Inertia (6, 6) of all points outboard of each tip at zero angles, in its beam frame."""
     turns = [np.array(link.orientation) for link in arm.links]
     beams = [beam_points(link, count) for link, count in zip(arm.links, elements, strict=True)]
     tips = np.cumsum([turn[:, 0] * link.length for turn, link in zip(turns, arm.links, strict=True)], axis=0)
@@ -75,7 +75,7 @@ def own_damping(stiffness, mass, ratio):
 
 
 def agreed(own, given, scale):
-    """What is given, after an assertion that it is the oracle's own but for rounding, both divided by a scale."""
+    """Return a value, after an assertion that it equals the oracle's except for rounding, both divided by a scale."""
     assert np.shape(own) == np.shape(given)
     largest = np.abs(own / scale).max(initial=0.0)
     assert np.abs((own - given) / scale).max(initial=0.0) <= AGREEMENT * largest

@@ -163,7 +163,7 @@ def _rows(a):
 
 @dataclass(frozen=True)
 class LinkModel:
-    """What a link of a `Chain` has beside its elements, of which it has 6 coordinates each."""
+    """Quantities of a link of a `Chain` other than its elements, which have 6 coordinates each."""
 
     basis: np.ndarray | None = None  # (6 elements, k) coordinates of the elements per unit of q; None keeps them
     damping: np.ndarray | None = None  # (k, k); None takes C = beta K

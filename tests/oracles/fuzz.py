@@ -60,7 +60,7 @@ def arguments(seed, name=None):
 
 
 def too_much(target, strange):
-    """Whether an argument asks for what is allowed and takes long."""
+    """Return whether an argument is allowed and takes long."""
     for name, most in target.cost.items():
         value = strange.get(name)
         with warnings.catch_warnings():
@@ -95,7 +95,7 @@ def numbers_in(value, seen=0):
 
 
 def implausible(target, result, strange):
-    """What is wrong with what a call gave; "" where nothing is."""
+    """Return the defect of the result of a call; "" if there is none."""
     for name in target.numbers:
         if any(strange.get(name) is each for each in NO_NUMBERS):
             return f"took {name} = {type(strange[name]).__name__}, which is no number"

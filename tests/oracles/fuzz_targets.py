@@ -39,12 +39,12 @@ def stepped(env):
 
 
 def made(**keywords):
-    """What an environment with some settings gives."""
+    """Return the results of an environment with some settings."""
     return stepped(gym.make("FlexOne-v0", disable_env_checker=True, **keywords).unwrapped)
 
 
 def made_many(**keywords):
-    """What a vector environment with some settings gives."""
+    """Return the results of a vector environment with some settings."""
     return stepped(gym.make_vec("FlexOne-v0", vectorization_mode="vector_entry_point", **keywords).unwrapped)
 
 
@@ -107,7 +107,7 @@ def simulated(torque, step, duration, method, **parts):
 
 
 def analysed(**parts):
-    """What is calculated of an arm with some parts at an instant."""
+    """Return the quantities of an arm with some parts at an instant."""
     model, torque = fm.build_model(arm_of(**parts), 1), [0.1, 0.0]
     state = fm.rest_state(model, TWO)
     return (

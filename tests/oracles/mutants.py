@@ -62,7 +62,7 @@ def policy():
 
 
 def read_policy(folder):
-    """What the policy of a folder does when all it sees is zero."""
+    """Return the action of the policy of a folder for zero observations."""
     from flexman_gym.evaluation.agent import find_agent
 
     network = find_agent(folder).law

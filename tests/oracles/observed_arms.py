@@ -50,7 +50,7 @@ class Bench:
         self.read, self.force = LinearMeasurements(plant.model), np.zeros(3)
 
     def readings(self):
-        """What instruments read now; the noise of each arm is its own."""
+        """Return the present readings; each arm has its own noise."""
         result = self.read.measure(self.batch.state)
         for name, values in result.items():
             deviation = self.plant.measured()[name][1]
@@ -69,7 +69,7 @@ class Bench:
         self.batch.step(drive)
 
     def episode(self):
-        """What an observer is told at the start."""
+        """Return the information of an observer at the start."""
         drawn = {"delay": np.array(self.delays)}
         return EpisodeInfo(self.start, self.start, self.plant.period, drawn=drawn)
 
@@ -95,7 +95,7 @@ POSTURES = np.array([[0.4, -0.7], [-1.2, 0.5], [0.9, 1.3]])
 
 
 def plant(name="FlexPlanar-v0", **changes):
-    """What is told of a named environment, with changes."""
+    """Return the plant model of a named environment, with changes."""
     setup = Configuration.from_keywords({"name": name})
     return make_plant(setup, resolve_fidelity(setup).model)._replace(**changes)
 
@@ -120,7 +120,7 @@ class World:
 
     @property
     def numbers(self):
-        """What instruments read (b, m)."""
+        """Return the readings (b, m)."""
         return self.batch.state @ self.instruments.matrix.T + self.bias + self.noise
 
     def readings(self):
@@ -136,7 +136,7 @@ class World:
         self.batch.step(drive)
 
     def play(self, observer, actions, watch=lambda estimate: None):
-        """Takes actions (T, b, 2), the observer is asked before each of them; gives what it said, and true states."""
+        """Run actions (T, b, 2) with an observer update before each; return its estimates and the true states."""
         said, true = [], []
         for each in actions:
             said.append(observer.estimate(self.readings(), self.last, np.ones(self.count, dtype=bool)))

@@ -144,5 +144,5 @@ def changed_mapping(random, good):
 
 
 def fits(line):
-    """Whether a message says on one short line which field, which value and what is allowed."""
+    """Return whether a message names field, value and allowed values in one short line."""
     return bool(LINE.fullmatch(line)) and len(line) < LONGEST

@@ -28,7 +28,7 @@ FIRST = "mlp_extractor.policy_net.0"
 
 
 def made_up(described=DESCRIBED, seed=0):
-    """What is said of a policy, and its arrays: random layers that do something."""
+    """Return the description of a policy and its arrays, random layers with nonzero actions."""
     random, names = np.random.default_rng(seed), observation_layout(described)
     size = history_length(described.history) * sum(each["size"] for each in names)
     joints = described.arm.n_joints

@@ -20,7 +20,7 @@ HELD = 7  # actions for which random torques stay, so that limits are met
 
 
 def alike(name: str, steps: int, arms: int, mode: AutoresetMode, **settings: Any) -> int:
-    """Takes so many steps of all arms of a named environment; returns the number of failures that were seen.
+    """Step all arms of a named environment in both forms; return the number of failures.
 
     Raises:
         AssertionError: for the first number that is another, with step and part.
@@ -67,7 +67,7 @@ Neither an observation nor a reward was anything but a finite number."""
 
 @dataclass
 class _Count:
-    """What a run counts.
+    """Counts of an endurance run.
 
     Attributes:
         steps, episodes: of all arms; the step that only resets an arm is none.
@@ -121,7 +121,7 @@ def all_conditions(name: str) -> dict[str, Any]:
 
 
 def endure(steps: int, arms: int, settled: int = SETTLED, name: str = "FlexRRR-v0", **settings: Any) -> _Count:
-    """Runs so many steps of all arms of a named environment, by default with every randomisation.
+    """Run so many steps of all arms of a named environment, by default with every randomisation.
 
     Raises:
         AssertionError: for a number that is none, and for an observation outside its space.
@@ -172,7 +172,7 @@ def _section(count: _Count, arms: int) -> str:
 
 
 def publish(count: _Count, arms: int, folder: Path) -> str:
-    """Writes the section into the page of the benchmark, and returns it."""
+    """Write the section into the page of the benchmark, and returns it."""
     page, text = folder / PAGE, _section(count, arms)
     page.write_text("\n".join([*without_endurance(page)[0], text]), encoding="utf-8")
     return text

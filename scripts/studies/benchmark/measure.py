@@ -79,7 +79,7 @@ class _BenchmarkEntry(NamedTuple):
 
 @dataclass(frozen=True)
 class Grid:
-    """What is timed.
+    """Sizes of the benchmark.
 
     Attributes:
         arms: numbers of them in a vector environment.
@@ -104,7 +104,7 @@ QUICK = Grid(arms=(1, 9), steps=20, singles=20, training=(2, 1), physics=(2, 1),
 
 
 def _single(name: str, steps: int) -> Timer:
-    """Steps of an environment from gym.make under random actions; episodes that end start anew."""
+    """Step of an environment from gym.make under random actions; episodes that end start anew."""
     env = gym.make(name)
     env.reset(seed=0)
     env.action_space.seed(0)
@@ -113,7 +113,7 @@ def _single(name: str, steps: int) -> Timer:
 
 
 def _vector(arms: int, threads: int, steps: int) -> Timer:
-    """Steps of a vector environment under random actions, with its resets."""
+    """Step of a vector environment under random actions, with its resets."""
     env = gym.make_vec(OURS, arms, "vector_entry_point", threads=threads)
     env.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (steps, *(env.action_space.shape or ()))).astype(np.float32)
@@ -305,7 +305,7 @@ def part_rows(rounds: int, arms: Sequence[int] = ARMS, calls: int = CALLS) -> li
 
 
 def _calls(arms: int) -> dict[str, Callable[[], object]]:
-    """Calls that belong to a step of so many arms, which rest."""
+    """Call that belong to a step of so many arms, which rest."""
     env = FlexManVectorEnv(arms)
     env.reset(seed=0)
     episodes, view = env.episodes, env.episodes.view

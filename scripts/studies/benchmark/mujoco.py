@@ -39,7 +39,7 @@ class MujocoArms:
         return np.array(result)
 
     def diverged(self, states: Array) -> bool:
-        """Whether one of the arms was set back: a rollout then goes on from time 0, the first entry of a state."""
+        """Return whether an arm was reset: the time, the first entry of a state, is then too early."""
         reached = len(states) * self._parts * self.model.opt.timestep
         return not np.allclose(states[-1, :, 0], reached, rtol=1e-6, atol=0.0)
 

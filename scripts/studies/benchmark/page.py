@@ -179,7 +179,7 @@ def _of_starts(rows: Sequence[BenchmarkRow]) -> list[str]:
 
 
 def publish(rows: Sequence[BenchmarkRow], known: str, folder: Path) -> str:
-    """Writes the page about the rows, computed with `known`, and returns it."""
+    """Write the page about the rows, computed with `known`, and returns it."""
     lines = [HEAD.format(machine=known), *bullets(conclusions(rows)), ""]
     for name in TABLES:
         lines += _table(name, rows)

@@ -8,7 +8,7 @@ from studies.stopwatch import Cost, Stopwatch, Timer
 
 
 def ppo(arms: int, rollouts: int) -> Timer:
-    """Steps of a new policy in so many rollouts; raises ImportError without Stable-Baselines3."""
+    """Step of a new policy in so many rollouts; raises ImportError without Stable-Baselines3."""
     from flexman_agents.sb3 import ALGORITHMS
     from flexman_agents.settings import DEFAULT_HYPERPARAMETERS, Settings
     from flexman_agents.training import train

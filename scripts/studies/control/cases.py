@@ -24,7 +24,7 @@ LATER = 2.0  # s, after which the error of a tip that follows counts
 
 @dataclass(frozen=True)
 class ControlCase:
-    """Who acts where.
+    """Case of the study: an agent in an environment.
 
     Attributes:
         name: of the row.
@@ -47,7 +47,7 @@ class ControlCase:
 
 @dataclass(frozen=True)
 class ControlRow:
-    """What came out: shares, times in s, lengths in m, CPU time a period and arm in s.
+    """Results of a case: shares, times in s, lengths in m, CPU time per period and arm in s.
 
     `again` is the share settled `WITHIN` after a load has changed; `followed` the RMS error after LATER.
     """
@@ -97,7 +97,7 @@ CASES = (
 
 
 def played(case: ControlCase, episodes: int, seed: int) -> ControlRow:
-    """Plays the episodes of a case."""
+    """Run the episodes of a case."""
     known = Configuration.find(case.environment)
     settings = deepcopy(known.settings)
     for name, change in case.changes.items():
@@ -118,7 +118,7 @@ def played(case: ControlCase, episodes: int, seed: int) -> ControlRow:
 
 
 def _loader(period: float, load: bool) -> Callable[[Episodes], None]:
-    """Changes the payload of each arm by LOAD after CHANGE, up where it is light."""
+    """Change the payload of each arm by LOAD after CHANGE, up where it is light."""
     passed = [0]
 
     def watch(episodes: Episodes) -> None:

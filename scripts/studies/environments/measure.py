@@ -36,7 +36,7 @@ class Accuracy(NamedTuple):
 
 
 def accuracy(name: str, **arguments: Any) -> Accuracy:
-    """Moves the arm of a named environment, made with these arguments, by random torques from rest."""
+    """Move the arm of a named environment, made with these arguments, by random torques from rest."""
     env = gym.make(name, **arguments).unwrapped
     setup, model, period = env.configuration, env.simulator.model, env.simulator.control_period  # type: ignore[attr-defined]
     method, substeps = env.simulator.method, env.simulator.substeps  # type: ignore[attr-defined]
@@ -74,7 +74,7 @@ def run(name: str, base: str | None) -> Rollout:
 
 
 def draw(runs: dict[str | None, Rollout], path: Path) -> None:
-    """Draws tip error and torques of an episode under each baseline, and films it under the tracking LQR (GIF)."""
+    """Draw tip error and torques of an episode under each baseline, and films it under the tracking LQR (GIF)."""
     frames, rate = side_by_side([runs["lqr-tracking"].episode(0)], small=True, size=SIZE)
     write_video(frames, path.with_suffix(".gif"), rate)
     figure = new_figure((11.0, 2.9), 110.0, layout="constrained")
@@ -149,7 +149,7 @@ def first(name: str) -> list[str]:
 
 
 def _curve(name: str) -> list[str]:
-    """How the recipes of an environment learn, see `studies.learning.measure`."""
+    """Return the learning curves of the recipes of an environment, see `studies.learning.measure`."""
     return [
         f"![Reward while the recipes of {name} train](../learning_{name}.png)", "",
         "A line is the middle of the seeds, and where there are several its band goes from the worst to the best.",
@@ -157,6 +157,6 @@ def _curve(name: str) -> list[str]:
 
 
 def _drawn(task: Slew) -> dict[str, float]:
-    """What a task draws otherwise than a plain slew."""
+    """Return the initial conditions in which a task differs from a slew."""
     plain = Slew()
     return {name: getattr(task, name) for name in ("start", "slew") if getattr(task, name) != getattr(plain, name)}

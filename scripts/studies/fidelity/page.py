@@ -88,7 +88,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def conclusion(rows: Sequence[FidelityRow]) -> str:
-    """How many choices are right, know their error, and are cheap."""
+    """Return the numbers of choices within tolerance, with a correct error estimate, and of low cost."""
     return CONCLUSION.format(**_numbers(rows), factor=NEAR, most=CHEAP)
 
 

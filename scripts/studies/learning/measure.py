@@ -145,12 +145,12 @@ def environment(name: str) -> str:
 
 
 def adds_to_pd(name: str) -> bool:
-    """Whether a recipe adds to a PD."""
+    """Return whether a recipe has a PD as base controller."""
     return bool(find_recipe(name).environment.base == "pd")
 
 
 def pictures(curves: Sequence[Point], folder: Path) -> list[Path]:
-    """Draws learning_ID.png for each environment with recipes that add to a PD, whose rewards are of one kind."""
+    """Draw learning_ID.png for each environment with recipes that add to a PD, whose rewards are of one kind."""
     names = [name for name in SEEDS if any(point.name == name for point in curves) and adds_to_pd(name)]
     result = []
     for id in dict.fromkeys(environment(name) for name in names):
@@ -246,7 +246,7 @@ def place(case: LearningCase, folder: Path, seed: int) -> Path:
 
 
 def trained(cell: tuple[Settings, Path]) -> dict[str, float | None]:
-    """Trains a run and keeps what it cost in its folder, or reads the cost of one that is there."""
+    """Train a run and keeps what it cost in its folder, or reads the cost of one that is there."""
     settings, folder = cell
     path = folder / COST
     if not path.is_file():

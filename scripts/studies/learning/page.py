@@ -204,7 +204,7 @@ def _tasks(rows: Sequence[LearningRow]) -> list[str]:
 
 
 def _follows(venue: Configuration) -> bool:
-    """Whether the tip has to follow or to stay, so that its RMS error tells more than when it settles."""
+    """Return whether the task tracks or holds, so that the RMS error matters and not the settling time."""
     return any(figure.name == "rms_error" for figure in task_metrics(venue.task))
 
 

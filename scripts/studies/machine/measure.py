@@ -103,7 +103,7 @@ def _r_squared(measured: np.ndarray, computed: np.ndarray) -> float:
 
 
 def stage_1(folder: Path = DATA, others: bool = True) -> tuple[list[FitRow], dict[str, Any]]:
-    """Fits half of the moving runs of the first stage and scores the rest, then the other way round.
+    """Fit half of the moving runs of the first stage and scores the rest, then the other way round.
 
     Args:
         folder: of the runs.
@@ -138,7 +138,7 @@ def stage_1(folder: Path = DATA, others: bool = True) -> tuple[list[FitRow], dic
 
 
 def _told(found: fm.Fit) -> dict[str, float]:
-    """What a fit of the first stage says."""
+    """Results of a fit of the first stage."""
     model = build_model(found.arm, **ONE)  # type: ignore[arg-type]
     ringing = fm.modes(model)
     frequency, ratio = float(ringing.frequencies[0]), float(ringing.damping_ratios[0])
@@ -173,7 +173,7 @@ def _amplitudes(model: Model) -> tuple[float, float]:
 
 
 def _sheet(model: Model, record: fm.Measurement) -> Any:
-    """What the data sheet says of the first output of a record: w / L of the strip, by a gauge without an error."""
+    """Calibration of the data sheet for the first output of a record: w / L of the strip, for an ideal gauge."""
     nominal = {"payload_mass": np.array([nominal_parameters(model)["payload_mass"]])}
     at_strip, at_block = _amplitudes(model)
     return SimulatedResponse(model.arm, record, None).signals(model, nominal)[0, 0] * at_strip / at_block
@@ -196,7 +196,7 @@ def _by_mujoco(found: fm.Fit, runs: Mapping[str, fm.Measurement]) -> list[FitRow
 
 
 def stages(path: Path) -> tuple[list[FitRow], list[Any]]:
-    """Fits the first half of a record of both stages, coupled, and scores the second; then the same from currents.
+    """Fit the first half of a record of both stages, coupled, and scores the second; then the same from currents.
 
     Returns:
         Rows, and times, measured and predicted deflections.
@@ -255,7 +255,7 @@ def _random_arm(rng: np.random.Generator) -> fm.Arm:
 
 
 def _truth(arm: fm.Arm, rng: np.random.Generator) -> fm.Measurement:
-    """What the arm does under torques that jump, at a quarter of the step of the fit."""
+    """Return the response to a torque with jumps, at a quarter of the step of the fit."""
     count, times = arm.n_joints, PERIOD * np.arange(SAMPLES)
     inputs = {}
     for i in range(count):
@@ -274,7 +274,7 @@ def _truth(arm: fm.Arm, rng: np.random.Generator) -> fm.Measurement:
 
 
 def draws(seed: int, count: int) -> list[tuple[str, float, bool]]:
-    """Fits of one arm to draws of noise: name of each number, its error in deviations, and whether it was told."""
+    """Fit of one arm to draws of noise: name of each number, its error in deviations, and whether it was told."""
     rng = np.random.default_rng(seed)
     arm = _random_arm(rng)
     record, free = _truth(arm, rng), FreeParameters(arm, FREE)
@@ -300,7 +300,7 @@ def draws(seed: int, count: int) -> list[tuple[str, float, bool]]:
 
 
 def coverage(arms: int, count: int, first: int = 0) -> tuple[float, int, int]:
-    """Gives the part of told numbers whose truth is within two deviations, how many these are, and the others."""
+    """Return the share of estimates within two standard deviations of the true value, their number, and the others."""
     found = [each for seed in range(first, first + arms) for each in draws(seed, count)]
     told = [abs(error) <= 2.0 for _, error, told in found if told]
     return float(np.mean(told)), len(told), len(found) - len(told)

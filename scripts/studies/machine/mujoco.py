@@ -15,7 +15,7 @@ HEAVY = 1e6  # kg m^2, of a hub that moves as it is told
 
 
 def deflection(arm: fm.Arm, record: fm.Measurement) -> Any:
-    """Gives the deflection (T,) at the end of the block behind the strip, m, behind the filter of the gauge.
+    """Return the deflection (T,) at the end of the block after the strip, m, through the filter of the gauge.
 
     The block, stiffer than the strip by four digits, is a part of the payload: as pieces it would need steps of less
     than a microsecond.
@@ -42,7 +42,7 @@ def deflection(arm: fm.Arm, record: fm.Measurement) -> Any:
 
 
 def _off_the_line(model: Any, data: Any, beyond: float) -> float:
-    """How far a point beyond the strip's end is from the axis of the hub's frame, m."""
+    """Return the distance (m) of a point beyond the strip's end from the axis of the frame of the hub."""
     mujoco.mj_kinematics(model, data)
     place = data.site("tip").xpos + beyond * data.xmat[model.site("tip").bodyid[0]].reshape(3, 3)[:, 0]
     frame = data.body("link_0").xmat.reshape(3, 3)

@@ -15,7 +15,7 @@ MILLI = 1e3
 
 
 def draw(lines: Mapping[str, Sequence[Any]], told: Sequence[Any], folder: Path) -> None:
-    """Draws the runs of the first stage, each by the fit that did not see it, and the record of both stages."""
+    """Draw the runs of the first stage, each by the fit that did not see it, and the record of both stages."""
     rows = (len(lines) + 2) // 3
     figure = new_figure((13.0, 2.3 * rows), 100.0, layout="constrained")
     grid = figure.subplots(rows, 3, squeeze=False).ravel()
@@ -105,7 +105,7 @@ Computed with {machine}, one core.
 
 
 def page(rows: Sequence[FitRow], machine: str) -> str:
-    """Writes the page as Markdown."""
+    """Write the page as Markdown."""
     scores = [row for row in rows if row.part == SCORE]
     sheet = {row.run: row.value for row in rows if row.part == SHEET}
     theirs = {row.run: row.value for row in rows if row.part == MUJOCO and row.what == "R2"}

@@ -71,7 +71,7 @@ class System:
         return np.asarray(self.main.GetSensorStoredData(self.sensor))[:, 1:]
 
     def _link(self, link: Any, beam: Beam, place: Array, gravity: Vector) -> tuple[int, int]:
-        """Adds a link; returns the numbers of a rigid body in its frame and of the marker of its tip."""
+        """Add a link; return the numbers of a rigid body in its frame and of the marker of its tip."""
         turn, (masses, positions, shapes) = np.array(link.orientation), _mesh(link, beam)
         mesh, count = fem.FEMinterface(), 3 * len(masses)
         mesh.nodes = {"Position": positions @ turn.T}
@@ -91,7 +91,7 @@ class System:
         return self.main.AddObject(frame), self.main.AddMarker(marker)
 
     def _tip_body(self, place: Array, tip: int) -> int:
-        """Adds a rigid body without mass that is fixed to the marker of a tip."""
+        """Add a rigid body without mass that is fixed to the marker of a tip."""
         node = self.main.AddNode(items.NodeRigidBodyEP(referenceCoordinates=[*place, 1.0, 0.0, 0.0, 0.0]))
         body = self.main.AddObject(items.ObjectRigidBody(mass=0.0, inertia=[0.0] * 6, nodeNumber=node))
         marker = self.main.AddMarker(items.MarkerBodyRigid(bodyNumber=body))
@@ -99,7 +99,7 @@ class System:
         return int(body)
 
     def _joint(self, joint: fm.Joint, before: int, behind: int, torque: float) -> None:
-        """Adds a revolute joint between two rigid bodies, and a motor that turns it through a spring and a damper."""
+        """Add a revolute joint between two rigid bodies, and a motor that turns it through a spring and a damper."""
         axis = exudyn.HT(rotation=_along(np.array(joint.axis)), translation=[0.0] * 3)
         ends = [self.main.AddMarker(items.MarkerBodyRigid(bodyNumber=body, localHT=axis)) for body in (before, behind)]
         self.main.AddObject(items.ObjectJointRevoluteZ(markerNumbers=ends))
@@ -155,7 +155,7 @@ def settings(scene: fm.Scene, step: float, method: str, tolerance: float = LOOSE
 
 
 def run(scene: fm.Scene, step: float, method: str = QUICK, tolerance: float = LOOSE) -> PeerRun:
-    """Runs a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
+    """Run a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
     system = System(scene.arm, scene.torque.value)  # type: ignore[union-attr]
     chosen = settings(scene, step, method, tolerance)
     tip = np.full((output_count(scene, step)[0] + 1, 3), np.nan)

@@ -35,7 +35,7 @@ Timer = Callable[[], PrecisionRow]
 
 @dataclass(frozen=True, eq=False)
 class PeerRun:
-    """What a peer computed and what it cost.
+    """Result and cost of a peer.
 
     Attributes:
         model, method: its names.
@@ -55,7 +55,7 @@ class PeerRun:
 
     @property
     def finite(self) -> bool:
-        """Whether the run stayed in the world."""
+        """Return whether all values of the run are finite and small enough."""
         return bool(np.isfinite(self.tip).all() and np.abs(self.tip).max() < 1e3)
 
     def distance(self, tip: Array) -> float:
@@ -72,7 +72,7 @@ def row(study: Study, done: PeerRun, solution: ReferenceSolution | None = None, 
 
 
 def output_count(scene: fm.Scene, step: float) -> tuple[int, int]:
-    """How many outputs a scene has after its start, and how many steps (s) lie between two of them.
+    """Return the number of outputs of a scene after its start, and the number of steps (s) between two of them.
 
     Raises:
         ValueError: for a step that does not divide the output step.
@@ -173,7 +173,7 @@ Tips = Callable[[], Iterator[Array]]  # gives the tip (3,) m of an arm after eac
 
 
 def our_arms(scene: fm.Scene, model: fm.Model, method: str) -> Iterator[Array]:
-    """Moves arms from rest, under the constant torques of a scene."""
+    """Move arms from rest, under the constant torques of a scene."""
     batch = Batch(model, method, STEP, scene.output_step, arms=ARMS, threads=CORES)
     drive = np.zeros((ARMS, model.n_joints + 6))
     drive[:, : model.n_joints] = scene.torque.value  # type: ignore[union-attr]

@@ -29,7 +29,7 @@ def integrators() -> list[str]:
 
 
 def run(scene: fm.Scene, pieces: int, integrator: str, step: float) -> PeerRun:
-    """Runs a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
+    """Run a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
     return advance(scene, _name(scene.arm, pieces), integrator, step, to_mjcf(scene.arm, pieces, integrator, step))
 
 
@@ -71,7 +71,7 @@ def step_factors(arm: fm.Arm, pieces: int, integrator: str, step: float, small: 
 
 
 def abreast(scene: fm.Scene, pieces: int, step: float, arms: int, threads: int) -> Iterator[Array]:
-    """Moves arms from rest by `mujoco.batch`; gives the tip (3,) m of the first after each output step."""
+    """Move arms from rest by `mujoco.batch`; gives the tip (3,) m of the first after each output step."""
     model = mujoco.MjModel.from_xml_string(to_mjcf(scene.arm, pieces, "Euler", step))
     many, count = batch.Batch(model, arms, threads), output_count(scene, step)[1]
     many.ctrl, tips = np.array(scene.torque.value), many.bind("site_xpos")  # type: ignore[union-attr]
@@ -87,7 +87,7 @@ def _name(arm: fm.Arm, pieces: int) -> str:
 
 
 def runs(study: Study) -> list[Timer]:
-    """Runs with rigid links, rigid joints too, and with 4 and 8 pieces."""
+    """Run with rigid links, rigid joints too, and with 4 and 8 pieces."""
     rigid = with_rigid_joints(study.scene)
     return [
         lambda: row(study, run(rigid, 0, "RK4", RIGID_STEP)),
@@ -97,7 +97,7 @@ def runs(study: Study) -> list[Timer]:
 
 
 def stable_runs(study: Study) -> list[Timer]:
-    """Runs with 4 and 8 pieces: at the longest stable step of each integrator."""
+    """Run with 4 and 8 pieces: at the longest stable step of each integrator."""
     result: list[Timer] = []
     for pieces in (4, 8):
         for name in integrators():

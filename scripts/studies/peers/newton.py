@@ -11,7 +11,7 @@ SKIPPED, PIECES, STEP, ITERATIONS, DURATION = "skipped: no GPU", 20, 1e-3, 10, 2
 
 
 def cables() -> str:
-    """What the cable does on a GPU, or that it was skipped."""
+    """Return the result of the cable on a GPU, or a note that it was skipped."""
     try:
         found = import_module("warp").is_cuda_available() and import_module("newton")
     except ModuleNotFoundError:

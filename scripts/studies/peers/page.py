@@ -117,7 +117,7 @@ RIGID = "The cost of a rigid arm, by RK4 at {setting}. Its tip is {error:.2g} m 
 
 
 def publish(rows: Sequence[PrecisionRow], floor: float, folder: Path) -> str:
-    """Draws the rows, writes the page about them and returns it; `floor` is the error of the truth, m."""
+    """Draw the rows, writes the page about them and returns it; `floor` is the error of the truth, m."""
     many = [row for row in rows if MANY in row.scene]
     peers = of_peers(alone := [row for row in rows if row not in many])
     mine = [row for row in alone if row not in peers]
@@ -142,7 +142,7 @@ def conclusions(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow], pla
 
 
 def _pieces(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow]) -> list[str]:
-    """How much cheaper we are than MuJoCo's rigid pieces at their total error."""
+    """Return the cost of MuJoCo's rigid pieces relative to ours at their total error."""
     cells = []
     for pieces in (8, 4):
         known = [row for row in peers if (row.model, row.method) == (f"MuJoCo, {pieces} pieces", "Euler")]
@@ -168,7 +168,7 @@ def _alone(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow]) -> list[
 
 
 def _frames(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow], plain: str) -> list[str]:
-    """How much cheaper we are than Exudyn's floating frame of the same elements at a time error."""
+    """Return the cost of Exudyn's floating frame with the same elements relative to ours at a time error."""
     mine = [row for row in rows if row.model == plain and row.time_error is not None]
     within = [row for row in mine if (row.time_error or 0.0) <= WANTED]
     steady = settled(mine, WANTED, "time_error")
@@ -184,7 +184,7 @@ def _frames(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow], plain: 
 
 
 def _rigid(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow]) -> list[str]:
-    """What a rigid arm costs, and how far from the truth it is."""
+    """Return the cost of a rigid arm and its distance from the reference."""
     known = [row for row in (*rows, *peers) if row.model.split(", ")[-1] == "rigid"]
     if not known:
         return []
@@ -194,14 +194,14 @@ def _rigid(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow]) -> list[
 
 
 def _decays(peers: Sequence[PrecisionRow]) -> list[str]:
-    """What integrators take from the lowest mode."""
+    """Return the numerical damping of the lowest mode by the integrators."""
     shares = decays(fm.catalog.paper_rrr(), peers)
     cells = [(name, f"{1e3 * step:.3g} ms", f"{100 * abs(round(share, 8)):.3g} %") for name, step, share in shares]
     return introduced_table(DECAY, ("integrator", "step", "lost in a second"), cells)
 
 
 def _abreast(many: Sequence[PrecisionRow]) -> list[str]:
-    """How fast many arms move on all cores; each beside the quickest of the same error."""
+    """Return the rates of many arms on all cores, each relative to the fastest method of equal error."""
     cells = []
     for row in sorted(many, key=lambda row: (_millimetres(row), row.wall)):
         best = min(many, key=lambda other: (_millimetres(other) != _millimetres(row), other.wall))

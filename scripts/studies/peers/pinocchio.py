@@ -33,7 +33,7 @@ def rigid_model(arm: fm.Arm) -> Any:
 
 
 def run(scene: fm.Scene, step: float) -> PeerRun:
-    """Runs a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
+    """Run a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
     model = rigid_model(scene.arm)
     data, torque = model.createData(), np.array(scene.torque.value)  # type: ignore[union-attr]
     angles = rates = np.zeros(model.nv)

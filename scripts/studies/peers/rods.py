@@ -66,13 +66,13 @@ def _numbers(values: Any) -> str:
 
 
 def run(study: Study, length: float, integrator: str, parts: int) -> PrecisionRow:
-    """Runs a scene of constant torques from rest at zero angles, with so many steps in an output step."""
+    """Run a scene of constant torques from rest at zero angles, with so many steps in an output step."""
     step = study.scene.output_step / parts
     text = to_mjcf(study.scene.arm, 0, integrator, step, partial(rod, length))
     return row(study, advance(study.scene, f"MuJoCo, rods of {length:g} m", integrator, step, text), sane=SANE)
 
 
 def runs(study: Study) -> list[Timer]:
-    """Runs at the longest stable step of each integrator."""
+    """Run at the longest stable step of each integrator."""
     calls = [partial(run, study, length, integrator) for length in LENGTHS for integrator in METHODS]
     return [partial(call, fewest_parts(call)) for call in calls]

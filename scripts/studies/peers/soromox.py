@@ -69,7 +69,7 @@ def compiled(arm: fm.Arm, torque: tuple[float, ...], step: float, count: int) ->
 
 
 def run(scene: fm.Scene, step: float = STEP) -> PeerRun:
-    """Runs a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
+    """Run a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
     rows, count = output_count(scene, step)
     advance, tip, state = compiled(scene.arm, scene.torque.value, step, count)  # type: ignore[arg-type, union-attr]
     tips = [np.asarray(tip(0.0 * advance(state) + state))]  # which compiles both

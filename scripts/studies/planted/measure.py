@@ -38,7 +38,7 @@ class Change:
     equivalent: str = ""
 
     def applied(self, root: Path) -> str:
-        """Gives the text of its file in a checkout, changed.
+        """Return the changed text of its file in a checkout.
 
         Raises:
             ValueError: where the old text does not stand in the file exactly once.
@@ -64,7 +64,7 @@ FAILED, NOTHING_FAILED, INTERRUPTED = 1, 0, 2  # exit statuses of pytest
 
 @dataclass(frozen=True)
 class Planted:
-    """What became of a change: a row of the table.
+    """Outcome of a planted error: a row of the table.
 
     Attributes:
         room, error, file: as of the change.
@@ -82,7 +82,7 @@ class Planted:
 
 
 def planted(change: Change) -> Planted:
-    """Plants a change in the copy of this process."""
+    """Plant a change in the copy of this process."""
     return _copy().plant(change)
 
 
@@ -117,7 +117,7 @@ class Copy:
         self._green: set[str] = set()  # tests that pass without an error
 
     def plant(self, change: Change) -> Planted:
-        """Makes a change, runs its tests until one fails, and takes the change back.
+        """Make a change, runs its tests until one fails, and takes the change back.
 
         Raises:
             RuntimeError: where the test that fails does so without the change too, or there is no such test.
@@ -144,7 +144,7 @@ class Copy:
             self._green.add(test)
 
     def failing(self, tests: Iterable[str], own_kernels: bool = False) -> str:
-        """Gives the first of the tests that fails, "" where none does.
+        """Return the first test that fails, "" if all pass.
 
         Args:
             tests: files or tests, paths from the root.
@@ -185,7 +185,7 @@ NAMES = (
 
 
 def changes(room: str) -> Iterator[Change]:
-    """Gives the changes of a room, from its file."""
+    """Return the planted errors of a folder, from its file."""
     for group in files.read_data(ERRORS / f"{room}.yaml", list):
         tests = tuple(f"tests/{test}" for test in group["tests"])
         for entry in group["errors"]:
@@ -196,13 +196,13 @@ ROOMS: dict[str, list[Change]] = {name: list(changes(name)) for name in NAMES}
 
 
 def kept(path: Path) -> dict[tuple[str, str], Planted]:
-    """Gives the rows of a file by room and error, none where there is no file."""
+    """Return the rows of a file by folder and error, none if there is no file."""
     rows = read_rows(path, Planted) if path.is_file() else []
     return {(row.room, row.error): row for row in rows}
 
 
 def misplaced(root: Path, chosen: Iterable[Change]) -> list[str]:
-    """Gives a line for each change whose old text is not once in its file, or whose tests are not there."""
+    """Return a line for each error whose old text does not occur once in its file or whose tests do not exist."""
     result = []
     for change in chosen:
         try:

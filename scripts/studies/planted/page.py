@@ -36,14 +36,14 @@ OUTCOMES = (CAUGHT, EQUIVALENT, SURVIVED)
 
 
 def counts(rows: Sequence[Planted]) -> list[tuple[object, ...]]:
-    """Gives name, planted, caught, equivalent and surviving of each room, and of all of them."""
+    """Return name and numbers of planted, caught, equivalent and surviving errors of each folder, and of all."""
     rooms = dict.fromkeys(row.room for row in rows)
     result = [(room, *_counted(row for row in rows if row.room == room)) for room in rooms]
     return [*result, ("all", *_counted(rows))]
 
 
 def page(rows: Sequence[Planted]) -> str:
-    """Gives the page as Markdown."""
+    """Return the page as Markdown."""
     heads = ("room", "planted", *OUTCOMES)
     known = dict(zip(("planted", "caught_count", "equivalent_count", "survived_count"), _counted(rows), strict=True))
     parts = {

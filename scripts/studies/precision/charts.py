@@ -35,7 +35,7 @@ def _shown_error(row: PrecisionRow, column: str) -> float:
 
 
 def draw_runs(axes: Any, rows: Sequence[PrecisionRow], column: str, label: str, look: dict[str, Any]) -> None:
-    """Runs of one kind; those that failed are small crosses at the upper edge."""
+    """Run of one kind; those that failed are small crosses at the upper edge."""
     good = [row for row in rows if math.isfinite(_shown_error(row, column)) and _shown_error(row, column) > 0.0]
     if good:
         values = [row.cpu for row in good], [_shown_error(row, column) for row in good]

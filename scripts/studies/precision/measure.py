@@ -78,7 +78,7 @@ class Floor:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceSolution:
-    """What the tip of a scene does.
+    """Motion of the tip in a scene.
 
     Attributes:
         tip: (T, 3) m at equal intervals from the start to the end of the scene.
@@ -327,7 +327,7 @@ def models(scene: Scene) -> dict[str, Model]:
 
 
 def _total_truth(case: _PrecisionCase, built: dict[str, Model], reference: Path) -> ReferenceSolution:
-    """What the tip truly does: a model of large rotations where there is one, else our finest.
+    """Return the reference motion of the tip: a model of large rotations if there is one, else our finest model.
 
     Its floor is the distance to our finest model, or of that to the next finest.
     """
@@ -351,7 +351,7 @@ def study(case: _PrecisionCase, reference: Path) -> Study:
 
 
 def _steps_of(name: str) -> tuple[float, ...]:
-    """Steps (s) of a method of fixed steps: those of its kind, and finer ones for some."""
+    """Step (s) of a method of fixed steps: those of its kind, and finer ones for some."""
     return STEPS[METHODS[name].kind] + FINER_STEPS.get(name, ())
 
 
@@ -376,7 +376,7 @@ def grid(result: Study, timed: tuple[str, ...], models: Sequence[str] | None = N
 
 
 def _fits(scene: Scene, step: float) -> bool:
-    """Whether the duration is a whole number of steps and of outputs."""
+    """Return whether the duration is a whole number of steps and of outputs."""
     count = scene.duration / max(step, scene.output_step)
     return abs(count - round(count)) < 1e-9 * count
 

@@ -61,7 +61,7 @@ def conclusions(rows: Sequence[PrecisionRow], floors: Sequence[Floor]) -> list[s
 
 
 def _winners(rows: Sequence[PrecisionRow], pairs: Sequence[tuple[str, str]]) -> list[str]:
-    """Who is cheapest at each error."""
+    """Return the cheapest method at each error."""
     cells = []
     for scene, model in pairs:
         mine = [row for row in rows if row.scene == scene]
@@ -76,7 +76,7 @@ def _winner(rows: Sequence[PrecisionRow], model: str, error: float) -> str:
 
 
 def _ratios(rows: Sequence[PrecisionRow], pairs: Sequence[tuple[str, str]]) -> list[str]:
-    """How many times cheaper than ros2 each extrapolation is."""
+    """Return the cost of ros2 relative to each extrapolation."""
     names, cells = extrapolations_of(rows), []
     for scene, model in pairs:
         mine = [row for row in rows if row.scene == scene]
@@ -213,7 +213,7 @@ ROWS_FILE, FLOORS_FILE, PAGE_FILE = "work_precision.csv", "work_precision_truths
 def compute(
     reference: Path, folder: Path, quick: bool = False, workers: Workers | int = 1, kept: Path | None = None
 ) -> None:
-    """Computes all rows, or a small grid of one short scene, and writes them and the errors of the truths.
+    """Compute all rows, or a small grid of one short scene, and write them and the errors of the truths.
 
     `reference` is the folder of the reference scenes and solutions; `workers` and `kept` as of `grid.spread`.
     """
@@ -246,7 +246,7 @@ def _known_study(reference: str, scene: str) -> tuple[Study, tuple[str, ...]]:
 
 
 def publish(folder: Path) -> None:
-    """Draws what is in the files, and writes the page. Without Matplotlib there are no pictures."""
+    """Draw what is in the files, and write the page. Without Matplotlib there are no pictures."""
     rows, floors = read_rows(folder / ROWS_FILE, PrecisionRow), read_rows(folder / FLOORS_FILE, Floor)
     for scene in dict.fromkeys(row.scene for row in rows):
         mine = [row for row in rows if row.scene == scene]

@@ -36,7 +36,7 @@ class _Cases(NamedTuple):
 
 @cache
 def default_model(undamped: bool = False) -> Model:
-    """Builds the model of FlexRRR-v0, without any damping where that is wanted."""
+    """Build the model of FlexRRR-v0, without any damping where that is wanted."""
     model = resolve_fidelity(Configuration()).model
     if not undamped:
         return model
@@ -45,7 +45,7 @@ def default_model(undamped: bool = False) -> Model:
 
 
 def cases(kind: str, count: int, seed: int = 0) -> _Cases:
-    """Draws arms of a kind.
+    """Draw arms of a kind.
 
     In a release the tips of all links are let go from 0 to 5 cm in random directions across their beams, bent as a
     force on the tip bends them; in "both planes" up to 5 cm in each, from postures within 0.9 rad. An impulse of 0 to
@@ -124,12 +124,12 @@ class _Outcome(NamedTuple):
 
 
 def _moving_energy(batch: Batch) -> Array:
-    """Gives kinetic and elastic energy (b,) J."""
+    """Return the sum of kinetic and elastic energy (b,) J."""
     return batch.outputs[:, layout.KINETIC : layout.GRAVITATIONAL].sum(axis=1)
 
 
 def outcome(model: Model, each: _Cases, method: str, step: float | None) -> _Outcome:
-    """Moves arms by a method with a step (s), or by an adaptive one (None)."""
+    """Move arms by a method with a step (s), or by an adaptive one (None)."""
     batch = Batch(model, method, step, PERIOD, RTOL, 1e-2 * RTOL, arms=len(each.states))
     batch.reset(np.arange(len(each.states)), each.states)
     first, started = _moving_energy(batch), time.process_time()
@@ -143,12 +143,12 @@ def outcome(model: Model, each: _Cases, method: str, step: float | None) -> _Out
 
 
 def settings(method: str) -> Sequence[int]:
-    """Gives the numbers of steps in a control period that a method is tried with."""
+    """Return the numbers of steps in a control period for a method."""
     return FINE_PARTS if METHODS[method].kind == EXPLICIT else PARTS
 
 
 def rows(kind: str, count: int, few: int) -> Iterator[RingDownRow]:
-    """Measures every method of fixed steps: those that move arms abreast on `count` arms, the others on a `few`."""
+    """Measure every method of fixed steps: those that move arms abreast on `count` arms, the others on a `few`."""
     model, each = default_model(kind == UNDAMPED), cases(kind, count)
     truth = outcome(model, each, REFERENCE, None)
     if (truth.status != layout.OK).any():
@@ -161,7 +161,7 @@ def rows(kind: str, count: int, few: int) -> Iterator[RingDownRow]:
 
 
 def row(kind: str, method: str, step: float, result: _Outcome, truth: _Outcome) -> RingDownRow:
-    """Compares arms with the first of the converged ones."""
+    """Compare arms with the first of the converged ones."""
     b, failed = len(result.tip), result.status != layout.OK
     energy, tip = _differences(result, truth)
     kept = median_kept(result.energy / np.maximum(result.first, 1e-12), failed)
@@ -171,7 +171,7 @@ def row(kind: str, method: str, step: float, result: _Outcome, truth: _Outcome) 
 
 
 def _differences(result: _Outcome, truth: _Outcome) -> tuple[Array, Array]:
-    """Gives the relative errors of energy (b,) and those of the tip (b,) m; infinite where an arm failed."""
+    """Return the relative errors of energy (b,) and the errors of the tip (b,) m; infinite for failed arms."""
     b, failed = len(result.tip), result.status != layout.OK
     scale = np.maximum(truth.energy[:b], FLOOR * truth.first[:b])
     energy = np.where(failed, np.inf, np.abs(result.energy - truth.energy[:b]) / scale)
@@ -179,12 +179,12 @@ def _differences(result: _Outcome, truth: _Outcome) -> tuple[Array, Array]:
 
 
 def median_kept(kept: Array, failed: BoolArray) -> float:
-    """Gives the median of the arms that did not fail; NaN where all did."""
+    """Return the median over the arms without failure; NaN if all failed."""
     return np.nan if failed.all() else float(np.median(kept[~failed]))
 
 
 def percentiles(energy: Array, tip: Array) -> dict[str, float]:
-    """Gives those of a row. Each is one of the values, as some may be infinite."""
+    """Return the quantiles of a row. Each is one of the values, as some may be infinite."""
 
     def of(values: Array, q: float) -> float:
         return float(np.percentile(values, q, method="lower"))
@@ -237,7 +237,7 @@ class Errors:
 
 
 def errors_of_default(count: int) -> list[Errors]:
-    """Compares so many arms of each kind after a second and at the end, by the default and by others."""
+    """Compare so many arms of each kind after a second and at the end, by the default and by others."""
     chosen, result = resolve_fidelity(Configuration()), []
     for kind in KINDS:
         each = cases(kind, count)

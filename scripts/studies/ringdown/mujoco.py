@@ -27,7 +27,7 @@ STEPS["discrete"] = (5e-3, 1e-3, 5e-4, 1e-4)
 
 
 def release(integrator: str, step: float, seed: int) -> tuple[Array, float, float, float]:
-    """Lets an arm go, its motors free, and gives the tip (3,) m and both energies (J) after 3 s, and CPU seconds.
+    """Release an arm with free motors; return tip (3,) m and both energies (J) after 3 s, and the CPU time (s).
 
     All pieces of a link turn by the same angle, so that its tip is deflected as far as in our cases.
     """
@@ -55,7 +55,7 @@ def release(integrator: str, step: float, seed: int) -> tuple[Array, float, floa
 
 
 def rows(count: int) -> Iterator[RingDownRow]:
-    """Measures every integrator and step on so many arms."""
+    """Measure every integrator and step on so many arms."""
     truths = [release("RK4", FINEST, seed)[0] for seed in range(count)]
     for integrator in (name for name in integrators() if name in STEPS):
         for step in STEPS[integrator]:

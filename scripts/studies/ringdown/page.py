@@ -18,7 +18,7 @@ PICTURE = "ring_down.png"
 
 
 def draw(rows: Sequence[RingDownRow], folder: Path, default: tuple[str, float]) -> None:
-    """Draws the picture of the study; `default` is method and step (s) of the environments, which gets a ring."""
+    """Draw the picture of the study; `default` is method and step (s) of the environments, which gets a ring."""
     figure = new_figure((13.0, 5.2), 110.0, layout="constrained")
     panels = figure.subplots(1, 3)
     released = [row for row in rows if row.kind == RELEASE]
@@ -56,7 +56,7 @@ def _lines(axes: Any, rows: Sequence[RingDownRow], column: str, default: tuple[s
 
 
 def _line(axes: Any, rows: Sequence[RingDownRow], column: str, label: str, colour: str, marker: str) -> None:
-    """Runs of one method over their cost; those of which most failed are left out."""
+    """Run of one method over their cost; those of which most failed are left out."""
     good = [row for row in rows if np.isfinite(getattr(row, column)) and row.failed < 0.5]
     if good:
         values = [row.cpu for row in good], [getattr(row, column) for row in good]
@@ -110,7 +110,7 @@ TITLES = {
 
 
 def page(rows: Sequence[RingDownRow], machine: str, default: tuple[str, float]) -> str:
-    """Writes the page as Markdown."""
+    """Write the page as Markdown."""
     tables = [f"Computed with {machine}, one core. CPU is that of one arm for a simulated second."]
     for kind, title in TITLES.items():
         result = [_cells(row) for row in rows if row.kind == kind]
@@ -119,7 +119,7 @@ def page(rows: Sequence[RingDownRow], machine: str, default: tuple[str, float]) 
 
 
 def _conclusion(rows: Sequence[RingDownRow], default: tuple[str, float]) -> str:
-    """Says what the rows hold about the default, ros2, and MuJoCo's integrators."""
+    """Return the conclusions about the default, ros2 and MuJoCo's integrators."""
 
     def of(kind: str, method: str, step: float) -> RingDownRow:
         named = [row for row in rows if (row.kind, row.method) == (kind, method)]

@@ -189,7 +189,7 @@ class FrictionRow:
 
     @property
     def is_stable(self) -> bool:
-        """Whether no eigenvalue is outside the unit circle, so that the loop is called stable."""
+        """Return whether no eigenvalue is outside the unit circle: the loop is called stable."""
         return self.radius < STABLE_RADIUS
 
 

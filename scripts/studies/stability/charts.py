@@ -58,7 +58,7 @@ def picture(study: str) -> str:
 
 
 def draw(rows: Sequence[StabilityRow], folder: Path) -> list[Path]:
-    """Draws every chart of these rows into a folder; returns the paths.
+    """Draw every chart of these rows into a folder; return the paths.
 
     Raises:
         ImportError: without Matplotlib.
@@ -112,7 +112,7 @@ def _cell(x: float, y: float, colour: str) -> Any:
 
 
 def _keys(study: str) -> list[Any]:
-    """What the colours and the lines of a map mean."""
+    """Return the legend of a map: colours and lines."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

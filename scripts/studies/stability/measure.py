@@ -83,7 +83,7 @@ def measured_limit(model: Model, method: Method, guess: float) -> float:
 
 
 def grows(model: Model, method: Method, step: float, start: Array) -> bool:
-    """Whether the undriven motion from a state (2 d,) fails within 2000 steps (s) or its energy grows tenfold.
+    """Return whether the undriven motion from a state (2 d,) fails within 2000 steps (s) or gains tenfold energy.
 
     The largest energy of the second half counts against that of the first, and 1e4 times the first energy: the
     semi-implicit Euler method lets the energy of a vibration waver, the more the nearer its limit, and yet it stays
@@ -227,7 +227,7 @@ QUICK_HALVINGS = range(0, 7, 3)
 
 
 def parameters_of(study: str, quick: bool = False) -> Sequence[float]:
-    """What a study varies, or a few values of it."""
+    """Return the parameter values of a study, or a few of them."""
     return (QUICK_PARAMETERS if quick else PARAMETERS)[study]
 
 

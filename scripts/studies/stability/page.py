@@ -95,7 +95,7 @@ def _map(study: str, rows: Sequence[StabilityRow], conclusion: str) -> list[str]
 
 
 def _counts(name: str, cells: Sequence[StabilityRow]) -> list[str]:
-    """How many cells of a method have which verdict, the largest step from which down all are ok, and steps that fail.
+    """Return verdict counts of a method, the largest step below which all cells are ok, and the steps that fail.
 
     A run fails when it diverges or does not converge.
     """
@@ -233,7 +233,7 @@ LOST = "Where a method diverged, modes in its band of growth took over."
 
 
 def summary(rows: Sequence[StabilityRow]) -> str:
-    """How many rows of each study have which verdict."""
+    """Return the numbers of rows of each study by verdict."""
     lines = []
     for study in dict.fromkeys(row.study for row in rows):
         count = Counter(row.verdict for row in rows if row.study == study)
@@ -321,7 +321,7 @@ def _amplitude_conclusions(rows: Sequence[StabilityRow]) -> list[str]:
 
 
 def _share(rows: Sequence[StabilityRow], name: str, step: float, mode: float = 2.0, quantity: str = KEPT) -> str:
-    """What a method leaves of a mode of the arm with rotors of 1 kg m^2."""
+    """Return the remaining amplitude of a mode of the arm with rotors of 1 kg m^2."""
     wanted = {"study": f"{DAMPING} 1", "method": name, "step": step, "parameter": mode, "quantity": quantity}
     return _percent(select(rows, **wanted)[0].value)
 

@@ -56,7 +56,7 @@ CUT = (2, 4, 4)  # modes of a link; without link 1's third, its torsion, the arm
 def damping_rows(
     rotor_inertia: float, names: Sequence[str] | None = None, steps: Sequence[float] = DAMPING_STEPS
 ) -> Iterator[StabilityRow]:
-    """What a method leaves of a small vibration of the straight arm in its modes 1, 2 and 3 after 10 s, and how fast.
+    """Rows of remaining amplitude and frequency of small vibrations in modes 1, 2 and 3 of the straight arm after 10 s.
 
     Beside the share of the amplitude and the frequency (Hz) stands what the amplification factor of the method
     predicts. One run is not interrupted; the control periods of a Simulator start the generalised-alpha method anew,

@@ -116,7 +116,7 @@ def _spin_up_rows() -> Iterator[VerificationRow]:
 
 
 def _effect_rows() -> Iterator[VerificationRow]:
-    """How far each modelling choice moves the tip of the paper's arm, everything flexible, within 2 s; not judged."""
+    """Effect of each modelling choice on the tip of the paper's flexible arm within 2 s, m; without tolerance."""
     scene = catalog.paper_scene("ff")
     body = Payload(5.0, inertia=((0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 0.5)), offset=(0.2, 0.0, 0.0))
     joints = [replace(joint, viscous_friction=5.0, coulomb_friction=20.0) for joint in scene.arm.joints]
