@@ -191,3 +191,14 @@ def test_the_arm_of_the_paper_moves_ten_times_closer_than_by_the_midpoint_rule(p
         for name in ("midpoint_corrected_3", "midpoint_3")
     ]
     assert errors[0] < 0.1 * errors[1]
+
+
+@pytest.mark.parametrize("iterations", [2, 3])
+def test_a_vanishing_correction_leaves_the_midpoint_rule(iterations):
+    """Of a large motion of the flexible arm: the geometry of the second iteration is that of the first one's result."""
+    scene = replace(fm.catalog.paper_scene("ff"), duration=0.2)
+    tiny = IteratedGauss("tiny", 2, "", iterations, correction=1e-13)
+    states = [
+        fm.simulate(scene, method=method, step=0.01).states[-1] for method in (tiny, METHODS[f"midpoint_{iterations}"])
+    ]
+    np.testing.assert_allclose(states[0], states[1], rtol=0.0, atol=1e-8 * np.abs(states[1]).max())
