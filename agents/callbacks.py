@@ -42,7 +42,7 @@ def stop_on_interrupt() -> Iterator[threading.Event]:
         if stop_requested.is_set():
             raise KeyboardInterrupt
         stop_requested.set()
-        print("Stopping after this rollout; press Ctrl-C again to stop at once without it.", file=sys.stderr)
+        print("Stopping after this rollout; press Ctrl-C again to stop at once, without saving it.", file=sys.stderr)
 
     previous = signal.signal(signal.SIGINT, handle)
     try:
@@ -65,8 +65,8 @@ class _Events(TensorBoardOutputFormat):
 def open_logger(folder: Path, before: int, steps: int) -> Logger:
     """Open the learning curves of a run that continues after some steps.
 
-    The rows go to progress.csv, or to progress-N.csv with N = `before` + `steps` where that is positive. Rows beyond N
-    in the earlier files of the same run are removed: they belong to steps that were lost when a process was killed.
+    The rows go to progress.csv, or to progress-N.csv with N = `before` + `steps` where that is positive. Rows of this
+    run with more steps than `steps` are removed: they belong to steps that were lost when a process was killed.
     TensorBoard events of a further run go to a subfolder.
 
     Args:
@@ -238,7 +238,7 @@ class Evaluation(BaseCallback):
         self.begin()
 
     def begin(self) -> None:
-        """Restart the count of steps."""
+        """Schedule the next evaluation after `eval_every` steps, and allow the warning again."""
         self._next, self._warned = self._every, False
 
     def _on_step(self) -> bool:

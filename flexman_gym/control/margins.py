@@ -132,7 +132,8 @@ def first_order_lag(period: float, bandwidth: float) -> tuple[float, float]:
     """Return the response of a first-order lag with a bandwidth (Hz) to a command that is constant over a period (s).
 
     Returns:
-        Fractions of the distance to the command: left at the end of the period, and on average over it.
+        The remaining distance to the command at the end of the period and its mean over the period, as fractions of the
+        distance at the beginning.
 
     Args:
         period: s.
@@ -154,7 +155,7 @@ def margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector) ->
         damping: (n,) N m s/rad.
 
     Returns:
-        Margins of the worst loop and motor.
+        The smallest gain margin and the smallest phase margin, each over all loops and motors.
     """
     each, stable = [], np.ones(len(loops), dtype=bool)
     for values, changes in ((GAIN_FACTORS, GAIN_FACTORS), (PHASE_SHIFTS, np.exp(IMAGINARY_DEGREE * PHASE_SHIFTS))):

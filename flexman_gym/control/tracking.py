@@ -202,7 +202,7 @@ class OutputFeedback:
 
 
 def _inconsistent(observer: Observer) -> BoolArray | bool:
-    """Return the flags (b,) of arms whose readings no model of the observer explains; False without such a member."""
+    """Return the flags (b,) `inconsistent` of an observer; False for an observer without this attribute."""
     if hasattr(observer, "wrong") and not hasattr(observer, "inconsistent"):
         message = f"{type(observer).__name__}.wrong is deprecated; name it inconsistent"
         warnings.warn(message, DeprecationWarning, stacklevel=4)

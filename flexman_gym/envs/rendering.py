@@ -41,7 +41,7 @@ class _Renderer:
         self._trails: list[list[tuple[float, Array]]] = [[] for _ in range(arms)]
 
     def frame(self, arm: int) -> NDArray[np.uint8]:
-        """Return a frame (height, width, 3) uint8 of an arm, its target and its metrics, at the present time."""
+        """Return a frame (height, width, 3) uint8 of an arm, its target, error and reward, at the present time."""
         episodes, view = self._episodes, self._episodes.view
         if self._is_new(arm):
             self._trails[arm], self._shots[arm] = [], self._painter.shot(self.extent(arm))

@@ -78,7 +78,7 @@ class StatefulEnv:
     def _restored_on_error(self, options: object) -> Iterator[None]:
         """Restore the state if a reset with options fails; its episodes are over then.
 
-        Without options the task has drawn a bad start, and the next reset should draw another one.
+        Without options the start drawn by the task is not feasible, and the next reset should draw another one.
         """
         before = None if options is None or (isinstance(options, dict) and not options) else self.get_state()
         try:

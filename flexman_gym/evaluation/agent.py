@@ -180,11 +180,11 @@ def network_agent(name: str, network: Law, environment: Configuration, base_in_u
 
     Args:
         name: name of the agent.
-        network: law of the agent.
+        network: law of the agent, from observations to actions.
         environment: environment of the training, with the settings of the agent. Base controller and action mode are
-            designed for it wherever the agent acts.
-        base_in_use: base controller instead of the one of the training; it is designed for the environment in which the
-            agent acts.
+            designed for the training environment, also for evaluations in other environments.
+        base_in_use: base controller that replaces the one of the training; it is designed for the environment of the
+            evaluation.
 
     Returns:
         The specification.
@@ -259,7 +259,7 @@ class _TimedMode:
 
 
 def timed_agent(agent: AgentSpec, environment: Configuration) -> tuple[AgentSpec, _TimedMode | None]:
-    """Return an agent designed for an environment, and the clock of its CPU time; None for "zero", which computes none.
+    """Return an agent designed for an environment, and the clock of its CPU time; None for "zero".
 
     The clock has `action_seconds` of all actions and `start_seconds` of all starts of episodes.
     """

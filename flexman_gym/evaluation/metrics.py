@@ -40,9 +40,10 @@ class Metric:
         unit: unit of the number, "" for none.
         better: "high" or "low".
         function: function from the record of an episode to the number.
-        statistic: aggregate over episodes: "mean", "median" (tables add its interval) or "share" (a mean, in percent).
+        statistic: aggregate over episodes: "mean", "median" (tables add its interval) or "share" (a mean from
+            0 to 1, which tables show in percent).
         scale: factor from the unit to the unit of the table.
-        for_all_tasks: whether the metric applies to every task, or only to tasks with its name in a list.
+        for_all_tasks: whether the metric applies to every task, or only to tasks whose `metrics` list it.
     """
 
     name: str

@@ -66,8 +66,8 @@ def _candidates() -> Iterator[tuple[Path, bool]]:
 def _is_private(folder: Path, strict: bool) -> bool:
     """Return whether a folder belongs to the user and nobody else can write to it.
 
-    If others can, a strict check fails. Otherwise the folder is closed to them and the kernels in it, recognised by the
-    name of their folder, are deleted; other files in it stay and are not read.
+    If other users can write to it, a strict check returns False. A check that is not strict removes their permission
+    and deletes the kernels in the folder, recognised by the name of their folder; other files stay and are not read.
     """
     result = folder.lstat() if strict else folder.stat()
     if not stat.S_ISDIR(result.st_mode) or result.st_uid != os.getuid():

@@ -63,7 +63,7 @@ def _broadcast(context: Any, builder: Any, kind: Any, target: Any, value: Any) -
 
 
 def _common_type(*kinds: Any) -> Any:
-    """Return the type of a result of these types: the only group type among numbers, None for other types."""
+    """Return the type of a result of these types: the group type if all others are numbers, None otherwise."""
     groups = {kind for kind in kinds if isinstance(kind, Lanes)}
     if len(groups) > 1 or any(kind not in groups and kind != NUMBER for kind in kinds):
         return None

@@ -25,7 +25,7 @@ MAX_TURN, DIFFERENCE_STEP = 0.5, 1e-7  # rad; largest change of a motor angle in
 
 @inner
 def rigid_tip(constants, x, v):
-    """Return tip position and velocity, in the base frame, of the rigid arm at the motor angles and rates."""
+    """Return tip position (m) and velocity (m/s), in the base frame, of the rigid arm at coordinates x, v (d,)."""
     frame = IDENTITY
     origin = velocity = spin = ZERO
     for i in range(len(constants.mass)):

@@ -168,8 +168,9 @@ def find_scenario(name: str) -> Scenario:
     ENVIRONMENT is an id, an id and a condition, a file, or the name or folder of a policy, which stands for the
     environment of its training. CHANGE is one of CHANGES, and VALUE a number or, for a randomised parameter, a range
     "low:high". Controllers are designed for ENVIRONMENT without the change; "+given" has them designed for the changed
-    environment. An id alone stands for the condition of the change: "random-delay" in "FlexRRR-v0/delay=3", and the
-    nominal environment in "FlexRRR-v0/nominal/delay=3".
+    environment. An id without a condition takes the condition that belongs to CHANGE: "FlexRRR-v0/delay=3" is a change
+    of "FlexRRR-v0/random-delay"; "FlexRRR-v0/nominal/delay=3" is a change of the nominal environment. PLANT is one of
+    PLANTS, the integrators of the simulated arm.
 
     Args:
         name: name of the scenario.

@@ -31,7 +31,7 @@ class EquilibriumMatrices(NamedTuple):
         damping: (d, d).
         stiffness: (d, d), including the part of gravity.
         tip: (3, d) displacement of the tip per unit coordinate.
-        motors: (n,) columns of the motors.
+        motors: (n,) indices of the motor coordinates.
     """
 
     mass: Array

@@ -436,9 +436,9 @@ class _Methods(dict[str, Method]):
 
     Each Method has an `order` (the error at a given time falls with the step to this power), a `kind` ("explicit",
     "linearly implicit", "implicit" or "reference") and a `source`. All of them run with a fixed `step` (s), except
-    those of kind "reference", for which it is the first guess. Reference methods, and methods with an error estimate
-    when no step is given, choose their steps by `rtol` (1) and `atol` (rad, m, and their rates). `flexman list methods`
-    prints the table.
+    those of kind "reference", which take `step` as the length of their first step. Reference methods, and methods with
+    an error estimate when no step is given, choose their steps by `rtol` (1) and `atol` (rad, m, and their rates).
+    `flexman list methods` prints the table.
 
     Examples:
         >>> fm.METHODS["midpoint_3"].order, fm.METHODS["midpoint_3"].kind

@@ -1,6 +1,7 @@
 """Simulation of scenes: one scene, or several scenes of one model together.
 
-A drive consists of pieces, such as the intervals between samples; no step crosses the boundary of two pieces.
+The torques and prescribed motions of a scene are smooth in intervals, such as those between samples; no step crosses
+the boundary of two intervals.
 """
 
 import math

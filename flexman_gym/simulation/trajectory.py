@@ -20,7 +20,7 @@ ENERGY_ALARM = 0.01  # 1; share of the energy turnover at which the energy resid
 
 
 def _energy_turnover(moving_energy: Array | float, work: Array | float, dissipation: Array | float) -> Array:
-    """Return the largest magnitude of the three energies, the scale of an energy error, J."""
+    """Return the largest magnitude of kinetic, elastic and gravitational energy, J: the scale of an energy error."""
     return np.maximum(np.maximum(moving_energy, np.abs(work)), np.abs(dissipation))
 
 

@@ -21,7 +21,7 @@ class VerificationRow:
         source: source of the expected value.
         expected: value from the source.
         computed: value from this package.
-        tolerance: largest error that passes; None for a row without a verdict.
+        tolerance: largest error that passes; None for a row that is not judged.
     """
 
     case: str

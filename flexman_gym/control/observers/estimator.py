@@ -247,7 +247,7 @@ class Estimator:
         self._states[arms] = states + row_dots(gain[:, None], error[:, :, None])
 
     def _apply_change(self, arms: IntArray) -> None:
-        """Shift the models of arms (r,) by the parameter change estimated since the last shift."""
+        """Update the parameters of the models of arms (r,) by the change estimated since the last update."""
         before = self.numbers[arms]
         self.numbers[arms] = self._prior.clip(before + self._change[arms])
         shifts = (self.numbers[arms] - before)[:, None, : self._models.dynamic]
