@@ -245,8 +245,8 @@ class Configuration(EnvironmentSettings):
     def changed(self, changes: Sequence[str]) -> "Configuration":
         """Return a configuration with changes "name=value".
 
-        Values are written as in a YAML file. A name with dots addresses a field of a mapping, of the arm, of the task or
-        of the limits; the other fields stay unchanged.
+        Values are written as in a YAML file. A name with dots addresses a field of a mapping, of the arm, of the task
+        or of the limits; the other fields stay unchanged.
         """
         return self._from_changes({"id": self.id, **self._given}, changes) if changes else self
 
