@@ -106,7 +106,7 @@ class MPC:
     Raises:
         ImportError: without daqp (Arnström, Bemporad and Axehill, IEEE Trans. Automatic Control 67, 2022, 4362), the
             solver of the quadratic programs.
-        ValueError: for the usual reasons; in `reset` for a moving goal.
+        ValueError: for arguments out of range; in `reset` for a moving goal.
     """
 
     sensors: tuple[str, ...] = ("state",)

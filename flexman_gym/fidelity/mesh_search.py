@@ -32,7 +32,7 @@ MAX_RUNS, MAX_RUNS_METHODS, MAX_RUNS_SCREENING, MAX_RUNS_MESH = 100, 80, 65, 30
 
 
 class MeshSearch(ModelSearch):
-    """Reference of a scene with an open mesh, the mesh, and the candidates measured against the reference.
+    """Search for the coarsest mesh and its candidates whose tip stays within a tolerance of a fine reference model.
 
     The reference has five elements per link and foreshortening.
 

@@ -257,7 +257,7 @@ class Fit:
     def predicted(self, record: Measurement) -> dict[str, Array]:
         """Return the outputs (T,) of a record, by name, predicted by the fitted arm and its sensors.
 
-        An offset is the mean residual of the record itself.
+        Sensor offsets are estimated as the mean residuals of this record.
         """
         model = build_model(self.arm, **self.choice)
         nominal = {"payload_mass": nominal_parameters(model)["payload_mass"][None]}

@@ -31,7 +31,7 @@ def _fixed_step(constants, work, tableau, counts, table, span, state):
 
 @inner
 def _advance_steps(constants, work, tableau, counts, steps, state):
-    """Advance state and ledger, an array of the work space, under work.drive; then compute work.outputs.
+    """Advance the state and its two accumulated energies (J) under work.drive; then compute work.outputs.
 
     steps = (length in s, number). Tableau and counts as in `_fixed_step`.
     """
@@ -109,7 +109,7 @@ def run_batch(tables, work_table, tableau, newton, drives, grid, rows, out, coun
         work_table: (fields, 3) addresses of the work space.
         tableau: of a linearly implicit method, or None, see `_fixed_step`.
         newton: counts of a method without a tableau.
-        drives: (b, 7, n + 6) drive tables.
+        drives: (b, 7, n + 6) drive tables, see `forces.evaluate_drive`.
         grid: output times.
         rows: (b, r + 1, 2 d + 2) state and ledger; the first row is the start, the others are overwritten.
         out: (b, r + 1, OUTPUTS), overwritten.

@@ -69,7 +69,7 @@ def frame_motion(model: Model, states: Array, rates: Array, drives: Array) -> Fr
     rotations = [np.eye(3)[None].repeat(times, axis=0)]
     for i in range(n):
         rotations.append(rotations[-1] @ result.rotation[:, i])
-    for i in reversed(range(n)):  # the force on the tip is not transmitted by the links
+    for i in reversed(range(n)):  # the reactions above leave out the external force on the tip
         own = np.einsum("tji,tj->ti", rotations[i + 1], force)
         arm = result.tip[:, i] + (np.einsum("tij,tj->ti", result.rotation[:, i + 1], arm) if i + 1 < n else 0.0)
         result.reaction[:, i] -= np.hstack([own, np.cross(arm, own)])

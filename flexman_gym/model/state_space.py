@@ -66,7 +66,7 @@ class LinearModel:
 
     @property
     def poles(self) -> Array:
-        """Eigenvalues (s,) of A in order of magnitude; 1/s for a continuous model."""
+        """Eigenvalues of A, one for each of its states, sorted by modulus; unit 1/s for a continuous model."""
         values: Any = np.linalg.eigvals(self.scaled().A if self.balance else self.A)
         result: Array = values[np.argsort(np.abs(values), kind="stable")]
         return result

@@ -117,7 +117,7 @@ def _quantities(model: Model, states: Array) -> Iterator[_Quantity]:
 
 
 def _advice(model: Model, run: Integrator, step: float, states: Array) -> list[str]:
-    """Return remedies, the most promising first."""
+    """Return remedies for a diverged simulation, the most promising first."""
     method, d, result = run.method, model.n_dof, []
     highest = frequencies(model).max(initial=0.0)
     limit = stability_limit(method, NEGLIGIBLE_GROWTH) if method.kind == EXPLICIT else np.inf

@@ -132,6 +132,6 @@ class ChangeDetector:
 
     @property
     def inconsistent(self) -> BoolArray:
-        """Flags (b,) of arms whose innovations no model explains, or are not finite."""
+        """Flags (b,) of arms whose innovations are not finite or fail the consistency test with every model."""
         result: BoolArray = ~(self.misfit < MAX_MISFIT)
         return result

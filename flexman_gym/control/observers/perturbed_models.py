@@ -75,7 +75,7 @@ class UncertainParameters:
         return result
 
     def deviations(self, numbers: Array) -> dict[str, Array]:
-        """Return name_deviation -> (r,) or (r, entries) for standard deviations (r, p or more) of the numbers."""
+        """Return the standard deviation of each parameter, NAME_deviation -> (r,) or (r, entries)."""
         result = {}
         for name in dict.fromkeys(self.names):
             columns = np.flatnonzero(np.array(self.names) == name)

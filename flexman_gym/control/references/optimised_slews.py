@@ -21,7 +21,7 @@ from flexman_gym.simulation.batch import Batch
 
 KNOT_SPACING = 0.1  # s; between knots of the torques
 TAIL_TIME = 0.2  # s; duration of the torques after the arrival
-SETTLING_TIME = 1.0  # s; duration of the LQR after the torques
+SETTLING_TIME = 1.0  # s; duration of control by the LQR after the optimised torques
 MIN_KNOTS = 4  # number of knots
 FIRST_FACTOR = 0.8  # of the duration of a minimum-jerk slew; first trial
 SHORTER_FACTOR = 0.88  # of the duration, after a success
@@ -146,7 +146,7 @@ class SingleShooting:
     def errors(self, knots: Array, periods: int) -> Array:
         """Return the errors (r, T + W, 3 + n) at the ends of control periods for knots (r, K, n).
 
-        These are the distance (3,) of the tip from the target, m, and the motor rates as fractions of the largest.
+        These are the position error (3,) of the tip, m, and the motor rates as fractions of the largest.
         """
         limits, n = self._regulator.limits, len(self._regulator.limits)
         batch, rates = self._batch(len(knots)), self._regulator.model.n_dof + self._regulator.model.motor_columns
@@ -402,7 +402,7 @@ class OptimisedController(LQR):
         period: see `LQR`.
 
     Raises:
-        ValueError: for the usual reasons and for a table of another arm; in `reset` for an episode missing in the
+        ValueError: for arguments out of range and for a table of another arm; in `reset` for an episode missing in the
             table.
     """
 

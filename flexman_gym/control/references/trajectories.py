@@ -340,7 +340,7 @@ def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTraject
     """Plan the motion of a model through postures (T + 1, n) rad of its motors, one per control period (s).
 
     The tip follows its equilibrium positions at these postures: the joints compensate the deflection due to the motion.
-    This is done once, since each repetition differentiates the path further. The motion is solved for at intervals of
+    One pass only: each further pass would need higher derivatives of the path. The motion is solved for at intervals of
     a few periods and interpolated by splines.
 
     Args:

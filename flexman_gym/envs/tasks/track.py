@@ -218,7 +218,7 @@ class Track:
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
-        """Preview of the path, if there is one."""
+        """Sensor with a preview of the path, or None."""
         return (_Preview(self.preview),) if self.preview else ()
 
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
