@@ -137,21 +137,30 @@ def warn_deprecated(text: str) -> None:
     warnings.warn(text, DeprecationWarning, stacklevel=depth)
 
 
-def rename_keys(data: Mapping[str, Any], names: Mapping[str, str], warn: bool = True) -> dict[str, Any]:
+def rename_keys(
+    data: Mapping[str, Any], names: Mapping[str, str], warn: bool = True, field: str = ""
+) -> dict[str, Any]:
     """Return a mapping, and the mappings inside it, under the present names of their keys.
 
     Args:
         data: values by present or old name.
         names: old name -> present name.
         warn: issue a DeprecationWarning for each old name.
+        field: name of the mapping, for messages.
+
+    Returns:
+        The values by present names.
+
+    Raises:
+        ValueError: for a value under both names.
     """
-    result = {}
+    result, prefix = {}, f"{field}." * bool(field)
     for name, value in data.items():
         if name in names and names[name] in data:
-            raise ValueError(f"{name}: {value!r} is not allowed; give {names[name]} only, its present name")
+            raise ValueError(f"{prefix}{name}: {value!r} is not allowed; give {names[name]} only, its present name")
         if name in names and warn:
-            warn_deprecated(f"{name} is {names[name]} now")
-        result[names.get(name, name)] = rename_keys(value, names, warn) if isinstance(value, dict) else value
+            warn_deprecated(f"{prefix}{name} is {names[name]} now")
+        result[names.get(name, name)] = rename_keys(value, names, warn, field) if isinstance(value, dict) else value
     return result
 
 

@@ -8,12 +8,13 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import is_decimal_integer, one_of, value_error, whole_number
 from flexman_gym.common.progress import Progress
+from flexman_gym.common.renamed import PARAMETER_KEYS, rename_keys
 from flexman_gym.identification.measurement import Filter, SimulatedResponse
 from flexman_gym.identification.ringing import Ringing
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
-from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters, rename_old_keys, varied_arm
+from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters, varied_arm
 
 MAX_LOG_CHANGE = 7.0  # largest change of a logarithm from its start: a factor of 1100
 MAX_DAMPING_RATIO = 0.99  # of a link
@@ -111,7 +112,7 @@ class FreeParameters:
 def _numbers(name: str, model: Model) -> list[_FreeNumber]:
     """Return the free scalars of a name, such as joint_stiffness or joint_stiffness[1]."""
     kind, _, index = name.partition("[")
-    kind = next(iter(rename_old_keys("free", {kind: None})))
+    kind = next(iter(rename_keys({kind: None}, PARAMETER_KEYS, field="free")))
     if PARAMETERS[one_of("free", kind, PARAMETERS)].of == ARM:
         if index:
             raise value_error("free", name, kind)

@@ -9,7 +9,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray
 from flexman_gym.common.checks import MAX_SIZE, number_array, one_of, value_error
-from flexman_gym.common.renamed import PARAMETER_KEYS
+from flexman_gym.common.renamed import PARAMETER_KEYS, rename_keys
 from flexman_gym.model.model import Model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.link import NonUniformLink
@@ -178,22 +178,6 @@ UNCERTAIN = {f"{name.removesuffix('_factor')}_factor" if row.factor else name: n
 """Name of a range -> parameter: NAME_factor where the range holds factors on the nominal value of NAME."""
 
 
-def rename_old_keys(field: str, given: Mapping[str, Any], names: Mapping[str, str] = PARAMETER_KEYS) -> dict[str, Any]:
-    """Return a mapping under the present names of its keys, with a DeprecationWarning for each old name.
-
-    Args:
-        field: name of the mapping, for the warning.
-        given: values by old or present names.
-        names: old name -> present name.
-
-    Returns:
-        The values by present names.
-    """
-    for old in given.keys() & names:
-        warnings.warn(f"{field}.{old} is {names[old]} now", DeprecationWarning, stacklevel=3)
-    return {names.get(name, name): value for name, value in given.items()}
-
-
 def nominal_parameters(model: Model) -> dict[str, Array]:
     """Return a copy of the model's value of each parameter, by name."""
     return {name: np.array(parameter.nominal(model)) for name, parameter in PARAMETERS.items()}
@@ -213,7 +197,7 @@ def varied_constants(model: Model, count: int, parameters: Mapping[str, object])
     Raises:
         ValueError: as `Batch.vary`.
     """
-    parameters = rename_old_keys("parameters", parameters)
+    parameters = rename_keys(parameters, PARAMETER_KEYS, field="parameters")
     rows = {name: PARAMETERS[one_of("parameters", name, PARAMETERS)] for name in parameters}
     checked = {name: row.checked(name, parameters[name], model, count) for name, row in rows.items()}
     result: dict[str, Array] = {}

@@ -7,11 +7,11 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, row_dots
 from flexman_gym.common.checks import mapping, number_array, value_error
-from flexman_gym.common.renamed import PARAMETER_KEYS
+from flexman_gym.common.renamed import PARAMETER_KEYS, rename_keys
 from flexman_gym.control.controller import Plant
 from flexman_gym.control.observers.internal_model import InternalModels
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN, rename_old_keys
+from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN
 
 PARAMETER_STEP = 0.0003  # fraction of a range; 0.03 would shift the phase by a radian in 2 s
 RANGE_MARGIN = 0.08  # fraction of a range by which an estimate may exceed it
@@ -41,7 +41,7 @@ class UncertainParameters:
         names, joints, scales, spans = [], [], [], []
         former = {name: key for key, name in UNCERTAIN.items() if key != name}
         former |= PARAMETER_KEYS
-        for key, span in mapping("unknown", rename_old_keys("unknown", ranges, former), tuple(UNCERTAIN)).items():
+        for key, span in mapping("unknown", rename_keys(ranges, former, field="unknown"), tuple(UNCERTAIN)).items():
             low, high = number_array(f"unknown.{key}", span, (2,), "a range (low, high)")
             if not 0.0 <= low <= high:
                 raise value_error(f"unknown.{key}", span, "a range (low, high) with 0 <= low <= high")

@@ -1,8 +1,6 @@
 """Configuration of an environment: an id and checked settings."""
 
 import os
-import sys
-import warnings
 from collections.abc import Collection, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -10,7 +8,7 @@ from typing import Any, NoReturn, Self
 
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of, positive, sequence, short_path, text, value_error, vector
-from flexman_gym.common.renamed import current_methods, deprecated_names
+from flexman_gym.common.renamed import current_methods, deprecated_names, warn_deprecated
 from flexman_gym.control.margins import first_order_lag
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.envs.config.named_environments import (
@@ -27,7 +25,6 @@ from flexman_gym.scene.input_checks import warn_unusual_units
 from flexman_gym.scene.serialization import SUFFIXES, find_arm, to_plain
 
 PARTS = ("arm", "task", "limits")  # settings of a named environment that a change "arm.payload.mass=0.5" can enter
-LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")  # packages skipped in the location of a warning
 MAX_PERIODS = 10**9  # control periods of an episode
 RENAMED = {old: name for name, setting in SETTINGS.items() for old in setting.deprecated}
 HINTS = {foreign: hint for setting in SETTINGS.values() for foreign, hint in setting.foreign.items()}
@@ -327,10 +324,7 @@ Configuration.__doc__ = "\n".join([f"{Configuration.__doc__}\n    Attributes:", 
 def current_name(name: str, warn: bool = True) -> str:
     """Return the present name of a setting; warn of a deprecated one at the caller outside the libraries."""
     if name in RENAMED and warn:
-        level, frame = 1, sys._getframe()
-        while frame.f_back and frame.f_globals["__name__"].partition(".")[0] in LIBRARIES:
-            level, frame = level + 1, frame.f_back
-        warnings.warn(f"{name} is deprecated; give {RENAMED[name]}", DeprecationWarning, stacklevel=level)
+        warn_deprecated(f"{name} is deprecated; give {RENAMED[name]}")
     return RENAMED.get(name, name)
 
 
