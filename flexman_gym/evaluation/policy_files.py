@@ -124,11 +124,13 @@ def read_certificate(folder: Path) -> dict[str, Any] | None:
         result = _present_keys(_parse_json(_read_bytes(path)))
         if not isinstance(result, dict) or not all(isinstance(result.get(name), kind) for name, kind in REQUIRED_KEYS):
             raise ValueError(f"give a mapping with {', '.join(name for name, _ in REQUIRED_KEYS)}")
+        result["rows"] = [_present_keys(row) for row in result["rows"]]
+        if not all(isinstance(row, dict) and isinstance(row.get("scenario"), str) for row in result["rows"]):
+            raise ValueError("give rows that are mappings with a scenario")
     except ValueError as error:
         raise ValueError(f"{short_path(path)}: this is no certificate ({error})") from None
-    result["rows"] = [_present_keys(row) for row in result["rows"]]
     for row in result["rows"]:
-        row["scenario"] = current_methods(str(row["scenario"]))
+        row["scenario"] = current_methods(row["scenario"])
     result["fails"] = [current_methods(str(each)) for each in result["fails"]]
     return result if result["arrays_hash"] == _parse_json(_read_bytes(folder / ABOUT)).get("arrays_hash") else None
 

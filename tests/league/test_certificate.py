@@ -102,6 +102,13 @@ def test_a_certificate_of_version_0_2_is_read(folder):
     assert policy_files.describe_policy("still") == "Made up. Not recommended: it fails finer."
 
 
+@pytest.mark.parametrize("row", [{}, 3, {"scenario": 3}, {"settled": 1.0}])
+def test_a_certificate_with_a_row_of_no_scenario_is_refused_in_one_line(folder, row):
+    about = json.loads((folder / ABOUT).read_text())
+    (folder / CERTIFICATE).write_text(json.dumps({"arrays_hash": about["arrays_hash"], "fails": [], "rows": [row]}))
+    assert "this is no certificate (give rows that are mappings with a scenario)" in refusal(read_certificate, folder)
+
+
 def episodes(vibration=0.0, failed=0.0, settled=1.0, count=1):
     """Rows with these metrics, 0 for all others."""
     values = dict.fromkeys(VALUES, 0.0) | {"vibration": vibration, "failed": failed, "settled": settled}
