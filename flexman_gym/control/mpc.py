@@ -190,7 +190,7 @@ class MPC:
             mean = (np.add.reduceat(planned, firsts) / np.array(MOVE_BLOCKS)[:, None]).ravel()
             gradient = row_dots(horizon.jacobian, gap) + departures
             low, high = np.maximum(-1.0 - mean, -MAX_CHANGE), np.minimum(1.0 - mean, MAX_CHANGE)
-            changes = _solve_quadratic_program(self._daqp, horizon.curvature, gradient, low, high)
+            changes = solve_quadratic_program(self._daqp, horizon.curvature, gradient, low, high)
             planned = np.clip(planned + np.repeat(changes.reshape(-1, n), MOVE_BLOCKS, axis=0), -1.0, 1.0)
         self._planned[arm] = np.vstack([planned[1:], np.clip(plan.torques[rows[-1]], -1.0, 1.0)])
         self._now[arm] += 1
@@ -213,7 +213,7 @@ class MPC:
         return np.concatenate([np.hstack(near).ravel(), row_dots(horizon.terminal, states[-1])])
 
 
-def _solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array, low: Array, high: Array) -> Array:
+def solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array, low: Array, high: Array) -> Array:
     """Return the changes (m,) between low and high of least cost; zero if the solver fails."""
     changes, _, status, _ = daqp.solve(curvature, gradient, np.zeros((0, len(gradient))), high, low)
     return np.array(changes) if status > 0 else np.clip(np.zeros(len(gradient)), low, high)

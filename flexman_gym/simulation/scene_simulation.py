@@ -59,9 +59,7 @@ class _Interval(NamedTuple):
     complete: bool
 
 
-def _integration_intervals(
-    pieces: PiecewiseSignals, interval: float, substeps: int, rows: range
-) -> Iterator[_Interval]:
+def integration_intervals(pieces: PiecewiseSignals, interval: float, substeps: int, rows: range) -> Iterator[_Interval]:
     """Divide a simulation through output rows at the boundaries of the pieces of its drive.
 
     Steps between an output and the end of a piece, or between two ends of pieces, are equal and no longer than the
@@ -119,7 +117,7 @@ def _run_pieces(
     """
     row, result = np.zeros((1, len(state))), np.zeros((1, layout.OUTPUTS))
     status, valid, evaluations, began = layout.OK, 0, 0, (pieces.table(), (0.0, *plan), state.copy())
-    for call in _integration_intervals(pieces, *plan, range(first, first + len(rows))):
+    for call in integration_intervals(pieces, *plan, range(first, first + len(rows))):
         began, at = (pieces.table(call.piece), call.moment, state.copy()), call.row - first
         some = slice(at, at + call.rows)
         here, there = (rows[some], outputs[some]) if call.rows else (row, result)
@@ -383,7 +381,7 @@ def _run_in_lanes(
 ) -> IntArray:
     """Fill rows and outputs after the first, piece by piece; return valid rows and steps taken, (b, 2)."""
     counts, ok, last = np.zeros((len(rows), 2), dtype=np.int64), np.ones(len(rows), dtype=bool), rows[:, 0]
-    for call in _integration_intervals(drives[0], plan.interval, plan.substeps, range(plan.rows)):
+    for call in integration_intervals(drives[0], plan.interval, plan.substeps, range(plan.rows)):
         part, read, now = (
             rows[:, call.row :][:, : call.rows + 1],
             outputs[:, call.row :][:, : call.rows + 1],

@@ -153,6 +153,13 @@ def test_between_two_postures_slopes_are_between_theirs():
         assert result.jacobian == pytest.approx(expected, abs=1e-9 * np.abs(expected).max() + 1e-12)
 
 
+def test_changes_stay_within_their_bounds_and_cost_the_least():
+    """Of a cost without coupling each bound cuts its own change off."""
+    low, high = np.array([-1.0, -0.5, -0.2]), np.array([0.1, 0.5, 1.0])
+    changes = mpc.solve_quadratic_program(daqp, np.diag([1.0, 2.0, 4.0]), np.array([-3.0, 4.0, 0.4]), low, high)
+    assert changes == pytest.approx([0.1, -0.5, -0.1])
+
+
 def test_where_it_saturates_its_plan_costs_the_least_of_all_within_the_limits(monkeypatch):
     """By another solver: torques from -1 to 1, changes up to TRUST; some end at either, some at neither."""
     model, limits, posture = posed()

@@ -238,6 +238,14 @@ def correlation_length(rows):
     return parameter_covariance(linear(rows, np.ones((m, 1))), np.zeros(1))[0, 0] * (m - 1.0) / np.mean(rows**2)
 
 
+@pytest.mark.parametrize("kept", [0.0, 0.5, 0.9])
+def test_the_memory_of_an_autoregression_is_that_of_its_closed_form(kept):
+    """The sum over all lags of kept^|lag|: (1 + kept) / (1 - kept), whatever size and mean of the residuals."""
+    rows = coloured(np.random.default_rng(0), 200_000, kept)
+    assert correlation_length(rows) == pytest.approx((1.0 + kept) / (1.0 - kept), rel=0.1)
+    assert correlation_length(3.0 * rows + 5.0) == pytest.approx(correlation_length(rows))
+
+
 def test_numbers_that_a_fit_uses_up_count():
     """Of m samples of white noise u are lost to u unknowns: the variance has the divisor m - u."""
     m, u, random = 60, 20, np.random.default_rng(2)
