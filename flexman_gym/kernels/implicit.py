@@ -38,16 +38,17 @@ def _midpoint_step(constants, work, iterations, correction, table, span, state):
     """
     d, (time, step) = len(state) // 2 - 1, span
     g, w, x, v = 0.5 * step, work.rates, work.new_state[:d], work.new_state[d : 2 * d]
-    springs = work.stages[0][:d]
+    springs = work.stage_state[:d]
     evaluate_drive(table, time + g, work.drive)
     for k in range(d):
         work.stage_state[k], work.stage_state[d + k] = state[k] + g * state[d + k], state[d + k]
-        springs[k], w[k] = work.stage_state[k], 0.0
+        w[k] = 0.0
     _update_midpoint(work, g, x, v)
     for n in range(iterations):
         _newton_iteration(constants, work, g, x, v, springs)
         if n == 0 and correction > 0.0:
             _corrected_springs(constants, work, g, correction, v)
+            springs = work.stages[0][:d]
         _update_midpoint(work, g, x, v)
     # the ledger needs the power at the final x and v, not at those of the last iteration
     power = prescribed_power(constants, work, v)
