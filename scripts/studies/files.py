@@ -28,7 +28,8 @@ def folder(text: str) -> Path:
 
 
 Kind = TypeVar("Kind")
-COMMENT = "# "
+COMMENT = "# "  # prefix of a comment line in a CSV file
+RENAMED_COLUMNS = {"room": "part"}  # column name in files of earlier releases -> present name
 
 
 def write_rows(rows: Sequence[Any], path: Path, digits: int = 6, comment: str = "") -> None:
@@ -49,6 +50,7 @@ def read_rows(path: Path, kind: type[Kind]) -> list[Kind]:
     texts = {field.name for field in fields(kind) if field.type is str}  # type: ignore[arg-type]
     with path.open(newline="", encoding="utf-8") as file:
         lines = csv.DictReader(line for line in file if not line.startswith(COMMENT))
+        lines.fieldnames = [RENAMED_COLUMNS.get(name, name) for name in lines.fieldnames or ()]
         return [kind(**{name: _value(text, name in texts) for name, text in line.items()}) for line in lines]
 
 
