@@ -6,7 +6,7 @@ import pytest
 
 from flexman_gym.scene import catalog
 from flexman_gym.simulation.methods import METHODS
-from studies.methods import COLOURS, MARKERS, looks
+from studies.methods import COLOURS, MARKERS, line_styles
 from studies.precision.measure import PrecisionRow as Run
 from studies.precision.measure import ReferenceSolution, Study, grid
 from studies.stability.rows import amplification_rows, drift_rows, limit_rows
@@ -52,11 +52,11 @@ def test_a_new_method_is_measured_by_the_study_of_stability(monkeypatch):
 
 
 def test_no_two_methods_have_the_same_look(monkeypatch):
-    before = looks()
+    before = line_styles()
     assert len(set(before.values())) == len(before) == len(METHODS) and len(COLOURS) == len(MARKERS)
     for number in range(50):
         monkeypatch.setitem(METHODS, f"{NEW}_{number}", METHODS["ros2"])
-    after = looks()
+    after = line_styles()
     assert len(set(after.values())) == len(after) == len(METHODS)
     fixed = [name for name in before if not METHODS[name].adaptive]
     assert [after[name] for name in fixed] == [before[name] for name in fixed]  # the old ones keep theirs

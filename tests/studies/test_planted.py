@@ -75,7 +75,9 @@ def test_changes_of_a_file_share_its_tests(tmp_path, monkeypatch):
 def test_rows_with_the_old_column_name_are_read(tmp_path):
     rows = {}
     for name in ("part", "room"):
-        (tmp_path / f"{name}.csv").write_text(f"{name},error,file,outcome,by,seconds\nmodel,halves,a.py,caught,b.py,2\n")
+        (tmp_path / f"{name}.csv").write_text(
+            f"{name},error,file,outcome,by,seconds\nmodel,halves,a.py,caught,b.py,2\n"
+        )
         rows[name] = kept(tmp_path / f"{name}.csv")
     assert rows["part"] == rows["room"] and ("model", "halves") in rows["part"]
 

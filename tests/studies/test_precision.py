@@ -130,11 +130,11 @@ def test_a_failed_run_is_infinitely_far_and_other_times_are_refused():
     model = build_model(scene.arm, **choices(scene)["rigid"])
     result = simulate(scene, model, "rk4", step=0.02)
     fine = simulate(scene, model, "rk4", step=0.01)
-    truth = ReferenceSolution(fine.tip, 1e-12, "")
-    assert truth.distance(fine) == 0.0 < truth.distance(result) < 1e-6
-    assert truth.distance(replace(result, status="diverged")) == math.inf
-    with pytest.raises(ValueError, match="truth: 21 times"):
-        truth.distance(replace(result, tip=np.zeros((8, 3))))
+    solution = ReferenceSolution(fine.tip, 1e-12, "")
+    assert solution.distance(fine) == 0.0 < solution.distance(result) < 1e-6
+    assert solution.distance(replace(result, status="diverged")) == math.inf
+    with pytest.raises(ValueError, match="reference: 21 times"):
+        solution.distance(replace(result, tip=np.zeros((8, 3))))
 
 
 @pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")

@@ -243,13 +243,13 @@ def test_clamped_modes_without_torsion_miss_centimetres_and_loaded_modes_do_not(
 def test_a_tiny_rotor_on_a_stiff_spring_stops_an_explicit_method_and_ros2_is_right():
     model, step = arm_model(2, rotor_inertia=1e-6), 0.00025
     scene = replace(fm.catalog.paper_scene(), duration=0.2, output_step=0.02)
-    truth = fm.simulate(scene, model, "dop853", rtol=1e-8, atol=1e-10)
-    assert truth.status == "ok"
+    reference = fm.simulate(scene, model, "dop853", rtol=1e-8, atol=1e-10)
+    assert reference.status == "ok"
     for name in explicit_methods():
         assert fm.simulate(scene, model, name, step).status == "diverged"
     run = fm.simulate(scene, model, "ros2", step)
     assert run.status == "ok"
-    assert np.linalg.norm(run.tip - truth.tip, axis=1).max() < 1e-3
+    assert np.linalg.norm(run.tip - reference.tip, axis=1).max() < 1e-3
 
 
 # rows, charts and page

@@ -1,4 +1,4 @@
-"""Page of the benchmark: its rows as tables, and sentences about them."""
+"""Page of the benchmark: tables and conclusions."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -26,7 +26,7 @@ from studies.benchmark.measure import PARTS_NOTE as PARTS_NOTE
 from studies.markdown import bullets
 
 PAGE = "benchmark.md"
-ENDURANCE = "## Endurance"  # the last section, which the room endurance writes
+ENDURANCE = "## Endurance"  # heading of the last section, which `benchmark.endurance` writes
 STEPS_NOTE = f"""Steps of 20 ms under random actions drawn beforehand, with the resets of the episodes that end.
 All rows take turns in rounds. CPU time is that of all threads together, the median of the rounds. Time by the clock is
 that of the quickest round, as others on the machine disturb it. Ratios are those of CPU time, or those of the clock
@@ -47,10 +47,10 @@ about a second.
 
 `make benchmark` writes this page anew; the rows are in `benchmark.csv`.
 
-Computed with {machine}.
+Computed with {computer}.
 """
 
-# The conclusions. Speeds are in steps a second.
+# Conclusions; speeds are in steps per second.
 CORE = "One core makes {single} steps a second of one arm, and {best} of {arms} arms in one environment."
 CORE_BESIDE_PEER = CORE + " These are {single_times} and {best_times} times the steps of {peer}."
 THREADS = (
@@ -67,7 +67,7 @@ START_COLD = START + " On a new machine kernels compile first, for {cold} s."
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number with a few digits, and thousands in groups; nothing for None."""
+    """Return a number with three digits and thousands separators; "" for None."""
     if value is None:
         return ""
     return f"{value:,.0f}" if abs(value) >= 1e3 else f"{value:.{digits}g}"
@@ -125,7 +125,7 @@ def _table(name: str, rows: Sequence[BenchmarkRow]) -> list[str]:
 
 
 def conclusions(rows: Sequence[BenchmarkRow]) -> list[str]:
-    """Sentences about what the rows hold."""
+    """Return the conclusions, one sentence each."""
     return [*_of_arms(rows), *_of_physics(rows), *_of_training(rows), *_of_starts(rows)]
 
 
@@ -179,8 +179,8 @@ def _of_starts(rows: Sequence[BenchmarkRow]) -> list[str]:
 
 
 def publish(rows: Sequence[BenchmarkRow], known: str, folder: Path) -> str:
-    """Write the page about the rows, computed with `known`, and returns it."""
-    lines = [HEAD.format(machine=known), *bullets(conclusions(rows)), ""]
+    """Write the page from the rows and return it; `known` describes the computer."""
+    lines = [HEAD.format(computer=known), *bullets(conclusions(rows)), ""]
     for name in TABLES:
         lines += _table(name, rows)
     lines += without_endurance(folder / PAGE)[1]
@@ -190,7 +190,7 @@ def publish(rows: Sequence[BenchmarkRow], known: str, folder: Path) -> str:
 
 
 def without_endurance(page: Path) -> tuple[list[str], list[str]]:
-    """The lines of a page, if there is one, before the section on endurance, and those of the section."""
+    """Return the lines of a page before the section on endurance, and the lines of that section."""
     lines = page.read_text(encoding="utf-8").splitlines() if page.exists() else []
     first = lines.index(ENDURANCE) if ENDURANCE in lines else len(lines)
     return lines[:first], lines[first:]

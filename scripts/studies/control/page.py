@@ -1,4 +1,4 @@
-"""Page: the table of the cases, and what it shows."""
+"""Page of the controller study: table and conclusions."""
 
 from collections.abc import Sequence
 
@@ -52,7 +52,7 @@ Where it can explain its readings no longer, a PD takes over: it settles nothing
 
 
 def page(rows: Sequence[ControlRow]) -> str:
-    """The page of these rows."""
+    """Return the page as Markdown."""
     heads = ["case", "settled", "settling", "p-p", "error", "failed", "RMS", "cost"]
     table = [
         [row.case, f"{100 * row.settled:.0f} %", _finite(row.settling_time, ".2f"), _finite(1e3 * row.vibration, ".3g"),
@@ -69,30 +69,30 @@ def _finite(value: float, how: str) -> str:
 
 
 def _followed(row: ControlRow) -> str:
-    """The RMS error where the tip has nothing to slew to."""
+    """Return the RMS tip error of a tracking or holding case, mm, or "-"."""
     return f"{1e3 * row.followed:.3g}" if "Track" in row.case or "Hold" in row.case else "-"
 
 
 def _conclusion(rows: Sequence[ControlRow]) -> str:
     by_case = {row.case: row for row in rows}
-    said = []
+    sentences = []
     known, ours = by_case.get("privileged-lqr, unknown"), by_case.get("adaptive-lqr, unknown-lab")
     if known and ours:
-        said.append(
+        sentences.append(
             f"The observer's LQR settles {100 * ours.settled:.0f} % of the unknown arms, in "
             f"{ours.settling_time:.2f} s. Told everything, an LQR takes {known.settling_time:.2f} s."
         )
     changed = by_case.get("adaptive-lqr, a load that changes")
     if changed and changed.again is not None:
-        said.append(
+        sentences.append(
             f"Three seconds after a load has changed, {100 * changed.again:.0f} % of the arms are settled again."
         )
     for task in ("Track", "Hold"):
-        told, own = (by_case.get(f"{who}, FlexRRR-{task}-v0") for who in ("privileged-lqr", "adaptive-lqr"))
-        if told and own:
-            ratio = own.followed / told.followed
-            said.append(f"In {task} its error is {ratio:.2g} times that of an LQR which is told everything.")
+        oracle, own = (by_case.get(f"{who}, FlexRRR-{task}-v0") for who in ("privileged-lqr", "adaptive-lqr"))
+        if oracle and own:
+            ratio = own.followed / oracle.followed
+            sentences.append(f"In {task} its error is {ratio:.2g} times that of an LQR which is told everything.")
     broken = [row.case.partition(", ")[2] for row in rows if row.case.startswith("adaptive") and row.settled < 0.5]
     if broken:
-        said.append(f"It does not settle: {', '.join(broken)}.")
-    return "\n".join(said)
+        sentences.append(f"It does not settle: {', '.join(broken)}.")
+    return "\n".join(sentences)

@@ -1,4 +1,4 @@
-"""Measurements of the named environments: accuracy of the default model, base controllers, first training."""
+"""Measurements of the named environments: accuracy of the default model, baselines, first training."""
 
 import time
 from pathlib import Path
@@ -19,15 +19,15 @@ from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.simulation.batch import Batch
 
-MOTIONS, DURATION, HELD, SPREAD, PART = 8, 1.0, 0.2, 0.5, 0.5  # s, s, rad, of the torque limits
-FINER = 8  # times as many steps
+MOTIONS, DURATION, HELD, SPREAD, PART = 8, 1.0, 0.2, 0.5, 0.5  # s, s, rad, share of the torque limits
+FINER = 8  # ratio of the numbers of steps
 
 
 class Accuracy(NamedTuple):
-    """Largest distances (m) of the tip in each motion (MOTIONS,) from finer steps and from a finer model, and its cost.
+    """Tip errors (m) of the default model in each motion (MOTIONS,), with respect to finer steps and to a finer model.
 
-    The finer model has all coordinates of the elements and foreshortening, and the finer steps. Its cost is that of the
-    default's step on it, in times that on the default's model.
+    The finer model has all coordinates of the elements, foreshortening, and the finer steps. `cost` is the CPU time of
+    a step of the finer model relative to the same step of the default model.
     """
 
     steps: Array
@@ -36,7 +36,7 @@ class Accuracy(NamedTuple):
 
 
 def accuracy(name: str, **arguments: Any) -> Accuracy:
-    """Move the arm of a named environment, made with these arguments, by random torques from rest."""
+    """Simulate random torques from rest with the default and finer models; `arguments` are keywords of `gym.make`."""
     env = gym.make(name, **arguments).unwrapped
     setup, model, period = env.configuration, env.simulator.model, env.simulator.control_period  # type: ignore[attr-defined]
     method, substeps = env.simulator.method, env.simulator.substeps  # type: ignore[attr-defined]
@@ -63,18 +63,22 @@ def accuracy(name: str, **arguments: Any) -> Accuracy:
     return Accuracy(by_steps, by_model, slow / quick)
 
 
-BASES = {None: "no torque", "pd": "PD", "lqr-tracking": "tracking LQR"}  # the latter knows the arm and its state
+BASES = {
+    None: "no torque",
+    "pd": "PD",
+    "lqr-tracking": "tracking LQR",
+}  # the tracking LQR is given the arm's parameters and state
 SEEDS = TEST_SEEDS[:20]
 SIZE, BROADER, LEAST = (280, 210), 1.5, 1e-5
 
 
 def run(name: str, base: str | None) -> Rollout:
-    """Run an episode of a baseline from each of the seeds."""
+    """Run one episode of a baseline per seed."""
     return rollout(base or "zero", name, SEEDS)
 
 
 def draw(runs: dict[str | None, Rollout], path: Path) -> None:
-    """Draw tip error and torques of an episode under each baseline, and films it under the tracking LQR (GIF)."""
+    """Plot tip error and torques of an episode under each baseline, and record the tracking LQR as a GIF."""
     frames, rate = side_by_side([runs["lqr-tracking"].episode(0)], small=True, size=SIZE)
     write_video(frames, path.with_suffix(".gif"), rate)
     figure = new_figure((11.0, 2.9), 110.0, layout="constrained")
@@ -106,11 +110,15 @@ RECIPE = {
     "FlexPlanar-Track-v0": "planar_track_ppo_on_pd", "FlexPlanar-Hold-v0": "planar_hold_ppo_on_pd",
 }  # fmt: skip
 """Environment -> its recipe."""
-LASTS, GAMMA, ARMS = 0.1, 0.95, 256  # s, of an action, where no recipe says so; discount and arms of all recipes
+LASTS, GAMMA, ARMS = (
+    0.1,
+    0.95,
+    256,
+)  # action duration without a recipe, s; discount factor and number of arms of all recipes
 
 
 def first(name: str) -> list[str]:
-    """Lines in Markdown: what to set, why, and the environment that has it."""
+    """Return a table of recommended settings for training, with reasons and example code, as Markdown lines."""
     named = NAMED_ENVIRONMENTS[name]
     recipe = RECIPE.get(name)
     given = files.read_data(RECIPES / f"{recipe}.yaml")["environment"] if recipe else {}
@@ -149,7 +157,7 @@ def first(name: str) -> list[str]:
 
 
 def _curve(name: str) -> list[str]:
-    """Return the learning curves of the recipes of an environment, see `studies.learning.measure`."""
+    """Return the learning curves of the recipes of an environment as Markdown lines, see `studies.learning.measure`."""
     return [
         f"![Reward while the recipes of {name} train](../learning_{name}.png)", "",
         "A line is the middle of the seeds, and where there are several its band goes from the worst to the best.",
@@ -157,6 +165,6 @@ def _curve(name: str) -> list[str]:
 
 
 def _drawn(task: Slew) -> dict[str, float]:
-    """Return the initial conditions in which a task differs from a slew."""
+    """Return the initial conditions of a slew task that differ from the default slew."""
     plain = Slew()
     return {name: getattr(task, name) for name in ("start", "slew") if getattr(task, name) != getattr(plain, name)}

@@ -1,4 +1,4 @@
-"""Page: what there is to know of a named environment, from docstrings and from the environment itself."""
+"""Page of a named environment, generated from docstrings and from the environment itself."""
 
 import inspect
 from collections.abc import Sequence
@@ -15,15 +15,15 @@ from flexman_gym.metrics import BAND, SETTLING_WINDOW, VIBRATION_WINDOW
 from flexman_gym.model.dynamics import frequencies
 from studies.environments.measure import BASES, DURATION, FINER, MOTIONS, SEEDS, Accuracy, accuracy, first
 
-SLEW = ("settled", "settling_time", "vibration")  # figures of a task that names none
+SLEW = ("settled", "settling_time", "vibration")  # metrics of a task that declares none
 MOVING = "The RMS error is the median over the episodes of the RMS tip error in all control periods of one."
-LEAST = 0.001  # s and mm; smaller numbers are shown as less than this
+LEAST = 0.001  # s or mm; smaller numbers are shown as "< 0.001"
 STEP = "CPU time of a step of the finer model"
 SECTIONS = ("Description", "Actions", "Observations", "Reward", "Start", "End", "Arguments", "Version history")
 
 
 def page(name: str, runs: dict[str | None, Rollout]) -> str:
-    """The page of a named environment, in Markdown, with what its baselines reached."""
+    """Return the page of a named environment as Markdown, including the results of its baselines."""
     sections = docstring_sections(type(NAMED_ENVIRONMENTS[name].task))
     lines = [f"# {name}", "", f"![{name} under a tracking LQR]({name}.gif)", "", *_head(name), ""]
     for title in SECTIONS:
@@ -39,7 +39,7 @@ def page(name: str, runs: dict[str | None, Rollout]) -> str:
 
 
 def docstring_sections(task: type) -> dict[str, list[str]]:
-    """The sections of the docstring of a task by title, as lines of Markdown.
+    """Return the sections of the docstring of a task by title, as Markdown lines.
 
     Raises:
         KeyError: for a docstring without one of the SECTIONS.
@@ -56,7 +56,7 @@ def docstring_sections(task: type) -> dict[str, list[str]]:
 
 
 def _markdown(lines: Sequence[str]) -> list[str]:
-    """Lines with what is indented, formulas and tables, as blocks of code."""
+    """Return the lines with indented text, formulas and tables as code blocks."""
     result: list[str] = []
     inside = False
     for line in lines:
@@ -145,7 +145,7 @@ def _arguments(name: str) -> list[str]:
 
 
 def baselines(name: str, runs: dict[str | None, Rollout]) -> list[str]:
-    """Compare the baselines of an environment, in Markdown: a slew by its end, other tasks by the RMS tip error."""
+    """Return the table of the baselines of an environment as Markdown lines."""
     own = getattr(NAMED_ENVIRONMENTS[name].task, "metrics", SLEW)
     shown = [METRICS[figure] for figure in (*own, "failed")]
     rows = [(BASES[base], *(_cell(figure, each) for figure in shown)) for base, each in runs.items()]
@@ -158,7 +158,7 @@ def baselines(name: str, runs: dict[str | None, Rollout]) -> list[str]:
 
 
 def _ends(name: str) -> str:
-    """Definitions of the figures of a slew."""
+    """Return the definitions of the metrics of a slew."""
     band = BAND * sum(link.length for link in gym.make(name).unwrapped.configuration.arm.links)  # type: ignore[attr-defined]
     return (
         f"The tip has settled when it stays within {1e3 * band:.3g} mm of its target until the end of the episode, for "

@@ -1,4 +1,4 @@
-"""Fidelity, page: what the columns of the choices mean, what the choices show, and their table."""
+"""Page of the fidelity study: columns, conclusions and tables."""
 
 from collections.abc import Sequence
 from dataclasses import astuple, fields
@@ -7,8 +7,8 @@ from flexman_gym.common.markdown import markdown_table
 from studies.fidelity.measure import GRID_METHODS, GRID_PARTS, OPEN_METHODS, FidelityRow
 from studies.markdown import bullets
 
-NEAR = 5.0  # a choice knows its error when the estimate is right within this factor
-CHEAP = 2.0  # times the cost of the cheapest plain run: a choice that costs no more is cheap
+NEAR = 5.0  # an error estimate within this factor of the error counts as correct
+CHEAP = 2.0  # cost relative to the cheapest grid run up to which a choice counts as cheap
 PAGE = """# Choices of `choose_model`
 
 `choose_model` looks for the cheapest model, method and step whose tip stays within a tolerance in a scene.
@@ -67,7 +67,7 @@ COLUMN = "`{name}`: {meaning}"
 
 
 def page(rows: Sequence[FidelityRow], opened: Sequence[FidelityRow] = ()) -> str:
-    """The page as Markdown, from all rows, and those of open meshes."""
+    """Return the page as Markdown from all rows, including those of open meshes."""
     names = [field.name for field in fields(FidelityRow)]
     columns = bullets(COLUMN.format(name=name, meaning=COLUMNS[name]) for name in names)
     known = {"methods": _listed(GRID_METHODS), "parts": len(GRID_PARTS), **_numbers(rows)}

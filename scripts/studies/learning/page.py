@@ -1,4 +1,4 @@
-"""Learning, page: what the recipes reach, on what they lean, and what each of their means contributes."""
+"""Page of the learning study: recipes, other tasks, robustness and ablations."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -13,6 +13,7 @@ from studies.learning.measure import (
     ABLATION_SEEDS,
     ABLATIONS,
     AS_TRAINED,
+    EVALUATED_IN,
     FINER,
     FINER_ELEMENTS,
     FINER_STEPS,
@@ -20,7 +21,6 @@ from studies.learning.measure import (
     LONGER,
     SEEDS,
     TASKS,
-    VENUES,
     LearningRow,
 )
 from studies.markdown import bullets
@@ -37,7 +37,7 @@ action, the falling rate, the sloped reward or the short horizon every figure is
 It writes this page and its rows ([learning.csv](learning.csv)) anew.
 A run that is in `runs/learning` already is only judged again.
 
-Computed with {machine}. CPU times are those of one core, with learning, environment and judging.
+Computed with {computer}. CPU times are those of one core, with learning, environment and judging.
 
 Every figure is that of {count} test episodes, seeds {test}. No choice was made on them.
 A run that is judged on the way keeps its best policy on the episodes {selection}; settings were chosen there too.
@@ -129,16 +129,16 @@ COLUMNS = {
 }
 
 
-def page(rows: Sequence[LearningRow], machine: str) -> str:
-    """The page as Markdown, from all rows."""
+def page(rows: Sequence[LearningRow], computer: str) -> str:
+    """Return the page as Markdown."""
     return PAGE.format(
-        machine=machine,
+        computer=computer,
         count=len(TEST_SEEDS),
         test=f"{TEST_SEEDS.start} to {TEST_SEEDS.stop - 1}",
         selection=f"{SELECTION_SEEDS.start} to {SELECTION_SEEDS.stop - 1}",
         training=TRAINING_SEEDS_STRIDE,
         columns="\n".join(bullets(f"{name}: {meaning}" for name, meaning in COLUMNS.items())),
-        elsewhere=", ".join(f"`{name}` in `{venue}`" for name, venue in VENUES.items()),
+        elsewhere=", ".join(f"`{name}` in `{scenario}`" for name, scenario in EVALUATED_IN.items()),
         recipes="\n".join(_recipes(rows)),
         controllers="\n".join(_controllers(rows)),
         tasks="\n".join(_tasks(rows)),
@@ -191,25 +191,25 @@ def _controllers(rows: Sequence[LearningRow]) -> list[str]:
 
 def _tasks(rows: Sequence[LearningRow]) -> list[str]:
     lines = []
-    for venue, (learned, law) in TASKS.items():
-        own = {name: _of(rows, "task", f"{name}, {venue}") for name in ("pd", law, learned)}
+    for scenario, (learned, law) in TASKS.items():
+        own = {name: _of(rows, "task", f"{name}, {scenario}") for name in ("pd", law, learned)}
         own[learned] = own[learned] or _of(rows, "recipe", learned)
         if own["pd"] and own[law]:
-            follows = _follows(Configuration.find(venue))
+            follows = _follows(Configuration.find(scenario))
             pd, best, reached = (_task(own[name], follows) for name in ("pd", law, learned))
             part = f"{reached[1] / pd[1]:.2f}" if own[learned] and math.isfinite(pd[1]) else "-"
             name = f"`{learned}`: {reached[0]}" if own[learned] else "-"
-            lines.append((f"`{venue}`", pd[0], name, part, f"`{law}`: {best[0]}"))
-    return markdown_table(("venue", "PD", "learned", "of the PD's", "knows a model"), lines)
+            lines.append((f"`{scenario}`", pd[0], name, part, f"`{law}`: {best[0]}"))
+    return markdown_table(("scenario", "PD", "learned", "of the PD's", "knows a model"), lines)
 
 
-def _follows(venue: Configuration) -> bool:
-    """Return whether the task tracks or holds, so that the RMS error matters and not the settling time."""
-    return any(figure.name == "rms_error" for figure in task_metrics(venue.task))
+def _follows(scenario: Configuration) -> bool:
+    """Return whether the task is evaluated by the RMS error (tracking, holding) instead of the settling time."""
+    return any(figure.name == "rms_error" for figure in task_metrics(scenario.task))
 
 
 def _task(rows: Sequence[LearningRow], follows: bool) -> tuple[str, float]:
-    """The figure of a task in words and as a number, of the middle of seeds."""
+    """Return the metric of a task as text and number, the median over the seeds."""
     if not rows:
         return "", math.nan
     if follows:

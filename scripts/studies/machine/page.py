@@ -1,4 +1,4 @@
-"""Page and pictures of the identification of a real arm."""
+"""Page and plots of the identification of a real arm."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,8 +14,8 @@ STAGE_1_PICTURE, STAGES_PICTURE = "machine_stage_1.png", "machine_stages.png"
 MILLI = 1e3
 
 
-def draw(lines: Mapping[str, Sequence[Any]], told: Sequence[Any], folder: Path) -> None:
-    """Draw the runs of the first stage, each by the fit that did not see it, and the record of both stages."""
+def draw(lines: Mapping[str, Sequence[Any]], record: Sequence[Any], folder: Path) -> None:
+    """Plot the runs of the first stage with held-out predictions, and the record of both stages."""
     rows = (len(lines) + 2) // 3
     figure = new_figure((13.0, 2.3 * rows), 100.0, layout="constrained")
     grid = figure.subplots(rows, 3, squeeze=False).ravel()
@@ -25,7 +25,7 @@ def draw(lines: Mapping[str, Sequence[Any]], told: Sequence[Any], folder: Path) 
     for axes in grid[len(lines) :]:
         axes.set_visible(False)
     figure.savefig(folder / STAGE_1_PICTURE)
-    times, measured, shown = told
+    times, measured, shown = record
     figure = new_figure((13.0, 5.0), 100.0, layout="constrained")
     for axes, name in zip(figure.subplots(len(shown), 1), shown, strict=True):
         _compare(axes, times, MILLI * np.asarray(measured[name]), MILLI * shown[name])
@@ -100,12 +100,12 @@ friction are fitted on the first 5 s. Nothing holds the hub angles to the measur
 Friction of the gears takes most of the torque, and what is left is integrated twice. So an error of a few percent of
 the friction grows to the size of the motion within seconds.
 
-Computed with {machine}, one core.
+Computed with {computer}, one core.
 """
 
 
-def page(rows: Sequence[FitRow], machine: str) -> str:
-    """Write the page as Markdown."""
+def page(rows: Sequence[FitRow], computer: str) -> str:
+    """Return the page as Markdown."""
     scores = [row for row in rows if row.part == SCORE]
     sheet = {row.run: row.value for row in rows if row.part == SHEET}
     theirs = {row.run: row.value for row in rows if row.part == MUJOCO and row.what == "R2"}
@@ -113,13 +113,13 @@ def page(rows: Sequence[FitRow], machine: str) -> str:
     fits = {label: {row.what: row.value for row in rows if row.part == FIT and row.run == label} for label in "AB"}
     names = list(fits["A"])
     coupled = {row.run: row.value for row in rows if row.part == COUPLED and row.what == "R2"}
-    told = [[name, *(f"{fits[label][name]:.4g}" for label in "AB")] for name in names]
+    fitted = [[name, *(f"{fits[label][name]:.4g}" for label in "AB")] for name in names]
     table = [
         [row.run, row.what, f"{row.value:.3f}", f"{sheet[row.run]:.3f}", f"{theirs[row.run]:.3f}" if theirs else "-"]
         for row in sorted(scores, key=lambda row: row.run)
     ]
     return PAGE.format(
-        fits=_table(("", "fit A", "fit B"), told), median=float(np.median([row.value for row in scores])),
+        fits=_table(("", "fit A", "fit B"), fitted), median=float(np.median([row.value for row in scores])),
         count=len(scores), large=min(large, default=float("nan")), sheet=float(np.median(list(sheet.values()))),
         sheet_frequency=_mean(fits, "natural frequency, Hz") / np.sqrt(_mean(fits, "EI factor")),
         amplitude=_mean(fits, "amplitude factor, measured"),
@@ -127,7 +127,7 @@ def page(rows: Sequence[FitRow], machine: str) -> str:
         scores=_table(("run", "fit that predicts it", "R2", "data sheet alone", "MuJoCo's pieces, our numbers"), table),
         stage_1=STAGE_1_PICTURE, stages=STAGES_PICTURE, coupled=_values(rows, COUPLED),
         first=coupled["link_deflection_1_y"], second=coupled["link_deflection_2_y"], currents=_values(rows, CURRENT),
-        machine=machine,
+        computer=computer,
     )  # fmt: skip
 
 
@@ -136,7 +136,7 @@ def _mean(fits: dict[str, dict[str, float]], name: str) -> float:
 
 
 def _values(rows: Sequence[FitRow], part: str) -> str:
-    """Fitted values with their deviations, then scores."""
+    """Return the table of fitted values with their standard deviations, followed by the scores."""
     own = [row for row in rows if row.part == part]
     spread = {row.run: row.value for row in own if row.what == "deviation"}
     lines = [[row.run, f"{row.value:.3g}", f"{spread[row.run]:.2g}"] for row in own if row.what == "value"]

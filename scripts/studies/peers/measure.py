@@ -66,7 +66,7 @@ class PeerRun:
 def row(study: Study, done: PeerRun, solution: ReferenceSolution | None = None, sane: float = math.inf) -> PrecisionRow:
     """The row of a run; `solution` is the converged one of its model, and an error above `sane` (m) a divergence."""
     names, costs = (study.name, done.model, done.method, done.step, None), (done.cpu, done.wall, done.evaluations)
-    error = done.distance(study.truth.tip)
+    error = done.distance(study.reference.tip)
     time_error = None if solution is None else done.distance(solution.tip)
     return PrecisionRow(*names, *costs, time_error, error, OK if done.finite and error < sane else "diverged")
 
@@ -104,10 +104,10 @@ GRID |= {"gauss_2": (1, 2, 3, 4), "gauss_3": (1, 2, 3, 4)}
 GRID["implicit_midpoint"] = (2, 3, 4, 5, 6, 100)  # the last for the error of the model alone
 MORE = {"extrapolated_euler_4": (1, 2, 3), "ros2": (5, 10), "generalised_alpha": range(4, 7)}  # where time errors count
 PEERS = {"MuJoCo": "mujoco", "Exudyn": "exudyn", "Pinocchio": "pin", "SoRoMoX": "soromox"}  # name: package
-ROOMS = {"MuJoCo": ("mujoco", "rods"), "Exudyn": ("exudyn",), "Pinocchio": ("pinocchio",), "SoRoMoX": ("soromox",)}
+MODULES = {"MuJoCo": ("mujoco", "rods"), "Exudyn": ("exudyn",), "Pinocchio": ("pinocchio",), "SoRoMoX": ("soromox",)}
 
 
-def truth(reference: Path) -> ReferenceSolution:
+def large_rotation_solution(reference: Path) -> ReferenceSolution:
     """The tip of an independent code in a folder of reference solutions; its floor is the distance to our finest."""
     tip, scene = np.loadtxt(reference / LARGE_ROTATION, delimiter=",", skiprows=1)[:, 1:4], fm.catalog.paper_scene("ff")
     finest = fm.simulate(scene, models(scene)[FINEST], "implicit_midpoint", step=1e-4)
@@ -144,9 +144,11 @@ def ours(result: Study) -> list[Timer]:
 def theirs(result: Study) -> list[Timer]:
     """Those of the peers that are installed."""
     timers: list[Timer] = []
-    for name, rooms in ROOMS.items():
+    for name, modules in MODULES.items():
         try:
-            timers += [each for room in rooms for each in importlib.import_module(f"studies.peers.{room}").runs(result)]
+            timers += [
+                each for module in modules for each in importlib.import_module(f"studies.peers.{module}").runs(result)
+            ]
         except ModuleNotFoundError:
             print(f"{name} is missing, so it is left out: pip install 'flexman_gym[peers]'")
     return timers
@@ -192,11 +194,11 @@ def batch_rows(study: Study, peers: Sequence[PrecisionRow]) -> list[PrecisionRow
     calls: dict[tuple[str, str, float], Tips] = {(*DEFAULT, STEP): partial(our_arms, scene, model, DEFAULT[1])}
     calls[*MESH, STEP] = partial(our_arms, scene, mesh, MESH[1])
     for pieces in PIECES if any(peer.model.startswith("MuJoCo") for peer in peers) else ():
-        from studies.peers.mujoco import abreast, longest_step
+        from studies.peers.mujoco import batched_arms, longest_step
 
         step = longest_step(study, pieces, "Euler")
         calls[f"MuJoCo, {pieces} pieces", "Euler, mujoco.batch", step] = partial(
-            abreast, scene, pieces, step, ARMS, CORES
+            batched_arms, scene, pieces, step, ARMS, CORES
         )
     rounds = [[_timed(study, name, call) for name, call in calls.items()] for _ in range(ROUNDS)]
     return [min(turns, key=lambda each: each.wall) for turns in zip(*rounds, strict=True)]
@@ -205,7 +207,7 @@ def batch_rows(study: Study, peers: Sequence[PrecisionRow]) -> list[PrecisionRow
 def _timed(study: Study, name: tuple[str, str, float], call: Tips) -> PrecisionRow:
     """A row of one run; its first output step, which loads or compiles kernels, is not timed."""
     arms, count = call(), round(study.scene.duration / study.scene.output_step)
-    tips = [study.truth.tip[0], next(arms)]
+    tips = [study.reference.tip[0], next(arms)]
     started = time.process_time(), time.perf_counter()
     tips += [next(arms) for _ in range(count - 1)]
     simulated = ARMS * (count - 1) * study.scene.output_step

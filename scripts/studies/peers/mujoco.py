@@ -70,7 +70,7 @@ def step_factors(arm: fm.Arm, pieces: int, integrator: str, step: float, small: 
     return np.linalg.eigvals((ahead - back) / (2.0 * small))
 
 
-def abreast(scene: fm.Scene, pieces: int, step: float, arms: int, threads: int) -> Iterator[Array]:
+def batched_arms(scene: fm.Scene, pieces: int, step: float, arms: int, threads: int) -> Iterator[Array]:
     """Move arms from rest by `mujoco.batch`; gives the tip (3,) m of the first after each output step."""
     model = mujoco.MjModel.from_xml_string(to_mjcf(scene.arm, pieces, "Euler", step))
     many, count = batch.Batch(model, arms, threads), output_count(scene, step)[1]

@@ -14,7 +14,7 @@ from studies.markdown import introduced_table
 from studies.methods import BLACK, PINE, PINK, PURPLE
 from studies.peers.measure import PEERS, ROUNDS, decays, of_peers
 from studies.peers.newton import cables
-from studies.precision.charts import TOTAL_ERROR, TRUTHS, draw_floor, draw_front, draw_runs, finish, new_panels
+from studies.precision.charts import AGREEMENT, TOTAL_ERROR, draw_floor, draw_front, draw_runs, finish, new_panels
 from studies.precision.measure import PLAIN, PrecisionRow, cost_at, settled
 
 COLOURS = (ORANGE, RED, PURPLE, GREEN, SKY, BLACK, MIDDLE, PINK, PINE)  # of the models of other codes; ours are blue
@@ -34,7 +34,7 @@ def _peers_chart(
         look = {"color": colours[model], "marker": markers[method], "markersize": 7.0}
         draw_runs(axes, result, "total_error", f"{model}, {method}", look)
     draw_front(axes, [*rows, *peers], "total_error", floor)
-    draw_floor(axes, floor, TRUTHS)
+    draw_floor(axes, floor, AGREEMENT)
     axes.set_ylabel(TOTAL_ERROR)
     finish(figure, [axes], path)
 
@@ -80,7 +80,7 @@ The rigid arms show what flexibility costs, and how far the tip is off without i
 
 ![error over cost]({picture})
 
-Computed with {machine}, one core. The command is `python scripts/compare_peers.py --folder docs`.
+Computed with {computer}, one core. The command is `python scripts/compare_peers.py --folder docs`.
 
 {conclusion}
 """
@@ -130,9 +130,9 @@ def publish(rows: Sequence[PrecisionRow], floor: float, folder: Path) -> str:
 def page(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow], many: Sequence[PrecisionRow]) -> str:
     """The page as Markdown, from our rows and those of peers, and from those of many arms."""
     found = [name for name in PEERS if any(row.model.startswith(name) for row in peers)]
-    machine = computer_text(PEERS[name] for name in found)
+    computer = computer_text(PEERS[name] for name in found)
     texts = [*conclusions(rows, peers, PLAIN), *_decays(peers), *_abreast(many), *_licences(found)]
-    known = {"rounds": ROUNDS, "picture": PICTURE, "cables": cables(), "machine": machine}
+    known = {"rounds": ROUNDS, "picture": PICTURE, "cables": cables(), "computer": computer}
     return PAGE.format(**known, conclusion="\n".join(texts).rstrip())
 
 

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from flexman_gym.draw.style import BLUE, DARK, LIGHT, MIDDLE, ORANGE, RED, SKY, new_figure
-from studies.methods import looks, methods_of
+from studies.methods import line_styles, methods_of
 from studies.precision.measure import OK, PrecisionRow, pareto_front
 
 COST = "CPU seconds per simulated second"
 TOTAL_ERROR = "total error: largest distance of the tip from the truth (m)"
-TRUTHS = "how well finest models agree"
+AGREEMENT = "how well finest models agree"
 LARGEST_ERROR = 30.0  # m; the arm is smaller, so what is above says no more than that
 
 
@@ -40,8 +40,8 @@ def draw_runs(axes: Any, rows: Sequence[PrecisionRow], column: str, label: str, 
     if good:
         values = [row.cpu for row in good], [_shown_error(row, column) for row in good]
         axes.plot(*values, **{"markersize": 5.0, "linewidth": 1.1, "label": label} | look)
-    judged = [row for row in rows if getattr(row, column) is not None]
-    failed = [row.cpu for row in judged if not math.isfinite(_shown_error(row, column))]
+    evaluated = [row for row in rows if getattr(row, column) is not None]
+    failed = [row.cpu for row in evaluated if not math.isfinite(_shown_error(row, column))]
     if failed:
         upper = axes.get_xaxis_transform()
         axes.plot(failed, [0.985] * len(failed), "x", color=look["color"], markersize=6.0, transform=upper)
@@ -96,7 +96,7 @@ def _family(model: str) -> str:
 def time_error_chart(rows: Sequence[PrecisionRow], floors: dict[str, float], title: str, path: Path) -> None:
     """Time error over cost, a panel for each model in `floors` (its truth's own error, m), a line for each method."""
     figure, panels = new_panels(len(floors), title)
-    known = looks()
+    known = line_styles()
     for axes, (model, floor) in zip(panels, floors.items(), strict=True):
         chosen = [row for row in rows if row.model == model and row.time_error is not None]
         for method in methods_of(chosen):
@@ -120,7 +120,7 @@ def total_error_chart(rows: Sequence[PrecisionRow], floor: float, title: str, pa
         line = [row for row in rows if _family(row.model) == name]
         draw_runs(axes, line, "total_error", name, {"color": colour, "marker": marker, "linestyle": ""})
     front = draw_front(axes, rows, "total_error", floor)
-    draw_floor(axes, floor, TRUTHS)
+    draw_floor(axes, floor, AGREEMENT)
     _name(axes, front)
     axes.set_ylabel(TOTAL_ERROR)
     finish(figure, [axes], path)

@@ -97,7 +97,7 @@ class ReferenceSolution:
         stride, rest = divmod(len(self.tip) - 1, len(result.tip) - 1)
         if rest:
             raise ValueError(
-                f"truth: {len(self.tip)} times are not allowed; give 1 + a multiple of {len(result.tip) - 1}"
+                f"reference: {len(self.tip)} times are not allowed; give 1 + a multiple of {len(result.tip) - 1}"
             )
         return float(np.linalg.norm(result.tip - self.tip[::stride], axis=1).max())
 
@@ -131,16 +131,16 @@ class Study:
     name: str
     scene: Scene
     models: dict[str, Model]
-    truth: ReferenceSolution
+    reference: ReferenceSolution
     solutions: dict[str, ReferenceSolution]
     title: str = ""
 
     def floors(self) -> list[Floor]:
         """Errors of the truths, that of the scene first."""
-        return [Floor(self.name, self.title, model, truth.floor, truth.source) for model, truth in self._truths()]
+        return [Floor(self.name, self.title, model, each.floor, each.source) for model, each in self._references()]
 
-    def _truths(self) -> list[tuple[str, ReferenceSolution]]:
-        return [("", self.truth), *self.solutions.items()]
+    def _references(self) -> list[tuple[str, ReferenceSolution]]:
+        return [("", self.reference), *self.solutions.items()]
 
     def row(self, model: str, method: str, step: float | None = None, rtol: float | None = None) -> PrecisionRow:
         """One run, timed."""
@@ -159,7 +159,7 @@ class Study:
         assert result is not None
         reached = float(result.time[-1]) if result.status == OK else max(float(result.time[-1]), self.scene.output_step)
         solution = self.solutions.get(model)
-        errors = None if solution is None else solution.distance(result), self.truth.distance(result)
+        errors = None if solution is None else solution.distance(result), self.reference.distance(result)
         costs = cpu / reached, wall / reached, result.evaluations / reached
         return PrecisionRow(self.name, model, method, step, rtol, *costs, *errors, result.status)
 
@@ -326,7 +326,7 @@ def models(scene: Scene) -> dict[str, Model]:
     return {name: build_model(scene.arm, **choice) for name, choice in choices(scene).items()}
 
 
-def _total_truth(case: _PrecisionCase, built: dict[str, Model], reference: Path) -> ReferenceSolution:
+def _total_reference(case: _PrecisionCase, built: dict[str, Model], reference: Path) -> ReferenceSolution:
     """Return the reference motion of the tip: a model of large rotations if there is one, else our finest model.
 
     Its floor is the distance to our finest model, or of that to the next finest.
@@ -347,7 +347,7 @@ def study(case: _PrecisionCase, reference: Path) -> Study:
     """A scene with all its models and truths, which takes a minute."""
     built = models(case.scene)
     solutions = {name: _converged(case.scene, built[name]) for name in case.timed}
-    return Study(case.name, case.scene, built, _total_truth(case, built, reference), solutions, case.title)
+    return Study(case.name, case.scene, built, _total_reference(case, built, reference), solutions, case.title)
 
 
 def _steps_of(name: str) -> tuple[float, ...]:

@@ -138,7 +138,7 @@ HEAD = (
     "Every row of `work_precision.csv` is one run. `python scripts/work_precision.py --folder docs` writes all of this "
     "anew."
 )
-MACHINE = "Computed with {machine}, one core."
+COMPUTER = "Computed with {computer}, one core."
 EXPLANATION = (
     "The error of a run is the largest distance of its tip from a reference. For the *time error* the reference is the "
     "converged solution of the same model, so the method alone causes it. For the *total error* the reference is the "
@@ -157,7 +157,7 @@ FRONT_HEADS = ("CPU ms per simulated second", "total error, mm", "model", "metho
 
 def page(rows: Sequence[PrecisionRow], floors: Sequence[Floor]) -> str:
     """A page in Markdown: the conclusion, then pictures and tables of each scene."""
-    lines = ["# Speed against accuracy", "", SAYS, "", HEAD, "", MACHINE.format(machine=computer_text()), ""]
+    lines = ["# Speed against accuracy", "", SAYS, "", HEAD, "", COMPUTER.format(computer=computer_text()), ""]
     lines += [EXPLANATION, "", "## Conclusion", "", *conclusions(rows, floors)]
     for name in dict.fromkeys(floor.scene for floor in floors):
         mine = [row for row in rows if row.scene == name]
@@ -176,8 +176,8 @@ def _scene(rows: Sequence[PrecisionRow], floors: Sequence[Floor]) -> list[str]:
     total, *timed = floors
     lines = [f"## {total.scene}: {total.title}", ""]
     lines += [line for file in pictures(total.scene) for line in (f"![{total.title}]({file})", "")]
-    judged = [TIMED.format(model=floor.model) if floor.model else "total error" for floor in floors]
-    cells = [(name, floor.source, f"{floor.floor:.1e}") for name, floor in zip(judged, floors, strict=True)]
+    errors = [TIMED.format(model=floor.model) if floor.model else "total error" for floor in floors]
+    cells = [(name, floor.source, f"{floor.floor:.1e}") for name, floor in zip(errors, floors, strict=True)]
     lines += introduced_table(FLOORS, FLOOR_HEADS, cells)
     for floor in timed:
         lines += cost_table(rows, floor.model)

@@ -150,32 +150,32 @@ def settings(method: str) -> Sequence[int]:
 def rows(kind: str, count: int, few: int) -> Iterator[RingDownRow]:
     """Measure every method of fixed steps: those that move arms abreast on `count` arms, the others on a `few`."""
     model, each = default_model(kind == UNDAMPED), cases(kind, count)
-    truth = outcome(model, each, REFERENCE, None)
-    if (truth.status != layout.OK).any():
+    reference = outcome(model, each, REFERENCE, None)
+    if (reference.status != layout.OK).any():
         raise RuntimeError(f"{kind}: the reference fails")
     for method in fixed_step_methods():
         many = count if isinstance(METHODS[method], LinearlyImplicit | IteratedGauss) else few
         own = _Cases(each.states[:many], each.drives[:, :many])
         for parts in settings(method):
-            yield row(kind, method, PERIOD / parts, outcome(model, own, method, PERIOD / parts), truth)
+            yield row(kind, method, PERIOD / parts, outcome(model, own, method, PERIOD / parts), reference)
 
 
-def row(kind: str, method: str, step: float, result: _Outcome, truth: _Outcome) -> RingDownRow:
+def row(kind: str, method: str, step: float, result: _Outcome, reference: _Outcome) -> RingDownRow:
     """Compare arms with the first of the converged ones."""
     b, failed = len(result.tip), result.status != layout.OK
-    energy, tip = _differences(result, truth)
+    energy, tip = _differences(result, reference)
     kept = median_kept(result.energy / np.maximum(result.first, 1e-12), failed)
     cpu = result.seconds / (b * DURATION[kind])
     shares = percentiles(energy, tip)
     return RingDownRow(kind, "flexman_gym", method, step, cpu, kept=kept, failed=float(failed.mean()), **shares)
 
 
-def _differences(result: _Outcome, truth: _Outcome) -> tuple[Array, Array]:
+def _differences(result: _Outcome, reference: _Outcome) -> tuple[Array, Array]:
     """Return the relative errors of energy (b,) and the errors of the tip (b,) m; infinite for failed arms."""
     b, failed = len(result.tip), result.status != layout.OK
-    scale = np.maximum(truth.energy[:b], FLOOR * truth.first[:b])
-    energy = np.where(failed, np.inf, np.abs(result.energy - truth.energy[:b]) / scale)
-    return energy, np.where(failed, np.inf, np.linalg.norm(result.tip - truth.tip[:b], axis=1))
+    scale = np.maximum(reference.energy[:b], FLOOR * reference.first[:b])
+    energy = np.where(failed, np.inf, np.abs(result.energy - reference.energy[:b]) / scale)
+    return energy, np.where(failed, np.inf, np.linalg.norm(result.tip - reference.tip[:b], axis=1))
 
 
 def median_kept(kept: Array, failed: BoolArray) -> float:
@@ -243,10 +243,10 @@ def errors_of_default(count: int) -> list[Errors]:
         each = cases(kind, count)
         for end in (EARLY, DURATION[kind]):
             part = _Cases(each.states, each.drives[: round(end / PERIOD)])
-            truth = outcome(chosen.model, part, REFERENCE, None)
+            reference = outcome(chosen.model, part, REFERENCE, None)
             for method, step in ((str(chosen.method), float(chosen.step or 0.0)), *OTHERS):
                 ours = outcome(chosen.model, part, method, step)
-                energy, tip = _differences(ours, truth)
+                energy, tip = _differences(ours, reference)
                 cpu = 1e6 * ours.seconds / (count * len(part.drives))
                 within = float((energy <= WITHIN).mean())
                 result.append(Errors(method, step, kind, end, float(count), cpu, within, **percentiles(energy, tip)))

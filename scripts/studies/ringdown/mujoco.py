@@ -56,13 +56,15 @@ def release(integrator: str, step: float, seed: int) -> tuple[Array, float, floa
 
 def rows(count: int) -> Iterator[RingDownRow]:
     """Measure every integrator and step on so many arms."""
-    truths = [release("RK4", FINEST, seed)[0] for seed in range(count)]
+    references = [release("RK4", FINEST, seed)[0] for seed in range(count)]
     for integrator in (name for name in integrators() if name in STEPS):
         for step in STEPS[integrator]:
             runs = [release(integrator, step, seed) for seed in range(count)]
             kept = np.array([ended / began for _, began, ended, _ in runs])
             failed = ~np.isfinite(kept) | (kept > 10.0)
-            tip = np.array([np.linalg.norm(run[0] - truth) for run, truth in zip(runs, truths, strict=True)])
+            tip = np.array(
+                [np.linalg.norm(run[0] - reference) for run, reference in zip(runs, references, strict=True)]
+            )
             energy, tip = np.where(failed, np.inf, np.abs(kept - 1.0)), np.where(failed, np.inf, tip)
             cpu = sum(run[3] for run in runs) / (count * DURATION[UNDAMPED])
             name = f"MuJoCo, {PIECES} pieces"

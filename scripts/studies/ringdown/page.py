@@ -9,7 +9,7 @@ import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.draw.style import DARK, LIGHT, MIDDLE, new_figure
-from studies.methods import looks, methods_of
+from studies.methods import line_styles, methods_of
 from studies.ringdown.measure import IMPULSE, RELEASE, SLEW, UNDAMPED, RingDownRow
 
 COST = "CPU seconds per simulated second of one arm"
@@ -43,7 +43,7 @@ def draw(rows: Sequence[RingDownRow], folder: Path, default: tuple[str, float]) 
 def _lines(axes: Any, rows: Sequence[RingDownRow], column: str, default: tuple[str, float]) -> None:
     ours = [row for row in rows if row.code == "flexman_gym"]
     for name in methods_of(ours):
-        look = looks()[name]
+        look = line_styles()[name]
         _line(axes, [row for row in ours if row.method == name], column, name, look.colour, look.marker)
     for row in ours:
         if row.method == default[0] and isclose(row.step, default[1], rel_tol=1e-4):
@@ -109,9 +109,9 @@ TITLES = {
 }  # fmt: skip
 
 
-def page(rows: Sequence[RingDownRow], machine: str, default: tuple[str, float]) -> str:
+def page(rows: Sequence[RingDownRow], computer: str, default: tuple[str, float]) -> str:
     """Write the page as Markdown."""
-    tables = [f"Computed with {machine}, one core. CPU is that of one arm for a simulated second."]
+    tables = [f"Computed with {computer}, one core. CPU is that of one arm for a simulated second."]
     for kind, title in TITLES.items():
         result = [_cells(row) for row in rows if row.kind == kind]
         tables += [f"## {title}", "\n".join(markdown_table(HEADS, result))]

@@ -61,8 +61,8 @@ CONCLUSION = (
 REST = 0.5
 
 
-def page(machine: str, rows: Sequence[ServoRow], rubbing: Sequence[FrictionRow]) -> str:
-    """Return the page as Markdown, from all rows with and without friction; `machine` computed them."""
+def page(computer: str, rows: Sequence[ServoRow], rubbing: Sequence[FrictionRow]) -> str:
+    """Return the page as Markdown, from all rows with and without friction; `computer` computed them."""
     lines = [
         "# Servos: how much gain they bear",
         "",
@@ -70,7 +70,7 @@ def page(machine: str, rows: Sequence[ServoRow], rubbing: Sequence[FrictionRow])
         "",
         HEAD,
         "",
-        f"Computed with {machine}.",
+        f"Computed with {computer}.",
         "",
         READING,
         "",

@@ -8,7 +8,7 @@ import numpy as np
 
 from flexman_gym.draw.style import DARK, LIGHT, MIDDLE, RED, SKY, YELLOW, new_figure
 from flexman_gym.simulation.methods import METHODS
-from studies.methods import looks, methods_of
+from studies.methods import line_styles, methods_of
 from studies.stability.measure import (
     CASES,
     DIVERGED,
@@ -131,7 +131,7 @@ def _tick(study: str, value: float) -> str:
 
 def _limits(_: str, rows: Sequence[StabilityRow]) -> Any:
     """Largest stable step over what each study varies: lines predicted, markers measured."""
-    known = looks()
+    known = line_styles()
     figure = new_figure((12.0, 4.6), 110.0, layout="constrained")
     for axes, study in zip(figure.subplots(1, 3, sharey=True), LIMIT_STUDIES, strict=True):
         result = select(rows, study=study, quantity=LIMIT)
@@ -198,7 +198,7 @@ def _drift(_: str, rows: Sequence[StabilityRow]) -> Any:
     """The largest energy error over the number of steps."""
     figure = new_figure((8.5, 5.4), 110.0, layout="constrained")
     axes = figure.subplots()
-    result, known = select(rows, study=DRIFT), looks()
+    result, known = select(rows, study=DRIFT), line_styles()
     for name in methods_of(result):
         own = select(result, method=name)
         colour, marker = known[name]

@@ -143,7 +143,7 @@ class StabilityCase:
     Attributes:
         study, parameter: as in Row.
         model: what moves.
-        truth: what the tip should do: the same model, or a better one.
+        reference: what the tip should do: the same model, or a better one.
         scene: the motion, with an output every 0.02 s.
         varied: values (n,) of physical parameters that make the first case of the study this one; None where its model
             is another one.
@@ -152,7 +152,7 @@ class StabilityCase:
     study: str
     parameter: float
     model: Model
-    truth: Model
+    reference: Model
     scene: Scene
     varied: dict[str, Array] | None = None
 

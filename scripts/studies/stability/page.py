@@ -179,7 +179,7 @@ HEAD = (
     "([stability.csv](stability.csv)) anew. Every number below comes from the rows, or from the coefficients of "
     "a method. [ring_down.md](ring_down.md) has MuJoCo beside our methods."
 )
-MACHINE = "Computed with {machine}."
+COMPUTER = "Computed with {computer}."
 READING = (
     "Every fixed-step method follows a short motion. The true tip is that of `dop853` at a tolerance of 1e-9. "
     "A run has one of these verdicts:"
@@ -247,8 +247,8 @@ def _worst_limit(limits: Sequence[StabilityRow]) -> float:
     return max(abs(row.value / (row.expected or math.nan) - 1.0) for row in limits)
 
 
-def page(machine: str, rows: Sequence[StabilityRow]) -> str:
-    """The page as Markdown, from all rows; `machine` says what computed them."""
+def page(computer: str, rows: Sequence[StabilityRow]) -> str:
+    """The page as Markdown, from all rows; `computer` says what computed them."""
     head = [
         "# Stability: where methods fail, and what they damp",
         "",
@@ -256,7 +256,7 @@ def page(machine: str, rows: Sequence[StabilityRow]) -> str:
         "",
         HEAD,
         "",
-        MACHINE.format(machine=machine),
+        COMPUTER.format(computer=computer),
         "",
     ]
     meanings = ((verdict, text.format(threshold=1e3 * THRESHOLD)) for verdict, text in MEANINGS.items())

@@ -189,14 +189,14 @@ def map_rows(study: str, quick: bool = False, parameters: Sequence[float] | None
     """The tip error and the verdict of every fixed-step method at every step and value of what the study varies."""
     cases = [CASES[study](parameter) for parameter in parameters or parameters_of(study, quick)]
     for group in [cases] if cases[0].varied is not None else [[case] for case in cases]:
-        truths = [_truth(case) for case in group]
+        references = [_reference(case) for case in group]
         for name in fixed_step_methods():
             for step in steps_of(study, quick):
-                yield from map(_cell, group, truths, [(name, step)] * len(group), _runs(group, name, step))
+                yield from map(_cell, group, references, [(name, step)] * len(group), _runs(group, name, step))
 
 
-def _truth(case: StabilityCase) -> Trajectory:
-    result = simulate(case.scene, case.truth, "dop853", rtol=1e-9, atol=1e-12)
+def _reference(case: StabilityCase) -> Trajectory:
+    result = simulate(case.scene, case.reference, "dop853", rtol=1e-9, atol=1e-12)
     if result.status != OK:
         raise RuntimeError(f"{case.study} {case.parameter:g}: the reference {result.status}")
     return result
@@ -210,12 +210,12 @@ def _runs(cases: list[StabilityCase], name: str, step: float) -> list[Trajectory
     return simulate_all([case.scene for case in cases], cases[0].model, name, step, **varied)
 
 
-def _cell(case: StabilityCase, truth: Trajectory, method: tuple[str, float], result: Trajectory) -> StabilityRow:
+def _cell(case: StabilityCase, reference: Trajectory, method: tuple[str, float], result: Trajectory) -> StabilityRow:
     status, error = result.status, np.nan
     if status == OK:
-        error = float(np.linalg.norm(result.tip - truth.tip, axis=1).max())
+        error = float(np.linalg.norm(result.tip - reference.tip, axis=1).max())
         far = np.linalg.norm(result.tip, axis=1).max() > ABSURD * case.model.constants.length.sum()
-        invented = abs(result.energy_residual[-1]) > INVENTED * truth.energy_turnover[-1]
+        invented = abs(result.energy_residual[-1]) > INVENTED * reference.energy_turnover[-1]
         status = DIVERGED if far or invented else OK if error <= THRESHOLD else INACCURATE
     return StabilityRow(case.study, case.parameter, *method, ERROR, error, None, status)
 

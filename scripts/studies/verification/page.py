@@ -13,7 +13,7 @@ independent codes. A row that fails makes `make verify` fail, which writes this 
 
 {rule}
 
-Computed with {machine}.
+Computed with {computer}.
 
 {table}
 """
@@ -22,4 +22,4 @@ Computed with {machine}.
 def markdown_page(rows: Sequence[VerificationRow]) -> str:
     """A page with all rows, without a date, so that it changes only when a number does."""
     lines = markdown_table(COLUMNS, (row.cells() for row in rows))
-    return PAGE.format(summary=summary(rows), rule=RULE, machine=computer_text(), table="\n".join(lines))
+    return PAGE.format(summary=summary(rows), rule=RULE, computer=computer_text(), table="\n".join(lines))
