@@ -90,8 +90,10 @@ CASES = (
          {"randomisation": {"sensor_noise": [0.003, 0.003]}}),
     ControlCase("adaptive-lqr, friction it knows nothing of", "adaptive-lqr", f"{RRR}/{LAB}", {"arm": _friction_arm()},
          unmodelled=True),
-    ControlCase("adaptive-lqr, biases it knows nothing of", "adaptive-lqr", f"{RRR}/{LAB}", sensor_errors={"bias": 0.005}),
-    ControlCase("adaptive-lqr, a fifth of the samples lost", "adaptive-lqr", f"{RRR}/{LAB}", sensor_errors={"dropped": 0.2}),
+    ControlCase("adaptive-lqr, biases it knows nothing of", "adaptive-lqr", f"{RRR}/{LAB}",
+         sensor_errors={"bias": 0.005}),
+    ControlCase("adaptive-lqr, a fifth of the samples lost", "adaptive-lqr", f"{RRR}/{LAB}",
+         sensor_errors={"dropped": 0.2}),
     ControlCase("adaptive-lqr, readings a period late", "adaptive-lqr", f"{RRR}/{LAB}", sensor_errors={"delay": 1}),
 )  # fmt: skip
 

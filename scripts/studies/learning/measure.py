@@ -181,7 +181,8 @@ class LearningRow:
         kind: "recipe", "ablation", "controller", or "task" for scenarios of other tasks.
         name, seed: name and seed of the run.
         where: variant of the environment, see `variants`.
-        steps, cpu, rate, share: of the training: actions, CPU time (s), actions per CPU second, share of the environment.
+        steps, cpu, rate, share: actions and CPU time (s) of the training, actions per CPU second, share of the CPU
+            time spent in the environment.
         settled: share of episodes that stay within the band until the end.
         time, vibration, error: medians, s, m and m; `time_low`, `time_high`: confidence interval of the time.
         reward, effort, failed, roughness: means; roughness is None in older rows.

@@ -173,7 +173,7 @@ def _amplitudes(model: Model) -> tuple[float, float]:
 
 
 def _sheet(model: Model, record: fm.Measurement) -> Any:
-    """Return the first output of a record with the calibration of the data sheet, w / L of the strip for an ideal gauge."""
+    """Return the first output of a record with the calibration of the data sheet (w / L of the strip, ideal gauge)."""
     nominal = {"payload_mass": np.array([nominal_parameters(model)["payload_mass"]])}
     at_strip, at_block = _amplitudes(model)
     return SimulatedResponse(model.arm, record, None).signals(model, nominal)[0, 0] * at_strip / at_block
@@ -196,7 +196,7 @@ def _by_mujoco(found: fm.Fit, runs: Mapping[str, fm.Measurement]) -> list[FitRow
 
 
 def stages(path: Path) -> tuple[list[FitRow], list[Any]]:
-    """Fit the first half of a record of both coupled stages and predict the second, with hub angles, then with currents.
+    """Fit the first half of a record of both stages and predict the second half, from hub angles and from currents.
 
     Returns:
         Rows, and times, measured and predicted deflections.
@@ -222,7 +222,7 @@ def _coupled(found: fm.Fit, record: fm.Measurement, part: str) -> Iterator[FitRo
 
 
 def _currents(found: fm.Fit, path: Path) -> Iterator[FitRow]:
-    """Fit the friction with currents as inputs on the first half, with the fitted links; yield parameters and scores."""
+    """Fit the friction with currents as inputs to the first half, with the fitted links; yield results."""
     record = driven(path)
     joints = [
         replace(joint, coulomb_friction=0.5 * size) for joint, size in zip(found.arm.joints, (2.0, 0.2), strict=True)
@@ -274,7 +274,7 @@ def _simulated_record(arm: fm.Arm, rng: np.random.Generator) -> fm.Measurement:
 
 
 def draws(seed: int, count: int) -> list[tuple[str, float, bool]]:
-    """Fit an arm to noisy records; return parameter name, error in standard deviations, and whether it is determined."""
+    """Fit an arm to noisy records; return parameter names, errors in standard deviations, and whether determined."""
     rng = np.random.default_rng(seed)
     arm = _random_arm(rng)
     record, free = _simulated_record(arm, rng), FreeParameters(arm, FREE)

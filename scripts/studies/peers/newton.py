@@ -1,4 +1,4 @@
-"""Newton's cables: link 3 of the arm, clamped and struck, where there is a GPU; its frequency tells its stiffness."""
+"""Newton's cables: frequency of the clamped link 3 after an impulse, on a GPU."""
 
 import time
 from importlib import import_module
@@ -20,7 +20,7 @@ def cables() -> str:
 
 
 def clamped(device: str) -> str:
-    """The frequency of the clamped link on a device beside that of beam theory, and its cost."""
+    """Return frequency and cost of the clamped link on a device, with the frequency of beam theory, as text."""
     newton, link = import_module("newton"), fm.catalog.paper_rrr().links[2]
     section, whole = link.sections[0], link.length / PIECES
     bending, line = section.youngs_modulus * section.second_moment_y, section.density * section.area

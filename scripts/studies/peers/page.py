@@ -17,14 +17,14 @@ from studies.peers.newton import cables
 from studies.precision.charts import AGREEMENT, TOTAL_ERROR, draw_floor, draw_front, draw_runs, finish, new_panels
 from studies.precision.measure import PLAIN, PrecisionRow, cost_at, settled
 
-COLOURS = (ORANGE, RED, PURPLE, GREEN, SKY, BLACK, MIDDLE, PINK, PINE)  # of the models of other codes; ours are blue
-MARKERS = "ov^D<PX>"  # of their methods; ours are squares
+COLOURS = (ORANGE, RED, PURPLE, GREEN, SKY, BLACK, MIDDLE, PINK, PINE)  # models of other simulators; ours are blue
+MARKERS = "ov^D<PX>"  # methods of other simulators; ours are squares
 
 
 def _peers_chart(
     rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow], floor: float, title: str, path: Path
 ) -> None:
-    """Total error over cost of our runs and of those of other codes: a colour for each model, a marker for a method."""
+    """Plot total error against cost of our runs and other simulators: a colour per model, a marker per method."""
     figure, (axes,) = new_panels(1, title, 6.4)
     draw_runs(axes, rows, "total_error", "flexman_gym", {"color": BLUE, "marker": "s", "linestyle": ""})
     colours = _in_turn((row.model for row in peers), COLOURS)
@@ -40,14 +40,14 @@ def _peers_chart(
 
 
 def _in_turn(names: Iterable[str], values: Sequence[str]) -> dict[str, str]:
-    """A value for each name, in turn and from the start again when there are more names."""
+    """Assign values to names cyclically."""
     return dict(zip(dict.fromkeys(names), cycle(values), strict=False))
 
 
-MANY = " arms on "  # in the scene of a row of arms side by side
+MANY = " arms on "  # part of the scene name of batch rows
 PICTURE, TITLE = "work_precision_peers.png", "The paper's arm, everything flexible"
-NEAR = 5e-3  # m; the finest models agree to about 4 mm, so that this is hardly worse than MuJoCo with 8 pieces
-WANTED = 3e-3  # m, a time error to name the cost of
+NEAR = 5e-3  # m; similar to the error of MuJoCo with 8 pieces, since the finest models agree to about 4 mm only
+WANTED = 3e-3  # m; time error at which costs are compared
 
 PAGE = """# Beside other codes
 
@@ -117,7 +117,7 @@ RIGID = "The cost of a rigid arm, by RK4 at {setting}. Its tip is {error:.2g} m 
 
 
 def publish(rows: Sequence[PrecisionRow], floor: float, folder: Path) -> str:
-    """Draw the rows, writes the page about them and returns it; `floor` is the error of the truth, m."""
+    """Draw the chart and write the page; return its text. `floor` is the error of the reference, m."""
     many = [row for row in rows if MANY in row.scene]
     peers = of_peers(alone := [row for row in rows if row not in many])
     mine = [row for row in alone if row not in peers]
@@ -128,7 +128,7 @@ def publish(rows: Sequence[PrecisionRow], floor: float, folder: Path) -> str:
 
 
 def page(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow], many: Sequence[PrecisionRow]) -> str:
-    """The page as Markdown, from our rows and those of peers, and from those of many arms."""
+    """Return the page as Markdown from our rows, those of other simulators, and those of batches of arms."""
     found = [name for name in PEERS if any(row.model.startswith(name) for row in peers)]
     computer = computer_text(PEERS[name] for name in found)
     texts = [*conclusions(rows, peers, PLAIN), *_decays(peers), *_abreast(many), *_licences(found)]
@@ -137,7 +137,7 @@ def page(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow], many: Sequ
 
 
 def conclusions(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow], plain: str) -> list[str]:
-    """Tables about our rows and those of peers; `plain` is the model whose time error counts."""
+    """Return the tables of single runs; `plain` is the model whose time error is studied."""
     return [*_pieces(rows, peers), *_alone(rows, peers), *_frames(rows, peers, plain), *_rigid(rows, peers)]
 
 
@@ -158,7 +158,7 @@ def _pieces(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow]) -> list
 
 
 def _alone(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow]) -> list[str]:
-    """The error of each model at its shortest step, so that nobody takes a lucky step for a good model."""
+    """Return the error of each model at its shortest step, which separates model errors from time errors."""
     known: dict[str, PrecisionRow] = {}
     for row in sorted([*rows, *peers], key=lambda row: (row.model, -(row.step or math.inf))):
         if row.method in ("implicit_midpoint", "RK4") and "rigid" not in row.model:
@@ -211,7 +211,7 @@ def _abreast(many: Sequence[PrecisionRow]) -> list[str]:
 
 
 def _licences(names: Sequence[str]) -> list[str]:
-    """Versions, licences and settings of the packages that are installed."""
+    """Return the table of versions, licences and settings of the installed packages."""
     cells = []
     for name in names:
         with suppress(PackageNotFoundError):
@@ -225,7 +225,7 @@ def _within(rows: Sequence[PrecisionRow], error: float) -> list[PrecisionRow]:
 
 
 def _cells(name: str, runs: Sequence[PrecisionRow], peer: PrecisionRow) -> list[str]:
-    """The cheapest of these runs beside a peer."""
+    """Return the table cells of the cheapest of some runs, with its cost relative to a peer."""
     best = min(runs, key=lambda row: row.cpu)
     run = [name, best.model, best.method, best.setting, _millimetres(best)]
     return [*run, f"{1e3 * best.cpu:.3g}", f"{peer.cpu / best.cpu:.3g}"]

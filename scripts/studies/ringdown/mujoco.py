@@ -1,4 +1,4 @@
-"""Ring-down, MuJoCo: the arm of rigid pieces let go bent, by MuJoCo's integrators, beside its own finest run."""
+"""Ring-down of MuJoCo's arm of rigid pieces: integrators and steps, compared with its own finest run."""
 
 import time
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ from studies.ringdown.measure import (
     percentiles,
 )
 
-PIECES, FINEST = 4, 20e-6  # of a link; s, of RK4
+PIECES, FINEST = 4, 20e-6  # pieces per link; step of the RK4 reference, s
 STEPS = {"Euler": (5e-3, 1e-3, 1e-4, 5e-5), "RK4": (1e-3, 1e-4, 5e-5), "implicitfast": (5e-3, 1e-3, 1e-4, 5e-5)}
 STEPS["discrete"] = (5e-3, 1e-3, 5e-4, 1e-4)
 
@@ -55,7 +55,7 @@ def release(integrator: str, step: float, seed: int) -> tuple[Array, float, floa
 
 
 def rows(count: int) -> Iterator[RingDownRow]:
-    """Measure every integrator and step on so many arms."""
+    """Measure every integrator and step on a number of arms."""
     references = [release("RK4", FINEST, seed)[0] for seed in range(count)]
     for integrator in (name for name in integrators() if name in STEPS):
         for step in STEPS[integrator]:

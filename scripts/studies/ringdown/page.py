@@ -1,4 +1,4 @@
-"""Page and picture of the ring-down study."""
+"""Page and plot of the ring-down study."""
 
 from collections.abc import Sequence
 from math import isclose
@@ -18,7 +18,7 @@ PICTURE = "ring_down.png"
 
 
 def draw(rows: Sequence[RingDownRow], folder: Path, default: tuple[str, float]) -> None:
-    """Draw the picture of the study; `default` is method and step (s) of the environments, which gets a ring."""
+    """Plot the study; `default` is the method and step (s) of the environments, marked with a ring."""
     figure = new_figure((13.0, 5.2), 110.0, layout="constrained")
     panels = figure.subplots(1, 3)
     released = [row for row in rows if row.kind == RELEASE]
@@ -56,7 +56,7 @@ def _lines(axes: Any, rows: Sequence[RingDownRow], column: str, default: tuple[s
 
 
 def _line(axes: Any, rows: Sequence[RingDownRow], column: str, label: str, colour: str, marker: str) -> None:
-    """Run of one method over their cost; those of which most failed are left out."""
+    """Plot the runs of one method over their cost, without those in which most arms failed."""
     good = [row for row in rows if np.isfinite(getattr(row, column)) and row.failed < 0.5]
     if good:
         values = [row.cpu for row in good], [getattr(row, column) for row in good]
@@ -110,7 +110,7 @@ TITLES = {
 
 
 def page(rows: Sequence[RingDownRow], computer: str, default: tuple[str, float]) -> str:
-    """Write the page as Markdown."""
+    """Return the page as Markdown."""
     tables = [f"Computed with {computer}, one core. CPU is that of one arm for a simulated second."]
     for kind, title in TITLES.items():
         result = [_cells(row) for row in rows if row.kind == kind]

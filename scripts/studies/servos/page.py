@@ -1,4 +1,4 @@
-"""Servo page: tables and conclusions, whose numbers all come from the rows."""
+"""Page of the servo study: tables and conclusions."""
 
 from collections.abc import Sequence
 
@@ -62,7 +62,7 @@ REST = 0.5
 
 
 def page(computer: str, rows: Sequence[ServoRow], rubbing: Sequence[FrictionRow]) -> str:
-    """Return the page as Markdown, from all rows with and without friction; `computer` computed them."""
+    """Return the page as Markdown; `computer` describes the computer of the study."""
     lines = [
         "# Servos: how much gain they bear",
         "",

@@ -51,7 +51,7 @@ TITLES = {
 }
 HEADS = ("method", *VERDICTS, "largest step that is ok everywhere, ms", "steps that fail somewhere, ms")
 
-# The limits are those of `rk4`, in ms; an error is a smallest and a largest one.
+# Limits are those of `rk4`, in ms; errors are ranges.
 ON_SPRINGS = (
     "**Stiff springs, not the motion, decide the step of an explicit method.** The springs have {soft:.0e} to "
     "{stiff:.0e} N m/rad. The limit of `rk4` falls from {first:.3g} ms on the softest to {last:.3g} ms on the "
@@ -81,7 +81,7 @@ RANGE = "{least:.2g} to {most:.2g} mm"
 
 
 def map_sections(rows: Sequence[StabilityRow]) -> list[str]:
-    """Lines of Markdown: a section a map, with its picture, counts and conclusion."""
+    """Return the sections of the maps as Markdown lines: chart, counts and conclusion."""
     conclusions = {SPRINGS: _springs, MODES: _modes, PAYLOAD: _payload, SPIN: _spin, SPIN_STIFFENED: _spin_stiffened}
     return [line for study, conclude in conclusions.items() for line in _map(study, rows, conclude(rows))]
 
@@ -95,9 +95,9 @@ def _map(study: str, rows: Sequence[StabilityRow], conclusion: str) -> list[str]
 
 
 def _counts(name: str, cells: Sequence[StabilityRow]) -> list[str]:
-    """Return verdict counts of a method, the largest step below which all cells are ok, and the steps that fail.
+    """Return the verdict counts of a method, the largest step with only ok cells below, and the range of failing steps.
 
-    A run fails when it diverges or does not converge.
+    A run fails if it diverges or does not converge.
     """
     count = Counter(row.verdict for row in cells)
     best = 0.0
@@ -164,7 +164,7 @@ def _rates(cells: Sequence[StabilityRow]) -> str:
 
 
 def _percent(value: float) -> str:
-    """A share in percent, with more digits near 100."""
+    """Return a share in percent, with more digits near 100."""
     return f"{100.0 * value:.3g} %" if value < 0.9 or value > 1.1 else f"{100.0 * value:.2f} %"
 
 
@@ -243,12 +243,12 @@ def summary(rows: Sequence[StabilityRow]) -> str:
 
 
 def _worst_limit(limits: Sequence[StabilityRow]) -> float:
-    """The largest relative departure of a measured limit from its prediction."""
+    """Return the largest relative error of a predicted limit."""
     return max(abs(row.value / (row.expected or math.nan) - 1.0) for row in limits)
 
 
 def page(computer: str, rows: Sequence[StabilityRow]) -> str:
-    """The page as Markdown, from all rows; `computer` says what computed them."""
+    """Return the page as Markdown; `computer` describes the computer of the study."""
     head = [
         "# Stability: where methods fail, and what they damp",
         "",
@@ -281,7 +281,7 @@ def _limits(rows: Sequence[StabilityRow]) -> list[str]:
 
 
 def _limit(name: str, own: Sequence[StabilityRow]) -> list[str]:
-    """The cells of a method in the table of limits."""
+    """Return the table cells of a method in the table of limits."""
     method, ratios = METHODS[name], [row.value / (row.expected or math.nan) for row in own]
     limits = [f"{stability_limit(method, growth):.4g}" for growth in (0.0, growth_per_step())]
     return [name, *limits, f"{min(ratios):.4f} to {max(ratios):.4f}"]

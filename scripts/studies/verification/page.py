@@ -1,4 +1,4 @@
-"""Verification page: all rows as Markdown."""
+"""Page of the verification table."""
 
 from collections.abc import Sequence
 
@@ -20,6 +20,6 @@ Computed with {computer}.
 
 
 def markdown_page(rows: Sequence[VerificationRow]) -> str:
-    """A page with all rows, without a date, so that it changes only when a number does."""
+    """Return the page as Markdown, without a date, so that it changes only with a number."""
     lines = markdown_table(COLUMNS, (row.cells() for row in rows))
     return PAGE.format(summary=summary(rows), rule=RULE, computer=computer_text(), table="\n".join(lines))
