@@ -36,20 +36,21 @@ RECIPES: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 EVERY = {"ppo": 160, "sac": 64}  # steps between checkpoints, short so that saving takes much of the time
 HEADS = ("fault", "tried", "survived", "lost")
-PAGE = """# What a run survives
+PAGE = """# Fault tolerance of training runs
 
-Trainings were killed, starved of disk and started twice in one folder. All of them could go on. A run that was killed
-ends with the same bits as one that was not. What a kill costs are the steps since the last saving.
+Training runs were killed, interrupted, run on a full disk and started twice in one folder. All of them could be
+resumed. A run that was killed and resumed ends bitwise equal to an uninterrupted run. A kill costs the steps since the
+last checkpoint.
 
-`python scripts/faults.py` writes this page anew. Each fault is tried on processes that train `FlexOne-v0` with
-payloads, delays and noise that differ from episode to episode, and that save every few rollouts.
+`python scripts/faults.py` rewrites this page. Each fault is tested on processes that train `FlexOne-v0` with randomised
+payloads, delays and noise and write a checkpoint every few rollouts.
 
-A killed run goes on from its newest file. It survives when this file can be read, and when it ends with the same bits
-as a run that was never killed. These are the bits of networks, optimiser, normalisation, memory, generators and arms.
+A killed run is resumed from its newest checkpoint. It survives if this file can be read and the run ends bitwise equal
+to an uninterrupted one in networks, optimiser, normalisation, replay buffer, random generators and arms.
 
 {table}
 
-Damaged, foreign and full folders of compiled kernels, and files that try to run code, are in the tests
+Damaged, foreign and full folders of compiled kernels, and files that attempt to run code, are covered by tests
 (`tests/kernels/test_cache.py`, `tests/common/test_run_folder.py`).
 """
 

@@ -61,8 +61,8 @@ SETTLED = 100_000  # steps; warm-up, after which the memory should stay constant
 ALLOWED = 0.05  # allowed relative growth of the memory
 HOLDS = (1, 5, 25)  # control periods for which an action is held; longer holds lead to faster motion
 BLOCK = 200  # steps whose actions are drawn at once
-NOTE = """Random actions on {arms} arms with every randomisation on. An arm keeps each for {holds} control periods.
-Neither an observation nor a reward was anything but a finite number."""
+NOTE = """Random actions on {arms} arms with all randomisations. Each arm holds an action for {holds} control periods.
+All observations and rewards were finite."""
 
 
 @dataclass
@@ -157,7 +157,7 @@ def _section(count: _Count, arms: int) -> str:
     """Return the section of the benchmark page."""
     rows = {
         "steps": f"{count.steps:,}",
-        "steps a second of CPU": f"{count.steps / count.cpu:,.0f}",
+        "steps per CPU second": f"{count.steps / count.cpu:,.0f}",
         "episodes": f"{count.episodes:,}",
         "ended by their time limit": f"{count.truncated:,}",
         **{f"ended by a failure of {name}": f"{number:,}" for name, number in count.failures.most_common()},
@@ -168,7 +168,7 @@ def _section(count: _Count, arms: int) -> str:
     }
     *some, last = map(str, HOLDS)
     note = NOTE.format(arms=arms, holds=f"{', '.join(some)} or {last}")
-    return "\n".join([ENDURANCE, "", note, "", *markdown_table(("what", "count"), rows.items())]) + "\n"
+    return "\n".join([ENDURANCE, "", note, "", *markdown_table(("quantity", "value"), rows.items())]) + "\n"
 
 
 def publish(count: _Count, arms: int, folder: Path) -> str:

@@ -126,31 +126,31 @@ def first(name: str) -> list[str]:
     seconds = hold * named.control_period
     settings = {"base": "pd", "action_repeat": hold, "sensors": ("full", "fine")}
     rows = [
-        ("`base`", '`"pd"`', "the agent adds to a controller that brings the arm near its goal"),
-        ("`action_repeat`", f"`{hold}`", f"an action lasts {seconds:g} s, so that exploration shakes the arm less"),
-        ("`sensors`", '`("full", "fine")`', "the state, and again on a scale that tells millimetres"),
+        ("`base`", '`"pd"`', "the agent adds to a controller that moves the arm close to its goal"),
+        ("`action_repeat`", f"`{hold}`", f"an action lasts {seconds:g} s, so that exploration excites less vibration"),
+        ("`sensors`", '`("full", "fine")`', "the state, and the state scaled to millimetres"),
     ]
     if isinstance(named.task, Slew):
         settings["task"] = {"kind": "slew", "reward": "distance", **_drawn(named.task)}
-        rows.append(("`task`", '`"reward": "distance"`', "a slope at every scale, from metres to millimetres"))
+        rows.append(("`task`", '`"reward": "distance"`', "a gradient at every scale, from metres to millimetres"))
     horizon = seconds / (1.0 - GAMMA)
     rows += [
-        ("discount of PPO or SAC", f"`{GAMMA}`", f"looks {horizon:g} s ahead, about as long as a motion lasts"),
+        ("discount of PPO or SAC", f"`{GAMMA}`", f"a horizon of {horizon:g} s, about the duration of a motion"),
         (
             "`log_std_init`",
-            "`-1.6`, or `-1.3` that falls to `-3.5`",
-            "quiet exploration: an arm that shakes learns nothing",
+            "`-1.6`, or `-1.3` decreasing to `-3.5`",
+            "little exploration noise, since strong vibration prevents learning",
         ),
-        ("arms side by side", f"`{ARMS}`", "they cost little more than one"),
+        ("number of arms", f"`{ARMS}`", "a batch costs little more than one arm"),
     ]
-    known = "No recipe has been measured here; those of [learning.md](../learning.md) have these settings."
+    known = "There is no recipe for this environment; the recipes of [learning.md](../learning.md) have these settings."
     if recipe:
-        known = f"The recipe `{recipe}` has these settings, and "
-        known += "[learning.md](../learning.md) what it reaches."
+        known = f"The recipe `{recipe}` has these settings; "
+        known += "[learning.md](../learning.md) has its results."
     words = "".join(f"    {key}={value!r},\n" for key, value in settings.items()).replace("'", '"').splitlines()
     made = [f'arms = gym.make_vec("{name}", {ARMS}, "vector_entry_point", autoreset_mode="SameStep",', *words, ")"]
     return [
-        *markdown_table(("setting", "value", "why"), rows), "", "```python", *made, "```", "",
+        *markdown_table(("setting", "value", "reason"), rows), "", "```python", *made, "```", "",
         f"{known} The README trains on such arms in a few lines of Stable-Baselines3.",
         *(["", *_curve(name)] if (DOCS / f"learning_{name}.png").is_file() else []),
     ]  # fmt: skip
@@ -160,7 +160,7 @@ def _curve(name: str) -> list[str]:
     """Return the learning curves of the recipes of an environment as Markdown lines, see `studies.learning.measure`."""
     return [
         f"![Reward while the recipes of {name} train](../learning_{name}.png)", "",
-        "A line is the middle of the seeds, and where there are several its band goes from the worst to the best.",
+        "Lines are medians over the seeds, bands the range from the worst to the best seed.",
     ]  # fmt: skip
 
 

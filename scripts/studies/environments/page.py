@@ -16,7 +16,7 @@ from flexman_gym.model.dynamics import frequencies
 from studies.environments.measure import BASES, DURATION, FINER, MOTIONS, SEEDS, Accuracy, accuracy, first
 
 SLEW = ("settled", "settling_time", "vibration")  # metrics of a task that declares none
-MOVING = "The RMS error is the median over the episodes of the RMS tip error in all control periods of one."
+MOVING = "The RMS error is the median over the episodes of the RMS tip error over all control periods."
 LEAST = 0.001  # s or mm; smaller numbers are shown as "< 0.001"
 STEP = "CPU time of a step of the finer model"
 SECTIONS = ("Description", "Actions", "Observations", "Reward", "Start", "End", "Arguments", "Version history")
@@ -31,7 +31,7 @@ def page(name: str, runs: dict[str | None, Rollout]) -> str:
         lines += {"Description": _arm, "Observations": _observations, "Arguments": _arguments}.get(title, _nothing)(
             name
         )
-    lines += ["## What to set first", "", *first(name), ""]
+    lines += ["## Settings for a first training", "", *first(name), ""]
     lines += ["## Accuracy", "", *_left_out(accuracy(name)), ""]
     lines += ["## Baselines", "", f"![Tip error and torques of {name}]({name}.png)", "", *baselines(name, runs), ""]
     lines += ["## Conditions", "", *_conditions(name)]
@@ -84,8 +84,8 @@ def _head(name: str) -> list[str]:
         f'env = gym.make("{name}")',
         "```",
         "",
-        f"Task `{type(named.task).__name__}`, {named.control_period:g} s a control period, {named.horizon:g} s an "
-        "episode.",
+        f"Task `{type(named.task).__name__}`, control period {named.control_period:g} s, "
+        f"episodes of {named.horizon:g} s.",
     ]
 
 
@@ -150,8 +150,8 @@ def baselines(name: str, runs: dict[str | None, Rollout]) -> list[str]:
     shown = [METRICS[figure] for figure in (*own, "failed")]
     rows = [(BASES[base], *(_cell(figure, each) for figure in shown)) for base, each in runs.items()]
     return [
-        f"{len(SEEDS)} test episodes (seeds {SEEDS[0]} to {SEEDS[-1]}). The LQR knows the arm and its whole state; the "
-        f"PD sees its motors. {_ends(name) if own == SLEW else MOVING}",
+        f"{len(SEEDS)} test episodes (seeds {SEEDS[0]} to {SEEDS[-1]}). The LQR is given the parameters and the full "
+        f"state of the arm, the PD only its motors. {_ends(name) if own == SLEW else MOVING}",
         "",
         *markdown_table(("", *(metric.header for metric in shown)), rows),
     ]
@@ -182,26 +182,26 @@ def _left_out(each: Accuracy) -> list[str]:
         for text, far in (("finer steps", each.steps), ("finer steps and model", each.model))
     ]
     return [
-        f"{MOTIONS} arms move for {DURATION:g} s under random torques of up to half the limits. The finer steps are "
-        f"{FINER} times as many. The finer model has all coordinates and foreshortening. The largest distance of the "
-        "tip from the tip of the default:",
+        f"{MOTIONS} arms are driven for {DURATION:g} s by random torques of up to half the limits. The default model "
+        f"is compared with {FINER} times as many steps, and with a finer model that also has all coordinates and "
+        "foreshortening. The largest distances of the tip are:",
         "",
-        *markdown_table(("", "half of the arms", "worst"), rows),
+        *markdown_table(("", "median", "largest"), rows),
         "",
-        *markdown_table(("", "times that of the default"), [(STEP, f"{each.cost:.2g}")]),
+        *markdown_table(("", "relative to the default"), [(STEP, f"{each.cost:.2g}")]),
     ]
 
 
 def _conditions(name: str) -> list[str]:
     folder = NAMED_ENVIRONMENTS[name].conditions
     if not folder:
-        return ["There are none for this arm."]
-    rows = [(f"`{NOMINAL}`", "The environment as it is.")]
+        return ["This environment has no conditions."]
+    rows = [(f"`{NOMINAL}`", "The environment without changes.")]
     for each in CONDITIONS[1:]:
         said = (CONDITION_FOLDER / folder / f"{each}.yaml").read_text(encoding="utf-8").splitlines()[0]
         rows.append((f"`{each}`", said.removeprefix("# ")))
     return [
-        f'`gym.make("{name}", condition="unknown")`, and `{name}/unknown` where a command takes an environment:',
+        f'`gym.make("{name}", condition="unknown")`, and `{name}/unknown` as the environment of a command:',
         "",
         *markdown_table(("", ""), rows),
     ]

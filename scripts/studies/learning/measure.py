@@ -85,17 +85,20 @@ class _Without:
 ABLATIONS = {
     "hold": _Without(
         "the held action",
-        "a new action in every control period; discount and lambda the same for a second, steps for the same CPU time",
+        "a new action in every control period; equal time scales of discount and lambda, steps for equal CPU time",
         {"action_repeat": 1},
         {"n_steps": 60, "gamma": 0.99, "gae_lambda": 0.98},
         steps=1_600_000,
     ),
     "rate": _Without(
-        "the schedule of the learning rate", "the rate of the start throughout",
+        "the schedule of the learning rate", "the initial rate throughout",
         schedules={"learning_rate": {"start": 0.001, "end": 0.001}},
     ),
-    "reward": _Without("the reward with slope at every scale", "the reward of bells", {"task": {"kind": "slew"}}),
-    "discount": _Without("the short horizon", "a discount of 0.99 an action", hyperparameters={"gamma": 0.99}),
+    "reward": _Without(
+        "the sloped reward (gradient at every scale)", "the default reward (sum of bell curves)",
+        {"task": {"kind": "slew"}},
+    ),
+    "discount": _Without("the short horizon", "a discount of 0.99 per action", hyperparameters={"gamma": 0.99}),
 }  # fmt: skip
 
 

@@ -1,13 +1,16 @@
 """Model of an arm in Exudyn: a floating frame of reference for every flexible link, the model class of the paper.
+
 A link is an `ObjectFFRFreducedOrder`. Its "mesh" consists of the mass points of our beam elements and its modes are
 the shapes of their node coordinates, so that mass, rotary inertia and stiffness equal ours. The frame is located at
 the joint. Four additional massless points on the section at the tip are the mesh nodes of a `MarkerSuperElementRigid`,
 which provides the rotation of the tip by the exponential map. Rotations are Euler parameters: with Tait-Bryan angles
 (`NodeRigidBodyRxyz`) the same model converges to a different motion, 9 mm away after half a second.
+
 A motor is a scalar inertia connected by a spring (Eq. 23 of the paper), which requires the joint angle as a coordinate.
 Exudyn measures joint angles between rigid bodies only (`MarkerBodiesRelativeRotationCoordinate`). Therefore a massless
 body is attached to every tip, and another shares its node with the frame of the next link. The model runs compiled,
 without user functions.
+
 For links that bend out of one plane the converged tip differs from ours by a few millimetres, since the angular
 velocity of the marker is not exactly the rate of its rotation; in planar motion both agree.
 """
@@ -49,7 +52,7 @@ class System:
     def __init__(self, arm: fm.Arm, torque: Vector, elements: int = ELEMENTS) -> None:
         if arm.payload is not None or any(joint.stiffness is None for joint in arm.joints):
             raise ValueError(
-                "arm: a payload or rigid joints are not allowed; give an arm without payload and with springs in all joints"
+                "arm: a payload and rigid joints are not allowed; give springs in all joints and no payload"
             )
         self.container = exudyn.SystemContainer()
         self.main = self.container.AddSystem()
@@ -137,6 +140,7 @@ def _along(axis: Array) -> Array:
 
 def settings(scene: fm.Scene, step: float, method: str, tolerance: float = LOOSE) -> Any:
     """Return `SimulationSettings` of a fixed-step run (step in s) without file output.
+
     The default settings of Exudyn are the generalised-alpha method with a spectral radius of 0.9, modified Newton
     iterations with a tolerance of 1e-8, and its own dense solver. The fastest settings for this arm, among tolerances
     from 1e-2 to 1e-8, solvers, full Newton iterations and other spectral radii, change the tolerance to 1e-3 and the

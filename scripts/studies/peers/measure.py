@@ -92,8 +92,8 @@ def with_rigid_joints(scene: fm.Scene) -> fm.Scene:
 
 ROUNDS = 3
 FINE = [f"{mesh}, foreshortening" for mesh in ("1, 2 and 2 elements", "2 elements a link", "3 elements a link")]
-# Loaded modes after backward elimination: in turn the mode with the smallest effect on the tip in this scene is removed;
-# all removed modes together move the tip by 1.0 mm. Link 1 keeps all modes but the axial one, link 2 four bending modes
+# Loaded modes after backward elimination, which removes the mode with the smallest effect on the tip in this scene; all
+# removed modes together move the tip by 1.0 mm. Link 1 keeps all modes but the axial one, link 2 four bending modes
 # along each axis and two torsional modes, link 3 two bending modes along each axis and the first axial mode.
 CUT, CUT_MESH = "20 modes of 1, 3 and 3 elements, foreshortening", (1, 3, 3)
 CUT_MODES = ((0, 1, 2, 3, 4), (0, 1, 2, 3, 4, 5, 6, 7, 8, 14), (0, 1, 2, 3, 9))

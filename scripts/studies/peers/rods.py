@@ -1,4 +1,5 @@
 """Model of an arm of MuJoCo rods: every link is a 1-D flex that bends, twists and stretches.
+
 A rod connects the body of its joint to a free body at its tip, which carries the next joint. Each of the two has the
 mass of half a piece and clamps a very short edge. Points have no rotary inertia, so both bodies carry that of the
 pieces between them. The twist of an edge is a separate hinge. A round section with our second moment of area and a

@@ -15,8 +15,8 @@ and {survived_count} survive. A test suite is only useful if it fails when the c
 error. It rewrites this page and its rows ([planted.csv](planted.csv)); `--part` and `--only` select errors and keep the
 other rows. The errors are defined in `scripts/studies/planted/errors`.
 
-An error is *caught* if a test fails. It is *equivalent* if no input reveals it; the table gives the reason. A *surviving*
-error needs another test.
+An error is *caught* if a test fails. It is *equivalent* if no input reveals it; the table gives the reason. A
+*surviving* error needs another test.
 
 {counts}
 

@@ -37,20 +37,21 @@ COUNTS = (4, 7, 9)  # modes per link in the table of total errors
 WINNERS = "The cheapest method within each time error, and its CPU ms per simulated second:"
 WINNER = "{method}: {cost:.3g}"
 RATIOS = (
-    "The cost of `ros2` over that of each extrapolation within a time error of {error:.0e} m. "
-    "There is no ratio where one of the two has no run within that error."
+    "The cost of `ros2` divided by that of each extrapolation at a time error of {error:.0e} m. "
+    "There is no ratio if one of the two has no run within this error."
 )
 INSTABILITY = (
     "An extrapolation amplifies an undamped vibration in a band of omega h, its angular frequency times the step. "
-    "At long steps only slow modes are in that band, and steps are few. At short steps stiff modes are in it. "
-    "So a finer step can do harm on an arm without damping: {count} combinations of scene, model and method show it. "
-    "The table has an example for each method, beside the largest growth factor of one step."
+    "At long steps this band contains only slow modes, and the number of steps is small. At short steps it contains "
+    "stiff modes. Therefore a finer step can increase the error of an arm without damping, as in {count} combinations "
+    "of scene, model and method. The table has an example of each method and the largest growth factor of one step."
 )
 INSTABILITY_HEADS = ("method", "largest factor", "at omega h", "scene", "model", "time error", "with a finer step")
 SETBACK = "{error} at {setting}"
 MODES = (
-    "A model keeps the modes of lowest frequency of each link, found at zero joint angles. There link 3 does not load "
-    "the torsion of link 2, which it continues. So the mode of this torsion comes late. Smallest total errors, mm:"
+    "A model contains the modes of lowest frequency of each link, computed at zero joint angles. In this posture link "
+    "3 is aligned with link 2 and does not load its torsion, so that the torsional mode has a high frequency and is "
+    "omitted at first. Smallest total errors, mm:"
 )
 
 
@@ -129,22 +130,23 @@ def _metres(row: PrecisionRow) -> str:
 
 
 SAYS = (
-    "Error against computing time, for every method and model on four scenes. No method is the cheapest "
-    "everywhere: where accuracy counts it is mostly one of Gauss's or an extrapolation. A model with a few of the "
-    "lowest modes stays inaccurate however short its steps are. Extrapolations make undamped vibrations grow, so "
-    "a shorter step can do harm. Choose by a scene that is like yours."
+    "This page compares error and computing time of every method and model on four scenes. No method is the cheapest "
+    "in all cases; for high accuracy it is mostly a Gauss method or an extrapolation. A model with a few of the "
+    "lowest modes stays inaccurate at any step. Extrapolations amplify undamped vibrations, so that a shorter step "
+    "can increase the error. Choose by a scene that is similar to yours."
 )
 HEAD = (
-    "Every row of `work_precision.csv` is one run. `python scripts/work_precision.py --folder docs` writes all of this "
-    "anew."
+    "Every row of `work_precision.csv` is one run. `python scripts/work_precision.py --folder docs` rewrites the "
+    "rows, the charts and this page."
 )
 COMPUTER = "Computed with {computer}, one core."
 EXPLANATION = (
-    "The error of a run is the largest distance of its tip from a reference. For the *time error* the reference is the "
-    "converged solution of the same model, so the method alone causes it. For the *total error* the reference is the "
-    "truth of the scene, so model and method cause it together. The cost is CPU time per simulated second: the best of "
-    "a few repeats, without compilation. In a chart a broad pale line is the Pareto front: no other run is both "
-    "cheaper and more accurate. A dashed line is the error of the reference itself, its floor."
+    "The error of a run is the largest distance of its tip from a reference. The reference of the *time error* is the "
+    "converged solution of the same model, so that only the method contributes. The reference of the *total error* is "
+    "an independent or finest solution of the scene, so that model and method contribute. The cost is CPU time per "
+    "simulated second: the best of a few repetitions, without compilation. The broad pale line in a chart is the "
+    "Pareto front: no other run is both cheaper and more accurate. The dashed line is the error of the reference "
+    "itself, its floor."
 )
 FLOORS = "The references and their floors:"
 FLOOR_HEADS = ("error", "reference", "floor, m")

@@ -49,7 +49,7 @@ KEPT, IN_PERIODS, FREQUENCY = "amplitude kept", "amplitude kept, in control peri
 NATURAL = "natural frequency, Hz"
 DAMPING_STEPS = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)
 DAMPING_TIME = 10.0  # s
-GENERALISED = "generalised_alpha"  # restarts with the acceleration of the model, unlike one-step methods
+GENERALISED = "generalised_alpha"  # has an auxiliary acceleration, unlike one-step methods
 CUT = (2, 4, 4)  # modes per link; without the torsional mode of link 1 all frequencies are below 136 Hz
 
 
@@ -59,9 +59,9 @@ def damping_rows(
     """Yield amplitude and frequency of small vibrations of the straight arm in modes 1, 2 and 3 after 10 s.
 
     The expected values are those of the amplification factor of the method. Each run is uninterrupted; separate rows
-    hold the generalised-alpha method in a Simulator, which restarts it at every control period. The study is "damping
-    1" or "damping 10" by the rotor inertia (kg m^2), the parameter the mode. The natural frequency of each mode comes
-    first. `names` defaults to all fixed-step methods.
+    hold the generalised-alpha method in a Simulator, which carries its acceleration over control periods. The study is
+    "damping 1" or "damping 10" by the rotor inertia (kg m^2), the parameter the mode. The natural frequency of each
+    mode comes first. `names` defaults to all fixed-step methods.
     """
     model = build_model(catalog.paper_rrr(rotor_inertia=rotor_inertia), 2, CUT)
     omegas, shapes = natural_modes(model)

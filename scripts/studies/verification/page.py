@@ -8,8 +8,8 @@ from flexman_gym.verification.table import COLUMNS, RULE, VerificationRow, summa
 
 PAGE = """# Verification
 
-{summary} What is known from elsewhere stands beside what this package computes: closed forms, published values and
-independent codes. A row that fails makes `make verify` fail, which writes this page anew.
+{summary} Results of this package are compared with closed forms, published values and independent codes. `make verify`
+rewrites this page and fails if a row fails.
 
 {rule}
 
