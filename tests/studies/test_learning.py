@@ -1,4 +1,4 @@
-"""Learning study: cases, kept runs and published rows."""
+"""Tests of the learning study: cases, stored runs, published rows."""
 
 from dataclasses import replace
 
@@ -50,7 +50,7 @@ def test_every_recipe_is_judged():
 
 
 def differences(first, second):
-    """Names of settings, and of entries of their mappings, that differ."""
+    """Return the names of settings, and of entries of their mappings, that differ."""
     result = set()
     for name, value in first.plain().items():
         other = second.plain()[name]

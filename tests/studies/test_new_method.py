@@ -1,4 +1,4 @@
-"""New methods: one more entry of `METHODS` is in every grid, table and chart of the studies, with a look of its own."""
+"""Tests of a new entry of `METHODS`: it is in every grid, table and chart of the studies, with its own line style."""
 
 from dataclasses import replace
 
@@ -17,12 +17,12 @@ RUN = Run("a scene", MODEL, NEW, None, None, 1.0, 1.0, 100.0, 1e-6, 1e-2, "ok")
 
 
 def add(monkeypatch, model):
-    """Offers one more method, the same as a model but for its name."""
+    """Add a method that equals an existing one except for its name."""
     monkeypatch.setitem(METHODS, NEW, replace(METHODS[model], name=NEW))
 
 
 def runs(monkeypatch):
-    """The rows of the full grid on one model, of which none is computed."""
+    """Return the rows of the full grid of one model without computing them."""
 
     def ladder(study, model, method, settings, patience, adaptive=False):
         for setting in settings:

@@ -1,4 +1,4 @@
-"""Peers: the arms that other codes simulate are ours: mass, place of the tip, frequencies, motion."""
+"""Tests of the arms in other simulators against ours: mass, tip position, frequencies, motion."""
 
 import importlib
 from dataclasses import replace
@@ -45,7 +45,7 @@ def pinocchio_peer():
 
 
 def short(arm, duration=0.2):
-    """The paper's scene with another arm and duration, s."""
+    """Return the paper's scene with another arm and duration (s)."""
     n = len(arm.links)
     model = fm.ModelChoice((True,) * n, (2,) * n)
     initial = fm.Initial((0.0,) * n, (0.0,) * n)
@@ -54,7 +54,7 @@ def short(arm, duration=0.2):
 
 
 def ours(scene, step=1e-4, **choice):
-    """The tip of our model in a scene, (T, 3) m."""
+    """Return the tip (T, 3) of our model in a scene."""
     return fm.simulate(scene, fm.build_model(scene.arm, **choice), "implicit_midpoint", step=step).tip
 
 

@@ -1,4 +1,4 @@
-"""Precision study: rows of the quick grid, and the Pareto front."""
+"""Tests of the precision study: rows of the quick grid, Pareto front."""
 
 import math
 from collections import defaultdict
@@ -39,7 +39,7 @@ NUMBERS = st.floats(min_value=1e-6, max_value=1e6) | st.just(math.inf)
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Folder with the rows of the quick study."""
+    """Return a folder with the rows of the quick study."""
     result = tmp_path_factory.mktemp("study")
     precision.compute(REFERENCE, result, quick=True)
     return result
@@ -83,7 +83,7 @@ def test_the_truth_is_better_than_the_rows_that_it_judges(rows, floors):
 
 
 def test_the_error_of_the_model_is_what_the_methods_do_not_explain(rows):
-    """Total and time error differ by the distance between two truths, which is the same for every run of a model."""
+    """Total and time error differ by the distance of two reference solutions, equal for all runs of a model."""
     for model in {row.model for row in rows}:
         mine = [row for row in rows if row.model == model]
         limit = min(mine, key=lambda row: row.time_error).total_error

@@ -1,4 +1,4 @@
-"""Ring-down study: cases, errors and rows."""
+"""Tests of the ring-down study: cases, errors, rows."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Rods: MuJoCo's 1-D flexes are the links of our arm: mass, inertia, frequency of a beam, motion."""
+"""Tests of MuJoCo's 1-D flexes against our links: mass, inertia, beam frequency, motion."""
 
 import importlib
 from dataclasses import replace
@@ -32,7 +32,7 @@ def rods(mujoco_peer):
 
 
 def with_rods(mujoco, mujoco_peer, rods, arm, length):
-    """MuJoCo's model of an arm of rods in pieces of a length (m), and its data."""
+    """Return the MuJoCo model of an arm of rods in pieces of a length (m), and its data."""
     model = mujoco.MjModel.from_xml_string(to_mjcf(arm, 0, "Euler", 2e-5, partial(rods.rod, length)))
     return model, mujoco.MjData(model)
 

@@ -185,7 +185,7 @@ NAMES = (
 
 
 def changes(part: str) -> Iterator[Change]:
-    """Return the planted errors of a part, read from its YAML file."""
+    """Yield the planted errors of a part, read from its YAML file."""
     for group in files.read_data(ERRORS / f"{part}.yaml", list):
         tests = tuple(f"tests/{test}" for test in group["tests"])
         for entry in group["errors"]:
