@@ -1,4 +1,4 @@
-// Scene: an arm with its rigid ghost, target, trace, floor and light in three.js.
+// Scene: an arm with its undeformed ghost, target, trace, floor and light in three.js.
 import { BufferAttribute, BufferGeometry, CircleGeometry, Color, CylinderGeometry, DirectionalLight, DoubleSide,
   DynamicDrawUsage, Fog, GridHelper, Group, HemisphereLight, Line, LineBasicMaterial, Mesh, MeshBasicMaterial,
   MeshStandardMaterial, PCFShadowMap, PerspectiveCamera, Scene, ShadowMaterial, SphereGeometry, TorusGeometry, Vector3,
