@@ -1,4 +1,4 @@
-"""Time environments, training, starts and evaluations beside peers: python scripts/benchmark.py --folder docs"""
+"""Benchmark environments, training, start-up and other simulators: python scripts/benchmark.py --folder docs"""
 
 import argparse
 
@@ -13,11 +13,11 @@ PEERS = ("gymnasium", "stable-baselines3", "torch", "mujoco", "pin")
 
 
 def main() -> None:
-    """Read the command line, run everything in turns, and write rows and a page."""
+    """Run all benchmarks in interleaved rounds and write the rows and the page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a few steps of each, which compile nothing anew")
-    parser.add_argument("--redraw", action="store_true", help="only write about the rows of an earlier run")
-    parser.add_argument("--folder", type=folder, default="out", help="where rows and page go")
+    parser.add_argument("--quick", action="store_true", help="run a few steps of each benchmark")
+    parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
+    parser.add_argument("--folder", type=folder, default="out", help="output folder of rows and page")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     file = options.folder / "benchmark.csv"

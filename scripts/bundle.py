@@ -1,4 +1,4 @@
-"""Bundle the replay page: builds it from `scripts/web` with three.js and uPlot into the folder draw, or compares."""
+"""Build the replay page from `scripts/web` with three.js and uPlot into flexman_gym/draw, or check the built files."""
 
 import argparse
 import subprocess
@@ -12,9 +12,11 @@ FILES = ("replay.js", "replay.css")
 
 
 def main() -> int:
-    """Read the command line, build, and write or compare; return the exit code."""
+    """Build the bundle and write or compare it; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing; tell what differs")
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing; list the files that differ from a new build"
+    )
     options = parser.parse_args()
     if not (WEB / "node_modules").is_dir():
         subprocess.run(["npm", "ci", "--no-audit", "--no-fund"], cwd=WEB, check=True)
@@ -25,12 +27,12 @@ def main() -> int:
             (DRAW / name).write_bytes(content)
         return 0
     different = [name for name, content in built.items() if (DRAW / name).read_bytes() != content]
-    print(f"different: {', '.join(different)}" if different else "as its sources say")
+    print(f"different: {', '.join(different)}" if different else "up to date")
     return int(bool(different))
 
 
 def build(folder: Path) -> dict[str, bytes]:
-    """Return the files of the bundle, name -> content, with the licences of their parts."""
+    """Return the files of the bundle, name -> content, including the licences of the bundled libraries."""
     command = ["node_modules/.bin/esbuild", "main.js", "--bundle", "--minify", "--legal-comments=eof", "--charset=utf8",
                "--log-level=warning", f"--outfile={folder / FILES[0]}"]  # fmt: skip
     subprocess.run(command, cwd=WEB, check=True)

@@ -1,25 +1,25 @@
-"""Compare controllers on the arm that nobody knows: python scripts/control.py --folder docs"""
+"""Compare controllers of an arm with uncertain parameters: python scripts/control.py --folder docs"""
 
 import argparse
 
-from studies.control.cases import CASES, ControlRow, played
+from studies.control.cases import CASES, ControlRow, run_case
 from studies.control.page import page
 from studies.files import folder, read_rows, write_rows
 
 
 def main() -> None:
-    """Read the command line, run the missing episodes and write table and page."""
+    """Run the selected cases and write table and page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--episodes", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=9000, help="of the first episode")
-    parser.add_argument("--only", help="cases whose names begin so")
-    parser.add_argument("--folder", type=folder, default="out/control", help="where table and page go")
+    parser.add_argument("--episodes", type=int, default=100, help="episodes per case")
+    parser.add_argument("--seed", type=int, default=9000, help="seed of the first episode")
+    parser.add_argument("--only", help="prefix of the names of the cases to run")
+    parser.add_argument("--folder", type=folder, default="out/control", help="output folder of table and page")
     options = parser.parse_args()
     path = options.folder / "control.csv"
     rows = {row.case: row for row in read_rows(path, ControlRow)} if path.exists() else {}
     for case in CASES:
         if not options.only or case.name.startswith(options.only):
-            row = rows[case.name] = played(case, options.episodes, options.seed)
+            row = rows[case.name] = run_case(case, options.episodes, options.seed)
             print(row, flush=True)
             write_rows([rows[each.name] for each in CASES if each.name in rows], path)
     (options.folder / "control.md").write_text(page([rows[case.name] for case in CASES if case.name in rows]))

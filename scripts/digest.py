@@ -1,4 +1,4 @@
-"""Print a digest of results, bit for bit, to compare two versions: python scripts/digest.py [folder of the other]"""
+"""Print hashes of simulation results to compare two versions bit by bit: python scripts/digest.py [other checkout]"""
 
 import hashlib
 import os
@@ -14,15 +14,15 @@ MODES = ((0, 1, 2, 3, 4, 6), (0, 1, 2, 3, 4, 5, 8), (0, 1, 2))
 FIDELITY: dict[str, Any] = {"modes": MODES, "method": "ros2", "step": 0.005}
 
 
-def taken(digest: Any, value: Any) -> None:
-    """Add a value to a digest: arrays and numbers by their bits, dicts by sorted keys, texts as they are."""
+def update(digest: Any, value: Any) -> None:
+    """Add a value to a digest: arrays and numbers by their bits, dicts by sorted keys, strings as they are."""
     if isinstance(value, dict):
         for key in sorted(value):
             digest.update(key.encode())
-            taken(digest, value[key])
+            update(digest, value[key])
     elif isinstance(value, tuple | list) or (isinstance(value, np.ndarray) and value.dtype == object):
         for item in value:
-            taken(digest, item)
+            update(digest, item)
     elif isinstance(value, str) or value is None:
         digest.update(str(value).encode())
     else:
@@ -30,37 +30,37 @@ def taken(digest: Any, value: Any) -> None:
 
 
 def single(seed: int) -> str:
-    """Episodes of one environment."""
+    """Return the digest of 1000 random steps of a single environment."""
     import gymnasium as gym
 
     import flexman_gym  # noqa: F401  registers the environments
 
     env, digest, random = gym.make("FlexRRR-v0", **FIDELITY), hashlib.sha256(), np.random.default_rng(seed)
-    taken(digest, env.reset(seed=seed))
+    update(digest, env.reset(seed=seed))
     for _ in range(STEPS):
         outcome = env.step(random.uniform(-1.0, 1.0, 3).astype(np.float32))
-        taken(digest, outcome)
+        update(digest, outcome)
         if outcome[2] or outcome[3]:
-            taken(digest, env.reset())
+            update(digest, env.reset())
     return digest.hexdigest()
 
 
 def vector(arms: int, seed: int, mode: str) -> str:
-    """Step of a vector environment."""
+    """Return the digest of 1000 random steps of a vector environment."""
     import gymnasium as gym
 
     import flexman_gym  # noqa: F401  registers the environments
 
     env = gym.make_vec("FlexRRR-v0", arms, "vector_entry_point", autoreset_mode=mode, **FIDELITY)
     digest, random = hashlib.sha256(), np.random.default_rng(seed)
-    taken(digest, env.reset(seed=seed))
+    update(digest, env.reset(seed=seed))
     for _ in range(STEPS):
-        taken(digest, env.step(random.uniform(-1.0, 1.0, (arms, 3)).astype(np.float32)))
+        update(digest, env.step(random.uniform(-1.0, 1.0, (arms, 3)).astype(np.float32)))
     return digest.hexdigest()
 
 
 def trajectory(name: str) -> str:
-    """A second of the paper's arm, everything flexible, or a short one for methods of short steps."""
+    """Return the digest of 0.2 s of the paper's flexible arm, simulated with one method."""
     from dataclasses import replace
 
     import flexman_gym as fm
@@ -68,13 +68,13 @@ def trajectory(name: str) -> str:
     scene = replace(fm.catalog.paper_scene("ff"), duration=0.2)
     step = {"explicit": 2e-5}.get(fm.METHODS[name].kind, None if fm.METHODS[name].kind == "reference" else 0.005)
     digest, result = hashlib.sha256(), fm.simulate(scene, method=name, step=step)
-    taken(digest, {"states": result.states, "tip": result.tip, "energy": result.energy, "work": result.work})
-    taken(digest, {"status": result.status, "evaluations": result.evaluations})
+    update(digest, {"states": result.states, "tip": result.tip, "energy": result.energy, "work": result.work})
+    update(digest, {"status": result.status, "evaluations": result.evaluations})
     return digest.hexdigest()
 
 
 def digests() -> dict[str, str]:
-    """All of them, by what they are of."""
+    """Return all digests by description."""
     import flexman_gym as fm
 
     result = {f"simulate, {name}": trajectory(name) for name in fm.METHODS}
@@ -87,7 +87,7 @@ def digests() -> dict[str, str]:
 
 
 def main() -> int:
-    """Print the digests; with the folder of another version, whether its are the same (1 when one is not)."""
+    """Print the digests, or compare them with another checkout; return 1 if any differ."""
     if len(sys.argv) == 1:
         print("\n".join(f"{value[:16]}  {name}" for name, value in digests().items()))
         return 0
@@ -99,7 +99,7 @@ def main() -> int:
     mine, other = runs
     both = [name for name in mine if name in other]
     different = [name for name in both if mine[name] != other[name]]
-    print(f"{len(both) - len(different)} of {len(both)} digests are the same", *different, sep="\n")
+    print(f"{len(both) - len(different)} of {len(both)} digests are equal", *different, sep="\n")
     return int(bool(different) or not both)
 
 

@@ -1,4 +1,4 @@
-"""Run random steps of many randomised arms and check for NaN and for growing memory."""
+"""Endurance test: random steps of many randomised arms, checked for NaN and growing memory."""
 
 import argparse
 
@@ -9,16 +9,17 @@ from flexman_gym.envs import NAMED_ENVIRONMENTS
 from studies.benchmark.endurance import ALLOWED, SETTLED, alike, all_conditions, endure, publish
 from studies.files import folder
 
-MOST_ALARMS = 0.005  # of the steps
+MOST_ALARMS = 0.005  # allowed share of steps with an energy alarm
 SENSORS = ("full", "lab", ("lab", "accelerometer", "tip"))
-TIGHT = fm.Limits(rate=2.5)  # which arms under random torques break often
-FEW = 8  # arms that are moved alone too
+TIGHT = fm.Limits(rate=2.5)  # rad/s; low joint rate limit that arms under random torques exceed often
+FEW = 8  # arms in the comparison of single and vector environments
 
 
 def every(steps: int, arms: int) -> None:
-    """Print a line for each environment, with all conditions that it has, and each set of sensors.
+    """Test each environment with all of its conditions and each set of sensors, and print one line each.
 
-    It fails with an alarm too many.
+    Raises:
+        SystemExit: if the share of steps with an energy alarm reaches `MOST_ALARMS`.
     """
     for name, named in NAMED_ENVIRONMENTS.items():
         for sensors in SENSORS:
@@ -34,22 +35,26 @@ def every(steps: int, arms: int) -> None:
 
 
 def compare(steps: int) -> None:
-    """Print a line for each autoreset mode: arms alone and at once, with history, hold and all conditions."""
+    """Check for each autoreset mode that single and vector environments agree bit by bit, and print one line each."""
     settings = all_conditions("FlexRRR-v0") | {"history": 4, "action_repeat": 3, "limits": TIGHT}
     for mode in AutoresetMode:
         count = steps // len(AutoresetMode)
         failures = alike("FlexRRR-v0", count, FEW, mode, **settings)
-        print(f"{mode.value}: {count:,} steps alike to the bit, {failures:,} failures", flush=True)
+        print(f"{mode.value}: {count:,} steps equal bit by bit, {failures:,} failures", flush=True)
 
 
 def main() -> None:
-    """Read the command line, run, and write the section; fail if memory grows."""
+    """Run the test and write its section of the benchmark page; fail if memory grows."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--steps", type=int, default=10_000_000, help="of all arms together")
-    parser.add_argument("--arms", type=int, default=256)
-    parser.add_argument("--folder", type=folder, default="out", help="of the page whose section this is")
-    parser.add_argument("--every", action="store_true", help="each environment and set of sensors, all conditions on")
-    parser.add_argument("--alike", action="store_true", help="arms alone and at once, which must have the same bits")
+    parser.add_argument("--steps", type=int, default=10_000_000, help="total number of steps of all arms")
+    parser.add_argument("--arms", type=int, default=256, help="number of arms")
+    parser.add_argument("--folder", type=folder, default="out", help="folder of the benchmark page")
+    parser.add_argument(
+        "--every", action="store_true", help="test each environment and set of sensors with all conditions"
+    )
+    parser.add_argument(
+        "--alike", action="store_true", help="check that single and vector environments agree bit by bit"
+    )
     options = parser.parse_args()
     if options.alike:
         compare(options.steps)

@@ -9,11 +9,11 @@ from studies.files import folder
 
 
 def main() -> None:
-    """Read the command line, run the baselines, draw and write."""
+    """Run the baselines and write page, plot and animation of each environment."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", choices=sorted(NAMED_ENVIRONMENTS), help="one of them")
-    parser.add_argument("--folder", type=folder, default="out/environments", help="where pages and pictures go")
-    parser.add_argument("--text", action="store_true", help="write the pages alone; the pictures stay as they are")
+    parser.add_argument("--only", choices=sorted(NAMED_ENVIRONMENTS), help="write a single environment")
+    parser.add_argument("--folder", type=folder, default="out/environments", help="output folder of pages and plots")
+    parser.add_argument("--text", action="store_true", help="write the pages and keep the existing plots")
     options = parser.parse_args()
     for name in [options.only] if options.only else NAMED_ENVIRONMENTS:
         runs = {base: run(name, base) for base in BASES}

@@ -1,4 +1,4 @@
-"""Kills, starves and crowds training runs, and writes what they survive: python scripts/faults.py --folder docs"""
+"""Test the fault tolerance of training runs and write its page: python scripts/faults.py --folder docs"""
 
 import argparse
 import sys
@@ -10,12 +10,14 @@ from studies.files import folder
 
 
 def main() -> int:
-    """Read the command line, try the faults and write the page; return 1 if a run loses its results."""
+    """Try all faults and write the page; return 1 if a run loses its results."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--folder", type=folder, default="docs", help="where the page goes")
-    parser.add_argument("--kills", type=int, nargs=2, default=(30, 15), help="inside saving and at any time, of each")
+    parser.add_argument("--folder", type=folder, default="docs", help="output folder of the page")
     parser.add_argument(
-        "--small", type=Path, help="an empty file system of some MB, to be filled; without it that is left out"
+        "--kills", type=int, nargs=2, default=(30, 15), help="kills per algorithm during saving and at random times"
+    )
+    parser.add_argument(
+        "--small", type=Path, help="empty file system of a few MB for the test of a full disk; default: skip this test"
     )
     options = parser.parse_args()
     result = []

@@ -1,4 +1,4 @@
-"""Evaluate the choices of `choose_model`: are they right, do they know their errors, and are they cheap?"""
+"""Evaluate the accuracy, error estimates and cost of the models chosen by `choose_model`."""
 
 import argparse
 from pathlib import Path
@@ -13,12 +13,12 @@ DIGITS = 9
 
 
 def main() -> None:
-    """Read the command line, measure, and write rows and page."""
+    """Run the study and write rows and page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--redraw", action="store_true", help="only write about the rows of an earlier run")
-    parser.add_argument("--kept", type=Path, help="folder for cells that are done, from which a killed study goes on")
+    parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
+    parser.add_argument("--kept", type=Path, help="folder of finished cells, from which an interrupted study resumes")
     Workers.arguments(parser)
-    parser.add_argument("folder", nargs="?", type=folder, default="docs", help="where rows and page go")
+    parser.add_argument("folder", nargs="?", type=folder, default="docs", help="output folder of rows and page")
     options = parser.parse_args()
     files = {file: make() for file, make in SCENES.items()}
     for file, cases in files.items() if not options.redraw else ():

@@ -1,4 +1,4 @@
-"""Draw the letters of frames into `flexman_gym/draw/glyphs.npz`, from DejaVu Sans (a free font, in Matplotlib)."""
+"""Render the letters for video frames into `flexman_gym/draw/glyphs.npz`, from Matplotlib's DejaVu Sans (free font)."""
 
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ FONT = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
 
 
 def main() -> None:
-    """Write the coverage (0 to 255) of all letters of a size side by side, and where each one begins."""
+    """Write the coverage (0 to 255) of all letters of each font size side by side, and their start columns."""
     data: dict[str, Any] = {"letters": np.array([ord(letter) for letter in LETTERS])}
     for size in FONT_SIZES:
         font = ImageFont.truetype(str(FONT), size)

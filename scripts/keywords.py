@@ -1,4 +1,4 @@
-"""Write the pages of the keywords of environments and of renamed names: python scripts/keywords.py --folder docs"""
+"""Write the reference page of environment keywords and the migration page: python scripts/keywords.py --folder docs"""
 
 import argparse
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ of a league. `python scripts/keywords.py --folder docs` writes this page from `f
 
 
 def keywords_page() -> str:
-    """Return the page of the keywords, in Markdown."""
+    """Return the reference page of environment keywords as Markdown."""
     rows = [
         [f"`{name}`", each.unit, "of the named environment" if each.named else f"`{each.default!r}`", each.help]
         for name, each in SETTINGS.items()
@@ -38,7 +38,7 @@ def keywords_page() -> str:
 
 
 def migration_page() -> str:
-    """Return the page of renamed names, in Markdown."""
+    """Return the page of renamed names as Markdown."""
     keywords = {old: name for name, each in SETTINGS.items() for old in each.deprecated}
     ranges = {key: name for name, key in ((name, key) for key, name in UNCERTAIN.items()) if key != name}
     sections: Mapping[str, tuple[str, Mapping[str, Mapping[str, str]]]] = {
@@ -68,9 +68,9 @@ def migration_page() -> str:
 
 
 def main() -> None:
-    """Write the pages."""
+    """Write both pages."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--folder", type=folder, default="out", help="folder of the pages")
+    parser.add_argument("--folder", type=folder, default="out", help="output folder of the pages")
     target: Path = parser.parse_args().folder
     (target / KEYWORDS_PAGE).parent.mkdir(parents=True, exist_ok=True)
     (target / KEYWORDS_PAGE).write_text(keywords_page(), encoding="utf-8")

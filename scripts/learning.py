@@ -1,4 +1,4 @@
-"""Train the recipes and judges them: what they reach, and what each of their means contributes."""
+"""Train and evaluate the recipes, and ablate the settings of one."""
 
 import argparse
 import sys
@@ -15,25 +15,25 @@ from studies.learning.measure import (
     cases,
     controllers,
     pictures,
-    place,
     points,
+    run_folder,
     runs,
     tasks,
 )
 from studies.learning.page import page
 
-ALONE = {"controllers": controllers, "tasks": tasks}  # rows that no training precedes
+ALONE = {"controllers": controllers, "tasks": tasks}  # cases without training
 CURVES = "learning_curves.csv"
 
 
 def main() -> int:
-    """Read the command line, train, evaluate, and write rows and page; return the exit code."""
+    """Train and evaluate the selected cases and write rows and page; return the exit code."""
     known = {f"{case.kind}/{case.name}": case for case in cases()}
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("case", nargs="*", help=f"some of {', '.join([*ALONE, *known])}; without it all")
-    parser.add_argument("--redraw", action="store_true", help="only write about the rows of an earlier run")
-    parser.add_argument("--runs", type=folder, default="runs/learning", help="where the runs are kept")
-    parser.add_argument("--folder", type=folder, default="docs", help="where rows and page go")
+    parser.add_argument("case", nargs="*", help=f"cases to run, from {', '.join([*ALONE, *known])}; default: all")
+    parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
+    parser.add_argument("--runs", type=folder, default="runs/learning", help="folder of the training runs")
+    parser.add_argument("--folder", type=folder, default="docs", help="output folder of rows and page")
     Workers.arguments(parser)
     options = parser.parse_args()
     if unknown := sorted(set(options.case) - {*ALONE, *known}):
@@ -57,12 +57,12 @@ def main() -> int:
 
 
 def _curves(case: LearningCase, folder: Path) -> list[Point]:
-    """Return the learning curves of the runs of a recipe."""
-    return [point for seed in range(case.seeds) for point in points(case.name, seed, place(case, folder, seed))]
+    """Return the learning curves of all seeds of a recipe."""
+    return [point for seed in range(case.seeds) for point in points(case.name, seed, run_folder(case, folder, seed))]
 
 
 def _keep(result: Sequence[LearningRow] | Sequence[Point], file: Path) -> None:
-    """Write rows beside those of other cases that are there already."""
+    """Write rows to a file and keep its rows of other cases."""
     own, kind = {_case(row) for row in result}, type(result[0])
     others = [row for row in read_rows(file, kind) if _case(row) not in own] if file.exists() else []
     write_rows([*others, *result], file, comment=computer_text(("stable-baselines3", "torch")))

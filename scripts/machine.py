@@ -10,23 +10,31 @@ from studies.machine.page import draw, page
 
 
 def main() -> None:
-    """Read the command line, fit, and write rows, pictures and a page."""
+    """Fit the model to the measurements and write rows, plots and page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=DATA, help="folder of the runs, such as lqg_10deg.csv")
-    parser.add_argument("--stages", type=Path, help="a record of both stages; two_stages.csv of the data without one")
-    parser.add_argument("--folder", type=folder, default="out", help="where rows, pictures and page go")
     parser.add_argument(
-        "--made-up", type=int, metavar="DRAWS", help="only fits to so many noisy draws of 30 made-up arms"
+        "--data", type=Path, default=DATA, help="folder of the single-stage runs, for example lqg_10deg.csv"
+    )
+    parser.add_argument("--stages", type=Path, help="record of both stages; default: two_stages.csv in the data folder")
+    parser.add_argument("--folder", type=folder, default="out", help="output folder of rows, plots and page")
+    parser.add_argument(
+        "--made-up",
+        type=int,
+        metavar="DRAWS",
+        help="only fit this number of noisy records of each of 30 random simulated arms",
     )
     options = parser.parse_args()
     if options.made_up:
         part, known, unknown = coverage(30, options.made_up)
-        print(f"{part:.1%} of {known} numbers are within two deviations of the truth; {unknown} are told to be unknown")
+        print(
+            f"{part:.1%} of {known} estimates are within two standard deviations of the true value; "
+            f"{unknown} are reported as undetermined"
+        )
         return
     rows, lines = stage_1(options.data)
-    more, told = stages(options.stages or options.data / "two_stages.csv")
+    more, record = stages(options.stages or options.data / "two_stages.csv")
     write_rows([*rows, *more], options.folder / "machine.csv", comment=computer_text(("mujoco",)))
-    draw(lines, told, options.folder)
+    draw(lines, record, options.folder)
     text = page([*rows, *more], computer_text(("mujoco",)))
     (options.folder / "machine.md").write_text(text, encoding="utf-8")
     print(text)

@@ -1,4 +1,4 @@
-"""Notebooks: the tutorials as notebooks, each block of Python and each command a cell to run."""
+"""Convert the tutorials to notebooks: each Python block and each command becomes a code cell."""
 
 import argparse
 import json
@@ -26,7 +26,7 @@ def cells(page: str) -> list[tuple[str, str]]:
 
 
 def notebook(page: str) -> dict[str, Any]:
-    """Return a page as a notebook of format 4.5."""
+    """Return a page as a notebook in format 4.5."""
     made: list[dict[str, Any]] = []
     for number, (kind, text) in enumerate(cells(page)):
         own: dict[str, Any] = {"outputs": [], "execution_count": None} if kind == "code" else {}
@@ -37,9 +37,9 @@ def notebook(page: str) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Write the notebooks."""
+    """Write all notebooks."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--folder", type=Path, default=Path("notebooks"))
+    parser.add_argument("--folder", type=Path, default=Path("notebooks"), help="output folder")
     folder = parser.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
     for page in sorted(TUTORIALS.glob("*.md")):

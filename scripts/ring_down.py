@@ -1,4 +1,4 @@
-"""Measure what methods leave of a released vibration: python scripts/ring_down.py --folder docs"""
+"""Measure errors of integration methods on released vibrations: python scripts/ring_down.py --folder docs"""
 
 import argparse
 
@@ -9,11 +9,11 @@ from studies.files import folder, read_comment, read_rows, write_rows
 from studies.ringdown.measure import RingDownRow, errors_of_default, rows
 from studies.ringdown.page import TITLES, draw, page
 
-ARMS, FEW, THEIRS, MANY = 128, 12, 6, 300  # of methods in lanes, of others, of MuJoCo, and of the default
+ARMS, FEW, THEIRS, MANY = 128, 12, 6, 300  # arms per case: batched methods, other methods, MuJoCo, default
 
 
 def compute(quick: bool) -> list[RingDownRow]:
-    """Measure all kinds, or a few arms."""
+    """Return the rows of all kinds of motion; `quick` uses a few arms."""
     arms, few, theirs = (2, 1, 1) if quick else (ARMS, FEW, THEIRS)
     result = [row for kind in TITLES for row in rows(kind, arms, few)]
     try:
@@ -25,12 +25,14 @@ def compute(quick: bool) -> list[RingDownRow]:
 
 
 def main() -> None:
-    """Read the command line, measure, and write rows, a picture and a page."""
+    """Run the study and write rows, plot and page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a few arms")
-    parser.add_argument("--redraw", action="store_true", help="only draw and write about the rows of an earlier run")
-    parser.add_argument("--folder", type=folder, default="out", help="where rows, picture and page go")
-    parser.add_argument("--default", action="store_true", help="only the default method, on many arms")
+    parser.add_argument("--quick", action="store_true", help="run a few arms")
+    parser.add_argument("--redraw", action="store_true", help="draw plot and page from the rows of an earlier run")
+    parser.add_argument("--folder", type=folder, default="out", help="output folder of rows, plot and page")
+    parser.add_argument(
+        "--default", action="store_true", help="measure only the default and similar methods, on many arms"
+    )
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     if options.default:

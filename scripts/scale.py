@@ -1,4 +1,4 @@
-"""Measure what libraries cost beside the environment, and workers beside cells: python scripts/scale.py [NAME ...]"""
+"""Measure the overhead of learning libraries and of worker processes: python scripts/scale.py [NAME ...]"""
 
 import argparse
 import sys
@@ -23,7 +23,7 @@ SETTINGS: dict[str, Any] = {
 
 
 def environment(infos: str = "at end", updates: int = UPDATES) -> float:
-    """Decisions a CPU second of the bare vector environment."""
+    """Return the steps per CPU second of the vector environment alone."""
     env = gym.make_vec("FlexRRR-v0", ARMS, "vector_entry_point", autoreset_mode="SameStep", infos=infos, **SETTINGS)
     env.reset(seed=0)
     still = np.zeros((ARMS, 3), dtype=np.float32)
@@ -35,7 +35,7 @@ def environment(infos: str = "at end", updates: int = UPDATES) -> float:
 
 
 def torchrl() -> float:
-    """The same of TorchRL's collector with a policy of two layers."""
+    """Return the steps per CPU second of TorchRL's collector with a two-layer policy."""
     from torchrl.collectors import Collector
 
     sys.path.insert(0, "docs/examples")
@@ -49,7 +49,7 @@ def torchrl() -> float:
 
 
 def sb3() -> float:
-    """The same of a training with Stable-Baselines3, its learning included."""
+    """Return the steps per CPU second of PPO training with Stable-Baselines3, updates included."""
     from flexman_agents.settings import find_recipe
     from flexman_agents.training import train
 
@@ -61,7 +61,7 @@ def sb3() -> float:
 
 
 def rllib() -> float:
-    """The same with RLlib, whose runner is in this process."""
+    """Return the steps per CPU second of PPO training with RLlib and a local runner, updates included."""
     from ray.rllib.algorithms.ppo import PPO
 
     from flexman_agents import rllib
@@ -86,14 +86,14 @@ def _rate(moments: list[tuple[int, float]]) -> float:
 
 
 def started(number: int) -> float:
-    """CPU seconds of a worker when its first cell begins, which leaves the next one to another worker."""
+    """Return the CPU seconds used by a worker before its first cell, then wait, so that a second worker starts too."""
     result = time.process_time()
     time.sleep(2.0)
     return result
 
 
 def worker() -> float:
-    """CPU seconds that the start of a worker takes, kernels from the disk included."""
+    """Return the CPU seconds of the start of a worker process, including loading cached kernels."""
     return max(parallel_map(started, range(2), Workers(2)))
 
 
@@ -104,9 +104,9 @@ PARTS: dict[str, Callable[[], float]] = {
 
 
 def main() -> None:
-    """Print a line for each part."""
+    """Measure the selected parts and print one line each."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("part", nargs="*", help=f"of {', '.join(PARTS)}; without it all")
+    parser.add_argument("part", nargs="*", help=f"parts to measure, from {', '.join(PARTS)}; default: all")
     for name in parser.parse_args().part or PARTS:
         print(f"{name} {PARTS[name]():.4g}", flush=True)
 

@@ -1,4 +1,4 @@
-"""Measure how much gain servos bear: python scripts/servos.py --folder docs"""
+"""Compute gain limits of joint servos: python scripts/servos.py --folder docs"""
 
 import argparse
 import warnings
@@ -10,14 +10,14 @@ from studies.servos.page import page
 
 
 def main() -> None:
-    """Read the command line, measure, and write rows and a page."""
+    """Run the study and write rows and page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--redraw", action="store_true", help="only write about the rows of an earlier run")
-    parser.add_argument("--folder", type=folder, default="out", help="where rows and page go")
+    parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
+    parser.add_argument("--folder", type=folder, default="out", help="output folder of rows and page")
     options = parser.parse_args()
     file, rubbing = options.folder / "servos.csv", options.folder / "servos_friction.csv"
     if not options.redraw:
-        warnings.filterwarnings("ignore", "actions: a servo", UserWarning)  # which is what is looked for
+        warnings.filterwarnings("ignore", "actions: a servo", UserWarning)  # unstable servos are intended here
         write_rows(list(rows()), file, 6, computer_text())
         write_rows(list(friction_rows()), rubbing, 12, computer_text())
     text = page(read_comment(file), read_rows(file, ServoRow), read_rows(rubbing, FrictionRow))

@@ -1,4 +1,4 @@
-"""Measure where each method fails, and what it damps: python scripts/stability.py --folder docs"""
+"""Measure stability limits and numerical damping of all methods: python scripts/stability.py --folder docs"""
 
 import argparse
 import sys
@@ -17,18 +17,24 @@ DIGITS = 9
 
 
 def main() -> int:
-    """Read the command line, print a summary and write the chosen files."""
-    parser = argparse.ArgumentParser(description="Measure where each method fails, and what it damps.")
-    parser.add_argument("--quick", action="store_true", help="a small grid, less than 30 s once compiled")
-    parser.add_argument("--csv", type=Path, help="file for the rows")
-    parser.add_argument("--folder", type=folder, help="folder for rows, pictures and page: stability.csv, *.png, *.md")
-    parser.add_argument("--rows", type=Path, help="take the rows from this file instead of measuring")
-    parser.add_argument("--kept", type=Path, help="folder for cells that are done, from which a killed study goes on")
+    """Run the study, print a summary and write the requested files."""
+    parser = argparse.ArgumentParser(description="Measure stability limits and numerical damping of all methods.")
+    parser.add_argument(
+        "--quick", action="store_true", help="run a small grid, which takes less than 30 s after compilation"
+    )
+    parser.add_argument("--csv", type=Path, help="output file of the rows")
+    parser.add_argument(
+        "--folder", type=folder, help="output folder of rows, plots and page: stability.csv, *.png, *.md"
+    )
+    parser.add_argument("--rows", type=Path, help="read the rows from this file instead of measuring")
+    parser.add_argument("--kept", type=Path, help="folder of finished cells, from which an interrupted study resumes")
     Workers.arguments(parser)
     options = parser.parse_args()
     if options.quick and options.folder:
-        parser.error("--folder: the page needs all rows; leave --quick out")
-    warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
+        parser.error("--folder: the page needs all rows; omit --quick")
+    warnings.filterwarnings(
+        "ignore", "Link.second_moment_y", UserWarning
+    )  # raised by the printed area of link 1 of the paper
     started = perf_counter()
     result = (
         read_rows(options.rows, StabilityRow)

@@ -11,12 +11,14 @@ from studies.verification.page import markdown_page
 
 
 def main() -> int:
-    """Read the command line, print the table and write its page; return 1 when a row fail."""
+    """Print the verification table and write its page; return 1 if a row fails."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="without the motions that take minutes")
-    parser.add_argument("--folder", type=folder, default="out", help="where the page goes")
+    parser.add_argument("--quick", action="store_true", help="skip the motions that take minutes")
+    parser.add_argument("--folder", type=folder, default="out", help="output folder of the page")
     options = parser.parse_args()
-    warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
+    warnings.filterwarnings(
+        "ignore", "Link.second_moment_y", UserWarning
+    )  # raised by the printed area of link 1 of the paper
     result = rows(REFERENCE, options.quick)
     print(format_table(result))
     (options.folder / "verification.md").write_text(markdown_page(result), encoding="utf-8")

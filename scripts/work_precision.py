@@ -1,4 +1,4 @@
-"""Chart error against cost of all methods and models: python scripts/work_precision.py --folder docs"""
+"""Plot work-precision diagrams of all methods and models: python scripts/work_precision.py --folder docs"""
 
 import argparse
 import warnings
@@ -11,15 +11,17 @@ from studies.verification.motions import REFERENCE
 
 
 def main() -> None:
-    """Read the command line; compute, draw and write."""
+    """Run the study and write rows, plots and page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a small grid of one short scene")
-    parser.add_argument("--redraw", action="store_true", help="only draw and write about the rows of an earlier run")
-    parser.add_argument("--folder", type=folder, default="out", help="where rows, pictures and page go")
-    parser.add_argument("--kept", type=Path, help="folder for cells that are done, from which a killed study goes on")
+    parser.add_argument("--quick", action="store_true", help="run a small grid of one short scene")
+    parser.add_argument("--redraw", action="store_true", help="draw plots and page from the rows of an earlier run")
+    parser.add_argument("--folder", type=folder, default="out", help="output folder of rows, plots and page")
+    parser.add_argument("--kept", type=Path, help="folder of finished cells, from which an interrupted study resumes")
     Workers.arguments(parser)
     options = parser.parse_args()
-    warnings.filterwarnings("ignore", "Link.second_moment_y", UserWarning)  # of the paper's printed area of link 1
+    warnings.filterwarnings(
+        "ignore", "Link.second_moment_y", UserWarning
+    )  # raised by the printed area of link 1 of the paper
     options.folder.mkdir(parents=True, exist_ok=True)
     if not options.redraw:
         compute(REFERENCE, options.folder, options.quick, Workers.of(options), options.kept)

@@ -1,4 +1,4 @@
-"""Fuzz: odd calls and broken files work, or are refused in one clear line; `oracles.fuzz` and `.mutants` have more."""
+"""Fuzz tests: odd calls and defective files work or raise a clear one-line error; see `oracles.fuzz` and `.mutants`."""
 
 import time
 from dataclasses import replace
@@ -24,7 +24,7 @@ CALLS, FILES = 8, 100  # of each target, and in all
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled():
-    """The methods that `choose_model` tries: to compile one takes longer than a call may."""
+    """Compile the methods tried by `choose_model`, since compiling one exceeds the time limit of a call."""
     for method in {*CANDIDATE_METHODS, *MeshSearch.methods}:
         fm.simulate(SCENE, method=method, step=1e-3)
 
@@ -104,7 +104,7 @@ def test_numbers_of_odd_sizes_and_types_are_numbers():
 
 
 def refuse(line):
-    """Refuses with a line."""
+    """Raise a one-line error."""
     raise ValueError(line)
 
 

@@ -1,4 +1,4 @@
-"""Hostile files: devices, pipes and contents without end are refused at once, in one line without their text."""
+"""Tests of hostile files: devices, pipes and endless contents are rejected at once with a one-line error."""
 
 import os
 
@@ -58,7 +58,7 @@ def test_the_folder_of_nothing_is_one_line():
 
 
 def test_no_file_is_open_after_a_refusal(tmp_path):
-    """A thousand refused files must not end a process that reads many."""
+    """A thousand rejected files must not exhaust the file handles of a process."""
     (tmp_path / "a.npz").write_bytes(b"PK" + bytes(100))
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(10):

@@ -1,4 +1,4 @@
-"""Public names: what `fm` has is listed, typed, and explained with units by `help`."""
+"""Tests of public names: `fm` lists them, they are typed, and `help` explains them with units."""
 
 import pydoc
 import subprocess
@@ -16,7 +16,7 @@ from oracles.files import ROOT
 
 
 def told(value):
-    """What `help` prints of a value."""
+    """Return the output of `help` for a value."""
     return " ".join(pydoc.render_doc(value, renderer=pydoc.plaintext).split())
 
 

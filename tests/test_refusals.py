@@ -1,4 +1,4 @@
-"""Refusals: a public function works with what it is given, or says which field, which value and what is allowed."""
+"""Tests of error messages: public functions accept valid arguments, or name field, value and allowed values."""
 
 import re
 import subprocess
@@ -45,12 +45,12 @@ BAD = [*odd_values.BAD, ARM, MODEL, SCENE]
 
 
 def reset(env, **given):
-    """Resets an environment with one option."""
+    """Reset an environment with one option."""
     return env.reset(seed=0, options=given)
 
 
 def given_parameters(env, name, value):
-    """Resets an environment with one physical parameter."""
+    """Reset an environment with one physical parameter."""
     return env.reset(seed=0, options={"parameters": {name: value}})
 
 
@@ -146,24 +146,24 @@ CALLS = {
 
 
 def fresh():
-    """A simulator that has not failed."""
+    """Return a simulator in its initial state."""
     SIMULATOR.reset()
     return SIMULATOR
 
 
 def started():
-    """The vector environment in an episode."""
+    """Return the vector environment in a running episode."""
     MANY.reset(seed=0)
     return MANY
 
 
 def taken_or_said(line):
-    """Whether a value is taken, or refused in a line that says what is wrong."""
+    """Return whether a value is accepted, or rejected with a proper message."""
     return line == "" or odd_values.fits(line)
 
 
 def line_of(call, value):
-    """The line with which a call refuses a value; "" where it takes it."""
+    """Return the error message of a call for a value; "" if accepted."""
     try:
         call(value)
     except ValueError as error:
@@ -217,7 +217,7 @@ def test_a_control_period_has_a_bounded_number_of_steps(made):
 
 
 def test_a_refused_reset_leaves_nothing_behind():
-    """Neither the parameters nor the random numbers of the next episode know of it."""
+    """Check that parameters and random numbers of the next episode are unaffected."""
     bad = [
         {"payload_mass": {}},
         {"payload_mass": -1.0},
@@ -271,7 +271,7 @@ def test_arms_of_extreme_sizes_are_refused_or_have_finite_numbers():
 
 
 def test_offenders_are_what_is_taken_what_is_said_otherwise_and_other_errors():
-    """A rule that lists nothing may see nothing."""
+    """Check that the rule can detect offenders."""
     said = {2: ValueError("no"), 3: KeyError("no"), 4: ValueError("right"), 5: ValueError()}
 
     def call(value):

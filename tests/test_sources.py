@@ -1,4 +1,4 @@
-"""Source files: sizes, private names and packages; rules that neither ruff nor import-linter can state."""
+"""Tests of source files: sizes, private names, packages; rules beyond ruff and import-linter."""
 
 import ast
 import os
@@ -25,7 +25,7 @@ def docstring_lines(function):
 
 
 def flaws(path):
-    """Describe what is too large in a file and which private names of other files it imports."""
+    """Describe oversized parts of a file and private names that it imports from other files."""
     text = path.read_text(encoding="utf-8")
     lines = len(text.splitlines())
     result = [f"{lines} lines"] if lines > MOST_LINES else []

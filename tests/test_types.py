@@ -1,4 +1,4 @@
-"""Types: both packages say that they are typed, and what a person may give is what type checkers accept."""
+"""Tests of types: both packages are typed, and type checkers accept the allowed arguments."""
 
 import runpy
 import tomllib

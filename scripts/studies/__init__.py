@@ -1,1 +1,1 @@
-"""Studies: published evidence about the package, which nothing in it imports."""
+"""Studies that produce the published evidence about the package; the package itself does not import them."""

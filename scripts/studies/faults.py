@@ -1,6 +1,6 @@
-"""Faults: what a training run survives. It is killed, starved of disk and trained in twice, and must lose little.
+"""Fault tolerance of training runs: kills, interrupts, a full disk, and two runs in one folder.
 
-Every row is one kind of fault, tried on real processes that run `flexman train`.
+Each row is one kind of fault, tested on real processes that run `flexman train`.
 """
 
 import random
@@ -34,29 +34,30 @@ RECIPES: dict[str, dict[str, Any]] = {
         "hyperparameters": {"learning_starts": 320, "batch_size": 64, "net_arch": [64, 64], "buffer_size": 50_000},
     },
 }  # fmt: skip
-EVERY = {"ppo": 160, "sac": 64}  # steps between savings, so that much of the time is saving
+EVERY = {"ppo": 160, "sac": 64}  # steps between checkpoints, short so that saving takes much of the time
 HEADS = ("fault", "tried", "survived", "lost")
-PAGE = """# What a run survives
+PAGE = """# Fault tolerance of training runs
 
-Trainings were killed, starved of disk and started twice in one folder. All of them could go on. A run that was killed
-ends with the same bits as one that was not. What a kill costs are the steps since the last saving.
+Training runs were killed, interrupted, run on a full disk and started twice in one folder. All of them could be
+resumed. A run that was killed and resumed ends bitwise equal to an uninterrupted run. A kill costs the steps since the
+last checkpoint.
 
-`python scripts/faults.py` writes this page anew. Each fault is tried on processes that train `FlexOne-v0` with
-payloads, delays and noise that differ from episode to episode, and that save every few rollouts.
+`python scripts/faults.py` rewrites this page. Each fault is tested on processes that train `FlexOne-v0` with randomised
+payloads, delays and noise and write a checkpoint every few rollouts.
 
-A killed run goes on from its newest file. It survives when this file can be read, and when it ends with the same bits
-as a run that was never killed. These are the bits of networks, optimiser, normalisation, memory, generators and arms.
+A killed run is resumed from its newest checkpoint. It survives if this file can be read and the run ends bitwise equal
+to an uninterrupted one in networks, optimiser, normalisation, replay buffer, random generators and arms.
 
 {table}
 
-Damaged, foreign and full folders of compiled kernels, and files that try to run code, are in the tests
+Damaged, foreign and full folders of compiled kernels, and files that attempt to run code, are covered by tests
 (`tests/kernels/test_cache.py`, `tests/common/test_run_folder.py`).
 """
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A row of the table."""
+    """Row of the table: fault, number of trials, survived trials, and losses."""
 
     fault: str
     tried: int
@@ -65,12 +66,12 @@ class Fault:
 
 
 def page(faults: list[Fault]) -> str:
-    """The page as Markdown."""
+    """Return the page as Markdown."""
     return PAGE.format(table="\n".join(markdown_table(HEADS, map(astuple, faults))))
 
 
 def faults(folder: Path, kills: tuple[int, int]) -> Iterator[Fault]:
-    """Try all faults in a folder; `kills` are those inside saving and those at any time, of each algorithm."""
+    """Test all faults in a folder; `kills` are the numbers of kills during saving and at any time, per algorithm."""
     for algo, recipe in RECIPES.items():
         path = folder / f"{algo}.yaml"
         files.write_data(path, {"environment": ENVIRONMENT, **recipe})
@@ -85,11 +86,11 @@ def faults(folder: Path, kills: tuple[int, int]) -> Iterator[Fault]:
 
 
 def same(first: Path, second: Path) -> bool:
-    """Return whether two runs are equal to the bit except for clock times."""
+    """Return whether two runs are bitwise equal except for wall-clock times."""
     result = []
     for folder in (first, second):
         data = read_npz(folder / NEWEST)
-        del data["training"]["environment"]["action_space"]  # of all arms together: nobody draws from it
+        del data["training"]["environment"]["action_space"]  # random state of an unused space
         data["training"]["episodes"] = [each[:2] for each in data["training"]["episodes"]]
         result.append(data)
     try:
@@ -105,14 +106,14 @@ def _start(arguments: list[Any], algo: str) -> subprocess.Popen[str]:
 
 
 def _finish(arguments: list[Any], recipe: Path | None, algo: str) -> tuple[int, str]:
-    """Run to the end; return the exit status and what was said."""
+    """Run to the end; return the exit status and the error output."""
     process = _start([recipe, *arguments] if recipe else arguments, algo)
-    _, said = process.communicate()
-    return process.returncode, said
+    _, errors = process.communicate()
+    return process.returncode, errors
 
 
 def _killed(name: str, run: tuple[Path, str, Path], kills: int, moment: Callable[[Path, random.Random], None]) -> Fault:
-    """Kill a run again and again, goes on with it each time, and compares its end with that of one left alone."""
+    """Kill and resume a run repeatedly, and compare its end with that of an uninterrupted run."""
     recipe, algo, whole = run
     folder, chance = whole.with_name(f"{algo}-{moment.__name__}"), random.Random(0)
     shutil.rmtree(folder, ignore_errors=True)
@@ -122,7 +123,7 @@ def _killed(name: str, run: tuple[Path, str, Path], kills: int, moment: Callable
         begun = (folder / SETTINGS).is_file()
         process = _start(["--resume", "--folder", folder] if begun else [recipe, "--folder", folder], algo)
         moment(folder, chance)
-        if process.poll() is not None:  # it was finished first: the same again
+        if process.poll() is not None:  # the run finished before the kill: repeat
             shutil.rmtree(folder)
             before = 0
             continue
@@ -132,14 +133,14 @@ def _killed(name: str, run: tuple[Path, str, Path], kills: int, moment: Callable
         steps = _steps(folder)
         survived += steps >= before
         most, before = max(most, steps - before), steps
-    code, said = _finish(["--resume", "--folder", folder], None, algo)
+    code, errors = _finish(["--resume", "--folder", folder], None, algo)
     equal = code == 0 and same(whole, folder)
-    lost = f"steps since the last saving; the end {'has the same bits' if equal else f'is another: {said}'}"
+    lost = f"steps since the last saving; the end {'has the same bits' if equal else f'is another: {errors}'}"
     return Fault(name, kills, survived if equal else 0, lost)
 
 
 def _steps(folder: Path) -> int:
-    """Step of the newest file; -1 where it is broken."""
+    """Return the training step of the newest checkpoint, 0 without one, -1 if it cannot be read."""
     if not (folder / NEWEST).is_file():
         return 0
     try:
@@ -149,7 +150,7 @@ def _steps(folder: Path) -> int:
 
 
 def _inside_saving(folder: Path, chance: random.Random) -> None:
-    """Wait for a saving, not always the first, and for a part of the time that one takes."""
+    """Wait for one of the next savings and for a random part of its duration."""
     for _ in range(chance.randint(1, 4)):
         _wait_for(lambda: (folder / PART).exists())
         last = time.perf_counter()
@@ -170,33 +171,33 @@ def _wait_for(happened: Callable[[], bool], longest: float = 60.0) -> None:
 
 
 def _interrupted(name: str, recipe: Path, folder: Path, steps: int) -> Fault:
-    """Press Ctrl-C once and goes on."""
+    """Interrupt a run once with Ctrl-C and resume it."""
     process = _start([recipe, "--folder", folder], "ppo")
     if steps:
         _wait_for(lambda: _steps(folder) >= steps)
     else:
         _wait_for(lambda: any(folder.glob("events.out.*")))
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate()
-    kept = "the run is saved" in said and process.returncode == 130
+    _, errors = process.communicate()
+    saved = "the run is saved" in errors and process.returncode == 130
     _finish(["--resume", "--folder", folder], None, "ppo")
     whole = folder.with_name("ppo-whole")
-    return Fault(name, 1, int(kept and same(whole, folder)), "nothing; the end has the same bits" if kept else said)
+    return Fault(name, 1, int(saved and same(whole, folder)), "nothing; the end has the same bits" if saved else errors)
 
 
 def _two_at_once(recipe: Path, folder: Path) -> Fault:
-    """Start a second training in the folder of one that goes on."""
+    """Start a second training in the folder of a running one."""
     process = _start([recipe, "--folder", folder], "ppo")
     _wait_for(lambda: (folder / NEWEST).exists())
-    code, said = _finish(["--resume", "--folder", folder], None, "ppo")
+    code, errors = _finish(["--resume", "--folder", folder], None, "ppo")
     process.communicate()
-    refused = code == 2 and f"process {process.pid} trains in it" in said
+    refused = code == 2 and f"process {process.pid} trains in it" in errors
     fine = refused and process.returncode == 0 and same(folder.with_name("ppo-whole"), folder)
     return Fault("two trainings in one folder", 1, int(fine), "nothing; the second is refused in one line")
 
 
 def disk_full(folder: Path, small: Path) -> Fault:
-    """Train on a small file system that a ballast fills, takes the ballast away, and goes on."""
+    """Train on a small file system, fill the disk, free it again, and resume."""
     run, ballast = small / "run", small / "ballast"
     process = _start([folder / "ppo.yaml", "--folder", run], "ppo")
     _wait_for(lambda: _steps(run) > 0)
@@ -204,10 +205,10 @@ def disk_full(folder: Path, small: Path) -> Fault:
         while True:
             filled.write(bytes(4096))
             filled.flush()
-    _, said = process.communicate()
-    full = process.returncode == 2 and "No space left" in said and len(said.strip().splitlines()) == 1
+    _, errors = process.communicate()
+    full = process.returncode == 2 and "No space left" in errors and len(errors.strip().splitlines()) == 1
     steps = _steps(run)
     ballast.unlink()
     code, more = _finish(["--resume", "--folder", run], None, "ppo")
     fine = full and steps > 0 and code == 0 and same(folder / "ppo-whole", run)
-    return Fault("disk full", 1, int(fine), "steps since the last saving; one line" if fine else said + more)
+    return Fault("disk full", 1, int(fine), "steps since the last saving; one line" if fine else errors + more)

@@ -28,11 +28,12 @@ def folder(text: str) -> Path:
 
 
 Kind = TypeVar("Kind")
-COMMENT = "# "
+COMMENT = "# "  # prefix of a comment line in a CSV file
+RENAMED_COLUMNS = {"room": "part"}  # column name in files of earlier releases -> present name
 
 
 def write_rows(rows: Sequence[Any], path: Path, digits: int = 6, comment: str = "") -> None:
-    """Rows of one kind, at least one, as a CSV file below a comment, if any; nothing where a number is None."""
+    """Write one or more rows of the same dataclass to a CSV file below an optional comment; None is an empty cell."""
     names = [field.name for field in fields(rows[0])]
     with path.open("w", newline="", encoding="utf-8") as file:
         if comment:
@@ -45,15 +46,16 @@ def write_rows(rows: Sequence[Any], path: Path, digits: int = 6, comment: str = 
 
 
 def read_rows(path: Path, kind: type[Kind]) -> list[Kind]:
-    """Rows of such a file, each of a dataclass whose fields are texts, or numbers that may be None."""
+    """Read the rows of a CSV file as a dataclass whose fields are strings, numbers or None."""
     texts = {field.name for field in fields(kind) if field.type is str}  # type: ignore[arg-type]
     with path.open(newline="", encoding="utf-8") as file:
         lines = csv.DictReader(line for line in file if not line.startswith(COMMENT))
+        lines.fieldnames = [RENAMED_COLUMNS.get(name, name) for name in lines.fieldnames or ()]
         return [kind(**{name: _value(text, name in texts) for name, text in line.items()}) for line in lines]
 
 
 def read_comment(path: Path) -> str:
-    """The comment above the rows of such a file."""
+    """Return the comment above the rows of a CSV file."""
     with path.open(newline="", encoding="utf-8") as file:
         return file.readline().removeprefix(COMMENT).strip()
 

@@ -1,4 +1,4 @@
-"""Methods that a study compares, with their colours and markers."""
+"""Integration methods of the studies, with line colours and markers."""
 
 from collections.abc import Iterable
 from typing import NamedTuple, Protocol
@@ -11,48 +11,48 @@ from flexman_gym.simulation.stability import amplification_factors, spectral_rad
 
 
 class _MethodRow(Protocol):
-    """A row of a study that knows its method."""
+    """Row of a study with a method name."""
 
     @property
     def method(self) -> str:
-        """A name from `METHODS`, or that of another code."""
+        """Name from `METHODS`, or of a method of another simulator."""
 
 
 def fixed_step_methods() -> list[str]:
-    """Those that take steps of a given length: all but the reference methods, by which a study judges the others."""
+    """Return the fixed-step methods, which excludes the adaptive reference methods."""
     return [name for name, method in METHODS.items() if not method.adaptive]
 
 
 def explicit_methods() -> list[str]:
-    """Those of them whose step the highest natural frequency limits."""
+    """Return the explicit fixed-step methods, whose step is limited by the highest natural frequency."""
     return [name for name in fixed_step_methods() if METHODS[name].kind == EXPLICIT]
 
 
 def implicit_methods() -> list[str]:
-    """Those of them that are not explicit: implicit and linearly implicit ones."""
+    """Return the implicit and linearly implicit fixed-step methods."""
     return [name for name in fixed_step_methods() if METHODS[name].kind != EXPLICIT]
 
 
 def methods_of(rows: Iterable[_MethodRow]) -> list[str]:
-    """Those that these rows are about."""
+    """Return the methods that occur in the rows, in the order of `METHODS`."""
     known = {row.method for row in rows}
     return [name for name in METHODS if name in known]
 
 
 def extrapolations_of(rows: Iterable[_MethodRow]) -> list[str]:
-    """Those of them that extrapolate another method."""
+    """Return the extrapolation methods that occur in the rows."""
     return [name for name in methods_of(rows) if len(getattr(METHODS[name], "sequence", ())) > 1]
 
 
 def vibration_factor(method: Method, angle: float) -> complex:
-    """Return the factor of the vibration itself: the factor closest to the exact one, exp(i omega h)."""
+    """Return the amplification factor closest to the exact one, exp(i omega h)."""
     factors = amplification_factors(method, angle)
     factors = np.concatenate([factors, factors.conj()])
     return complex(factors[np.abs(factors - np.exp(1j * angle)).argmin()])
 
 
 def largest_growth(method: Method) -> tuple[float, float]:
-    """Return the largest factor by which a step multiplies an undamped vibration, and its omega h (rad)."""
+    """Return the largest amplification of an undamped vibration per step, and its omega h (rad)."""
     angles = np.geomspace(1e-3, 1e3, 1501)
     factors = spectral_radii(method, angles)
     return float(factors.max()), float(angles[factors.argmax()])
@@ -60,24 +60,24 @@ def largest_growth(method: Method) -> tuple[float, float]:
 
 TEAL, PINE, PURPLE, PINK, PLUM, BLACK = "#66C2A5", "#004D3A", "#CC79A7", "#EBBAD6", "#6E1F55", "#000000"
 COLOURS = (ORANGE, BLUE, SKY, RED, TEAL, GREEN, PINE, PURPLE, PINK, PLUM, BLACK)
-MARKERS = "voDs^<>PX*p"  # as many as colours; those who cannot tell the colours apart have them
+MARKERS = "voDs^<>PX*p"  # one marker per colour, for readers with colour vision deficiency
 
 
-class _Look(NamedTuple):
+class _LineStyle(NamedTuple):
     """Colour and marker of a line."""
 
     colour: str
     marker: str
 
 
-def looks() -> dict[str, _Look]:
-    """The look of each method, those of fixed steps first.
+def line_styles() -> dict[str, _LineStyle]:
+    """Return the line style of each method, fixed-step methods first.
 
-    When the colours are used up they start again with the markers shifted by one, so that no two methods share both.
+    When all colours are used they repeat with shifted markers, so that no two methods share both.
     """
     names = sorted(METHODS, key=lambda name: METHODS[name].adaptive)
-    return {name: _look(*divmod(i, len(COLOURS))) for i, name in enumerate(names)}
+    return {name: _line_style(*divmod(i, len(COLOURS))) for i, name in enumerate(names)}
 
 
-def _look(turn: int, place: int) -> _Look:
-    return _Look(COLOURS[place], MARKERS[(place + turn) % len(MARKERS)])
+def _line_style(turn: int, place: int) -> _LineStyle:
+    return _LineStyle(COLOURS[place], MARKERS[(place + turn) % len(MARKERS)])

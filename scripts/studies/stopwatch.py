@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 
 class Stopwatch:
-    """A context in which the time of all calls of a method is added up."""
+    """Context manager that adds up the time of all calls of a method."""
 
     def __init__(self, owner: type, name: str) -> None:
         self._owner, self._name, self._method = owner, name, getattr(owner, name)
@@ -42,14 +42,14 @@ Timer = Callable[[], Cost]
 
 
 def _clock(call: Callable[[], object]) -> tuple[float, float]:
-    """CPU time of the whole process and time of the clock of one call, s."""
+    """Return the CPU time of the process and the wall-clock time of a call, s."""
     started = time.process_time(), time.perf_counter()
     call()
     return time.process_time() - started[0], time.perf_counter() - started[1]
 
 
 def timer(call: Callable[[], object], count: int, batches: int = 1) -> Timer:
-    """The cost of one of the `count` things that a call does, the cheapest of so many calls."""
+    """Return a timer of the cost per operation of a call with `count` operations, the fastest of `batches` calls."""
 
     def measure() -> Cost:
         cpu, wall = min(_clock(call) for _ in range(batches))

@@ -1,4 +1,4 @@
-// Kinematics: where the sections of all links are, from the coordinates of a state; the same as fm.curves.
+// Kinematics: positions of all link sections from the coordinates of a state, as in fm.curves.
 
 const product = (a, b) => {
   const out = new Float64Array(9);
@@ -13,7 +13,7 @@ const rotation = (x, y, z) => {
     c * y * z - s * x, c * x * z - s * y, c * y * z + s * x, 1 - c * (x * x + y * y)];
 };
 
-// Memory of the curves of an arm: positions and curvatures (n P 3), frames (n P 9), stretch (n P), joint axes (n 3).
+// Buffers of the curves of an arm: positions and curvatures (n P 3), frames (n P 9), stretch (n P), joint axes (n 3).
 export const memory = arm => {
   const places = arm.links.length * arm.points;
   return { position: new Float64Array(3 * places), frame: new Float64Array(9 * places),
@@ -21,7 +21,7 @@ export const memory = arm => {
     axis: new Float64Array(3 * arm.links.length) };
 };
 
-// Fills the memory for coordinates q, with elastic motion and wind-up of joints multiplied by the gain.
+// Fill the buffers for coordinates q, with elastic motion and joint wind-up multiplied by the gain.
 export function curves(arm, q, gain, out) {
   const P = arm.points, moved = new Float64Array(10);
   let turned = [1, 0, 0, 0, 1, 0, 0, 0, 1], origin = [0, 0, 0];
@@ -60,5 +60,5 @@ export function curves(arm, q, gain, out) {
   return out;
 }
 
-// The tip of the arm in a memory that was filled.
+// Tip position from filled buffers.
 export const tip = out => out.position.slice(-3);

@@ -1,4 +1,4 @@
-// Replay: the page of recorded episodes, or of one that goes on and comes by server-sent events.
+// Replay page of recorded episodes, or of a running episode received by server-sent events.
 import './style.css';
 import { curves, memory, tip } from './kinematics.js';
 import { Plot } from './plots.js';
@@ -24,7 +24,7 @@ const labels = runs.map(run => {
   const label = document.createElement('div'), name = document.createElement('b'), said = document.createElement('span');
   label.className = 'label';
   label.style.borderColor = run.colour;
-  name.textContent = run.name;  // somebody's text, never HTML
+  name.textContent = run.name;  // text given by the user, never HTML
   label.append(name, said);
   $('labels').append(label);
   return { label, said };
@@ -95,7 +95,7 @@ function layout() {
   dirty = true;
 }
 
-// Live: a row after another, "begin" before a new episode
+// Live: one row per message, event "begin" before a new episode
 
 if (data.live) {
   const source = new EventSource('live');
@@ -128,7 +128,7 @@ requestAnimationFrame(function loop(now) {
   requestAnimationFrame(loop);
 });
 
-// For tests and for a console: tips in metres at the time that is shown.
+// For tests and the console: tips in metres at the displayed time.
 window.replay = {
   seek, runs, rows: () => runs.map(run => run.rows),
   tips: (g = 1) => runs.map(run => Array.from(tip(curves(run.arm, run.coordinates(time, new Float64Array(run.arm.width)), g, memory(run.arm))))),

@@ -1,21 +1,21 @@
-// Plots: numbers over time, where a click seeks.
+// Plots over time; a click seeks to the time.
 import uPlot from 'uplot';
 
 const DASHES = [[], [6, 3], [2, 3], [8, 3, 2, 3]];
-const LEAST = 1e-3;  // mm, what an axis of powers shows at least
+const LEAST = 1e-3;  // mm; lower limit of logarithmic axes
 
 export class Plot {
   constructor(element, title, seek, powers) {
     Object.assign(this, { element, title, seek, powers, time: 0, head: element.querySelector('select')?.clientHeight ?? 0 });
   }
 
-  // Shows lines: name, colour, number (for its dashes) and values, over times.
+  // Show lines (name, colour, number for the dashes, values) over times.
   show(times, lines) {
     this.u?.destroy();
     const mark = u => {
       const x = u.valToPos(this.time, 'x', true), c = u.ctx;
       c.save();
-      c.setLineDash([]);  // the last line leaves its own
+      c.setLineDash([]);  // reset the dashes of the last line
       c.strokeStyle = '#111827';
       c.lineWidth = devicePixelRatio;
       c.beginPath();
@@ -37,14 +37,14 @@ export class Plot {
       addEventListener('pointermove', go);
       addEventListener('pointerup', stop);
     });
-    requestAnimationFrame(() => this.resize());  // before, the legend is not laid out
+    requestAnimationFrame(() => this.resize());  // the legend is laid out one frame later
   }
 
   data(times, lines) { return [times, ...lines.map(l => this.powers ? l.values.map(v => v === null ? null : Math.max(v, LEAST)) : l.values)]; }
 
   set(times, lines) { this.u.setData(this.data(times, lines)); }
 
-  // uPlot takes numbers; title and legend come on top of its height.
+  // uPlot needs sizes as numbers, without title and legend.
   room() { return { width: Math.max(this.element.clientWidth, 50), height: Math.max(this.element.clientHeight - this.head - 40, 50) }; }
 
   resize() {

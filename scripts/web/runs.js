@@ -1,14 +1,14 @@
-// Runs: episodes as arrays that are read from the page, or that grow while they come.
+// Runs: episodes as arrays, read from the page or extended by received rows.
 
 const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer;
-const GAP = -(2 ** 15);  // step of a reading that is no finite number
+const GAP = -(2 ** 15);  // code of a measurement that is not finite
 export const floats = text => new Float32Array(bytes(text));
 
 export const readArm = arm => ({ ...arm, links: arm.links.map(link => ({
   ...link, rows: floats(link.rows), slopes: floats(link.slopes), points: floats(link.points),
   normals: floats(link.normals), gauges: floats(link.gauges) })) });
 
-// Columns that belong to a row: coordinates, target, error, torques as parts of their limits, reward.
+// Columns of a row: coordinates, target, error, torques relative to their limits.
 export class Run {
   constructor(data, arm) {
     Object.assign(this, { name: data.name, colour: data.colour, note: data.note, dt: data.dt, arm });
@@ -20,7 +20,7 @@ export class Run {
 
   get last() { return Math.max(0, this.rows - 1) * this.dt; }
 
-  // Adds a row: all columns side by side.
+  // Add a row, given as the concatenated columns.
   add(row) {
     let at = 0;
     for (const name in this.sizes) {
@@ -36,7 +36,7 @@ export class Run {
     this.rows += 1;
   }
 
-  // The row before a time and the part of the way to the next.
+  // Index of the row before a time, and the interpolation weight of the next row.
   place(time) {
     const f = Math.min(Math.max(time / this.dt, 0), this.rows - 1), i = Math.max(0, Math.min(Math.floor(f), this.rows - 2));
     return [i, f - i];
@@ -59,7 +59,7 @@ export class Run {
     return Array.from({ length: this.rows }, (_, i) => { const v = factor * this[name][i * size + c]; return Number.isFinite(v) ? v : null; });
   }
 
-  // Entry c of a reading over time.
+  // Entry c of a measurement over time.
   reading(name, c) {
     const each = this.readings.find(one => one.name === name);
     if (!each || c >= each.size) return Array(this.rows).fill(null);

@@ -1,4 +1,4 @@
-// Scene: an arm with its ghost, target, trace, floor and light, as three.js draws it.
+// Scene: an arm with its undeformed ghost, target, trace, floor and light in three.js.
 import { BufferAttribute, BufferGeometry, CircleGeometry, Color, CylinderGeometry, DirectionalLight, DoubleSide,
   DynamicDrawUsage, Fog, GridHelper, Group, HemisphereLight, Line, LineBasicMaterial, Mesh, MeshBasicMaterial,
   MeshStandardMaterial, PCFShadowMap, PerspectiveCamera, Scene, ShadowMaterial, SphereGeometry, TorusGeometry, Vector3,
@@ -86,7 +86,7 @@ export class View {
     scene.add(floor, grid, this.body, this.ghost, post, ...this.joints, this.tip, this.mark, this.target, this.trace);
   }
 
-  // Puts everything where it is at a time.
+  // Set the pose of all objects at a time.
   pose(time, gain, show, scale, camera) {
     const { run, out, other, q } = this, arm = run.arm, P = arm.points;
     const end = each => each.position.slice(-3);
@@ -117,7 +117,7 @@ export class View {
   }
 }
 
-// Renderer, camera and orbit that all views share; throws where the browser has no WebGL.
+// Renderer, camera and orbit controls shared by all views; throws without WebGL.
 export class Stage {
   constructor(canvas, stage) {
     this.renderer = new WebGLRenderer({ canvas, antialias: true });
@@ -131,7 +131,7 @@ export class Stage {
     this.stage = stage;
   }
 
-  // The nearest place from which all points are between the edges, as draw/camera.py finds it.
+  // Nearest camera position with all points in view, as in draw/camera.py.
   reset() {
     const back = new Vector3(...this.stage.towards), right = new Vector3(-back.y, back.x, 0).normalize();
     const axes = [right, back.clone().cross(right), back.clone().negate()], room = [0.88, 0.74];

@@ -1,4 +1,4 @@
-"""Browser: the site that is built finds words, draws its equations and asks nobody, opened from a disk."""
+"""Tests of the built site in a browser: search, equations, and no network requests, opened from disk."""
 
 import shutil
 import subprocess
@@ -17,7 +17,7 @@ AWAY = (
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """The folder of a site that was built strictly."""
+    """Return the folder of a strictly built site."""
     pytest.importorskip("zensical")
     folder = tmp_path_factory.mktemp("site")
     shutil.copy(ROOT / "mkdocs.yml", folder)

@@ -1,4 +1,4 @@
-"""Pages: what they and the README show runs and prints what they say."""
+"""Tests of the code in pages and README: it runs and prints the shown output."""
 
 import argparse
 import contextlib
@@ -37,7 +37,7 @@ LESS_IN_PYTHON = (
 
 @pytest.fixture
 def checkout(tmp_path, monkeypatch):
-    """A folder with what a page uses of the repository."""
+    """Return a folder with the repository files used by the pages."""
     (tmp_path / "docs").mkdir()
     shutil.copytree(ROOT / "docs" / "examples", tmp_path / "docs" / "examples")
     (tmp_path / "scripts").symlink_to(ROOT / "scripts")
@@ -47,12 +47,12 @@ def checkout(tmp_path, monkeypatch):
 
 
 def blocks(page):
-    """Languages and texts of the blocks of a page."""
+    """Return languages and texts of the code blocks of a page."""
     return BLOCK.findall(TEXTS[page])
 
 
 def run(code, page, names):
-    """Runs a block of Python; gives what it printed."""
+    """Run a Python block and return its output."""
     for pattern, less in LESS_IN_PYTHON:
         code = re.sub(pattern, less, code)
     printed = io.StringIO()
@@ -62,7 +62,7 @@ def run(code, page, names):
 
 
 def run_commands(lines):
-    """Runs the commands of a block that are scripts of ours, on two arms; films are shorter as GIFs."""
+    """Run the commands of a block that are our scripts, on two arms; videos are written as shorter GIFs."""
     for words in map(shlex.split, lines.replace(".mp4", ".gif").splitlines()):
         assert words[0] == "flexman", words
         for option in LESS.keys() & set(words):
@@ -185,7 +185,7 @@ TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 
 @pytest.fixture(scope="module")
 def notebooks(tmp_path_factory):
-    """The notebooks by name, as the script writes them."""
+    """Return the notebooks by name, as written by the script."""
     folder = tmp_path_factory.mktemp("notebooks")
     subprocess.run([sys.executable, ROOT / "scripts" / "notebooks.py", "--folder", folder], check=True)
     return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in folder.glob("*.ipynb")}

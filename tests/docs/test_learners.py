@@ -1,4 +1,4 @@
-"""Learners: the examples that collect with TorchRL and clone from a dataset do what their pages say."""
+"""Tests of the examples with TorchRL and behaviour cloning."""
 
 import importlib.util
 
@@ -13,7 +13,7 @@ from oracles.files import ROOT
 
 
 def example(name):
-    """An example as a module."""
+    """Return an example as a module."""
     spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / "examples" / f"{name}.py")
     result = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(result)
@@ -21,7 +21,7 @@ def example(name):
 
 
 def test_torchrl_collects_what_the_vector_environment_says(monkeypatch):
-    """The same observations and rewards under the same actions, to the bit, over the ends of episodes."""
+    """Compare observations and rewards under equal actions bit by bit, across the ends of episodes."""
     pytest.importorskip("torchrl", reason="TorchRL is not installed")
     from torchrl.collectors import Collector
 

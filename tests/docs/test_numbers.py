@@ -1,4 +1,4 @@
-"""Numbers: what README and pages say in figures is what the rows beside them hold."""
+"""Tests of numbers in README and pages against the published rows."""
 
 import re
 
@@ -26,7 +26,7 @@ ACCURACY = " ".join((ROOT / "docs" / "accuracy.md").read_text(encoding="utf-8").
 
 @pytest.fixture(scope="module")
 def errors():
-    """Errors of the default by what the arms do, at the end and after a second."""
+    """Return the errors of the default by kind of motion, at the end and after 1 s."""
     rows = read_rows(ROOT / "docs" / "accuracy.csv", Errors)
     return {(row.kind, row.time == 1.0): row for row in rows if row.method == rows[0].method}
 
@@ -88,7 +88,7 @@ def test_the_page_concludes_what_its_rows_say():
 
 
 def test_known_rows_come_out():
-    """As they were measured by another study, within 3 points and 0.1 s."""
+    """Compare with another study, within 3 percentage points and 0.1 s."""
     standing = Standings(LeagueRows.load(FOLDER))
     for entrant, venue, known in (("lqr-tracking", "FlexRRR-v0", 2.98), ("adaptive-lqr", LAB_SCENARIO, 3.62),
                                   ("privileged-lqr", "FlexRRR-v0/unknown", 3.58)):  # fmt: skip

@@ -1,4 +1,4 @@
-"""Openings: a page of evidence says first what it says, and its rows say the same."""
+"""Tests of the first paragraphs of evidence pages: form, and agreement with the rows."""
 
 import re
 
@@ -27,7 +27,7 @@ PAGES = (*STUDIES, "work_precision", "stability", "fidelity", "accuracy", "servo
 
 
 def opening(page):
-    """The first block of a page below its title."""
+    """Return the first paragraph of a page below its title."""
     title, first, *_ = (DOCS / f"{page}.md").read_text(encoding="utf-8").split("\n\n")
     assert title.startswith("# ") and "\n" not in title
     return " ".join(first.split())

@@ -1,4 +1,4 @@
-"""Site: every page has its place, every public name its entry, and every link and equation holds."""
+"""Tests of the site: navigation, API entries of public names, links, equations."""
 
 import importlib
 import json
@@ -31,19 +31,19 @@ PUBLIC = ("control", "draw", "envs", "envs.effects", "envs.sensors", "envs.tasks
 
 
 def prose(text):
-    """A page without its blocks and spans of code."""
+    """Return a page without code blocks and code spans."""
     return re.sub(r"`[^`\n]*`", "`", BLOCK.sub("", text))
 
 
 def anchors(text):
-    """The anchors of a page: of its headings, as Python-Markdown and forges make them, and of its entries."""
+    """Return the anchors of a page: headings as in Python-Markdown and on forges, and API entries."""
     headings = re.findall(r"^#+ (.*)$", BLOCK.sub("", text), re.MULTILINE)
     words = (re.sub(r"[^\w\s-]", "", each.replace("`", "")).strip().lower() for each in headings)
     return {re.sub(r"[\s]+", "-", each) for each in words} | set(ENTRY.findall(text))
 
 
 def wrong_links(page, texts=PAGES):
-    """The links and pictures of a page that lead nowhere, or from the site out of its folder."""
+    """Yield the links and images of a page that lead nowhere or outside the site folder."""
     for target in LINK.findall(prose(texts[page])):
         if "://" in target:
             continue
@@ -98,7 +98,7 @@ def key(value, name):
 
 
 def test_names_that_pages_mention_are_there():
-    """As `fm.name`, also in code."""
+    """Check names of the form `fm.name`, in code too."""
     names = {name for text in PAGES.values() for name in re.findall(r"\bfm\.(\w+(?:\.[a-z_]\w*)?)", text)}
     assert len(names) >= 40
     for name in names:
@@ -119,7 +119,7 @@ def test_every_public_name_has_one_entry():
 
 
 def test_entries_are_read_as_python_reads_them(tmp_path, caplog):
-    """Each is found, with its docstring, and not a module of the same name; and no docstring is misread."""
+    """Check that each entry exists with its docstring, is no module of the same name, and is parsed without errors."""
     griffe = pytest.importorskip("griffe")
     (tmp_path / "flexman_agents").symlink_to(ROOT / "agents")
     loader = griffe.GriffeLoader(search_paths=[str(ROOT), str(tmp_path)])

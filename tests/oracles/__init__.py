@@ -1,1 +1,1 @@
-"""Oracles: what tests compare with, made without the code that they judge, and the arms that they make up."""
+"""Test oracles that are independent of the code under test, and random arms."""

@@ -1,4 +1,4 @@
-"""Equality: the same keys, types, shapes and bits of what environments return."""
+"""Assertions of equality: keys, types, shapes and bits of returned values."""
 
 import gymnasium as gym
 import numpy as np
@@ -8,7 +8,7 @@ from flexman_gym.common.checks import short_repr
 
 
 def same(result, expected, name=""):
-    """Asserts the same keys, types, shapes and bits."""
+    """Assert equal keys, types, shapes and bits."""
     assert type(result) is type(expected), name
     if isinstance(result, dict):
         assert result.keys() == expected.keys(), name
@@ -24,7 +24,7 @@ def same(result, expected, name=""):
 
 
 def same_alone_and_among_others(name, steps=60, **settings):
-    """Asserts that three arms of our vector environment are three single ones, from their spaces to their last bits."""
+    """Assert that three arms of the vector environment equal three single ones bit by bit, spaces included."""
     ours, theirs = (gym.make_vec(name, 3, mode, **settings) for mode in ("vector_entry_point", "sync"))
     assert ours.observation_space == theirs.observation_space and ours.action_space == theirs.action_space
     for result, expected in zip(ours.reset(seed=1), theirs.reset(seed=1), strict=True):
@@ -37,7 +37,7 @@ def same_alone_and_among_others(name, steps=60, **settings):
 
 
 def refusal(action, *arguments) -> str:
-    """Return the one line with which `action` refuses."""
+    """Return the one-line error message of a call."""
     with pytest.raises(ValueError) as error:
         action(*arguments)
     assert "\n" not in str(error.value) and len(str(error.value)) < 420
@@ -45,7 +45,7 @@ def refusal(action, *arguments) -> str:
 
 
 def offenders(action, values, good) -> list[str]:
-    """Those of many values that an action takes or refuses as it should not, each with its line.
+    """Return the values that an action wrongly accepts or rejects, each with its message.
 
     `good` judges the line of a refusal, which is "" for a value that is taken; another error is never good.
     """

@@ -19,7 +19,7 @@ MISSING = next((f"needs {name} (apt: chromium chromium-driver)" for name in ("ch
 
 
 def one_browser():
-    """A browser for the tests of a file, which are skipped without one; made a fixture of the file's scope there."""
+    """Yield a browser for the tests of a file, or skip them without Chromium; to be used as a fixture of file scope."""
     if MISSING:
         pytest.skip(MISSING)
     made = Browser()
@@ -28,7 +28,7 @@ def one_browser():
 
 
 class Browser:
-    """A window without a screen, in which no host but this one has an address."""
+    """Headless browser window that can reach only the local host."""
 
     def __init__(self, *more):
         with socket.socket() as place:
@@ -53,7 +53,7 @@ class Browser:
             return json.load(answer)["value"]
 
     def open(self, address, ready="window.replay !== undefined"):
-        """Opens a page and waits until it is ready for tests."""
+        """Open a page and wait until it is ready."""
         self._ask("POST", "/url", {"url": address})
         self.wait(ready)
 
@@ -62,7 +62,7 @@ class Browser:
         return self._ask("POST", "/execute/sync", {"script": script, "args": list(arguments)})
 
     def wait(self, condition, seconds=60):
-        """Waits until an expression is true."""
+        """Wait until an expression is true."""
         for _ in range(10 * seconds):
             if self.run(f"return Boolean({condition})"):
                 return
@@ -70,7 +70,7 @@ class Browser:
         raise TimeoutError(condition)
 
     def press(self, identity, part):
-        """Presses with the mouse on an element, at a part of its width from its left."""
+        """Press the mouse on an element at a share of its width."""
         box = self.run("const b = document.getElementById(arguments[0]).getBoundingClientRect();"
                        "return [b.left, b.top, b.width, b.height]", identity)  # fmt: skip
         x, y = round(box[0] + part * box[2]), round(box[1] + box[3] / 2)
@@ -80,7 +80,7 @@ class Browser:
         self._ask("POST", "/actions", {"actions": [mouse]})
 
     def write(self, text):
-        """Presses the keys of a text."""
+        """Type a text."""
         keys = [{"type": kind, "value": letter} for letter in text for kind in ("keyDown", "keyUp")]
         self._ask("POST", "/actions", {"actions": [{"type": "key", "id": "keys", "actions": keys}]})
 
@@ -93,7 +93,7 @@ class Browser:
         return self._ask("GET", "/screenshot")
 
     def close(self):
-        """Ends browser and driver."""
+        """Close browser and driver."""
         try:
             self._ask("DELETE", "")
         finally:

@@ -1,4 +1,4 @@
-"""Cells: tasks of grids that other processes import by their names."""
+"""Functions of cells of grids, importable by worker processes."""
 
 import os
 import signal
@@ -9,14 +9,14 @@ import numpy as np
 
 
 def waves(cell):
-    """Plain data and an array, from a seed and a size."""
+    """Return plain data and an array made from a seed and a size."""
     seed, size = cell
     values = np.random.default_rng(seed).normal(size=size)
     return {"seed": seed, "values": np.sin(values), "mean": float(values.mean()), "nothing": None, "nan": float("nan")}
 
 
 def mortal(cell):
-    """The same, but a worker dies the first time that it gets a certain cell; a file remembers that."""
+    """Return the result of `waves`; the first worker that computes a certain cell dies, recorded by a file."""
     folder, seed = cell
     grave = Path(folder) / f"{seed}"
     if seed == 2 and not grave.exists():
@@ -35,7 +35,7 @@ def dying_once(grave, task, cell):
 
 
 def counted(cell):
-    """The same, and a line in a file for each time that it is done; slow from a certain cell on."""
+    """Return the result of `waves` and append a line per call to a file; slow from a certain cell on."""
     folder, seed, slow = cell
     with (Path(folder) / "done").open("a") as file:
         file.write(f"{seed}\n")
@@ -44,16 +44,16 @@ def counted(cell):
 
 
 def waking():
-    """A line in a file for each process that is prepared."""
+    """Append a line to a file for each prepared process."""
     with Path("prepared").open("a") as file:
         file.write(f"{os.getpid()}\n")
 
 
 def refusing(cell):
-    """An error of its own."""
+    """Raise a custom error."""
     raise ValueError(f"cell: {cell} is not allowed; give another")
 
 
 def deadly(cell):
-    """The end of its process."""
+    """End the process."""
     os.kill(os.getpid(), signal.SIGKILL)

@@ -20,7 +20,7 @@ AMPLITUDES = (0.0, 1e-6, 0.05, 1.5)  # rad, rotation of a link's tip; also its d
 
 @dataclass(frozen=True)
 class Sample:
-    """An arm with a choice of model; `seed` makes the numbers of its states."""
+    """Random arm with model options; `seed` determines the random states."""
 
     arm: Arm
     elements: tuple[int, ...]
@@ -33,14 +33,14 @@ class Sample:
 
     @cached_property
     def model(self) -> Model:
-        """The model under test."""
+        """Return the model under test."""
         return build_model(
             self.arm, self.elements, self.modes, self.flexible_links, self.flexible_joints, self.stiffening
         )
 
     @cached_property
     def chain(self) -> Chain:
-        """The oracle in the coordinates of the model, whose modes and damping are those of the oracle's own beams."""
+        """Return the oracle in the coordinates of the model, with modes and damping of the oracle's own beams."""
         loads, links = outboard_masses(self.arm, self.elements), []
         for i, (link, count) in enumerate(zip(self.arm.links, self.elements, strict=True)):
             stiffness, mass = loaded_link(link, count, loads[i])
@@ -58,13 +58,13 @@ class Sample:
         return Chain(self.arm, self.elements, self.flexible_links, self.flexible_joints, links)
 
     def damping(self, link: int) -> np.ndarray:
-        """Damping matrix (k, k) of a link as the kernels read it."""
+        """Return the damping matrix (k, k) of a link in the layout of the kernels."""
         start, stop = self.model.constants.square_start[link : link + 2]
         size = self.model.bases[link].shape[1]
         return self.model.constants.damping[start:stop].reshape(size, size)
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates and speeds (d,): joints anywhere, springs wound up, links bent by about the amplitude."""
+        """Return random coordinates and speeds (d,): any joint angles, links bent by about the amplitude."""
         rng = np.random.default_rng(self.seed)
         joints = self.model.n_joints + self.model.n_motors
         x, v = rng.uniform(-1.0, 1.0, (2, self.model.n_dof))
@@ -80,11 +80,11 @@ class Sample:
         return x, v
 
     def torque(self) -> np.ndarray:
-        """Motor torques (n,), N m."""
+        """Return random motor torques (n,), N m."""
         return np.random.default_rng(self.seed + 1).uniform(-50.0, 50.0, self.model.n_joints)
 
     def applied(self, x: np.ndarray, v: np.ndarray, torque: np.ndarray) -> np.ndarray:
-        """Forces (d,) of motors, springs and dampers, from their definitions (Eq. 18, 23)."""
+        """Return the forces (d,) of motors, springs and dampers from their definitions (Eq. 18, 23)."""
         forces, drag = np.zeros(len(x)), np.zeros(len(x))
         forces[self.model.motor_columns] = torque
         for i, motor in self.chain.motor.items():
@@ -98,7 +98,7 @@ class Sample:
 
 
 def random_link(rng: np.random.Generator) -> Link:
-    """A beam of about 1 m of metal or plastic, of any section and orientation."""
+    """Return a random beam of about 1 m, of metal or plastic, with any section and orientation."""
     area, youngs_modulus = 10 ** rng.uniform(-3.5, -2.5), 10 ** rng.uniform(9.0, 11.0)
     y, z, twist = 10 ** rng.uniform(-1.0, 0.0, 3)
     return Link(
@@ -115,7 +115,7 @@ def random_link(rng: np.random.Generator) -> Link:
 
 
 def random_joint(rng: np.random.Generator, spring: bool) -> Joint:
-    """A joint about any axis, with a spring and a damper or without."""
+    """Return a random joint about any axis, elastic and damped or rigid."""
     axis = Rotation.random(random_state=rng).as_matrix()[0]
     if not spring:
         return Joint(axis, rotor_inertia=rng.choice([0.0, rng.uniform(0.0, 2.0)]))
@@ -123,7 +123,7 @@ def random_joint(rng: np.random.Generator, spring: bool) -> Joint:
 
 
 def random_payload(rng: np.random.Generator, inertia: bool, offset: bool) -> Payload:
-    """A body of a few kg and up to a few dm, of any proportions from a rod to a disk, or a point."""
+    """Return a random payload of a few kg and a few dm: a point, or a body between a rod and a disk."""
     mass, turn = rng.uniform(0.1, 5.0), Rotation.random(random_state=rng).as_matrix()
     spread = turn @ np.diag(rng.uniform(0.01, 0.3, 3) ** 2 * rng.integers(0, 2, 3)) @ turn.T
     moments = mass * (np.trace(spread) * np.eye(3) - (spread + spread.T) / 2)
@@ -131,7 +131,7 @@ def random_payload(rng: np.random.Generator, inertia: bool, offset: bool) -> Pay
 
 
 def slender_link(length: float = 0.7, mass_per_length: float = 4.0, stiffness: float = 0.6) -> Link:
-    """A link that bends in its x-y plane with EI = `stiffness` and next to no rotary inertia.
+    """Return a link that bends in its x-y plane with EI = `stiffness` and negligible rotary inertia.
 
     Across it is 100 times stiffer in frequency, so that the modes in the plane come first.
     """
@@ -177,7 +177,7 @@ def samples(draw, most_links=7, flexible_links=None, flexible_joints=None, reduc
 
 
 def pinocchio_model(pin, arm):
-    """The rigid arm, with rotors and payload, as a model of Pinocchio (the module `pin`)."""
+    """Return the rigid arm with rotors and payload as a Pinocchio model (module `pin`)."""
     model = pin.Model()
     model.gravity.linear = np.array(arm.gravity)
     place, parent = np.zeros(3), 0
@@ -201,7 +201,7 @@ def pinocchio_model(pin, arm):
 
 @dataclass(frozen=True)
 class Affected:
-    """A random chain with rotors that spin or not, friction, disturbances and joints whose motion is prescribed."""
+    """Random chain with (spinning) rotors, friction, disturbances and joints of prescribed motion."""
 
     sample: Sample
     spinning: bool
@@ -209,7 +209,7 @@ class Affected:
 
     @cached_property
     def arm(self):
-        """The chain's arm with friction."""
+        """Return the chain's arm with friction."""
         rng = np.random.default_rng(self.sample.seed)
         numbers = rng.uniform(0.0, 20.0, (self.sample.model.n_joints, 3))
         joints = [
@@ -220,32 +220,32 @@ class Affected:
 
     @cached_property
     def model(self):
-        """The model under test."""
+        """Return the model under test."""
         choice = replace(self.sample.model.choice, spinning_rotors=self.spinning)
         return fm.build_model(self.arm, **vars(choice))
 
     @cached_property
     def constants(self):
-        """Its constants, with the joints that are held."""
+        """Return the constants of the model with the held joints."""
         flags = np.isin(np.arange(self.model.n_joints), self.held).astype(np.int64)
         return self.model.constants._replace(prescribed=flags)
 
     @cached_property
     def chain(self):
-        """The oracle in the same coordinates."""
+        """Return the oracle in the same coordinates."""
         plain = self.sample.chain
         chain = Chain.__new__(Chain)
         chain.__dict__ |= plain.__dict__ | {"arm": self.arm, "spinning_rotors": self.spinning}
         return chain
 
     def drive(self):
-        """The drive (n + 6,) of the kernels: torques, accelerations of held joints, tip force, base acceleration."""
+        """Return the drive (n + 6,) of the kernels: torques, held joint accelerations, tip force, base acceleration."""
         drive = np.random.default_rng(self.sample.seed + 2).uniform(-50.0, 50.0, self.model.n_joints + 6)
         drive[-3:] *= 0.2
         return drive
 
     def expected(self, x, v):
-        """Accelerations and motor torques by the oracle."""
+        """Return the accelerations and motor torques of the oracle."""
         n, drive = self.model.n_joints, self.drive()
         prescribed = {joint: drive[joint] for joint in self.held}
         return self.chain.driven(x, v, drive[:n], prescribed, drive[n : n + 3], drive[n + 3 :])
@@ -253,7 +253,7 @@ class Affected:
 
 @st.composite
 def affected(draw, held=True):
-    """Random chains with all effects; some joints are held where that is wanted."""
+    """Return random chains with all effects, optionally with held joints."""
     sample = draw(samples(stiffening=None))
     joints = st.sets(st.integers(0, sample.model.n_joints - 1))
     return Affected(sample, draw(st.booleans()), tuple(draw(joints)) if held else ())

@@ -1,8 +1,8 @@
-"""Coordinates: modes, modal damping and stations of uniform links, from their definitions and the oracle's own beams.
+"""Modes, modal damping and stations of uniform links, from their definitions and the oracle's beams.
 
-Nothing here comes from the code under test. Modes of another eigensolver differ in their signs, in as many digits as
-soft and stiff coordinates lie apart, and where two frequencies are nearly alike; `agreed_modes` takes those that are
-under test as the coordinates once they are modes.
+This module shares no code with the library under test. Modes of different eigensolvers differ in their signs, in
+digits depending on the ratio of stiffnesses, and for close frequencies; `agreed_modes` checks the modes under test and
+then uses them as coordinates.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ EXACT = 10  # Gauss points of an element, for the product of a Lagrange polynomi
 
 @dataclass(frozen=True)
 class Stations:
-    """Points of a centreline, the tip first: (s, 2) mass and place, shapes (s, 3, k) and G (s, k, k)."""
+    """Points of a centreline, tip first: masses and positions (s, 2), shapes (s, 3, k) and G (s, k, k)."""
 
     stations: np.ndarray
     station_shapes: np.ndarray
@@ -26,7 +26,7 @@ class Stations:
 
 
 def outboard_masses(arm, elements):
-    """Inertia (6, 6) of all points outboard of each tip at zero angles, in its beam frame."""
+    """Return the inertia (6, 6) of all points outboard of each tip at zero angles, in its beam frame."""
     turns = [np.array(link.orientation) for link in arm.links]
     beams = [beam_points(link, count) for link, count in zip(arm.links, elements, strict=True)]
     tips = np.cumsum([turn[:, 0] * link.length for turn, link in zip(turns, arm.links, strict=True)], axis=0)
@@ -43,17 +43,17 @@ def outboard_masses(arm, elements):
 
 
 def loaded_link(link, count, outboard):
-    """Stiffness and mass matrix with the load at the tip, (6 count, 6 count) each."""
+    """Return stiffness and mass matrix of a link with the load at its tip, (6 count, 6 count) each."""
     beam = beam_points(link, count)
     tip = np.vstack([beam.S_t, beam.S_r])
     return beam.K, np.einsum("p,pia,pib->ab", beam.masses, beam.S, beam.S) + tip.T @ outboard @ tip
 
 
 def agreed_modes(given, stiffness, mass):
-    """The modes (size, k) that are given, after an assertion that they are the k lowest but for rounding.
+    """Return the given modes (size, k) after asserting that they are the k lowest up to rounding.
 
-    With K = L L^T and y = L^T v they are eigenvectors of L^-1 M L^-T, of unit modal mass, whose eigenvalues 1 / omega^2
-    are the largest. Modes of frequencies that are nearly alike may mix, as they do in any two eigensolvers.
+    With K = L L^T and y = L^T v they are eigenvectors of L^-1 M L^-T of unit modal mass, with the largest eigenvalues
+    1 / omega^2. Modes of close frequencies may mix, as for any two eigensolvers.
     """
     factor = np.linalg.cholesky(stiffness)
     inverse = np.linalg.solve(factor, np.eye(len(factor)))
@@ -67,7 +67,7 @@ def agreed_modes(given, stiffness, mass):
 
 
 def own_damping(stiffness, mass, ratio):
-    """C = 2 ratio M (M^-1 K)^1/2 = 2 ratio L (L^-1 M L^-T)^1/2 L^T: every mode has this damping ratio."""
+    """Return C = 2 ratio M (M^-1 K)^1/2 = 2 ratio L (L^-1 M L^-T)^1/2 L^T, equal damping ratios of all modes."""
     factor = np.linalg.cholesky(stiffness)
     inverse = np.linalg.solve(factor, np.eye(len(factor)))
     squares, vectors = np.linalg.eigh(inverse @ mass @ inverse.T)
@@ -75,7 +75,7 @@ def own_damping(stiffness, mass, ratio):
 
 
 def agreed(own, given, scale):
-    """Return a value, after an assertion that it equals the oracle's except for rounding, both divided by a scale."""
+    """Return a value after asserting that it equals the oracle's up to rounding, both divided by a scale."""
     assert np.shape(own) == np.shape(given)
     largest = np.abs(own / scale).max(initial=0.0)
     assert np.abs((own - given) / scale).max(initial=0.0) <= AGREEMENT * largest
@@ -83,10 +83,10 @@ def agreed(own, given, scale):
 
 
 def own_stations(link, count):
-    """Stations of a uniform link: Gauss points of the whole of it, 4 ceil((count + 2) / 4) - 1, and the tip.
+    """Return the stations of a uniform link: 4 ceil((count + 2) / 4) - 1 Gauss points of the whole link, and the tip.
 
-    A station moves as the mean of the centreline weighed by the Lagrange polynomial of its point; G is the mean of the
-    integral of v'^T v' + w'^T w' from the base on, in the same way.
+    A station moves as the mean of the centreline weighted by the Lagrange polynomial of its point; G is the mean, with
+    the same weights, of the integral of v'^T v' + w'^T w' from the base.
     """
     points, size, h = 4 * -(-(count + 2) // 4) - 1, 6 * (count + 1), link.length / count
     nodes, weights = leggauss(points)
@@ -111,7 +111,7 @@ def own_stations(link, count):
 
 
 def _slopes(end, h):
-    """The integral of v'^T v' + w'^T w' over an element of length h from its start to a part of it, (12, 12)."""
+    """Return the integral (12, 12) of v'^T v' + w'^T w' over an element of length h, up to a share of its length."""
     nodes, weights = leggauss(4)
     total = np.zeros((12, 12))
     for xi, weight in zip(end * (1 + nodes) / 2, end * h * weights / 2, strict=True):

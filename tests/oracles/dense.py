@@ -30,15 +30,15 @@ class Beam:
     G_t: np.ndarray  # (k, k) the same at the tip
 
     def points(self, q):
-        """Positions r (P, 3) of the mass points at q (k,), and dr/dq (P, 3, k)."""
+        """Return the positions r (P, 3) of the mass points at q (k,), and dr/dq (P, 3, k)."""
         return self.r0 + self.S @ q - np.multiply.outer(0.5 * q @ self.G @ q, _E1), self.S - _rows(self.G @ q)
 
     def tip_displacement(self, q):
-        """Displacement d (3,) of the tip at q (k,), and dd/dq (3, k)."""
+        """Return the displacement d (3,) of the tip at q (k,), and dd/dq (3, k)."""
         return self.S_t @ q - 0.5 * q @ self.G_t @ q * _E1, self.S_t - _rows(self.G_t @ q)
 
     def curvature(self, dq):
-        """Accelerations d2r/dq2 q' q' of the mass points (P, 3) and of the tip (3,) at the rates dq (k,)."""
+        """Return the accelerations d2r/dq2 q' q' of the mass points (P, 3) and of the tip (3,) at the rates dq (k,)."""
         return -np.multiply.outer(dq @ self.G @ dq, _E1), -dq @ self.G_t @ dq * _E1
 
 
@@ -46,12 +46,12 @@ _GENERATORS = np.array([np.cross(np.eye(3), unit) for unit in np.eye(3)])  # the
 
 
 def skew(a):
-    """Matrices (..., 3, 3) with skew(a) b = a x b, of vectors a (..., 3)."""
+    """Return the matrices (..., 3, 3) with skew(a) b = a x b, of vectors a (..., 3)."""
     return np.tensordot(a, _GENERATORS, 1)
 
 
 def rotation(phi):
-    """Rotation matrix (3, 3) of the rotation vector phi (3,): the exponential map."""
+    """Return the rotation matrix (3, 3) of the rotation vector phi (3,): the exponential map."""
     X, p = skew(phi), np.linalg.norm(phi)
     return np.eye(3) + np.sinc(p / np.pi) * X + 0.5 * np.sinc(0.5 * p / np.pi) ** 2 * X @ X
 
@@ -62,7 +62,7 @@ _DC2, _DC3 = _C2.deriv(), _C3.deriv()
 
 
 def tangent(phi, rate):
-    """T(phi) and its derivative for phi' = rate (3, 3): T phi' is rotation(phi)'s angular velocity, parent frame."""
+    """Return T(phi) and its derivative for phi' = rate (3, 3); T phi' is the angular velocity in the parent frame."""
     X, dX, s, ds = skew(phi), skew(rate), phi @ phi, 2.0 * phi @ rate
     T = np.eye(3) + _C2(s) * X + _C3(s) * X @ X
     dT = _C2(s) * dX + _C3(s) * (dX @ X + X @ dX) + ds * (_DC2(s) * X + _DC3(s) * X @ X)
@@ -74,9 +74,10 @@ _HERMITE = np.array([[1, 0, -3, 2], [0, 1, -2, 1], [0, 0, 3, -2], [0, 0, -1, 1]]
 
 
 def element_rows(xi, h):
-    """Shape functions of a 2-node element of length h at x = xi h; dofs u, v, w, phi_x, theta_y, theta_z of both nodes.
+    """Return the shape functions of a 2-node element of length h at x = xi h.
 
-    Returns the rows u, v, w, phi, v', w' as (6, 12), and the rows of the strains u', v'', w'', phi' as (4, 12).
+    The dofs are u, v, w, phi_x, theta_y, theta_z of both nodes. The result has the rows u, v, w, phi, v', w' as (6,
+    12), and the rows of the strains u', v'', w'', phi' as (4, 12).
     """
     linear, stretch = [1.0 - xi, xi], [-1.0 / h, 1.0 / h]
     cubic, slope, bend = (np.array([1, h, 1, h]) / h**m * polyval(xi, polyder(_HERMITE, m)) for m in range(3))
@@ -93,7 +94,7 @@ def element_rows(xi, h):
 
 
 def beam_points(link, elements, basis=None):
-    """Finite elements of a link clamped at x = 0 as a `Beam`: Eq. 3 and 18 with a quadrature in place of the integrals.
+    """Return the finite elements of a link clamped at x = 0 as a `Beam`: Eq. 3 and 18 by quadrature.
 
     Coordinates: 6 a node, from the node next to the joint to the tip; a basis (6 elements, m) sets q_full = basis @ q.
     Four Gauss points an element integrate products of cubics exactly; four section points give A, I_y and I_z exactly.
@@ -123,7 +124,7 @@ def beam_points(link, elements, basis=None):
 
 
 def shortened(beam, stations, basis):
-    """The beam with the foreshortening of its centreline, given in the coordinates that basis @ q sets.
+    """Return the beam with the foreshortening of its centreline, in the coordinates that basis @ q sets.
 
     The motion of its centreline is taken out, as stations of negative mass, and put back with foreshortening.
     `stations` are those of `oracles.coordinates`.
@@ -142,7 +143,7 @@ def shortened(beam, stations, basis):
 
 
 def payload_points(payload):
-    """The payload (None: nothing) as a rigid `Beam` in the frame of the tip: a point, or six with the same inertia."""
+    """Return the payload as a rigid `Beam` in the tip frame: no point for None, one point, or six of equal inertia."""
     none = np.zeros((0, 0))
     r0, masses = np.zeros((0, 3)), np.zeros(0)
     if payload is not None:
@@ -157,7 +158,7 @@ def payload_points(payload):
 
 
 def _rows(a):
-    """(..., 3, k) with a (..., k) in the row of x and zeros in the others."""
+    """Return (..., 3, k) with a (..., k) in the row of x and zeros in the other rows."""
     return _E1[:, None] * a[..., None, :]
 
 
@@ -230,7 +231,7 @@ class Chain:
         self.n_dof = int(ends[-1])
 
     def _motion(self, x, v):
-        """Outward pass, Eq. 24-33: the `LinkMotion` of every link and, last, of the tip."""
+        """Compute the outward pass, Eq. 24-33: return the `LinkMotion` of every link and, last, of the tip."""
         R, E, tip_rates, tip_gamma, motions = np.zeros(3), np.eye(3), np.zeros(6), np.zeros(6), []
         for i, beam in enumerate(self.beams):
             F, q, dq = self.orientations[i], x[self.elastic[i]], v[self.elastic[i]]
@@ -255,14 +256,14 @@ class Chain:
 
     @staticmethod
     def _point_matrix(beam, motion):
-        """Levers A u (P, 3) and L (P, 3, 6 + k) of Eq. 8, so that a mass point moves with L [R', omega, q'], Eq. 4."""
+        """Return levers A u (P, 3) and L (P, 3, 6 + k) of Eq. 8; a mass point moves with L [R', omega, q'], Eq. 4."""
         position, shape = beam.points(motion.q)
         lever = position @ motion.A.T
         identity = np.broadcast_to(np.eye(3), (len(lever), 3, 3))
         return lever, np.concatenate([identity, -skew(lever), motion.A @ shape], axis=2)
 
     def _link_equation(self, i, motion, gravity):
-        """M (6 + k, 6 + k) of Eq. 13 and the force Q_e + Q_v + Q_s (6 + k,) of Eq. 21 of link i; Q_e is gravity."""
+        """Return M (6 + k, 6 + k) of Eq. 13 and Q_e + Q_v + Q_s (6 + k,) of Eq. 21 of link i; Q_e is gravity."""
         beam, W, dq = self.bodies[i], skew(motion.rates[3:6]), motion.rates[6:]
         lever, L = self._point_matrix(beam, motion)
         Q = lever @ (W @ W).T + 2.0 * L[:, :, 6:] @ dq @ W.T + beam.curvature(dq)[0] @ motion.A.T  # Eq. 10
@@ -273,7 +274,7 @@ class Chain:
         return M, force
 
     def _projection(self, motions):
-        """B = D^-1 H, one column a coordinate of x, and D^-1 gamma of every link and the tip: Eq. 35-43.
+        """Return B = D^-1 H, one column per coordinate of x, and D^-1 gamma of every link and the tip: Eq. 35-43.
 
         The frame of a link is clamped to its joint, so its own D_i is the identity. Columns of rotors are zero.
         """
@@ -288,7 +289,7 @@ class Chain:
         return [(B[start:end], bias[start:end]) for start, end in pairwise(ends)]
 
     def equation(self, x, v, torque, tip_force=None, base_acceleration=None):
-        """M_bar and Q_bar of Eq. 46 (n_dof, n_dof), (n_dof,), with the joints of Eq. 23."""
+        """Return M_bar and Q_bar of Eq. 46, (n_dof, n_dof) and (n_dof,), with the joints of Eq. 23."""
         motions = self._motion(x, v)
         projection = self._projection(motions)
         # What rests on an accelerated base sees that acceleration as gravity the other way.
@@ -308,7 +309,7 @@ class Chain:
         return M_bar, Q_bar
 
     def _rotor(self, i, motion, B, bias, v):
-        """Inertia (n_dof, n_dof) and force quadratic in the speeds (n_dof,) of rotor i; B and bias are those of link i.
+        """Return inertia (n_dof, n_dof) and velocity-quadratic force (n_dof,) of rotor i; B, bias: those of link i.
 
         A spinning rotor has the angular momentum h axis with h = J (axis . w + theta_m'), w the angular velocity of
         what carries it. Its rate h' axis + h w x axis does work on w + axis theta_m'.
@@ -325,7 +326,7 @@ class Chain:
         return J * np.outer(row, row), -J * (row * quadratic + (row @ v) * np.cross(w, axis) @ carrier)
 
     def _joint_force(self, i, x, v):
-        """Force (n_dof,) of spring, damper and friction of joint i; friction acts on its motor coordinate."""
+        """Return the force (n_dof,) of spring, damper and friction of joint i; friction acts on the motor."""
         joint, driven, force = self.arm.joints[i], self.motor.get(i, i), np.zeros(self.n_dof)
         if i in self.motor:
             reaction = joint.stiffness * (x[driven] - x[i]) + joint.damping * (v[driven] - v[i])
@@ -338,11 +339,11 @@ class Chain:
         return force
 
     def mass_matrix(self, x):
-        """M_bar of Eq. 46 with the rotors, (n_dof, n_dof)."""
+        """Return M_bar of Eq. 46 with the rotors, (n_dof, n_dof)."""
         return self.equation(x, np.zeros(self.n_dof), np.zeros(self.n))[0]
 
     def acceleration(self, x, v, torque, tip_force=None, base_acceleration=None):
-        """Accelerations (n_dof,) under the motor torques (n,), N m: Eq. 45.
+        """Return the accelerations (n_dof,) under the motor torques (n,), N m: Eq. 45.
 
         A force on the tip (3,) N and an acceleration of the base (3,) m/s^2 are in the base frame. Coordinates and
         speeds are relative to the base.
@@ -350,7 +351,7 @@ class Chain:
         return np.linalg.solve(*self.equation(x, v, torque, tip_force, base_acceleration))
 
     def driven(self, x, v, torque, prescribed, tip_force=None, base_acceleration=None):
-        """Accelerations (n_dof,) and motor torques (n,) where the motors {joint: rad/s^2} have these accelerations.
+        """Return accelerations (n_dof,) and motor torques (n,) for prescribed motors {joint: acceleration, rad/s^2}.
 
         The torques (n,) that are given hold for the other motors; where a joint is rigid its angle is its motor's.
         """
@@ -364,24 +365,24 @@ class Chain:
         return a, np.where(np.isin(np.arange(self.n), list(prescribed)), needed, torque)
 
     def tip(self, x):
-        """Position (3,) of the tip of the last link, m."""
+        """Return the position (3,) of the tip of the last link, m."""
         return self._motion(x, np.zeros(self.n_dof))[-1].R
 
     def tip_velocity(self, x, v):
-        """Velocity (3,) of the tip of the last link, m/s."""
+        """Return the velocity (3,) of the tip of the last link, m/s."""
         return self._motion(x, v)[-1].rates[:3]
 
     def tip_axes(self, x):
-        """Axes (3, 3), columns, of the beam frame of the last link where it ends, turned by the elastic rotation."""
+        """Return the axes (3, 3), columns, of the beam frame at the end of the last link, with its elastic rotation."""
         return self._motion(x, np.zeros(self.n_dof))[-1].A @ self.orientations[-1]
 
     def tip_acceleration(self, x, v, a):
-        """Acceleration (3,) of the tip of the last link relative to the base for accelerations a (n_dof,), Eq. 32."""
+        """Return the acceleration (3,) of the tip relative to the base for accelerations a (n_dof,), Eq. 32."""
         B, bias = self._projection(self._motion(x, v))[-1]
         return (B @ a + bias)[:3]
 
     def points(self, x, v):
-        """Masses (N,), positions (N, 3) and velocities (N, 3) of every mass point of links, then payload, Eq. 1, 4."""
+        """Return masses (N,), positions and velocities (N, 3) of all mass points: links, then payload, Eq. 1, 4."""
         masses, positions, velocities = [], [], []
         for beam, motion in zip(self.bodies, self._motion(x, v), strict=True):
             lever, L = self._point_matrix(beam, motion)
@@ -391,7 +392,7 @@ class Chain:
         return np.concatenate(masses), np.concatenate(positions), np.concatenate(velocities)
 
     def rotors(self, x, v):
-        """Axes (n, 3) of the rotors in the base frame, and their rates (n,) about them: absolute where they spin."""
+        """Return the axes (n, 3) of the rotors in the base frame, and their rates (n,); absolute if they spin."""
         motions = self._motion(x, v)[: self.n]
         axes, rates = np.array([motion.axis for motion in motions]), v[[self.motor.get(i, i) for i in range(self.n)]]
         if self.spinning_rotors:
@@ -399,7 +400,7 @@ class Chain:
         return axes, rates
 
     def energy(self, x, v):
-        """Kinetic (with rotors), elastic (links and joints) and gravitational energy (zero at the base origin), J."""
+        """Return the kinetic (with rotors), elastic and gravitational energy (zero at the base origin), J."""
         masses, positions, velocities = self.points(x, v)
         _, rates = self.rotors(x, v)
         kinetic = 0.5 * masses @ np.sum(velocities**2, axis=1)
@@ -411,7 +412,7 @@ class Chain:
         return kinetic, elastic, -masses @ positions @ self.gravity
 
     def angular_momentum(self, x, v):
-        """Angular momentum (3,) of links and payload about the base origin, kg m^2/s; of rotors where they spin.
+        """Return the angular momentum (3,) about the base origin, kg m^2/s: links, payload and spinning rotors.
 
         Without a moment of gravity, axis_1 . angular_momentum grows at the rate T_1 where rotors spin. Where they do
         not, only the first enters that balance: axis_1 . angular_momentum + J_1 theta_m1' (theta_1' where joint 1 is

@@ -1,4 +1,4 @@
-"""Files: where the project, its reference solutions and its scripts are, and scripts as modules."""
+"""Paths of the project, its reference solutions and its scripts."""
 
 import importlib
 import sys
@@ -12,7 +12,7 @@ __all__ = ["REFERENCE", "ROOT", "SCRIPTS", "command"]
 
 
 def command(name: str) -> ModuleType:
-    """The script of that name, imported as Python does for one that is run: its folder comes first."""
+    """Import a script as a module, with its folder first in the path."""
     sys.path.insert(0, str(SCRIPTS))
     try:
         return importlib.import_module(name)

@@ -1,7 +1,7 @@
-"""Fuzz: calls of public functions with odd arguments, each of which works or is refused in one clear line.
+"""Fuzz test: calls of public functions with odd arguments must work or raise a clear one-line error.
 
-`PYTHONPATH=tests python -m oracles.fuzz 50000` makes so many calls and prints what was found, the seed of each with it;
-`PYTHONPATH=tests python -m oracles.fuzz 1 17 Scene` makes again the one of seed 17, of a target.
+`PYTHONPATH=tests python -m oracles.fuzz 50000` makes 50000 calls and prints the findings with their seeds;
+`PYTHONPATH=tests python -m oracles.fuzz 1 17 Scene` repeats the call with seed 17 of the target Scene.
 """
 
 import resource
@@ -26,12 +26,12 @@ KEYWORDS = ("unexpected keyword argument", "required positional argument", "keyw
 
 
 class TooLong(BaseException):
-    """A call that hangs."""
+    """Raised for a call that hangs."""
 
 
 @contextmanager
 def bounded(seconds=None):
-    """Ends what takes longer."""
+    """Abort a call that takes too long."""
 
     def ring(number, frame):
         raise TooLong
@@ -46,7 +46,7 @@ def bounded(seconds=None):
 
 
 def arguments(seed, name=None):
-    """Target, arguments and odd arguments of the call with a seed."""
+    """Return target, arguments and odd arguments of the call with a seed."""
     random = np.random.default_rng(seed)
     names = list(TARGETS)
     weights = np.array([TARGETS[each].weight for each in names])
@@ -60,7 +60,7 @@ def arguments(seed, name=None):
 
 
 def too_much(target, strange):
-    """Return whether an argument is allowed and takes long."""
+    """Return whether an allowed argument would take long."""
     for name, most in target.cost.items():
         value = strange.get(name)
         with warnings.catch_warnings():
@@ -74,7 +74,7 @@ def too_much(target, strange):
 
 
 def numbers_in(value, seen=0):
-    """The arrays of numbers in what a call gave."""
+    """Yield the numerical arrays in the result of a call."""
     if isinstance(value, fm.Trajectory):
         yield from (value.states, value.tip, value.energy, value.energy_residual)
     elif isinstance(value, fm.Model):
@@ -135,7 +135,7 @@ def outcome(target, given, strange):
 
 
 def loud(said):
-    """A warning of numbers among those that were given; "" without one. Those of the package itself are meant."""
+    """Return the first numerical warning, "" without one; warnings of the package itself are intended."""
     for each in said:
         if not issubclass(each.category, UserWarning) or issubclass(each.category, np.exceptions.ComplexWarning):
             return f"{each.category.__name__}: {each.message}"
@@ -143,14 +143,14 @@ def loud(said):
 
 
 def described(strange):
-    """The odd arguments on a line."""
+    """Return the odd arguments as one line."""
     from flexman_gym.common.checks import short_repr
 
     return ", ".join(f"{name}={short_repr(value)} ({type(value).__name__})" for name, value in strange.items())
 
 
 def run(count, first=0, name=None):
-    """Makes calls from a seed on; gives how many had each outcome, and findings (seed, target, what, arguments)."""
+    """Make calls from a seed on; return outcome counts and findings (seed, target, defect, arguments)."""
     outcomes, findings = Counter(), []
     for seed in range(first, first + count):
         chosen, given, strange = arguments(seed, name)
@@ -165,7 +165,7 @@ def run(count, first=0, name=None):
 
 
 def main(words):
-    """Makes the calls that the command line asks for."""
+    """Make the calls requested on the command line."""
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
     count, first = int(words[0]), int(words[1]) if len(words) > 1 else 0
     total = Counter()

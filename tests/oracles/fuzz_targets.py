@@ -1,4 +1,4 @@
-"""Samples: small arms, models and environments, good arguments of public functions, and calls that use them."""
+"""Targets of the fuzz test: calls of public functions with valid arguments for small arms, models and environments."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -31,7 +31,7 @@ LARGEST = 64  # arms, elements and threads; more are allowed and take their time
 
 
 def stepped(env):
-    """An environment after a reset and a step, with what both gave."""
+    """Return an environment after a reset and a step, with the results of both."""
     first = env.reset(seed=0)
     result = first, env.step(np.zeros(env.action_space.shape, dtype=np.float32))
     env.close()
@@ -49,51 +49,51 @@ def made_many(**keywords):
 
 
 def moved(**arguments):
-    """A step of a simulator with some arguments."""
+    """Return the result of a step of a simulator with given arguments."""
     simulator = fm.Simulator(**arguments)
     status = simulator.step(np.zeros(simulator.model.n_joints))
     return simulator, (simulator.explanation() if status != "ok" else "")
 
 
 def fresh(simulator=SIMULATOR):
-    """The simulator, after a reset."""
+    """Return a simulator after a reset."""
     simulator.reset()
     return simulator
 
 
 def restarted(**arguments):
-    """The simulator after a reset with some arguments."""
+    """Return a simulator after a reset with given arguments."""
     SIMULATOR.reset(**arguments)
     return SIMULATOR
 
 
 def played(**arguments):
-    """A step of an environment in an episode."""
+    """Return the result of a step of an environment."""
     ONE.reset(seed=0)
     return ONE.step(**arguments)
 
 
 def played_many(**arguments):
-    """A step of a vector environment in an episode."""
+    """Return the result of a step of a vector environment."""
     MANY.reset(seed=0)
     return MANY.step(**arguments)
 
 
 def batched(**arguments):
-    """A batch with some arguments after a step."""
+    """Return a batch with given arguments after a step."""
     batch = Batch(**arguments)
     batch.step(np.zeros((len(batch.rows), batch.model.n_joints + 6)))
     return batch.rows, batch.outputs, batch.status
 
 
 def varied(**parameters):
-    """Parameters of two arms."""
+    """Return parameters of two arms."""
     BATCH.vary(np.arange(2), **parameters)
     return BATCH.rows
 
 
 def arm_of(joint_stiffness, rotor_inertia, damping, gravity, payload, modal_damping_ratio, **link):
-    """An arm of one joint and two links that are alike."""
+    """Return an arm of one joint and two equal links."""
     orientation = LINK.orientation
     links = [fm.Link(**link, orientation=orientation)] * 2
     joints = [fm.Joint((0.0, 0.0, 1.0), rotor_inertia, joint_stiffness, damping)] * 2
@@ -101,7 +101,7 @@ def arm_of(joint_stiffness, rotor_inertia, damping, gravity, payload, modal_damp
 
 
 def simulated(torque, step, duration, method, **parts):
-    """A simulation of an arm with some parts."""
+    """Return the simulation of an arm with given parts."""
     scene = fm.Scene(arm_of(**parts), CHOICE, fm.ConstantTorque([torque] * 2), SCENE.initial, duration, duration)
     return fm.simulate(scene, None, method, step)
 
@@ -118,7 +118,7 @@ def analysed(**parts):
 
 
 def controlled(base, torque_limit, control_period, **parts):
-    """An environment with an arm of some parts."""
+    """Return an environment of an arm with given parts."""
     arm, gains = arm_of(**parts), {"stiffness": [5.0, 5.0], "damping": [1.0, 1.0]}
     env = gym.make("FlexPlanar-v0", disable_env_checker=True, arm=arm, base=base, gains=gains,
                    torque_limit=torque_limit, control_period=control_period)  # fmt: skip
@@ -126,7 +126,7 @@ def controlled(base, torque_limit, control_period, **parts):
 
 
 def fields_of(made_of):
-    """The values of a dataclass by name."""
+    """Return the fields of a dataclass by name."""
     return {name: value for name, value in vars(made_of).items() if not name.startswith("_")}
 
 
@@ -171,14 +171,14 @@ RUN = {"torque": 0.1, "step": 1e-3, "duration": 0.01, "method": "ros2"}
 
 @dataclass(frozen=True)
 class Target:
-    """A call that works.
+    """Call with valid arguments.
 
     Attributes:
-        call: what is called.
-        good: its arguments.
-        numbers: names of arguments that have to be numbers, or arrays or lists of them.
-        open_to: whether what comes out may be infinite or NaN.
-        weight: how often it is called, beside others.
+        call: called function.
+        good: valid arguments.
+        numbers: names of arguments that must be numbers, or arrays or lists of numbers.
+        open_to: allow infinite or NaN results.
+        weight: relative frequency of the call.
     """
 
     call: Callable[..., Any]

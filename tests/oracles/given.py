@@ -1,4 +1,4 @@
-"""Given: lists and arrays where a person gives numbers; `make lint` checks their types."""
+"""Lists and arrays accepted as numbers by the public functions; `make lint` checks their types."""
 
 import numpy as np
 

@@ -1,6 +1,6 @@
-"""Hostile files: contents and kinds of files that must be refused at once, in one line, for each reader of the library.
+"""Hostile files that every reader of the library must reject at once with a one-line error.
 
-`PYTHONPATH=tests python -m oracles.hostile` prints how long each takes to be refused.
+`PYTHONPATH=tests python -m oracles.hostile` prints the time until each is rejected.
 """
 
 import io
@@ -55,35 +55,35 @@ READERS = {  # name of the file -> what reads it, of its path
 
 
 def with_about(folder):
-    """A folder with the plain data of a policy."""
+    """Create a folder with given policy metadata."""
     (folder / ABOUT).write_bytes(shipped.files()[ABOUT])
     return folder
 
 
 def with_cells(folder):
-    """A folder with the cells of a league."""
+    """Create a folder with the cells of a league."""
     (folder / "cells.csv").write_text("key,agent,scenario,first,end,action,design,why\n")
     return folder
 
 
 def with_rows(folder):
-    """A folder with the rows of a league."""
+    """Create a folder with the rows of a league."""
     (folder / "rows.csv").write_text("key,agent,scenario,seed\n")
     return folder
 
 
 def pipe(path):
-    """A pipe into which nobody writes."""
+    """Create a pipe without a writer."""
     os.mkfifo(path)
 
 
 def device(path):
-    """A device without end."""
+    """Create a link to an endless device."""
     path.symlink_to("/dev/zero")
 
 
 def large(path):
-    """A file larger than any of text, which takes no room on the disk."""
+    """Create a sparse file above the size limit of text files."""
     path.touch()
     os.truncate(path, 2**40)
 
@@ -92,7 +92,7 @@ SPECIAL = {"pipe": pipe, "device": device, "directory": Path.mkdir, "larger than
 
 
 def archive(name, head, stored):
-    """A zip with one array whose head promises more than is stored."""
+    """Create a zip file whose array header promises more data than stored."""
     out, numbers = io.BytesIO(), io.BytesIO()
     np.lib.format.write_array_header_1_0(numbers, {"descr": "<f8", "fortran_order": False, "shape": head})
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED if stored else zipfile.ZIP_STORED, compresslevel=1) as file:
@@ -101,7 +101,7 @@ def archive(name, head, stored):
 
 
 def cut(content):
-    """A zip whose directory is said to lie far behind its end."""
+    """Create a zip file with its directory declared far beyond the end."""
     return content[:-6] + struct.pack("<IH", 2**32 - 2, 0)
 
 
@@ -152,7 +152,7 @@ CONTENTS = {  # reader and what is wrong -> a content
 
 
 def line_of(name, path):
-    """The line with which the reader of a name refuses a path, and the CPU time (s) that it took."""
+    """Return the error message of a reader for a path, and the CPU time (s)."""
     begun = time.process_time()
     try:
         with bounded(10.0 * SECONDS):
@@ -164,7 +164,7 @@ def line_of(name, path):
 
 
 def cases():
-    """Reader, what is wrong, and what makes the file of a path."""
+    """Yield reader, defect, and function that creates the file."""
     for name in [name for name in READERS if name != CERTIFICATE]:  # a policy without one has none
         for what, make in SPECIAL.items():
             yield name, what, make
@@ -173,7 +173,7 @@ def cases():
 
 
 def main():
-    """Prints each case with its time and line."""
+    """Print time and message of each case."""
     resource.setrlimit(resource.RLIMIT_DATA, (4 * 2**30, 4 * 2**30))
     for name, what, make in cases():
         with tempfile.TemporaryDirectory() as folder:

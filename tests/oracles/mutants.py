@@ -1,6 +1,6 @@
-"""Mutants: files of scenes, environments, recipes and policies with something wrong in them, each read or refused.
+"""Files of scenes, environments, recipes and policies with random defects, each read or rejected.
 
-`PYTHONPATH=tests python -m oracles.mutants 2000` reads so many and prints what was found, the seed of each with it.
+`PYTHONPATH=tests python -m oracles.mutants 2000` reads 2000 files and prints the findings with their seeds.
 """
 
 import io
@@ -49,7 +49,7 @@ TEXTS = {
 
 @cache
 def policy():
-    """The files of a policy that has not learned yet."""
+    """Return the files of an untrained policy."""
     from flexman_agents.sb3 import make_model
     from flexman_agents.training import policy_state
     from flexman_gym.common.run_folder import NEWEST, SETTINGS, write_npz
@@ -74,7 +74,7 @@ READERS = {"scene": fm.Scene.load, "environment": Configuration.load, "recipe": 
 
 
 def mangled(random, content):
-    """Bytes with a piece left out, doubled, overwritten, exchanged, or something between them."""
+    """Return bytes with a piece removed, doubled, overwritten, exchanged or inserted."""
     first, last = np.sort(random.integers(0, len(content) + 1, 2))
     token = TOKENS[random.integers(len(TOKENS))]
     kind = random.integers(8)
@@ -99,7 +99,7 @@ def mangled(random, content):
 
 
 def plain(value):
-    """An odd value as a file can hold it."""
+    """Return an odd value that a file can contain."""
     try:
         return json.loads(json.dumps(np.asarray(value).tolist() if isinstance(value, np.ndarray) else value))
     except Exception:
@@ -107,7 +107,7 @@ def plain(value):
 
 
 def bent(random, tree):
-    """A tree with a node changed, left out, renamed, moved or given twice."""
+    """Return a tree with a node changed, removed, renamed, moved or duplicated."""
     if isinstance(tree, dict) and tree:
         some, name = dict(tree), list(tree)[random.integers(len(tree))]
     elif isinstance(tree, list) and tree:
@@ -130,14 +130,14 @@ def bent(random, tree):
 
 
 def written(tree, suffix):
-    """The bytes of a tree."""
+    """Return the bytes of a tree."""
     if suffix == ".json":
         return json.dumps(tree).encode()
     return yaml.safe_dump(tree, sort_keys=False).encode()
 
 
 def arrays_bent(random, content):
-    """A file of arrays with one of them changed, left out or renamed."""
+    """Return a file of arrays with one array changed, removed or renamed."""
     with np.load(io.BytesIO(content)) as result:
         arrays = {name: result[name] for name in result.files}
     name = list(arrays)[random.integers(len(arrays))]
@@ -163,7 +163,7 @@ def arrays_bent(random, content):
 
 
 def mutant(random, folder):
-    """Writes a file, or a policy, with something wrong; returns what reads it, and what is read."""
+    """Write a defective file or policy; return its reader and its path."""
     if random.integers(3) == 0:
         files = policy()
         name = list(files)[random.integers(2)]
@@ -190,7 +190,7 @@ def mutant(random, folder):
 
 
 def outcome(seed, folder):
-    """("read" or "refused", "") of the mutant with a seed, or ("finding", what was wrong)."""
+    """Return ("read" or "refused", "") for the mutant with a seed, or ("finding", defect)."""
     read, path = mutant(np.random.default_rng(seed), folder)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
@@ -212,7 +212,7 @@ def outcome(seed, folder):
 
 
 def run(count, first=0):
-    """Reads mutants from a seed on; gives how many had each outcome, and the findings as (seed, name, what)."""
+    """Read mutants from a seed on; return outcome counts and findings (seed, name, defect)."""
     outcomes, findings = Counter(), []
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(first, first + count):

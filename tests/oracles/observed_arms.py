@@ -1,4 +1,4 @@
-"""Bench: arms that a test knows all about, moved and read as an environment would, beside an observer."""
+"""Arms with known parameters, simulated and measured as in an environment, for tests of observers."""
 
 import numpy as np
 
@@ -16,13 +16,13 @@ SMALL = {"elements": 1, "modes": 1}
 
 
 def small_plant(name="FlexOne-v0", randomisation=None, **settings):
-    """The plant of a named environment with few coordinates."""
+    """Return the plant of a named environment with few coordinates."""
     setup = Configuration.from_keywords({"name": name, **SMALL, "randomisation": randomisation, **settings})
     return make_plant(setup, resolve_fidelity(setup).model)
 
 
 def drawn_parameters(plant, arms, random):
-    """Parameters (b, ...) of arms, evenly from the ranges of the plant."""
+    """Draw parameters (b, ...) of arms uniformly from the ranges of the plant."""
     result = {}
     for key, span in plant.unknown.items():
         name = UNCERTAIN[key]
@@ -32,9 +32,9 @@ def drawn_parameters(plant, arms, random):
 
 
 class Bench:
-    """b arms at rest with parameters (b, ...), torques that come late by delays (b,), and readings with noise.
+    """Test bench of b arms at rest with parameters (b, ...), torque delays (b,) and measurement noise.
 
-    Noise is a part of the deviations of the plant; biases (m,) are added to the readings by name.
+    The noise is a share of the standard deviations of the plant; biases (m,) are added to the measurements by name.
     """
 
     def __init__(self, plant, start, parameters=None, delays=0, noise=0.0, seed=0, biases=None):
@@ -50,7 +50,7 @@ class Bench:
         self.read, self.force = LinearMeasurements(plant.model), np.zeros(3)
 
     def readings(self):
-        """Return the present readings; each arm has its own noise."""
+        """Return the measurements by name."""
         result = self.read.measure(self.batch.state)
         for name, values in result.items():
             deviation = self.plant.measured()[name][1]
@@ -59,7 +59,7 @@ class Bench:
         return result | {"state": self.batch.state.copy()}
 
     def step(self, actions):
-        """Moves all arms by a period under actions (b, n), parts of the limits."""
+        """Apply torques (b, 2), relative to their limits."""
         self.applied = np.array(actions, dtype=float)
         self.past = np.concatenate([self.applied[None], self.past[:-1]])
         n = self.applied.shape[1]
@@ -74,7 +74,7 @@ class Bench:
         return EpisodeInfo(self.start, self.start, self.plant.period, drawn=drawn)
 
     def follow(self, observer, actions, begin=True):
-        """Estimates of an observer after each of the actions (T, b, n), and before the first where it begins."""
+        """Return the estimates of an observer: the first one if it begins, and one after each action (T, b, n)."""
         playing, result = np.ones(len(self.start), dtype=bool), []
         if begin:
             observer.reset(np.arange(len(playing)), self.episode(), len(playing))
@@ -86,7 +86,7 @@ class Bench:
 
 
 def pushes(random, periods, arms, n, held=8):
-    """Actions (T, b, n) that are kept for some periods."""
+    """Return random actions (T, b, n), each held for some periods."""
     return random.uniform(-0.7, 0.7, (periods // held + 1, arms, n)).repeat(held, axis=0)[:periods]
 
 
@@ -115,12 +115,12 @@ class World:
         self.offset, self.force, self.bias, self.noise = (0.0,) * 4
 
     def begin(self, told):
-        """Starts an observer or a controller, which is not told where the arms are."""
+        """Start an observer or controller without information about the states of the arms."""
         told.reset(self.arms, EpisodeInfo(np.full_like(self.goals, 9.0), self.goals, self.plant.period), len(self.arms))
 
     @property
     def numbers(self):
-        """Return the readings (b, m)."""
+        """Return the measurements (b, m)."""
         return self.batch.state @ self.instruments.matrix.T + self.bias + self.noise
 
     def readings(self):
@@ -147,5 +147,5 @@ class World:
 
 
 def random_actions(periods, count=3, seed=0, size=0.3):
-    """Actions (T, b, 2) that change in every period."""
+    """Return random actions (T, b, 2) that change in every period."""
     return size * np.random.default_rng(seed).uniform(-1.0, 1.0, (periods, count, 2))

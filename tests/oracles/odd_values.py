@@ -1,4 +1,4 @@
-"""Odd values: what somebody might give by mistake, and the line with which it has to be refused."""
+"""Odd argument values that a user may pass by mistake, and the required form of the error message."""
 
 import array
 import re
@@ -12,7 +12,7 @@ LONGEST = 440  # characters of such a line
 
 
 class Rude:
-    """Something that cannot be shown, counted or turned into an array."""
+    """Object that cannot be printed, counted or converted to an array."""
 
     def __repr__(self):
         raise KeyError("no name")
@@ -25,19 +25,19 @@ class Rude:
 
 
 class Number(float):
-    """A number of somebody's own."""
+    """User-defined number."""
 
 
 class Whole(int):
-    """A whole number of somebody's own."""
+    """User-defined integer."""
 
 
 class Row(list):
-    """A list of somebody's own."""
+    """User-defined list."""
 
 
 class Table(np.ndarray):
-    """An array of somebody's own."""
+    """User-defined array."""
 
 
 # No number: where one is wanted, nothing of this may be taken.
@@ -63,7 +63,7 @@ DTYPES = ("f8", "f4", "f2", ">f8", "i8", "i1", "u8", "?", "c16", "O", "S3", "U3"
 
 
 def number(random):
-    """A number of any size and either sign, now and then none at all."""
+    """Return a number of any size and sign, sometimes NaN."""
     kind = random.integers(8)
     if kind == 0:
         return NO_NUMBERS[random.integers(len(NO_NUMBERS))]
@@ -76,7 +76,7 @@ def number(random):
 
 
 def table(random):
-    """An array of any shape and kind."""
+    """Return an array of any shape and type."""
     shape = tuple(random.integers(0, 5, random.integers(0, 4)))
     values = 10.0 ** random.uniform(-3, 3) * random.normal(size=shape)
     if values.size and random.random() < 0.3:
@@ -88,13 +88,13 @@ def table(random):
 
 
 def number_only(random):
-    """A float of any size, NaN and infinity among them."""
+    """Return a float of any size, including NaN and infinity."""
     result = number(random)
     return result if isinstance(result, float) else np.nan
 
 
 def odd(random, good):
-    """An odd value in place of a good one: from the lists, an array, a number, or the good one with a change."""
+    """Return an odd replacement of a valid value: a listed value, an array, a number, or the value with a change."""
     kind = random.integers(10)
     if kind < 3:
         return BAD[random.integers(len(BAD))]
@@ -104,7 +104,7 @@ def odd(random, good):
 
 
 def changed(random, good):
-    """A good value with an odd place in it, of another length, size or type."""
+    """Return a valid value with a wrong entry, length, size or type."""
     if isinstance(good, dict) and good:
         return changed_mapping(random, good)
     if isinstance(good, np.ndarray) and good.dtype != object and good.size:
@@ -129,7 +129,7 @@ def changed(random, good):
 
 
 def changed_mapping(random, good):
-    """A mapping with a value changed, a key left out, misspelt or added."""
+    """Return a mapping with an entry changed, removed, misspelt or added."""
     some, name = dict(good), list(good)[random.integers(len(good))]
     kind = random.integers(6)
     if kind == 0:
@@ -144,5 +144,5 @@ def changed_mapping(random, good):
 
 
 def fits(line):
-    """Return whether a message names field, value and allowed values in one short line."""
+    """Return whether a message is one short line with field, value and allowed values."""
     return bool(LINE.fullmatch(line)) and len(line) < LONGEST

@@ -1,10 +1,10 @@
-"""Batches: states and drives of many arms, for tests of what moves them side by side."""
+"""Random states and drives for tests of batches."""
 
 import numpy as np
 
 
 def states_of(model, arms, seed=0):
-    """Arms that turn, bend a little and vibrate, the rotors with them."""
+    """Return random states of arms with turning joints, small deflections and vibrating rotors."""
     random = np.random.default_rng(seed)
     states = 1e-3 * random.normal(size=(arms, 2 * model.n_dof))
     turned = random.uniform(-1.0, 1.0, (arms, model.n_joints))
@@ -14,7 +14,7 @@ def states_of(model, arms, seed=0):
 
 
 def drives(arms, steps, seed=1):
-    """Torques, tip forces and accelerations of the base, (steps, b, n + 6)."""
+    """Return random torques, tip forces and base accelerations (steps, b, n + 6)."""
     return np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, arms, 9)) * ([400.0] * 3 + [20.0] * 3 + [1.0] * 3)
 
 
@@ -33,7 +33,7 @@ FLAWED = {"kind": "lab", "noise": 0.002, "bias": 0.001, "quantisation": 1e-4, "d
 
 
 def actions(arms, steps, seed=0):
-    """Gentle torques, and now and then all that the motors have."""
+    """Yield small random torques, sometimes at the motor limits."""
     random = np.random.default_rng(seed)
     for step in range(steps):
         action = random.uniform(-1.0, 1.0, (arms, 3)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Records: made-up episodes whose figures are known."""
+"""Synthetic episodes with known metrics."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ PERIOD, LENGTH = 0.02, 500  # s, control periods
 
 
 def record(reward=123.4, settled=2.5, vibration=0.0012, error=0.0034, effort=0.25, failure="", joints=2, band=0.02):
-    """An episode of 10 s with these figures; the tip vibrates in whole cycles of a second."""
+    """Return an episode of 10 s with given metrics; the tip vibrates with a whole number of cycles per second."""
     time = PERIOD * np.arange(LENGTH + 1)
     tips = np.zeros((LENGTH + 1, 3))
     tips[:, 1] = 0.5 * vibration * np.cos(2.0 * np.pi * time)

@@ -1,7 +1,8 @@
-"""Ritz: natural frequencies of beams and bars by Rayleigh and Ritz's method with polynomials of high degree.
+"""Natural frequencies of beams and bars by the Rayleigh-Ritz method with polynomials of high degree.
 
-It shares nothing with the project: neither its finite elements nor the characteristic equations of its verification.
-Frequencies converge exponentially with the degree; those below are right to 1e-9 of themselves (see `test_ritz`).
+The module shares nothing with the library: neither its finite elements nor the characteristic equations of its
+verification. Frequencies converge exponentially with the degree; those below are accurate to a relative error of 1e-9
+(see `test_ritz`).
 """
 
 import numpy as np
@@ -15,14 +16,14 @@ X = Polynomial([0.0, 1.0])
 
 
 def shapes(length):
-    """Polynomials of xi in [0, 1]: deflection and slope at either end of a segment, then bubbles."""
+    """Return polynomials of xi in [0, 1]: deflection and slope at both ends of a segment, then bubble functions."""
     ends = [1 - 3 * X**2 + 2 * X**3, length * X * (1 - X) ** 2, 3 * X**2 - 2 * X**3, length * X**2 * (X - 1)]
     bubbles = [(X * (1 - X)) ** 2 * Legendre.basis(k).convert(kind=Polynomial)(2 * X - 1) for k in range(DEGREE)]
     return ends + bubbles
 
 
 def products(functions, derivative, scale):
-    """Integrals over a segment of the products of derivatives of some order."""
+    """Return the integrals over a segment of the products of derivatives of an order."""
     values = np.array([function.deriv(derivative)(PLACES) for function in functions])
     return scale * (values * SHARES) @ values.T
 
@@ -30,10 +31,10 @@ def products(functions, derivative, scale):
 def beam_eigenvalues(
     count, tip_mass_ratio=0.0, segments=((1.0, 1.0, 1.0),), gyration_ratio=0.0, hub_inertia_ratio=None, spring=None
 ):
-    """First omega (count,) of a beam of segments (length, EI, rho A) with a mass at its free end.
+    """Return the first omega (count,) of a beam of segments (length, EI, rho A) with a mass at its free end.
 
-    Its base is clamped, or turns with a hub of that inertia, or sits on a spring (stiffness, rotor inertia or None for
-    a rotor that is clamped). Omega 0 of a beam that turns freely is left out.
+    The base is clamped, turns with a hub inertia, or is connected by a spring (stiffness, rotor inertia, or None for a
+    clamped rotor). The frequency 0 of a freely turning beam is omitted.
     """
     size = 2 * (len(segments) + 1) + DEGREE * len(segments) + 1  # nodes, bubbles, rotor
     stiffness, mass = np.zeros((size, size)), np.zeros((size, size))
@@ -64,6 +65,6 @@ def beam_eigenvalues(
 
 
 def bar_eigenvalues(count):
-    """First omega (count,) of a bar clamped at one end, c / L = 1."""
+    """Return the first omega (count,) of a bar clamped at one end, with c / L = 1."""
     functions = [X * Legendre.basis(k).convert(kind=Polynomial)(2 * X - 1) for k in range(DEGREE + 4)]
     return np.sqrt(eigh(products(functions, 1, 1.0), products(functions, 0, 1.0), eigvals_only=True)[:count])

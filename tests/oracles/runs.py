@@ -1,4 +1,4 @@
-"""Runs: settings of trainings that take a second, with everything that a run has to remember."""
+"""Settings of training runs that take a second and use every stored quantity."""
 
 from flexman_agents.settings import Settings
 

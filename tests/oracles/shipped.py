@@ -1,6 +1,6 @@
-"""Shipped: a made-up policy in the files of one that is exported, and such files with something wrong in them.
+"""Synthetic exported policy and defective variants of its files.
 
-`PYTHONPATH=tests python -m oracles.shipped 1000` reads so many, and prints what was found.
+`PYTHONPATH=tests python -m oracles.shipped 1000` reads 1000 variants and prints the findings.
 """
 
 import json
@@ -48,7 +48,7 @@ def made_up(described=DESCRIBED, seed=0):
 
 
 def write_still(folder):
-    """Write a policy that does nothing beside its PD controller, trained in its own environment, to a folder."""
+    """Write a policy with zero actions, added to its PD controller and trained in its own environment, to a folder."""
     about, arrays = made_up()
     for name in ("action_net.weight", "action_net.bias", "check.actions"):
         arrays[name] = np.zeros_like(arrays[name])
@@ -58,7 +58,7 @@ def write_still(folder):
 
 @cache
 def files():
-    """The files of the policy."""
+    """Return the files of the policy."""
     with tempfile.TemporaryDirectory() as folder:
         write_policy(Path(folder), *made_up())
         return {name: (Path(folder) / name).read_bytes() for name in (ABOUT, ARRAYS)}
@@ -66,21 +66,21 @@ def files():
 
 @cache
 def torques():
-    """Observations, and what the network of the policy gives for them."""
+    """Return observations and the corresponding outputs of the policy's network."""
     with tempfile.TemporaryDirectory() as folder:
         seen = np.random.default_rng(1).normal(0.0, 1.0, (5, made_up()[1]["statistics.mean"].size)).astype(np.float32)
         return seen, acting(Path(folder), files()).law(seen)
 
 
 def acting(folder, contents):
-    """The policy in a folder into which files of these contents are written."""
+    """Return the policy loaded from a folder with files of given contents."""
     for name, content in contents.items():
         (folder / name).write_bytes(content)
     return find_agent(folder)
 
 
 def mutant(random):
-    """The files with bytes of one of them changed, or its JSON bent; of the arrays that is the header."""
+    """Return the files with bytes of one of them changed, or with its JSON (of arrays: the header) modified."""
     name = (ABOUT, ARRAYS)[random.integers(2)]
     content = files()[name]
     if random.integers(2) == 0:
@@ -95,7 +95,7 @@ def mutant(random):
 
 
 def outcome(seed, folder):
-    """("acts" or "refused", "") of the mutant with a seed, or ("finding", what was wrong)."""
+    """Return ("acts" or "refused", "") for the mutant with a seed, or ("finding", defect)."""
     try:
         policy = acting(folder, mutant(np.random.default_rng(seed)))
     except (ValueError, FileNotFoundError) as error:

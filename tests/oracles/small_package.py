@@ -1,4 +1,4 @@
-"""Small package: a copy of the package with two tiny kernels that compile in a moment, and processes that call them."""
+"""Copy of the package with two small kernels that compile quickly, and processes that call them."""
 
 import os
 import subprocess
@@ -24,20 +24,20 @@ print(doubled(), sum(doubled.stats.cache_hits.values()), doubled.stats.cache_pat
 
 
 def process(folder, cache, script, **variables):
-    """A process that has run a script which imports the package from `folder`."""
+    """Start a process whose script imports the package from `folder`."""
     environment = os.environ | {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache)} | variables
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment, cwd=folder)
 
 
 def run(folder, cache, script, **variables):
-    """The words that such a process prints."""
+    """Return the words printed by the process."""
     done = process(folder, cache, script, **variables)
     assert done.returncode == 0, done.stderr
     return done.stdout.split()
 
 
 def copied(folder, value):
-    """A copy of the package in `folder` with two more kernels, of which one calls the other in another file."""
+    """Copy the package to `folder` with two additional kernels, one of which calls the other from another file."""
     target = folder / "flexman_gym"
     files = (path for end in ("py", "yaml") for path in (ROOT / "flexman_gym").rglob(f"*.{end}"))
     for source in sorted(files):

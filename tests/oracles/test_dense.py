@@ -1,4 +1,4 @@
-"""The oracle itself: Lagrange's equations of its own energies, momentum, and forces from their definitions."""
+"""Tests of the dense oracle: Lagrange's equations of its energies, momentum, forces from their definitions."""
 
 from dataclasses import replace
 
@@ -13,14 +13,14 @@ from oracles.dense import Chain, payload_points
 
 
 def spinning(sample):
-    """The chain of a sample with rotors that spin."""
+    """Return the chain of a sample with spinning rotors."""
     chain = replace(sample).chain  # a copy: the sample keeps its own
     chain.spinning_rotors = True
     return chain
 
 
 def slope(function, step):
-    """Derivative at 0 of a function of one number: central differences, Richardson's order step^4."""
+    """Return the derivative of a function at 0: central differences with Richardson extrapolation, error O(step^4)."""
     differences = [(function(h) - function(-h)) / (2 * h) for h in (step, 2 * step)]
     return (4 * differences[0] - differences[1]) / 3
 

@@ -1,4 +1,4 @@
-"""Ritz: the oracle of frequencies against printed values."""
+"""Tests of the Rayleigh-Ritz oracle against printed frequencies."""
 
 import numpy as np
 import pytest

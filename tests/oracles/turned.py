@@ -1,4 +1,4 @@
-"""Turned: records of an arm of one joint whose hub is turned, as a fit simulates them, without noise."""
+"""Noise-free records of a one-joint arm with a moving hub, as simulated by a fit."""
 
 from dataclasses import replace
 from functools import cache
@@ -16,7 +16,7 @@ STIFFNESS = fm.catalog.one_joint().joints[0].stiffness
 
 @cache
 def turned(names=(BENT,), samples=121, **more):
-    """A record of outputs that an arm shows while its hub turns to and fro."""
+    """Return a record of outputs of an arm whose hub moves to and fro."""
     times, arm = PERIOD * np.arange(samples), fm.catalog.one_joint()
     hub = 0.3 * np.sin(2.0 * np.pi * 0.9 * times) ** 3
     record = fm.Measurement(times, {"motor_angle_1": hub}, dict.fromkeys(names, times), **more)
@@ -26,6 +26,6 @@ def turned(names=(BENT,), samples=121, **more):
 
 
 def sprung(factor):
-    """The arm with another spring."""
+    """Return the arm with a different joint stiffness."""
     arm = fm.catalog.one_joint()
     return replace(arm, joints=[replace(arm.joints[0], stiffness=factor * STIFFNESS)])

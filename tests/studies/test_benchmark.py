@@ -1,4 +1,4 @@
-"""Benchmark: its quick grid fills every table, whatever the machine and the packages on it."""
+"""Tests of the benchmark: the quick grid fills every table on any computer, with the installed packages."""
 
 import math
 import sys
@@ -17,7 +17,7 @@ from oracles.files import command
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
-    """Rows and page of a quick run."""
+    """Return rows and page of a quick run."""
     folder = tmp_path_factory.mktemp("benchmark")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["benchmark.py", "--quick", "--folder", str(folder)])

@@ -1,4 +1,4 @@
-"""Environments: the pages say what the docstrings and the environments say."""
+"""Tests of the environment pages against docstrings and environments."""
 
 import inspect
 import re
@@ -18,7 +18,7 @@ PAGES = ROOT / "docs" / "environments"
 
 
 def without_figures(text):
-    """A page without what its baselines reached, which takes minutes to work out, and without times."""
+    """Return a page without the results of its baselines, which take minutes to compute, and without times."""
     return re.sub(rf"\| (no torque|PD|tracking LQR|{STEP}) \|[^\n]*", r"| \1 |", text)
 
 
@@ -31,7 +31,7 @@ def test_a_task_has_the_sections_of_gymnasium_in_their_order(task):
 
 @pytest.fixture(scope="module")
 def hold():
-    """Short episodes of each baseline."""
+    """Return short episodes of each baseline."""
     return {base: run("FlexPlanar-Hold-v0", base) for base in BASES}
 
 
@@ -46,7 +46,7 @@ def test_a_page_is_made_of_what_there_is_now(name, hold):
 
 
 def cells(lines):
-    """The cells of a table of baselines: base -> head -> text."""
+    """Return the cells of a table of baselines: base -> head -> text."""
     rows = [[cell.strip() for cell in line.strip("| ").split("|")] for line in lines if line.startswith("|")]
     heads, _, *bases = rows
     return {base: dict(zip(heads[-len(values) :], values, strict=True)) for base, *values in bases}
@@ -71,7 +71,7 @@ def test_runs_are_what_the_table_says(hold):
 
 
 def test_the_default_is_judged_by_finer_steps_and_a_finer_model():
-    """Half the step of the default is a quarter of its error, as its method has order 2."""
+    """Halving the step of the default quarters its error, since its method has order 2."""
     default, half = accuracy("FlexPlanar-v0"), accuracy("FlexPlanar-v0", step=0.00125)
     assert half.steps == pytest.approx(default.steps / 4.0, rel=0.5)
     assert (default.model > default.steps).all() and default.model.max() < 0.01 and default.cost > 1.0

@@ -1,4 +1,4 @@
-"""Fidelity study: measured error and cost of chosen models."""
+"""Tests of the fidelity study: measured errors and costs of chosen models."""
 
 import math
 from dataclasses import fields
@@ -16,7 +16,7 @@ NAMES = [field.name for field in fields(FidelityRow)]
 
 @pytest.fixture(scope="module")
 def published():
-    """The rows in docs."""
+    """Return the published rows."""
     return read_rows(ROOT / "docs" / "fidelity.csv", FidelityRow)
 
 

@@ -1,4 +1,4 @@
-"""Places: a folder that cannot be written is refused before a study computes."""
+"""Tests of the output folder: a read-only folder is rejected before a study starts."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""Grids: seeds of a recipe, a league and a stability map are the same to the bit, whoever works them off."""
+"""Tests of parallel grids: recipes, leagues and stability maps are bitwise equal for any number of workers."""
 
 from dataclasses import replace
 from functools import partial
@@ -28,25 +28,25 @@ MAP = [cell for cell in stability.cells(quick=True) if cell.arguments[:1] == ("p
 
 
 def seeds_of(folder):
-    """Cells of a recipe's seeds."""
+    """Return the cells of the seeds of a recipe."""
     return [(RECIPE.with_seed(seed), str(folder / f"seed-{seed}"), {"progress": False}) for seed in SEEDS]
 
 
 def policies(folder):
-    """The bits of trained policies."""
+    """Return the bits of trained policies."""
     data = [read_npz(folder / f"seed-{seed}" / NEWEST)["policy"] for seed in SEEDS]
     return [[(name, values.tobytes()) for name, values in each.items()] for each in data]
 
 
 def league(folder, workers, venues):
-    """The rows of a league, as bytes."""
+    """Return the rows of a league as bytes."""
     run_league(["zero", "pd", "lqr"], venues, range(9000, 9002), folder, workers, lambda said: None)
     return (folder / ROWS).read_bytes()
 
 
 @pytest.fixture(scope="module")
 def venues(tmp_path_factory):
-    """Three conditions of a small environment, as files."""
+    """Return three conditions of a small environment as files."""
     folder, result = tmp_path_factory.mktemp("venues"), []
     for name, changes in {
         "plain": "",
@@ -62,7 +62,7 @@ def venues(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def serial(tmp_path_factory, venues):
-    """All three in this process alone."""
+    """Return all three computed in this process."""
     folder = tmp_path_factory.mktemp("serial")
     parallel_map(train_or_resume, seeds_of(folder))
     return policies(folder), league(folder / "league", 1, venues), parallel_map(stability.rows_of, MAP)
@@ -98,7 +98,7 @@ def test_seeds_that_were_killed_go_on_and_those_that_are_done_stay(tmp_path, ser
 
 
 def test_the_cells_of_the_stability_study_are_all_of_its_rows():
-    """Every value of every study, in the order in which it is published."""
+    """Check every value of every study in the published order."""
     whole = stability.cells()
     assert len(whole) > 50 and len({repr(cell) for cell in whole}) == len(whole)
     makers = [cell.maker for cell in whole]

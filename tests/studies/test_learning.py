@@ -1,4 +1,4 @@
-"""Learning study: cases, kept runs and published rows."""
+"""Tests of the learning study: cases, stored runs, published rows."""
 
 from dataclasses import replace
 
@@ -17,22 +17,22 @@ from studies.learning.measure import (
     ABLATIONS,
     AS_TRAINED,
     CONTROLLERS,
+    EVALUATED_IN,
     FINER,
     LONGER,
     POINTS,
     SEEDS,
     TASKS,
-    VENUES,
     LearningCase,
     LearningRow,
     Point,
     adds_to_pd,
     cases,
     environment,
-    places,
     points,
     runs,
     trained,
+    variants,
 )
 from studies.learning.page import page
 
@@ -45,12 +45,12 @@ SHORT = Settings(
 
 
 def test_every_recipe_is_judged():
-    assert sorted(SEEDS) == RECIPES and VENUES.keys() <= SEEDS.keys()
+    assert sorted(SEEDS) == RECIPES and EVALUATED_IN.keys() <= SEEDS.keys()
     assert [case.name for case in cases() if case.kind == "recipe"] == list(SEEDS)
 
 
 def differences(first, second):
-    """Names of settings, and of entries of their mappings, that differ."""
+    """Return the names of settings, and of entries of their mappings, that differ."""
     result = set()
     for name, value in first.plain().items():
         other = second.plain()[name]
@@ -79,7 +79,7 @@ def test_every_ablation_is_among_the_cases():
 
 
 def test_a_finer_model_and_longer_episodes_are_what_they_say():
-    result = places(Configuration("FlexPlanar-v0"))
+    result = variants(Configuration("FlexPlanar-v0"))
     finer = result[FINER]
     assert (finer.elements, finer.modes, finer.stiffening, finer.step) == (3, None, True, 2.5e-3 / 4)
     assert result[AS_TRAINED].stiffening is False and result[LONGER].horizon == 30.0
@@ -113,8 +113,10 @@ def test_the_published_page_is_that_of_the_published_rows():
     assert (ROOT / "docs" / "learning.md").read_text(encoding="utf-8") == page(rows, read_comment(file))
     names = {row.name for row in rows if row.kind == "controller"}
     assert names == {f"{name}, {id}" for id, names in CONTROLLERS.items() for name in names}
-    learned = {venue: [name] if name in POLICIES else [] for venue, (name, _) in TASKS.items()}
-    expected = {f"{name}, {venue}" for venue, (_, law) in TASKS.items() for name in ("pd", law, *learned[venue])}
+    learned = {scenario: [name] if name in POLICIES else [] for scenario, (name, _) in TASKS.items()}
+    expected = {
+        f"{name}, {scenario}" for scenario, (_, law) in TASKS.items() for name in ("pd", law, *learned[scenario])
+    }
     assert {row.name for row in rows if row.kind == "task"} == expected
     curves = read_rows(ROOT / "docs" / "learning_curves.csv", Point)
     assert {point.name for point in curves} <= SEEDS.keys()

@@ -1,4 +1,4 @@
-"""Machine: fits to runs of a real arm predict other runs; fits to made-up arms find their parameters."""
+"""Tests of fits to a real arm, which predict held-out runs, and to simulated arms, whose parameters are recovered."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from studies.machine.measure import (
 
 
 def test_half_of_the_runs_of_a_real_arm_predicts_the_others():
-    """The goals: R2 of 0.90 in the median and 0.95 at 20 and 30 degrees, 1.80 to 1.97 Hz, damping 0.09 to 0.16."""
+    """Goals: R2 of 0.90 in the median and 0.95 at 20 and 30 degrees, 1.80 to 1.97 Hz, damping ratio 0.09 to 0.16."""
     runs = moving(DATA)
     names = sorted(runs)
     assert len(names) == 11

@@ -1,4 +1,4 @@
-"""New methods: one more entry of `METHODS` is in every grid, table and chart of the studies, with a look of its own."""
+"""Tests of a new entry of `METHODS`: it is in every grid, table and chart of the studies, with its own line style."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import pytest
 
 from flexman_gym.scene import catalog
 from flexman_gym.simulation.methods import METHODS
-from studies.methods import COLOURS, MARKERS, looks
+from studies.methods import COLOURS, MARKERS, line_styles
 from studies.precision.measure import PrecisionRow as Run
 from studies.precision.measure import ReferenceSolution, Study, grid
 from studies.stability.rows import amplification_rows, drift_rows, limit_rows
@@ -17,12 +17,12 @@ RUN = Run("a scene", MODEL, NEW, None, None, 1.0, 1.0, 100.0, 1e-6, 1e-2, "ok")
 
 
 def add(monkeypatch, model):
-    """Offers one more method, the same as a model but for its name."""
+    """Add a method that equals an existing one except for its name."""
     monkeypatch.setitem(METHODS, NEW, replace(METHODS[model], name=NEW))
 
 
 def runs(monkeypatch):
-    """The rows of the full grid on one model, of which none is computed."""
+    """Return the rows of the full grid of one model without computing them."""
 
     def ladder(study, model, method, settings, patience, adaptive=False):
         for setting in settings:
@@ -52,11 +52,11 @@ def test_a_new_method_is_measured_by_the_study_of_stability(monkeypatch):
 
 
 def test_no_two_methods_have_the_same_look(monkeypatch):
-    before = looks()
+    before = line_styles()
     assert len(set(before.values())) == len(before) == len(METHODS) and len(COLOURS) == len(MARKERS)
     for number in range(50):
         monkeypatch.setitem(METHODS, f"{NEW}_{number}", METHODS["ros2"])
-    after = looks()
+    after = line_styles()
     assert len(set(after.values())) == len(after) == len(METHODS)
     fixed = [name for name in before if not METHODS[name].adaptive]
     assert [after[name] for name in fixed] == [before[name] for name in fixed]  # the old ones keep theirs

@@ -1,4 +1,4 @@
-"""Pages of studies: each published page is made of the rows beside it; test_learning.py has the one of training."""
+"""Tests of the published pages against their rows; test_learning.py has that of the learning page."""
 
 import pytest
 

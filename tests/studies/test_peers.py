@@ -1,4 +1,4 @@
-"""Peers: the arms that other codes simulate are ours: mass, place of the tip, frequencies, motion."""
+"""Tests of the arms in other simulators against ours: mass, tip position, frequencies, motion."""
 
 import importlib
 from dataclasses import replace
@@ -24,13 +24,13 @@ def mujoco():
 
 @pytest.fixture(scope="module")
 def mujoco_peer(mujoco):
-    """The room of MuJoCo's models as a module."""
+    """Return the module of the MuJoCo models."""
     return importlib.import_module("studies.peers.mujoco")
 
 
 @pytest.fixture(scope="module")
 def exudyn_peer():
-    """The room of Exudyn's model as a module."""
+    """Return the module of the Exudyn models."""
     try:
         return importlib.import_module("studies.peers.exudyn")
     except ModuleNotFoundError as error:
@@ -39,13 +39,13 @@ def exudyn_peer():
 
 @pytest.fixture(scope="module")
 def pinocchio_peer():
-    """The room of Pinocchio's model as a module."""
+    """Return the module of the Pinocchio models."""
     pytest.importorskip("pinocchio")
     return importlib.import_module("studies.peers.pinocchio")
 
 
 def short(arm, duration=0.2):
-    """The paper's scene with another arm and duration, s."""
+    """Return the paper's scene with another arm and duration (s)."""
     n = len(arm.links)
     model = fm.ModelChoice((True,) * n, (2,) * n)
     initial = fm.Initial((0.0,) * n, (0.0,) * n)
@@ -54,7 +54,7 @@ def short(arm, duration=0.2):
 
 
 def ours(scene, step=1e-4, **choice):
-    """The tip of our model in a scene, (T, 3) m."""
+    """Return the tip (T, 3) of our model in a scene."""
     return fm.simulate(scene, fm.build_model(scene.arm, **choice), "implicit_midpoint", step=step).tip
 
 
@@ -119,7 +119,7 @@ def test_a_decay_is_that_of_all_steps_of_a_second():
 
 @pytest.mark.parametrize("pieces", [2, 4])
 def test_arms_of_mujoco_abreast_move_as_one_alone(mujoco_peer, pieces):
-    tips = mujoco_peer.abreast(SCENE, pieces, 1e-4 / 1.6, 3, 2)
+    tips = mujoco_peer.batched_arms(SCENE, pieces, 1e-4 / 1.6, 3, 2)
     alone = mujoco_peer.run(short(ARM, 0.05), pieces, "Euler", 1e-4 / 1.6)
     assert np.array_equal([next(tips) for _ in range(5)], alone.tip[1:])
 
@@ -149,11 +149,11 @@ def test_rigid_links_of_mujoco_move_as_ours(mujoco_peer):
     assert result.distance(expected.tip) < 1e-9
 
 
-@pytest.mark.parametrize("room", ["mujoco_peer", "pinocchio_peer"])
-def test_rigid_arms_move_as_ours(room, request):
-    peer = request.getfixturevalue(room)
+@pytest.mark.parametrize("peer_name", ["mujoco_peer", "pinocchio_peer"])
+def test_rigid_arms_move_as_ours(peer_name, request):
+    peer = request.getfixturevalue(peer_name)
     rigid = with_rigid_joints(SCENE)
-    result = peer.run(rigid, 0, "RK4", 1e-3) if room == "mujoco_peer" else peer.run(rigid, 1e-3)
+    result = peer.run(rigid, 0, "RK4", 1e-3) if peer_name == "mujoco_peer" else peer.run(rigid, 1e-3)
     model = fm.build_model(ARM, flexible_links=False, flexible_joints=False)
     assert result.distance(fm.simulate(SCENE, model, "rk4", step=1e-3).tip) < 1e-9
 

@@ -1,4 +1,4 @@
-"""Planted errors: the table fits the sources, and the planter tells what is caught from what survives."""
+"""Tests of the planted errors: the error files match the sources, and outcomes are classified correctly."""
 
 import subprocess
 from dataclasses import replace
@@ -6,15 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from studies.planted.measure import CAUGHT, EQUIVALENT, ROOMS, SURVIVED, Change, Copy, changes, misplaced
+from studies.planted.measure import CAUGHT, EQUIVALENT, PARTS, SURVIVED, Change, Copy, changes, kept, misplaced
+
+from oracles.files import command
 
 ROOT = Path(__file__).parents[2]
-DOUBLE = Change("room", "halves", "double.py", "2 * x", "x / 2", ("test_double.py",))
+DOUBLE = Change("part", "halves", "double.py", "2 * x", "x / 2", ("test_double.py",))
 
 
 @pytest.fixture
 def checkout(tmp_path):
-    """A checkout of one function and its test; the folder of agents is there for their name."""
+    """Return a checkout with one function, its test and an empty folder of agents."""
     folder = tmp_path / "checkout"
     (folder / "agents").mkdir(parents=True)
     (folder / "double.py").write_text("def double(x):\n    return 2 * x + 0 * abs(x)\n")
@@ -25,10 +27,10 @@ def checkout(tmp_path):
 
 
 def test_every_error_of_the_table_has_its_place_and_its_tests():
-    every = [change for room in ROOMS.values() for change in room]
+    every = [change for part in PARTS.values() for change in part]
     assert misplaced(ROOT, every) == []
-    assert len(every) >= 120 and len({(change.room, change.error) for change in every}) == len(every)
-    assert all(change.room == name for name, room in ROOMS.items() for change in room)
+    assert len(every) >= 120 and len({(change.part, change.error) for change in every}) == len(every)
+    assert all(change.part == name for name, every in PARTS.items() for change in every)
 
 
 def test_an_error_is_caught_or_survives_or_is_equivalent(checkout, tmp_path):
@@ -43,28 +45,45 @@ def test_an_error_is_caught_or_survives_or_is_equivalent(checkout, tmp_path):
     assert copy.plant(replace(DOUBLE, equivalent="is not so")).outcome == CAUGHT
     assert copy.plant(replace(DOUBLE, new="syntax error")).outcome == CAUGHT
     assert (copy.root / "double.py").read_text() == (checkout / "double.py").read_text()
-    with pytest.raises(RuntimeError, match="pytest says"):
+    with pytest.raises(RuntimeError, match="pytest: "):
         copy.failing(["test_nothing.py"])
 
 
 def test_a_test_that_is_red_without_an_error_catches_none(checkout, tmp_path):
     (checkout / "test_double.py").write_text("def test_never():\n    assert False\n")
     copy = Copy(checkout, tmp_path / "copy")
-    with pytest.raises(RuntimeError, match=r"test_double.py::test_never fails without an error too"):
+    with pytest.raises(RuntimeError, match=r"test_double.py::test_never also fails without a planted error"):
         copy.plant(DOUBLE)
 
 
 def test_an_error_without_its_place_is_told(checkout):
     wrong = [replace(DOUBLE, old="3 * x"), replace(DOUBLE, old="x"), replace(DOUBLE, tests=("test_other.py",))]
     lines = misplaced(checkout, wrong)
-    assert "0 times" in lines[0] and "3 times" in lines[1] and lines[2] == "test_other.py is no test"
+    assert "0 times" in lines[0] and "3 times" in lines[1] and lines[2] == "test_other.py is not a test file"
 
 
 def test_changes_of_a_file_share_its_tests(tmp_path, monkeypatch):
     monkeypatch.setattr("studies.planted.measure.ERRORS", tmp_path)
     text = "- {file: a.py, tests: [test_beam.py, test_metrics.py], errors: [{error: one, old: x, new: y}, "
-    (tmp_path / "room.yaml").write_text(text + "{error: two, old: u, new: v, equivalent: why}]}")
+    (tmp_path / "part.yaml").write_text(text + "{error: two, old: u, new: v, equivalent: why}]}")
     tests = ("tests/test_beam.py", "tests/test_metrics.py")
-    assert list(changes("room")) == [
-        Change("room", "one", "a.py", "x", "y", tests), Change("room", "two", "a.py", "u", "v", tests, "why"),
+    assert list(changes("part")) == [
+        Change("part", "one", "a.py", "x", "y", tests), Change("part", "two", "a.py", "u", "v", tests, "why"),
     ]  # fmt: skip
+
+
+def test_rows_with_the_old_column_name_are_read(tmp_path):
+    rows = {}
+    for name in ("part", "room"):
+        (tmp_path / f"{name}.csv").write_text(
+            f"{name},error,file,outcome,by,seconds\nmodel,halves,a.py,caught,b.py,2\n"
+        )
+        rows[name] = kept(tmp_path / f"{name}.csv")
+    assert rows["part"] == rows["room"] and ("model", "halves") in rows["part"]
+
+
+@pytest.mark.parametrize("option", ["--part", "--room"])
+def test_the_part_is_chosen_by_the_new_and_the_old_option(option, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["plant", option, "model", "--only", "no such text", "--folder", str(tmp_path)])
+    assert command("plant").main() == 0
+    assert "no error matches" in capsys.readouterr().out

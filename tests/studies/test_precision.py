@@ -1,4 +1,4 @@
-"""Precision study: rows of the quick grid, and the Pareto front."""
+"""Tests of the precision study: rows of the quick grid, Pareto front."""
 
 import math
 from collections import defaultdict
@@ -39,7 +39,7 @@ NUMBERS = st.floats(min_value=1e-6, max_value=1e6) | st.just(math.inf)
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Folder with the rows of the quick study."""
+    """Return a folder with the rows of the quick study."""
     result = tmp_path_factory.mktemp("study")
     precision.compute(REFERENCE, result, quick=True)
     return result
@@ -83,7 +83,7 @@ def test_the_truth_is_better_than_the_rows_that_it_judges(rows, floors):
 
 
 def test_the_error_of_the_model_is_what_the_methods_do_not_explain(rows):
-    """Total and time error differ by the distance between two truths, which is the same for every run of a model."""
+    """Total and time error differ by the distance of two reference solutions, equal for all runs of a model."""
     for model in {row.model for row in rows}:
         mine = [row for row in rows if row.model == model]
         limit = min(mine, key=lambda row: row.time_error).total_error
@@ -130,11 +130,11 @@ def test_a_failed_run_is_infinitely_far_and_other_times_are_refused():
     model = build_model(scene.arm, **choices(scene)["rigid"])
     result = simulate(scene, model, "rk4", step=0.02)
     fine = simulate(scene, model, "rk4", step=0.01)
-    truth = ReferenceSolution(fine.tip, 1e-12, "")
-    assert truth.distance(fine) == 0.0 < truth.distance(result) < 1e-6
-    assert truth.distance(replace(result, status="diverged")) == math.inf
-    with pytest.raises(ValueError, match="truth: 21 times"):
-        truth.distance(replace(result, tip=np.zeros((8, 3))))
+    solution = ReferenceSolution(fine.tip, 1e-12, "")
+    assert solution.distance(fine) == 0.0 < solution.distance(result) < 1e-6
+    assert solution.distance(replace(result, status="diverged")) == math.inf
+    with pytest.raises(ValueError, match="reference: 21 times"):
+        solution.distance(replace(result, tip=np.zeros((8, 3))))
 
 
 @pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")

@@ -1,4 +1,4 @@
-"""Ring-down study: cases, errors and rows."""
+"""Tests of the ring-down study: cases, errors, rows."""
 
 import numpy as np
 import pytest
@@ -42,9 +42,11 @@ def test_arms_start_with_the_energy_that_their_kind_names(kind):
 
 def test_the_midpoint_rule_keeps_the_energy_that_ros2_loses():
     model, each = default_model(undamped=True), cases(UNDAMPED, 3)
-    truth = outcome(model, each, REFERENCE, None)
-    np.testing.assert_allclose(truth.energy, truth.first, rtol=1e-4)
-    kept = {name: row(UNDAMPED, name, 0.005, outcome(model, each, name, 0.005), truth) for name in ("ros2", DEFAULT[0])}
+    reference = outcome(model, each, REFERENCE, None)
+    np.testing.assert_allclose(reference.energy, reference.first, rtol=1e-4)
+    kept = {
+        name: row(UNDAMPED, name, 0.005, outcome(model, each, name, 0.005), reference) for name in ("ros2", DEFAULT[0])
+    }
     assert kept["ros2"].energy_median > 0.3
     assert kept[DEFAULT[0]].energy_median < 0.01
     assert kept[DEFAULT[0]].kept == pytest.approx(1.0, abs=0.01)
@@ -52,10 +54,12 @@ def test_the_midpoint_rule_keeps_the_energy_that_ros2_loses():
 
 def test_a_failed_arm_is_infinitely_far_and_counted():
     model, each = default_model(), cases(RELEASE, 2)
-    truth = outcome(model, each, *DEFAULT)
-    exact = row(RELEASE, "truth", 1.0, truth, truth)
+    reference = outcome(model, each, *DEFAULT)
+    exact = row(RELEASE, "reference", 1.0, reference, reference)
     assert exact.energy_99 == exact.tip_99 == exact.failed == 0.0
-    failed = row(RELEASE, "failed", 1.0, truth._replace(status=truth.status + np.array([0, 1], np.int8)), truth)
+    failed = row(
+        RELEASE, "failed", 1.0, reference._replace(status=reference.status + np.array([0, 1], np.int8)), reference
+    )
     assert failed.failed == 0.5 and failed.tip_median == 0.0
     assert not np.isfinite(percentiles(np.array([np.inf]), np.array([np.inf]))["tip_99"])
 

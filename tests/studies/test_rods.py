@@ -1,4 +1,4 @@
-"""Rods: MuJoCo's 1-D flexes are the links of our arm: mass, inertia, frequency of a beam, motion."""
+"""Tests of MuJoCo's 1-D flexes against our links: mass, inertia, beam frequency, motion."""
 
 import importlib
 from dataclasses import replace
@@ -21,18 +21,18 @@ def mujoco():
 
 @pytest.fixture(scope="module")
 def mujoco_peer(mujoco):
-    """The room of MuJoCo's models as a module."""
+    """Return the module of the MuJoCo models."""
     return importlib.import_module("studies.peers.mujoco")
 
 
 @pytest.fixture(scope="module")
 def rods(mujoco_peer):
-    """The room of MuJoCo's rods as a module."""
+    """Return the module of the MuJoCo rods."""
     return importlib.import_module("studies.peers.rods")
 
 
 def with_rods(mujoco, mujoco_peer, rods, arm, length):
-    """MuJoCo's model of an arm of rods in pieces of a length (m), and its data."""
+    """Return the MuJoCo model of an arm of rods in pieces of a length (m), and its data."""
     model = mujoco.MjModel.from_xml_string(to_mjcf(arm, 0, "Euler", 2e-5, partial(rods.rod, length)))
     return model, mujoco.MjData(model)
 
@@ -85,7 +85,7 @@ def test_a_clamped_rod_of_mujoco_vibrates_as_beam_theory_says(mujoco, mujoco_pee
 def test_a_short_run_of_rods_is_near_ours(rods):
     scene = replace(SCENE, duration=0.3)
     model = fm.build_model(ARM, elements=3, stiffening=True)
-    truth = ReferenceSolution(fm.simulate(scene, model, "implicit_midpoint", step=1e-3).tip, 0.0, "")
-    study = Study("short", scene, {}, truth, {})
+    solution = ReferenceSolution(fm.simulate(scene, model, "implicit_midpoint", step=1e-3).tip, 0.0, "")
+    study = Study("short", scene, {}, solution, {})
     errors = [rods.run(study, length, "Euler", parts).total_error for length, parts in ((0.5, 110), (0.25, 220))]
     assert errors[1] < 0.4 * errors[0] < 2e-3

@@ -1,4 +1,4 @@
-"""Servos: limits of gains against closed forms and environments."""
+"""Tests of gain limits of servos against closed forms and environments."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Stability: predicted limits hold, and a gallery of failures, each beside the method or model that survives it."""
+"""Tests of predicted stability limits, and examples of failures with methods or models that avoid them."""
 
 import math
 from dataclasses import replace
@@ -40,13 +40,13 @@ from studies.stability.rows import (
 
 @cache
 def arm_model(modes=4, **options):
-    """The paper's arm."""
+    """Return the model of the paper's arm."""
     return fm.build_model(fm.catalog.paper_rrr(**options), 2, modes)
 
 
 @cache
 def damping(rotor_inertia, name, step):
-    """Rows of one method and step: by quantity and mode."""
+    """Return the rows of one method and step by quantity and mode."""
     return {(row.quantity, row.parameter): row for row in damping_rows(rotor_inertia, (name,), (step,))}
 
 
@@ -112,7 +112,7 @@ def test_an_explicit_method_past_its_limit_diverges_and_ros2_survives(name, mode
 
 
 def extrapolated_midpoint(model, step, duration, start):
-    """Time (s) at which the linearly implicit midpoint rule with extrapolated speeds diverges; infinite if never."""
+    """Return the time (s) of divergence of the linearly implicit midpoint rule with extrapolated speeds, or inf."""
     d, stiffness = model.n_dof, stiffness_matrix(model)
     x, v = np.split(start, 2)
     before = v
@@ -223,7 +223,7 @@ def test_clamped_modes_without_torsion_miss_centimetres_and_loaded_modes_do_not(
     outboard = outboard_inertias(arm, beams)
 
     def motion(kept):
-        """Tip displacement (3,) and the lowest frequency (Hz) within the span of these columns (d, k)."""
+        """Return tip displacement (3,) and lowest frequency (Hz) in the span of given columns (d, k)."""
         squares, shapes = eigh(kept.T @ stiffness @ kept, kept.T @ mass @ kept)
         omegas = np.sqrt(squares[n:])
         amounts = np.r_[np.full(n, 0.5), (1.0 - np.cos(omegas)) / squares[n:]]
@@ -243,13 +243,13 @@ def test_clamped_modes_without_torsion_miss_centimetres_and_loaded_modes_do_not(
 def test_a_tiny_rotor_on_a_stiff_spring_stops_an_explicit_method_and_ros2_is_right():
     model, step = arm_model(2, rotor_inertia=1e-6), 0.00025
     scene = replace(fm.catalog.paper_scene(), duration=0.2, output_step=0.02)
-    truth = fm.simulate(scene, model, "dop853", rtol=1e-8, atol=1e-10)
-    assert truth.status == "ok"
+    reference = fm.simulate(scene, model, "dop853", rtol=1e-8, atol=1e-10)
+    assert reference.status == "ok"
     for name in explicit_methods():
         assert fm.simulate(scene, model, name, step).status == "diverged"
     run = fm.simulate(scene, model, "ros2", step)
     assert run.status == "ok"
-    assert np.linalg.norm(run.tip - truth.tip, axis=1).max() < 1e-3
+    assert np.linalg.norm(run.tip - reference.tip, axis=1).max() < 1e-3
 
 
 # rows, charts and page

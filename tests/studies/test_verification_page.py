@@ -1,4 +1,4 @@
-"""Verification table: its fast rows pass, a wrong number fails, and the page holds every row."""
+"""Tests of the verification table: fast rows pass, wrong values fail, and the page has every row."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning
 
 @pytest.fixture(scope="module")
 def rows():
-    """All rows but those of the long motions."""
+    """Return all rows except those of the long motions."""
     return table_rows(REFERENCE, quick=True)
 
 

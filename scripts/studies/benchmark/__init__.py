@@ -1,1 +1,1 @@
-"""Benchmark: what steps, training and starts cost beside peers."""
+"""Benchmark of environment steps, training and start-up, compared with other simulators."""

@@ -1,4 +1,4 @@
-"""Endurance: millions of steps without growing memory, and equal bits of single and vector environments."""
+"""Endurance test: millions of steps with constant memory, and bitwise equality of single and vector environments."""
 
 import re
 import time
@@ -16,14 +16,14 @@ from flexman_gym.envs.config.configuration import Configuration
 from studies.benchmark.page import ENDURANCE, PAGE, without_endurance
 
 PARTS = ("observations", "rewards", "terminated", "truncated")
-HELD = 7  # actions for which random torques stay, so that limits are met
+HELD = 7  # steps for which a random action is held, long enough to exceed limits
 
 
 def alike(name: str, steps: int, arms: int, mode: AutoresetMode, **settings: Any) -> int:
-    """Step all arms of a named environment in both forms; return the number of failures.
+    """Step a vector environment and the same single environments side by side; return the number of failed episodes.
 
     Raises:
-        AssertionError: for the first number that is another, with step and part.
+        AssertionError: at the first difference, with the step and the kind of output.
     """
     ours = gym.make_vec(name, arms, "vector_entry_point", autoreset_mode=mode, **settings)
     single = gym.make_vec(name, arms, "sync", vector_kwargs={"autoreset_mode": mode}, **settings)
@@ -57,12 +57,12 @@ RANDOMISATION = {
     "tip_impulse": (0.0, 20.0),
     "impulse_gap": 1.0,
 }
-SETTLED = 100_000  # steps after which memory should stay as it is
-ALLOWED = 0.05  # growth of memory
-HOLDS = (1, 5, 25)  # control periods for which arms keep an action: the longer, the faster they get
-BLOCK = 200  # actions drawn at once, of all arms
-NOTE = """Random actions on {arms} arms with every randomisation on. An arm keeps each for {holds} control periods.
-Neither an observation nor a reward was anything but a finite number."""
+SETTLED = 100_000  # steps; warm-up, after which the memory should stay constant
+ALLOWED = 0.05  # allowed relative growth of the memory
+HOLDS = (1, 5, 25)  # control periods for which an action is held; longer holds lead to faster motion
+BLOCK = 200  # steps whose actions are drawn at once
+NOTE = """Random actions on {arms} arms with all randomisations. Each arm holds an action for {holds} control periods.
+All observations and rewards were finite."""
 
 
 @dataclass
@@ -70,13 +70,13 @@ class _Count:
     """Counts of an endurance run.
 
     Attributes:
-        steps, episodes: of all arms; the step that only resets an arm is none.
+        steps, episodes: totals of all arms; a step that only resets an arm does not count.
         truncated: episodes that reached their time limit.
-        failures: what ended the others, by kind.
+        failures: failed episodes by kind of failure.
         diverged: steps whose status was not "ok".
         alarms: steps with an energy alarm.
-        memory: MB of the process, after SETTLED steps and at the end.
-        cpu: seconds of the processor.
+        memory: resident memory after SETTLED steps and at the end, MB.
+        cpu: CPU time, s.
     """
 
     steps: int = 0
@@ -90,12 +90,12 @@ class _Count:
 
     @property
     def growth(self) -> float:
-        """Of memory, as a part of what it was."""
+        """Relative growth of the memory between the two measurements."""
         return self.memory[1] / self.memory[0] - 1.0
 
 
 def _resident() -> float:
-    """Memory of this process that is in use, MB."""
+    """Return the resident memory of this process, MB."""
     result = re.search(r"VmRSS:\s*(\d+) kB", Path("/proc/self/status").read_text())
     if result is None:
         raise OSError("the memory of this process cannot be read here")
@@ -103,7 +103,7 @@ def _resident() -> float:
 
 
 def _actions(arms: int, joints: int, random: np.random.Generator) -> np.ndarray:
-    """BLOCK actions (BLOCK, arms, joints) float32: an arm keeps each for one of HOLDS periods."""
+    """Return random actions (BLOCK, arms, joints) float32; each arm holds an action for one of the HOLDS periods."""
     result = random.uniform(-1.0, 1.0, (BLOCK, arms, joints)).astype(np.float32)
     for arm in range(arms):
         hold = HOLDS[arm % len(HOLDS)]
@@ -112,7 +112,7 @@ def _actions(arms: int, joints: int, random: np.random.Generator) -> np.ndarray:
 
 
 def all_conditions(name: str) -> dict[str, Any]:
-    """Keywords of a named environment with all of its conditions at once."""
+    """Return the keywords of a named environment with all of its conditions combined."""
     friction, general = (Configuration.find(f"{name}/{condition}") for condition in ("friction", "unknown"))
     return {
         "arm": friction.arm,
@@ -121,10 +121,10 @@ def all_conditions(name: str) -> dict[str, Any]:
 
 
 def endure(steps: int, arms: int, settled: int = SETTLED, name: str = "FlexRRR-v0", **settings: Any) -> _Count:
-    """Run so many steps of all arms of a named environment, by default with every randomisation.
+    """Run a number of steps of a named environment, by default with all randomisations, and return the counts.
 
     Raises:
-        AssertionError: for a number that is none, and for an observation outside its space.
+        AssertionError: if a reward is not finite or an observation is outside its space.
     """
     env = gym.make_vec(name, arms, "vector_entry_point", **(settings or {"randomisation": RANDOMISATION}))
     random, count, before = np.random.default_rng(0), _Count(), 0.0
@@ -154,10 +154,10 @@ def endure(steps: int, arms: int, settled: int = SETTLED, name: str = "FlexRRR-v
 
 
 def _section(count: _Count, arms: int) -> str:
-    """The count as a section of a page."""
+    """Return the section of the benchmark page."""
     rows = {
         "steps": f"{count.steps:,}",
-        "steps a second of CPU": f"{count.steps / count.cpu:,.0f}",
+        "steps per CPU second": f"{count.steps / count.cpu:,.0f}",
         "episodes": f"{count.episodes:,}",
         "ended by their time limit": f"{count.truncated:,}",
         **{f"ended by a failure of {name}": f"{number:,}" for name, number in count.failures.most_common()},
@@ -168,11 +168,11 @@ def _section(count: _Count, arms: int) -> str:
     }
     *some, last = map(str, HOLDS)
     note = NOTE.format(arms=arms, holds=f"{', '.join(some)} or {last}")
-    return "\n".join([ENDURANCE, "", note, "", *markdown_table(("what", "count"), rows.items())]) + "\n"
+    return "\n".join([ENDURANCE, "", note, "", *markdown_table(("quantity", "value"), rows.items())]) + "\n"
 
 
 def publish(count: _Count, arms: int, folder: Path) -> str:
-    """Write the section into the page of the benchmark, and returns it."""
+    """Write the section into the benchmark page and return its text."""
     page, text = folder / PAGE, _section(count, arms)
     page.write_text("\n".join([*without_endurance(page)[0], text]), encoding="utf-8")
     return text

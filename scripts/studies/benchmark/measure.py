@@ -1,4 +1,4 @@
-"""Benchmark rows: environments, parts of a step, evaluations of the dynamics, and start-up times."""
+"""Benchmark measurements: environment steps, parts of a step, evaluations of the dynamics, start-up times."""
 
 import json
 import os
@@ -29,17 +29,18 @@ EVALUATIONS, ENVIRONMENTS, PARTS, STARTS = "evaluations", "environments", "parts
 
 @dataclass(frozen=True)
 class BenchmarkRow:
-    """A row of the benchmark.
+    """Row of the benchmark.
 
     Attributes:
-        table: to which it belongs.
-        name: what is timed.
-        arms, threads: numbers of them, None where that says nothing.
-        cpu, wall: seconds, medians over the rounds; wall of environments that of the quickest round.
-        peer: name of the row that it is compared with, "" for none.
-        times_peer: of evaluations the cost, of environments the speed, as a multiple of the peer's: median over the
-            rounds by CPU time; for a row of several threads by the clock.
-        share: part of the CPU time that is spent in the environment's steps.
+        table: table of the page to which the row belongs.
+        name: timed operation.
+        arms, threads: number of arms and threads; None where not applicable.
+        cpu, wall: CPU and wall-clock time per operation, s; medians over the rounds, but `wall` of environments is that
+            of the fastest round.
+        peer: name of the row with which this one is compared, "" for none.
+        times_peer: cost (evaluations) or speed (environments) relative to the peer: median over the rounds of the CPU
+            time ratio, or the ratio of wall-clock times for several threads.
+        share: share of the CPU time spent in the steps of the environment.
     """
 
     table: str
@@ -54,7 +55,7 @@ class BenchmarkRow:
 
 
 def _in_turns(timers: Mapping[str, Timer], rounds: int) -> dict[str, Array]:
-    """Costs (rounds, 3) of each; they take turns, so that a slow moment of the machine hits all of them."""
+    """Return the costs (rounds, 3) of each timer; interleaved, so that disturbances affect all timers alike."""
     costs: dict[str, list[Cost]] = {name: [] for name in timers}
     for _ in range(rounds):
         for name, measure in timers.items():
@@ -69,7 +70,7 @@ ROLLOUT = "MuJoCo's rollout, 4 rigid pieces a link, {} steps of Euler"
 
 
 class _BenchmarkEntry(NamedTuple):
-    """A row in the making."""
+    """Timer of a future row with its name, number of arms and threads."""
 
     name: str
     arms: int
@@ -82,13 +83,13 @@ class Grid:
     """Sizes of the benchmark.
 
     Attributes:
-        arms: numbers of them in a vector environment.
-        steps: of a vector environment in a round; 500 hold one end of each episode.
-        singles: steps of a single environment in a round.
-        training: arms and rollouts of PPO in a round.
-        physics: arms and control periods in a round where only the physics is timed.
-        parts: of a control period that are one step of MuJoCo; None looks for the fewest that are stable.
-        rounds: of all rows in turns.
+        arms: numbers of arms of the vector environments.
+        steps: steps of a vector environment per round; 500 steps include one end of each episode.
+        singles: steps of a single environment per round.
+        training: number of arms and of rollouts of PPO per round.
+        physics: number of arms and of control periods per round of the physics alone.
+        parts: MuJoCo steps per control period; None searches for the smallest stable number.
+        rounds: number of interleaved rounds.
     """
 
     arms: tuple[int, ...] = (1, 16, 64, 256, 1024)
@@ -104,7 +105,7 @@ QUICK = Grid(arms=(1, 9), steps=20, singles=20, training=(2, 1), physics=(2, 1),
 
 
 def _single(name: str, steps: int) -> Timer:
-    """Step of an environment from gym.make under random actions; episodes that end start anew."""
+    """Return a timer of steps of a single environment under random actions, including resets."""
     env = gym.make(name)
     env.reset(seed=0)
     env.action_space.seed(0)
@@ -113,7 +114,7 @@ def _single(name: str, steps: int) -> Timer:
 
 
 def _vector(arms: int, threads: int, steps: int) -> Timer:
-    """Step of a vector environment under random actions, with its resets."""
+    """Return a timer of steps of the vector environment under random actions, including resets."""
     env = gym.make_vec(OURS, arms, "vector_entry_point", threads=threads)
     env.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (steps, *(env.action_space.shape or ()))).astype(np.float32)
@@ -121,7 +122,7 @@ def _vector(arms: int, threads: int, steps: int) -> Timer:
 
 
 def _physics(setup: Configuration, arms: int, periods: int) -> Timer:
-    """Control periods of arms that begin at rest, under random torques."""
+    """Return a timer of control periods of arms that start at rest, under random torques."""
     model, method, step, _ = resolve_fidelity(setup)
     batch = Batch(model, method, step, setup.control_period, arms=arms)
     drives = np.zeros((periods, arms, setup.arm.n_joints + 6))
@@ -138,15 +139,15 @@ def _physics(setup: Configuration, arms: int, periods: int) -> Timer:
 
 
 def _alone(steps: int) -> Timer:
-    """Control periods of the environment's simulator, called from Python."""
+    """Return a timer of control periods of the environment's simulator, called from Python."""
     simulator, torque = FlexManEnv().simulator, np.ones(3)
     return timer(lambda: [simulator.step(torque) for _ in range(steps)], steps)
 
 
 def _entries(grid: Grid) -> list[_BenchmarkEntry]:
-    """All that is timed but for what needs a package that is missing."""
+    """Return all timers whose packages are installed."""
     result = [_BenchmarkEntry(name, 1, 1, _single(name, grid.singles)) for name in (OURS, PENDULUM)]
-    for threads in (1, 2):  # an arm alone has no work for a second thread
+    for threads in (1, 2):  # one arm cannot use a second thread
         result += [
             _BenchmarkEntry(VECTOR, n, threads, _vector(n, threads, grid.steps)) for n in grid.arms if n >= threads
         ]
@@ -166,7 +167,7 @@ def _training(grid: Grid) -> list[_BenchmarkEntry]:
 
 
 def _of_mujoco(grid: Grid, setup: Configuration) -> list[_BenchmarkEntry]:
-    """Reacher-v5, and the rollout of rigid pieces; the former also needs imageio."""
+    """Return the timers of Reacher-v5 (which also needs imageio) and of MuJoCo's rollout with rigid pieces."""
     (arms, periods), result = grid.physics, []
     try:
         from studies.benchmark.mujoco import control_periods, longest_step
@@ -181,7 +182,7 @@ def _of_mujoco(grid: Grid, setup: Configuration) -> list[_BenchmarkEntry]:
 
 
 def environment_rows(grid: Grid) -> list[BenchmarkRow]:
-    """A row of each, its speed compared with that of Reacher-v5 in the same rounds."""
+    """Measure all environments and return their rows, with the speed relative to Reacher-v5 in the same rounds."""
     timed = _entries(grid)
     costs = list(_in_turns({str(i): entry.timer for i, entry in enumerate(timed)}, grid.rounds).values())
     peer = next((cost for entry, cost in zip(timed, costs, strict=True) if entry.name == REACHER), None)
@@ -201,15 +202,14 @@ def _row(entry: _BenchmarkEntry, cost: Array, peer: Array | None) -> BenchmarkRo
 
 BATCHES, STEPS = 3, 250
 ABA, PLAIN = "Pinocchio aba, rigid arm, from Python", "evaluation, 12 coordinates a link"
-EVALUATIONS_NOTE = f"""Medians over rounds, of each the cheapest of {BATCHES} batches. An evaluation is a quarter of an
-RK4 step,
-{4 * STEPS} of them in one compiled call. The `aba` of Pinocchio pays for a call from Python. A row that begins with
-"with" is compared with 12 coordinates a link without its choice, any other with `aba`."""
+EVALUATIONS_NOTE = f"""Medians over rounds of the fastest of {BATCHES} batches. An evaluation is a quarter of an RK4
+step, {4 * STEPS} of them in one compiled call. The time of Pinocchio's `aba` includes a call from Python. Rows that
+begin with "with" are compared with 12 coordinates per link without this option, all others with `aba`."""
 I3 = tuple(map(tuple, np.eye(3)))
 
 
 def _evaluation(model: fm.Model, **drive: tuple[float, ...]) -> Timer:
-    """Accelerations as simulations pay for them, at a random state that steps so short do not leave."""
+    """Return a timer of accelerations in the compiled simulation; the short steps do not leave the random state."""
     held = [0] if "acceleration" in drive else []
     simulator = fm.Simulator(model, "rk4", step=1e-8, control_period=STEPS * 1e-8, prescribed=held)
     simulator.reset(state=np.random.default_rng(0).normal(0.0, 0.02, 2 * model.n_dof))
@@ -218,7 +218,7 @@ def _evaluation(model: fm.Model, **drive: tuple[float, ...]) -> Timer:
 
 
 def _switches(arm: fm.Arm) -> dict[str, Timer]:
-    """Evaluations with 12 coordinates a link and one modelling choice that the paper's scene does without."""
+    """Return timers of evaluations with 12 coordinates per link and one additional modelling option."""
     halves = []
     for link in arm.links:
         (whole,) = link.sections
@@ -242,7 +242,7 @@ def _switches(arm: fm.Arm) -> dict[str, Timer]:
 
 
 def _pinocchio_aba(arm: fm.Arm, rigid: fm.Model, count: int = 500) -> Timer:
-    """ABA of the rigid arm with its rotors, checked to give the same accelerations."""
+    """Return a timer of Pinocchio's ABA of the rigid arm with rotors, after a check of its accelerations."""
     from studies.peers.pinocchio import pin, rigid_model
 
     model = rigid_model(arm)
@@ -253,7 +253,7 @@ def _pinocchio_aba(arm: fm.Arm, rigid: fm.Model, count: int = 500) -> Timer:
 
 
 def timers() -> dict[str, Timer]:
-    """Everything that is timed; building it warms it up."""
+    """Return the timers of all evaluations of the dynamics, after a warm-up."""
     arm, result = fm.catalog.paper_rrr(link1_area="corrected"), {}
     rigid, modal = fm.build_model(arm, flexible_links=False, flexible_joints=False), fm.build_model(arm, modes=5)
     try:
@@ -269,7 +269,7 @@ def timers() -> dict[str, Timer]:
 
 
 def evaluation_rows(rounds: int) -> list[BenchmarkRow]:
-    """A row of each."""
+    """Measure the evaluations of the dynamics and return their rows."""
     costs, result = _in_turns(timers(), rounds), []
     for name, cost in costs.items():
         cpu, wall, _ = np.median(cost, axis=0)
@@ -282,14 +282,13 @@ def evaluation_rows(rounds: int) -> list[BenchmarkRow]:
 
 ARMS, CALLS = (1, 64), 400
 WHOLE, HANDED = "a step of the vector environment", "an empty task for another thread, and back"
-PARTS_NOTE = """A step of the vector environment of `FlexRRR-v0`, and some of the calls in it, repeated alone. The
-other calls
-check actions and limits, and copy results for whoever calls. The last row is the cost of a second thread before it has
-done anything; there the time of the clock counts."""
+PARTS_NOTE = """A step of the vector environment of `FlexRRR-v0`, and some of its calls, each repeated in isolation. The
+remaining calls check actions and limits and copy results for the caller. The last row is the overhead of a second
+thread, for which the wall-clock time is relevant."""
 
 
 def part_rows(rounds: int, arms: Sequence[int] = ARMS, calls: int = CALLS) -> list[BenchmarkRow]:
-    """A row for each part and number of arms."""
+    """Measure the parts of a step for each number of arms and return their rows."""
     parts = {(name, count): call for count in arms for name, call in _calls(count).items()}
     helper = WorkerThread()
 
@@ -305,7 +304,7 @@ def part_rows(rounds: int, arms: Sequence[int] = ARMS, calls: int = CALLS) -> li
 
 
 def _calls(arms: int) -> dict[str, Callable[[], object]]:
-    """Call that belong to a step of so many arms, which rest."""
+    """Return the calls that make up a step of a vector environment whose arms are at rest, by name."""
     env = FlexManVectorEnv(arms)
     env.reset(seed=0)
     episodes, view = env.episodes, env.episodes.view
@@ -357,7 +356,7 @@ print(json.dumps({{n: [b - a for a, b in zip(*p)] for n, p in zip(names, zip(mar
 
 
 def _start(cache: str | None = None) -> dict[str, list[float]]:
-    """CPU time and time of the clock (s) of each part of the start of a new process; cache is a folder for kernels."""
+    """Return CPU and wall-clock time (s) of each phase of a new process; `cache` is the folder of compiled kernels."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *_paths()])}
     if cache is not None:
         environment["NUMBA_CACHE_DIR"] = cache
@@ -371,13 +370,13 @@ def _paths() -> list[str]:
 
 
 def start_rows(rounds: int, cold: bool) -> list[BenchmarkRow]:
-    """Rows of warm starts, medians over the rounds, and of a cold one, which takes more than a minute."""
+    """Measure warm starts (medians over the rounds) and, if `cold`, a start with compilation (over a minute)."""
     result: list[BenchmarkRow] = []
     if cold:
         with TemporaryDirectory() as cache:
             for name, (cpu, wall) in _start(cache).items():
                 result.append(BenchmarkRow(STARTS, f"{name}, {COLD}", None, None, cpu, wall))
-    _start()  # compiles what is not on disk
+    _start()  # compiles missing kernels
     starts = [_start() for _ in range(rounds)]
     for name in starts[0]:
         cpu, wall = np.median([each[name] for each in starts], axis=0)

@@ -1,4 +1,4 @@
-"""MuJoCo's rollout: control periods of many arms of rigid pieces in one call, at the longest step that is stable."""
+"""MuJoCo's rollout: many arms of rigid pieces per call, at the longest stable step."""
 
 from dataclasses import replace
 
@@ -12,11 +12,15 @@ from flexman_gym.model.mjcf import to_mjcf
 from studies.peers.mujoco import SANE
 from studies.stopwatch import Timer, timer
 
-PIECES, FINEST, TRIAL = 4, 1024, 100  # of a link; parts of a control period and control periods of the search
+PIECES, FINEST, SEARCH_PERIODS = (
+    4,
+    1024,
+    100,
+)  # pieces per link; steps per control period of the reference; control periods of the search
 
 
 class MujocoArms:
-    """Arms side by side, each of rigid pieces between springs, as its environment's arm but for modal damping."""
+    """Arms of rigid pieces connected by springs, equivalent to the environment's arm except for modal damping."""
 
     def __init__(self, setup: Configuration, arms: int, parts: int) -> None:
         arm = replace(setup.arm, modal_damping_ratio=0.0)
@@ -30,7 +34,7 @@ class MujocoArms:
         self._start, self._torque_limit = np.tile(start, (arms, 1)), np.array(setup.torque_limit)
 
     def run(self, actions: Array) -> Array:
-        """States (periods, b, size) after each control period from rest, under actions (periods, b, n)."""
+        """Return the states (periods, b, size) after each control period from rest, under actions (periods, b, n)."""
         states, result = self._start, []
         for action in actions:
             control = np.repeat(self._torque_limit * action[:, None], self._parts, axis=1)
@@ -39,12 +43,12 @@ class MujocoArms:
         return np.array(result)
 
     def diverged(self, states: Array) -> bool:
-        """Return whether an arm was reset: the time, the first entry of a state, is then too early."""
+        """Return whether MuJoCo reset an arm, visible by the time (first state entry) being too early."""
         reached = len(states) * self._parts * self.model.opt.timestep
         return not np.allclose(states[-1, :, 0], reached, rtol=1e-6, atol=0.0)
 
     def tips(self, states: Array) -> Array:
-        """The tip (m) in each of the states."""
+        """Return the tip position (m) of each state."""
         result = []
         for state in states:
             mujoco.mj_setState(self.model, self._data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
@@ -54,18 +58,18 @@ class MujocoArms:
 
 
 def longest_step(setup: Configuration) -> int:
-    """Parts of a control period, the fewest with which random torques move the tip as with many."""
-    actions = _actions(TRIAL, 1, setup.arm.n_joints)
+    """Return the smallest number of steps per control period with which random torques move the tip correctly."""
+    actions = _actions(SEARCH_PERIODS, 1, setup.arm.n_joints)
 
     def tips(parts: int) -> Array:
         arms = MujocoArms(setup, 1, parts)
         states = arms.run(actions)
         return np.full(3, np.nan) if arms.diverged(states) else arms.tips(states[:, 0])
 
-    truth, diverges, stable = tips(FINEST), 1, FINEST
+    reference, diverges, stable = tips(FINEST), 1, FINEST
     while stable - diverges > 1:
         between = (diverges + stable) // 2
-        if np.abs(tips(between) - truth).max() < SANE:
+        if np.abs(tips(between) - reference).max() < SANE:
             stable = between
         else:
             diverges = between
@@ -73,7 +77,7 @@ def longest_step(setup: Configuration) -> int:
 
 
 def control_periods(setup: Configuration, arms: int, periods: int, parts: int) -> Timer:
-    """Control periods of arms that begin at rest, under random torques."""
+    """Return a timer of control periods of arms that start at rest, under random torques."""
     side_by_side, actions = MujocoArms(setup, arms, parts), _actions(periods, arms, setup.arm.n_joints)
     assert not side_by_side.diverged(side_by_side.run(actions)), "the step is too long"
     return timer(lambda: side_by_side.run(actions), arms * periods)

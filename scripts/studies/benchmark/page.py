@@ -1,4 +1,4 @@
-"""Page of the benchmark: its rows as tables, and sentences about them."""
+"""Page of the benchmark: tables and conclusions."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -26,48 +26,50 @@ from studies.benchmark.measure import PARTS_NOTE as PARTS_NOTE
 from studies.markdown import bullets
 
 PAGE = "benchmark.md"
-ENDURANCE = "## Endurance"  # the last section, which the room endurance writes
-STEPS_NOTE = f"""Steps of 20 ms under random actions drawn beforehand, with the resets of the episodes that end.
-All rows take turns in rounds. CPU time is that of all threads together, the median of the rounds. Time by the clock is
-that of the quickest round, as others on the machine disturb it. Ratios are those of CPU time, or those of the clock
-where there are two threads. "Physics only" is without observations, rewards and episodes. MuJoCo's arm is that of
-{OURS} as a chain of rigid pieces without modal damping. All its arms move in one call a control period, at the longest
-step that is stable. [peers.md](peers.md) says how accurate either is. Training is that of `flexman train` with a new
-policy, in batches of 1024 and with one thread for the networks. The share of the arms is that of the environment's
-`step`."""
+ENDURANCE = "## Endurance"  # heading of the last section, which `benchmark.endurance` writes
+STEPS_NOTE = f"""Steps of 20 ms under random actions drawn in advance, including resets. All rows are measured in
+interleaved rounds. CPU time is the total of all threads, the median of the rounds. Wall-clock time is that of the
+fastest round, since other processes disturb it. Ratios are those of CPU time, or of wall-clock time with two threads.
+"Physics only" is without observations, rewards and episodes. MuJoCo's arm is that of {OURS} as a chain of rigid pieces
+without modal damping; all its arms are simulated in one call per control period, at the longest stable step.
+[peers.md](peers.md) compares the accuracy. Training is that of `flexman train` with a new policy, in batches of 1024
+and with one thread for the networks. The share of the arms is that of the environment's `step`."""
 STARTS_NOTE = (
-    "In a new process, one part after the other; without kernels on disk once, with them the median of several."
+    "Measured in a new process, one phase after the other: once without compiled kernels, and the median of several "
+    "starts with them."
 )
 HEAD = """# Benchmark
 
-How fast arms move, environments step and processes start, on one machine. One arm steps somewhat slower than the rigid
-arm of Reacher-v5, and many arms in one environment several times as fast. A training spends most of its time in the
-networks, not in the arms. The first start of all compiles kernels, which takes about a minute. Every later one takes
-about a second.
+This page has the speed of simulation, environment steps, training and start-up on one computer. A single arm steps
+somewhat slower than the rigid arm of Reacher-v5, and many arms in one environment several times as fast. Training
+spends most of its time in the networks, not in the simulation. The first start compiles kernels, which takes about a
+minute. Later starts take about a second.
 
-`make benchmark` writes this page anew; the rows are in `benchmark.csv`.
+`make benchmark` rewrites this page; the rows are in `benchmark.csv`.
 
-Computed with {machine}.
+Computed with {computer}.
 """
 
-# The conclusions. Speeds are in steps a second.
-CORE = "One core makes {single} steps a second of one arm, and {best} of {arms} arms in one environment."
-CORE_BESIDE_PEER = CORE + " These are {single_times} and {best_times} times the steps of {peer}."
+# Conclusions; speeds are in steps per second.
+CORE = "One core computes {single} steps per second of one arm, and {best} of {arms} arms in one environment."
+CORE_BESIDE_PEER = CORE + " This is {single_times} and {best_times} times the speed of {peer}."
 THREADS = (
-    "By the clock two threads are at best {times} times as fast as one, with {arms} arms. "
-    "The machine gave them {cores:.1f} cores at most."
+    "In wall-clock time two threads are at best {times} times as fast as one, with {arms} arms. "
+    "At most {cores:.1f} cores were available to them."
 )
-PHYSICS_ALONE = "Physics alone is {times} times as quick as {peer}."
+PHYSICS_ALONE = "The physics alone is {times} times as fast as {peer}."
 TRAINING = (
-    "PPO with {arms} arms learns from {speed} steps a second of CPU, a million in {minutes} min. "
-    "The arms take {share:.0%} of the time."
+    "PPO with {arms} arms processes {speed} steps per CPU second, a million in {minutes} min. "
+    "The simulation takes {share:.0%} of the time."
 )
-START = "A new process imports the package in {after} s of CPU and has reset its first environment {first} s later."
-START_COLD = START + " On a new machine kernels compile first, for {cold} s."
+START = (
+    "A new process imports the package in {after} s of CPU time and has reset its first environment {first} s later."
+)
+START_COLD = START + " On a new computer the kernels are compiled first, which takes {cold} s."
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number with a few digits, and thousands in groups; nothing for None."""
+    """Return a number with three digits and thousands separators; "" for None."""
     if value is None:
         return ""
     return f"{value:,.0f}" if abs(value) >= 1e3 else f"{value:.{digits}g}"
@@ -99,20 +101,28 @@ TABLES: dict[str, tuple[str, str, tuple[str, ...], Callable[[BenchmarkRow], list
     ENVIRONMENTS: (
         "Steps of environments",
         STEPS_NOTE,
-        ("row", "arms", "threads", "steps a second of CPU", "by the clock", f"times {REACHER}", "share of the arms"),
+        (
+            "row",
+            "arms",
+            "threads",
+            "steps per CPU second",
+            "per wall-clock second",
+            f"times {REACHER}",
+            "share of the arms",
+        ),
         _environment,
     ),
     PARTS: (
-        "Where the time of a step goes",
+        "Parts of a step",
         PARTS_NOTE,
-        ("part", "arms", "microseconds of CPU", "by the clock"),
+        ("part", "arms", "CPU, microseconds", "wall clock, microseconds"),
         _part,
     ),
-    STARTS: ("Starts", STARTS_NOTE, ("row", "CPU, s", "clock, s"), _start),
+    STARTS: ("Start-up", STARTS_NOTE, ("row", "CPU, s", "wall clock, s"), _start),
     EVALUATIONS: (
         "Evaluations of the equations of motion",
         EVALUATIONS_NOTE,
-        ("row", "microseconds of CPU", "compared with", "times"),
+        ("row", "CPU, microseconds", "compared with", "ratio"),
         _evaluation,
     ),
 }
@@ -125,7 +135,7 @@ def _table(name: str, rows: Sequence[BenchmarkRow]) -> list[str]:
 
 
 def conclusions(rows: Sequence[BenchmarkRow]) -> list[str]:
-    """Sentences about what the rows hold."""
+    """Return the conclusions, one sentence each."""
     return [*_of_arms(rows), *_of_physics(rows), *_of_training(rows), *_of_starts(rows)]
 
 
@@ -179,8 +189,8 @@ def _of_starts(rows: Sequence[BenchmarkRow]) -> list[str]:
 
 
 def publish(rows: Sequence[BenchmarkRow], known: str, folder: Path) -> str:
-    """Write the page about the rows, computed with `known`, and returns it."""
-    lines = [HEAD.format(machine=known), *bullets(conclusions(rows)), ""]
+    """Write the page from the rows and return it; `known` describes the computer."""
+    lines = [HEAD.format(computer=known), *bullets(conclusions(rows)), ""]
     for name in TABLES:
         lines += _table(name, rows)
     lines += without_endurance(folder / PAGE)[1]
@@ -190,7 +200,7 @@ def publish(rows: Sequence[BenchmarkRow], known: str, folder: Path) -> str:
 
 
 def without_endurance(page: Path) -> tuple[list[str], list[str]]:
-    """The lines of a page, if there is one, before the section on endurance, and those of the section."""
+    """Return the lines of a page before the section on endurance, and the lines of that section."""
     lines = page.read_text(encoding="utf-8").splitlines() if page.exists() else []
     first = lines.index(ENDURANCE) if ENDURANCE in lines else len(lines)
     return lines[:first], lines[first:]

@@ -1,4 +1,4 @@
-"""Training steps: what PPO of agents.training costs, learning included, and which part of it the arms take."""
+"""Cost of PPO training steps, updates included, and the share of it spent in the environment."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -8,7 +8,11 @@ from studies.stopwatch import Cost, Stopwatch, Timer
 
 
 def ppo(arms: int, rollouts: int) -> Timer:
-    """Step of a new policy in so many rollouts; raises ImportError without Stable-Baselines3."""
+    """Return a timer of PPO training steps with a new policy over a number of rollouts.
+
+    Raises:
+        ImportError: without Stable-Baselines3.
+    """
     from flexman_agents.sb3 import ALGORITHMS
     from flexman_agents.settings import DEFAULT_HYPERPARAMETERS, Settings
     from flexman_agents.training import train

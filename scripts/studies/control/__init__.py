@@ -1,1 +1,1 @@
-"""Control: what controllers do on arms that nobody knows, and what breaks them."""
+"""Comparison of controllers of arms with uncertain parameters, and of faults under which they fail."""

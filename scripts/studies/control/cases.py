@@ -1,4 +1,4 @@
-"""Cases: who acts on which arm, and what of it nobody told him."""
+"""Cases of the controller study: agent, environment, changes and unmodelled faults."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -16,10 +16,10 @@ from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollout import Rollout, rollout
 
-RUBBED = {name: [0.5, 1.5] for name in ("viscous_friction_factor", "coulomb_friction_factor")}
+FRICTION_RANGES = {name: [0.5, 1.5] for name in ("viscous_friction_factor", "coulomb_friction_factor")}
 FINER = {"elements": 3, "modes": None, "stiffening": True, "step": 0.00125}
-CHANGE, WITHIN, LOAD = 4.0, 3.0, 10.0  # s, s and kg, of a load that changes on the way
-LATER = 2.0  # s, after which the error of a tip that follows counts
+CHANGE, WITHIN, LOAD = 4.0, 3.0, 10.0  # payload change: time, s; time to settle again, s; mass, kg
+LATER = 2.0  # s; start of the RMS tip error in tracking and holding tasks
 
 
 @dataclass(frozen=True)
@@ -27,21 +27,21 @@ class ControlCase:
     """Case of the study: an agent in an environment.
 
     Attributes:
-        name: of the row.
-        entrant: a name, or a mapping as `base` takes it.
-        environment: an id, or an id and a condition.
-        changes: of the settings of that environment, of its randomisation inside.
-        flaws: of the instruments, which nobody is told.
-        surprise: whether the controller knows the environment without the changes.
-        load: whether the payload changes on the way.
+        name: name of the row.
+        agent: name of an agent, or a mapping as for the keyword `base`.
+        environment: environment id, optionally with a condition ("id/condition").
+        changes: changed settings of the environment; entries of its randomisation are merged.
+        sensor_errors: errors of the instruments that are not given to the agent.
+        unmodelled: design the agent for the environment without the changes.
+        load: change the payload during the episode.
     """
 
     name: str
-    entrant: Any
+    agent: Any
     environment: str
     changes: Mapping[str, Any] = field(default_factory=dict)
-    flaws: Mapping[str, float] = field(default_factory=dict)
-    surprise: bool = False
+    sensor_errors: Mapping[str, float] = field(default_factory=dict)
+    unmodelled: bool = False
     load: bool = False
 
 
@@ -49,7 +49,7 @@ class ControlCase:
 class ControlRow:
     """Results of a case: shares, times in s, lengths in m, CPU time per period and arm in s.
 
-    `again` is the share settled `WITHIN` after a load has changed; `followed` the RMS error after LATER.
+    `again` is the share settled `WITHIN` seconds after the payload change, `followed` the RMS tip error after `LATER`.
     """
 
     case: str
@@ -64,7 +64,7 @@ class ControlRow:
     cost: float
 
 
-def _rubbing() -> dict[str, Any]:
+def _friction_arm() -> dict[str, Any]:
     arm: dict[str, Any] = Configuration.find("FlexRRR-v0/friction").settings["arm"]
     return arm
 
@@ -78,37 +78,39 @@ CASES = (
     ControlCase(f"{LEARNED}, {LAB}", LEARNED, f"{RRR}/{LAB}"),
     *(ControlCase(f"{who}, {what}", who, f"{RRR}/{LAB}", changes) for what, changes in (
         ("delay of 0 to 2 periods", {"randomisation": {"delay": [0, 2]}}),
-        ("friction within a half", {"arm": _rubbing(), "randomisation": RUBBED}),
+        ("friction within a half", {"arm": _friction_arm(), "randomisation": FRICTION_RANGES}),
     ) for who in ("adaptive-lqr", LEARNED)),
-    ControlCase("adaptive-lqr, biased readings", BIASED, f"{RRR}/{LAB}", flaws={"bias": 0.005}),
-    ControlCase("adaptive-lqr, a finer arm", "adaptive-lqr", f"{RRR}/{LAB}", FINER, surprise=True),
+    ControlCase("adaptive-lqr, biased readings", BIASED, f"{RRR}/{LAB}", sensor_errors={"bias": 0.005}),
+    ControlCase("adaptive-lqr, a finer arm", "adaptive-lqr", f"{RRR}/{LAB}", FINER, unmodelled=True),
     ControlCase("adaptive-lqr, a load that changes", "adaptive-lqr", f"{RRR}/{LAB}", load=True),
     *(ControlCase(f"{who}, {task}", who, f"{task}/{LAB}")
       for task in ("FlexPlanar-v0", "FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexRRR-Gravity-v0")
       for who in ("privileged-lqr", "adaptive-lqr")),
     ControlCase("adaptive-lqr, noise three times as large", "adaptive-lqr", f"{RRR}/{LAB}",
          {"randomisation": {"sensor_noise": [0.003, 0.003]}}),
-    ControlCase("adaptive-lqr, friction it knows nothing of", "adaptive-lqr", f"{RRR}/{LAB}", {"arm": _rubbing()},
-         surprise=True),
-    ControlCase("adaptive-lqr, biases it knows nothing of", "adaptive-lqr", f"{RRR}/{LAB}", flaws={"bias": 0.005}),
-    ControlCase("adaptive-lqr, a fifth of the samples lost", "adaptive-lqr", f"{RRR}/{LAB}", flaws={"dropped": 0.2}),
-    ControlCase("adaptive-lqr, readings a period late", "adaptive-lqr", f"{RRR}/{LAB}", flaws={"delay": 1}),
+    ControlCase("adaptive-lqr, friction it knows nothing of", "adaptive-lqr", f"{RRR}/{LAB}", {"arm": _friction_arm()},
+         unmodelled=True),
+    ControlCase("adaptive-lqr, biases it knows nothing of", "adaptive-lqr", f"{RRR}/{LAB}",
+         sensor_errors={"bias": 0.005}),
+    ControlCase("adaptive-lqr, a fifth of the samples lost", "adaptive-lqr", f"{RRR}/{LAB}",
+         sensor_errors={"dropped": 0.2}),
+    ControlCase("adaptive-lqr, readings a period late", "adaptive-lqr", f"{RRR}/{LAB}", sensor_errors={"delay": 1}),
 )  # fmt: skip
 
 
-def played(case: ControlCase, episodes: int, seed: int) -> ControlRow:
-    """Run the episodes of a case."""
+def run_case(case: ControlCase, episodes: int, seed: int) -> ControlRow:
+    """Run the episodes of a case and return its row."""
     known = Configuration.find(case.environment)
     settings = deepcopy(known.settings)
     for name, change in case.changes.items():
         settings[name] = settings[name] | change if name == "randomisation" else change
     environment, setup = Configuration(known.id, settings), known
-    base = make_controller(setup, case.entrant, resolve_fidelity(setup).model) if case.surprise else case.entrant
-    flawed = {"sensors": {"kind": "lab", **case.flaws}} if case.flaws else {}
+    base = make_controller(setup, case.agent, resolve_fidelity(setup).model) if case.unmodelled else case.agent
+    sensors = {"sensors": {"kind": "lab", **case.sensor_errors}} if case.sensor_errors else {}
     found = find_agent(base)
-    entrant = replace(found, name=case.name, interface={**(found.interface or {}), **flawed})
+    agent = replace(found, name=case.name, interface={**(found.interface or {}), **sensors})
     started = time.process_time()
-    result = rollout(entrant, environment, range(seed, seed + episodes), _loader(setup.control_period, case.load))
+    result = rollout(agent, environment, range(seed, seed + episodes), _loader(setup.control_period, case.load))
     cost = (time.process_time() - started) / float(np.sum(result.lengths))
     values = {metric.name: metric.evaluate(result.records) for metric in METRICS.values()}
     few = {name: values[name] for name in ("settled", "settling_time", "vibration", "error", "failed", "roughness")}
@@ -118,7 +120,7 @@ def played(case: ControlCase, episodes: int, seed: int) -> ControlRow:
 
 
 def _loader(period: float, load: bool) -> Callable[[Episodes], None]:
-    """Change the payload of each arm by LOAD after CHANGE, up where it is light."""
+    """Return a callback that changes the payload of each arm by +LOAD (light arms) or -LOAD at the time CHANGE."""
     passed = [0]
 
     def watch(episodes: Episodes) -> None:

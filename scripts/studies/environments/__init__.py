@@ -1,1 +1,1 @@
-"""Environments: a page for each named environment, made of its docstrings, with a picture of an episode."""
+"""Pages of the named environments, generated from their docstrings, with plots of episodes."""

@@ -1,4 +1,4 @@
-"""Measurements of the named environments: accuracy of the default model, base controllers, first training."""
+"""Measurements of the named environments: accuracy of the default model, baselines, first training."""
 
 import time
 from pathlib import Path
@@ -19,15 +19,15 @@ from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.simulation.batch import Batch
 
-MOTIONS, DURATION, HELD, SPREAD, PART = 8, 1.0, 0.2, 0.5, 0.5  # s, s, rad, of the torque limits
-FINER = 8  # times as many steps
+MOTIONS, DURATION, HELD, SPREAD, PART = 8, 1.0, 0.2, 0.5, 0.5  # s, s, rad, share of the torque limits
+FINER = 8  # ratio of the numbers of steps
 
 
 class Accuracy(NamedTuple):
-    """Largest distances (m) of the tip in each motion (MOTIONS,) from finer steps and from a finer model, and its cost.
+    """Tip errors (m) of the default model in each motion (MOTIONS,), with respect to finer steps and to a finer model.
 
-    The finer model has all coordinates of the elements and foreshortening, and the finer steps. Its cost is that of the
-    default's step on it, in times that on the default's model.
+    The finer model has all coordinates of the elements, foreshortening, and the finer steps. `cost` is the CPU time of
+    a step of the finer model relative to the same step of the default model.
     """
 
     steps: Array
@@ -36,7 +36,7 @@ class Accuracy(NamedTuple):
 
 
 def accuracy(name: str, **arguments: Any) -> Accuracy:
-    """Move the arm of a named environment, made with these arguments, by random torques from rest."""
+    """Simulate random torques from rest with the default and finer models; `arguments` are keywords of `gym.make`."""
     env = gym.make(name, **arguments).unwrapped
     setup, model, period = env.configuration, env.simulator.model, env.simulator.control_period  # type: ignore[attr-defined]
     method, substeps = env.simulator.method, env.simulator.substeps  # type: ignore[attr-defined]
@@ -63,18 +63,22 @@ def accuracy(name: str, **arguments: Any) -> Accuracy:
     return Accuracy(by_steps, by_model, slow / quick)
 
 
-BASES = {None: "no torque", "pd": "PD", "lqr-tracking": "tracking LQR"}  # the latter knows the arm and its state
+BASES = {
+    None: "no torque",
+    "pd": "PD",
+    "lqr-tracking": "tracking LQR",
+}  # the tracking LQR is given the arm's parameters and state
 SEEDS = TEST_SEEDS[:20]
 SIZE, BROADER, LEAST = (280, 210), 1.5, 1e-5
 
 
 def run(name: str, base: str | None) -> Rollout:
-    """Run an episode of a baseline from each of the seeds."""
+    """Run one episode of a baseline per seed."""
     return rollout(base or "zero", name, SEEDS)
 
 
 def draw(runs: dict[str | None, Rollout], path: Path) -> None:
-    """Draw tip error and torques of an episode under each baseline, and films it under the tracking LQR (GIF)."""
+    """Plot tip error and torques of an episode under each baseline, and record the tracking LQR as a GIF."""
     frames, rate = side_by_side([runs["lqr-tracking"].episode(0)], small=True, size=SIZE)
     write_video(frames, path.with_suffix(".gif"), rate)
     figure = new_figure((11.0, 2.9), 110.0, layout="constrained")
@@ -106,11 +110,15 @@ RECIPE = {
     "FlexPlanar-Track-v0": "planar_track_ppo_on_pd", "FlexPlanar-Hold-v0": "planar_hold_ppo_on_pd",
 }  # fmt: skip
 """Environment -> its recipe."""
-LASTS, GAMMA, ARMS = 0.1, 0.95, 256  # s, of an action, where no recipe says so; discount and arms of all recipes
+LASTS, GAMMA, ARMS = (
+    0.1,
+    0.95,
+    256,
+)  # action duration without a recipe, s; discount factor and number of arms of all recipes
 
 
 def first(name: str) -> list[str]:
-    """Lines in Markdown: what to set, why, and the environment that has it."""
+    """Return a table of recommended settings for training, with reasons and example code, as Markdown lines."""
     named = NAMED_ENVIRONMENTS[name]
     recipe = RECIPE.get(name)
     given = files.read_data(RECIPES / f"{recipe}.yaml")["environment"] if recipe else {}
@@ -118,45 +126,45 @@ def first(name: str) -> list[str]:
     seconds = hold * named.control_period
     settings = {"base": "pd", "action_repeat": hold, "sensors": ("full", "fine")}
     rows = [
-        ("`base`", '`"pd"`', "the agent adds to a controller that brings the arm near its goal"),
-        ("`action_repeat`", f"`{hold}`", f"an action lasts {seconds:g} s, so that exploration shakes the arm less"),
-        ("`sensors`", '`("full", "fine")`', "the state, and again on a scale that tells millimetres"),
+        ("`base`", '`"pd"`', "the agent adds to a controller that moves the arm close to its goal"),
+        ("`action_repeat`", f"`{hold}`", f"an action lasts {seconds:g} s, so that exploration excites less vibration"),
+        ("`sensors`", '`("full", "fine")`', "the state, and the state scaled to millimetres"),
     ]
     if isinstance(named.task, Slew):
         settings["task"] = {"kind": "slew", "reward": "distance", **_drawn(named.task)}
-        rows.append(("`task`", '`"reward": "distance"`', "a slope at every scale, from metres to millimetres"))
+        rows.append(("`task`", '`"reward": "distance"`', "a gradient at every scale, from metres to millimetres"))
     horizon = seconds / (1.0 - GAMMA)
     rows += [
-        ("discount of PPO or SAC", f"`{GAMMA}`", f"looks {horizon:g} s ahead, about as long as a motion lasts"),
+        ("discount of PPO or SAC", f"`{GAMMA}`", f"a horizon of {horizon:g} s, about the duration of a motion"),
         (
             "`log_std_init`",
-            "`-1.6`, or `-1.3` that falls to `-3.5`",
-            "quiet exploration: an arm that shakes learns nothing",
+            "`-1.6`, or `-1.3` decreasing to `-3.5`",
+            "little exploration noise, since strong vibration prevents learning",
         ),
-        ("arms side by side", f"`{ARMS}`", "they cost little more than one"),
+        ("number of arms", f"`{ARMS}`", "a batch costs little more than one arm"),
     ]
-    known = "No recipe has been measured here; those of [learning.md](../learning.md) have these settings."
+    known = "There is no recipe for this environment; the recipes of [learning.md](../learning.md) have these settings."
     if recipe:
-        known = f"The recipe `{recipe}` has these settings, and "
-        known += "[learning.md](../learning.md) what it reaches."
+        known = f"The recipe `{recipe}` has these settings; "
+        known += "[learning.md](../learning.md) has its results."
     words = "".join(f"    {key}={value!r},\n" for key, value in settings.items()).replace("'", '"').splitlines()
     made = [f'arms = gym.make_vec("{name}", {ARMS}, "vector_entry_point", autoreset_mode="SameStep",', *words, ")"]
     return [
-        *markdown_table(("setting", "value", "why"), rows), "", "```python", *made, "```", "",
+        *markdown_table(("setting", "value", "reason"), rows), "", "```python", *made, "```", "",
         f"{known} The README trains on such arms in a few lines of Stable-Baselines3.",
         *(["", *_curve(name)] if (DOCS / f"learning_{name}.png").is_file() else []),
     ]  # fmt: skip
 
 
 def _curve(name: str) -> list[str]:
-    """Return the learning curves of the recipes of an environment, see `studies.learning.measure`."""
+    """Return the learning curves of the recipes of an environment as Markdown lines, see `studies.learning.measure`."""
     return [
         f"![Reward while the recipes of {name} train](../learning_{name}.png)", "",
-        "A line is the middle of the seeds, and where there are several its band goes from the worst to the best.",
+        "Lines are medians over the seeds, bands the range from the worst to the best seed.",
     ]  # fmt: skip
 
 
 def _drawn(task: Slew) -> dict[str, float]:
-    """Return the initial conditions in which a task differs from a slew."""
+    """Return the initial conditions of a slew task that differ from the default slew."""
     plain = Slew()
     return {name: getattr(task, name) for name in ("start", "slew") if getattr(task, name) != getattr(plain, name)}

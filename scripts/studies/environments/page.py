@@ -1,4 +1,4 @@
-"""Page: what there is to know of a named environment, from docstrings and from the environment itself."""
+"""Page of a named environment, generated from docstrings and from the environment itself."""
 
 import inspect
 from collections.abc import Sequence
@@ -15,15 +15,15 @@ from flexman_gym.metrics import BAND, SETTLING_WINDOW, VIBRATION_WINDOW
 from flexman_gym.model.dynamics import frequencies
 from studies.environments.measure import BASES, DURATION, FINER, MOTIONS, SEEDS, Accuracy, accuracy, first
 
-SLEW = ("settled", "settling_time", "vibration")  # figures of a task that names none
-MOVING = "The RMS error is the median over the episodes of the RMS tip error in all control periods of one."
-LEAST = 0.001  # s and mm; smaller numbers are shown as less than this
+SLEW = ("settled", "settling_time", "vibration")  # metrics of a task that declares none
+MOVING = "The RMS error is the median over the episodes of the RMS tip error over all control periods."
+LEAST = 0.001  # s or mm; smaller numbers are shown as "< 0.001"
 STEP = "CPU time of a step of the finer model"
 SECTIONS = ("Description", "Actions", "Observations", "Reward", "Start", "End", "Arguments", "Version history")
 
 
 def page(name: str, runs: dict[str | None, Rollout]) -> str:
-    """The page of a named environment, in Markdown, with what its baselines reached."""
+    """Return the page of a named environment as Markdown, including the results of its baselines."""
     sections = docstring_sections(type(NAMED_ENVIRONMENTS[name].task))
     lines = [f"# {name}", "", f"![{name} under a tracking LQR]({name}.gif)", "", *_head(name), ""]
     for title in SECTIONS:
@@ -31,7 +31,7 @@ def page(name: str, runs: dict[str | None, Rollout]) -> str:
         lines += {"Description": _arm, "Observations": _observations, "Arguments": _arguments}.get(title, _nothing)(
             name
         )
-    lines += ["## What to set first", "", *first(name), ""]
+    lines += ["## Settings for a first training", "", *first(name), ""]
     lines += ["## Accuracy", "", *_left_out(accuracy(name)), ""]
     lines += ["## Baselines", "", f"![Tip error and torques of {name}]({name}.png)", "", *baselines(name, runs), ""]
     lines += ["## Conditions", "", *_conditions(name)]
@@ -39,7 +39,7 @@ def page(name: str, runs: dict[str | None, Rollout]) -> str:
 
 
 def docstring_sections(task: type) -> dict[str, list[str]]:
-    """The sections of the docstring of a task by title, as lines of Markdown.
+    """Return the sections of the docstring of a task by title, as Markdown lines.
 
     Raises:
         KeyError: for a docstring without one of the SECTIONS.
@@ -56,7 +56,7 @@ def docstring_sections(task: type) -> dict[str, list[str]]:
 
 
 def _markdown(lines: Sequence[str]) -> list[str]:
-    """Lines with what is indented, formulas and tables, as blocks of code."""
+    """Return the lines with indented text, formulas and tables as code blocks."""
     result: list[str] = []
     inside = False
     for line in lines:
@@ -84,8 +84,8 @@ def _head(name: str) -> list[str]:
         f'env = gym.make("{name}")',
         "```",
         "",
-        f"Task `{type(named.task).__name__}`, {named.control_period:g} s a control period, {named.horizon:g} s an "
-        "episode.",
+        f"Task `{type(named.task).__name__}`, control period {named.control_period:g} s, "
+        f"episodes of {named.horizon:g} s.",
     ]
 
 
@@ -145,20 +145,20 @@ def _arguments(name: str) -> list[str]:
 
 
 def baselines(name: str, runs: dict[str | None, Rollout]) -> list[str]:
-    """Compare the baselines of an environment, in Markdown: a slew by its end, other tasks by the RMS tip error."""
+    """Return the table of the baselines of an environment as Markdown lines."""
     own = getattr(NAMED_ENVIRONMENTS[name].task, "metrics", SLEW)
     shown = [METRICS[figure] for figure in (*own, "failed")]
     rows = [(BASES[base], *(_cell(figure, each) for figure in shown)) for base, each in runs.items()]
     return [
-        f"{len(SEEDS)} test episodes (seeds {SEEDS[0]} to {SEEDS[-1]}). The LQR knows the arm and its whole state; the "
-        f"PD sees its motors. {_ends(name) if own == SLEW else MOVING}",
+        f"{len(SEEDS)} test episodes (seeds {SEEDS[0]} to {SEEDS[-1]}). The LQR is given the parameters and the full "
+        f"state of the arm, the PD only its motors. {_ends(name) if own == SLEW else MOVING}",
         "",
         *markdown_table(("", *(metric.header for metric in shown)), rows),
     ]
 
 
 def _ends(name: str) -> str:
-    """Definitions of the figures of a slew."""
+    """Return the definitions of the metrics of a slew."""
     band = BAND * sum(link.length for link in gym.make(name).unwrapped.configuration.arm.links)  # type: ignore[attr-defined]
     return (
         f"The tip has settled when it stays within {1e3 * band:.3g} mm of its target until the end of the episode, for "
@@ -182,26 +182,26 @@ def _left_out(each: Accuracy) -> list[str]:
         for text, far in (("finer steps", each.steps), ("finer steps and model", each.model))
     ]
     return [
-        f"{MOTIONS} arms move for {DURATION:g} s under random torques of up to half the limits. The finer steps are "
-        f"{FINER} times as many. The finer model has all coordinates and foreshortening. The largest distance of the "
-        "tip from the tip of the default:",
+        f"{MOTIONS} arms are driven for {DURATION:g} s by random torques of up to half the limits. The default model "
+        f"is compared with {FINER} times as many steps, and with a finer model that also has all coordinates and "
+        "foreshortening. The largest distances of the tip are:",
         "",
-        *markdown_table(("", "half of the arms", "worst"), rows),
+        *markdown_table(("", "median", "largest"), rows),
         "",
-        *markdown_table(("", "times that of the default"), [(STEP, f"{each.cost:.2g}")]),
+        *markdown_table(("", "relative to the default"), [(STEP, f"{each.cost:.2g}")]),
     ]
 
 
 def _conditions(name: str) -> list[str]:
     folder = NAMED_ENVIRONMENTS[name].conditions
     if not folder:
-        return ["There are none for this arm."]
-    rows = [(f"`{NOMINAL}`", "The environment as it is.")]
+        return ["This environment has no conditions."]
+    rows = [(f"`{NOMINAL}`", "The environment without changes.")]
     for each in CONDITIONS[1:]:
         said = (CONDITION_FOLDER / folder / f"{each}.yaml").read_text(encoding="utf-8").splitlines()[0]
         rows.append((f"`{each}`", said.removeprefix("# ")))
     return [
-        f'`gym.make("{name}", condition="unknown")`, and `{name}/unknown` where a command takes an environment:',
+        f'`gym.make("{name}", condition="unknown")`, and `{name}/unknown` as the environment of a command:',
         "",
         *markdown_table(("", ""), rows),
     ]

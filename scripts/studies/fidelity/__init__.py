@@ -1,1 +1,1 @@
-"""Fidelity: are the choices of models right, and are they cheap?"""
+"""Accuracy and cost of the models chosen by `choose_model`."""

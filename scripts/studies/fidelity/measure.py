@@ -1,4 +1,4 @@
-"""Fidelity study: scenes, and rows of chosen and exhaustively searched models."""
+"""Fidelity study: scenes, chosen models, and an exhaustive search for comparison."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -14,7 +14,7 @@ from flexman_gym.common.arrays import Array
 
 
 def _random_scene(seed: int) -> fm.Scene:
-    """A chain of 1 to 3 hollow metal links on springs, driven by sine torques."""
+    """Return a random chain of 1 to 3 hollow metal links on elastic joints, driven by sine torques."""
     rng, links, joints = np.random.default_rng(seed), [], []
     for _ in range(1 + seed % 3):
         radius, length = rng.uniform(0.008, 0.02), rng.uniform(0.5, 1.5)
@@ -32,7 +32,7 @@ def _random_scene(seed: int) -> fm.Scene:
 
 
 def scenes() -> dict[str, fm.Scene]:
-    """The scenes of the study."""
+    """Return the scenes of the study by name."""
     result = {f"paper {case}": replace(fm.catalog.paper_scene(case), duration=1.0) for case in ("rr", "fr", "ff")}
     heavy = fm.catalog.paper_rrr(rotor_inertia=10.0, payload=fm.Payload(5.0), gravity=(0.0, 0.0, -9.81))
     strips, hub = fm.catalog.planar_2r(joint_stiffness=50.0), fm.catalog.one_link(rotor_inertia=0.1)
@@ -45,38 +45,38 @@ def scenes() -> dict[str, fm.Scene]:
 
 
 def open_scenes() -> dict[str, fm.Scene]:
-    """The same, with the finite elements left to the choice."""
+    """Return the same scenes with the number of finite elements left to `choose_model`."""
     return {name: replace(scene, model=replace(scene.model, elements=None)) for name, scene in scenes().items()}
 
 
-SCENES = {"fidelity.csv": scenes, "fidelity_open.csv": open_scenes}  # by the file of their rows
+SCENES = {"fidelity.csv": scenes, "fidelity_open.csv": open_scenes}  # file of the rows -> scenes
 TOLERANCES = (1e-1, 1e-2, 1e-3)  # m
-GRID_MODES = (2, 4, 6, 9, None)  # of each link; None keeps all
+GRID_MODES = (2, 4, 6, 9, None)  # modes per link; None: all
 GRID_METHODS = ("ros2", "extrapolated_euler_4", "rk4", "generalised_alpha")
-GRID_ELEMENTS, CONVERGED, FINE_PARTS = (1, 2, 3), 5, (20, 40)  # where the mesh is open; steps in an output step
+GRID_ELEMENTS, CONVERGED, FINE_PARTS = (1, 2, 3), 5, (20, 40)  # of open meshes; steps per output step
 OPEN_METHODS = ("ros2", "extrapolated_euler_4", "rk4", "midpoint_2")
-GRID_PARTS = (0.1, 0.25, 0.5, 1, 2, 4, 8, 16, 32, 64)  # steps in an output step
-FINE_ENOUGH = 0.2  # of the smallest tolerance: a plain run of that error gets no finer step
-PATIENCE = 0.5  # s of computing, after which it gets none either
-SHORT, REPEATS = 0.02, 5  # s; shorter plain runs, and all choices, are timed so many times
+GRID_PARTS = (0.1, 0.25, 0.5, 1, 2, 4, 8, 16, 32, 64)  # steps per output step
+FINE_ENOUGH = 0.2  # share of the smallest tolerance; a grid run below it gets no finer step
+PATIENCE = 0.5  # s; a grid run with a longer CPU time gets no finer step
+SHORT, REPEATS = 0.02, 5  # s; shorter grid runs and all chosen runs are repeated for timing
 
 
 @dataclass(frozen=True)
 class FidelityRow:
-    """One choice. Costs are seconds of the processor for the whole motion.
+    """One choice of `choose_model`; costs are CPU seconds of the whole motion.
 
     Attributes:
-        scene: the arm and its motion.
-        tolerance: m, what was asked for.
-        error: m, largest distance of the tip from that of the finest model.
-        estimate: m, what the choice says its error is.
-        ratio: of the estimate to the error.
+        scene: name of the arm and its motion.
+        tolerance: requested tip error, m.
+        error: largest distance of the tip from that of the finest model, m.
+        estimate: error estimate returned with the choice, m.
+        ratio: estimate divided by error.
         coordinates: number of coordinates of the chosen model.
-        method: chosen.
-        step: s, chosen.
-        cost: of the chosen run, the best of five.
-        grid: cost of the cheapest plain run that meets the tolerance; infinite when none does.
-        dearer: ratio of the two costs.
+        method: chosen method.
+        step: chosen step, s.
+        cost: CPU time of the chosen run, best of five, s.
+        grid: CPU time of the cheapest run of the grid that meets the tolerance, s; infinite if none does.
+        dearer: cost divided by grid.
     """
 
     scene: str
@@ -93,8 +93,8 @@ class FidelityRow:
 
 
 def rows(name: str, scene: fm.Scene) -> Iterator[FidelityRow]:
-    """The choices for a scene, one for each tolerance."""
-    tips = _truth(scene)
+    """Yield the choice for a scene at each tolerance."""
+    tips = _reference_tip(scene)
     plain = _plain_runs(scene, tips)
     for tolerance in TOLERANCES:
         choice = fm.choose_model(scene, tolerance)
@@ -107,16 +107,15 @@ def rows(name: str, scene: fm.Scene) -> Iterator[FidelityRow]:
 
 
 def rows_of(cell: tuple[str, str]) -> list[dict[str, Any]]:
-    """The choices for a scene, by the file of its rows and its name, as plain data."""
+    """Return the choices of a cell (file of the rows, scene name) as plain data."""
     file, name = cell
     return [asdict(row) for row in rows(name, SCENES[file]()[name])]
 
 
-def _truth(scene: fm.Scene) -> Array:
-    """The tip (T, 3) of the finest model of a scene; where its mesh is open, of five elements a link.
+def _reference_tip(scene: fm.Scene) -> Array:
+    """Return the tip (T, 3) of the finest model of a scene, with five elements per link if its mesh is open.
 
-    Explicit steps of so fine a mesh would be short: it is integrated by the midpoint rule, extrapolated to steps of no
-    length.
+    On this fine mesh explicit steps would be short; the midpoint rule with Richardson extrapolation is used instead.
     """
     if scene.model.elements is not None:
         return fm.simulate(scene, _model(scene, None, True), "dop853", rtol=1e-8, atol=1e-11).tip
@@ -130,9 +129,9 @@ def _truth(scene: fm.Scene) -> Array:
 
 
 def _plain_runs(scene: fm.Scene, tips: Array) -> Sequence[tuple[float, float]]:
-    """Errors and costs of plain choices: the lowest modes of each link, with or without foreshortening.
+    """Return errors and costs of a grid of models: the lowest modes of each link, with and without foreshortening.
 
-    Where the mesh is open they are of one, two and three elements a link.
+    An open mesh has one, two or three elements per link.
     """
     result = []
     meshes = GRID_ELEMENTS if scene.model.elements is None else (None,)
@@ -153,7 +152,7 @@ def _plain_runs(scene: fm.Scene, tips: Array) -> Sequence[tuple[float, float]]:
 
 
 def _run(scene: fm.Scene, model: fm.Model, method: str, step: float, tips: Array) -> tuple[float, float]:
-    """Error at the tip (m), infinite for a run that failed, and cost (s of computing)."""
+    """Return the tip error (m; infinite if the run fails) and the CPU time (s)."""
     started = time.process_time()
     result = fm.simulate(scene, model, method, step)
     cost = time.process_time() - started

@@ -1,4 +1,4 @@
-"""Fidelity, page: what the columns of the choices mean, what the choices show, and their table."""
+"""Page of the fidelity study: columns, conclusions and tables."""
 
 from collections.abc import Sequence
 from dataclasses import astuple, fields
@@ -7,17 +7,17 @@ from flexman_gym.common.markdown import markdown_table
 from studies.fidelity.measure import GRID_METHODS, GRID_PARTS, OPEN_METHODS, FidelityRow
 from studies.markdown import bullets
 
-NEAR = 5.0  # a choice knows its error when the estimate is right within this factor
-CHEAP = 2.0  # times the cost of the cheapest plain run: a choice that costs no more is cheap
+NEAR = 5.0  # an error estimate within this factor of the error counts as correct
+CHEAP = 2.0  # cost relative to the cheapest grid run up to which a choice counts as cheap
 PAGE = """# Choices of `choose_model`
 
-`choose_model` looks for the cheapest model, method and step whose tip stays within a tolerance in a scene.
-Here its choices are run again and judged by the finest model of the scene.
-Of {count} choices {met} meet their tolerance, and {near} know how large their error is.
-As to cost, {cheap} are at most twice as dear as the cheapest plain run that is good enough.
+`choose_model` searches for the cheapest model, method and step whose tip error stays within a tolerance in a scene.
+Here its choices are compared with the finest model of the scene.
+Of {count} choices {met} meet their tolerance, and the error estimates of {near} are correct within a factor of 5.
+The cost of {cheap} choices is at most twice that of the cheapest run of a grid that meets the tolerance.
 
-`python scripts/fidelity.py` writes this page and its rows ([fidelity.csv](fidelity.csv)) anew.
-The finest model has all modes and foreshortening, and `dop853` integrates it.
+`python scripts/fidelity.py` rewrites this page and its rows ([fidelity.csv](fidelity.csv)).
+The finest model has all modes and foreshortening and is integrated by `dop853`.
 
 {conclusion}
 
@@ -25,49 +25,48 @@ Each row of the table is one choice. Its columns are:
 
 {columns}
 
-The plain runs are a grid.
-They keep the lowest 2 to 9 modes of each link, or all of them, with foreshortening or without.
-They take {methods} with {parts} steps from ten outputs to 1/64 of one.
+The grid contains the lowest 2 to 9 modes of each link, or all of them, with and without foreshortening,
+the methods {methods}, and {parts} steps from ten output steps to 1/64 of one.
 
 {table}
 """
 OPEN = """
 ## With an open mesh
 
-The same scenes leave the finite elements to the choice (`elements` is None; rows in
+In the same scenes `choose_model` also chooses the number of finite elements (`elements` is None; rows in
 [fidelity_open.csv](fidelity_open.csv)).
-The finest model then has five elements of each link, all modes and foreshortening.
-The midpoint rule integrates it, extrapolated to steps of no length.
+The finest model then has five elements per link, all modes and foreshortening.
+It is integrated by the midpoint rule with Richardson extrapolation to zero step.
 
 {conclusion}
 
-The plain runs have one, two or three elements a link, and take {methods}.
+The grid has one, two or three elements per link and the methods {methods}.
 
 {table}
 """
 CONCLUSION = """Of {count} choices:
 
 - **{met} meet their tolerance**
-- {near} know their error within a factor of {factor:g}
-- {cheap} cost at most {most:g} times as much as the cheapest plain run that meets the tolerance"""
+- {near} estimate their error within a factor of {factor:g}
+- {cheap} cost at most {most:g} times as much as the cheapest run of the grid that meets the tolerance"""
 COLUMNS = {
-    "scene": "the arm and its motion; a random one has 1 to 3 hollow metal links on springs",
-    "tolerance": "the error that `choose_model` was allowed, in m at the tip",
-    "error": "the largest distance of the tip from that of the finest model during the motion, in m",
-    "estimate": "the error that the choice itself names, in m",
-    "ratio": "estimate over error; 1 is a choice that knows its error",
-    "coordinates": "how many coordinates the chosen model has",
-    "method": "the chosen method",
-    "step": "the chosen step, in s",
-    "cost": "CPU time of the chosen run, the best of five, in s",
-    "grid": "CPU time of the cheapest plain run that meets the tolerance, in s",
-    "dearer": "cost over grid; below 1 the choice is cheaper than every plain run that is good enough",
+    "scene": "arm and motion; random arms have 1 to 3 hollow metal links on elastic joints",
+    "tolerance": "tip error allowed for `choose_model`, in m",
+    "error": "largest distance of the tip from that of the finest model during the motion, in m",
+    "estimate": "error estimate returned with the choice, in m",
+    "ratio": "estimate divided by error; 1 is a correct estimate",
+    "coordinates": "number of coordinates of the chosen model",
+    "method": "chosen method",
+    "step": "chosen step, in s",
+    "cost": "CPU time of the chosen run, best of five, in s",
+    "grid": "CPU time of the cheapest run of the grid that meets the tolerance, in s",
+    "dearer": "cost divided by grid; below 1 the choice is cheaper than every run of the grid that meets the tolerance",
 }
 COLUMN = "`{name}`: {meaning}"
 
 
 def page(rows: Sequence[FidelityRow], opened: Sequence[FidelityRow] = ()) -> str:
-    """The page as Markdown, from all rows, and those of open meshes."""
+    """Return the page as Markdown from all rows, including those of open meshes."""
     names = [field.name for field in fields(FidelityRow)]
     columns = bullets(COLUMN.format(name=name, meaning=COLUMNS[name]) for name in names)
     known = {"methods": _listed(GRID_METHODS), "parts": len(GRID_PARTS), **_numbers(rows)}

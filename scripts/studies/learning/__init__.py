@@ -1,1 +1,1 @@
-"""Learning: what the recipes reach on test episodes, and what each of their means contributes."""
+"""Evaluation of the training recipes on test episodes, and ablations."""

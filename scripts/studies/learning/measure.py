@@ -1,4 +1,4 @@
-"""Learning study: cases, training runs with their scores, learning curves."""
+"""Learning study: cases, training runs and their results, learning curves."""
 
 import json
 import shutil
@@ -29,8 +29,8 @@ SEEDS = {"ppo_on_pd_minute": 5, "ppo_on_pd": 5, "ppo_alone": 1, "sac_on_pd": 3, 
          "lab_ppo_shaping": 3, "lab_student": 3, "ppo_shaping": 3, "track_ppo_on_pd": 1, "hold_ppo_on_pd": 1,
          "gravity_ppo_on_pd": 1, "planar_track_ppo_on_pd": 1, "planar_hold_ppo_on_pd": 1}  # fmt: skip
 UNKNOWN = "FlexRRR-v0/unknown-lab"
-# recipes that are judged elsewhere than they learn
-VENUES = {"ppo_shaping": "FlexRRR-v0", "lab_ppo_shaping": UNKNOWN, "lab_student": UNKNOWN}
+# recipe -> scenario of its evaluation, where it differs from the training environment
+EVALUATED_IN = {"ppo_shaping": "FlexRRR-v0", "lab_ppo_shaping": UNKNOWN, "lab_student": UNKNOWN}
 ABLATION_SEEDS = 3
 CONTROLLERS = {"FlexRRR-v0": ("pd", "lqr", "lqr-tracking"), "FlexPlanar-v0": ("pd", "lqr", "lqr-tracking")}
 LAW, ESTIMATOR, LEARNED = "lqr-tracking", "adaptive-lqr", "lab-flexrrr"
@@ -49,18 +49,18 @@ TASKS = {
     "FlexPlanar-Track-v0/unknown-lab": ("", ESTIMATOR),
     "FlexPlanar-Hold-v0/unknown-lab": ("", ESTIMATOR),
 }
-"""Venue -> the recipe or the shipped policy that learned for it, "" for none, and a controller that knows a model."""
+"""Scenario -> its recipe or shipped policy ("" for none), and a model-based controller."""
 
 
 @dataclass(frozen=True)
 class _Without:
-    """PPO on PD without one of its means: what is changed of its settings, and in words.
+    """Ablation of one setting of the recipe.
 
     Attributes:
-        means: what is taken away.
-        instead: what takes its place.
-        environment, hyperparameters, schedules: settings that change; a schedule of None is taken away.
-        steps: instead of the recipe's, for the same CPU time.
+        means: removed setting, in words.
+        instead: replacement, in words.
+        environment, hyperparameters, schedules: changed settings; a schedule of None is removed.
+        steps: number of steps, chosen for equal CPU time; None keeps that of the recipe.
     """
 
     means: str
@@ -71,7 +71,7 @@ class _Without:
     steps: int | None = None
 
     def settings(self, whole: Settings) -> Settings:
-        """The settings of the recipe with the changes."""
+        """Return the settings of the recipe with the ablation applied."""
         schedules = {**whole.schedules, **self.schedules}
         return replace(
             whole,
@@ -85,23 +85,26 @@ class _Without:
 ABLATIONS = {
     "hold": _Without(
         "the held action",
-        "a new action in every control period; discount and lambda the same for a second, steps for the same CPU time",
+        "a new action in every control period; equal time scales of discount and lambda, steps for equal CPU time",
         {"action_repeat": 1},
         {"n_steps": 60, "gamma": 0.99, "gae_lambda": 0.98},
         steps=1_600_000,
     ),
     "rate": _Without(
-        "the schedule of the learning rate", "the rate of the start throughout",
+        "the schedule of the learning rate", "the initial rate throughout",
         schedules={"learning_rate": {"start": 0.001, "end": 0.001}},
     ),
-    "reward": _Without("the reward with slope at every scale", "the reward of bells", {"task": {"kind": "slew"}}),
-    "discount": _Without("the short horizon", "a discount of 0.99 an action", hyperparameters={"gamma": 0.99}),
+    "reward": _Without(
+        "the sloped reward (gradient at every scale)", "the default reward (sum of bell curves)",
+        {"task": {"kind": "slew"}},
+    ),
+    "discount": _Without("the short horizon", "a discount of 0.99 per action", hyperparameters={"gamma": 0.99}),
 }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class LearningCase:
-    """Runs of one kind: "recipe" or "ablation", name, settings, and how many seeds."""
+    """Training runs of a kind ("recipe" or "ablation") with their name, settings and number of seeds."""
 
     kind: str
     name: str
@@ -110,7 +113,7 @@ class LearningCase:
 
 
 def cases() -> list[LearningCase]:
-    """All of them, the recipes first."""
+    """Return all cases, recipes first."""
     recipes = [LearningCase("recipe", name, find_recipe(name), count) for name, count in SEEDS.items()]
     whole = find_recipe(ABLATED)
     return recipes + [
@@ -118,13 +121,13 @@ def cases() -> list[LearningCase]:
     ]
 
 
-COLUMN = "rollout/ep_rew_mean"  # what every run has, judged on the way or not
-POINTS = 50  # of the curve of a run, evenly over its steps
+COLUMN = "rollout/ep_rew_mean"  # recorded by every run, with or without evaluation during training
+POINTS = 50  # number of points of a learning curve, equidistant in steps
 
 
 @dataclass(frozen=True)
 class Point:
-    """Mean reward of the newest training episodes of a run after so many steps."""
+    """Point of a learning curve: mean reward of the latest training episodes after a number of steps."""
 
     name: str
     seed: float
@@ -133,14 +136,14 @@ class Point:
 
 
 def points(name: str, seed: int, folder: Path) -> Iterator[Point]:
-    """The curve of a run in a folder, thinned."""
+    """Yield the learning curve of the run in a folder at POINTS equidistant steps."""
     steps, rewards, _ = read_progress(folder, COLUMN)
     for each in np.linspace(steps[0], steps[-1], POINTS):
         yield Point(name, seed, float(each), float(np.interp(each, steps, rewards)))
 
 
 def environment(name: str) -> str:
-    """The id of the environment in which a recipe learns."""
+    """Return the id of the environment in which a recipe is trained."""
     return str(find_recipe(name).environment.id)
 
 
@@ -150,7 +153,7 @@ def adds_to_pd(name: str) -> bool:
 
 
 def pictures(curves: Sequence[Point], folder: Path) -> list[Path]:
-    """Draw learning_ID.png for each environment with recipes that add to a PD, whose rewards are of one kind."""
+    """Plot learning_ID.png for each environment, with the recipes that add to a PD and therefore share a reward."""
     names = [name for name in SEEDS if any(point.name == name for point in curves) and adds_to_pd(name)]
     result = []
     for id in dict.fromkeys(environment(name) for name in names):
@@ -167,25 +170,26 @@ def _seeds(curves: Sequence[Point], name: str) -> list[tuple[np.ndarray, np.ndar
 
 
 COST = "cost.json"
-TASK = {"kind": "slew", "reward": "distance"}  # of the recipes
+TASK = {"kind": "slew", "reward": "distance"}  # task of the recipes
 AS_TRAINED, FINER, LONGER = "as trained", "finer model", "longer episodes"
-LONG = 30.0  # s, of the longer episodes
-FINER_ELEMENTS, FINER_STEPS = 3, 4  # elements a link, and steps where the default takes one
+LONG = 30.0  # s; duration of the longer episodes
+FINER_ELEMENTS, FINER_STEPS = 3, 4  # elements per link; steps per default step
 
 
 @dataclass(frozen=True)
 class LearningRow:
-    """Medians and shares of a policy over the test episodes, and what its training cost.
+    """Results of a policy on the test episodes, and the cost of its training.
 
     Attributes:
-        kind: "recipe", "ablation", "controller" or, for venues of other tasks, "task".
-        name, seed: of the run.
-        where: the environment, as trained or another.
-        steps, cpu, rate, share: of the training: actions, s, actions a second of CPU, part of it in the environment.
-        settled: share of episodes within the band to the end.
-        time, vibration, error: medians, s, m and m, and the interval of the time.
-        reward, effort, failed, roughness: means; the last is None in rows of before it was taken, as is the next.
-        rms: median of the RMS error, m.
+        kind: "recipe", "ablation", "controller", or "task" for scenarios of other tasks.
+        name, seed: name and seed of the run.
+        where: variant of the environment, see `variants`.
+        steps, cpu, rate, share: actions and CPU time (s) of the training, actions per CPU second, share of the CPU
+            time spent in the environment.
+        settled: share of episodes that stay within the band until the end.
+        time, vibration, error: medians, s, m and m; `time_low`, `time_high`: confidence interval of the time.
+        reward, effort, failed, roughness: means; roughness is None in older rows.
+        rms: median RMS tip error, m; None in older rows.
     """
 
     kind: str
@@ -210,48 +214,50 @@ class LearningRow:
 
 
 def controllers() -> Iterator[LearningRow]:
-    """Rows of the controllers that learn nothing, rewarded as the recipes are."""
+    """Yield the rows of controllers without learning, with the rewards of the recipes."""
     for id, names in CONTROLLERS.items():
         for name in names:
-            for where, environment in places(Configuration(id, {"task": TASK})).items():
+            for where, environment in variants(Configuration(id, {"task": TASK})).items():
                 yield _row("controller", f"{name}, {id}", None, where, {}, find_agent(name), environment)
 
 
 def tasks() -> Iterator[LearningRow]:
-    """Rows of a PD, of controllers that know a model and of shipped policies in venues of other tasks."""
-    for venue, (learned, law) in TASKS.items():
+    """Yield the rows of a PD, a model-based controller and the shipped policies in scenarios of other tasks."""
+    for scenario, (learned, law) in TASKS.items():
         for name in ("pd", law, *([learned] if learned in POLICIES else [])):
-            yield _row("task", f"{name}, {venue}", None, AS_TRAINED, {}, find_agent(name), Configuration.find(venue))
+            yield _row(
+                "task", f"{name}, {scenario}", None, AS_TRAINED, {}, find_agent(name), Configuration.find(scenario)
+            )
 
 
 def runs(case: LearningCase, folder: Path, workers: Workers | int = 1) -> Iterator[LearningRow]:
-    """Rows of the runs of a case, which are trained in the folder if they are not there, and by whom `grid` says."""
+    """Train the missing runs of a case in a folder, in parallel, and yield the rows of all its runs."""
     seeds = range(case.seeds)
-    folders = [place(case, folder, seed) for seed in seeds]
+    folders = [run_folder(case, folder, seed) for seed in seeds]
     costs = parallel_map(
         trained, [(case.settings.with_seed(seed), folders[seed]) for seed in seeds], workers, prepare=compile_kernels
     )
     for seed, each, cost in zip(seeds, folders, costs, strict=True):
         policy = find_agent(str(each))
         assert policy.environment is not None
-        played = Configuration.find(VENUES[case.name]) if case.name in VENUES else policy.environment
-        for where, environment in places(split_interface(played)[0]).items():
+        scenario = Configuration.find(EVALUATED_IN[case.name]) if case.name in EVALUATED_IN else policy.environment
+        for where, environment in variants(split_interface(scenario)[0]).items():
             if case.kind == "recipe" or where == AS_TRAINED:
                 yield _row(case.kind, case.name, seed, where, cost, policy, environment)
 
 
-def place(case: LearningCase, folder: Path, seed: int) -> Path:
-    """The folder of a run of a case, in that of all runs."""
+def run_folder(case: LearningCase, folder: Path, seed: int) -> Path:
+    """Return the folder of a training run."""
     return folder / case.kind / case.name / f"seed-{seed}"
 
 
 def trained(cell: tuple[Settings, Path]) -> dict[str, float | None]:
-    """Train a run and keeps what it cost in its folder, or reads the cost of one that is there."""
+    """Train a run if its folder has no result yet, and return the cost of the training."""
     settings, folder = cell
     path = folder / COST
     if not path.is_file():
         if folder.exists():
-            shutil.rmtree(folder)  # of a run that was killed, whose whole cost nobody knows
+            shutil.rmtree(folder)  # interrupted run: its total cost is unknown
         with Stopwatch(FlexManVectorEnv, "step") as stepping:
             started = time.process_time()
             train(settings, folder, progress=False)
@@ -261,8 +267,8 @@ def trained(cell: tuple[Settings, Path]) -> dict[str, float | None]:
     return dict(json.loads(path.read_text(encoding="utf-8")))
 
 
-def places(environment: Configuration) -> dict[str, Configuration]:
-    """The environment as it is, with a finer model, and with longer episodes."""
+def variants(environment: Configuration) -> dict[str, Configuration]:
+    """Return the environment as trained, with a finer model, and with longer episodes."""
     named = NAMED_ENVIRONMENTS[environment.id]
     step = default_step(environment.control_period, named.longest_step) / FINER_STEPS
     finer = [f"elements={FINER_ELEMENTS}", "modes=null", "stiffening=true", f"step={step!r}"]

@@ -1,4 +1,4 @@
-"""Learning, page: what the recipes reach, on what they lean, and what each of their means contributes."""
+"""Page of the learning study: recipes, other tasks, robustness and ablations."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -13,6 +13,7 @@ from studies.learning.measure import (
     ABLATION_SEEDS,
     ABLATIONS,
     AS_TRAINED,
+    EVALUATED_IN,
     FINER,
     FINER_ELEMENTS,
     FINER_STEPS,
@@ -20,130 +21,139 @@ from studies.learning.measure import (
     LONGER,
     SEEDS,
     TASKS,
-    VENUES,
     LearningRow,
 )
 from studies.markdown import bullets
 
-PAGE = """# What the recipes reach
+PAGE = """# Results of the recipes
 
-What PPO and SAC learn with the recipes, over several seeds, in episodes that decided nothing. Beside a PD that settles
-none of the slews, PPO settles nearly all of them after a minute or two of one core; longer training buys time and
-millimetres. The quickest policy shapes the reference of a tracking controller, and a student who reads instruments
-alone settles nearly every unknown arm, but late. The policies settle as often on a finer model. Without the held
-action, the falling rate, the sloped reward or the short horizon every figure is worse.
+This page has the results of PPO and SAC with the shipped recipes, over several seeds, on held-out test episodes. Added
+to a PD that settles none of the slews, PPO settles nearly all of them after one to two minutes of training on one core;
+longer training reduces settling times and tip errors. The fastest policy shapes the reference of a tracking controller,
+and a student with the measurements of a laboratory settles nearly every uncertain arm, but later. The policies settle
+as often on a finer model. Without the held action, the decreasing learning rate, the sloped reward or the short horizon
+every metric is worse.
 
-`python scripts/learning.py` trains the recipes of `agents/recipes`, one run after the other.
-It writes this page and its rows ([learning.csv](learning.csv)) anew.
-A run that is in `runs/learning` already is only judged again.
+`python scripts/learning.py` trains the recipes of `agents/recipes`, one run after the other, and rewrites this page and
+its rows ([learning.csv](learning.csv)). Existing runs in `runs/learning` are only evaluated again.
 
-Computed with {machine}. CPU times are those of one core, with learning, environment and judging.
+Computed with {computer}. CPU times are those of one core, including updates, environment and evaluation.
 
-Every figure is that of {count} test episodes, seeds {test}. No choice was made on them.
-A run that is judged on the way keeps its best policy on the episodes {selection}; settings were chosen there too.
-Arms train on seeds from {training} on.
-A tip has settled when it stays within 0.235 % of the reach of its target for at least the last second.
-That is 20 mm for `FlexRRR-v0`. The columns are:
+All metrics are those of {count} test episodes, seeds {test}, which were not used for any choice.
+Runs with evaluations during training keep their best policy on the episodes {selection}; settings were also chosen on
+these. Training seeds start at {training}.
+A tip has settled if it stays within 0.235 % of the reach around its target for at least the last second.
+This is 20 mm for `FlexRRR-v0`. The columns are:
 
 {columns}
 
 ## Recipes
 
-Each is judged in the environment in which it learned, except {elsewhere}.
+Each recipe is evaluated in its training environment, except {elsewhere}.
 
 {recipes}
 
-## Controllers that learn nothing
+## Controllers without learning
 
-They know the model; the linear-quadratic regulators also know its true state.
+These controllers are given the model; the linear-quadratic regulators also use its true state.
 
 {controllers}
 
-## Other tasks, and other arms
+## Other tasks and arms
 
-A PD, the policy that learned for the task, and a controller that knows a model of the arm.
-Where tips follow or are disturbed the figure is the median RMS error, else the share that settles and the median time.
-A recipe is in the middle of its seeds. *Of the PD's* is the part of the PD's figure that the policy has left.
+Compared are a PD, the policy trained for the task, and a model-based controller.
+The metric of tracking and holding tasks is the median RMS error, that of slews the share settled and the median time.
+Recipes are medians over the seeds. *Relative to PD* is the metric of the policy divided by that of the PD.
 
 {tasks}
 
 {why}
 
-## Tried and left
+## Rejected variants
 
-One seed each, on the selection seeds, where `ppo_shaping` takes 2.38 s and `lab_ppo_shaping` 3.02 s.
+These variants were trained with one seed each and evaluated on the selection seeds, on which `ppo_shaping` takes 2.38 s
+and `lab_ppo_shaping` 3.02 s.
 
 {tried}
 
-## Do they lean on the simulator?
+## Robustness to the model
 
-The same policies on a finer model: {elements} elements a link with all their coordinates, foreshortening, and
-{steps} steps where the default takes one. And on the default model in episodes of {long:g} s.
+The same policies were evaluated on a finer model ({elements} elements per link with all coordinates, foreshortening,
+and {steps} times as many steps) and on the default model in episodes of {long:g} s.
 The cells are settled, time (s), vibration (mm) and error (mm).
 
 {leaning}
 
-## What each means contributes
+## Ablations
 
-The recipe `{ablated}` without one of its means, {ablation_seeds} seeds each.
-A cell has the middle of the seeds, and the worst in brackets.
-A means without which the figures are as good is not needed beside the others.
+The recipe `{ablated}` was trained without one of its settings, {ablation_seeds} seeds each.
+The cells are medians over the seeds, with the worst seed in brackets.
+If removing a setting changes nothing, the setting is redundant.
 
 {ablations}
 """
 TRIED = (
-    ("`ppo_shaping` with half the arms and half the actions", "2.38 s, later on other episodes", 729),
+    ("`ppo_shaping` with half the arms and half the actions", "2.38 s, slower on other episodes", 729),
     ("`ppo_shaping` with half the arms and twice the pairs", "2.50 s", 1450),
     ("`ppo_shaping` with half the actions and the sloped reward", "2.42 s", 435),
     ("`ppo_shaping` with half the actions and four times the weight of the goal", "2.40 s", 420),
     ("`ppo_shaping` with half the actions, the sloped reward, torques to 0.01 % of the path", "2.52 s", 435),
-    ("`ppo_shaping` with half the actions, the sloped reward, thrice the offsets", "later at every stage", 300),
+    ("`ppo_shaping` with half the actions, the sloped reward, thrice the offsets", "slower at every stage", 300),
     ("`ppo_shaping` with 1.5 times the actions and the sloped reward", "2.58 s", 900),
-    ("`ppo_shaping` with 2.5 times the actions and louder exploration", "2.56 s, with more reward", 1539),
-    ("`ppo_shaping` that acts on a softer regulator", "2.52 s", 620),
-    ("SAC with the actions of `ppo_shaping`", "it ruins the controller first: reward 11 instead of 45", 460),
+    ("`ppo_shaping` with 2.5 times the actions and more exploration noise", "2.56 s, with more reward", 1539),
+    ("`ppo_shaping` with a regulator of lower gains", "2.52 s", 620),
+    (
+        "SAC with the actions of `ppo_shaping`",
+        "the policy degrades the controller at first: reward 11 instead of 45",
+        460,
+    ),
     ("`lab_ppo_shaping` with half the arms and half the actions", "3.12 s", 724),
-    ("`lab_ppo_shaping` with half the arms, a weaker regulator and less authority", "3.08 s", 823),
-    ("`lab_ppo_shaping` that acts on the stiffer regulator", "2.94 s; friction ends a third", 1245),
-    ("`ppo_on_pd` that learns how much to explore", "100 %, 4.22 s, 0.12 mm", 264),
-    ("`lab_student` with a teacher whose slews are timed anew", "83 % settle", 240),
+    ("`lab_ppo_shaping` with half the arms, a regulator of lower gains and smaller actions", "3.08 s", 823),
+    (
+        "`lab_ppo_shaping` with the regulator of higher gains",
+        "2.94 s; with friction a third of the episodes fail",
+        1245,
+    ),
+    ("`ppo_on_pd` with learned exploration noise", "100 %, 4.22 s, 0.12 mm", 264),
+    ("`lab_student` with a teacher that replans the timing of its slews", "83 % settle", 240),
     ("`lab_student` with episodes of 6 s instead of 9 s", "91 % settle", 240),
-    ("PPO on a PD under `unknown-lab`, readings of 6 actions", "none settles, 242 mm", 100),
+    ("PPO on a PD under `unknown-lab`, measurements of 6 actions", "no episode settles, 242 mm", 100),
 )
 WHY = (
-    "In `FlexPlanar-v0` the PD is near what the motors can do, and no policy halves its time.",
-    "In `FlexRRR-Gravity-v0` and `FlexPlanar-Hold-v0` a million actions are not enough to halve the figure of the PD.",
-    "Under `unknown-lab` a policy shapes the reference of the estimator where goals stay. It learned without gravity, "
-    "where the estimator alone settles more arms.",
-    "Where goals move there is no slew to shape, and for planar arms none was trained. There the estimator acts alone.",
-    "PPO on a PD that reads a laboratory's instruments settled nothing after half a million actions.",
+    "In `FlexPlanar-v0` the PD is near the limit of the motors, and no policy halves its settling time.",
+    "In `FlexRRR-Gravity-v0` and `FlexPlanar-Hold-v0` a million actions are not enough to halve the metric of the PD.",
+    "Under `unknown-lab` a policy shapes the reference of the adaptive LQR for fixed goals. It was trained without "
+    "gravity; with gravity the adaptive LQR alone settles more arms.",
+    "For moving goals there is no slew to shape, and no policy was trained for planar arms. There the adaptive LQR is "
+    "used alone.",
+    "PPO on a PD with the measurements of a laboratory settled no slew after half a million actions.",
 )
 COLUMNS = {
-    "settled": "the share of episodes that settle",
-    "time": "the median time after which they do, unsettled ones counted as infinite, and its bootstrap interval",
-    "vibration": "the median of the tip's motion in the last 3 s, from peak to peak along the worst axis",
-    "error": "the median of the tip's distance from its target in the last second",
-    "effort": "the mean square of what the motors were asked for, parts of their limits",
-    "roughness": "the root mean square of the change of that from period to period; - where it was not taken",
-    "failed": "the share of episodes that end at a limit",
+    "settled": "share of episodes that settle",
+    "time": "median settling time, infinite for episodes that do not settle, and its bootstrap interval",
+    "vibration": "median peak-to-peak motion of the tip in the last 3 s along the worst axis",
+    "error": "median distance of the tip from its target in the last second",
+    "effort": "mean square of the commanded torques relative to their limits",
+    "roughness": "RMS change of the relative torques from period to period; - if not recorded",
+    "failed": "share of episodes terminated by a limit",
 }
 
 
-def page(rows: Sequence[LearningRow], machine: str) -> str:
-    """The page as Markdown, from all rows."""
+def page(rows: Sequence[LearningRow], computer: str) -> str:
+    """Return the page as Markdown."""
     return PAGE.format(
-        machine=machine,
+        computer=computer,
         count=len(TEST_SEEDS),
         test=f"{TEST_SEEDS.start} to {TEST_SEEDS.stop - 1}",
         selection=f"{SELECTION_SEEDS.start} to {SELECTION_SEEDS.stop - 1}",
         training=TRAINING_SEEDS_STRIDE,
         columns="\n".join(bullets(f"{name}: {meaning}" for name, meaning in COLUMNS.items())),
-        elsewhere=", ".join(f"`{name}` in `{venue}`" for name, venue in VENUES.items()),
+        elsewhere=", ".join(f"`{name}` in `{scenario}`" for name, scenario in EVALUATED_IN.items()),
         recipes="\n".join(_recipes(rows)),
         controllers="\n".join(_controllers(rows)),
         tasks="\n".join(_tasks(rows)),
         why="\n".join(WHY),
-        tried="\n".join(markdown_table(("what", "what came out", "CPU, s"), TRIED)),
+        tried="\n".join(markdown_table(("variant", "result", "CPU, s"), TRIED)),
         elements=FINER_ELEMENTS,
         steps=FINER_STEPS,
         long=LONG,
@@ -159,7 +169,7 @@ def _of(rows: Iterable[LearningRow], kind: str, name: str, where: str = AS_TRAIN
 
 
 def _recipes(rows: Sequence[LearningRow]) -> list[str]:
-    heads = ("recipe", "seed", "actions", "CPU, s", "actions a second", "in the environment", *FIGURES)
+    heads = ("recipe", "seed", "actions", "CPU, s", "actions per second", "in the environment", *FIGURES)
     result = [row for name in SEEDS for row in _of(rows, "recipe", name)]
     return markdown_table(heads, ((row.name, f"{row.seed:.0f}", *_cost(row), *_figures(row)) for row in result))
 
@@ -191,25 +201,25 @@ def _controllers(rows: Sequence[LearningRow]) -> list[str]:
 
 def _tasks(rows: Sequence[LearningRow]) -> list[str]:
     lines = []
-    for venue, (learned, law) in TASKS.items():
-        own = {name: _of(rows, "task", f"{name}, {venue}") for name in ("pd", law, learned)}
+    for scenario, (learned, law) in TASKS.items():
+        own = {name: _of(rows, "task", f"{name}, {scenario}") for name in ("pd", law, learned)}
         own[learned] = own[learned] or _of(rows, "recipe", learned)
         if own["pd"] and own[law]:
-            follows = _follows(Configuration.find(venue))
+            follows = _follows(Configuration.find(scenario))
             pd, best, reached = (_task(own[name], follows) for name in ("pd", law, learned))
             part = f"{reached[1] / pd[1]:.2f}" if own[learned] and math.isfinite(pd[1]) else "-"
             name = f"`{learned}`: {reached[0]}" if own[learned] else "-"
-            lines.append((f"`{venue}`", pd[0], name, part, f"`{law}`: {best[0]}"))
-    return markdown_table(("venue", "PD", "learned", "of the PD's", "knows a model"), lines)
+            lines.append((f"`{scenario}`", pd[0], name, part, f"`{law}`: {best[0]}"))
+    return markdown_table(("scenario", "PD", "policy", "relative to PD", "model-based"), lines)
 
 
-def _follows(venue: Configuration) -> bool:
-    """Return whether the task tracks or holds, so that the RMS error matters and not the settling time."""
-    return any(figure.name == "rms_error" for figure in task_metrics(venue.task))
+def _follows(scenario: Configuration) -> bool:
+    """Return whether the task is evaluated by the RMS error (tracking, holding) instead of the settling time."""
+    return any(figure.name == "rms_error" for figure in task_metrics(scenario.task))
 
 
 def _task(rows: Sequence[LearningRow], follows: bool) -> tuple[str, float]:
-    """The figure of a task in words and as a number, of the middle of seeds."""
+    """Return the metric of a task as text and number, the median over the seeds."""
     if not rows:
         return "", math.nan
     if follows:

@@ -1,1 +1,1 @@
-"""Machine: our model against measurements of a real two-link flexible arm."""
+"""Comparison of our model with measurements of a real two-link flexible arm."""

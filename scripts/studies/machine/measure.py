@@ -17,24 +17,24 @@ from flexman_gym.model.model import Model, build_model
 from flexman_gym.simulation.parameters import nominal_parameters
 
 DATA = Path(__file__).parent / "data"
-LOGGED = Filter.low_pass(2.0, 0.9)  # which the logged deflections passed, and the hub angles did not
-RESOLUTION = (1.534e-5, 3.068e-5)  # of the encoders at the joints, rad
+LOGGED = Filter.low_pass(2.0, 0.9)  # filter of the logged deflections; hub angles are unfiltered
+RESOLUTION = (1.534e-5, 3.068e-5)  # rad; encoder resolution of the joints
 ROUNDING = {f"motor_angle_{i + 1}": each / 12.0**0.5 for i, each in enumerate(RESOLUTION)}
-LENGTHS = (0.202, 0.20185)  # of the strips, m: a deflection is an angle w(L) / L
-MOVING = 1e-3  # rad: a deflection that moves less shows the noise of the gauge
-FEWER = 5  # samples for one
+LENGTHS = (0.202, 0.20185)  # m; lengths of the strips: a deflection is logged as the angle w(L) / L
+MOVING = 1e-3  # rad; smaller deflections are dominated by the noise of the gauge
+FEWER = 5  # decimation factor of the current-driven record, since a simulation stops at every sample
 STAGE_1, STAGE_2 = "link_deflection_1_y", "link_deflection_2_y"
 
 
 def _columns(path: Path) -> dict[str, np.ndarray]:
-    """Columns of a file by name."""
+    """Return the columns of a CSV file by name."""
     with path.open(encoding="utf-8") as file:
         names = file.readline().strip().split(",")
     return dict(zip(names, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
 
 
 def _stage_1_record(path: Path) -> Measurement:
-    """A run of the first stage: hub angle in, tip deflection out."""
+    """Return a record of the first stage: hub angle as input, tip deflection as output."""
     data = _columns(path)
     return Measurement(
         data["time_s"],
@@ -47,13 +47,13 @@ def _stage_1_record(path: Path) -> Measurement:
 
 
 def moving(folder: Path) -> dict[str, Measurement]:
-    """The runs of the first stage in a folder whose deflection moves, by name."""
+    """Return the runs of the first stage in a folder by name, without those whose deflection is below the noise."""
     runs = {path.stem: _stage_1_record(path) for path in sorted(folder.glob("*deg*.csv"))}
     return {name: run for name, run in runs.items() if np.ptp(run.outputs[STAGE_1]) > MOVING * LENGTHS[0]}
 
 
 def both_stages(path: Path) -> Measurement:
-    """A run of both stages: hub angles in, tip deflections out."""
+    """Return a record of both stages: hub angles as inputs, tip deflections as outputs."""
     data = _columns(path)
     return Measurement(
         data["time_s"] - data["time_s"][0],
@@ -68,7 +68,7 @@ def both_stages(path: Path) -> Measurement:
 
 
 def driven(path: Path) -> Measurement:
-    """The same with currents in, and hub angles out as well, at 100 Hz: a simulation stops at every sample."""
+    """Return a record of both stages with currents as inputs and hub angles among the outputs, at 100 Hz."""
     data, record = _columns(path), both_stages(path)
     angles = {f"motor_angle_{i}": data[f"hub_angle_{i}_rad"][::FEWER] for i in (1, 2)}
     return replace(
@@ -81,15 +81,15 @@ def driven(path: Path) -> Measurement:
 
 
 ONE = {"elements": 1, "modes": 4}
-FACTORS = ["link_stiffness_factor", "link_damping"]  # free parameters of the fits
+FACTORS = ["link_stiffness_factor", "link_damping"]  # fitted parameters
 TWO = {"elements": 1, "modes": (4, 3)}
 FIT, SCORE, SHEET, MUJOCO, COUPLED, CURRENT = "fit", "score", "data sheet", "MuJoCo", "both stages", "currents"
-HALF = 5.0  # s, of the record of both stages
+HALF = 5.0  # s; half of the record of both stages
 
 
 @dataclass(frozen=True)
 class FitRow:
-    """A number: in which part of the study, of which run or fit, and what."""
+    """Result of the study: part of the study, run or fit, quantity, value."""
 
     part: str
     run: str
@@ -103,14 +103,14 @@ def _r_squared(measured: np.ndarray, computed: np.ndarray) -> float:
 
 
 def stage_1(folder: Path = DATA, others: bool = True) -> tuple[list[FitRow], dict[str, Any]]:
-    """Fit half of the moving runs of the first stage and scores the rest, then the other way round.
+    """Fit half of the runs of the first stage and predict the other half, then vice versa.
 
     Args:
-        folder: of the runs.
-        others: whether MuJoCo is asked as well, where it is installed.
+        folder: folder of the runs.
+        others: simulate with MuJoCo as well, if it is installed.
 
     Returns:
-        Rows, and name of a run -> times, measured and predicted deflections (rad).
+        Rows, and run name -> times, measured and predicted deflections (rad).
     """
     runs, rows, lines = moving(folder), [], {}
     names = sorted(runs)
@@ -120,7 +120,7 @@ def stage_1(folder: Path = DATA, others: bool = True) -> tuple[list[FitRow], dic
         records = [runs[name] for name in half]
         found = fm.fit(arm, FACTORS, records=records, starts=0, **ONE)  # type: ignore[arg-type]
         rows.append(FitRow(FIT, label, "CPU s", time.process_time() - started))
-        rows += [FitRow(FIT, label, name, value) for name, value in _told(found).items()]
+        rows += [FitRow(FIT, label, name, value) for name, value in _fit_results(found).items()]
         rest = [name for name in names if name not in half]
         for name in rest:
             record = runs[name]
@@ -137,8 +137,8 @@ def stage_1(folder: Path = DATA, others: bool = True) -> tuple[list[FitRow], dic
     return rows, lines
 
 
-def _told(found: fm.Fit) -> dict[str, float]:
-    """Results of a fit of the first stage."""
+def _fit_results(found: fm.Fit) -> dict[str, float]:
+    """Return the results of a fit of the first stage by name."""
     model = build_model(found.arm, **ONE)  # type: ignore[arg-type]
     ringing = fm.modes(model)
     frequency, ratio = float(ringing.frequencies[0]), float(ringing.damping_ratios[0])
@@ -155,9 +155,9 @@ def _told(found: fm.Fit) -> dict[str, float]:
 
 
 def _amplitudes(model: Model) -> tuple[float, float]:
-    """c in y'' + 2 z w y' + w^2 y = -c (hub angle)'' of the first vibration in the plane, for y = w / L of strip 1.
+    """Return the coefficient c of the first in-plane vibration of the strip, at its end and at the end of its block.
 
-    First w at the end of the strip, then that of the block which it carries, both over the strip's length.
+    The vibration satisfies y'' + 2 z w y' + w^2 y = -c (hub angle)'', with y = w / L and the length L of the strip.
     """
     from scipy.linalg import eigh
 
@@ -167,20 +167,20 @@ def _amplitudes(model: Model) -> tuple[float, float]:
     _, shapes = eigh(stiffness, mass[np.ix_(columns, columns)])
     caused = shapes.T @ mass[columns, 0]
     first = int(np.argmax(np.abs(caused) * np.abs(model.constants.tip_translation[:, 1] @ shapes)))
-    end = model.bases[0][1] @ shapes[:, first]  # y of the node at the end of the strip
+    end = model.bases[0][1] @ shapes[:, first]  # y displacement of the node at the end of the strip
     tip = model.constants.tip_translation[:, 1] @ shapes[:, first]
     return tuple(float(abs(each * caused[first]) / LENGTHS[0]) for each in (end, tip))  # type: ignore[return-value]
 
 
 def _sheet(model: Model, record: fm.Measurement) -> Any:
-    """Calibration of the data sheet for the first output of a record: w / L of the strip, for an ideal gauge."""
+    """Return the first output of a record with the calibration of the data sheet (w / L of the strip, ideal gauge)."""
     nominal = {"payload_mass": np.array([nominal_parameters(model)["payload_mass"]])}
     at_strip, at_block = _amplitudes(model)
     return SimulatedResponse(model.arm, record, None).signals(model, nominal)[0, 0] * at_strip / at_block
 
 
 def _by_mujoco(found: fm.Fit, runs: Mapping[str, fm.Measurement]) -> list[FitRow]:
-    """Scores of MuJoCo's pieces with the fitted numbers."""
+    """Return the scores of MuJoCo's rigid pieces with the fitted parameters."""
     try:
         from studies.machine import mujoco
     except ModuleNotFoundError:
@@ -196,19 +196,19 @@ def _by_mujoco(found: fm.Fit, runs: Mapping[str, fm.Measurement]) -> list[FitRow
 
 
 def stages(path: Path) -> tuple[list[FitRow], list[Any]]:
-    """Fit the first half of a record of both stages, coupled, and scores the second; then the same from currents.
+    """Fit the first half of a record of both stages and predict the second half, from hub angles and from currents.
 
     Returns:
         Rows, and times, measured and predicted deflections.
     """
     record, arm = both_stages(path), fm.catalog.quanser_2dsfl()
     found = fm.fit(arm, FACTORS, records=[record.part(0.0, HALF)], **TWO)  # type: ignore[arg-type]
-    told = [np.asarray(record.times), dict(record.outputs), found.predicted(record)]
-    return [*_coupled(found, record, COUPLED), *_currents(found, path)], told
+    comparison = [np.asarray(record.times), dict(record.outputs), found.predicted(record)]
+    return [*_coupled(found, record, COUPLED), *_currents(found, path)], comparison
 
 
 def _coupled(found: fm.Fit, record: fm.Measurement, part: str) -> Iterator[FitRow]:
-    """Numbers of a fit of both stages, and its scores on the second half."""
+    """Yield the parameters of a fit of both stages and its scores on the second half of the record."""
     for name in found.values:
         for i, (value, deviation) in enumerate(zip(found.values[name], found.deviations[name], strict=True)):
             yield FitRow(part, f"{name}[{i}]", "value", float(value))
@@ -222,7 +222,7 @@ def _coupled(found: fm.Fit, record: fm.Measurement, part: str) -> Iterator[FitRo
 
 
 def _currents(found: fm.Fit, path: Path) -> Iterator[FitRow]:
-    """Currents in, angles out: friction fitted on the first half, with what the deflections told of the links."""
+    """Fit the friction with currents as inputs to the first half, with the fitted links; yield results."""
     record = driven(path)
     joints = [
         replace(joint, coulomb_friction=0.5 * size) for joint, size in zip(found.arm.joints, (2.0, 0.2), strict=True)
@@ -236,12 +236,12 @@ def _currents(found: fm.Fit, path: Path) -> Iterator[FitRow]:
 PERIOD, SAMPLES, NOISE, FINER = 0.005, 241, 0.005, 4
 CHOICE: dict[str, Any] = {"elements": 1, "modes": 3}
 FREE = ("joint_stiffness", "joint_damping", "link_stiffness_factor", "link_damping", "payload_mass")
-FAR = 0.3  # of the logarithms of a start
+FAR = 0.3  # largest offset of the initial guesses, in the logarithm
 AXES = ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
 
 
 def _random_arm(rng: np.random.Generator) -> fm.Arm:
-    """One to three strips on elastic joints, in a plane or in space."""
+    """Return a random arm of one to three strips on elastic joints, planar or spatial."""
     count, spatial = int(rng.integers(1, 4)), bool(rng.integers(2))
     links, joints = [], []
     for i in range(count):
@@ -254,8 +254,8 @@ def _random_arm(rng: np.random.Generator) -> fm.Arm:
     return fm.Arm(links, joints, fm.Payload(rng.uniform(0.05, 0.2)), modal_damping_ratio=ratios)
 
 
-def _truth(arm: fm.Arm, rng: np.random.Generator) -> fm.Measurement:
-    """Return the response to a torque with jumps, at a quarter of the step of the fit."""
+def _simulated_record(arm: fm.Arm, rng: np.random.Generator) -> fm.Measurement:
+    """Return the simulated response to piecewise constant torques, at a quarter of the step of the fit."""
     count, times = arm.n_joints, PERIOD * np.arange(SAMPLES)
     inputs = {}
     for i in range(count):
@@ -274,10 +274,10 @@ def _truth(arm: fm.Arm, rng: np.random.Generator) -> fm.Measurement:
 
 
 def draws(seed: int, count: int) -> list[tuple[str, float, bool]]:
-    """Fit of one arm to draws of noise: name of each number, its error in deviations, and whether it was told."""
+    """Fit an arm to noisy records; return parameter names, errors in standard deviations, and whether determined."""
     rng = np.random.default_rng(seed)
     arm = _random_arm(rng)
-    record, free = _truth(arm, rng), FreeParameters(arm, FREE)
+    record, free = _simulated_record(arm, rng), FreeParameters(arm, FREE)
     result = []
     for _ in range(count):
         start = free.build_arm(free.start * np.exp(rng.uniform(-FAR, FAR, len(free.start))))
@@ -300,7 +300,7 @@ def draws(seed: int, count: int) -> list[tuple[str, float, bool]]:
 
 
 def coverage(arms: int, count: int, first: int = 0) -> tuple[float, int, int]:
-    """Return the share of estimates within two standard deviations of the true value, their number, and the others."""
+    """Return the share of determined estimates within two standard deviations, and the numbers determined and not."""
     found = [each for seed in range(first, first + arms) for each in draws(seed, count)]
-    told = [abs(error) <= 2.0 for _, error, told in found if told]
-    return float(np.mean(told)), len(told), len(found) - len(told)
+    inside = [abs(error) <= 2.0 for _, error, determined in found if determined]
+    return float(np.mean(inside)), len(inside), len(found) - len(inside)

@@ -1,4 +1,4 @@
-"""Machine, MuJoCo: the first stage as rigid pieces that MuJoCo moves, its hub as it was measured."""
+"""Simulation of the first stage with MuJoCo's rigid pieces, driven by the measured hub angle."""
 
 from typing import Any
 
@@ -11,14 +11,14 @@ from flexman_gym.scene.signals import SampledAngles
 from studies.machine.measure import LOGGED
 
 PIECES = 4
-HEAVY = 1e6  # kg m^2, of a hub that moves as it is told
+HEAVY = 1e6  # kg m^2; hub inertia so large that the hub follows the prescribed motion
 
 
 def deflection(arm: fm.Arm, record: fm.Measurement) -> Any:
-    """Return the deflection (T,) at the end of the block after the strip, m, through the filter of the gauge.
+    """Return the filtered deflection (T,) at the end of the block behind the strip, m.
 
-    The block, stiffer than the strip by four digits, is a part of the payload: as pieces it would need steps of less
-    than a microsecond.
+    The block is four orders of magnitude stiffer than the strip and is therefore a part of the payload: as rigid pieces
+    it would need steps below a microsecond.
     """
     strip, block = arm.links[0].sections
     one = fm.Arm([strip], [fm.Joint((0.0, 0.0, 1.0))], _carried(arm, block), modal_damping_ratio=arm.damping_ratios[0])
@@ -42,7 +42,7 @@ def deflection(arm: fm.Arm, record: fm.Measurement) -> Any:
 
 
 def _off_the_line(model: Any, data: Any, beyond: float) -> float:
-    """Return the distance (m) of a point beyond the strip's end from the axis of the frame of the hub."""
+    """Return the lateral distance (m) of a point beyond the strip's end from the axis of the hub frame."""
     mujoco.mj_kinematics(model, data)
     place = data.site("tip").xpos + beyond * data.xmat[model.site("tip").bodyid[0]].reshape(3, 3)[:, 0]
     frame = data.body("link_0").xmat.reshape(3, 3)
@@ -50,7 +50,7 @@ def _off_the_line(model: Any, data: Any, beyond: float) -> float:
 
 
 def _carried(arm: fm.Arm, block: Any) -> fm.Payload:
-    """The block and what is behind it as one body at the end of the strip."""
+    """Return the block and the load behind it as one rigid body at the end of the strip."""
     load: Any = arm.payload
     masses = np.array([block.mass, load.mass])
     places = np.array([block.length / 2.0, block.length + load.offset[0]])

@@ -1,1 +1,1 @@
-"""Peers: the same arm in other codes."""
+"""The paper's arm in other simulators."""

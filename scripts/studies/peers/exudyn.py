@@ -1,17 +1,18 @@
-"""Exudyn's version of an arm: a floating frame of reference for every flexible link, the paper's class of model.
+"""Model of an arm in Exudyn: a floating frame of reference for every flexible link, the model class of the paper.
 
-A link is an `ObjectFFRFreducedOrder`, whose "mesh" is the mass points of our beam elements and whose modes are the
-shapes of their node coordinates, so that mass, rotary inertia and stiffness are ours. Its frame sits in its joint. Four
-more points without mass on the section at the tip are the mesh nodes of a `MarkerSuperElementRigid`, which gives the
-tip's rotation by the exponential map. Euler parameters are the rotations: with Tait-Bryan angles (`NodeRigidBodyRxyz`)
-the same model converges to another motion, 9 mm away after half a second.
+A link is an `ObjectFFRFreducedOrder`. Its "mesh" consists of the mass points of our beam elements and its modes are
+the shapes of their node coordinates, so that mass, rotary inertia and stiffness equal ours. The frame is located at
+the joint. Four additional massless points on the section at the tip are the mesh nodes of a `MarkerSuperElementRigid`,
+which provides the rotation of the tip by the exponential map. Rotations are Euler parameters: with Tait-Bryan angles
+(`NodeRigidBodyRxyz`) the same model converges to a different motion, 9 mm away after half a second.
 
-A motor is a scalar inertia before a spring (the paper's Eq. 23), which needs the joint's angle as a coordinate.
-Exudyn measures one between rigid bodies only (`MarkerBodiesRelativeRotationCoordinate`), hence a body without mass at
-every tip, and one that shares its node with the frame of the link behind. It all runs compiled, without user functions.
+A motor is a scalar inertia connected by a spring (Eq. 23 of the paper), which requires the joint angle as a coordinate.
+Exudyn measures joint angles between rigid bodies only (`MarkerBodiesRelativeRotationCoordinate`). Therefore a massless
+body is attached to every tip, and another shares its node with the frame of the next link. The model runs compiled,
+without user functions.
 
-Where links bend out of one plane the converged tip is a few millimetres from ours, since the marker's angular velocity
-is not exactly the rate of its rotation; in a plane both agree.
+For links that bend out of one plane the converged tip differs from ours by a few millimetres, since the angular
+velocity of the marker is not exactly the rate of its rotation; in planar motion both agree.
 """
 
 import io
@@ -31,7 +32,7 @@ from flexman_gym.model.element import section_points
 from studies.peers.measure import PeerRun, Timer, output_count, row
 from studies.precision.measure import PrecisionRow, ReferenceSolution, Study
 
-sys.exudynFast = True  # type: ignore[attr-defined]  # the build without range checks, which a first import chooses
+sys.exudynFast = True  # type: ignore[attr-defined]  # selects the build without range checks; must precede the first import
 with redirect_stdout(io.StringIO()):
     exudyn: Any = import_module("exudyn")
     items: Any = import_module("exudyn.itemInterface")
@@ -41,16 +42,18 @@ ELEMENTS = 2
 MODEL = "Exudyn, floating frame"
 QUICK, DEFAULT = "quickest settings", "default settings"
 STEPS = {QUICK: (5e-3, 2.5e-3, 2e-3, 1e-3, 5e-4), DEFAULT: (2.5e-3, 2e-3, 1e-3)}
-FINE, STRICT = 1e-4, 1e-8  # s and relative tolerance of Newton's method, of a converged run
-LOOSE = 1e-3  # such a tolerance that changes the tip by less than the step does; 1e-2 does not
+FINE, STRICT = 1e-4, 1e-8  # step (s) and relative Newton tolerance of the converged run
+LOOSE = 1e-3  # relative Newton tolerance whose effect on the tip is below that of the step, unlike 1e-2
 
 
 class System:
-    """A `MainSystem` of an arm at rest at zero angles, with a sensor of its tip; `torque` (n,) N m on its motors."""
+    """`MainSystem` of an arm at rest at zero angles, with motor torques (n,) N m and a sensor of its tip."""
 
     def __init__(self, arm: fm.Arm, torque: Vector, elements: int = ELEMENTS) -> None:
         if arm.payload is not None or any(joint.stiffness is None for joint in arm.joints):
-            raise ValueError("arm: this model has no payload, and springs in all joints")
+            raise ValueError(
+                "arm: a payload and rigid joints are not allowed; give springs in all joints and no payload"
+            )
         self.container = exudyn.SystemContainer()
         self.main = self.container.AddSystem()
         carrier = self.main.AddObject(items.ObjectGround())
@@ -67,11 +70,11 @@ class System:
         self.main.Assemble()
 
     def tip(self) -> Array:
-        """(T, 3) m, the tip at the output times of the last run, those that it reached."""
+        """Return the tip positions (T, 3) m at the output times reached by the last run."""
         return np.asarray(self.main.GetSensorStoredData(self.sensor))[:, 1:]
 
     def _link(self, link: Any, beam: Beam, place: Array, gravity: Vector) -> tuple[int, int]:
-        """Add a link; return the numbers of a rigid body in its frame and of the marker of its tip."""
+        """Add a link; return the object number of a rigid body in its frame and the marker number of its tip."""
         turn, (masses, positions, shapes) = np.array(link.orientation), _mesh(link, beam)
         mesh, count = fem.FEMinterface(), 3 * len(masses)
         mesh.nodes = {"Position": positions @ turn.T}
@@ -91,7 +94,7 @@ class System:
         return self.main.AddObject(frame), self.main.AddMarker(marker)
 
     def _tip_body(self, place: Array, tip: int) -> int:
-        """Add a rigid body without mass that is fixed to the marker of a tip."""
+        """Add a massless rigid body fixed to the marker of a tip; return its object number."""
         node = self.main.AddNode(items.NodeRigidBodyEP(referenceCoordinates=[*place, 1.0, 0.0, 0.0, 0.0]))
         body = self.main.AddObject(items.ObjectRigidBody(mass=0.0, inertia=[0.0] * 6, nodeNumber=node))
         marker = self.main.AddMarker(items.MarkerBodyRigid(bodyNumber=body))
@@ -99,7 +102,7 @@ class System:
         return int(body)
 
     def _joint(self, joint: fm.Joint, before: int, behind: int, torque: float) -> None:
-        """Add a revolute joint between two rigid bodies, and a motor that turns it through a spring and a damper."""
+        """Add a revolute joint between two rigid bodies, driven by a motor through a spring and a damper."""
         axis = exudyn.HT(rotation=_along(np.array(joint.axis)), translation=[0.0] * 3)
         ends = [self.main.AddMarker(items.MarkerBodyRigid(bodyNumber=body, localHT=axis)) for body in (before, behind)]
         self.main.AddObject(items.ObjectJointRevoluteZ(markerNumbers=ends))
@@ -118,7 +121,7 @@ class System:
 
 
 def _mesh(link: Any, beam: Beam) -> tuple[Array, Array, Array]:
-    """Masses (p,) kg, places (p, 3) m and shapes (p, 3, k) of the mass points of a beam and of four at its tip."""
+    """Return masses (p,) kg, positions (p, 3) m and shapes (p, 3, k) of the points of a beam and of four at its tip."""
     arms = np.column_stack([np.zeros(4), section_points(link.sections[-1])])
     turned = np.cross(beam.tip_rotation[None], arms[:, :, None], axis=1)
     return (
@@ -129,19 +132,20 @@ def _mesh(link: Any, beam: Beam) -> tuple[Array, Array, Array]:
 
 
 def _along(axis: Array) -> Array:
-    """A rotation whose z axis is the given unit vector."""
+    """Return a rotation matrix whose z axis is the given unit vector."""
     across = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
     across /= np.linalg.norm(across)
     return np.column_stack([across, np.cross(axis, across), axis])
 
 
 def settings(scene: fm.Scene, step: float, method: str, tolerance: float = LOOSE) -> Any:
-    """`SimulationSettings` of a run at a fixed step (s) that writes no file.
+    """Return `SimulationSettings` of a fixed-step run (step in s) without file output.
 
-    By default Exudyn takes the generalised-alpha method with a spectral radius of 0.9, modified Newton's method with a
-    tolerance of 1e-8 and its own dense solver. What is quickest here, of the tolerances 1e-2 to 1e-8, the solvers, full
-    Newton's method and other contractivities: the same with a tolerance of 1e-3 and Eigen's dense solver. The
-    trapezoidal rule costs as much, and with constraints of index 2 the bodies at the tips drift off them.
+    The default settings of Exudyn are the generalised-alpha method with a spectral radius of 0.9, modified Newton
+    iterations with a tolerance of 1e-8, and its own dense solver. The fastest settings for this arm, among tolerances
+    from 1e-2 to 1e-8, solvers, full Newton iterations and other spectral radii, change the tolerance to 1e-3 and the
+    solver to Eigen's dense solver. The trapezoidal rule has the same cost, and with constraints of index 2 the tip
+    bodies drift.
     """
     result = exudyn.SimulationSettings()
     rows, substeps = output_count(scene, step)
@@ -155,13 +159,13 @@ def settings(scene: fm.Scene, step: float, method: str, tolerance: float = LOOSE
 
 
 def run(scene: fm.Scene, step: float, method: str = QUICK, tolerance: float = LOOSE) -> PeerRun:
-    """Run a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
+    """Run a scene of constant torques from rest at zero angles; the step (s) must divide the output step."""
     system = System(scene.arm, scene.torque.value)  # type: ignore[union-attr]
     chosen = settings(scene, step, method, tolerance)
     tip = np.full((output_count(scene, step)[0] + 1, 3), np.nan)
     exudyn.config.printToConsole = False
     started = time.process_time(), time.perf_counter()
-    with suppress(exudyn.SolverError):  # what is missing of the tip says so
+    with suppress(exudyn.SolverError):  # a failed run is detected by its missing tip positions
         system.main.SolveDynamic(chosen)
     spent = time.process_time() - started[0], time.perf_counter() - started[1]
     known = system.tip()[: len(tip)]
@@ -172,13 +176,13 @@ def run(scene: fm.Scene, step: float, method: str = QUICK, tolerance: float = LO
 
 
 def converged(scene: fm.Scene) -> ReferenceSolution:
-    """Exudyn's own solution at a short step; its error is that of a step 2.5 times as long."""
+    """Return Exudyn's solution at a short step; its error estimate is the difference to a step 2.5 times as long."""
     fine, coarse = (run(scene, step, QUICK, STRICT) for step in (FINE, 2.5 * FINE))
     return ReferenceSolution(fine.tip, fine.distance(coarse.tip), f"{MODEL}, {1e3 * FINE:g} ms")
 
 
 def runs(study: Study) -> list[Timer]:
-    """Its quickest and its default settings at several steps, with errors from its own converged run."""
+    """Return timers of runs with the fastest and the default settings; time errors refer to Exudyn's converged run."""
     solution = converged(study.scene)
 
     def timed(method: str, step: float) -> PrecisionRow:

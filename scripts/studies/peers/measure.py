@@ -1,4 +1,4 @@
-"""Comparison with other simulators: their runs and ours, batches of arms, numerical damping."""
+"""Comparison with other simulators: single runs, batches of arms, numerical damping."""
 
 import importlib
 import math
@@ -35,14 +35,14 @@ Timer = Callable[[], PrecisionRow]
 
 @dataclass(frozen=True, eq=False)
 class PeerRun:
-    """Result and cost of a peer.
+    """Result and cost of a run of another simulator.
 
     Attributes:
-        model, method: its names.
-        step: s.
-        tip: (T, 3) m at the output times of the scene; NaN from where it failed.
-        cpu, wall: seconds of the processor and of a clock, per simulated second.
-        evaluations: of its equations of motion, per simulated second.
+        model, method: names of the model and of the integration method.
+        step: step, s.
+        tip: tip positions (T, 3) at the output times of the scene, m; NaN after a failure.
+        cpu, wall: CPU and wall-clock time per simulated second.
+        evaluations: evaluations of the equations of motion per simulated second.
     """
 
     model: str
@@ -55,27 +55,27 @@ class PeerRun:
 
     @property
     def finite(self) -> bool:
-        """Return whether all values of the run are finite and small enough."""
+        """True if all tip positions are finite and below 1000 m."""
         return bool(np.isfinite(self.tip).all() and np.abs(self.tip).max() < 1e3)
 
     def distance(self, tip: Array) -> float:
-        """Largest distance (m) of the tip from another tip (T, 3); infinite for a run that failed."""
+        """Return the largest distance (m) from another tip motion (T, 3); infinite for a failed run."""
         return float(np.linalg.norm(self.tip - tip, axis=1).max()) if self.finite else math.inf
 
 
 def row(study: Study, done: PeerRun, solution: ReferenceSolution | None = None, sane: float = math.inf) -> PrecisionRow:
-    """The row of a run; `solution` is the converged one of its model, and an error above `sane` (m) a divergence."""
+    """Return the row of a run; `solution` is the converged run of its model, `sane` (m) the limit of divergence."""
     names, costs = (study.name, done.model, done.method, done.step, None), (done.cpu, done.wall, done.evaluations)
-    error = done.distance(study.truth.tip)
+    error = done.distance(study.reference.tip)
     time_error = None if solution is None else done.distance(solution.tip)
     return PrecisionRow(*names, *costs, time_error, error, OK if done.finite and error < sane else "diverged")
 
 
 def output_count(scene: fm.Scene, step: float) -> tuple[int, int]:
-    """Return the number of outputs of a scene after its start, and the number of steps (s) between two of them.
+    """Return the number of outputs after the start of a scene, and the number of steps (s) per output.
 
     Raises:
-        ValueError: for a step that does not divide the output step.
+        ValueError: if the step does not divide the output step.
     """
     substeps = round(scene.output_step / step)
     if abs(substeps * step - scene.output_step) > 1e-9 * scene.output_step:
@@ -84,7 +84,7 @@ def output_count(scene: fm.Scene, step: float) -> tuple[int, int]:
 
 
 def with_rigid_joints(scene: fm.Scene) -> fm.Scene:
-    """The same scene with motors that turn the links directly."""
+    """Return the scene with rigid joints: motors drive the links directly."""
     joints = [replace(joint, stiffness=None, damping=0.0) for joint in scene.arm.joints]
     model = replace(scene.model, flexible_joints=False)
     return replace(scene, arm=replace(scene.arm, joints=joints), model=model)
@@ -92,30 +92,34 @@ def with_rigid_joints(scene: fm.Scene) -> fm.Scene:
 
 ROUNDS = 3
 FINE = [f"{mesh}, foreshortening" for mesh in ("1, 2 and 2 elements", "2 elements a link", "3 elements a link")]
-# Of the loaded modes of a mesh those that are left when one after the other goes, each time the one without which the
-# tip moves least in this scene; all that went moves it by 1.0 mm. Link 1 keeps all modes but the axial one, link 2 four
-# of bending along each axis and two of torsion, link 3 two of bending along each axis and the first axial one.
+# Loaded modes after backward elimination, which removes the mode with the smallest effect on the tip in this scene; all
+# removed modes together move the tip by 1.0 mm. Link 1 keeps all modes but the axial one, link 2 four bending modes
+# along each axis and two torsional modes, link 3 two bending modes along each axis and the first axial mode.
 CUT, CUT_MESH = "20 modes of 1, 3 and 3 elements, foreshortening", (1, 3, 3)
 CUT_MODES = ((0, 1, 2, 3, 4), (0, 1, 2, 3, 4, 5, 6, 7, 8, 14), (0, 1, 2, 3, 9))
-CHOSEN, TOLERANCE = "chosen for 4.5 mm with its mesh", 4.5e-3  # m, by `choose_model`, from the converged arm
+CHOSEN, TOLERANCE = "chosen for 4.5 mm with its mesh", 4.5e-3  # m; tolerance of `choose_model`
 GRID = {"extrapolated_euler_3": (1, 2, 3, 4, 5, 6), "extrapolated_euler_5": (1, 2, 3)}
 GRID |= {"midpoint_2": (1, 2, 3, 4, 5, 6), "midpoint_3": (1, 2, 3, 4, 5, 6)}
 GRID |= {"gauss_2": (1, 2, 3, 4), "gauss_3": (1, 2, 3, 4)}
-GRID["implicit_midpoint"] = (2, 3, 4, 5, 6, 100)  # the last for the error of the model alone
-MORE = {"extrapolated_euler_4": (1, 2, 3), "ros2": (5, 10), "generalised_alpha": range(4, 7)}  # where time errors count
-PEERS = {"MuJoCo": "mujoco", "Exudyn": "exudyn", "Pinocchio": "pin", "SoRoMoX": "soromox"}  # name: package
-ROOMS = {"MuJoCo": ("mujoco", "rods"), "Exudyn": ("exudyn",), "Pinocchio": ("pinocchio",), "SoRoMoX": ("soromox",)}
+GRID["implicit_midpoint"] = (2, 3, 4, 5, 6, 100)  # the last isolates the model error
+MORE = {
+    "extrapolated_euler_4": (1, 2, 3),
+    "ros2": (5, 10),
+    "generalised_alpha": range(4, 7),
+}  # models with studied time error
+PEERS = {"MuJoCo": "mujoco", "Exudyn": "exudyn", "Pinocchio": "pin", "SoRoMoX": "soromox"}  # simulator -> package
+MODULES = {"MuJoCo": ("mujoco", "rods"), "Exudyn": ("exudyn",), "Pinocchio": ("pinocchio",), "SoRoMoX": ("soromox",)}
 
 
-def truth(reference: Path) -> ReferenceSolution:
-    """The tip of an independent code in a folder of reference solutions; its floor is the distance to our finest."""
+def large_rotation_solution(reference: Path) -> ReferenceSolution:
+    """Return the independent large-rotation solution; its floor is its distance from our finest model."""
     tip, scene = np.loadtxt(reference / LARGE_ROTATION, delimiter=",", skiprows=1)[:, 1:4], fm.catalog.paper_scene("ff")
     finest = fm.simulate(scene, models(scene)[FINEST], "implicit_midpoint", step=1e-4)
     return ReferenceSolution(tip, ReferenceSolution(tip, 0.0, "").distance(finest), LARGE_ROTATION)
 
 
 def study(known: ReferenceSolution) -> Study:
-    """The scene with its truth, our models, and the converged solution of the one whose time error counts."""
+    """Return the study: scene, reference, our models, and the converged solution of the paper's model."""
     scene = fm.catalog.paper_scene("ff")
     built = models(scene) | {CUT: fm.build_model(scene.arm, CUT_MESH, CUT_MODES, stiffening=True)}
     built[CHOSEN] = _chosen().model
@@ -124,13 +128,13 @@ def study(known: ReferenceSolution) -> Study:
 
 
 def _chosen() -> fm.Choice:
-    """The choice for the scene with an open mesh; found once."""
+    """Return the choice of `choose_model` for the scene with an open mesh."""
     scene = fm.catalog.paper_scene("ff")
     return fm.choose_model(replace(scene, model=replace(scene.model, elements=None)), TOLERANCE)
 
 
 def ours(result: Study) -> list[Timer]:
-    """Our runs: fine models against the truth, the paper's own model, whose time error counts, and rigid ones."""
+    """Return timers of our runs: fine models, the paper's model (with time errors), and rigid models."""
     timers: list[Timer] = []
     for model in [CUT, *FINE, PLAIN]:
         for method, parts in (GRID | (MORE if model == PLAIN else {})).items():
@@ -142,38 +146,40 @@ def ours(result: Study) -> list[Timer]:
 
 
 def theirs(result: Study) -> list[Timer]:
-    """Those of the peers that are installed."""
+    """Return timers of the runs of all installed simulators."""
     timers: list[Timer] = []
-    for name, rooms in ROOMS.items():
+    for name, modules in MODULES.items():
         try:
-            timers += [each for room in rooms for each in importlib.import_module(f"studies.peers.{room}").runs(result)]
+            timers += [
+                each for module in modules for each in importlib.import_module(f"studies.peers.{module}").runs(result)
+            ]
         except ModuleNotFoundError:
             print(f"{name} is missing, so it is left out: pip install 'flexman_gym[peers]'")
     return timers
 
 
 def in_turns(timers: Sequence[Timer]) -> list[PrecisionRow]:
-    """A row of each, with the lowest cost of all rounds."""
+    """Run all timers in interleaved rounds and return the row of lowest CPU time of each."""
     rounds = [[timer() for timer in timers] for _ in range(ROUNDS)]
     best = [min(rows, key=lambda row: row.cpu) for rows in zip(*rounds, strict=True)]
     return sorted(best, key=lambda row: (row.model, row.method, -(row.step or 0.0)))
 
 
 def of_peers(rows: Sequence[PrecisionRow]) -> list[PrecisionRow]:
-    """The rows of other codes, one code after the other."""
+    """Return the rows of other simulators, ordered by simulator."""
     return [row for name in PEERS for row in rows if row.model.startswith(name)]
 
 
 CORES = len(os.sched_getaffinity(0))
-ARMS, STEP = 64 * CORES, 5e-3  # s, of ours
+ARMS, STEP = 64 * CORES, 5e-3  # number of arms; step of our batches, s
 SCENE = f"{ARMS} arms on {CORES} cores"
-PIECES = (2, 4)  # of a link in MuJoCo, whose errors are those of ours
+PIECES = (2, 4)  # pieces per link in MuJoCo, with errors similar to ours
 DEFAULT, MESH = ("the model of FlexRRR-v0", "midpoint_3"), ("2 elements, foreshortening", "midpoint_2")
-Tips = Callable[[], Iterator[Array]]  # gives the tip (3,) m of an arm after each output step
+Tips = Callable[[], Iterator[Array]]  # returns an iterator over the tip (3,) m of an arm at the output times
 
 
 def our_arms(scene: fm.Scene, model: fm.Model, method: str) -> Iterator[Array]:
-    """Move arms from rest, under the constant torques of a scene."""
+    """Simulate a batch of arms from rest under the torques of a scene; yield the tip of the first arm."""
     batch = Batch(model, method, STEP, scene.output_step, arms=ARMS, threads=CORES)
     drive = np.zeros((ARMS, model.n_joints + 6))
     drive[:, : model.n_joints] = scene.torque.value  # type: ignore[union-attr]
@@ -183,7 +189,7 @@ def our_arms(scene: fm.Scene, model: fm.Model, method: str) -> Iterator[Array]:
 
 
 def batch_rows(study: Study, peers: Sequence[PrecisionRow]) -> list[PrecisionRow]:
-    """Rows with seconds for a simulated second of one arm, those of the round that was quickest by the clock."""
+    """Measure batches of arms and return rows with CPU and wall-clock time per simulated second and arm."""
     scene = study.scene
     model, mesh = (
         fm.build_model(scene.arm, **vars(default_model().choice)),
@@ -192,20 +198,20 @@ def batch_rows(study: Study, peers: Sequence[PrecisionRow]) -> list[PrecisionRow
     calls: dict[tuple[str, str, float], Tips] = {(*DEFAULT, STEP): partial(our_arms, scene, model, DEFAULT[1])}
     calls[*MESH, STEP] = partial(our_arms, scene, mesh, MESH[1])
     for pieces in PIECES if any(peer.model.startswith("MuJoCo") for peer in peers) else ():
-        from studies.peers.mujoco import abreast, longest_step
+        from studies.peers.mujoco import batched_arms, longest_step
 
         step = longest_step(study, pieces, "Euler")
         calls[f"MuJoCo, {pieces} pieces", "Euler, mujoco.batch", step] = partial(
-            abreast, scene, pieces, step, ARMS, CORES
+            batched_arms, scene, pieces, step, ARMS, CORES
         )
     rounds = [[_timed(study, name, call) for name, call in calls.items()] for _ in range(ROUNDS)]
     return [min(turns, key=lambda each: each.wall) for turns in zip(*rounds, strict=True)]
 
 
 def _timed(study: Study, name: tuple[str, str, float], call: Tips) -> PrecisionRow:
-    """A row of one run; its first output step, which loads or compiles kernels, is not timed."""
+    """Return the row of a batch run; the first output step is excluded, since it loads or compiles kernels."""
     arms, count = call(), round(study.scene.duration / study.scene.output_step)
-    tips = [study.truth.tip[0], next(arms)]
+    tips = [study.reference.tip[0], next(arms)]
     started = time.process_time(), time.perf_counter()
     tips += [next(arms) for _ in range(count - 1)]
     simulated = ARMS * (count - 1) * study.scene.output_step
@@ -221,12 +227,12 @@ OURS, MODEL, DECAY_PIECES = (
 
 
 def decay(factor: complex, step: float) -> float:
-    """The part of the amplitude of a vibration that is lost in a second, from its factor of a step (s)."""
+    """Return the share of the amplitude lost per second, from the amplification factor of a step (s)."""
     return 1.0 - float(abs(factor)) ** (1.0 / step)
 
 
 def decays(arm: fm.Arm, rows: Sequence[PrecisionRow]) -> Iterator[tuple[str, float, float]]:
-    """Names of methods, their steps (s) and decays: of ours, and of MuJoCo's at the steps of its runs."""
+    """Yield name, step (s) and decay of our methods, and of MuJoCo's integrators at the steps of their runs."""
     omega = 2.0 * np.pi * float(fm.frequencies(fm.build_model(arm, elements=3))[len(arm.joints)])
     for name, step in OURS.items():
         yield f"ours, {name}", step, decay(vibration_factor(fm.METHODS[name], omega * step), step)
@@ -234,5 +240,5 @@ def decays(arm: fm.Arm, rows: Sequence[PrecisionRow]) -> Iterator[tuple[str, flo
         from studies.peers.mujoco import step_factors
 
         factors = step_factors(arm, DECAY_PIECES, name, step)
-        factor = factors[np.abs(factors - np.exp(1j * omega * step)).argmin()]  # the mode's own
+        factor = factors[np.abs(factors - np.exp(1j * omega * step)).argmin()]  # factor of the lowest mode
         yield f"{MODEL}, {name}", step, decay(factor, step)

@@ -1,4 +1,4 @@
-"""MuJoCo's version of an arm: every link as a chain of rigid pieces between springs, run at a fixed step."""
+"""Model of an arm in MuJoCo: every link is a chain of rigid pieces with springs, simulated at a fixed step."""
 
 import math
 import time
@@ -16,25 +16,25 @@ from flexman_gym.model.mjcf import to_mjcf
 from studies.peers.measure import PeerRun, Timer, output_count, row, with_rigid_joints
 from studies.precision.measure import OK, PrecisionRow, Study
 
-SANE = 0.5  # m, of an error that still is a simulation of a flexible arm
-RIGID_STEP, RIGID_LINKS_STEP = 1e-3, 5e-3  # of RK4, whose errors are then far below those of a rigid arm
-DISCRETE = (2, 10, 20, 50, 100)  # steps of `discrete` in 10 ms: it is stable at all of them
+SANE = 0.5  # m; largest tip error of a run that counts as stable
+RIGID_STEP, RIGID_LINKS_STEP = 1e-3, 5e-3  # s; RK4 steps with time errors far below the error of a rigid arm
+DISCRETE = (2, 10, 20, 50, 100)  # steps of `discrete` per 10 ms; stable at all of them
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast", "discrete")
 
 
 def integrators() -> list[str]:
-    """The integrators that the installed version has."""
+    """Return the integrators of the installed version."""
     known = [name.removeprefix("mjINT_").lower() for name in dir(mujoco.mjtIntegrator) if name.startswith("mjINT_")]
     return [name for name in INTEGRATORS if name.lower() in known]
 
 
 def run(scene: fm.Scene, pieces: int, integrator: str, step: float) -> PeerRun:
-    """Run a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
+    """Run a scene of constant torques from rest at zero angles; the step (s) must divide the output step."""
     return advance(scene, _name(scene.arm, pieces), integrator, step, to_mjcf(scene.arm, pieces, integrator, step))
 
 
 def advance(scene: fm.Scene, name: str, integrator: str, step: float, text: str) -> PeerRun:
-    """The same of an arm with this name and MJCF."""
+    """Run a scene with the arm given as MJCF text."""
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     data.ctrl[:] = np.array(scene.torque.value)  # type: ignore[union-attr]
@@ -46,10 +46,10 @@ def advance(scene: fm.Scene, name: str, integrator: str, step: float, text: str)
     started = time.process_time(), time.perf_counter()
     for i in range(1, rows + 1):
         mujoco.mj_step(model, data, substeps)
-        mujoco.mj_kinematics(model, data)  # a step leaves the places of its start
+        mujoco.mj_kinematics(model, data)  # positions after a step are those of its start
         tip[i] = data.site_xpos[0]
         if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all():
-            tip[i:] = np.nan  # it resets itself and goes on from the start
+            tip[i:] = np.nan  # MuJoCo resets a diverged state
             break
     reached = i * scene.output_step
     costs = (time.process_time() - started[0]) / reached, (time.perf_counter() - started[1]) / reached
@@ -58,7 +58,7 @@ def advance(scene: fm.Scene, name: str, integrator: str, step: float, text: str)
 
 
 def step_factors(arm: fm.Arm, pieces: int, integrator: str, step: float, small: float = 1e-5) -> Any:
-    """The complex factors by which a step (s) multiplies what is left of rest, from differences of small states."""
+    """Return the complex amplification factors of a step (s) about rest, from central differences."""
     model = mujoco.MjModel.from_xml_string(to_mjcf(arm, pieces, integrator, step))
     data, after = mujoco.MjData(model), []
     for state in small * np.vstack([np.eye(2 * model.nv), -np.eye(2 * model.nv)]):
@@ -70,8 +70,8 @@ def step_factors(arm: fm.Arm, pieces: int, integrator: str, step: float, small: 
     return np.linalg.eigvals((ahead - back) / (2.0 * small))
 
 
-def abreast(scene: fm.Scene, pieces: int, step: float, arms: int, threads: int) -> Iterator[Array]:
-    """Move arms from rest by `mujoco.batch`; gives the tip (3,) m of the first after each output step."""
+def batched_arms(scene: fm.Scene, pieces: int, step: float, arms: int, threads: int) -> Iterator[Array]:
+    """Simulate arms from rest with `mujoco.batch`; yield the tip (3,) m of the first arm at the output times."""
     model = mujoco.MjModel.from_xml_string(to_mjcf(scene.arm, pieces, "Euler", step))
     many, count = batch.Batch(model, arms, threads), output_count(scene, step)[1]
     many.ctrl, tips = np.array(scene.torque.value), many.bind("site_xpos")  # type: ignore[union-attr]
@@ -87,7 +87,7 @@ def _name(arm: fm.Arm, pieces: int) -> str:
 
 
 def runs(study: Study) -> list[Timer]:
-    """Run with rigid links, rigid joints too, and with 4 and 8 pieces."""
+    """Return timers of the rigid arm, the arm of rigid links, and the arms of 4 and 8 pieces per link."""
     rigid = with_rigid_joints(study.scene)
     return [
         lambda: row(study, run(rigid, 0, "RK4", RIGID_STEP)),
@@ -97,7 +97,7 @@ def runs(study: Study) -> list[Timer]:
 
 
 def stable_runs(study: Study) -> list[Timer]:
-    """Run with 4 and 8 pieces: at the longest stable step of each integrator."""
+    """Return timers of the arms of 4 and 8 pieces per link at the longest stable step of each integrator."""
     result: list[Timer] = []
     for pieces in (4, 8):
         for name in integrators():
@@ -109,7 +109,7 @@ def stable_runs(study: Study) -> list[Timer]:
 
 
 def fewest_parts(timed: Callable[[int], PrecisionRow]) -> int:
-    """The fewest steps in an output step with which a run is stable, found by trying."""
+    """Return the smallest number of steps per output step with which a run is stable, by trial."""
     parts = DISCRETE[0]
     while timed(parts).status != OK:
         parts = math.ceil(1.1 * parts)
@@ -117,7 +117,7 @@ def fewest_parts(timed: Callable[[int], PrecisionRow]) -> int:
 
 
 def longest_step(study: Study, pieces: int, integrator: str) -> float:
-    """The longest step (s) of such a run."""
+    """Return the longest stable step (s)."""
     return study.scene.output_step / fewest_parts(partial(_timed, study, pieces, integrator))
 
 

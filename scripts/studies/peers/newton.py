@@ -1,4 +1,4 @@
-"""Newton's cables: link 3 of the arm, clamped and struck, where there is a GPU; its frequency tells its stiffness."""
+"""Newton's cables: frequency of the clamped link 3 after an impulse, on a GPU."""
 
 import time
 from importlib import import_module
@@ -20,7 +20,7 @@ def cables() -> str:
 
 
 def clamped(device: str) -> str:
-    """The frequency of the clamped link on a device beside that of beam theory, and its cost."""
+    """Return frequency and cost of the clamped link on a device, with the frequency of beam theory, as text."""
     newton, link = import_module("newton"), fm.catalog.paper_rrr().links[2]
     section, whole = link.sections[0], link.length / PIECES
     bending, line = section.youngs_modulus * section.second_moment_y, section.density * section.area
@@ -44,4 +44,4 @@ def clamped(device: str) -> str:
     cost, crossings = (time.perf_counter() - started) / DURATION, np.flatnonzero(np.diff(np.sign(heights)))
     measured = (len(crossings) - 1) / (2.0 * STEP * np.ptp(crossings))
     true = 1.875**2 / (2.0 * np.pi) * np.sqrt(bending / line) / link.length**2
-    return f"a clamped link 3 swings at {measured:.3g} Hz, {true:.3g} Hz by beam theory, at {cost:.3g} s a second"
+    return f"clamped link 3: {measured:.3g} Hz ({true:.3g} Hz by beam theory), {cost:.3g} s per simulated second"

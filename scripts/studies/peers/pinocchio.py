@@ -1,4 +1,4 @@
-"""Pinocchio's version of an arm: rigid links and joints, its compiled `aba` called by a Runge-Kutta loop in Python."""
+"""Model of an arm in Pinocchio: rigid links and joints, with `aba` called from a Runge-Kutta loop in Python."""
 
 import importlib
 import time
@@ -11,14 +11,14 @@ from flexman_gym.common.arrays import Array
 from studies.peers.measure import PeerRun, Timer, output_count, row
 from studies.precision.measure import Study
 
-pin: Any = importlib.import_module("pinocchio")  # which has no types
+pin: Any = importlib.import_module("pinocchio")  # no type stubs
 STEP = 1e-3
 
 
 def rigid_model(arm: fm.Arm) -> Any:
-    """The `pinocchio.Model` of an arm of uniform links whose rotors turn the links directly, without a payload."""
+    """Return the `pinocchio.Model` of an arm of uniform links with rotors, rigid joints and no payload."""
     if arm.payload is not None:
-        raise ValueError("arm.payload: this model has none")
+        raise ValueError("arm.payload: a payload is not allowed; give None")
     model, place, parent = pin.Model(), pin.SE3.Identity(), 0
     for (link,), joint in zip((each.sections for each in arm.links), arm.joints, strict=True):  # uniform links
         parent = model.addJoint(parent, pin.JointModelRevoluteUnaligned(*joint.axis), place, f"joint {parent + 1}")
@@ -33,7 +33,7 @@ def rigid_model(arm: fm.Arm) -> Any:
 
 
 def run(scene: fm.Scene, step: float) -> PeerRun:
-    """Run a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
+    """Run a scene of constant torques from rest at zero angles; the step (s) must divide the output step."""
     model = rigid_model(scene.arm)
     data, torque = model.createData(), np.array(scene.torque.value)  # type: ignore[union-attr]
     angles = rates = np.zeros(model.nv)
@@ -50,7 +50,7 @@ def run(scene: fm.Scene, step: float) -> PeerRun:
 
 
 def _runge_kutta(model: Any, data: Any, state: tuple[Array, Array], torque: Array, step: float) -> tuple[Array, Array]:
-    """One classical Runge-Kutta step of angles and rates."""
+    """Return angles and rates after a classical Runge-Kutta step (s)."""
     q, v = state
     a = pin.aba(model, data, q, v, torque)
     v2 = v + step / 2 * a
@@ -63,5 +63,5 @@ def _runge_kutta(model: Any, data: Any, state: tuple[Array, Array], torque: Arra
 
 
 def runs(study: Study) -> list[Timer]:
-    """The rigid arm in the scene of a study."""
+    """Return the timer of the rigid arm."""
     return [lambda: row(study, run(study.scene, STEP))]

@@ -1,8 +1,9 @@
-"""MuJoCo's rods as an arm: every link is a 1-D flex, a chain of points that bends, twists and stretches.
+"""Model of an arm of MuJoCo rods: every link is a 1-D flex that bends, twists and stretches.
 
-A rod runs from the body of its joint to a free body, which carries the next joint. Both hold half a piece and clamp a
-very short edge. Points have no rotary inertia: both bodies have that of the pieces between them. The twist of an edge
-is a hinge of its own. A round section of our second moment, with a shear modulus to match, bends and twists as ours.
+A rod connects the body of its joint to a free body at its tip, which carries the next joint. Each of the two has the
+mass of half a piece and clamps a very short edge. Points have no rotary inertia, so both bodies carry that of the
+pieces between them. The twist of an edge is a separate hinge. A round section with our second moment of area and a
+matching shear modulus has our bending and torsional stiffness.
 """
 
 from functools import partial
@@ -16,12 +17,12 @@ from studies.peers.measure import Timer, row
 from studies.peers.mujoco import SANE, advance, fewest_parts
 from studies.precision.measure import PrecisionRow, Study
 
-LENGTHS, CLAMP = (0.5, 0.25), 1e-3  # m, of about a piece; part of a piece that is clamped at either end
-METHODS = ("Euler", "RK4")  # `implicit` and `implicitfast` take no rods, `discrete` none whose edges are springs
+LENGTHS, CLAMP = (0.5, 0.25), 1e-3  # approximate piece lengths, m; clamped share of a piece at each end
+METHODS = ("Euler", "RK4")  # `implicit`, `implicitfast`: no rods; `discrete`: no rods with edge springs
 
 
 def rod(length: float, root: Any, body: Any, link: Any) -> tuple[Any, dict[str, str]]:
-    """Grows a round link in pieces of a length (m) from a body; gives the body at its tip and where in it that is."""
+    """Append a round link in pieces of a length (m) to a body; return its tip body and the tip position in it."""
     (section,), turn, name = link.sections, np.array(link.orientation), body.get("name")
     pieces = round(link.length / length)
     along, whole, second = turn[:, 0], link.length / pieces, section.second_moment_y
@@ -66,13 +67,13 @@ def _numbers(values: Any) -> str:
 
 
 def run(study: Study, length: float, integrator: str, parts: int) -> PrecisionRow:
-    """Run a scene of constant torques from rest at zero angles, with so many steps in an output step."""
+    """Run a scene of constant torques from rest at zero angles with a number of steps per output step."""
     step = study.scene.output_step / parts
     text = to_mjcf(study.scene.arm, 0, integrator, step, partial(rod, length))
     return row(study, advance(study.scene, f"MuJoCo, rods of {length:g} m", integrator, step, text), sane=SANE)
 
 
 def runs(study: Study) -> list[Timer]:
-    """Run at the longest stable step of each integrator."""
+    """Return timers at the longest stable step of each integrator."""
     calls = [partial(run, study, length, integrator) for length in LENGTHS for integrator in METHODS]
     return [partial(call, fewest_parts(call)) for call in calls]

@@ -1,7 +1,8 @@
-"""SoRoMoX's version of the paper's arm: strains that are polynomials along a link, constant for torsion.
+"""Model of the paper's arm in SoRoMoX: bending strains quadratic along a link, constant torsion.
 
-Its joints have no rotors: a motor is a joint of its own before a link of a micrometre, and its rotor's inertia is added
-to the mass matrix of the package. A round section has mass and stiffness of ours, and neither stretches nor shears.
+SoRoMoX joints have no rotors. A motor is therefore an additional joint followed by a link of one micrometre, and the
+rotor inertia is added to the mass matrix of the package. A round section matches our mass and stiffness; links neither
+stretch nor shear.
 """
 
 import importlib
@@ -23,12 +24,20 @@ gvs: Any = importlib.import_module("soromox.systems.gvs")
 parts: Any = importlib.import_module("soromox.systems.components")
 jax.config.update("jax_enable_x64", True)
 
-ORDER, STEP, STUB = 2, 1e-2 / 15, 1e-6  # of both bendings; s, which is stable with RK4; m
-AXES, SIGNS, START = ("x", "y", "y"), (1.0, -1.0, -1.0), (0.0, np.pi / 2, 0.0)  # rad, as link 1 is upright
+ORDER, STEP, STUB = (
+    2,
+    1e-2 / 15,
+    1e-6,
+)  # polynomial order of both bending strains; stable RK4 step, s; length of motor links, m
+AXES, SIGNS, START = (
+    ("x", "y", "y"),
+    (1.0, -1.0, -1.0),
+    (0.0, np.pi / 2, 0.0),
+)  # joint axes and signs; initial angles (rad) of the vertical link 1
 
 
 def robot(arm: fm.Arm) -> Any:
-    """The `GVS` of the paper's arm."""
+    """Return the `GVS` of the paper's arm."""
     segments, none = [], gvs.StrainBasisSpec("legendre", [0] * 6, 0)
     bent = gvs.StrainBasisSpec("legendre", [1, 1, 1, 0, 0, 0], [0, ORDER, ORDER, 0, 0, 0])
     for axis, link, joint in zip(AXES, arm.links, arm.joints, strict=True):
@@ -46,9 +55,9 @@ def robot(arm: fm.Arm) -> Any:
 
 @cache
 def compiled(arm: fm.Arm, torque: tuple[float, ...], step: float, count: int) -> tuple[Callable, Callable, Any]:
-    """So many Runge-Kutta steps and the place of the tip as functions of a state, and the state at rest."""
+    """Return functions of the state for `count` Runge-Kutta steps (s) and for the tip, and the state at rest."""
     model = robot(arm)
-    motors = (2 * ORDER + 5) * np.arange(len(torque))  # a motor, a spring, torsion and two bendings a link
+    motors = (2 * ORDER + 5) * np.arange(len(torque))  # per link: motor, spring, torsion, two bending strains
     rotors, load, rest = np.zeros(model.K.shape), np.zeros(len(model.K)), np.zeros((2, len(model.K)))
     rotors[motors, motors] = [joint.rotor_inertia for joint in arm.joints]
     load[motors], rest[0, motors] = np.multiply(SIGNS, torque), START
@@ -69,10 +78,10 @@ def compiled(arm: fm.Arm, torque: tuple[float, ...], step: float, count: int) ->
 
 
 def run(scene: fm.Scene, step: float = STEP) -> PeerRun:
-    """Run a scene of constant torques from rest at zero angles; the step (s) divides its output step."""
+    """Run a scene of constant torques from rest at zero angles; the step (s) must divide the output step."""
     rows, count = output_count(scene, step)
     advance, tip, state = compiled(scene.arm, scene.torque.value, step, count)  # type: ignore[arg-type, union-attr]
-    tips = [np.asarray(tip(0.0 * advance(state) + state))]  # which compiles both
+    tips = [np.asarray(tip(0.0 * advance(state) + state))]  # compiles both functions
     started = time.process_time(), time.perf_counter()
     for _ in range(rows):
         state = advance(state)
@@ -82,5 +91,5 @@ def run(scene: fm.Scene, step: float = STEP) -> PeerRun:
 
 
 def runs(study: Study) -> list[Timer]:
-    """The arm in the scene of a study."""
+    """Return the timer of the arm."""
     return [lambda: row(study, run(study.scene))]

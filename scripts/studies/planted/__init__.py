@@ -1,1 +1,1 @@
-"""Planted errors: which single wrong places in the sources the tests notice."""
+"""Planted errors: mutation testing of the test suite."""

@@ -1,4 +1,4 @@
-"""Planted errors: changes of the sources, and whether the tests detect them."""
+"""Planted errors: deliberate faults in the sources, and the test that detects each."""
 
 import atexit
 import os
@@ -21,15 +21,15 @@ class Change:
     """A planted error.
 
     Attributes:
-        room: of the table, such as "kernels".
-        error: what is wrong, in words.
-        file: path from the root of the checkout.
-        old, new: the text that is replaced, which stands in the file once, and what takes its place.
-        tests: files or tests, paths from the root, the quickest first.
-        equivalent: why no test can notice; "" where one should.
+        part: part of the library, a key of `PARTS`, for instance "kernels".
+        error: description.
+        file: path of the source file, relative to the root of the checkout.
+        old, new: replaced text, which occurs once in the file, and its replacement.
+        tests: test files or tests, paths relative to the root, fastest first.
+        equivalent: reason why no test can detect the change; "" if a test should.
     """
 
-    room: str
+    part: str
     error: str
     file: str
     old: str
@@ -38,22 +38,22 @@ class Change:
     equivalent: str = ""
 
     def applied(self, root: Path) -> str:
-        """Return the changed text of its file in a checkout.
+        """Return the text of the source file of a checkout with the change applied.
 
         Raises:
-            ValueError: where the old text does not stand in the file exactly once.
+            ValueError: if the old text does not occur exactly once in the file.
         """
         path = root / self.file
         text = path.read_text(encoding="utf-8") if path.is_file() else ""
         if (count := text.count(self.old)) != 1:
-            raise ValueError(f"{self.file}: {self.old!r} stands there {count} times, not once ({self.error})")
+            raise ValueError(f"{self.file}: {self.old!r} occurs {count} times; it must occur once ({self.error})")
         return text.replace(self.old, self.new)
 
 
 CHECKOUT = Path(__file__).parents[3]
 CAUGHT, SURVIVED, EQUIVALENT = "caught", "survived", "equivalent"
-LONGEST = 900  # s, for the tests of one change; what hangs is noticed too
-# in the copy: an example that fails is enough, a small one takes minutes more
+LONGEST = 900  # s; time limit of the tests of one change; a hanging test counts as a failure
+# Hypothesis profile of the copy: no shrinking, since the first failing example suffices and shrinking takes minutes
 SETTINGS = """from hypothesis import Phase, settings
 
 settings.register_profile("planted", phases=[Phase.explicit, Phase.generate])
@@ -64,16 +64,16 @@ FAILED, NOTHING_FAILED, INTERRUPTED = 1, 0, 2  # exit statuses of pytest
 
 @dataclass(frozen=True)
 class Planted:
-    """Outcome of a planted error: a row of the table.
+    """Outcome of a planted error: a row of docs/planted.csv.
 
     Attributes:
-        room, error, file: as of the change.
+        part, error, file: see `Change`.
         outcome: "caught", "survived" or "equivalent".
-        by: the first test that failed, or the reason of an equivalent change.
-        seconds: that the tests ran.
+        by: first failing test, or the reason why the change is equivalent.
+        seconds: run time of the tests, s.
     """
 
-    room: str
+    part: str
     error: str
     file: str
     outcome: str
@@ -82,23 +82,23 @@ class Planted:
 
 
 def planted(change: Change) -> Planted:
-    """Plant a change in the copy of this process."""
+    """Plant an error in the checkout copy of this process and return its outcome."""
     return _copy().plant(change)
 
 
 @cache
 def _copy() -> "Copy":
-    """A copy of the checkout that ends with the process."""
+    """Return the checkout copy of this process; the folder is deleted when the process ends."""
     place = TemporaryDirectory()
     atexit.register(place.cleanup)
     return Copy(CHECKOUT, Path(place.name))
 
 
 class Copy:
-    """A copy of a checkout in a folder.
+    """Copy of a checkout in which errors are planted.
 
     Attributes:
-        root: the folder.
+        root: folder of the copy.
     """
 
     def __init__(self, checkout: Path, root: Path) -> None:
@@ -114,13 +114,13 @@ class Copy:
         names.mkdir(parents=True)
         (names / "flexman_agents").symlink_to("../../agents")
         (root / "conftest.py").write_text(SETTINGS, encoding="utf-8")
-        self._green: set[str] = set()  # tests that pass without an error
+        self._green: set[str] = set()  # tests that pass on the unchanged sources
 
     def plant(self, change: Change) -> Planted:
-        """Make a change, runs its tests until one fails, and takes the change back.
+        """Apply a change, run its tests until one fails, and revert the change.
 
         Raises:
-            RuntimeError: where the test that fails does so without the change too, or there is no such test.
+            RuntimeError: if the failing test also fails without the change, or does not exist.
         """
         path = self.root / change.file
         whole = path.read_text(encoding="utf-8")
@@ -133,25 +133,25 @@ class Copy:
         self._check_green(failed, change.tests)
         outcome = CAUGHT if failed else EQUIVALENT if change.equivalent else SURVIVED
         by = failed.removeprefix("tests/") or change.equivalent
-        return Planted(change.room, change.error, change.file, outcome, by, time.perf_counter() - started)
+        return Planted(change.part, change.error, change.file, outcome, by, time.perf_counter() - started)
 
     def _check_green(self, failed: str, tests: Iterable[str]) -> None:
-        """Believes a test that has failed only if it passes without an error."""
+        """Raise RuntimeError if a failed test also fails on the unchanged sources."""
         named = [failed] if failed.partition("::")[0].endswith(".py") else [*tests] if failed else []
         for test in named:
-            if test not in self._green and (still := self.failing([test])):
-                raise RuntimeError(f"{still} fails without an error too")
+            if test not in self._green and (failing := self.failing([test])):
+                raise RuntimeError(f"{failing} also fails without a planted error")
             self._green.add(test)
 
     def failing(self, tests: Iterable[str], own_kernels: bool = False) -> str:
-        """Return the first test that fails, "" if all pass.
+        """Return the first failing test, or "" if all pass.
 
         Args:
-            tests: files or tests, paths from the root.
-            own_kernels: whether compiled kernels go to a folder that is thrown away.
+            tests: test files or tests, paths relative to the root.
+            own_kernels: compile kernels into a temporary cache, which is deleted afterwards.
 
         Raises:
-            RuntimeError: where there is no such test.
+            RuntimeError: if a test does not exist.
         """
         command = [sys.executable, "-B", "-m", "pytest", "-q", "-x", "--tb=no", "-p", "no:cacheprovider", *tests]
         names = str(self.root), str(self.root / "build" / "names")
@@ -164,7 +164,7 @@ class Copy:
                 command, cwd=self.root, env=environment, capture_output=True, text=True, timeout=LONGEST
             )
         except subprocess.TimeoutExpired:
-            return f"no end after {LONGEST} s"
+            return f"timeout after {LONGEST} s"
         finally:
             shutil.rmtree(kernels, ignore_errors=True)
         if done.returncode == NOTHING_FAILED:
@@ -173,41 +173,41 @@ class Copy:
             if line.startswith(("FAILED ", "ERROR ")):
                 return line.split(" - ")[0].split(" ", 1)[1]
         if done.returncode not in (FAILED, INTERRUPTED) and done.returncode > 0:
-            raise RuntimeError(f"pytest says: {' '.join((done.stdout + done.stderr).split())[-300:]}")
-        return f"the tests end with the status {done.returncode}"
+            raise RuntimeError(f"pytest: {' '.join((done.stdout + done.stderr).split())[-300:]}")
+        return f"the tests end with exit status {done.returncode}"
 
 
-ERRORS = Path(__file__).parent / "errors"  # a file for each room
+ERRORS = Path(__file__).parent / "errors"  # one file per part
 NAMES = (
     "kernels", "model", "simulation", "environment", "tasks", "sensors", "laboratory", "control", "metrics", "agents",
     "draw", "fidelity", "command",
 )  # fmt: skip
 
 
-def changes(room: str) -> Iterator[Change]:
-    """Return the planted errors of a folder, from its file."""
-    for group in files.read_data(ERRORS / f"{room}.yaml", list):
+def changes(part: str) -> Iterator[Change]:
+    """Yield the planted errors of a part, read from its YAML file."""
+    for group in files.read_data(ERRORS / f"{part}.yaml", list):
         tests = tuple(f"tests/{test}" for test in group["tests"])
         for entry in group["errors"]:
-            yield Change(room=room, file=group["file"], tests=tests, **entry)
+            yield Change(part=part, file=group["file"], tests=tests, **entry)
 
 
-ROOMS: dict[str, list[Change]] = {name: list(changes(name)) for name in NAMES}
+PARTS: dict[str, list[Change]] = {name: list(changes(name)) for name in NAMES}
 
 
 def kept(path: Path) -> dict[tuple[str, str], Planted]:
-    """Return the rows of a file by folder and error, none if there is no file."""
+    """Return the rows of a CSV file by (part, error); empty if the file does not exist."""
     rows = read_rows(path, Planted) if path.is_file() else []
-    return {(row.room, row.error): row for row in rows}
+    return {(row.part, row.error): row for row in rows}
 
 
 def misplaced(root: Path, chosen: Iterable[Change]) -> list[str]:
-    """Return a line for each error whose old text does not occur once in its file or whose tests do not exist."""
+    """Return a message for each error whose old text does not occur once or whose test files are missing."""
     result = []
     for change in chosen:
         try:
             change.applied(root)
         except ValueError as error:
             result.append(str(error))
-        result += [f"{test} is no test" for test in change.tests if not (root / test.split("::")[0]).is_file()]
+        result += [f"{test} is not a test file" for test in change.tests if not (root / test.split("::")[0]).is_file()]
     return result

@@ -1,1 +1,1 @@
-"""Precision: error of the tip over cost, of all methods and models."""
+"""Work-precision study: tip error against cost for all methods and models."""

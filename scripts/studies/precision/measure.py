@@ -1,4 +1,4 @@
-"""Work-precision study: runs with error and cost, reference solutions, scenes, models and methods."""
+"""Work-precision study: scenes, models, methods, reference solutions, and runs with error and cost."""
 
 import math
 import time as clock
@@ -20,8 +20,8 @@ from flexman_gym.simulation.trajectory import Trajectory
 from studies.methods import fixed_step_methods
 
 OK = "ok"
-TIGHT, LOOSE = 1e-9, 1e-7  # relative tolerances of the truth and of the run that estimates its error
-LEAST_SECONDS, MOST_REPEATS = 0.25, 5  # a short run is repeated until it has taken so long
+TIGHT, LOOSE = 1e-9, 1e-7  # relative tolerances of the reference solution and of the run that estimates its error
+LEAST_SECONDS, MOST_REPEATS = 0.25, 5  # s; a run is repeated until this time is used
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,14 @@ class PrecisionRow:
     """One run.
 
     Attributes:
-        scene, model, method: their names.
-        step: s of a fixed step; None where the method chose its steps.
-        rtol: relative tolerance of such a method, None for a fixed step; its atol is a thousandth of it.
-        cpu, wall: seconds of the processor and of a clock, per simulated second; the best of a few repeats.
-        evaluations: of the accelerations, per simulated second.
-        time_error: m, largest distance of the tip over the run from the converged solution of the same model; None
-            where that was not computed, infinite for a run that failed.
-        total_error: m, the same from the truth of the scene, which knows no model.
+        scene, model, method: names.
+        step: fixed step, s; None for adaptive steps.
+        rtol: relative tolerance of adaptive steps, None for a fixed step; atol is a thousandth of it.
+        cpu, wall: CPU and wall-clock time per simulated second; the best of a few repetitions.
+        evaluations: evaluations of the accelerations per simulated second.
+        time_error: largest distance of the tip from the converged solution of the same model, m; None if not computed,
+            infinite for a failed run.
+        total_error: largest distance of the tip from the reference solution of the scene, m.
         status: "ok", "diverged" or "not converged".
     """
 
@@ -54,19 +54,19 @@ class PrecisionRow:
 
     @property
     def setting(self) -> str:
-        """Step or tolerance as a text."""
+        """Step or tolerance as text."""
         return f"{1e3 * self.step:.3g} ms" if self.step is not None else f"rtol {self.rtol:.0e}"
 
 
 @dataclass(frozen=True)
 class Floor:
-    """The error of a truth, below which no run can be judged.
+    """Error of a reference solution, below which errors of runs cannot be resolved.
 
     Attributes:
-        scene, title: name of the scene and what it is.
-        model: whose converged solution it is; empty for the truth of the scene.
-        floor: m.
-        source: of the truth.
+        scene, title: name and description of the scene.
+        model: model of a converged solution; "" for the reference solution of the scene.
+        floor: error, m.
+        source: origin of the reference solution.
     """
 
     scene: str
@@ -78,12 +78,12 @@ class Floor:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceSolution:
-    """Motion of the tip in a scene.
+    """Reference motion of the tip in a scene.
 
     Attributes:
-        tip: (T, 3) m at equal intervals from the start to the end of the scene.
-        floor: m, an estimate of its own error.
-        source: who says so.
+        tip: tip positions (T, 3) at equal intervals from start to end of the scene, m.
+        floor: estimated error, m.
+        source: origin.
     """
 
     tip: Array
@@ -91,22 +91,22 @@ class ReferenceSolution:
     source: str
 
     def distance(self, result: Trajectory) -> float:
-        """Largest distance of the tip, m, at the output times of both; infinite for a run that failed."""
+        """Return the largest distance of the tip at the output times, m; infinite for a failed run."""
         if result.status != OK:
             return math.inf
         stride, rest = divmod(len(self.tip) - 1, len(result.tip) - 1)
         if rest:
             raise ValueError(
-                f"truth: {len(self.tip)} times are not allowed; give 1 + a multiple of {len(result.tip) - 1}"
+                f"reference: {len(self.tip)} times are not allowed; give 1 + a multiple of {len(result.tip) - 1}"
             )
         return float(np.linalg.norm(result.tip - self.tip[::stride], axis=1).max())
 
 
 def _converged(scene: Scene, model: Model) -> ReferenceSolution:
-    """The solution of a model by the reference method; its error is that of a run at a looser tolerance.
+    """Return the converged solution of a model by the reference method, with an error estimate from a looser tolerance.
 
     Raises:
-        RuntimeError: when one of the runs fails.
+        RuntimeError: if one of the runs fails.
     """
     tight, loose = (simulate(scene, model, "dop853", rtol=rtol, atol=1e-3 * rtol) for rtol in (TIGHT, LOOSE))
     if {tight.status, loose.status} != {OK}:
@@ -117,37 +117,37 @@ def _converged(scene: Scene, model: Model) -> ReferenceSolution:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """A scene and what is known about it.
+    """Scene with its models and reference solutions.
 
     Attributes:
-        name: of the scene.
-        scene: itself.
-        models: by name.
-        truth: what the tip truly does.
-        solutions: converged ones of some of the models, by their names.
-        title: what the scene is.
+        name: name of the scene.
+        scene: arm and motion.
+        models: models by name.
+        reference: reference motion of the tip.
+        solutions: converged solutions by model name.
+        title: description of the scene.
     """
 
     name: str
     scene: Scene
     models: dict[str, Model]
-    truth: ReferenceSolution
+    reference: ReferenceSolution
     solutions: dict[str, ReferenceSolution]
     title: str = ""
 
     def floors(self) -> list[Floor]:
-        """Errors of the truths, that of the scene first."""
-        return [Floor(self.name, self.title, model, truth.floor, truth.source) for model, truth in self._truths()]
+        """Return the errors of the reference solutions, that of the scene first."""
+        return [Floor(self.name, self.title, model, each.floor, each.source) for model, each in self._references()]
 
-    def _truths(self) -> list[tuple[str, ReferenceSolution]]:
-        return [("", self.truth), *self.solutions.items()]
+    def _references(self) -> list[tuple[str, ReferenceSolution]]:
+        return [("", self.reference), *self.solutions.items()]
 
     def row(self, model: str, method: str, step: float | None = None, rtol: float | None = None) -> PrecisionRow:
-        """One run, timed."""
+        """Run and time a model and method; return the row."""
         tight = rtol or LOOSE
         arguments = (self.models[model], method, step, tight, 1e-3 * tight)
         short = replace(self.scene, duration=max(self.scene.output_step, step or 0.0))
-        simulate(short, *arguments)  # loads or compiles the kernels
+        simulate(short, *arguments)  # load or compile the kernels
         cpu, wall, spent, result = math.inf, math.inf, 0.0, None
         for _ in range(MOST_REPEATS):
             started = clock.process_time()
@@ -159,14 +159,14 @@ class Study:
         assert result is not None
         reached = float(result.time[-1]) if result.status == OK else max(float(result.time[-1]), self.scene.output_step)
         solution = self.solutions.get(model)
-        errors = None if solution is None else solution.distance(result), self.truth.distance(result)
+        errors = None if solution is None else solution.distance(result), self.reference.distance(result)
         costs = cpu / reached, wall / reached, result.evaluations / reached
         return PrecisionRow(self.name, model, method, step, rtol, *costs, *errors, result.status)
 
     def ladder(
         self, model: str, method: str, settings: Sequence[float], patience: float, adaptive: bool = False
     ) -> Iterator[PrecisionRow]:
-        """Rows of falling steps (s), or tolerances; ends after a run that takes longer than `patience` seconds."""
+        """Yield rows with decreasing steps (s) or tolerances until a run takes longer than `patience` seconds."""
         for setting in sorted(settings, reverse=True):
             row = self.row(model, method, **{"rtol" if adaptive else "step": setting})
             yield row
@@ -175,9 +175,9 @@ class Study:
 
 
 def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Indices of the (cost, error) that no other point beats in one without losing in the other, by rising cost.
+    """Return the indices of the (cost, error) points on the Pareto front, by increasing cost.
 
-    Points that are not finite take no part; of equal points the first stays.
+    Points that are not finite are ignored; the first of equal points is kept.
     """
     order = sorted((i for i, point in enumerate(points) if all(map(math.isfinite, point))), key=lambda i: points[i])
     front: list[int] = []
@@ -188,15 +188,15 @@ def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def cheapest(rows: Sequence[PrecisionRow], model: str, method: str, error: float) -> PrecisionRow | None:
-    """The cheapest run of a method on a model that comes within a time error (m); None when none does."""
+    """Return the cheapest run of a method and model within a time error (m), or None."""
     result = [row for row in rows if (row.model, row.method) == (model, method) and row.time_error is not None]
     return min((row for row in result if row.time_error <= error), key=lambda row: row.cpu, default=None)  # type: ignore[operator]
 
 
 def cost_at(rows: Sequence[PrecisionRow], error: float) -> float | None:
-    """CPU seconds per simulated second of one method on one model at a time error (m); None outside its errors.
+    """Return the CPU time per simulated second at a time error (m), from runs of one method and model.
 
-    Between two runs both are taken to follow a power law: a line in a chart with logarithmic axes.
+    The cost is interpolated by a power law between neighbouring runs; None outside their errors.
     """
     points = sorted((row.time_error, row.cpu) for row in rows if row.status == OK and row.time_error)
     if not points or not points[0][0] <= error <= points[-1][0]:
@@ -206,13 +206,13 @@ def cost_at(rows: Sequence[PrecisionRow], error: float) -> float | None:
 
 
 def settled(rows: Sequence[PrecisionRow], error: float, column: str = "total_error") -> list[PrecisionRow]:
-    """The runs that come within an error (m) together with every finer step of their model and method.
+    """Return the runs whose errors, and those of all finer steps of the same model and method, are within a limit.
 
-    They owe nothing to errors of model and method that happen to cancel at one step.
+    This excludes runs whose model and method errors cancel by chance.
 
     Args:
         rows: runs.
-        error: m.
+        error: largest error, m.
         column: "total_error" or "time_error".
     """
     return [
@@ -227,9 +227,9 @@ def settled(rows: Sequence[PrecisionRow], error: float, column: str = "total_err
 
 
 def setbacks(rows: Sequence[PrecisionRow], factor: float = 10.0) -> list[tuple[PrecisionRow, PrecisionRow]]:
-    """Pairs of a run and a finer one of the same scene, model and method that is less accurate by a factor, or fails.
+    """Return pairs of a run and a run with a finer step that is less accurate by a factor, or fails.
 
-    A shorter step that does harm means that the method is unstable there.
+    Such a pair shows that the method is unstable at the finer step.
     """
     pairs: dict[tuple[str, str, str], tuple[PrecisionRow, PrecisionRow]] = {}
     best: dict[tuple[str, str, str], PrecisionRow] = {}
@@ -250,15 +250,18 @@ def setbacks(rows: Sequence[PrecisionRow], factor: float = 10.0) -> list[tuple[P
 MODAL, PLAIN, SHORTENED = "4 modes a link", "2 elements a link", "2 elements a link, foreshortening"
 FINEST, NEXT_FINEST = "4 elements a link, foreshortening", "3 elements a link, foreshortening"
 RIGID, RIGID_LINKS = "rigid", "rigid links, flexible joints"
-PATIENCE = 1.0  # s of computing, after which a method gets no finer setting
+PATIENCE = 1.0  # s; a method with a longer run gets no finer setting
 LARGE_ROTATION = "paper_ff_large_rotation.csv"
 
 _MS = 1e-3
 _LONG = tuple(step * _MS for step in (20, 10, 5, 2.5, 1, 0.5, 0.25))
 _SHORT = tuple(step * _MS for step in (2, 1, 0.5, 0.25, 0.2, 0.1, 0.05, 0.025))
-# By the kind of a method. Reference methods judge the others and have none.
+# Steps by kind of method; reference methods have none.
 STEPS = {EXPLICIT: _SHORT, LINEARLY_IMPLICIT: _LONG, IMPLICIT: (*_LONG, 0.1 * _MS)}
-FINER_STEPS = {"semi_implicit_euler": (0.0125 * _MS,), "ros2": (0.1 * _MS, 0.05 * _MS)}  # of those of low order
+FINER_STEPS = {
+    "semi_implicit_euler": (0.0125 * _MS,),
+    "ros2": (0.1 * _MS, 0.05 * _MS),
+}  # additional steps of low-order methods
 TOLERANCES = {EXPLICIT: (1e-2, 1e-3, 1e-4, 1e-5), LINEARLY_IMPLICIT: (1e-2, 1e-3), IMPLICIT: (1e-2, 1e-3)}
 FEW_STEPS = {"extrapolated_euler_5": (20 * _MS, 10 * _MS, 5 * _MS), "implicit_midpoint": (5 * _MS, 2.5 * _MS)}
 RIGID_STEPS = {"rk4": (20 * _MS, 10 * _MS, 5 * _MS, 2 * _MS)}
@@ -266,14 +269,14 @@ RIGID_STEPS = {"rk4": (20 * _MS, 10 * _MS, 5 * _MS, 2 * _MS)}
 
 @dataclass(frozen=True)
 class _PrecisionCase:
-    """A scene of the study.
+    """Scene of the study.
 
     Attributes:
-        name: of the scene.
-        title: what it is.
-        scene: itself.
+        name: name of the scene.
+        title: description.
+        scene: arm and motion.
         timed: names of the models whose time error is studied.
-        reference: file of an independent solution; None where our finest model is the truth.
+        reference: file of an independent solution; None uses our finest model.
     """
 
     name: str
@@ -284,14 +287,14 @@ class _PrecisionCase:
 
 
 def whirl_scene() -> Scene:
-    """The paper's arm, everything flexible, without torques: joints that start at 3, 1.5 and -5 rad/s, for 1.5 s."""
+    """Return the paper's flexible arm without torques, with initial joint rates of 3, 1.5 and -5 rad/s, for 1.5 s."""
     scene = catalog.paper_scene("ff")
     start = Initial((0.0, 0.0, 0.0), (3.0, 1.5, -5.0))
     return replace(scene, torque=ConstantTorque((0.0,) * 3), initial=start, duration=1.5, note="a fast whirl")
 
 
 def cases(reference: Path) -> tuple[_PrecisionCase, ...]:
-    """The scenes; `reference` is the folder of reference scenes and solutions."""
+    """Return the scenes of the study; `reference` is the folder of reference scenes and solutions."""
     loaded = Scene.load(reference / "gravity_payload_ff.json")
     paper = "the paper's arm, flexible links"
     return (
@@ -305,7 +308,7 @@ def cases(reference: Path) -> tuple[_PrecisionCase, ...]:
 
 
 def choices(scene: Scene) -> dict[str, dict[str, Any]]:
-    """Keyword arguments of `build_model` by the name of the model."""
+    """Return keyword arguments of `build_model` by model name."""
     joints = {"flexible_joints": scene.model.flexible_joints}
     result: dict[str, dict[str, Any]] = {RIGID: {"flexible_links": False, "flexible_joints": False}}
     if scene.model.flexible_joints:
@@ -322,14 +325,14 @@ def choices(scene: Scene) -> dict[str, dict[str, Any]]:
 
 
 def models(scene: Scene) -> dict[str, Model]:
-    """All models of a scene, by name."""
+    """Return all models of a scene by name."""
     return {name: build_model(scene.arm, **choice) for name, choice in choices(scene).items()}
 
 
-def _total_truth(case: _PrecisionCase, built: dict[str, Model], reference: Path) -> ReferenceSolution:
-    """Return the reference motion of the tip: a model of large rotations if there is one, else our finest model.
+def _total_reference(case: _PrecisionCase, built: dict[str, Model], reference: Path) -> ReferenceSolution:
+    """Return the reference motion of the tip: a large-rotation solution if there is one, else our finest model.
 
-    Its floor is the distance to our finest model, or of that to the next finest.
+    The floor is the distance between both, or between our two finest models.
     """
     fine = simulate(case.scene, built[FINEST], "implicit_midpoint", step=0.1 * _MS)
     if case.reference is not None:
@@ -344,25 +347,25 @@ def _total_truth(case: _PrecisionCase, built: dict[str, Model], reference: Path)
 
 
 def study(case: _PrecisionCase, reference: Path) -> Study:
-    """A scene with all its models and truths, which takes a minute."""
+    """Return a scene with all models and reference solutions, which takes about a minute."""
     built = models(case.scene)
     solutions = {name: _converged(case.scene, built[name]) for name in case.timed}
-    return Study(case.name, case.scene, built, _total_truth(case, built, reference), solutions, case.title)
+    return Study(case.name, case.scene, built, _total_reference(case, built, reference), solutions, case.title)
 
 
 def _steps_of(name: str) -> tuple[float, ...]:
-    """Step (s) of a method of fixed steps: those of its kind, and finer ones for some."""
+    """Return the steps (s) of a fixed-step method: those of its kind, and finer ones for some methods."""
     return STEPS[METHODS[name].kind] + FINER_STEPS.get(name, ())
 
 
 def _tolerances_of(name: str) -> tuple[float, ...]:
-    """Relative tolerances of such a method, none when it does not know its error."""
+    """Return the relative tolerances of a method; empty if it has no error estimate."""
     method = METHODS[name]
     return TOLERANCES[method.kind] if method.estimates else ()
 
 
 def grid(result: Study, timed: tuple[str, ...], models: Sequence[str] | None = None) -> Iterator[PrecisionRow]:
-    """All methods and steps on the models whose time error is studied, a few on the others; of some models, or all."""
+    """Yield rows: all methods and steps for the models with studied time error, a few for the other models."""
     names = fixed_step_methods()
     every = {name: _steps_of(name) for name in names}
     for model in models or result.models:
@@ -382,7 +385,7 @@ def _fits(scene: Scene, step: float) -> bool:
 
 
 def quick_study() -> Study:
-    """A small study for tests: the rigid arm with flexible joints for 0.2 s, whose total error a finer model judges."""
+    """Return a small study for tests: 0.2 s of the arm with rigid links and of a model with one mode per link."""
     scene = replace(catalog.paper_scene("ff"), duration=0.2)
     built = {name: build_model(scene.arm, **choices(scene)[name]) for name in (RIGID_LINKS, "1 mode a link")}
     solutions = {name: _converged(scene, model) for name, model in built.items()}
@@ -391,7 +394,7 @@ def quick_study() -> Study:
 
 
 def quick_grid(result: Study) -> Iterator[PrecisionRow]:
-    """A few methods and steps of each kind."""
+    """Yield rows of a few methods and steps of each kind."""
     for model in result.models:
         for method, step in (("semi_implicit_euler", 1), ("rk4", 2), ("ros2", 5), ("extrapolated_euler_4", 10)):
             yield from result.ladder(model, method, [step * _MS / part for part in (1, 2, 4)], PATIENCE)

@@ -31,31 +31,32 @@ from studies.precision.measure import (
 )
 
 ERRORS = (1e-2, 1e-3, 1e-4, 1e-5)  # m
-COMPARED = 1e-4  # m, the time error at which extrapolations are compared with ros2
-COUNTS = (4, 7, 9)  # of modes a link, whose smallest total errors are named
+COMPARED = 1e-4  # m; time error at which extrapolations are compared with ros2
+COUNTS = (4, 7, 9)  # modes per link in the table of total errors
 
 WINNERS = "The cheapest method within each time error, and its CPU ms per simulated second:"
 WINNER = "{method}: {cost:.3g}"
 RATIOS = (
-    "The cost of `ros2` over that of each extrapolation within a time error of {error:.0e} m. "
-    "There is no ratio where one of the two has no run within that error."
+    "The cost of `ros2` divided by that of each extrapolation at a time error of {error:.0e} m. "
+    "There is no ratio if one of the two has no run within this error."
 )
 INSTABILITY = (
     "An extrapolation amplifies an undamped vibration in a band of omega h, its angular frequency times the step. "
-    "At long steps only slow modes are in that band, and steps are few. At short steps stiff modes are in it. "
-    "So a finer step can do harm on an arm without damping: {count} combinations of scene, model and method show it. "
-    "The table has an example for each method, beside the largest growth factor of one step."
+    "At long steps this band contains only slow modes, and the number of steps is small. At short steps it contains "
+    "stiff modes. Therefore a finer step can increase the error of an arm without damping, as in {count} combinations "
+    "of scene, model and method. The table has an example of each method and the largest growth factor of one step."
 )
 INSTABILITY_HEADS = ("method", "largest factor", "at omega h", "scene", "model", "time error", "with a finer step")
 SETBACK = "{error} at {setting}"
 MODES = (
-    "A model keeps the modes of lowest frequency of each link, found at zero joint angles. There link 3 does not load "
-    "the torsion of link 2, which it continues. So the mode of this torsion comes late. Smallest total errors, mm:"
+    "A model contains the modes of lowest frequency of each link, computed at zero joint angles. In this posture link "
+    "3 is aligned with link 2 and does not load its torsion, so that the torsional mode has a high frequency and is "
+    "omitted at first. Smallest total errors, mm:"
 )
 
 
 def conclusions(rows: Sequence[PrecisionRow], floors: Sequence[Floor]) -> list[str]:
-    """Lines with numbers from the rows."""
+    """Return the conclusions as Markdown lines."""
     pairs = [(floor.scene, floor.model) for floor in floors if floor.model]
     return [*_winners(rows, pairs), *_ratios(rows, pairs), *_instability(rows), *_modes(rows)]
 
@@ -90,12 +91,12 @@ def _ratio(rows: Sequence[PrecisionRow], model: str, method: str) -> str:
 
 
 def _instability(rows: Sequence[PrecisionRow]) -> list[str]:
-    """That finer steps can do harm, where they do, and why."""
+    """Return the table of cases in which a finer step increases the error."""
     names = extrapolations_of(rows)
     pairs = [pair for pair in setbacks(rows) if pair[1].method in names]
     if not pairs:
         return []
-    pairs.sort(key=lambda pair: math.isfinite(pair[1].time_error or 0.0))  # the last of a method is shown
+    pairs.sort(key=lambda pair: math.isfinite(pair[1].time_error or 0.0))  # the last pair of a method is shown
     examples = {fine.method: (coarse, fine) for coarse, fine in pairs}
     cells = [_setback(*examples[name]) for name in names if name in examples]
     return introduced_table(INSTABILITY.format(count=len(pairs)), INSTABILITY_HEADS, cells)
@@ -108,7 +109,7 @@ def _setback(coarse: PrecisionRow, fine: PrecisionRow) -> list[str]:
 
 
 def _modes(rows: Sequence[PrecisionRow]) -> list[str]:
-    """That the lowest modes can miss one that counts."""
+    """Return the table of total errors by number of modes, which shows that low modes can omit an important one."""
     cells = []
     for scene in dict.fromkeys(row.scene for row in rows):
         least = [_least(rows, scene, f"{count} modes a link") for count in COUNTS]
@@ -119,7 +120,7 @@ def _modes(rows: Sequence[PrecisionRow]) -> list[str]:
 
 
 def _least(rows: Sequence[PrecisionRow], scene: str, model: str) -> float:
-    """The smallest total error of a model in a scene, m; infinite without one."""
+    """Return the smallest total error of a model in a scene, m; infinite without a run."""
     errors = [row.total_error for row in rows if (row.scene, row.model) == (scene, model)]
     return min((error for error in errors if error is not None), default=math.inf)
 
@@ -129,22 +130,23 @@ def _metres(row: PrecisionRow) -> str:
 
 
 SAYS = (
-    "Error against computing time, for every method and model on four scenes. No method is the cheapest "
-    "everywhere: where accuracy counts it is mostly one of Gauss's or an extrapolation. A model with a few of the "
-    "lowest modes stays inaccurate however short its steps are. Extrapolations make undamped vibrations grow, so "
-    "a shorter step can do harm. Choose by a scene that is like yours."
+    "This page compares error and computing time of every method and model on four scenes. No method is the cheapest "
+    "in all cases; for high accuracy it is mostly a Gauss method or an extrapolation. A model with a few of the "
+    "lowest modes stays inaccurate at any step. Extrapolations amplify undamped vibrations, so that a shorter step "
+    "can increase the error. Choose by a scene that is similar to yours."
 )
 HEAD = (
-    "Every row of `work_precision.csv` is one run. `python scripts/work_precision.py --folder docs` writes all of this "
-    "anew."
+    "Every row of `work_precision.csv` is one run. `python scripts/work_precision.py --folder docs` rewrites the "
+    "rows, the charts and this page."
 )
-MACHINE = "Computed with {machine}, one core."
+COMPUTER = "Computed with {computer}, one core."
 EXPLANATION = (
-    "The error of a run is the largest distance of its tip from a reference. For the *time error* the reference is the "
-    "converged solution of the same model, so the method alone causes it. For the *total error* the reference is the "
-    "truth of the scene, so model and method cause it together. The cost is CPU time per simulated second: the best of "
-    "a few repeats, without compilation. In a chart a broad pale line is the Pareto front: no other run is both "
-    "cheaper and more accurate. A dashed line is the error of the reference itself, its floor."
+    "The error of a run is the largest distance of its tip from a reference. The reference of the *time error* is the "
+    "converged solution of the same model, so that only the method contributes. The reference of the *total error* is "
+    "an independent or finest solution of the scene, so that model and method contribute. The cost is CPU time per "
+    "simulated second: the best of a few repetitions, without compilation. The broad pale line in a chart is the "
+    "Pareto front: no other run is both cheaper and more accurate. The dashed line is the error of the reference "
+    "itself, its floor."
 )
 FLOORS = "The references and their floors:"
 FLOOR_HEADS = ("error", "reference", "floor, m")
@@ -156,8 +158,8 @@ FRONT_HEADS = ("CPU ms per simulated second", "total error, mm", "model", "metho
 
 
 def page(rows: Sequence[PrecisionRow], floors: Sequence[Floor]) -> str:
-    """A page in Markdown: the conclusion, then pictures and tables of each scene."""
-    lines = ["# Speed against accuracy", "", SAYS, "", HEAD, "", MACHINE.format(machine=computer_text()), ""]
+    """Return the page as Markdown: conclusions first, then charts and tables of each scene."""
+    lines = ["# Speed against accuracy", "", SAYS, "", HEAD, "", COMPUTER.format(computer=computer_text()), ""]
     lines += [EXPLANATION, "", "## Conclusion", "", *conclusions(rows, floors)]
     for name in dict.fromkeys(floor.scene for floor in floors):
         mine = [row for row in rows if row.scene == name]
@@ -166,18 +168,18 @@ def page(rows: Sequence[PrecisionRow], floors: Sequence[Floor]) -> str:
 
 
 def pictures(scene: str) -> tuple[str, str]:
-    """Names of the files with the time error and with the total error."""
+    """Return the file names of the charts of the time error and of the total error."""
     name = scene.replace(", ", "_").replace(" ", "").replace(".", "")
     return f"work_precision_{name}_time.png", f"work_precision_{name}_total.png"
 
 
 def _scene(rows: Sequence[PrecisionRow], floors: Sequence[Floor]) -> list[str]:
-    """The section of a scene, whose own floor comes first."""
+    """Return the section of a scene; `floors` begins with the floor of its total error."""
     total, *timed = floors
     lines = [f"## {total.scene}: {total.title}", ""]
     lines += [line for file in pictures(total.scene) for line in (f"![{total.title}]({file})", "")]
-    judged = [TIMED.format(model=floor.model) if floor.model else "total error" for floor in floors]
-    cells = [(name, floor.source, f"{floor.floor:.1e}") for name, floor in zip(judged, floors, strict=True)]
+    errors = [TIMED.format(model=floor.model) if floor.model else "total error" for floor in floors]
+    cells = [(name, floor.source, f"{floor.floor:.1e}") for name, floor in zip(errors, floors, strict=True)]
     lines += introduced_table(FLOORS, FLOOR_HEADS, cells)
     for floor in timed:
         lines += cost_table(rows, floor.model)
@@ -185,7 +187,7 @@ def _scene(rows: Sequence[PrecisionRow], floors: Sequence[Floor]) -> list[str]:
 
 
 def cost_table(rows: Sequence[PrecisionRow], model: str) -> list[str]:
-    """The cheapest run of each method that reaches each error, in CPU ms per simulated second."""
+    """Return the table of the cheapest run of each method within each error, CPU ms per simulated second."""
     heads = ["method", *(f"{error:.0e} m" for error in ERRORS)]
     cells = [
         [method, *(_cost(cheapest(rows, model, method, error)) for error in ERRORS)] for method in methods_of(rows)
@@ -194,7 +196,7 @@ def cost_table(rows: Sequence[PrecisionRow], model: str) -> list[str]:
 
 
 def _front_table(rows: Sequence[PrecisionRow], floor: float) -> list[str]:
-    """The runs on the Pareto front of the total error; errors below the floor (m) are all the same."""
+    """Return the table of the Pareto front of the total error; errors below the floor (m) count as equal."""
     points = [(row.cpu, math.inf if row.total_error is None else max(floor, row.total_error)) for row in rows]
     cells = [
         (f"{1e3 * row.cpu:.3g}", f"{1e3 * (row.total_error or 0.0):.3g}", row.model, row.method, row.setting)
@@ -213,9 +215,14 @@ ROWS_FILE, FLOORS_FILE, PAGE_FILE = "work_precision.csv", "work_precision_truths
 def compute(
     reference: Path, folder: Path, quick: bool = False, workers: Workers | int = 1, kept: Path | None = None
 ) -> None:
-    """Compute all rows, or a small grid of one short scene, and write them and the errors of the truths.
+    """Compute all rows, or a small grid of a short scene, and write the files of rows and floors.
 
-    `reference` is the folder of the reference scenes and solutions; `workers` and `kept` as of `grid.spread`.
+    Args:
+        reference: folder of the reference scenes and solutions.
+        folder: output folder.
+        quick: compute only the small grid.
+        workers: see `common.parallel.parallel_map`.
+        kept: folder of finished cells, see `common.parallel.parallel_map`.
     """
     cells = [("", "", "")] if quick else [(str(reference), case.name, model) for case in cases(reference)
                                           for model in choices(case.scene)]  # fmt: skip
@@ -229,7 +236,7 @@ def compute(
 
 
 def _computed(cell: tuple[str, str, str]) -> dict[str, Any]:
-    """Rows of a model of a scene, and the errors of the scene's truths, as plain data; of no scene the quick study."""
+    """Return rows and floors of a cell (reference folder, scene, model) as plain data; no scene: the quick study."""
     reference, scene, model = cell
     result, timed = _known_study(reference, scene)
     rows = grid(result, timed, [model]) if scene else quick_grid(result)
@@ -238,7 +245,7 @@ def _computed(cell: tuple[str, str, str]) -> dict[str, Any]:
 
 @cache
 def _known_study(reference: str, scene: str) -> tuple[Study, tuple[str, ...]]:
-    """A study and the names of the models whose time error is studied; a process works its truths out once."""
+    """Return a study and the models with studied time error, cached per process."""
     if not scene:
         return quick_study(), ()
     case = next(case for case in cases(Path(reference)) if case.name == scene)
@@ -246,7 +253,7 @@ def _known_study(reference: str, scene: str) -> tuple[Study, tuple[str, ...]]:
 
 
 def publish(folder: Path) -> None:
-    """Draw what is in the files, and write the page. Without Matplotlib there are no pictures."""
+    """Draw the charts (with Matplotlib only) and write the page from the files of a folder."""
     rows, floors = read_rows(folder / ROWS_FILE, PrecisionRow), read_rows(folder / FLOORS_FILE, Floor)
     for scene in dict.fromkeys(row.scene for row in rows):
         mine = [row for row in rows if row.scene == scene]

@@ -1,1 +1,1 @@
-"""Ring-down: what is left of a released vibration, and where the tip goes, by each method and step."""
+"""Ring-down study: remaining energy and tip position after a released vibration, for each method and step."""

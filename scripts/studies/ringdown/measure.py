@@ -24,11 +24,11 @@ RELEASE, IMPULSE, SLEW, UNDAMPED, BENT = "release", "impulse", "slew", "release,
 DURATION = {RELEASE: 3.0, IMPULSE: 3.0, SLEW: 2.4, UNDAMPED: 3.0, BENT: 3.0}  # s
 PERIOD = 0.02  # s, a control period
 LARGEST_DEFLECTION, LARGEST_IMPULSE, LARGEST_TORQUE, HOLD = 0.05, 50.0, 300.0, 20  # m, N s, N m, periods
-SPREAD, NARROW = np.array([np.pi, 1.5, 2.0]), 0.9  # rad, the range of postures; the latter of BENT
+SPREAD, NARROW = np.array([np.pi, 1.5, 2.0]), 0.9  # rad; range of the initial joint angles; `NARROW` for BENT
 
 
 class _Cases(NamedTuple):
-    """b arms: states (b, 2 d) that they start from, and drives (periods, b, n + 6) as `Batch.step` takes them."""
+    """Initial states (b, 2 d) and drives (periods, b, n + 6) of b arms, see `Batch.step`."""
 
     states: Array
     drives: Array
@@ -36,7 +36,7 @@ class _Cases(NamedTuple):
 
 @cache
 def default_model(undamped: bool = False) -> Model:
-    """Build the model of FlexRRR-v0, without any damping where that is wanted."""
+    """Return the model of FlexRRR-v0, optionally without damping."""
     model = resolve_fidelity(Configuration()).model
     if not undamped:
         return model
@@ -45,12 +45,12 @@ def default_model(undamped: bool = False) -> Model:
 
 
 def cases(kind: str, count: int, seed: int = 0) -> _Cases:
-    """Draw arms of a kind.
+    """Draw random arms of a kind of motion.
 
-    In a release the tips of all links are let go from 0 to 5 cm in random directions across their beams, bent as a
-    force on the tip bends them; in "both planes" up to 5 cm in each, from postures within 0.9 rad. An impulse of 0 to
-    50 N s is a force on the tip during the first control period. A slew has random torques up to 300 N m that change
-    every 0.4 s. The motors are free in all of them.
+    In a release the tips of all links are deflected by 0 to 5 cm in random directions across the beams, in the shape
+    of a static tip force; in "both planes" by up to 5 cm in each plane, from postures within 0.9 rad. An impulse of 0
+    to 50 N s is a force on the tip during the first control period. A slew has random torques up to 300 N m that
+    change every 0.4 s. The motors are free in all cases.
     """
     model = default_model(kind == UNDAMPED)
     random, n = np.random.default_rng([seed, list(DURATION).index(kind)]), model.n_joints
@@ -66,35 +66,35 @@ def cases(kind: str, count: int, seed: int = 0) -> _Cases:
             tips = random.uniform(-LARGEST_DEFLECTION, LARGEST_DEFLECTION, (2, count))
             states[:, model.elastic_columns(link)] = (static_shape(model, link) @ tips).T
     elif kind == IMPULSE:
-        way = random.normal(size=(count, 3))
-        way *= random.uniform(0.0, LARGEST_IMPULSE, (count, 1)) / np.linalg.norm(way, axis=1, keepdims=True)
-        drives[0, :, n : n + 3] = way / PERIOD
+        impulse = random.normal(size=(count, 3))
+        impulse *= random.uniform(0.0, LARGEST_IMPULSE, (count, 1)) / np.linalg.norm(impulse, axis=1, keepdims=True)
+        drives[0, :, n : n + 3] = impulse / PERIOD
     else:
         for first in range(0, len(drives), HOLD):
             drives[first : first + HOLD, :, :n] = LARGEST_TORQUE * random.uniform(-1.0, 1.0, (count, n))
     return _Cases(states, drives)
 
 
-PARTS, FINE_PARTS = (1, 2, 3, 4, 8, 16), (20, 40, 80)  # steps in a control period; the latter of explicit methods
+PARTS, FINE_PARTS = (1, 2, 3, 4, 8, 16), (20, 40, 80)  # steps per control period; `FINE_PARTS` of explicit methods
 REFERENCE, RTOL = "dop853", 1e-8
-FLOOR = 0.02  # of the energy at the start: what is left of less is not asked for more digits
+FLOOR = 0.02  # share of the energy at the start, lower bound of the scale of energy errors
 
 
 @dataclass(frozen=True)
 class RingDownRow:
-    """Arms of one kind by one method and step.
+    """Results of arms of one kind of motion with one method and step.
 
     Attributes:
-        kind: what the arms do; see `cases`.
-        code: whose arm it is.
-        method: of integration.
-        step: s.
-        cpu: seconds of the processor for a simulated second of one arm.
-        energy_median, energy_90, energy_99: percentiles of the energy error, relative to the energy that should be left
-            or 2 % of that at the start; infinite where an arm failed.
-        tip_median, tip_90, tip_95, tip_99: percentiles of the distance of the tip from the converged one at the end, m.
-        kept: median of the energy left at the end by the arms that did not fail, as a part of that at the start.
-        failed: part of the arms that failed.
+        kind: kind of motion, see `cases`.
+        code: simulator.
+        method: integration method.
+        step: step, s.
+        cpu: CPU time per simulated second of one arm.
+        energy_median, energy_90, energy_99: percentiles of the energy error, relative to the reference energy at the
+            end or, if larger, 2 % of the energy at the start; infinite for failed arms.
+        tip_median, tip_90, tip_95, tip_99: percentiles of the tip error at the end, m.
+        kept: median of the energy at the end relative to the start, over arms without failure.
+        failed: share of failed arms.
     """
 
     kind: str
@@ -114,7 +114,7 @@ class RingDownRow:
 
 
 class _Outcome(NamedTuple):
-    """Tips (b, 3) m and energies (b,) J at the end, the largest energies of start and first period, status, seconds."""
+    """Tips (b, 3) m and energies (b,) J at the end, largest energies in the first period, status, and CPU time (s)."""
 
     tip: Array
     energy: Array
@@ -129,7 +129,7 @@ def _moving_energy(batch: Batch) -> Array:
 
 
 def outcome(model: Model, each: _Cases, method: str, step: float | None) -> _Outcome:
-    """Move arms by a method with a step (s), or by an adaptive one (None)."""
+    """Simulate arms with a method and a step (s); None for adaptive steps."""
     batch = Batch(model, method, step, PERIOD, RTOL, 1e-2 * RTOL, arms=len(each.states))
     batch.reset(np.arange(len(each.states)), each.states)
     first, started = _moving_energy(batch), time.process_time()
@@ -148,34 +148,34 @@ def settings(method: str) -> Sequence[int]:
 
 
 def rows(kind: str, count: int, few: int) -> Iterator[RingDownRow]:
-    """Measure every method of fixed steps: those that move arms abreast on `count` arms, the others on a `few`."""
+    """Measure every fixed-step method: batched methods on `count` arms, other methods on `few`."""
     model, each = default_model(kind == UNDAMPED), cases(kind, count)
-    truth = outcome(model, each, REFERENCE, None)
-    if (truth.status != layout.OK).any():
+    reference = outcome(model, each, REFERENCE, None)
+    if (reference.status != layout.OK).any():
         raise RuntimeError(f"{kind}: the reference fails")
     for method in fixed_step_methods():
         many = count if isinstance(METHODS[method], LinearlyImplicit | IteratedGauss) else few
         own = _Cases(each.states[:many], each.drives[:, :many])
         for parts in settings(method):
-            yield row(kind, method, PERIOD / parts, outcome(model, own, method, PERIOD / parts), truth)
+            yield row(kind, method, PERIOD / parts, outcome(model, own, method, PERIOD / parts), reference)
 
 
-def row(kind: str, method: str, step: float, result: _Outcome, truth: _Outcome) -> RingDownRow:
-    """Compare arms with the first of the converged ones."""
+def row(kind: str, method: str, step: float, result: _Outcome, reference: _Outcome) -> RingDownRow:
+    """Return the row of arms compared with the first arms of the reference."""
     b, failed = len(result.tip), result.status != layout.OK
-    energy, tip = _differences(result, truth)
+    energy, tip = _differences(result, reference)
     kept = median_kept(result.energy / np.maximum(result.first, 1e-12), failed)
     cpu = result.seconds / (b * DURATION[kind])
     shares = percentiles(energy, tip)
     return RingDownRow(kind, "flexman_gym", method, step, cpu, kept=kept, failed=float(failed.mean()), **shares)
 
 
-def _differences(result: _Outcome, truth: _Outcome) -> tuple[Array, Array]:
+def _differences(result: _Outcome, reference: _Outcome) -> tuple[Array, Array]:
     """Return the relative errors of energy (b,) and the errors of the tip (b,) m; infinite for failed arms."""
     b, failed = len(result.tip), result.status != layout.OK
-    scale = np.maximum(truth.energy[:b], FLOOR * truth.first[:b])
-    energy = np.where(failed, np.inf, np.abs(result.energy - truth.energy[:b]) / scale)
-    return energy, np.where(failed, np.inf, np.linalg.norm(result.tip - truth.tip[:b], axis=1))
+    scale = np.maximum(reference.energy[:b], FLOOR * reference.first[:b])
+    energy = np.where(failed, np.inf, np.abs(result.energy - reference.energy[:b]) / scale)
+    return energy, np.where(failed, np.inf, np.linalg.norm(result.tip - reference.tip[:b], axis=1))
 
 
 def median_kept(kept: Array, failed: BoolArray) -> float:
@@ -184,7 +184,7 @@ def median_kept(kept: Array, failed: BoolArray) -> float:
 
 
 def percentiles(energy: Array, tip: Array) -> dict[str, float]:
-    """Return the quantiles of a row. Each is one of the values, as some may be infinite."""
+    """Return the percentiles of a row; each is one of the values, since some may be infinite."""
 
     def of(values: Array, q: float) -> float:
         return float(np.percentile(values, q, method="lower"))
@@ -200,24 +200,24 @@ def percentiles(energy: Array, tip: Array) -> dict[str, float]:
     }
 
 
-# Beside the default: what takes as long, and what is truer.
+# Compared with the default: methods of similar cost or higher accuracy.
 OTHERS = (("gauss_3", PERIOD), ("midpoint_2", PERIOD / 5), ("gauss_2", PERIOD / 2),
           ("gauss_3", PERIOD / 2))  # fmt: skip
-KINDS, EARLY, WITHIN = (RELEASE, BENT, IMPULSE, SLEW), 1.0, 0.02  # s; part of the energy
+KINDS, EARLY, WITHIN = (RELEASE, BENT, IMPULSE, SLEW), 1.0, 0.02  # s; share of the energy
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of a method and step on arms of one kind.
+    """Errors of a method and step on arms of one kind of motion.
 
     Attributes:
-        method, step: of integration; s.
-        kind: what the arms do; see `cases`.
-        time: after which they are compared, s.
-        arms: how many.
-        cpu: microseconds of the processor for a control period of an arm.
-        within: the part of them whose energy is off by at most 2 %.
-        energy_median, energy_90, energy_99, tip_median, tip_90, tip_95, tip_99: see `measure.Row`.
+        method, step: integration method and step, s.
+        kind: kind of motion, see `cases`.
+        time: time of the comparison, s.
+        arms: number of arms.
+        cpu: CPU time per control period and arm, microseconds.
+        within: share of arms with an energy error of at most 2 %.
+        energy_median, energy_90, energy_99, tip_median, tip_90, tip_95, tip_99: see `RingDownRow`.
     """
 
     method: str
@@ -237,16 +237,16 @@ class Errors:
 
 
 def errors_of_default(count: int) -> list[Errors]:
-    """Compare so many arms of each kind after a second and at the end, by the default and by others."""
+    """Return the errors of the default and similar methods after 1 s and at the end, for each kind of motion."""
     chosen, result = resolve_fidelity(Configuration()), []
     for kind in KINDS:
         each = cases(kind, count)
         for end in (EARLY, DURATION[kind]):
             part = _Cases(each.states, each.drives[: round(end / PERIOD)])
-            truth = outcome(chosen.model, part, REFERENCE, None)
+            reference = outcome(chosen.model, part, REFERENCE, None)
             for method, step in ((str(chosen.method), float(chosen.step or 0.0)), *OTHERS):
                 ours = outcome(chosen.model, part, method, step)
-                energy, tip = _differences(ours, truth)
+                energy, tip = _differences(ours, reference)
                 cpu = 1e6 * ours.seconds / (count * len(part.drives))
                 within = float((energy <= WITHIN).mean())
                 result.append(Errors(method, step, kind, end, float(count), cpu, within, **percentiles(energy, tip)))
@@ -254,20 +254,22 @@ def errors_of_default(count: int) -> list[Errors]:
 
 
 def methods_table(rows: Sequence[Errors]) -> list[str]:
-    """The table of docs/accuracy.md that has a row for each method and step."""
+    """Return the table of methods and steps in docs/accuracy.md."""
     heads = ("method", "step", "cost", "slew: tip, half", "95 %", "impulse: tip, half", "release, 1 s: energy, 90 %",
              "release, 3 s: within 2 %", "tip, 90 %", "both planes, 3 s: within 2 %", "tip, 90 %")  # fmt: skip
     cases = {(row.method, row.step, row.kind, row.time): row for row in rows}
     kinds = [(kind, time) for kind in KINDS for time in (EARLY, DURATION[kind])]
-    ways = list(dict.fromkeys((row.method, row.step) for row in rows))
+    variants = list(dict.fromkeys((row.method, row.step) for row in rows))
     lines = []
-    for way in ways:
-        slew, impulse, released, bent = (cases[*way, kind, DURATION[kind]] for kind in (SLEW, IMPULSE, RELEASE, BENT))
-        cost = np.median([cases[*way, *case].cpu / cases[*ways[0], *case].cpu for case in kinds])
+    for variant in variants:
+        slew, impulse, released, bent = (
+            cases[*variant, kind, DURATION[kind]] for kind in (SLEW, IMPULSE, RELEASE, BENT)
+        )
+        cost = np.median([cases[*variant, *case].cpu / cases[*variants[0], *case].cpu for case in kinds])
         tips = slew.tip_median, slew.tip_95, impulse.tip_median, released.tip_90, bent.tip_90
         half, most, hit, free, both = (f"{1e3 * tip:.3g} mm" for tip in tips)
-        early = f"{100 * cases[*way, RELEASE, EARLY].energy_90:.1f} %"
+        early = f"{100 * cases[*variant, RELEASE, EARLY].energy_90:.1f} %"
         shares = f"{released.within:.0%}", f"{bent.within:.0%}"
-        step = f"{1e3 * way[1]:.3g} ms"
-        lines.append((f"`{way[0]}`", step, f"{cost:.2f}", half, most, hit, early, shares[0], free, shares[1], both))
+        step = f"{1e3 * variant[1]:.3g} ms"
+        lines.append((f"`{variant[0]}`", step, f"{cost:.2f}", half, most, hit, early, shares[0], free, shares[1], both))
     return markdown_table(heads, lines)

@@ -1,4 +1,4 @@
-"""Ring-down, MuJoCo: the arm of rigid pieces let go bent, by MuJoCo's integrators, beside its own finest run."""
+"""Ring-down of MuJoCo's arm of rigid pieces: integrators and steps, compared with its own finest run."""
 
 import time
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ from studies.ringdown.measure import (
     percentiles,
 )
 
-PIECES, FINEST = 4, 20e-6  # of a link; s, of RK4
+PIECES, FINEST = 4, 20e-6  # pieces per link; step of the RK4 reference, s
 STEPS = {"Euler": (5e-3, 1e-3, 1e-4, 5e-5), "RK4": (1e-3, 1e-4, 5e-5), "implicitfast": (5e-3, 1e-3, 1e-4, 5e-5)}
 STEPS["discrete"] = (5e-3, 1e-3, 5e-4, 1e-4)
 
@@ -55,14 +55,16 @@ def release(integrator: str, step: float, seed: int) -> tuple[Array, float, floa
 
 
 def rows(count: int) -> Iterator[RingDownRow]:
-    """Measure every integrator and step on so many arms."""
-    truths = [release("RK4", FINEST, seed)[0] for seed in range(count)]
+    """Measure every integrator and step on a number of arms."""
+    references = [release("RK4", FINEST, seed)[0] for seed in range(count)]
     for integrator in (name for name in integrators() if name in STEPS):
         for step in STEPS[integrator]:
             runs = [release(integrator, step, seed) for seed in range(count)]
             kept = np.array([ended / began for _, began, ended, _ in runs])
             failed = ~np.isfinite(kept) | (kept > 10.0)
-            tip = np.array([np.linalg.norm(run[0] - truth) for run, truth in zip(runs, truths, strict=True)])
+            tip = np.array(
+                [np.linalg.norm(run[0] - reference) for run, reference in zip(runs, references, strict=True)]
+            )
             energy, tip = np.where(failed, np.inf, np.abs(kept - 1.0)), np.where(failed, np.inf, tip)
             cpu = sum(run[3] for run in runs) / (count * DURATION[UNDAMPED])
             name = f"MuJoCo, {PIECES} pieces"

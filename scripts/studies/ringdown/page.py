@@ -1,4 +1,4 @@
-"""Page and picture of the ring-down study."""
+"""Page and plot of the ring-down study."""
 
 from collections.abc import Sequence
 from math import isclose
@@ -9,7 +9,7 @@ import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.draw.style import DARK, LIGHT, MIDDLE, new_figure
-from studies.methods import looks, methods_of
+from studies.methods import line_styles, methods_of
 from studies.ringdown.measure import IMPULSE, RELEASE, SLEW, UNDAMPED, RingDownRow
 
 COST = "CPU seconds per simulated second of one arm"
@@ -18,18 +18,18 @@ PICTURE = "ring_down.png"
 
 
 def draw(rows: Sequence[RingDownRow], folder: Path, default: tuple[str, float]) -> None:
-    """Draw the picture of the study; `default` is method and step (s) of the environments, which gets a ring."""
+    """Plot the study; `default` is the method and step (s) of the environments, marked with a ring."""
     figure = new_figure((13.0, 5.2), 110.0, layout="constrained")
     panels = figure.subplots(1, 3)
     released = [row for row in rows if row.kind == RELEASE]
     _lines(panels[0], released, "energy_median", default)
-    panels[0].set(title="Energy after 3 s", ylabel="median error, as a part of what should be left")
+    panels[0].set(title="Energy after 3 s", ylabel="median error, relative to the reference energy")
     _lines(panels[1], released, "tip_median", default)
-    panels[1].set(title="Tip after 3 s", ylabel="median distance from the converged one (m)")
+    panels[1].set(title="Tip after 3 s", ylabel="median distance from the reference (m)")
     undamped = [row for row in rows if row.kind == UNDAMPED]
     _lines(panels[2], undamped, "energy_median", default)
-    panels[2].set(title="Energy of an arm without damping, after 3 s", ylabel="median error, as a part of the start")
-    figure.suptitle("Released from up to 5 cm of deflection: what is left after 3 s, for what it costs", fontsize=13)
+    panels[2].set(title="Energy of an arm without damping, after 3 s", ylabel="median error, relative to the start")
+    figure.suptitle("Released from deflections up to 5 cm: errors after 3 s against cost", fontsize=13)
     entries: dict[str, Any] = {}
     for axes in panels:
         axes.set(xscale="log", yscale="log", xlabel=COST)
@@ -43,7 +43,7 @@ def draw(rows: Sequence[RingDownRow], folder: Path, default: tuple[str, float]) 
 def _lines(axes: Any, rows: Sequence[RingDownRow], column: str, default: tuple[str, float]) -> None:
     ours = [row for row in rows if row.code == "flexman_gym"]
     for name in methods_of(ours):
-        look = looks()[name]
+        look = line_styles()[name]
         _line(axes, [row for row in ours if row.method == name], column, name, look.colour, look.marker)
     for row in ours:
         if row.method == default[0] and isclose(row.step, default[1], rel_tol=1e-4):
@@ -56,26 +56,26 @@ def _lines(axes: Any, rows: Sequence[RingDownRow], column: str, default: tuple[s
 
 
 def _line(axes: Any, rows: Sequence[RingDownRow], column: str, label: str, colour: str, marker: str) -> None:
-    """Run of one method over their cost; those of which most failed are left out."""
+    """Plot the runs of one method over their cost, without those in which most arms failed."""
     good = [row for row in rows if np.isfinite(getattr(row, column)) and row.failed < 0.5]
     if good:
         values = [row.cpu for row in good], [getattr(row, column) for row in good]
         axes.plot(*values, marker=marker, color=colour, linewidth=1.0, markersize=6.0, label=label)
 
 
-PAGE = """# Ring-down: does a method keep the vibration that there is?
+PAGE = """# Ring-down: energy errors of integration methods
 
-Arms are let go, hit or driven, and seconds later each method is compared with the truth. The default keeps the energy
-of a released vibration to a few percent in most cases. `ros2` at 5 ms is far off, and MuJoCo's `discrete` integrator
-leaves next to nothing. Explicit methods fail on released arms at every step that was tried.
+Arms are released from a deflection, hit or driven, and after a few seconds each method is compared with a reference
+solution. The default preserves the energy of a released vibration to a few percent in most cases. `ros2` at 5 ms has
+large errors, and MuJoCo's `discrete` integrator dissipates nearly all of the energy. Explicit methods fail on released
+arms at every tested step.
 
-`python scripts/ring_down.py --folder docs` writes this page, its picture and its rows
-([ring_down.csv](ring_down.csv)) anew.
+`python scripts/ring_down.py --folder docs` rewrites this page, its plot and its rows ([ring_down.csv](ring_down.csv)).
 
-Arms of `FlexRRR-v0` start in random postures, their motors free. In a *release* the tips of all links are let go from
-up to 5 cm. An *impulse* of up to 50 N s hits the tip. A *slew* has random torques up to 300 N m. The truth is `dop853`
-at a tolerance of 1e-8 on the same model, so that every error is that of the method alone. The error of the energy is
-relative to the energy that should be left, or to 2 % of that at the start where less is left.
+Arms of `FlexRRR-v0` start in random postures with free motors. In a *release* the tips of all links are deflected by up
+to 5 cm. An *impulse* of up to 50 N s acts on the tip. A *slew* has random torques up to 300 N m. The reference is
+`dop853` at a tolerance of 1e-8 with the same model, so that the method alone causes the errors. The energy error is
+relative to the reference energy at the end or, if this is larger, to 2 % of the energy at the start.
 
 ![energy and tip over cost]({picture})
 
@@ -83,13 +83,13 @@ relative to the energy that should be left, or to 2 % of that at the start where
 
 {tables}
 """
-CONCLUSION = """- **The default, `{method}` at {step:.3g} ms,** is compared on more arms in [accuracy.md](accuracy.md).
-  Of so few arms as here the worst tenth says little.
-- **`ros2` at 5 ms** is {old:.3g} mm off after a release, in the median, and its energy {old_energy:.3g} %.
-- **Without damping** the energy of the default is {free:.2g} % off in the median, and {failed:.0%} of its arms fail.
-  With `ros2` at 5 ms it is {old_free:.2g} % off, and {old_failed:.0%} fail.{mujoco}"""
+CONCLUSION = """- **The default, `{method}` at {step:.3g} ms,** is evaluated on more arms in [accuracy.md](accuracy.md).
+  The number of arms here is too small for the worst 10 %.
+- **`ros2` at 5 ms** has median errors of {old:.3g} mm at the tip and {old_energy:.3g} % in the energy after a release.
+- **Without damping** the median energy error of the default is {free:.2g} %, and {failed:.0%} of its arms fail.
+  With `ros2` at 5 ms it is {old_free:.2g} %, and {old_failed:.0%} fail.{mujoco}"""
 MUJOCO = """
-- **MuJoCo's `{name}`** at {step:.3g} ms leaves {kept:.2g} of the energy of its own arm of rigid pieces; 1 is right."""
+- **MuJoCo's `{name}`** at {step:.3g} ms retains {kept:.2g} of the energy of its arm of rigid pieces (exact: 1)."""
 HEADS = (
     "method",
     "step, ms",
@@ -105,13 +105,13 @@ HEADS = (
     "failed",
 )
 TITLES = {
-    RELEASE: "Released bent", IMPULSE: "Hit at the tip", SLEW: "Slews", UNDAMPED: "Released bent, without any damping",
+    RELEASE: "Release", IMPULSE: "Impulse at the tip", SLEW: "Slews", UNDAMPED: "Release without damping",
 }  # fmt: skip
 
 
-def page(rows: Sequence[RingDownRow], machine: str, default: tuple[str, float]) -> str:
-    """Write the page as Markdown."""
-    tables = [f"Computed with {machine}, one core. CPU is that of one arm for a simulated second."]
+def page(rows: Sequence[RingDownRow], computer: str, default: tuple[str, float]) -> str:
+    """Return the page as Markdown."""
+    tables = [f"Computed with {computer}, one core. CPU is the CPU time of one arm per simulated second."]
     for kind, title in TITLES.items():
         result = [_cells(row) for row in rows if row.kind == kind]
         tables += [f"## {title}", "\n".join(markdown_table(HEADS, result))]

@@ -1,1 +1,1 @@
-"""Servos: where the loop of a servo becomes unstable."""
+"""Stability limits of joint servo loops."""

@@ -24,31 +24,35 @@ from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.simulation.batch import Batch
 
 ENVIRONMENTS = ("FlexRRR-v0", "FlexPlanar-v0", "FlexOne-v0")
-PERIODS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.04)  # s, of the servo
-DELAYS = (0, 1, 2, 4)  # whole periods
-BANDWIDTHS = (0.0, 100.0, 30.0, 10.0)  # Hz, of the drives; 0 where these follow at once
-SPRINGS = (1.0, 10.0, 100.0)  # times as stiff joints
-LARGEST, STEADY_RADIUS = 1e4, 1.0 + 1e-7  # factor that is looked at; spectral radius of what does not grow
-CHECKED, APART = 24, 0.1  # limits that environments try, and by which part below and above
-LEAST, MOST, GROWN = 10.0, 10000, 1e20  # s; control periods; what the energy of the first growing vibration grows by
-SMALL = 1e-4  # rad, from which they start
+PERIODS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.04)  # s; control periods of the servo
+DELAYS = (0, 1, 2, 4)  # periods
+BANDWIDTHS = (0.0, 100.0, 30.0, 10.0)  # Hz; bandwidths of the drives; 0: ideal drives
+SPRINGS = (1.0, 10.0, 100.0)  # factors of the joint stiffness
+LARGEST, STEADY_RADIUS = 1e4, 1.0 + 1e-7  # largest examined factor; largest spectral radius of a stable loop
+CHECKED, APART = 24, 0.1  # number of limits checked by simulation; relative distance below and above
+LEAST, MOST, GROWN = (
+    10.0,
+    10000,
+    1e20,
+)  # shortest simulation, s; most control periods; energy growth of a visible instability
+SMALL = 1e-4  # rad; initial joint angles of the simulations
 METHODS = ("midpoint_3", "gauss_3")
 
 
 @dataclass(frozen=True)
 class ServoRow:
-    """A limit: the factor of both gains at which the loop becomes unstable, 0 where it is so with any.
+    """Gain limit: factor of both gains at which the loop becomes unstable, 0 if it is unstable with any gains.
 
     Attributes:
-        environment: whose arm and gains.
-        springs: times as stiff joints.
-        period: s.
-        delay: periods.
-        bandwidth: Hz, 0 for a drive that follows at once.
-        factor: of the gains.
-        below, above: energy at the end in environments with gains a tenth below and above, parts of the largest with
-            those below; infinite where the arm left its limits, None untried.
-        method, step: by which that one was simulated; s.
+        environment: environment of the arm and the gains.
+        springs: factor of the joint stiffness.
+        period: control period, s.
+        delay: delay, periods.
+        bandwidth: bandwidth of the drives, Hz; 0 for ideal drives.
+        factor: limit of the factor of both gains.
+        below, above: final energy in simulations with gains 10 % below and above the limit, relative to the largest
+            energy below it; infinite if the arm exceeded its limits, None if not simulated.
+        method, step: integration method and step (s) of the simulations.
     """
 
     environment: str
@@ -64,14 +68,14 @@ class ServoRow:
 
 
 def _arm_of(name: str, springs: float) -> Arm:
-    """The arm of a named environment without weight, with joints that many times as stiff."""
+    """Return the arm of a named environment without gravity and with scaled joint stiffness."""
     arm = NAMED_ENVIRONMENTS[name].arm
     joints = [replace(each, stiffness=each.stiffness and springs * each.stiffness) for each in arm.joints]
     return replace(arm, joints=joints, gravity=(0.0, 0.0, 0.0))
 
 
 def limit(loop: SampledLoop, stiffness: Array, damping: Array) -> float:
-    """The least factor of both gains with which a loop grows, to a thousandth; 0 where it does with small ones."""
+    """Return the smallest factor of both gains with an unstable loop, to 0.1 %; 0 if small gains are unstable."""
 
     def grows(factor: float) -> bool:
         return spectral_radius(loop, factor * stiffness, factor * damping) > STEADY_RADIUS
@@ -90,7 +94,7 @@ def limit(loop: SampledLoop, stiffness: Array, damping: Array) -> float:
 
 
 def rows() -> Iterator[ServoRow]:
-    """All limits, some of which environments have tried."""
+    """Yield all limits; some of them are checked by simulation."""
     found = [row for name in ENVIRONMENTS for row in limits(name)]
     order = np.random.default_rng(0).permutation(len(found)).tolist()
     shown = [i for i in order if 0.0 < found[i].factor < LARGEST and rounds_of(found[i]) <= MOST]
@@ -100,7 +104,7 @@ def rows() -> Iterator[ServoRow]:
 
 
 def limits(name: str, quick: bool = False) -> Iterator[ServoRow]:
-    """The limits of an environment, or a few of them."""
+    """Yield the limits of an environment, or a few of them."""
     gains = {each: np.array(values) for each, values in NAMED_ENVIRONMENTS[name].pd.items()}
     for springs in SPRINGS[-1:] if quick else SPRINGS:
         model = build_model(_arm_of(name, springs), 2, 4)
@@ -112,7 +116,7 @@ def limits(name: str, quick: bool = False) -> Iterator[ServoRow]:
 
 
 def tried_by_environment(row: ServoRow, method: str) -> ServoRow:
-    """The row with the energies in environments whose gains are a little below and above the limit."""
+    """Return the row with the results of simulations with gains 10 % below and above the limit."""
     rounds = rounds_of(row)
     step = float(row.period / np.ceil(row.period / NAMED_ENVIRONMENTS[row.environment].longest_step))
     ends, largest = [], 0.0
@@ -127,7 +131,7 @@ def tried_by_environment(row: ServoRow, method: str) -> ServoRow:
 
 
 def rounds_of(row: ServoRow) -> int:
-    """Control periods in which a vibration shows that grows by gains a tenth above a limit."""
+    """Return the number of control periods after which an instability at gains 10 % above the limit is visible."""
     model = build_model(_arm_of(row.environment, row.springs), 2, 4)
     gains = [(1.0 + APART) * row.factor * np.array(each) for each in NAMED_ENVIRONMENTS[row.environment].pd.values()]
     loop = sampled_loops(model, np.zeros(model.n_joints), row.period, int(row.delay), row.bandwidth or None)[0]
@@ -136,7 +140,7 @@ def rounds_of(row: ServoRow) -> int:
 
 
 def _energies(row: ServoRow, actions: object, moved: tuple[str, float], rounds: int) -> list[float]:
-    """The energy after each period of a small motion under a servo that should hold zero angles."""
+    """Return the energy after each period of a small motion with a servo holding zero angles."""
     delay = {"delay": (int(row.delay), int(row.delay))} if row.delay else None
     env = FlexManEnv(
         name=row.environment, arm=_arm_of(row.environment, row.springs), modes=4, method=moved[0], step=moved[1],
@@ -153,29 +157,29 @@ def _energies(row: ServoRow, actions: object, moved: tuple[str, float], rounds: 
     return energies
 
 
-LOOPS = 200  # stable ones that are simulated
-DURATION = 10.0  # s, of a simulation
-DECAYED = 0.01  # of an amplitude, below which the slowest mode of a stable loop has decayed in that time
-AT_REST = 0.02  # of the largest speed of the tip: what vibrates less in the last second is at rest
-RUNAWAY = 1e3  # m/s of the tip, which ends a simulation
+LOOPS = 200  # number of simulated stable loops
+DURATION = 10.0  # s; duration of a simulation
+DECAYED = 0.01  # largest remaining amplitude of the slowest mode of a stable loop
+AT_REST = 0.02  # share of the largest tip speed; a smaller vibration in the last second counts as rest
+RUNAWAY = 1e3  # m/s; tip speed at which a simulation stops
 LONGEST_STEP = 0.0025  # s
-SPAN = 0.2  # rad, largest start
+SPAN = 0.2  # rad; largest initial offset
 
 
 @dataclass(frozen=True)
 class FrictionRow:
-    """A random loop with friction.
+    """Random servo loop with friction.
 
     Attributes:
-        seed: of the random numbers.
+        seed: random seed.
         joints: number of joints.
-        period: s.
-        delay: periods.
-        radius: largest spectral radius of the loops whose motors slide or stick.
-        sliding: spectral radius of the loop whose motors all slide.
-        smoothed: spectral radius of the loop with the slope of the smoothed friction at rest.
-        left: vibration of the tip in the last second, its largest velocity about the mean, over the largest speed;
-            infinite for a runaway. The mean is the creep of smoothed friction, of the size of its `coulomb_rate`.
+        period: control period, s.
+        delay: delay, periods.
+        radius: largest spectral radius over all combinations of sliding and sticking motors.
+        sliding: spectral radius with all motors sliding.
+        smoothed: spectral radius of the linearisation of the smoothed friction at rest.
+        left: largest deviation of the tip velocity from its mean in the last second, relative to the largest speed;
+            infinite if the loop diverges. The mean is the creep of smoothed friction, of the order of `coulomb_rate`.
     """
 
     seed: float
@@ -189,12 +193,12 @@ class FrictionRow:
 
     @property
     def is_stable(self) -> bool:
-        """Return whether no eigenvalue is outside the unit circle: the loop is called stable."""
+        """True if no eigenvalue lies outside the unit circle."""
         return self.radius < STABLE_RADIUS
 
 
 class FrictionCase(NamedTuple):
-    """A PD (gains (n,) in N m/rad and N m s/rad) about a posture (n,) rad, started `offset` (n,) rad away from it."""
+    """PD loop (gains (n,) in N m/rad and N m s/rad) about a posture (n,) rad, started at an offset (n,) rad from it."""
 
     model: Model
     period: float
@@ -205,12 +209,12 @@ class FrictionCase(NamedTuple):
     offset: Array
 
     def loops(self) -> list[SampledLoop]:
-        """Return the loops of the motors that slide or stick."""
+        """Return the sampled loops of all combinations of sliding and sticking motors."""
         return sampled_loops(self.model, self.posture, self.period, self.delay)
 
 
 def friction_rows(count: int = LOOPS) -> Iterator[FrictionRow]:
-    """Yield random loops until `count` of them are stable; stable ones that decay slowly are passed over."""
+    """Yield random loops until `count` of them are stable; stable loops that decay slowly are skipped."""
     seed = 0
     while count > 0:
         row = _friction_row(seed)
@@ -221,10 +225,12 @@ def friction_rows(count: int = LOOPS) -> Iterator[FrictionRow]:
 
 
 def _friction_row(seed: int) -> FrictionRow | None:
-    """Return the row of a seed, None for a loop without Coulomb friction or one that is stable and decays slowly."""
+    """Return the row of a seed; None without Coulomb friction or for a stable loop that decays slowly."""
     case = _draw_case(np.random.default_rng(seed))
     radii = [spectral_radius(loop, case.stiffness, case.damping) for loop in case.loops()]
-    held = float(modes(case.model, case.posture).eigenvalues.real.max(initial=-np.inf))  # 1/s, while all motors stick
+    held = float(
+        modes(case.model, case.posture).eigenvalues.real.max(initial=-np.inf)
+    )  # 1/s; slowest decay rate with all motors sticking
     left = max(min(max(radii), 1.0) ** (DURATION / case.period), np.exp(held * DURATION))
     if (max(radii) < STABLE_RADIUS and left > DECAYED) or not case.model.constants.coulomb_friction.any():
         return None
@@ -234,9 +240,9 @@ def _friction_row(seed: int) -> FrictionRow | None:
 
 
 def _draw_case(random: np.random.Generator) -> FrictionCase:
-    """Draw an arm of one to three strips, a sampled PD about as stiff and damped as it may be, and a start.
+    """Draw a random arm of one to three strips, a sampled PD near its stability limit, and an initial offset.
 
-    The start asks for 2 to 20 times the Coulomb friction of each motor, which its torque limit allows.
+    The initial torque is 2 to 20 times the Coulomb friction of each motor, within its torque limit.
     """
     n = int(random.integers(1, 4))
 
@@ -268,14 +274,14 @@ def _draw_case(random: np.random.Generator) -> FrictionCase:
 
 
 def smoothed_loop(case: FrictionCase) -> SampledLoop:
-    """Return the loop with the slope of the smoothed friction at rest, which is no basis for a margin."""
+    """Return the loop linearised with the smoothed friction at rest, which is no valid basis for a stability margin."""
     linear = linearize(case.model, case.posture, friction="at rest").discrete(case.period, case.delay * case.period)
     motors = case.model.motor_columns
     return SampledLoop(linear.A, linear.B, motors, case.model.n_dof + motors)
 
 
 def remaining_vibration(case: FrictionCase) -> float:
-    """Simulate a case; return the vibration that is left, see `FrictionRow`."""
+    """Simulate a loop and return the remaining vibration, see `FrictionRow.left`."""
     model, n, d, motors = case.model, case.model.n_joints, case.model.n_dof, case.model.motor_columns
     batch = Batch(model, "gauss_3", min(case.period, LONGEST_STEP), case.period)
     batch.reset(np.arange(1), rest_state(model, (case.posture + case.offset)[None]))

@@ -1,4 +1,4 @@
-"""Servo page: tables and conclusions, whose numbers all come from the rows."""
+"""Page of the servo study: tables and conclusions."""
 
 from collections.abc import Sequence
 
@@ -18,59 +18,61 @@ from studies.servos.measure import (
 )
 
 SAYS = (
-    "How much the gains of a servo may be raised before its sampled loop is unstable. A longer control period and "
-    "later torques leave less. At the longest periods not even the tuned gains are stable. A shorter period with "
-    "a held action is the remedy. Simulations with gains just below and above the limit agree with it."
+    "The gain limit of a servo is the factor by which its gains may be multiplied before the sampled loop becomes "
+    "unstable. Longer control periods and delays reduce it. At the longest periods even the tuned gains are unstable. "
+    "The remedy is a shorter period with a held action. Simulations with gains slightly below and above the limits "
+    "confirm them."
 )
 HEAD = (
-    "`python scripts/servos.py --folder docs` writes this page and its rows ([servos.csv](servos.csv)) anew. A servo "
-    'acts in every control period (`actions="position"` or `"velocity"`), and an agent keeps its action for '
+    "`python scripts/servos.py --folder docs` rewrites this page and its rows ([servos.csv](servos.csv)). A servo "
+    'acts in every control period (`actions="position"` or `"velocity"`), and an agent holds its action for '
     "`action_repeat` of them. Both modes have the same loop: a PD of each motor, a delay of whole periods, and a "
     "drive whose torque lags as a first-order filter (`drive_bandwidth`)."
 )
 READING = (
-    "A number is the factor by which both tuned gains of an environment may be multiplied before an eigenvalue of the "
-    "sampled loop leaves the unit circle. Below 1 the tuned gains themselves are unstable. The arm is straight and has "
-    "no weight. Every link keeps four modes."
+    "The tables contain the factor by which both tuned gains of an environment may be multiplied before an eigenvalue "
+    "of the sampled loop leaves the unit circle. Below 1 the tuned gains themselves are unstable. The arm is "
+    "straight, without gravity, and every link has four modes."
 )
 LAG = "## Period, delay and drive"
 STIFF = "## Stiff springs"
-SPRUNG = "The same arms with joint springs 10 and 100 times as stiff, without a lag:"
+SPRUNG = "The same arms with joint springs 10 and 100 times as stiff, with ideal drives:"
 TRIED = (
-    "## Tried in the environments\n\nOf these limits {count} were drawn at random. Environments were simulated with "
-    "gains {apart:.0%} below and above them. Steps were at most those of the environment, and the method in turns "
-    "`midpoint_3` and `gauss_3`. **Below its limit the arm came to rest in {calm} of {count}, above it "
-    "in {calm_above}.** Rest means at most half of the largest energy."
+    "## Check by simulation\n\nFor {count} randomly chosen limits the environments were simulated with "
+    "gains {apart:.0%} below and above them. Steps were at most those of the environment, and the methods "
+    "`midpoint_3` and `gauss_3` alternated. **Below its limit the arm came to rest in {calm} of {count}, above it "
+    "in {calm_above}.** Rest is a final energy of at most half of the largest energy."
 )
 FRICTION = (
-    "## With Coulomb friction\n\nThe arms above have no Coulomb friction. A motor with friction slides, and friction "
-    "damps no small oscillation, or it sticks. A loop is called stable where every set of motors that stick leaves it "
-    "so. Random arms of one to three strips with friction, delay and gains near their limits were simulated for "
-    "{seconds:g} s, from starts that ask for 2 to 20 times the friction "
-    "([servos_friction.csv](servos_friction.csv)). **Of {stable} loops that are called stable {calm} came to rest.** "
-    "Rest means a vibration of the tip of at most {rest:.0%} of its largest speed. Loops whose slowest vibration needs "
-    "longer were passed over.\n\nOf {unstable} loops that are called unstable {moving} still moved. Friction brought "
-    "the others to rest from these starts. Of the unstable loops {mixed} are so only while some motors stick. The "
-    "slope of the smoothed friction at rest would call {misled} of them stable, of which {misled_moving} still moved."
+    "## With Coulomb friction\n\nThe arms above have no Coulomb friction. A motor with friction either slides, and "
+    "friction does not damp small oscillations, or it sticks. A loop is called stable if it is stable for every "
+    "combination of sliding and sticking motors. Random arms of one to three strips with friction, delay and gains "
+    "near their limits were simulated for {seconds:g} s, from initial offsets that require 2 to 20 times the friction "
+    "torque ([servos_friction.csv](servos_friction.csv)). **Of {stable} loops called stable {calm} came to rest.** "
+    "Rest is a vibration of the tip of at most {rest:.0%} of its largest speed. Loops whose slowest vibration decays "
+    "more slowly were skipped.\n\nOf {unstable} loops called unstable {moving} still moved. Friction brought the "
+    "others to rest from these offsets. Of the unstable loops {mixed} are unstable only while some motors stick. The "
+    "linearised smoothed friction at rest classifies {misled} of them as stable, of which {misled_moving} still moved."
 )
 CONCLUSION = (
-    "Without delay and lag the tuned gains may be multiplied by {least:.3g} or more at {short:g} ms. At {long:g} ms "
-    "the most is {most:.3g}. Of all {all} combinations {unstable} make the tuned gains unstable. Most of these, "
-    "{delayed}, have a delay. A shorter `control_period` with a larger `action_repeat` helps."
+    "Without delay and drive lag the tuned gains may be multiplied by at least {least:.3g} at {short:g} ms. At "
+    "{long:g} ms the largest factor is {most:.3g}. The tuned gains are unstable in {unstable} of {all} combinations. "
+    "Most of these, {delayed}, have a delay. A shorter `control_period` with a larger `action_repeat` increases the "
+    "limits."
 )
 REST = 0.5
 
 
-def page(machine: str, rows: Sequence[ServoRow], rubbing: Sequence[FrictionRow]) -> str:
-    """Return the page as Markdown, from all rows with and without friction; `machine` computed them."""
+def page(computer: str, rows: Sequence[ServoRow], rubbing: Sequence[FrictionRow]) -> str:
+    """Return the page as Markdown; `computer` describes the computer of the study."""
     lines = [
-        "# Servos: how much gain they bear",
+        "# Gain limits of servos",
         "",
         SAYS,
         "",
         HEAD,
         "",
-        f"Computed with {machine}.",
+        f"Computed with {computer}.",
         "",
         READING,
         "",

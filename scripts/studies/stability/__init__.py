@@ -1,1 +1,1 @@
-"""Stability: where methods fail, and what they damp."""
+"""Stability limits and numerical damping of the integration methods."""

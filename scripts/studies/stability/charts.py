@@ -1,4 +1,4 @@
-"""Stability charts: maps, limits, numerical damping and long runs as PNG files, drawn from rows in Matplotlib."""
+"""Stability charts (PNG): maps, step limits, numerical damping and energy drift."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 
 from flexman_gym.draw.style import DARK, LIGHT, MIDDLE, RED, SKY, YELLOW, new_figure
 from flexman_gym.simulation.methods import METHODS
-from studies.methods import looks, methods_of
+from studies.methods import line_styles, methods_of
 from studies.stability.measure import (
     CASES,
     DIVERGED,
@@ -26,13 +26,13 @@ from studies.stability.measure import (
 )
 from studies.stability.rows import DAMPING, DRIFT, ERROR, KEPT, LIMIT, LIMIT_STUDIES, THRESHOLD
 
-COLUMNS = 3  # of panels of a map
+COLUMNS = 3  # columns of panels in a map
 CROSS = "\u00d7"
 COLOURS = {OK: SKY, INACCURATE: YELLOW, DIVERGED: RED, NOT_CONVERGED: MIDDLE}
 MARKS = {OK: "", INACCURATE: "~", DIVERGED: CROSS, NOT_CONVERGED: "?"}
 LABELS = {
     SPRINGS: "stiffness of every joint spring (N m/rad)",
-    MODES: "loaded modes kept of every link",
+    MODES: "loaded modes per link",
     PAYLOAD: "payload (kg)",
     SPIN: "spin rate (rad/s)",
     SPIN_STIFFENED: "spin rate (rad/s)",
@@ -53,12 +53,12 @@ VERDICTS = {
 
 
 def picture(study: str) -> str:
-    """File name of the chart of a study."""
+    """Return the file name of the chart of a study."""
     return f"stability_{study.replace(' ', '_')}.png"
 
 
 def draw(rows: Sequence[StabilityRow], folder: Path) -> list[Path]:
-    """Draw every chart of these rows into a folder; return the paths.
+    """Plot all charts into a folder; return the paths.
 
     Raises:
         ImportError: without Matplotlib.
@@ -72,7 +72,7 @@ def draw(rows: Sequence[StabilityRow], folder: Path) -> list[Path]:
 
 
 def _map(study: str, rows: Sequence[StabilityRow]) -> Any:
-    """A panel a method, a column a value of what the study varies, a row a step."""
+    """Plot a stability map: a panel per method, a column per parameter value, a row per step."""
     cells = select(rows, study=study, quantity=ERROR)
     parameters = sorted({row.parameter for row in cells})
     steps = sorted({row.step for row in cells})
@@ -82,7 +82,7 @@ def _map(study: str, rows: Sequence[StabilityRow]) -> Any:
     panels = list(figure.subplots(lines, COLUMNS, sharex=True, sharey=True, squeeze=False).flat)
     for axes in panels[len(names) :]:
         axes.set_visible(False)
-    for axes in panels[max(0, len(names) - COLUMNS) : len(names)]:  # nothing stands below them
+    for axes in panels[max(0, len(names) - COLUMNS) : len(names)]:  # panels without a panel below
         axes.tick_params(labelbottom=True)
     for axes, name in zip(panels, names, strict=False):
         for row in select(cells, method=name):
@@ -112,7 +112,7 @@ def _cell(x: float, y: float, colour: str) -> Any:
 
 
 def _keys(study: str) -> list[Any]:
-    """Return the legend of a map: colours and lines."""
+    """Return the legend entries of a map."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -130,8 +130,8 @@ def _tick(study: str, value: float) -> str:
 
 
 def _limits(_: str, rows: Sequence[StabilityRow]) -> Any:
-    """Largest stable step over what each study varies: lines predicted, markers measured."""
-    known = looks()
+    """Plot the largest stable step against the parameter of each study: lines predicted, markers measured."""
+    known = line_styles()
     figure = new_figure((12.0, 4.6), 110.0, layout="constrained")
     for axes, study in zip(figure.subplots(1, 3, sharey=True), LIMIT_STUDIES, strict=True):
         result = select(rows, study=study, quantity=LIMIT)
@@ -154,7 +154,7 @@ def _limits(_: str, rows: Sequence[StabilityRow]) -> Any:
 
 
 def _damping(_: str, rows: Sequence[StabilityRow]) -> Any:
-    """Tables of the amplitude that is left: methods by steps, for two arms and three modes."""
+    """Plot tables of the remaining amplitude: methods by steps, for two arms and three modes."""
     from matplotlib.colors import LinearSegmentedColormap
 
     shades = LinearSegmentedColormap.from_list("kept", [YELLOW, "#ffffff", SKY])
@@ -176,7 +176,7 @@ def _damping(_: str, rows: Sequence[StabilityRow]) -> Any:
             axes.set(xlim=(-0.5, len(steps) - 0.5), ylim=(len(names) - 0.5, -0.5))
     figure.supxlabel("step (ms)")
     figure.suptitle(
-        f"Amplitude (%) left after 10 s of an undamped vibration, in truth 100; {CROSS}: the run diverged", fontsize=13
+        f"Amplitude (%) left after 10 s of an undamped vibration, exact: 100; {CROSS}: the run diverged", fontsize=13
     )
     return figure
 
@@ -195,10 +195,10 @@ def _share(row: StabilityRow) -> str:
 
 
 def _drift(_: str, rows: Sequence[StabilityRow]) -> Any:
-    """The largest energy error over the number of steps."""
+    """Plot the largest energy error against the number of steps."""
     figure = new_figure((8.5, 5.4), 110.0, layout="constrained")
     axes = figure.subplots()
-    result, known = select(rows, study=DRIFT), looks()
+    result, known = select(rows, study=DRIFT), line_styles()
     for name in methods_of(result):
         own = select(result, method=name)
         colour, marker = known[name]

@@ -1,4 +1,4 @@
-"""Stability measurements: cases, growth per step, step limits of methods."""
+"""Stability measurements: cases, growth per step, step limits."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -21,14 +21,14 @@ from flexman_gym.simulation.stability import stability_limit
 
 OK, INACCURATE, DIVERGED, NOT_CONVERGED = "ok", "inaccurate", "diverged", "not converged"
 VERDICTS = (OK, INACCURATE, DIVERGED, NOT_CONVERGED)
-MODE_ENERGY = 1e-8  # J in each mode of a small vibration: a motion of micrometres, at which the arm is linear
+MODE_ENERGY = 1e-8  # J; energy per mode of a small vibration (micrometres), for which the arm is linear
 
-STEPS, PERIODS = 100, 20  # of a run that decides whether a step is stable: 2000 steps
-GROWTH = 10.0  # of its energy from the first half to the second, from which on it is not
-BOUNDLESS = 1e4  # times the first energy: growth, too, that ended early in a motion of another kind
-INVENTED = 10.0  # times the energy that the true motion turns over, or of the start: a run that gains it diverged
-LIMIT_TOLERANCE = 0.05  # of a predicted limit
-BISECTIONS = 9  # to a thousandth of the limit
+STEPS, PERIODS = 100, 20  # steps per period, periods of a stability test (2000 steps)
+GROWTH = 10.0  # energy ratio of the second half to the first, from which the step counts as unstable
+BOUNDLESS = 1e4  # energy relative to the start that counts as growth at any time
+INVENTED = 10.0  # spurious energy, relative to the energy turned over or at the start, of a diverged run
+LIMIT_TOLERANCE = 0.05  # relative error of a correctly predicted limit
+BISECTIONS = 9  # resolves the limit to 0.1 %
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,13 @@ class StabilityRow:
     """One measurement.
 
     Attributes:
-        study: what it belongs to.
-        parameter: what the study varies, in the unit of its chart.
-        method: a name from METHODS.
-        step: s.
-        quantity: what was measured, with its unit.
-        value: the number.
-        expected: what the theory predicts; None where it predicts nothing.
+        study: name of the study.
+        parameter: value of the varied parameter, in the unit of the chart.
+        method: method name from METHODS.
+        step: step, s.
+        quantity: measured quantity with its unit.
+        value: measured value.
+        expected: theoretical value; None without a prediction.
         verdict: "ok", "inaccurate", "diverged" or "not converged".
     """
 
@@ -57,20 +57,20 @@ class StabilityRow:
 
 
 def growth_per_step() -> float:
-    """The growth of amplitude in a step that a run of `measured_limit` just tolerates."""
+    """Return the relative growth of the amplitude per step that `measured_limit` just tolerates."""
     return float(GROWTH ** (1.0 / (STEPS * PERIODS)) - 1.0)
 
 
 def predicted_limit(model: Model, method: Method, growth: float = 0.0) -> float:
-    """The largest stable step (s) of a method at the straight arm at rest, by its highest natural frequency."""
+    """Return the largest stable step (s) for the straight arm at rest, from its highest natural frequency."""
     return stability_limit(method, growth) / (2.0 * np.pi * float(frequencies(model)[-1]))
 
 
 def measured_limit(model: Model, method: Method, guess: float) -> float:
-    """The largest step (s) at which a small vibration does not grow in 2000 steps as `grows` says.
+    """Return the largest step (s) at which a small vibration does not grow within 2000 steps, see `grows`.
 
-    The vibration is in all modes, mostly in the highest. Found by bisection between half and one and a half times a
-    guess (s); NaN when it does not lie there.
+    The vibration excites all modes, mostly the highest. The step is found by bisection between 0.5 and 1.5 times a
+    guess (s); NaN if it lies outside.
     """
     start = small_vibration(model, [model.n_dof - model.n_joints]) + small_vibration(model, energy=1e-3 * MODE_ENERGY)
     low, high = 0.5 * guess, 1.5 * guess
@@ -83,11 +83,10 @@ def measured_limit(model: Model, method: Method, guess: float) -> float:
 
 
 def grows(model: Model, method: Method, step: float, start: Array) -> bool:
-    """Return whether the undriven motion from a state (2 d,) fails within 2000 steps (s) or gains tenfold energy.
+    """Return whether the undriven motion from a state (2 d,) fails within 2000 steps (s) or its energy grows tenfold.
 
-    The largest energy of the second half counts against that of the first, and 1e4 times the first energy: the
-    semi-implicit Euler method lets the energy of a vibration waver, the more the nearer its limit, and yet it stays
-    bounded.
+    The largest energy of the second half is compared with that of the first half, and with 1e4 times the initial
+    energy, since the energy of the semi-implicit Euler method oscillates within bounds, more strongly near its limit.
     """
     simulator = Simulator(model, method, step, control_period=STEPS * step)
     simulator.reset(state=start)
@@ -101,9 +100,9 @@ def grows(model: Model, method: Method, step: float, start: Array) -> bool:
 
 
 def natural_modes(model: Model) -> tuple[Array, Array]:
-    """Angular frequencies (d,) rad/s, ascending, and shapes (d, d), columns of unit modal mass, of the straight arm.
+    """Return angular frequencies (d,) rad/s, ascending, and mode shapes (d, d) of unit modal mass of the straight arm.
 
-    The first n are those of the arm that turns about its joints, of frequency 0.
+    The first n are the rigid-body modes of the joints, with frequency 0.
     """
     mass = mass_matrix(model, model.initial_state(np.zeros(model.n_joints)))
     squares, shapes = eigh(stiffness_matrix(model), mass)
@@ -112,9 +111,9 @@ def natural_modes(model: Model) -> tuple[Array, Array]:
 
 
 def small_vibration(model: Model, modes: Sequence[int] | None = None, energy: float = MODE_ENERGY) -> Array:
-    """State (2 d,) of the straight arm, bent and at rest, with an energy (J) in each of these modes, counted from 1.
+    """Return a state (2 d,) of the straight arm, deflected and at rest, with an energy (J) in each of the given modes.
 
-    None takes all; mode 1 is the lowest above the n of frequency 0.
+    Modes are counted from 1, the lowest above the n modes of frequency 0; None selects all modes.
     """
     omegas, shapes = natural_modes(model)
     n = model.n_joints
@@ -125,42 +124,42 @@ def small_vibration(model: Model, modes: Sequence[int] | None = None, energy: fl
 
 
 def select(rows: Iterable[StabilityRow], **wanted: object) -> list[StabilityRow]:
-    """The rows with these values of their fields."""
+    """Return the rows with the given field values."""
     return [row for row in rows if all(getattr(row, name) == value for name, value in wanted.items())]
 
 
 SPRINGS, MODES, PAYLOAD, SPIN, SPIN_STIFFENED = (
     "joint stiffness", "modes", "payload", "spin", "spin with stiffening",
 )  # fmt: skip
-PERIOD = 0.02  # s, the longest step; the others are halves of it, halves of those and so on
-FULL_MODES = 12  # of a link with two elements
+PERIOD = 0.02  # s; longest step; the others are obtained by repeated halving
+FULL_MODES = 12  # coordinates of a link with two elements
 
 
 @dataclass(frozen=True, eq=False)
 class StabilityCase:
-    """One column of a map: a model and the motion that every method has to follow.
+    """One column of a map: a model and its motion.
 
     Attributes:
-        study, parameter: as in Row.
-        model: what moves.
-        truth: what the tip should do: the same model, or a better one.
-        scene: the motion, with an output every 0.02 s.
-        varied: values (n,) of physical parameters that make the first case of the study this one; None where its model
-            is another one.
+        study, parameter: see `StabilityRow`.
+        model: simulated model.
+        reference: model of the reference motion, the same or a better one.
+        scene: motion, with an output every 0.02 s.
+        varied: physical parameters (n,) in which the case differs from the first case of the study; None if its model
+            differs otherwise.
     """
 
     study: str
     parameter: float
     model: Model
-    truth: Model
+    reference: Model
     scene: Scene
     varied: dict[str, Array] | None = None
 
 
 def motion(model: Model, start: Array, torque: Sequence[float], periods: int, held: bool = False) -> Scene:
-    """The scene of a model that moves from a state (2 d,) on for some periods, all joints held at their rates or none.
+    """Return the scene of a motion from a state (2 d,) for some periods, optionally with all joint rates held constant.
 
-    It has an output after each period.
+    There is an output after each period.
     """
     prescribed = [Signal()] * model.n_joints if held else None
     rest = [0.0] * model.n_joints
@@ -170,19 +169,19 @@ def motion(model: Model, start: Array, torque: Sequence[float], periods: int, he
 
 
 def _spring_case(stiffness: float) -> StabilityCase:
-    """The paper's arm from rest under 400 N m a joint, on joint springs of a stiffness (N m/rad)."""
+    """Return the paper's arm from rest under 400 N m per joint, with a joint stiffness (N m/rad)."""
     model = build_model(catalog.paper_rrr(joint_stiffness=stiffness), 2, 4)
     return _paper_case(SPRINGS, stiffness, model, {"joint_stiffness": np.full(3, stiffness)})
 
 
 def _mode_case(modes: float) -> StabilityCase:
-    """The same with a number of loaded modes kept of a link; 12 is the full model of two elements."""
+    """Return the paper's arm with a number of loaded modes per link; 12 is the full model of two elements."""
     kept = None if modes == FULL_MODES else int(modes)
     return _paper_case(MODES, modes, build_model(catalog.paper_rrr(), 2, kept))
 
 
 def _payload_case(mass: float) -> StabilityCase:
-    """The same with a payload (kg), which its modes carry."""
+    """Return the paper's arm with a payload (kg), which is included in its modes."""
     payload = Payload(mass) if mass > 0.0 else None
     return _paper_case(PAYLOAD, mass, build_model(catalog.paper_rrr(payload=payload), 2, 4))
 
@@ -193,11 +192,11 @@ def _paper_case(study: str, parameter: float, model: Model, varied: dict[str, Ar
 
 
 def spin_case(rate: float, stiffening: bool) -> StabilityCase:
-    """One link at a constant rate (rad/s), bent by 1 cm in its plane of rotation; true is the model with stiffening."""
+    """Return a link at a constant rate (rad/s), bent by 1 cm in its plane of rotation; reference: with stiffening."""
     models = [build_model(catalog.one_link(), 2, 4, stiffening=switch) for switch in (False, True)]
     start = models[0].initial_state([0.0], [rate])
     sideways = models[0].constants.tip_translation[:, 1]
-    # of the loaded modes, which ascend in frequency, the first that moves the tip in the plane of rotation
+    # lowest loaded mode that moves the tip in the plane of rotation
     first = int(np.argmax(np.abs(sideways) > 0.1 * np.abs(sideways).max()))
     start[models[0].elastic_columns(0)][first] = 0.01 / sideways[first]
     study = SPIN_STIFFENED if stiffening else SPIN
@@ -232,5 +231,5 @@ def parameters_of(study: str, quick: bool = False) -> Sequence[float]:
 
 
 def steps_of(study: str, quick: bool = False) -> list[float]:
-    """The steps (s) of a study's map, or a few of them."""
+    """Return the steps (s) of the map of a study, or a few of them."""
     return [PERIOD / 2**halving for halving in (QUICK_HALVINGS if quick else HALVINGS[study])]

@@ -51,37 +51,37 @@ TITLES = {
 }
 HEADS = ("method", *VERDICTS, "largest step that is ok everywhere, ms", "steps that fail somewhere, ms")
 
-# The limits are those of `rk4`, in ms; an error is a smallest and a largest one.
+# Limits are those of `rk4`, in ms; errors are ranges.
 ON_SPRINGS = (
-    "**Stiff springs, not the motion, decide the step of an explicit method.** The springs have {soft:.0e} to "
+    "**Stiff springs, not the motion, limit the step of an explicit method.** The springs have {soft:.0e} to "
     "{stiff:.0e} N m/rad. The limit of `rk4` falls from {first:.3g} ms on the softest to {last:.3g} ms on the "
-    "stiffest. On soft springs it hardly falls, because there link 1's torsion is faster than all springs. "
-    "`ros2` at 2.5 ms is off by {short}. At 20 ms it is off by {long}."
+    "stiffest. On soft springs it hardly changes, since the torsion of link 1 has a higher frequency than all springs. "
+    "The error of `ros2` is {short} at 2.5 ms and {long} at 20 ms."
 )
 WITH_MODES = (
-    "**The third mode of link 1, its torsion, takes the limit of `rk4` from {two:.3g} to {three:.3g} ms.** The full "
-    "model has a limit of {full:.2g} ms. So the choice of modes decides whether an explicit method is possible. "
-    "`ros2` at 2.5 ms is off by {short}, whatever is kept."
+    "**The third mode of link 1, its torsion, reduces the limit of `rk4` from {two:.3g} to {three:.3g} ms.** The full "
+    "model has a limit of {full:.2g} ms. The choice of modes therefore decides whether an explicit method is feasible. "
+    "The error of `ros2` at 2.5 ms is {short} with any number of modes."
 )
 WITH_PAYLOAD = (
-    "**A payload up to {heaviest:g} kg leaves the explicit limits alone.** The limit of `rk4` stays "
-    "between {lowest:.3g} and {highest:.3g} ms. A payload slows the low modes, and the highest frequency is inside the "
-    "arm. `ros2` at 20 ms is off by {long}."
+    "**A payload up to {heaviest:g} kg does not change the explicit limits.** The limit of `rk4` stays "
+    "between {lowest:.3g} and {highest:.3g} ms. A payload lowers the low frequencies, whereas the highest "
+    "frequency is a property of the links. The error of `ros2` at 20 ms is {long}."
 )
 IN_SPIN = (
-    "The true tip is that of the model with stiffening. **The linear frame fails here, not the methods.** "
-    "Within 5 s its deflection grows tenfold from {limit:.2f} rad/s on; the first frequency of the clamped link is "
+    "The reference is the model with stiffening. **The linear model without stiffening fails here, not the methods.** "
+    "Its deflection grows tenfold within 5 s above {limit:.2f} rad/s; the first frequency of the clamped link is "
     "{frequency:.2f} rad/s. The verdicts of all methods at the smallest step:"
 )
 IN_SPIN_STIFFENED = (
     "**With stiffening {sound} of {count} runs at {step:.3g} ms are ok.** The fastest spin is {fastest:g} rad/s. "
-    "Some methods fail there at long steps: none has the stiffening in its Jacobian."
+    "Some methods fail there at long steps, since no method has the stiffening in its Jacobian."
 )
 RANGE = "{least:.2g} to {most:.2g} mm"
 
 
 def map_sections(rows: Sequence[StabilityRow]) -> list[str]:
-    """Lines of Markdown: a section a map, with its picture, counts and conclusion."""
+    """Return the sections of the maps as Markdown lines: chart, counts and conclusion."""
     conclusions = {SPRINGS: _springs, MODES: _modes, PAYLOAD: _payload, SPIN: _spin, SPIN_STIFFENED: _spin_stiffened}
     return [line for study, conclude in conclusions.items() for line in _map(study, rows, conclude(rows))]
 
@@ -95,9 +95,9 @@ def _map(study: str, rows: Sequence[StabilityRow], conclusion: str) -> list[str]
 
 
 def _counts(name: str, cells: Sequence[StabilityRow]) -> list[str]:
-    """Return verdict counts of a method, the largest step below which all cells are ok, and the steps that fail.
+    """Return the verdict counts of a method, the largest step with only ok cells below, and the range of failing steps.
 
-    A run fails when it diverges or does not converge.
+    A run fails if it diverges or does not converge.
     """
     count = Counter(row.verdict for row in cells)
     best = 0.0
@@ -164,72 +164,74 @@ def _rates(cells: Sequence[StabilityRow]) -> str:
 
 
 def _percent(value: float) -> str:
-    """A share in percent, with more digits near 100."""
+    """Return a share in percent, with more digits near 100."""
     return f"{100.0 * value:.3g} %" if value < 0.9 or value > 1.1 else f"{100.0 * value:.2f} %"
 
 
 SAYS = (
-    "Where each method stops being stable, and how much vibration it takes away. The highest frequency of the "
-    "model decides the longest step of an explicit method, and predicts it. Stiff springs and fine meshes shorten "
-    "that step, a payload does not. `ros2` bears far longer steps, and damps what it does not resolve. "
-    "Extrapolations let undamped vibrations grow in a band of steps."
+    "This page has the stability limits of all methods and their numerical damping. The highest frequency of the model "
+    "determines and predicts the longest stable step of an explicit method. Stiff springs and fine meshes reduce this "
+    "step, a payload does not. `ros2` is stable at far longer steps and damps modes that it does not resolve. "
+    "Extrapolations amplify undamped vibrations in a band of steps."
 )
 HEAD = (
-    "`python scripts/stability.py --folder docs` writes this page, its pictures and its rows "
-    "([stability.csv](stability.csv)) anew. Every number below comes from the rows, or from the coefficients of "
-    "a method. [ring_down.md](ring_down.md) has MuJoCo beside our methods."
+    "`python scripts/stability.py --folder docs` rewrites this page, its plots and its rows "
+    "([stability.csv](stability.csv)). All numbers below are computed from the rows or from the coefficients of the "
+    "methods. [ring_down.md](ring_down.md) compares our methods with MuJoCo."
 )
-MACHINE = "Computed with {machine}."
+COMPUTER = "Computed with {computer}."
 READING = (
-    "Every fixed-step method follows a short motion. The true tip is that of `dop853` at a tolerance of 1e-9. "
-    "A run has one of these verdicts:"
+    "Every fixed-step method simulates a short motion. The reference tip is that of `dop853` at a tolerance of 1e-9. "
+    "Each run has one of these verdicts:"
 )
 MEANINGS = {
-    OK: "the tip stays within {threshold:g} mm of the true one",
-    INACCURATE: "the tip does not stay so near",
-    DIVERGED: "its status says so, its tip is beyond two reaches, or it invented ten times the energy turned over",
+    OK: "the tip stays within {threshold:g} mm of the reference",
+    INACCURATE: "the tip error exceeds this threshold",
+    DIVERGED: 'status "diverged", tip beyond two reaches, or energy error above ten times the energy turned over',
     NOT_CONVERGED: "the iteration of an implicit method failed",
 }
 PREDICTION = (
     "A step multiplies a vibration by at most 1 + {growth:.2g} while omega h is at most c. The predicted limit is c "
-    "over the highest natural frequency of the straight arm, its joints free. The measurement takes the energy of a "
-    "small vibration over 2000 steps, and just tolerates this growth."
+    "divided by the highest natural frequency of the straight arm with free joints. The measured limit is the step at "
+    "which the energy of a small vibration just grows at this rate over 2000 steps."
 )
 LIMIT_HEADS = ("method", "c without any growth", "c of the prediction", "measured / predicted")
 PREDICTED = (
-    "**{right} of {count} predicted limits are right to {tolerance}.** The worst is off by {worst}. So one number of "
-    "the model, its highest frequency, decides the step of an explicit method. `dopri5` at a fixed step has the "
-    "smallest c. At longer steps a vibration grows so slowly at first that short runs do not show it."
+    "**{right} of {count} predicted limits are correct to {tolerance}.** The largest error is {worst}. One property "
+    "of the model, its highest frequency, therefore determines the step of an explicit method. `dopri5` at a fixed "
+    "step has the smallest c. Slightly above it a vibration grows so slowly that short runs do not reveal it."
 )
-RADIUS_HEADS = ("other method", "largest spectral radius", "at omega h")
+RADIUS_HEADS = ("method", "largest spectral radius", "at omega h")
 GROWING = (
-    "None of these methods has such a limit. But a method with a spectral radius above 1 slowly amplifies an undamped "
-    "vibration in a band of omega h."
+    "None of these methods has a stability limit of this kind, but a spectral radius above 1 slowly amplifies an "
+    "undamped vibration in a band of omega h."
 )
 VIBRATION = (
-    "The straight arm keeps the lowest modes of its links: 2, 4 and 4. The torsion of link 1 is not among them. "
-    "Modes 1, 2 and 3 of the arm vibrate at once, by micrometres and without any damping. The rotors have 1 kg m^2. "
-    "The tables hold what is left after 10 s."
+    "The straight arm has the 2, 4 and 4 lowest modes of its links, without the torsion of link 1. Modes 1, 2 and 3 "
+    "of the arm vibrate together, by micrometres and without damping. The rotors have 1 kg m^2. The tables contain "
+    "the amplitudes and frequencies after 10 s."
 )
 DAMPED = (
-    "**At 20 ms `ros2` is stable and leaves {ros2} of mode 2.** There `implicit_midpoint` keeps the amplitude, but "
-    "swings at {frequency:.3g} Hz instead of {natural:.3g}. `extrapolated_euler_3` amplifies mode 2 at 5 ms, to "
-    "{third_order}. Where an extrapolation diverged, some mode was in its band of growth."
+    "**At 20 ms `ros2` is stable and leaves {ros2} of mode 2.** At this step `implicit_midpoint` preserves the "
+    "amplitude, but vibrates at {frequency:.3g} Hz instead of {natural:.3g}. `extrapolated_euler_3` amplifies mode 2 "
+    "at 5 ms, to {third_order}. If an extrapolation diverged, a mode was in its band of growth."
 )
 AMPLITUDES = (
-    "The amplification factor predicts these amplitudes to {worst:.1e} of themselves, where more than 0.1 % is left. "
-    "So numerical damping can be computed before a run. The semi-implicit Euler method keeps an amplitude, but reads "
-    "up to {euler} off at an instant, because what it conserves is not quite the energy."
+    "The amplification factor predicts these amplitudes with a relative error of {worst:.1e}, if more than 0.1 % "
+    "remains. Numerical damping can therefore be computed in advance. The semi-implicit Euler method preserves "
+    "amplitudes on average, but deviates by up to {euler} at an instant, since its conserved quantity is not exactly "
+    "the energy."
 )
 IN_CONTROL_PERIODS = (
-    "`generalised_alpha` carries an acceleration of its own from step to step. A `Simulator` keeps it from one control "
-    "period of 20 ms to the next. At 5 ms it then leaves {in_periods} of the second mode, and {in_one_run} in one run."
+    "`generalised_alpha` has an auxiliary acceleration, which a `Simulator` carries over from one control period of "
+    "20 ms to the next. At 5 ms the second mode retains {in_periods} in control periods and {in_one_run} in an "
+    "uninterrupted run."
 )
 DRIFT_HEADS = ("method", "steps of 1 ms", "largest energy error (relative)", "verdict")
 FINISHED = (
     "**Of {count} methods {finished} reach {steps:.0e} steps.** The smallest energy error is {error:.1e}, of `{best}`."
 )
-LOST = "Where a method diverged, modes in its band of growth took over."
+LOST = "Methods diverged if modes were in their band of growth."
 
 
 def summary(rows: Sequence[StabilityRow]) -> str:
@@ -243,20 +245,20 @@ def summary(rows: Sequence[StabilityRow]) -> str:
 
 
 def _worst_limit(limits: Sequence[StabilityRow]) -> float:
-    """The largest relative departure of a measured limit from its prediction."""
+    """Return the largest relative error of a predicted limit."""
     return max(abs(row.value / (row.expected or math.nan) - 1.0) for row in limits)
 
 
-def page(machine: str, rows: Sequence[StabilityRow]) -> str:
-    """The page as Markdown, from all rows; `machine` says what computed them."""
+def page(computer: str, rows: Sequence[StabilityRow]) -> str:
+    """Return the page as Markdown; `computer` describes the computer of the study."""
     head = [
-        "# Stability: where methods fail, and what they damp",
+        "# Stability and numerical damping",
         "",
         SAYS,
         "",
         HEAD,
         "",
-        MACHINE.format(machine=machine),
+        COMPUTER.format(computer=computer),
         "",
     ]
     meanings = ((verdict, text.format(threshold=1e3 * THRESHOLD)) for verdict, text in MEANINGS.items())
@@ -281,7 +283,7 @@ def _limits(rows: Sequence[StabilityRow]) -> list[str]:
 
 
 def _limit(name: str, own: Sequence[StabilityRow]) -> list[str]:
-    """The cells of a method in the table of limits."""
+    """Return the table cells of a method in the table of limits."""
     method, ratios = METHODS[name], [row.value / (row.expected or math.nan) for row in own]
     limits = [f"{stability_limit(method, growth):.4g}" for growth in (0.0, growth_per_step())]
     return [name, *limits, f"{min(ratios):.4f} to {max(ratios):.4f}"]
@@ -290,7 +292,7 @@ def _limit(name: str, own: Sequence[StabilityRow]) -> list[str]:
 def _damping(rows: Sequence[StabilityRow]) -> list[str]:
     lines = ["## Numerical damping", "", "![damping](stability_damping.png)", "", VIBRATION, ""]
     steps = [f"{1e3 * step:g} ms" for step in DAMPING_STEPS]
-    for quantity, head in ((KEPT, "amplitude of mode 2 kept"), (FREQUENCY, "frequency of mode 2 (Hz)")):
+    for quantity, head in ((KEPT, "amplitude of mode 2"), (FREQUENCY, "frequency of mode 2 (Hz)")):
         result = select(rows, study=f"{DAMPING} 1", parameter=2.0, quantity=quantity)
         cells = []
         for name in methods_of(result):
@@ -298,7 +300,7 @@ def _damping(rows: Sequence[StabilityRow]) -> list[str]:
             cells.append([name, *(_damped(own[step]) for step in DAMPING_STEPS)])
         lines += [*markdown_table([head, *steps], cells), ""]
     shares = ((f"mode {mode}", *(_share(rows, "ros2", step, mode) for step in DAMPING_STEPS)) for mode in (1, 2, 3))
-    lines += [*markdown_table(["amplitude that ros2 keeps", *steps], shares), ""]
+    lines += [*markdown_table(["amplitude with ros2", *steps], shares), ""]
     return [*lines, _damping_conclusion(rows), "", *_amplitude_conclusions(rows)]
 
 

@@ -49,19 +49,19 @@ KEPT, IN_PERIODS, FREQUENCY = "amplitude kept", "amplitude kept, in control peri
 NATURAL = "natural frequency, Hz"
 DAMPING_STEPS = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)
 DAMPING_TIME = 10.0  # s
-GENERALISED = "generalised_alpha"  # starts anew with the acceleration of the model, unlike one-step methods
-CUT = (2, 4, 4)  # modes of a link; without link 1's third, its torsion, the arm has nothing above 136 Hz
+GENERALISED = "generalised_alpha"  # has an auxiliary acceleration, unlike one-step methods
+CUT = (2, 4, 4)  # modes per link; without the torsional mode of link 1 all frequencies are below 136 Hz
 
 
 def damping_rows(
     rotor_inertia: float, names: Sequence[str] | None = None, steps: Sequence[float] = DAMPING_STEPS
 ) -> Iterator[StabilityRow]:
-    """Rows of remaining amplitude and frequency of small vibrations in modes 1, 2 and 3 of the straight arm after 10 s.
+    """Yield amplitude and frequency of small vibrations of the straight arm in modes 1, 2 and 3 after 10 s.
 
-    Beside the share of the amplitude and the frequency (Hz) stands what the amplification factor of the method
-    predicts. One run is not interrupted; the control periods of a Simulator start the generalised-alpha method anew,
-    which stands in rows of its own. The study is "damping 1" or "damping 10" with the rotor inertia (kg m^2), the
-    parameter the mode. The natural frequency of each mode comes first. Without `names` all methods take part.
+    The expected values are those of the amplification factor of the method. Each run is uninterrupted; separate rows
+    hold the generalised-alpha method in a Simulator, which carries its acceleration over control periods. The study is
+    "damping 1" or "damping 10" by the rotor inertia (kg m^2), the parameter the mode. The natural frequency of each
+    mode comes first. `names` defaults to all fixed-step methods.
     """
     model = build_model(catalog.paper_rrr(rotor_inertia=rotor_inertia), 2, CUT)
     omegas, shapes = natural_modes(model)
@@ -91,7 +91,7 @@ def damping_rows(
 
 
 def _free_motion(model: Model, name: str, step: float, start: Array) -> tuple[Array, str]:
-    """States (t, 2 d) every 0.02 s of one undriven run of 10 s, up to the last good one, and its status."""
+    """Return the states (t, 2 d) every 0.02 s of an undriven run of 10 s, up to a failure, and the status."""
     scene = motion(model, start, (0.0,) * model.n_joints, round(DAMPING_TIME / PERIOD))
     run = simulate(scene, model, name, step)
     grown = run.status == OK and not run.moving_energy[-1] < INVENTED * run.moving_energy[0]
@@ -99,7 +99,7 @@ def _free_motion(model: Model, name: str, step: float, start: Array) -> tuple[Ar
 
 
 def _phasors(states: Array, omegas: Array, weights: Array) -> Array:
-    """(t, 3) omega q - i q' of three modes, the rows of weights, at states (t, 2 d): it turns with the vibration."""
+    """Return the phasors omega q - i q' (t, 3) of three modes, with the rows of weights, at states (t, 2 d)."""
     d = weights.shape[1]
     return omegas * (states[:, :d] @ weights.T) - 1j * (states[:, d:] @ weights.T)
 
@@ -107,7 +107,7 @@ def _phasors(states: Array, omegas: Array, weights: Array) -> Array:
 def _damping_cells(
     study: str, name: str, step: float, omegas: Array, result: Array, status: str
 ) -> Iterator[StabilityRow]:
-    """Rows of the phasors (t, 3) of three modes at every period."""
+    """Yield the rows of the phasors (t, 3) of three modes at all periods."""
     turned = np.unwrap(np.angle(result), axis=0)[-1] - np.angle(result[0])
     for i, omega in enumerate(omegas):
         factor = vibration_factor(METHODS[name], omega * step)
@@ -126,14 +126,14 @@ def _damping_cells(
 
 
 DRIFT, ENERGY = "drift", "energy error, relative"
-DRIFT_STEP, DRIFT_STEPS, EVERY = 1e-3, 1_000_000, 100  # s; steps of a run, and from one output to the next
+DRIFT_STEP, DRIFT_STEPS, EVERY = 1e-3, 1_000_000, 100  # s; steps of a run; steps per output
 
 
 def drift_rows(steps: int = DRIFT_STEPS, names: Sequence[str] | None = None) -> Iterator[StabilityRow]:
-    """The largest energy error up to 10, 100, 1000 ... steps of 1 ms of the paper's arm, cut to 2 modes a link.
+    """Yield the largest energy error up to 10, 100, 1000 ... steps of 1 ms of the paper's arm with 2 modes per link.
 
-    It is released bent, with energy in its first modes and turning joints; nothing drives or damps it. The energy error
-    is relative to the first energy; the parameter is the number of steps.
+    The undriven, undamped arm starts deflected in its first modes, with turning joints. Energy errors are relative to
+    the initial energy; the parameter is the number of steps.
     """
     model = build_model(catalog.paper_rrr(), 2, 2)
     start = small_vibration(model, [1, 2, 3], energy=5.0)
@@ -161,7 +161,7 @@ LIMIT_STUDIES = (SPRINGS, MODES, PAYLOAD)
 
 
 def limit_rows(study: str, quick: bool = False, parameters: Sequence[float] | None = None) -> Iterator[StabilityRow]:
-    """The largest stable step of every explicit method, measured and predicted by the highest natural frequency."""
+    """Yield the largest stable step of every explicit method, measured and predicted from the highest frequency."""
     for parameter in parameters or parameters_of(study, quick):
         model = CASES[study](parameter).model
         for name in explicit_methods():
@@ -172,7 +172,7 @@ def limit_rows(study: str, quick: bool = False, parameters: Sequence[float] | No
 
 
 def amplification_rows() -> Iterator[StabilityRow]:
-    """The largest spectral radius of each other method for an undamped vibration; the parameter is its omega h."""
+    """Yield the largest spectral radius of every implicit method without damping; the parameter is its omega h."""
     angles = np.concatenate([np.arange(1, 1000) * 1e-2, np.geomspace(10.0, 1e4, 300)])
     for name in implicit_methods():
         radii = spectral_radii(METHODS[name], angles)
@@ -181,49 +181,49 @@ def amplification_rows() -> Iterator[StabilityRow]:
 
 
 ERROR, SPIN_LIMIT = "tip error, m", "spin limit, rad/s"
-THRESHOLD = 1e-3  # m at the tip: a run that is further off is inaccurate
-ABSURD = 2.0  # reaches of the arm from the base to the tip: the run diverged, whatever its status
+THRESHOLD = 1e-3  # m; tip error from which a run counts as inaccurate
+ABSURD = 2.0  # distance of the tip, relative to the reach, from which a run counts as diverged
 
 
 def map_rows(study: str, quick: bool = False, parameters: Sequence[float] | None = None) -> Iterator[StabilityRow]:
-    """The tip error and the verdict of every fixed-step method at every step and value of what the study varies."""
+    """Yield tip error and verdict of every fixed-step method at every step and parameter value of a study."""
     cases = [CASES[study](parameter) for parameter in parameters or parameters_of(study, quick)]
     for group in [cases] if cases[0].varied is not None else [[case] for case in cases]:
-        truths = [_truth(case) for case in group]
+        references = [_reference(case) for case in group]
         for name in fixed_step_methods():
             for step in steps_of(study, quick):
-                yield from map(_cell, group, truths, [(name, step)] * len(group), _runs(group, name, step))
+                yield from map(_cell, group, references, [(name, step)] * len(group), _runs(group, name, step))
 
 
-def _truth(case: StabilityCase) -> Trajectory:
-    result = simulate(case.scene, case.truth, "dop853", rtol=1e-9, atol=1e-12)
+def _reference(case: StabilityCase) -> Trajectory:
+    result = simulate(case.scene, case.reference, "dop853", rtol=1e-9, atol=1e-12)
     if result.status != OK:
         raise RuntimeError(f"{case.study} {case.parameter:g}: the reference {result.status}")
     return result
 
 
 def _runs(cases: list[StabilityCase], name: str, step: float) -> list[Trajectory]:
-    """The motions of cases that differ by their start and by what is varied of the first one's model."""
+    """Return the motions of cases that differ in initial state and varied parameters only."""
     varied: dict[str, Any] = {
         field: np.array([(case.varied or {})[field] for case in cases]) for field in cases[0].varied or {}
     }
     return simulate_all([case.scene for case in cases], cases[0].model, name, step, **varied)
 
 
-def _cell(case: StabilityCase, truth: Trajectory, method: tuple[str, float], result: Trajectory) -> StabilityRow:
+def _cell(case: StabilityCase, reference: Trajectory, method: tuple[str, float], result: Trajectory) -> StabilityRow:
     status, error = result.status, np.nan
     if status == OK:
-        error = float(np.linalg.norm(result.tip - truth.tip, axis=1).max())
+        error = float(np.linalg.norm(result.tip - reference.tip, axis=1).max())
         far = np.linalg.norm(result.tip, axis=1).max() > ABSURD * case.model.constants.length.sum()
-        invented = abs(result.energy_residual[-1]) > INVENTED * truth.energy_turnover[-1]
+        invented = abs(result.energy_residual[-1]) > INVENTED * reference.energy_turnover[-1]
         status = DIVERGED if far or invented else OK if error <= THRESHOLD else INACCURATE
     return StabilityRow(case.study, case.parameter, *method, ERROR, error, None, status)
 
 
 def _spin_limit_row() -> StabilityRow:
-    """The rate from which on the bent link of the spin maps grows tenfold within 5 s without stiffening, by `dop853`.
+    """Return the rate from which the bent link grows tenfold within 5 s without stiffening, integrated by `dop853`.
 
-    Beside it stands the first frequency of the clamped link. The parameter is the tolerance of the rate (rad/s).
+    The expected value is the first frequency of the clamped link, the parameter the tolerance of the rate (rad/s).
     """
     clamped = 2.0 * np.pi * float(frequencies(spin_case(0.0, False).model, lock_joints=True)[0])
     low, high, tolerance = 0.5 * clamped, 1.5 * clamped, 0.01
@@ -249,14 +249,14 @@ MAKERS: dict[str, Callable[..., Iterator[StabilityRow]]] = {
 
 
 class _StabilityCell(NamedTuple):
-    """Rows that are measured together: the name of what makes them, and its arguments."""
+    """Group of rows measured together: name of the generating function and its arguments."""
 
     maker: str
     arguments: tuple[Any, ...] = ()
 
 
 def cells(quick: bool = False) -> list[_StabilityCell]:
-    """All cells, or those of a small grid."""
+    """Return all cells, or those of a small grid."""
     result = [_StabilityCell("amplification")]
     result += [
         _StabilityCell("limits", (study, quick, (each,)))
@@ -266,7 +266,7 @@ def cells(quick: bool = False) -> list[_StabilityCell]:
     result.append(_StabilityCell("spin limit"))
     for study in CASES:
         every = tuple(parameters_of(study, quick))
-        together = CASES[study](every[0]).varied is not None  # arms side by side
+        together = CASES[study](every[0]).varied is not None  # simulated as one batch
         result += [
             _StabilityCell("map", (study, quick, part))
             for part in ([every] if together else [(each,) for each in every])
@@ -278,12 +278,12 @@ def cells(quick: bool = False) -> list[_StabilityCell]:
 
 
 def rows_of(cell: _StabilityCell) -> list[dict[str, Any]]:
-    """The rows of a cell as plain data."""
+    """Return the rows of a cell as plain data."""
     return [asdict(row) for row in MAKERS[cell.maker](*cell.arguments)]
 
 
 def all_rows(quick: bool = False, workers: Workers | int = 1, kept: Path | None = None) -> list[StabilityRow]:
-    """All rows, or a small grid of them; `workers` and `kept` as of `common.parallel.parallel_map_unordered`."""
+    """Return all rows, or a small grid; `workers` and `kept`: see `common.parallel.parallel_map_unordered`."""
     return [
         StabilityRow(**row)
         for rows in parallel_map(rows_of, cells(quick), workers, kept, compile_kernels)

@@ -1,1 +1,1 @@
-"""Verification: the full table of expected and computed values, with its reference solutions."""
+"""Verification table of expected and computed values, with reference solutions."""

@@ -1,4 +1,4 @@
-"""Verification cases at rest beyond the closed forms of the package: published arms, the paper's arm and identities."""
+"""Verification cases at rest beyond the closed forms of the package: published arms, the paper's arm, identities."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -44,11 +44,11 @@ FLAP = {1.0: 3.6816, 2.0: 4.1373, 4.0: 5.5850, 6.0: 7.3604}  # eta: lambda_1, hu
 
 
 def rayleigh_eigenvalues(count: int, gyration_ratio: float) -> Array:
-    """First lambda (count,) of a cantilever with the rotary inertia of its sections; s = gyration_ratio = I / (A L^2).
+    """Return the first lambda (count,) of a Rayleigh cantilever, with gyration_ratio s = I / (A L^2).
 
     w'''' + lambda^2 s w'' - lambda^2 w = 0 with w = w' = 0 at the base, w'' = 0 and w''' + lambda^2 s w' = 0 at the
-    tip. So w consists of cos a x - cosh c x and sin a x / a - sinh c x / c, with a^2, c^2 = sqrt(lambda^4 s^2 / 4 +
-    lambda^2) +- lambda^2 s / 2. While s lambda is small, each root is a little below that of `cantilever_eigenvalues`.
+    tip. The solution combines cos a x - cosh c x and sin a x / a - sinh c x / c, with a^2, c^2 = sqrt(lambda^4 s^2 / 4
+    + lambda^2) +- lambda^2 s / 2. For small s lambda each root is slightly below that of `cantilever_eigenvalues`.
     """
 
     def characteristic(eigenvalue: float) -> float:
@@ -65,16 +65,16 @@ def rayleigh_eigenvalues(count: int, gyration_ratio: float) -> Array:
 
 
 def printed_row(case: str, source: str, text: str, computed: float) -> VerificationRow:
-    """A row whose expected value was printed with a few digits: the tolerance is half a unit of the last one."""
+    """Return a row with a printed expected value; the tolerance is half a unit of its last digit."""
     expected, unit = float(text), 10.0 ** -len(text.partition(".")[2])
     return VerificationRow(case, source, expected, float(computed), 0.5001 * unit / abs(expected))
 
 
 def published_rows() -> Iterator[VerificationRow]:
-    """Arms of the catalog that others have published, Hz.
+    """Yield frequencies (Hz) of published arms of the catalog.
 
-    De Luca and Siciliano take each link as clamped, with what it carries at its tip, and leave out the mass moment of
-    link 2 about the tip of link 1.
+    De Luca and Siciliano treat each link as clamped, with its load at the tip, and neglect the static moment of link 2
+    about the tip of link 1.
     """
     arm = catalog.de_luca_siciliano()
     second, tool = arm.links[1].sections[0], arm.payload
@@ -100,12 +100,12 @@ def published_rows() -> Iterator[VerificationRow]:
 
 
 def _clamped(link: Link, payload: Payload | None = None) -> Array:
-    """Frequencies (Hz) of a link that is clamped."""
+    """Return the frequencies (Hz) of a clamped link."""
     return frequencies(build_model(Arm([link], [Joint((0.0, 0.0, 1.0))], payload), 8), lock_joints=True)
 
 
 def _convergence_rows() -> Iterator[VerificationRow]:
-    """Error of f_1 with Hermite elements and consistent mass, and the slope at which it falls."""
+    """Yield the error of f_1 with Hermite elements and consistent mass, and its order of convergence."""
     exact, counts = cantilever_eigenvalues(1)[0], (1, 2, 4, 8)
     errors = [2.0 * np.pi * link_frequencies(slender_link(), n, BENDING_Y)[0] / exact - 1.0 for n in counts]
     for count, text, error in zip(counts, ("0.475", "0.0483", "0.0033", "0.0002"), errors, strict=True):
@@ -115,7 +115,7 @@ def _convergence_rows() -> Iterator[VerificationRow]:
 
 
 def _spring_rows() -> Iterator[VerificationRow]:
-    """Two masses and a spring, Hz, and the limit of stiff springs."""
+    """Yield the frequencies (Hz) of two masses and a spring, and the limit of stiff springs."""
     stiffness, rotor, link = 100.0, 1.0, slender_link(0.7, 4.0)
     inertia = link.mass * link.length**2 / 3.0
     model = build_model(Arm([link], [Joint((0.0, 0.0, 1.0), rotor, stiffness)]), flexible_links=False)
@@ -137,26 +137,26 @@ def _spring_rows() -> Iterator[VerificationRow]:
 
 
 def _rotating_beam_rows() -> Iterator[VerificationRow]:
-    """lambda_1 of a beam with foreshortening that spins at eta = Omega sqrt(rho A L^4 / EI), 8 elements.
+    """Yield lambda_1 of a beam with foreshortening that rotates at eta = Omega sqrt(rho A L^4 / EI), 8 elements.
 
-    A heavy hub keeps the rate. Axial coordinates are in balance with the centrifugal force; the accelerations of the
-    bending coordinates are differentiated there. In the plane of rotation lambda^2 is smaller by eta^2.
+    A heavy hub keeps the rate constant. Axial coordinates balance the centrifugal force; the accelerations are
+    linearised in the bending coordinates there. In the plane of rotation lambda^2 is smaller by eta^2.
     """
     arm = Arm([slender_link(across=1.0)], [Joint((0.0, 0.0, 1.0), 1e9)])
     model = build_model(arm, 8, stiffening=True)
     for eta, flap in FLAP.items():
         state = model.initial_state([0.0], [eta])
         axial = node_columns(8, AXIAL)
-        state[axial] -= np.linalg.solve(_slopes(model, state, axial), acceleration(model, state, [0.0])[axial])
+        state[axial] -= np.linalg.solve(_jacobian(model, state, axial), acceleration(model, state, [0.0])[axial])
         chord = np.sqrt(flap**2 - eta**2)
         for name, columns, expected in (("flap", BENDING_Z, flap), ("chord", BENDING_Y, chord)):
-            squares = -np.linalg.eigvals(_slopes(model, state, node_columns(8, columns))).real
+            squares = -np.linalg.eigvals(_jacobian(model, state, node_columns(8, columns))).real
             result = np.sqrt(squares.min()) if squares.min() > 0.0 else np.nan
             yield VerificationRow(f"rotating beam, eta {eta:g}, {name} lambda_1", WRIGHT, expected, result, 1e-3)
 
 
 def _paper_arm_rows() -> Iterator[VerificationRow]:
-    """The paper's links as cantilevers and the paper's arm at its straight pose."""
+    """Yield values of the paper's links as cantilevers and of the paper's arm at its straight posture."""
     corrected, (one, two, three) = _paper_links("corrected")[0], _paper_links()
     known = (
         ("link 1 (area as printed)", one, "231.1"),
@@ -186,7 +186,7 @@ def _paper_arm_rows() -> Iterator[VerificationRow]:
 
 
 def _rigid_paper_rows() -> Iterator[VerificationRow]:
-    """Tip of the paper's rigid arm without rotors at 2 s, m, with the rotary inertia of the sections."""
+    """Yield the tip of the paper's rigid arm without rotors at 2 s, m, including rotary inertia of the sections."""
     arm = catalog.paper_rrr(rotor_inertia=0.0, joint_stiffness=None)
     result = simulate(replace(catalog.paper_scene("rr"), arm=arm), rtol=1e-9).tip[-1]
     for axis, expected, value in zip("xyz", (1.041793, 2.982679, -0.804536), result, strict=True):
@@ -194,7 +194,7 @@ def _rigid_paper_rows() -> Iterator[VerificationRow]:
 
 
 def _identity_rows() -> Iterator[VerificationRow]:
-    """Identities of the paper's arm, everything flexible, at ten bent and moving states."""
+    """Yield identities of the paper's flexible arm at ten random deflected and moving states."""
     rng, model = np.random.default_rng(0), build_model(catalog.paper_rrr())
     simulator, d, kinetic, inertial = Simulator(model), model.n_dof, [0.0], [0.0]
     stiffness, work = stiffness_matrix(model), layout.make_work(model.constants)
@@ -216,18 +216,18 @@ def _identity_rows() -> Iterator[VerificationRow]:
 
 
 def _paper_links(link1_area: str = "printed") -> list[Link]:
-    """The uniform links of the paper's arm."""
+    """Return the uniform links of the paper's arm."""
     return [link.sections[0] for link in catalog.paper_rrr(link1_area).links]
 
 
-def _slopes(model: Model, state: Array, columns: Array, step: float = 1e-5) -> Array:
-    """Slopes of the accelerations of some coordinates by the same coordinates, from central differences."""
-    slopes = []
+def _jacobian(model: Model, state: Array, columns: Array, step: float = 1e-5) -> Array:
+    """Return the Jacobian of the accelerations of some coordinates by the same coordinates (central differences)."""
+    derivatives = []
     for column in columns:
         shift = step * np.eye(len(state))[column]
         ahead, behind = (acceleration(model, state + sign * shift, [0.0]) for sign in (1.0, -1.0))
-        slopes.append((ahead - behind)[columns] / (2.0 * step))
-    return np.transpose(slopes)
+        derivatives.append((ahead - behind)[columns] / (2.0 * step))
+    return np.transpose(derivatives)
 
 
 CASES = (

@@ -1,4 +1,4 @@
-"""Verification cases in motion: reference trajectories, conservation laws and a spin-up, and the list of all cases."""
+"""Verification cases in motion: reference trajectories, conservation laws, spin-up; and the list of all cases."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -30,7 +30,7 @@ QUICK_REFERENCES = REFERENCES[:2]
 
 
 def _motion_rows(reference: Path, quick: bool = False) -> Iterator[VerificationRow]:
-    """Rows of motions; `reference` is the folder of the reference scenes and solutions."""
+    """Yield the rows of motions; `reference` is the folder of the reference scenes and solutions."""
     for name in QUICK_REFERENCES if quick else REFERENCES:
         yield from _trajectory_rows(reference, name)
     yield from _spin_up_rows()
@@ -41,7 +41,7 @@ def _motion_rows(reference: Path, quick: bool = False) -> Iterator[VerificationR
 
 
 def _trajectory_rows(reference: Path, name: str) -> Iterator[VerificationRow]:
-    """A reference scene against its solution, by the reference method; and its balance of work and energy."""
+    """Yield the errors of a reference scene with the reference method, and its energy balance."""
     scene, expected = Scene.load(reference / f"{name}.json"), _solution(reference, name)
     result = _motion(reference, name)
     largest = np.abs(expected[:, -1]).max()
@@ -59,9 +59,10 @@ def _trajectory_rows(reference: Path, name: str) -> Iterator[VerificationRow]:
 
 
 def _momentum_rows(reference: Path) -> Iterator[VerificationRow]:
-    """Angular momentum about the vertical axis of the paper's arm, everything flexible: 400 t.
+    """Yield the error of the angular momentum of the paper's flexible arm about the vertical axis, 400 t.
 
-    That of the links is conjugate to the first joint angle; the first rotor has its own, the others take no part.
+    The momentum of the links is conjugate to the first joint angle. The first rotor is added; the others do not
+    contribute.
     """
     scene = Scene.load(reference / "paper_ff.json")
     result, model = _motion(reference, "paper_ff"), scene_model(scene)
@@ -75,7 +76,7 @@ def _momentum_rows(reference: Path) -> Iterator[VerificationRow]:
 
 
 def _large_rotation_rows(reference: Path) -> Iterator[VerificationRow]:
-    """The paper's flexible arm against a model of large rotations, with foreshortening and, not judged, without."""
+    """Yield the distance of the flexible arm from a large-rotation solution, with and without foreshortening."""
     expected = _solution(reference, "paper_ff_large_rotation")
     source = "independent large-rotation code"
     for name, stiffening, limits in (("with", True, (2e-3, 6e-3)), ("without", False, (None, None))):
@@ -86,7 +87,7 @@ def _large_rotation_rows(reference: Path) -> Iterator[VerificationRow]:
 
 
 def _spin_up_scene(stiffening: bool) -> Scene:
-    """A beam of 10 m whose joint is brought to 6 rad/s within 15 s: the rate is 6 (t/15 - sin(2 pi t/15)/(2 pi))."""
+    """Return a 10 m beam accelerated to 6 rad/s within 15 s, at the rate 6 (t/15 - sin(2 pi t/15)/(2 pi))."""
     link = Link(10.0, 4e-4, 2e-7, 2e-7, 4e-7, youngs_modulus=7e10, shear_modulus=2.7e10, density=3000.0)
     return Scene(
         Arm([link], [Joint((0.0, 0.0, 1.0))]),
@@ -100,7 +101,7 @@ def _spin_up_scene(stiffening: bool) -> Scene:
 
 
 def _spin_up_rows() -> Iterator[VerificationRow]:
-    """Lag of the tip behind the turning frame, and stretch at the end; without foreshortening the beam diverges."""
+    """Yield lag and stretch of the tip in the rotating frame, and the divergence without foreshortening."""
     result = simulate(_spin_up_scene(stiffening=True), method="ros2", step=0.002)
     cosine, sine = np.cos(result.joint_angles[:, 0]), np.sin(result.joint_angles[:, 0])
     lag = sine * result.deflection[:, 0] - cosine * result.deflection[:, 1]
@@ -116,7 +117,7 @@ def _spin_up_rows() -> Iterator[VerificationRow]:
 
 
 def _effect_rows() -> Iterator[VerificationRow]:
-    """Effect of each modelling choice on the tip of the paper's flexible arm within 2 s, m; without tolerance."""
+    """Yield the effect of each modelling option on the tip of the paper's flexible arm within 2 s, m."""
     scene = catalog.paper_scene("ff")
     body = Payload(5.0, inertia=((0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 0.5)), offset=(0.2, 0.0, 0.0))
     joints = [replace(joint, viscous_friction=5.0, coulomb_friction=20.0) for joint in scene.arm.joints]
@@ -152,36 +153,36 @@ def _chosen(scene: Scene, **choice: bool) -> Scene:
 
 
 def _tapered(scene: Scene, links: list[Link | NonUniformLink]) -> Scene:
-    """The scene with other links, of which the second has two sections of one element each."""
+    """Return the scene with the given links, of which the second has two sections of one element each."""
     return replace(scene, arm=replace(scene.arm, links=links), model=replace(scene.model, elements=(2, 1, 2)))
 
 
 @cache
 def _motion(reference: Path, name: str, stiffening: bool = False) -> Trajectory:
-    """A reference scene by the reference method, as it asks or with foreshortening."""
+    """Return a reference scene simulated with the reference method, optionally with foreshortening."""
     scene = Scene.load(reference / f"{name}.json")
     chosen = replace(scene, model=replace(scene.model, stiffening=stiffening or scene.model.stiffening))
     return simulate(chosen, rtol=1e-8, atol=1e-10)
 
 
 def _solution(reference: Path, name: str) -> Array:
-    """Rows of a reference solution: time, tip, joint angles ..."""
+    """Return the rows of a reference solution: time, tip, joint angles ..."""
     return np.loadtxt(reference / f"{name}.csv", delimiter=",", skiprows=1)
 
 
 def _farthest(result: Trajectory, expected: Array, until: int | None = None) -> float:
-    """Largest distance of the tip, m; infinite when the run ended early."""
+    """Return the largest distance of the tip, m; infinite if the run ended early."""
     if result.status != "ok" or len(result.time) != len(expected):
         return np.inf
     return float(np.linalg.norm(result.tip - expected[:, 1:4], axis=1)[:until].max())
 
 
 def _whole(result: Trajectory, scene: Scene, value: float) -> float:
-    """The value of a run that went to the end of its scene; infinite of one that did not."""
+    """Return the value if the run reached the end of its scene, else infinity."""
     return float(value) if result.status == "ok" and np.isclose(result.time[-1], scene.duration) else np.inf
 
 
-REFERENCE = Path(__file__).parent / "reference"  # scenes, and solutions of independent codes
+REFERENCE = Path(__file__).parent / "reference"  # reference scenes and solutions of independent codes
 
 
 def rows(reference: Path, quick: bool = False) -> list[VerificationRow]:

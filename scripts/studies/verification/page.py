@@ -1,4 +1,4 @@
-"""Verification page: all rows as Markdown."""
+"""Page of the verification table."""
 
 from collections.abc import Sequence
 
@@ -8,18 +8,18 @@ from flexman_gym.verification.table import COLUMNS, RULE, VerificationRow, summa
 
 PAGE = """# Verification
 
-{summary} What is known from elsewhere stands beside what this package computes: closed forms, published values and
-independent codes. A row that fails makes `make verify` fail, which writes this page anew.
+{summary} Results of this package are compared with closed forms, published values and independent codes. `make verify`
+rewrites this page and fails if a row fails.
 
 {rule}
 
-Computed with {machine}.
+Computed with {computer}.
 
 {table}
 """
 
 
 def markdown_page(rows: Sequence[VerificationRow]) -> str:
-    """A page with all rows, without a date, so that it changes only when a number does."""
+    """Return the page as Markdown, without a date, so that it changes only with a number."""
     lines = markdown_table(COLUMNS, (row.cells() for row in rows))
-    return PAGE.format(summary=summary(rows), rule=RULE, machine=computer_text(), table="\n".join(lines))
+    return PAGE.format(summary=summary(rows), rule=RULE, computer=computer_text(), table="\n".join(lines))
