@@ -188,8 +188,10 @@ def _elastic_row(constants, work, i, a, shift):
         work.row_sums[c] = -factor[first + c * width + a] * factor[first + c * width + c]
     for group in range(a - a % size, k, size):
         j = square + a * k + group
-        total = fma(shift[0], load_lanes(constants.damping, j), load_lanes(constants.elastic_mass, j))
-        total = fma(shift[1], load_lanes(constants.stiffness, j), total)
+        total = load_lanes(constants.elastic_mass, j)
+        if constants.coupled[i] or group <= a:  # other entries of diagonal matrices are zero
+            total = fma(shift[0], load_lanes(constants.damping, j), total)
+            total = fma(shift[1], load_lanes(constants.stiffness, j), total)
         if start + a >= constants.tip_linear_start[i]:
             total = fma(linear[0], load_lanes(carried, group), total)
             total = fma(linear[1], load_lanes(carried, length + group), total)

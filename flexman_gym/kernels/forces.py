@@ -85,7 +85,8 @@ def _structural_forces(constants, work, x, v):
             row = constants.square_start[i] + a * k
             restoring = 0.0
             drag = 0.0
-            for b in range(k):
+            # a diagonal matrix is multiplied entry by entry
+            for b in range(0 if constants.coupled[i] else a, k if constants.coupled[i] else a + 1):
                 restoring = fma(constants.stiffness[row + b], x[first + b], restoring)
                 drag = fma(constants.damping[row + b], v[first + b], drag)
             work.force[first + a] -= restoring + drag

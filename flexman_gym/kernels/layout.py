@@ -112,6 +112,7 @@ class Constants(NamedTuple):
     elastic_mass: Array  # (q + LANES,) without the contribution of the stations
     stiffness: PerArm  # (q + LANES,)
     damping: PerArm  # (q + LANES,)
+    coupled: IntArray  # (n,) 1 for a link whose stiffness or damping matrix is not diagonal, else 0
     # foreshortening of the centreline, u_x -= 1/2 q^T G q at the s_i stations of link i, tip first; s_i is a multiple
     # of LANES, s = sum of s_i, b = sum of s_i station_width[i]. Empty arrays without foreshortening
     station_start: IntArray  # (n + 1,)

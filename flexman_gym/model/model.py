@@ -20,6 +20,7 @@ from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import MAX_ELEMENTS, ModelChoice, Scene
 from flexman_gym.scene.serialization import ArmLike, find_arm
 
+UNCOUPLED = 1e-8  # coupling in K or C relative to the geometric mean of the diagonal entries; below, rounding
 NEGLIGIBLE = 1e-14  # mass integral relative to those of its two coordinates, below which it is a rounded zero
 MIN_FREQUENCY, MAX_FREQUENCY = 0.01, 1e4  # Hz; usual range of the first mode of a link
 
@@ -44,6 +45,8 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
     end = np.zeros(LANES)  # groups of lanes may reach past the last row
     pairs = list(zip(parts, beams, strict=True))
     stiffness = _pack([*[beam.stiffness for beam in beams], end], 1)
+    damping = arm.stiffness_proportional_damping * stiffness + modal
+    coupled = _remove_rounded_couplings(sizes, stiffness, damping)
     return layout.Constants(
         elastic_start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
         square_start=np.concatenate([[0], np.cumsum(sizes**2)]).astype(np.int64),
@@ -69,7 +72,8 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
         tip_linear_start=_first_moving(beams, False),
         elastic_mass=_pack([*[part.elastic - _axial_mass(beam, choice.stiffening) for part, beam in pairs], end], 1),
         stiffness=stiffness,
-        damping=arm.stiffness_proportional_damping * stiffness + modal,
+        damping=damping,
+        coupled=coupled,
         **_stations(beams, choice.stiffening),
         tip_translation=_pack([beam.tip_translation.T for beam in beams], 3),
         tip_rotation=_pack([beam.tip_rotation.T for beam in beams], 3),
@@ -78,6 +82,25 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
         payload_inertia=np.array(payload.inertia or np.zeros((3, 3))).ravel(),
         payload_mount=np.array(arm.links[-1].orientation).T.ravel().copy(),
     )
+
+
+def _remove_rounded_couplings(sizes: np.ndarray, *matrices: Array) -> np.ndarray:
+    """Set off-diagonal entries that are rounded zeros to zero, in packed blocks of the given sizes (n,).
+
+    Loaded modes have diagonal stiffness and modal damping matrices but for rounding.
+
+    Returns:
+        For each link (n,) 1 if one of its blocks still has entries off the diagonal, else 0.
+    """
+    coupled, start = np.zeros(len(sizes), dtype=np.int64), 0
+    for i, k in enumerate(sizes):
+        for matrix in matrices:
+            block = matrix[start : start + k * k].reshape(k, k)
+            size = np.sqrt(np.abs(np.diag(block)))
+            block[(np.abs(block) <= UNCOUPLED * np.outer(size, size)) & ~np.eye(k, dtype=bool)] = 0.0
+            coupled[i] |= np.count_nonzero(block) > np.count_nonzero(np.diag(block))
+        start += k * k
+    return coupled
 
 
 def _pack(blocks: list[Array], width: int) -> Array:
