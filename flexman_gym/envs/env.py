@@ -87,8 +87,8 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
 
     Fidelity
         By default the model has two elements per link and the loaded modes below half the control frequency, 16 of 36
-        coordinates for FlexRRR-v0, and the method "midpoint_3" at 20/3 ms without numerical damping. The smaller
-        arms have shorter steps. `docs/accuracy.md` compares energy and tip with those of all coordinates.
+        coordinates for FlexRRR-v0, and the method "midpoint_corrected_3" at 20/3 ms without numerical damping.
+        The smaller arms have shorter steps. `docs/accuracy.md` compares energy and tip with those of all coordinates.
 
         fidelity="auto" with a tolerance (m) calls `choose_model` for modes, method and step in a slew of 3 s with sine
         torques (0.5 Hz, `torque_limit`) from a bent posture; `env.unwrapped.choice` is the result. The tolerance holds

@@ -11,7 +11,7 @@ from flexman_gym.model.dynamics import frequencies, stiffness_matrix
 from flexman_gym.model.linearization import coordinate_scales
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.integrator import Integrator
-from flexman_gym.simulation.methods import EXPLICIT
+from flexman_gym.simulation.methods import DEFAULT_METHOD, EXPLICIT
 from flexman_gym.simulation.stability import NEGLIGIBLE_GROWTH, stability_limit
 
 LARGE_RATE = 100.0  # rad/s; bound of the rates of joints and motors
@@ -122,11 +122,11 @@ def _advice(model: Model, run: Integrator, step: float, states: Array) -> list[s
     highest = frequencies(model).max(initial=0.0)
     limit = stability_limit(method, NEGLIGIBLE_GROWTH) if method.kind == EXPLICIT else np.inf
     if run.tolerance[0] > 0.0:
-        result.append("a method with fixed steps, such as midpoint_3")
+        result.append(f"a method with fixed steps, such as {DEFAULT_METHOD}")
     elif 2.0 * np.pi * highest * step > limit:
         stable = limit / (2.0 * np.pi * highest)
         result.append(f"a step of at most {stable:.2g} s, the stability limit of {method.name} at {highest:.4g} Hz")
-        result.append("a linearly implicit method, such as midpoint_3")
+        result.append(f"a linearly implicit method, such as {DEFAULT_METHOD}")
     else:
         result.append(f"a step shorter than {step:g} s")
     with np.errstate(all="ignore"):

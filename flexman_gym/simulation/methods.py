@@ -428,7 +428,7 @@ def _implicit_methods() -> tuple[Method, ...]:
     return midpoint, *iterated, generalised_alpha(0.9), radau
 
 
-DEFAULT_METHOD = "midpoint_3"  # method of fixed steps where none is named
+DEFAULT_METHOD = "midpoint_corrected_3"  # method of fixed steps where none is named
 
 
 class _Methods(dict[str, Method]):

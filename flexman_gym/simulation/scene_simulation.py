@@ -144,8 +144,8 @@ def simulate(
     Args:
         scene: arm, torque, initial state, duration.
         model: a model of the scene's arm; None builds the one specified by the scene.
-        method: a Method or a name from `METHODS`. "auto" takes "midpoint_3" with a step and the reference method
-            "dop853" without one.
+        method: a Method or a name from `METHODS`. "auto" takes `DEFAULT_METHOD`, "midpoint_corrected_3", with a step and the
+            reference method "dop853" without one.
         step: s. It divides the output step of the scene, into at most 100000 steps, or is a multiple of it; a multiple
             gives an output after every step. Steps are shorter where a sample of the drive ends within one. None lets a
             method with an error estimate choose its steps. A reference method always chooses its steps; a given step is
@@ -157,7 +157,7 @@ def simulate(
         The trajectory at the output times. A failure is a status of the trajectory, not an exception.
 
     Examples:
-        >>> trajectory = fm.simulate(fm.catalog.paper_scene("ff"), method="midpoint_3", step=0.005)
+        >>> trajectory = fm.simulate(fm.catalog.paper_scene("ff"), method="midpoint_corrected_3", step=0.005)
         >>> trajectory.status, trajectory.tip.shape, trajectory.tip[-1].round(1)
         ('ok', (201, 3), array([ 1.1,  2.1, -0.6]))
     """
