@@ -144,8 +144,8 @@ def simulate(
     Args:
         scene: arm, torque, initial state, duration.
         model: a model of the scene's arm; None builds the one specified by the scene.
-        method: a Method or a name from `METHODS`. "auto" takes `DEFAULT_METHOD`, "midpoint_corrected_3", with a step and the
-            reference method "dop853" without one.
+        method: a Method or a name from `METHODS`. "auto" takes "midpoint_corrected_3" with a step and the reference
+            method "dop853" without one.
         step: s. It divides the output step of the scene, into at most 100000 steps, or is a multiple of it; a multiple
             gives an output after every step. Steps are shorter where a sample of the drive ends within one. None lets a
             method with an error estimate choose its steps. A reference method always chooses its steps; a given step is
