@@ -49,8 +49,8 @@ class MeshSearch(ModelSearch):
     max_parts, reference_rtols = 512, ()
     tolerance_shares = (0.6,)
     has_softer_models = False
-    methods = ("midpoint_2", "gauss_2", "ros2", "extrapolated_euler_3", "rk4", "gauss_3",
-             "midpoint_3", "extrapolated_euler_5", "dopri5")  # fmt: skip
+    methods = ("midpoint_corrected_2", "gauss_2", "ros2", "extrapolated_euler_3", "rk4", "gauss_3",
+             "midpoint_corrected_3", "extrapolated_euler_5", "dopri5")  # fmt: skip
     max_reference_share = 0.5
     max_timed = 3
 

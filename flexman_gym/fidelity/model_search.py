@@ -108,7 +108,8 @@ def _stiffest_modes(model: Model, full: Candidate, angles: Vector) -> list[tuple
 
 TOLERANCE_SHARES = (0.6, 0.25)  # 1; shares of the tolerance for omitted coordinates; each gives a candidate
 CANDIDATE_METHODS = ("extrapolated_euler_5", "extrapolated_euler_4", "extrapolated_euler_3", "ros2", "rk4", "dopri5",
-         "midpoint_2", "midpoint_3", "gauss_2", "gauss_3", "generalised_alpha")  # fmt: skip
+         "midpoint_corrected_2", "midpoint_corrected_3", "midpoint_2", "midpoint_3", "gauss_2", "gauss_3",
+         "generalised_alpha")  # fmt: skip
 REFERENCE_SHARE = 0.05  # 1; largest error of the reference relative to the tolerance
 REFERENCE_METHOD = METHODS["midpoint_3"]  # keeps the amplitude of vibrations at any step
 MIN_PARTS, MAX_PARTS = 1, 64  # steps in an output step: first and last of the halved runs

@@ -65,7 +65,9 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
     interrupt(-1)
     resume(parts, progress=False)
     assert same(whole, parts)
-    assert read_npz(whole / NEWEST)["training"]["counts"]["num_timesteps"] >= RUNS[algo].steps
+    ends = [read_npz(folder / NEWEST)["training"] for folder in (whole, parts)]
+    assert ends[0]["random"]["python"] == ends[1]["random"]["python"]
+    assert ends[0]["counts"]["num_timesteps"] >= RUNS[algo].steps
     assert (whole / BEST).read_bytes() != b"" and sorted(read_npz(whole / BEST)) == sorted(read_npz(parts / BEST))
     seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
     one, other = (find_agent(folder).law(seen) for folder in (whole, parts))

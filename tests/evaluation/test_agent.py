@@ -136,6 +136,12 @@ def test_the_pd_beside_policies_has_the_gains_of_the_first_that_learned_on_one()
     assert result.horizon == 1.5
 
 
+def test_gains_of_a_training_belong_to_the_policy_and_to_the_environment():
+    gains = {"stiffness": [2.0], "damping": [0.1]}
+    environment, interface = split_interface(Configuration(ONE.id, {**ONE.settings, "base": "pd", "gains": gains}))
+    assert interface["gains"] == environment.to_plain()["gains"] == gains
+
+
 def test_what_a_policy_was_trained_with_is_not_changed_in_part_either():
     assert common_environment([], ONE, ["arm.payload.mass=0.1"]).arm.payload.mass == 0.1
     for change in ("sensors.kind=fine", "action_repeat=2", "base=pd"):
