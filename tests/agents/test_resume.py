@@ -40,6 +40,7 @@ def interrupt(monkeypatch):
         def step(self):
             if next(steps) == number:
                 os.kill(os.getpid(), signal.SIGINT)
+            random.random()  # Python's generator has a state to restore
             return step_wait(self)
 
         monkeypatch.setattr(SB3VecEnv, "step_wait", step)
@@ -50,6 +51,7 @@ def interrupt(monkeypatch):
 @pytest.mark.parametrize("algo", RUNS)
 def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path, interrupt, capsys):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
+    interrupt(-1)
     train(RUNS[algo], whole, progress=False)
     interrupt(19)
     with pytest.raises(Interrupted, match=r"stopped after \d+ steps; the run is saved"):
@@ -65,9 +67,7 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
     interrupt(-1)
     resume(parts, progress=False)
     assert same(whole, parts)
-    ends = [read_npz(folder / NEWEST)["training"] for folder in (whole, parts)]
-    assert ends[0]["random"]["python"] == ends[1]["random"]["python"]
-    assert ends[0]["counts"]["num_timesteps"] >= RUNS[algo].steps
+    assert read_npz(whole / NEWEST)["training"]["counts"]["num_timesteps"] >= RUNS[algo].steps
     assert (whole / BEST).read_bytes() != b"" and sorted(read_npz(whole / BEST)) == sorted(read_npz(parts / BEST))
     seen = np.linspace(-1.0, 1.0, 3 * 32).reshape(3, 32).astype(np.float32)
     one, other = (find_agent(folder).law(seen) for folder in (whole, parts))
@@ -78,6 +78,7 @@ def test_a_memory_that_is_full_is_drawn_from_whole_after_a_resumption(tmp_path, 
     """It holds eight rows of three arms; the run stops in the fourteenth of twenty."""
     chosen = {"learning_starts": 12, "batch_size": 8, "buffer_size": 24, "net_arch": [8]}
     settings = replace(RUNS["sac"], steps=60, hyperparameters=chosen, eval_every=0)
+    interrupt(-1)
     train(settings, tmp_path / "whole", progress=False)
     interrupt(13)
     with pytest.raises(Interrupted):
