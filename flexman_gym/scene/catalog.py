@@ -38,7 +38,7 @@ planar_2r = named_arm("planar_2r")
 one_link = named_arm("one_link")
 """Slender aluminium link of 2 m on a hub with a rigid joint, along +x at a zero joint angle."""
 vertical_2r = named_arm("vertical_2r")
-"""Two aluminium strips of 0.5 m that move in the vertical x-z plane, with flexible joints and geared motors."""
+"""Two aluminium strips of 0.5 m that move in the vertical x-z plane, with flexible joints."""
 one_joint = named_arm("one_joint")
 """Aluminium strip of 0.8 m on one flexible joint with a vertical axis, +z."""
 quanser_2dsfl = named_arm("quanser_2dsfl")
