@@ -1,4 +1,4 @@
-"""Finite element of a link: shape functions, slopes and stiffness."""
+"""Finite element of a link: shape functions and their slopes."""
 
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -96,27 +96,6 @@ def beam_slopes(xi: float, length: float) -> Array:
     slopes[0, [1, 5, 7, 11]] = slope
     slopes[1, [2, 4, 8, 10]] = slope * [1.0, -1.0, 1.0, -1.0]  # theta_y = -w'
     return slopes
-
-
-def beam_stiffness(link: Link, length: float) -> Array:
-    """Return the stiffness matrix (12, 12) of an element: axial, St Venant torsion, and bending in two planes.
-
-    Args:
-        link: uniform link section that contains the element.
-        length: length of the element, m.
-    """
-    stiffness = np.zeros((2 * NODE_COORDINATES, 2 * NODE_COORDINATES))
-    bar = np.array([[1.0, -1.0], [-1.0, 1.0]]) / length
-    stiffness[np.ix_([0, 6], [0, 6])] = link.youngs_modulus * link.area * bar
-    stiffness[np.ix_([3, 9], [3, 9])] = link.shear_modulus * link.torsion_constant * bar
-    a, b, c, d = 12 / length**3, 6 / length**2, 4 / length, 2 / length
-    bending = np.array([[a, b, -a, b], [b, c, -b, d], [-a, -b, a, -b], [b, d, -b, c]])
-    stiffness[np.ix_([1, 5, 7, 11], [1, 5, 7, 11])] = link.youngs_modulus * link.second_moment_z * bending
-    mirror = np.array([1.0, -1.0, 1.0, -1.0])  # theta_y = -w'
-    stiffness[np.ix_([2, 4, 8, 10], [2, 4, 8, 10])] = (
-        link.youngs_modulus * link.second_moment_y * bending * np.outer(mirror, mirror)
-    )
-    return stiffness
 
 
 def section_points(link: Link) -> Array:
