@@ -109,6 +109,7 @@ MEMBERS = {
 }
 """Class or protocol -> old member -> present member; the class itself accepts the old one."""
 ARGUMENTS = {
+    "assembled_modes": {"highest": "max_frequency", "share": "energy_fraction"},
     "diagnose": {"entrant": "agent"}, "evaluate": {"entrant": "agent"},
     "export_policy": {"words": "description", "venue": "environment"}, "record_dataset": {"entrant": "agent"},
     "resume": {"judge_every": "eval_every"}, "rollout": {"entrant": "agent", "watch": "callback", "moved": "set_plant"},
