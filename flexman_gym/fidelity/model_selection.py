@@ -197,12 +197,7 @@ def _model_size(search: ModelSearch, trial: CandidateRun) -> tuple[int, bool]:
 
 
 def _candidates(search: ModelSearch, parts: dict[tuple[int, int], float]) -> list[Candidate]:
-    """Return the candidates for simulations, the one with the fewest coordinates first.
-
-    Args:
-        search: the search.
-        parts: (link, mode number) -> tip displacement, m, in the order in which modes are omitted.
-    """
+    """Return the candidates to simulate, fewest coordinates first; `parts` are `ModelSearch.contributions`."""
     result, stiffest = {search.full}, search.stiffest_modes() if search.has_softer_models else []
     for springs in {search.full.springs, False}:
         for stiffening in {False, search.full.stiffening}:
@@ -252,14 +247,7 @@ def _run_candidate(search: ModelSearch, candidate: Candidate, longest: float) ->
 
 
 def _stable_steps(method: Method, steps: Array, modes: Array, duration: float) -> list[float]:
-    """Return the steps at which a method does not amplify any undamped mode by more than MAX_GROWTH.
-
-    Args:
-        method: integration method.
-        steps: (s,) steps, s.
-        modes: (k,) natural frequencies, Hz.
-        duration: duration of the scene, s.
-    """
+    """Return the steps (s) at which no mode (Hz) grows beyond MAX_GROWTH by a method within a duration (s)."""
     growth = duration / steps[:, None] * np.log(spectral_radii(method, 2.0 * np.pi * steps[:, None] * modes))
     return [float(step) for step in steps[(growth <= np.log(MAX_GROWTH)).all(axis=1)]]
 

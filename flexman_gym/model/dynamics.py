@@ -1,8 +1,4 @@
-"""Equations of motion at one state: accelerations, system matrices, natural frequencies and inverse dynamics.
-
-Equation numbers are those of the paper "Dynamic modeling and simulation of spatial manipulator with flexible links and
-joints"; `docs/theory.md` lists them.
-"""
+"""Equations of motion at one state: accelerations, matrices, frequencies, inverse dynamics; see `docs/theory.md`."""
 
 from collections.abc import Callable
 from typing import TypeGuard
@@ -280,13 +276,7 @@ def split_state(model: Model, state: Vector) -> tuple[Array, Array]:
 
 
 def _assemble(model: Model, joint_values: Array, link_blocks: Array) -> Array:
-    """Assemble the stiffness or damping matrix (d, d).
-
-    Args:
-        model: model of the arm.
-        joint_values: (n,) stiffness or damping of each joint.
-        link_blocks: stiffness or damping matrices of all links, packed as in `kernels.layout.Constants`.
-    """
+    """Assemble the stiffness or damping matrix (d, d) from joint values (n,) and packed matrices of the links."""
     starts = model.constants.square_start
     matrix = np.zeros((model.n_dof, model.n_dof))
     for i, motor in enumerate(model.constants.motor):
@@ -301,8 +291,7 @@ def _assemble(model: Model, joint_values: Array, link_blocks: Array) -> Array:
 def inertial_forces(model: Model, gravity: Array | None = None) -> Forces:
     """Return a function that computes the generalised inertial and gravity forces (d,) of a motion.
 
-    The forces are M(x) a + h(x, v), for coordinates x, speeds v and accelerations a, (d,) each, with the quadratic
-    velocity terms and the weight in h.
+    They are M(x) a + h(x, v), for coordinates x, speeds v and accelerations a, (d,) each, with the weight in h.
 
     Args:
         model: model of the arm.

@@ -63,9 +63,7 @@ def _coordinate_jacobian(model: Model, function: Callable[[Array], Array], x: Ar
 
 
 def coordinate_scales(model: Model) -> Array:
-    """Return the scale (d,) of each coordinate: its value for a rotation of 1 rad or a displacement of a link length.
-
-    The value is the smallest at which a node of the link is rotated or displaced by this amount.
+    """Return the scale (d,) of each coordinate: it rotates a node by 1 rad or displaces a node by the link length.
 
     Args:
         model: model of the arm.
@@ -340,13 +338,7 @@ def _state_names(model: Model) -> tuple[str, ...]:
 
 
 def _force_jacobian(model: Model, state: Vector, accelerations: Array) -> Array:
-    """Return the Jacobian (d, 2 d), by coordinates and speeds, of torques minus all other forces.
-
-    Args:
-        model: model of the arm.
-        state: (2 d,) coordinates and speeds.
-        accelerations: (d,) generalised accelerations, which are constant in the derivative.
-    """
+    """Return the Jacobian (d, 2 d), by coordinates and speeds, of the forces, for constant accelerations (d,)."""
     (x, v), forces = split_state(model, state), inertial_forces(model)
     d, size = model.n_dof, coordinate_scales(model)
 

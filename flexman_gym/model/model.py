@@ -27,8 +27,8 @@ MIN_FREQUENCY, MAX_FREQUENCY = 0.01, 1e4  # Hz; usual range of the first natural
 class _ShapeIntegrals(NamedTuple):
     """Mass integrals of a beam with k elastic coordinates (Eqs. (13) and (14) of the paper), sums over mass points.
 
-    r0 is the undeformed position of a mass m, S_a the shape function of coordinate a. Cross-sections with a moment of
-    inertia j about the beam axis only contribute fictitious second moments of mass.
+    r0 is the undeformed position of a mass m, S_a the shape function of coordinate a. Polar moments of inertia enter as
+    fictitious second moments of mass.
     """
 
     mass: float  # kg; sum m
@@ -64,7 +64,7 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
     Args:
         arm: the arm.
         beams: its links in reduced coordinates, base to tip.
-        modal: part of the damping matrices of the links by modal damping ratios, as packed blocks.
+        modal: packed damping matrices of the links by modal damping ratios.
         choice: modelling assumptions.
     """
     payload = arm.payload or Payload(0.0)
@@ -227,9 +227,7 @@ def _axial_mass(beam: Beam, stiffening: bool) -> Array:
 def _first_moving(beams: tuple[Beam, ...], stiffening: bool) -> np.ndarray:
     """Return the index (n,), among those of all links, of the first elastic coordinate of each link that moves its tip.
 
-    Args:
-        beams: links, base to tip.
-        stiffening: True includes the foreshortening, by which every coordinate moves the tip.
+    With foreshortening (stiffening) every coordinate moves the tip.
     """
     offset, first = 0, []
     for beam in beams:
@@ -362,9 +360,8 @@ def build_model(
         arm: an `Arm`, the name of an arm in the catalog, a file, or a mapping; see `scene.serialization.find_arm`.
         elements: number of finite elements of a Link, or of each section of a NonUniformLink; one value or one per
             link. A link has at most 64 elements in total, and 6 * elements * number of sections elastic coordinates.
-        modes: retained component modes of a flexible link, see `model.component_modes.loaded_modes`; one value or one
-            per link. A number m retains the m lowest modes, a tuple retains modes by index from 0, and None retains
-            all elastic coordinates.
+        modes: retained component modes (`model.component_modes.loaded_modes`) of a flexible link; one value or one per
+            link. A number m retains the m lowest, a tuple retains modes by index from 0, None all elastic coordinates.
         flexible_links: False makes a link rigid; one value or one per link.
         flexible_joints: False makes all joints rigid; their rotor inertia remains.
         stiffening: True includes the foreshortening of the links (geometric stiffening), needed for large deflections

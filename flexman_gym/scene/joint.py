@@ -151,10 +151,7 @@ class Joint:
         warn_unusual_units("Joint", vars(self))
 
     def _set_from_motor(self, motor: Motor) -> None:
-        """Set rotor inertia and torque limit from the motor.
-
-        Values equal to those of the motor, as in a copy of a joint, are accepted.
-        """
+        """Set rotor inertia and torque limit from the motor; values equal to those of the motor are accepted."""
         inertia, limit = motor.reflected_inertia, motor.joint_torque_limit
         if self.rotor_inertia not in (0.0, inertia):
             allowed = f"none together with a motor, whose rotor inertia at the joint is {inertia:.6g} (kg m^2)"

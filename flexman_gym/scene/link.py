@@ -169,13 +169,7 @@ MAX_MASSES = 64  # largest number of lumped masses on a link
 
 
 def _lumped_masses(name: str, value: object, length: float) -> tuple[LumpedMass, ...]:
-    """Return the lumped masses of a link as a tuple after checking their number and positions.
-
-    Args:
-        name: field, for errors.
-        value: a sequence of LumpedMass.
-        length: length of the link, m.
-    """
+    """Return the lumped masses of a link of a length (m) as a tuple after checking their number and positions."""
     masses = tuple(sequence(name, value, "LumpedMass"))
     if len(masses) > MAX_MASSES:
         raise value_error(name, f"{len(masses)} masses", f"at most {MAX_MASSES}")
@@ -221,10 +215,8 @@ class Link:
     Attributes:
         length: length, m.
         area: area of the cross-section, m^2.
-        second_moment_y: second moment of area I_y about y, integral of z^2, m^4; E I_y resists bending in the x-z
-            plane.
-        second_moment_z: second moment of area I_z about z, integral of y^2, m^4; E I_z resists bending in the x-y
-            plane.
+        second_moment_y: second moment of area I_y about y, integral of z^2, m^4, for bending in the x-z plane.
+        second_moment_z: second moment of area I_z about z, integral of y^2, m^4, for bending in the x-y plane.
         torsion_constant: torsion constant J in the torsional stiffness G J, m^4; I_y + I_z for a circular section.
         youngs_modulus: Young's modulus E, Pa.
         shear_modulus: shear modulus G, Pa.

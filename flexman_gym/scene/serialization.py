@@ -291,13 +291,7 @@ def _select_parts(arm: Arm, part: str) -> tuple[str, list[int]]:
 
 
 def _change_fields(arm: Arm, name: str, changes: dict[str, dict[str, Any]]) -> Arm:
-    """Return an arm with changed fields.
-
-    Args:
-        arm: the arm.
-        name: its name in the catalog.
-        changes: part, such as "links[0]" or "" for the arm itself -> changed fields and their values.
-    """
+    """Return an arm of the catalog with new values (field -> value) in its parts ("" for the arm itself)."""
     arm_fields = changes.pop("", {})
     if (file := arm_fields.pop("file", name)) != name:
         return named_arm(file)()

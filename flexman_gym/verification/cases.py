@@ -36,8 +36,7 @@ def slender_link(
 ) -> Link:
     """Return a slender link that, by default, bends in the x-y plane only.
 
-    Its radius of gyration is 1e-4 of its length, so that rotary inertia changes a frequency by less than a relative
-    1e-5.
+    Its radius of gyration is 1e-4 of its length: rotary inertia changes a frequency by less than a relative 1e-5.
 
     Args:
         length: m.
@@ -65,20 +64,11 @@ def link_frequencies(link: Link, elements: int, columns: Sequence[int], tip_mass
         tip_mass: kg.
     """
     model = build_model(Arm([link], [Joint((0.0, 0.0, 1.0))], Payload(tip_mass)), elements)
-    free = node_columns(elements, columns)
+    nodes = np.arange(model.n_dof)[model.elastic_columns(0)].reshape(elements, 6)
+    free = nodes[:, list(columns)].ravel()
     mass, stiffness = mass_matrix(model, np.zeros(2 * model.n_dof)), stiffness_matrix(model)
     flexibility = np.linalg.solve(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
     return np.sort(1.0 / np.sqrt(np.linalg.eigvals(flexibility).real)) / (2.0 * np.pi)
-
-
-def node_columns(elements: int, coordinates: Sequence[int]) -> Array:
-    """Return the indices, in the coordinates x of a single link on a rigid joint, of some coordinates of every node.
-
-    Args:
-        elements: number of finite elements of the link.
-        coordinates: coordinates of each node, such as AXIAL.
-    """
-    return np.array([1 + 6 * node + each for node in range(elements) for each in coordinates])
 
 
 def bar_frequency_scale(link: Link, columns: Sequence[int]) -> float:
@@ -131,10 +121,7 @@ def _hub_rows() -> Iterator[VerificationRow]:
 
 
 def _static_rows() -> Iterator[VerificationRow]:
-    """Yield tip displacements and rotations of link 2 of the paper's arm, clamped, under unit loads and its weight.
-
-    The link has two elements.
-    """
+    """Yield tip displacements and rotations of link 2 of the paper's arm, clamped, under unit loads and its weight."""
     link = catalog.paper_rrr().links[1].sections[0]
     beam, length, mass = build_beam(link, 2), link.length, link.mass
     bending, twisting = link.youngs_modulus * link.second_moment_z, link.shear_modulus * link.torsion_constant
@@ -157,8 +144,7 @@ def _static_rows() -> Iterator[VerificationRow]:
 def _stepped_rows() -> Iterator[VerificationRow]:
     """Yield tip displacement and rotation under a unit load, and lambda of stepped cantilevers.
 
-    lambda = omega L^2 sqrt(rho A / EI), with rho A and EI of the inboard segment, is computed with 16 elements per
-    segment.
+    lambda refers to rho A and EI of the inboard segment and is computed with 16 elements per segment.
     """
     for position, ratio in ((0.5, 0.5), (0.3, 0.7)):
         link, rigidity, outboard = _stepped_link(position, ratio), ratio**3, 1.0 - position
