@@ -62,6 +62,11 @@ NAMES = {
         "STAY": "SETTLING_WINDOW", "VIBRATING": "VIBRATION_WINDOW",
     },
     "flexman_gym.simulation.stability": {"amplitude_kept": "remaining_amplitude"},
+    "flexman_gym.verification.closed_forms": {
+        "bar_eigenvalues": "bar_frequencies", "cantilever_eigenvalues": "cantilever_frequencies",
+        "flexible_joint_eigenvalues": "flexible_joint_frequencies", "hub_beam_eigenvalues": "hub_beam_frequencies",
+        "stepped_cantilever_eigenvalues": "stepped_cantilever_frequencies",
+    },
 }  # fmt: skip
 """Present module -> old name in it -> present name."""
 METHODS = {
@@ -104,6 +109,7 @@ MEMBERS = {
 }
 """Class or protocol -> old member -> present member; the class itself accepts the old one."""
 ARGUMENTS = {
+    "assembled_modes": {"highest": "max_frequency", "share": "energy_fraction"},
     "diagnose": {"entrant": "agent"}, "evaluate": {"entrant": "agent"},
     "export_policy": {"words": "description", "venue": "environment"}, "record_dataset": {"entrant": "agent"},
     "resume": {"judge_every": "eval_every"}, "rollout": {"entrant": "agent", "watch": "callback", "moved": "set_plant"},

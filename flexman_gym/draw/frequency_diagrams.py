@@ -15,7 +15,7 @@ from flexman_gym.model.deformation import curves
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import rest_state
-from flexman_gym.model.vibration import modes, spin_frequencies
+from flexman_gym.model.vibration import modes, rotating_frequencies
 
 AMPLITUDE = 0.08  # largest displacement in the picture of a mode as a fraction of the reach
 
@@ -116,7 +116,7 @@ def campbell_diagram(model: Model, rates: Vector, path: str | Path, count: int =
     """Plot natural frequencies over the spin rate, with multiples of the rate (Campbell, 1924); return the path.
 
     Args:
-        model: model of the arm; it should include stiffening, see `model.vibration.spin_frequencies`.
+        model: model of the arm; it should include stiffening, see `model.vibration.rotating_frequencies`.
         rates: spin rates (r,), rad/s.
         path: path of the picture.
         count: largest number of frequencies.
@@ -128,7 +128,7 @@ def campbell_diagram(model: Model, rates: Vector, path: str | Path, count: int =
         ImportError: without Matplotlib.
     """
     path, spins = Path(path), np.array(vector("rates", rates, unit="rad/s")) / (2 * np.pi)
-    values = spin_frequencies(model, rates)[:, :count]
+    values = rotating_frequencies(model, rates)[:, :count]
     figure = new_figure((6.8, 5.0), 120.0, layout="constrained")
     axes = figure.add_subplot()
     axes.plot(spins, values, color=DARK, linewidth=1.5)

@@ -95,7 +95,7 @@ def _arm_data(model: Model) -> dict[str, Any]:
             "axis": constants.axis[i].tolist(), "mount": constants.mount.reshape(-1, 9)[i].tolist(),
             "elastic": [columns.start, columns.stop], "rows": _encode_array(shapes.rows),
             "slopes": _encode_array(shapes.slopes),
-            "before": shapes.before.tolist(), "points": _encode_array(section.points),
+            "before": shapes.inboard.tolist(), "points": _encode_array(section.points),
             "normals": _encode_array(section.normals),
             "gauges": _encode_array(section.gauges),
         })  # fmt: skip

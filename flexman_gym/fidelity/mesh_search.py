@@ -1,4 +1,4 @@
-"""Search for the finite-element mesh of a scene with open elements, against a converged reference."""
+"""Search for the number of finite elements of each link, for scenes with `elements=None`."""
 
 from dataclasses import replace
 
@@ -11,7 +11,6 @@ from flexman_gym.fidelity.model_search import (
     Candidate,
     CandidateRun,
     ModelSearch,
-    full_candidate,
 )
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, build_model
@@ -20,29 +19,29 @@ from flexman_gym.simulation.methods import Method
 from flexman_gym.simulation.scene_simulation import simulate
 from flexman_gym.simulation.trajectory import Trajectory
 
-REFERENCE_ELEMENTS = 5  # elements of a link, or of each of its sections, in the reference
-# 1; error of the reference mesh relative to the tip displacement for one element less in every link, as the error of
-# cubic elements falls with the fourth power of their length
+REFERENCE_ELEMENTS = 5  # number of elements of a link, or of each of its sections, in the reference model
+# 1; error of the reference mesh / change of the tip position with one element less in every link, because the error of
+# cubic elements is proportional to the fourth power of their length
 MESH_ERROR_FACTOR = (1.0 - 1.0 / REFERENCE_ELEMENTS) ** 4 / (1.0 - (1.0 - 1.0 / REFERENCE_ELEMENTS) ** 4)
-MESH_SHARE = 0.4  # 1; largest error of the mesh relative to the tolerance
-STEP_INCREASE = 1.7  # 1; longest step to try relative to the last step of the method with another candidate
-# Simulations of the scene in total, and the numbers after which no method is tried, no candidate is screened (its error
-# then counts as infinite), and no mesh is tried.
+MESH_SHARE = 0.4  # 1; largest error of the mesh / tolerance
+STEP_INCREASE = 1.7  # 1; longest step to try / last step of the same method with another candidate
+# Largest number of simulations of the scene; the numbers after which no further method is tried, no further candidate
+# is screened (its error is then taken as infinite), and no further mesh is tried.
 MAX_RUNS, MAX_RUNS_METHODS, MAX_RUNS_SCREENING, MAX_RUNS_MESH = 100, 80, 65, 30
 
 
 class MeshSearch(ModelSearch):
-    """Search for the coarsest mesh and its candidates whose tip stays within a tolerance of a fine reference model.
+    """Search for the coarsest mesh, and reduced models with this mesh, within a tolerance of a fine reference model.
 
     The reference has five elements per link and foreshortening.
 
     Args:
         scene: the scene.
-        tolerance: largest error of the tip, m.
+        tolerance: largest error of the tip position, m.
 
     Attributes:
-        mesh: chosen number of elements of each link.
-        mesh_errors: distance of each mesh from the reference at the tip, m.
+        mesh: (n,) selected number of elements of each link.
+        mesh_errors: mesh -> largest distance of its tip from that of the reference, m.
     """
 
     max_runs, max_runs_reference = MAX_RUNS_METHODS, MAX_RUNS - 6
@@ -60,25 +59,25 @@ class MeshSearch(ModelSearch):
         finest = tuple(min(REFERENCE_ELEMENTS, MAX_ELEMENTS // count) for count in sections)
         self.reference_model = self._full_model(finest)
         self.mesh_errors: dict[tuple[int, ...], float] = {}
-        self._ending = False
+        self._finishing = False
         self._converge(REFERENCE_SHARE * tolerance)
         self._find_screening()
         if self.reference_model.n_elastic:
             self.mesh_error = MESH_ERROR_FACTOR * self._mesh_distance(tuple(max(1, count - 1) for count in finest))
         self.mesh = self._smallest_mesh(finest)
         self.scene = replace(scene, model=replace(scene.model, elements=self.mesh))
-        self.full = full_candidate(self.scene)
+        self._set_full()
         self.screen(self.full)
         self.reference = self.screening_runs[self.full]
 
     def _full_model(self, mesh: tuple[int, ...]) -> Model:
-        """Return the model with all coordinates of a mesh."""
-        switches = vars(self.scene.model) | {"elements": mesh, "modes": None}
-        plain = build_model(self.scene.arm, **switches)
-        return build_model(self.scene.arm, **(switches | {"stiffening": plain.n_elastic > 0}))
+        """Return the model with all elastic coordinates of a mesh, and with foreshortening."""
+        options = vars(self.scene.model) | {"elements": mesh, "modes": None}
+        plain = build_model(self.scene.arm, **options)
+        return build_model(self.scene.arm, **(options | {"stiffening": plain.n_elastic > 0}))
 
     def _mesh_distance(self, mesh: tuple[int, ...]) -> float:
-        """Return the distance (m) of a mesh from the reference at the tip; its run is made once."""
+        """Return the largest distance (m) of the tip with a mesh from that of the reference, simulated once."""
         if mesh not in self.mesh_errors:
             if self.runs >= MAX_RUNS_MESH:
                 return np.inf
@@ -88,52 +87,52 @@ class MeshSearch(ModelSearch):
         return self.mesh_errors[mesh]
 
     def _smallest_mesh(self, finest: tuple[int, ...]) -> tuple[int, ...]:
-        """Return the mesh with as few elements as its share of the tolerance allows, reduced link after link."""
-        flexible, share = [bool(basis.size) for basis in self.reference_model.bases], MESH_SHARE * self.tolerance
+        """Return the coarsest mesh with an error below MESH_SHARE of the tolerance, coarsened link by link."""
+        flexible, limit = [bool(basis.size) for basis in self.reference_model.bases], MESH_SHARE * self.tolerance
         for most in range(1, REFERENCE_ELEMENTS + 1):
-            mesh = tuple(min(most, count) if bent else 1 for count, bent in zip(finest, flexible, strict=True))
-            if not any(flexible) or mesh == finest or self._mesh_distance(mesh) <= share:
+            mesh = tuple(min(most, count) if deforms else 1 for count, deforms in zip(finest, flexible, strict=True))
+            if not any(flexible) or mesh == finest or self._mesh_distance(mesh) <= limit:
                 break
         for link in range(len(mesh)):
             while mesh[link] > 1:
-                less = (*mesh[:link], mesh[link] - 1, *mesh[link + 1 :])
-                if self._mesh_distance(less) > share:
+                coarser = (*mesh[:link], mesh[link] - 1, *mesh[link + 1 :])
+                if self._mesh_distance(coarser) > limit:
                     break
-                mesh = less
+                mesh = coarser
         return mesh
 
     def screen(self, candidate: Candidate) -> float:
-        """Return the error (m) as `ModelSearch.screen`; infinity for a candidate after too many runs."""
-        late = candidate not in self.screened and self.runs >= MAX_RUNS_SCREENING and not self._ending
+        """Return the error (m) as in `ModelSearch.screen`; infinity if MAX_RUNS_SCREENING is exceeded."""
+        late = candidate not in self.screened and self.runs >= MAX_RUNS_SCREENING and not self._finishing
         return np.inf if late else super().screen(candidate)
 
-    def step_cost(self, trial: CandidateRun, guessed: float) -> float:
-        """Return the estimate: the cost of a short run is mostly its start, which a shorter step does not change."""
-        return guessed
+    def step_cost(self, trial: CandidateRun, estimate: float) -> float:
+        """Return the estimate, because most of the cost of a short run does not depend on the step."""
+        return estimate
 
     def first_index(self, method: Method, steps: list[float]) -> int:
-        """Return the first of descending steps (s) to try: near the last one of another candidate, of similar error."""
+        """Return the index of the first of descending steps (s) to try, from the last step of another candidate."""
         longest = STEP_INCREASE * self.last_steps.get(method.name, np.inf)
         return sum(step > longest for step in steps)
 
     def errors(self, candidate: Candidate, run: Trajectory) -> dict[str, float]:
-        """Return the components of the error (m) of a run of a candidate, each a distance between two tips.
+        """Return the components of the error of a run of a candidate, each a largest distance between two tips, m.
 
-        They are the effects of the chosen mesh, of the omitted modes and of omitted foreshortening, the error of the
-        method, and that of the reference.
+        They are the errors by the selected mesh, by omitted modes, by omitted foreshortening, of the method, and of the
+        reference.
         """
-        self._ending = True
-        shortened = candidate._replace(stiffening=self.full.stiffening)
+        self._finishing = True
+        stiffened = candidate._replace(stiffening=self.full.stiffening)
         parts = {"mesh": self.screen(self.full)}
-        parts["modes"] = self._between(shortened, self.full)
-        parts["foreshortening"] = self._between(candidate, shortened)
-        every = round(run.time[1] / self.scene.output_step)
+        parts["modes"] = self._distance(stiffened, self.full)
+        parts["foreshortening"] = self._distance(candidate, stiffened)
+        stride = round(run.time[1] / self.scene.output_step)
         exact = self.screening_runs[candidate].tip + (self.reference_tips[-1] - self.screening_reference.tip)
-        distances = np.linalg.norm(run.tip - exact[::every], axis=-1)
+        distances = np.linalg.norm(run.tip - exact[::stride], axis=-1)
         return parts | {"method": float(distances.max()), "reference": self.error}
 
-    def _between(self, candidate: Candidate, other: Candidate) -> float:
-        """Return the distance (m) between two candidates at the tip."""
+    def _distance(self, candidate: Candidate, other: Candidate) -> float:
+        """Return the largest distance (m) between the tips of two candidates."""
         self.screen(candidate)
         self.screen(other)
         tips, others = self.screening_runs[candidate].tip, self.screening_runs[other].tip
@@ -141,43 +140,44 @@ class MeshSearch(ModelSearch):
 
     def describe_reference(self) -> str:
         """Return the meshes and the accuracy of the reference, and the estimated effect of large rotations, as text."""
-        run, pose = self.halved_runs[max(self.halved_runs)], self.scene.initial.joint_angles
-        slowest = frequencies(self.reference_model, pose)[self.reference_model.n_joints :][:1]
-        angles, moved = large_rotation_error(
-            self.reference_model, run.states, float(slowest.sum()) * self.scene.duration
+        run, posture = self.halved_runs[max(self.halved_runs)], self.scene.initial.joint_angles
+        lowest = frequencies(self.reference_model, posture)[self.reference_model.n_joints :][:1]
+        angles, displacement = large_rotation_error(
+            self.reference_model, run.states, float(lowest.sum()) * self.scene.duration
         )
         return (
             f"elements of each link: {self.mesh}; of the reference: {self.reference_model.choice.elements}, accurate to"
             f" {self.error:.1g} m ({self.mesh_error:.1g} m by its mesh, {self.time_error:.1g} m by its steps)\n"
             f"linear beam theory, not part of the tolerance: the links bend by up to"
             f" {', '.join(f'{each:.3g}' for each in angles)} rad at their tips; large rotations would move the tip"
-            f" by about {moved:.1g} m"
+            f" by about {displacement:.1g} m"
         )
 
 
 def large_rotation_error(model: Model, states: Array, cycles: float) -> tuple[Array, float]:
-    """Return the rotations of links at their tips by bending, and the estimated tip displacement by large rotations.
+    """Return rotations of the link tips by bending, and an estimate of the error of the tip by linear beam theory.
 
-    In linear theory a force turns the tip of a cantilever of length L by a. The true rotation is less by 11/30 a^3 and
-    the true deflection by 32/105 a^3 L: the next terms of the elastica (Bisshopp and Drucker 1945, Q. Appl. Math. 3,
-    272). Relative to the deflection of 2/3 a L this is a spring stiffer by 0.46 a^2. A vibration of this amplitude is
-    faster by 3/8 of it (Duffing), so that a slow vibration leads by 0.17 a^2 of its phase. The estimate adds the loss
-    of deflection and the lead over all links, at their largest angles; it is an order of magnitude, not a bound.
+    In linear theory a tip force rotates the tip of a cantilever of length L by an angle a. The rotation of the elastica
+    is smaller by 11/30 a^3 and its deflection by 32/105 a^3 L, to the next order in a (Bisshopp and Drucker 1945, Q.
+    Appl. Math. 3, 272). Relative to the linear deflection 2/3 a L the stiffness is larger by 0.46 a^2. The frequency of
+    a vibration with this amplitude is larger by 3/8 of this value (Duffing oscillator), so that its phase leads by 0.17
+    a^2 times the phase. The estimate sums the differences of deflection and phase over all links, at their largest
+    angles; it is an order of magnitude, not a bound.
 
     Args:
-        model: the model.
+        model: model of the arm.
         states: (T, 2 d).
-        cycles: number of cycles of the slowest vibration.
+        cycles: number of cycles of the vibration with the lowest frequency, 1.
 
     Returns:
-        Largest angles (n,), rad, and the displacement, m.
+        Largest angles (n,), rad, and the estimated error of the tip position, m.
     """
     lengths, angles = model.constants.length, np.zeros(model.n_joints)
     for i in range(model.n_joints):
         start, stop = model.constants.elastic_start[i : i + 2]
-        turned = states[:, model.elastic_columns(i)] @ model.constants.tip_rotation[start:stop]
-        angles[i] = np.linalg.norm(turned[:, 1:], axis=1).max()
-    beyond = lengths.sum() - np.cumsum(lengths)
-    less, moved = 32.0 / 105.0 * lengths + 11.0 / 30.0 * beyond, 2.0 / 3.0 * lengths + beyond
-    ahead = 0.17 * 2.0 * np.pi * cycles * moved
-    return angles, float(angles**3 @ (less + ahead))
+        rotations = states[:, model.elastic_columns(i)] @ model.constants.tip_rotation[start:stop]
+        angles[i] = np.linalg.norm(rotations[:, 1:], axis=1).max()
+    outboard = lengths.sum() - np.cumsum(lengths)
+    deflection, linear = 32.0 / 105.0 * lengths + 11.0 / 30.0 * outboard, 2.0 / 3.0 * lengths + outboard
+    lead = 0.17 * 2.0 * np.pi * cycles * linear
+    return angles, float(angles**3 @ (deflection + lead))

@@ -1,4 +1,4 @@
-"""Selection of the smallest model, the method and the longest step within a tolerance at the tip."""
+"""Selection of a small model, an integration method and a long step within a tolerance of the tip position."""
 
 import time as clock
 from collections.abc import Iterator
@@ -9,6 +9,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import check_solvable, positive, value_error
+from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.fidelity.mesh_search import MeshSearch
 from flexman_gym.fidelity.model_search import Candidate, CandidateRun, ModelSearch, compact_modes
 from flexman_gym.model.dynamics import frequencies, mass_matrix, stiffness_matrix
@@ -18,31 +19,32 @@ from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.methods import EXPLICIT, METHODS, Method
 from flexman_gym.simulation.stability import NEGLIGIBLE_GROWTH, remaining_amplitude, spectral_radii, stability_limit
 
-SAFETY_FACTOR = 0.8  # 1; largest estimated error of the chosen run relative to the tolerance
-COST_TOLERANCE = 1.25  # 1; ratio of costs below which their difference is within the scatter of the timing
-STEP_MULTIPLES = (10, 8, 5, 4, 3, 2)  # output steps; steps to try above the output step
-# 1; steps to try, as divisors of the output step
+SAFETY_FACTOR = 0.8  # 1; largest estimated error of the selected simulation / tolerance
+COST_TOLERANCE = 1.25  # 1; ratio of two costs up to which their difference is within the scatter of the timing
+STEP_MULTIPLES = (10, 8, 5, 4, 3, 2)  # 1; steps to try / output step
+# 1; output step / steps to try
 STEP_PARTS = (1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25, 32, 40, 50, 64, 80, 100, 128, 160, 200, 256, 320, 400, 512, 1024)
-REPORTED_GROWTH = 0.01  # 1; numerical growth of a mode in 10 s that is reported
-MAX_GROWTH = 100.0  # 1; numerical growth of any mode within the scene; initial amplitudes are close to zero
+REPORTED_GROWTH = 0.01  # 1; numerical growth of a mode in 10 s above which it is reported
+MAX_GROWTH = 100.0  # 1; largest numerical growth of a mode in the duration of the scene
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Model, method and step chosen by `choose_model`.
+    """Model, method and step selected by `choose_model`.
 
     Attributes:
         model: the model, for `simulate`.
-        method: a name from `METHODS`.
-        step: s.
-        estimated_error: largest distance between the tip and the reference at the outputs of the run, plus the error of
-            the reference, m.
+        method: name of the integration method, a key of `METHODS`.
+        step: step of the method, s.
+        estimated_error: largest distance between the tip positions of the selected simulation and of the reference at
+            the outputs, plus the error of the reference, m.
         dropped: a text for each omitted part of the model, with its effect.
-        report: frequencies, step, numerical damping and computing cost of the choice as text. Where the mesh was
-            chosen, it also has the estimated effect of large rotations, which is not part of the estimated error.
-        errors: components of the error (m) by name; where they cancel, their sum exceeds the estimate. Where the mesh
-            was chosen they are mesh, modes, foreshortening, method and reference, else model and reference.
-        runs: number of simulations of the scene for the choice.
+        report: text with frequencies, step, numerical damping and computing cost. If the mesh was selected as well, it
+            also has the estimated effect of large rotations, which `estimated_error` does not include.
+        errors: component -> error, m; the components are "mesh", "modes", "foreshortening", "method" and "reference"
+            if the mesh was selected as well, else "model" and "reference". They may cancel in part, so that their sum
+            exceeds `estimated_error`.
+        runs: number of simulations of the scene for the selection.
 
     Examples:
         >>> choice = fm.choose_model(fm.catalog.paper_scene("rr"), tolerance=0.1)
@@ -62,42 +64,41 @@ class Choice:
     runs: int
 
     def __repr__(self) -> str:
-        left = f"{len(self.dropped)} parts left out" if self.dropped else "nothing left out"
+        omitted = f"{len(self.dropped)} parts left out" if self.dropped else "nothing left out"
         return (
             f"<Choice: {self.method} with steps of {self.step:g} s, estimated error {self.estimated_error:.3g} m\n"
-            f"  {self.model.n_dof} coordinates, {left}: see dropped and report>"
+            f"  {self.model.n_dof} coordinates, {omitted}: see dropped and report>"
         )
 
 
 def choose_model(scene: Scene, tolerance: float, longest_step: float | None = None) -> Choice:
-    """Choose the cheapest model, method and step whose tip stays within a tolerance of the reference.
+    """Select the model, method and step of lowest computing cost whose tip error in a scene is within a tolerance.
 
-    The reference is a converged simulation of the scene's arm with its elements, all coordinates of its flexible parts
-    and foreshortening. The discretisation error of its elements is not included. Where a scene leaves its elements open
-    (None), they are chosen as well: the reference then has five elements per link, and its discretisation error is
-    estimated from a run with one element less.
+    The error is the distance of the tip position from that of a reference: a converged simulation with the finite
+    elements of the scene, all elastic coordinates and foreshortening. It does not include the discretisation error of
+    these elements. For a scene with `elements=None` the number of elements is selected as well; the reference then has
+    five elements per link, and its discretisation error is estimated from a simulation with one element less per link.
 
-    Candidates leave out foreshortening, the springs of all joints, and the component modes with the smallest effect on
-    the tip in the motion of the reference: the amplitude of a mode times the tip displacement per unit of it. Each
-    candidate is run on the scene itself, so every error is measured. Costs within a quarter of the least count as
-    equal; of the models with these costs, the one with the fewest coordinates is chosen.
+    Candidate models omit foreshortening, the springs of all joints, or the component modes with the smallest tip
+    displacement in the motion of the reference. Their errors are measured in simulations of the scene. Costs up to
+    1.25 times the lowest are regarded as equal; of these models the one with the fewest coordinates is selected.
 
-    The tolerance holds at the outputs of the run: at the outputs of the scene or, with a longer step, after each step.
-    Between them it holds for cubic interpolation of positions and velocities.
+    The tolerance holds at the outputs of the scene; with a step longer than the output step it holds after each step
+    and, between steps, for cubic interpolation of positions and velocities.
 
-    A choice takes some hundred simulations of the scene, at most a hundred where the mesh is open. Repeated calls with
-    the same scene and tolerance return the same object from a cache.
+    The selection takes some hundred simulations of the scene, at most one hundred with `elements=None`. Repeated calls
+    with the same arguments return the same object from a cache.
 
     Args:
         scene: the scene.
-        tolerance: largest error of the tip, m.
+        tolerance: largest error of the tip position, m.
         longest_step: longest step to try, s; None for ten output steps.
 
     Returns:
-        The choice, with the reasons and the components of its error.
+        The selected model, method and step, with the components of the error and a report.
 
     Raises:
-        ValueError: for a wrong scene or tolerance, and where no candidate meets the tolerance, with the error reached.
+        ValueError: for an invalid scene or tolerance, and if no candidate meets the tolerance, with the smallest error.
 
     Examples:
         >>> choice = fm.choose_model(fm.catalog.paper_scene("rr"), tolerance=0.01)
@@ -114,51 +115,52 @@ def choose_model(scene: Scene, tolerance: float, longest_step: float | None = No
     return _choose(scene, positive("tolerance", tolerance, "m"), longest)
 
 
+@deprecated_arguments(**ARGUMENTS["assembled_modes"])
 def assembled_modes(
-    arm: Arm, elements: int | tuple[int, ...] = 2, highest: float = 25.0, share: float = 0.02
+    arm: Arm, elements: int | tuple[int, ...] = 2, max_frequency: float = 25.0, energy_fraction: float = 0.02
 ) -> tuple[int | tuple[int, ...], ...]:
-    """Return the component modes of each link, for `build_model`, that take part in slow vibrations of the arm.
+    """Return the component modes of each link, for `build_model`, that contribute to the vibration modes of an arm.
 
-    A mode is retained when it holds more than `share` of the elastic energy of a slow vibration (motors free,
-    undamped). Slow vibrations are those below `highest`, and in any case the lowest three. They are computed at zero
-    joint angles and with each joint turned by 0.8 and by 1.6 rad. Unlike `choose_model`, this takes no simulation and
-    estimates no error.
+    A component mode is retained if it has more than `energy_fraction` of the elastic energy of a vibration mode of the
+    arm (motors free, undamped). All vibration modes up to `max_frequency` are used, at least the lowest three, at zero
+    joint angles and with each joint rotated by 0.8 and by 1.6 rad. Unlike `choose_model`, this function simulates
+    nothing and estimates no error.
 
     Args:
         arm: the arm.
-        elements: one number or one per link, as in `build_model`.
-        highest: highest frequency of a slow vibration, Hz.
-        share: least share of the elastic energy of a vibration, 1.
+        elements: number of finite elements, one for all links or one per link, as in `build_model`.
+        max_frequency: largest natural frequency of a vibration mode, Hz.
+        energy_fraction: smallest fraction of the elastic energy of a vibration mode, 1.
 
     Returns:
-        For each link, the number of its lowest modes or a tuple of mode numbers.
+        For each link, the number of its lowest modes or a tuple of mode numbers, from 0.
 
     Raises:
-        ValueError: for an arm whose masses and stiffnesses differ so much in size that rounding hides its vibrations.
+        ValueError: if the natural frequencies cannot be computed, for masses or stiffnesses of very different size.
     """
     from scipy.linalg import eigh
 
     counts = tuple(basis.shape[1] for basis in build_model(arm, elements).bases)
     model = build_model(arm, elements, counts)
     stiffness, n = stiffness_matrix(model), model.n_joints
-    turned = [angle * row for angle in (0.8, 1.6) for row in np.eye(n)]
-    carried = np.zeros(model.n_dof)
-    for pose in [np.zeros(n), *turned]:
-        mass = mass_matrix(model, model.initial_state(pose))
+    rotated = [angle * row for angle in (0.8, 1.6) for row in np.eye(n)]
+    fractions = np.zeros(model.n_dof)
+    for posture in [np.zeros(n), *rotated]:
+        mass = mass_matrix(model, model.initial_state(posture))
         with check_solvable("frequencies"):
             squares, shapes = eigh(stiffness, mass)
-            slow = np.sqrt(np.maximum(squares, 0.0)) < 2.0 * np.pi * highest
+            slow = np.sqrt(np.maximum(squares, 0.0)) < 2.0 * np.pi * max_frequency
             slow[: n + 3] = True
             slow[:n] = False  # rigid-body modes about the joints
             energies = shapes[:, slow] ** 2 * np.diag(stiffness)[:, None] / squares[slow]
-        carried = np.maximum(carried, energies.max(axis=1, initial=0.0))
-    links = [carried[model.elastic_columns(i)] > share for i in range(n)]
-    return tuple(compact_modes(tuple(np.flatnonzero(kept).tolist())) for kept in links)
+        fractions = np.maximum(fractions, energies.max(axis=1, initial=0.0))
+    links = [fractions[model.elastic_columns(i)] > energy_fraction for i in range(n)]
+    return tuple(compact_modes(tuple(np.flatnonzero(retained).tolist())) for retained in links)
 
 
 @lru_cache(maxsize=64)
 def _choose(scene: Scene, tolerance: float, longest: float) -> Choice:
-    """Return the choice for checked arguments."""
+    """Return the result of `choose_model` for checked arguments; `longest` is the longest step, s."""
     started = clock.process_time()
     search = MeshSearch(scene, tolerance) if scene.model.elements is None else ModelSearch(scene, tolerance)
     if search.error > search.max_reference_share * tolerance:
@@ -166,20 +168,20 @@ def _choose(scene: Scene, tolerance: float, longest: float) -> Choice:
         raise value_error("tolerance", tolerance, f"at least {least:.2g} m, the accuracy of the reference")
     parts = search.contributions()
     trials = [trial for candidate in _candidates(search, parts) for trial in _run_candidate(search, candidate, longest)]
-    good = [trial for trial in trials if trial.error + search.error <= SAFETY_FACTOR * tolerance]
-    if not good:
+    accurate = [trial for trial in trials if trial.error + search.error <= SAFETY_FACTOR * tolerance]
+    if not accurate:
         reached = min(trial.error for trial in trials) if trials else np.inf
         raise value_error(
             "tolerance", tolerance, f"at least {(reached + search.error) / SAFETY_FACTOR:.2g} m, the error reached"
         )
-    cheapest = min(trial.cost for trial in good)
-    close = [trial for trial in good if trial.cost <= 1.5 * cheapest]
+    cheapest = min(trial.cost for trial in accurate)
+    close = [trial for trial in accurate if trial.cost <= 1.5 * cheapest]
     if search.max_timed is not None:
         close = sorted(close, key=lambda trial: trial.cost)[: search.max_timed]
     timed = [(min(search.measure(*trial[:3]).cost for _ in range(3)), trial) for trial in close]
     quickest = min(cost for cost, _ in timed)
-    alike = [(_model_size(search, trial), cost, trial) for cost, trial in timed if cost <= COST_TOLERANCE * quickest]
-    best = min(alike, key=lambda each: each[:2])[2]
+    similar = [(_model_size(search, trial), cost, trial) for cost, trial in timed if cost <= COST_TOLERANCE * quickest]
+    best = min(similar, key=lambda each: each[:2])[2]
     search.refine_reference(best.error)
     run = search.run(*best[:3])
     error, errors = search.tip_error(run) + search.error, search.errors(best.candidate, run)
@@ -195,17 +197,17 @@ def _model_size(search: ModelSearch, trial: CandidateRun) -> tuple[int, bool]:
 
 
 def _candidates(search: ModelSearch, parts: dict[tuple[int, int], float]) -> list[Candidate]:
-    """Return models that meet their share of the tolerance, the one with the fewest coordinates first."""
+    """Return the candidates to simulate, fewest coordinates first; `parts` are `ModelSearch.contributions`."""
     result, stiffest = {search.full}, search.stiffest_modes() if search.has_softer_models else []
     for springs in {search.full.springs, False}:
         for stiffening in {False, search.full.stiffening}:
             start = search.full._replace(springs=springs, stiffening=stiffening)
             for share in search.tolerance_shares:
-                budget = share * search.tolerance
-                if search.screen(start) <= budget:
-                    result.add(search.reduced(start, budget, list(parts)))
-            if search.has_softer_models and search.screen(start) <= budget:  # for explicit methods
-                softer = search.reduced(start, budget, stiffest)
+                limit = share * search.tolerance
+                if search.screen(start) <= limit:
+                    result.add(search.reduced(start, limit, list(parts)))
+            if search.has_softer_models and search.screen(start) <= limit:  # for explicit methods
+                softer = search.reduced(start, limit, stiffest)
                 result.add(search.reduced(softer, search.tolerance_shares[0] * search.tolerance, list(parts)))
     angles = search.scene.initial.joint_angles
 
@@ -225,33 +227,33 @@ def _candidates(search: ModelSearch, parts: dict[tuple[int, int], float]) -> lis
 
 
 def _run_candidate(search: ModelSearch, candidate: Candidate, longest: float) -> Iterator[CandidateRun]:
-    """Run a candidate by each method, with shorter steps until a run meets the tolerance or costs too much."""
+    """Simulate a candidate with each method, with shorter steps until the tolerance or the cost limit is reached."""
     modes = frequencies(search.model(candidate), search.scene.initial.joint_angles)
-    aim = SAFETY_FACTOR * search.tolerance - search.error
-    ladder = np.array([step for step in _admissible_steps(search.scene) if step <= longest * (1.0 + 1e-9)])
+    error_limit = SAFETY_FACTOR * search.tolerance - search.error
+    all_steps = np.array([step for step in _admissible_steps(search.scene) if step <= longest * (1.0 + 1e-9)])
     for method in (METHODS[name] for name in search.methods):
-        steps = _stable_steps(method, ladder, modes, search.scene.duration)
-        per_step, place = search.estimate_step_cost(candidate, method), search.first_index(method, steps)
-        while place < len(steps) and per_step / steps[place] <= 1.2 * search.best and search.runs < search.max_runs:
-            trial = search.measure(candidate, method, steps[place])
+        steps = _stable_steps(method, all_steps, modes, search.scene.duration)
+        per_step, i = search.estimate_step_cost(candidate, method), search.first_index(method, steps)
+        while i < len(steps) and per_step / steps[i] <= 1.2 * search.best and search.runs < search.max_runs:
+            trial = search.measure(candidate, method, steps[i])
             per_step, search.last_steps[method.name] = search.step_cost(trial, per_step), trial.step
             yield trial
-            if trial.error <= aim:
+            if trial.error <= error_limit:
                 search.best = min(search.best, trial.cost)
                 break
             # The order of the method predicts the step, except from the error of a step far too long.
-            shrink = 0.5 if not trial.error < 1.0 else max(0.2, (aim / trial.error) ** (1.0 / method.order))
-            place += max(1, sum(step > 1.15 * shrink * trial.step for step in steps[place:]))
+            factor = 0.5 if not trial.error < 1.0 else max(0.2, (error_limit / trial.error) ** (1.0 / method.order))
+            i += max(1, sum(step > 1.15 * factor * trial.step for step in steps[i:]))
 
 
 def _stable_steps(method: Method, steps: Array, modes: Array, duration: float) -> list[float]:
-    """Return the steps (s) at which a method lets no vibration (Hz) grow beyond MAX_GROWTH within a duration (s)."""
+    """Return the steps (s) at which no mode (Hz) grows beyond MAX_GROWTH by a method within a duration (s)."""
     growth = duration / steps[:, None] * np.log(spectral_radii(method, 2.0 * np.pi * steps[:, None] * modes))
     return [float(step) for step in steps[(growth <= np.log(MAX_GROWTH)).all(axis=1)]]
 
 
 def _admissible_steps(scene: Scene) -> list[float]:
-    """Return the steps accepted by `simulate` for a scene, in descending order."""
+    """Return the steps (s) to try for a scene that `simulate` accepts, in descending order."""
     rows = len(scene.output_times) - 1
     longer = [scene.output_step * multiple for multiple in STEP_MULTIPLES if rows % multiple == 0]
     return longer + [scene.output_step / parts for parts in STEP_PARTS]
@@ -270,14 +272,14 @@ def _describe_dropped(
         texts.append(f"springs of the joints: with rigid joints the tip moves by {error:.2g} m")
     model = search.model(full)
     squares = np.diag(stiffness_matrix(model))
-    for i, kept in enumerate(full.modes):
-        gone = [mode for mode in kept if mode not in candidate.modes[i]]
-        if gone:
-            most = max(parts[i, mode] for mode in gone)
-            lowest = np.sqrt(squares[model.elastic_columns(i)][gone[0]]) / (2.0 * np.pi)  # unit modal mass
-            numbers = "all" if gone == list(kept) else ", ".join(map(str, gone))
+    for i, modes in enumerate(full.modes):
+        omitted = [mode for mode in modes if mode not in candidate.modes[i]]
+        if omitted:
+            most = max(parts[i, mode] for mode in omitted)
+            lowest = np.sqrt(squares[model.elastic_columns(i)][omitted[0]]) / (2.0 * np.pi)  # unit modal mass
+            numbers = "all" if omitted == list(modes) else ", ".join(map(str, omitted))
             texts.append(
-                f"link {i + 1}, component modes {numbers} of {len(kept)} (from {lowest:.4g} Hz): each moves the tip by"
+                f"link {i + 1}, component modes {numbers} of {len(modes)} (from {lowest:.4g} Hz): each moves the tip by"
                 f" at most {most:.2g} m"
             )
     if texts:
@@ -286,30 +288,30 @@ def _describe_dropped(
 
 
 def _write_report(search: ModelSearch, best: CandidateRun, trials: list[CandidateRun], seconds: float) -> str:
-    """Return frequencies, step, numerical damping and computing cost as text."""
+    """Return a text with frequencies, step, numerical damping and computing cost of the selected simulation."""
     scene, model, full = search.scene, search.model(best.candidate), search.model(search.full)
-    own, all_ = (frequencies(each, scene.initial.joint_angles)[model.n_joints :] for each in (model, full))
+    modes, all_modes = (frequencies(each, scene.initial.joint_angles)[model.n_joints :] for each in (model, full))
     lines = [f"{model.n_dof} of {full.n_dof} coordinates, {best.method.name} with {best.step:.4g} s"]
-    if len(own):
-        lines.append("system frequencies (Hz, motors free): " + ", ".join(f"{each:.4g}" for each in own))
-        lines.append(f"the highest is {own[-1]:.4g} Hz, with all coordinates {all_[-1]:.4g} Hz")
-    if best.method.kind == EXPLICIT and len(own):
-        limit = stability_limit(best.method, NEGLIGIBLE_GROWTH) / (2.0 * np.pi * own[-1])
+    if len(modes):
+        lines.append("system frequencies (Hz, motors free): " + ", ".join(f"{each:.4g}" for each in modes))
+        lines.append(f"the highest is {modes[-1]:.4g} Hz, with all coordinates {all_modes[-1]:.4g} Hz")
+    if best.method.kind == EXPLICIT and len(modes):
+        limit = stability_limit(best.method, NEGLIGIBLE_GROWTH) / (2.0 * np.pi * modes[-1])
         lines.append(f"longest stable step: {limit:.3g} s for {best.method.name}")
-    same = [each for each in trials if each[:2] == best[:2] and each.step > best.step]
-    if same:
-        next_ = min(same, key=lambda each: each.step)
-        lines.append(f"limit of the step: {next_.step:.4g} s has an error of {next_.error:.2g} m")
-    grown = [remaining_amplitude(best.method, best.step, frequency) - 1.0 for frequency in own]
-    for i, (frequency, part) in enumerate(zip(own[:3], grown, strict=False), start=1):
+    longer = [each for each in trials if each[:2] == best[:2] and each.step > best.step]
+    if longer:
+        rejected = min(longer, key=lambda each: each.step)
+        lines.append(f"limit of the step: {rejected.step:.4g} s has an error of {rejected.error:.2g} m")
+    growth = [remaining_amplitude(best.method, best.step, frequency) - 1.0 for frequency in modes]
+    for i, (frequency, change) in enumerate(zip(modes[:3], growth, strict=False), start=1):
         lines.append(
-            f"numerical damping of mode {i} ({frequency:.4g} Hz) over 10 s: {100.0 * part:+.2g} % of amplitude"
+            f"numerical damping of mode {i} ({frequency:.4g} Hz) over 10 s: {100.0 * change:+.2g} % of amplitude"
         )
-    if grown and max(grown) > REPORTED_GROWTH:
-        k = int(np.argmax(grown))
+    if growth and max(growth) > REPORTED_GROWTH:
+        k = int(np.argmax(growth))
         lines.append(
-            f"{best.method.name} lets mode {k + 1} ({own[k]:.4g} Hz) grow by {100.0 * grown[k]:.2g} % in 10 s without"
-            " damping"
+            f"{best.method.name} lets mode {k + 1} ({modes[k]:.4g} Hz) grow by {100.0 * growth[k]:.2g} % in 10 s"
+            " without damping"
         )
     lines.append(search.describe_reference())
     lines.append(

@@ -394,9 +394,9 @@ class SimulatedResponse:
         flags = prescribed_flags(model.n_joints, prescribed_joints(self.scene))
         pieces, d = self.scene.pieces, model.n_dof
         moments = self.measurement.period * np.arange(size)
-        middle = 0.5 * (pieces.moments[1:] + pieces.moments[:-1])
+        middle = 0.5 * (pieces.times[1:] + pieces.times[:-1])
         drives = np.array([pieces.table(p) for p in range(len(middle))])
-        before = np.clip(np.searchsorted(pieces.moments, moments - 1e-9 * moments[-1]) - 1, 0, len(middle) - 1)
+        before = np.clip(np.searchsorted(pieces.times, moments - 1e-9 * moments[-1]) - 1, 0, len(middle) - 1)
         applied = drives[before, layout.OFFSET] + drives[before, layout.SLOPE] * moments[:, None]
         result = np.full((len(runs), size, layout.TIP_ACCELERATIONS), np.nan)
         work = layout.make_work(model.constants)

@@ -1,12 +1,13 @@
-"""Finite-element beam of one link: mass points, lumped masses and foreshortening stations.
+"""Finite-element beam of one link: mass points, lumped masses, and stations for the foreshortening.
 
-A link is a straight Euler-Bernoulli beam along its own x axis, clamped to the floating frame at x = 0. Its mass is
-represented by mass points: each element has four Gauss points, and each Gauss point has four section points. They
-integrate the polynomials of these elements exactly, so their sums equal the volume integrals of Eq. 13 and 14. Stations
-are the points of the centreline that represent its foreshortening.
+A link is a straight Euler-Bernoulli beam along the x axis of its beam frame, which is its floating frame and fixed to
+the cross-section at x = 0. Mass points represent the mass: each element has four Gauss points along its length, with
+four points in each cross-section. Their sums are exact for the polynomials of the elements and equal the volume
+integrals in Eqs. (13) and (14) of the paper. Stations are points on the centreline that represent the foreshortening.
 
-Without rotary inertia the mass points lie on the centreline. The cross-sections there resist rotation about the beam
-axis only. In a frame with angular velocity w they turn about this axis at the rate w_x + phi'.
+Without rotary inertia the mass points lie on the centreline, and the cross-sections at the Gauss points have a moment
+of inertia about the beam axis only. In a beam frame with the angular velocity w the angular velocity of a cross-section
+about this axis is w_x + dphi/dt. Equation numbers are those of the paper, see `docs/theory.md`.
 """
 
 from collections.abc import Sequence
@@ -22,27 +23,25 @@ from flexman_gym.model.element import (
     beam_elements,
     beam_shapes,
     beam_slopes,
-    beam_stiffness,
     find_element,
     section_points,
 )
 from flexman_gym.scene.link import Link, NonUniformLink
 from flexman_gym.scene.rigid_body import LumpedMass
 
-BLOCK = 2 * NODE_COORDINATES  # coordinates of an element
-STATION_GROUP = 4  # the number of stations of a link, with its tip, is a multiple of this
+BLOCK = 2 * NODE_COORDINATES  # number of coordinates of an element
+STATION_GROUP = 4  # divisor of the number of stations of a link, including its tip
 
 
 def _beam_stations(elements: Sequence[Element], size: int) -> tuple[Array, Array, Array]:
-    """Return G at each station, the stations and their shape functions; the first station is the tip.
+    """Return matrix G, mass, position and shape functions of each station; the first station is the massless tip.
 
-    The s - 1 >= elements + 1 inner stations represent the polynomials nearest to the motion of the centreline. Each
-    lies at a Gauss point of the mass distribution of the link. Its motion is the mean of the motion of the centreline,
-    weighted with the Lagrange polynomial of this point, so that products of such polynomials are integrated exactly.
-    The mass matrix minus the contribution of the stations is a sum of squares and therefore stays positive.
+    The other s - 1 >= elements + 1 stations lie at the Gauss points of the mass distribution of the link. The motion of
+    a station is the mean motion of the centreline, weighted with mass and with the Lagrange polynomial of this point:
+    the stations represent the projection of the motion onto polynomials, whose products they integrate exactly. The
+    mass matrix minus the contribution of the stations is therefore positive semidefinite.
 
-    G at a point is the integral of v'^T v' + w'^T w' from the base to the point, exact by Gauss quadrature of
-    sufficient order.
+    G at a point is the integral of v'^T v' + w'^T w' from the base to the point, by Gauss quadrature of exact order.
 
     Args:
         elements: elements of the link, base to tip.
@@ -56,17 +55,17 @@ def _beam_stations(elements: Sequence[Element], size: int) -> tuple[Array, Array
     # exact for G (degree 5) times the Lagrange polynomial
     fine, parts = np.polynomial.legendre.leggauss((count + 7) // 2)
     points = np.concatenate([start + length * (1 + fine) / 2 for _, start, length, _ in elements])
-    shares = np.concatenate([parts / 2 * length * each.density * each.area for each, _, length, _ in elements])
-    places, masses = _gauss_rule(points, shares, count)
-    means = iter((shares / masses[:, None] * _lagrange(places, points)).T)
+    point_masses = np.concatenate([parts / 2 * length * each.density * each.area for each, _, length, _ in elements])
+    positions, masses = _gauss_rule(points, point_masses, count)
+    means = iter((point_masses / masses[:, None] * _lagrange(positions, points)).T)
     integral, shapes = np.zeros((size, size)), np.zeros((count + 1, 3, size))
     # G couples neighbouring nodes only, so one block per element is summed
     blocks, sums = _blocks(integral, len(elements)), np.zeros((count, len(elements), BLOCK, BLOCK))
     for i, (_, _, length, nodes) in enumerate(elements):
-        before = integral[nodes, nodes].copy()
+        inboard = integral[nodes, nodes].copy()
         for end in [*(1 + fine) / 2, 1.0]:
             shape = beam_shapes(end, length, 0.0, 0.0)
-            integral[nodes, nodes] = before
+            integral[nodes, nodes] = inboard
             for xi, weight in zip(end * (1 + abscissae) / 2, end * weights / 2, strict=True):
                 slopes = beam_slopes(xi, length)
                 integral[nodes, nodes] += weight * length * slopes.T @ slopes
@@ -80,47 +79,47 @@ def _beam_stations(elements: Sequence[Element], size: int) -> tuple[Array, Array
         integrals[1:, element.nodes, element.nodes] = sums[:, i]
     stations = np.zeros((count + 1, 4))
     stations[0, 1] = elements[-1].start + elements[-1].length
-    stations[1:, 0], stations[1:, 1] = masses, places
+    stations[1:, 0], stations[1:, 1] = masses, positions
     return integrals, stations, shapes
 
 
 def _blocks(matrix: Array, count: int) -> Array:
-    """Return a view (count, 12, 12) of the diagonal blocks of a matrix that belong to the elements."""
+    """Return a view (count, 12, 12) of the overlapping diagonal blocks of a matrix, one for each element."""
     row, column = matrix.strides
     step = NODE_COORDINATES * (row + column)
     return np.lib.stride_tricks.as_strided(matrix, (count, BLOCK, BLOCK), (step, row, column), writeable=False)
 
 
-def _gauss_rule(places: Array, masses: Array, count: int) -> tuple[Array, Array]:
-    """Return points and weights (count,) of the Gauss rule of a distribution of point masses.
+def _gauss_rule(positions: Array, masses: Array, count: int) -> tuple[Array, Array]:
+    """Return points (m) and weights (kg) (count,) of the Gauss quadrature of a distribution of point masses.
 
-    The rule is exact to degree 2 count - 1.
+    The quadrature is exact to degree 2 count - 1.
 
     Args:
-        places: positions of the point masses, m.
-        masses: their masses, kg.
-        count: number of points of the rule.
+        positions: (p,) positions of the point masses along the link, m.
+        masses: (p,) kg.
+        count: number of points of the quadrature.
     """
     # by the three-term recurrence of the orthogonal polynomials (Golub and Welsch, Math. Comp. 23, 1969)
     diagonal, off_diagonal = np.zeros(count), np.zeros(count)
-    before, now = np.zeros(len(places)), np.ones(len(places)) / np.sqrt(masses.sum())
+    previous, current = np.zeros(len(positions)), np.ones(len(positions)) / np.sqrt(masses.sum())
     for i in range(count):
-        diagonal[i] = masses @ (places * now**2)
-        ahead = (places - diagonal[i]) * now - (off_diagonal[i - 1] if i else 0.0) * before
-        off_diagonal[i] = np.sqrt(masses @ ahead**2)
-        before, now = now, ahead / off_diagonal[i]
+        diagonal[i] = masses @ (positions * current**2)
+        following = (positions - diagonal[i]) * current - (off_diagonal[i - 1] if i else 0.0) * previous
+        off_diagonal[i] = np.sqrt(masses @ following**2)
+        previous, current = current, following / off_diagonal[i]
     # eigh reads the lower triangle only
     result, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(off_diagonal[:-1], -1))
     return result, masses.sum() * vectors[0] ** 2
 
 
-def _lagrange(places: Array, points: Array) -> Array:
+def _lagrange(nodes: Array, points: Array) -> Array:
     """Return the Lagrange polynomials (s, p) of the nodes (s,), evaluated at the points (p,)."""
-    others = ~np.eye(len(places), dtype=bool)
+    others = ~np.eye(len(nodes), dtype=bool)
     return np.array(
         [
-            np.prod((points[:, None] - places[other]) / (place - places[other]), axis=1)
-            for place, other in zip(places, others, strict=True)
+            np.prod((points[:, None] - nodes[other]) / (node - nodes[other]), axis=1)
+            for node, other in zip(nodes, others, strict=True)
         ]
     )
 
@@ -128,39 +127,39 @@ def _lagrange(places: Array, points: Array) -> Array:
 def _lumped_mass_points(
     bodies: Sequence[LumpedMass], elements: Sequence[Element], size: int
 ) -> tuple[Array, Array, Array]:
-    """Return masses (p,), positions (p, 3) and shapes (p, 3, size) of points that represent lumped bodies.
+    """Return masses (p,), positions (p, 3) and shapes (p, 3, size) of mass points that represent lumped masses.
 
-    The points have the mass and inertia of the bodies: six points of equal mass for a rigid body, two on each principal
-    axis, and one point for a point mass.
+    The points have the mass, centre of mass and inertia of the bodies: six points of equal mass for a rigid body, two
+    on each principal axis, and one point for a point mass.
 
     Args:
         bodies: lumped masses of the link.
         elements: elements of the link, base to tip.
-        size: number of its node coordinates, including the clamped node.
+        size: number of node coordinates of the link, including the clamped node.
     """
     masses, positions, shapes = [], [], []
-    for each in bodies:
-        points = _body_points(each)
+    for body in bodies:
+        points = _body_points(body)
         for point in points:
-            masses.append(each.mass / len(points))
-            positions.append([each.position + point[0], point[1], point[2]])
-            shapes.append(_displacement(each, point, elements, size))
+            masses.append(body.mass / len(points))
+            positions.append([body.position + point[0], point[1], point[2]])
+            shapes.append(_displacement(body, point, elements, size))
     return np.array(masses), np.array(positions), np.array(shapes)
 
 
 def _lumped_mass_stations(
     bodies: Sequence[LumpedMass], elements: Sequence[Element], size: int
 ) -> tuple[Array, Array, Array]:
-    """Return G (b, size, size), stations (b, 4) and shapes (b, 3, size) of the centres of mass of lumped bodies.
+    """Return G (b, size, size), stations (b, 4) and shapes (b, 3, size) of the centres of mass of lumped masses.
 
-    Foreshortening moves a body back together with its cross-section. The arguments are those of `_lumped_mass_points`,
-    the results those of `Beam`.
+    Foreshortening displaces a lumped mass together with its cross-section. The arguments are those of
+    `_lumped_mass_points`, the results those of `Beam`.
     """
-    centres = [np.array(each.offset or np.zeros(3)) for each in bodies]
-    stations = [[each.mass, each.position + at[0], at[1], at[2]] for each, at in zip(bodies, centres, strict=True)]
-    shapes = [_displacement(each, at, elements, size) for each, at in zip(bodies, centres, strict=True)]
+    centres = [np.array(body.offset or np.zeros(3)) for body in bodies]
+    stations = [[body.mass, body.position + r[0], r[1], r[2]] for body, r in zip(bodies, centres, strict=True)]
+    shapes = [_displacement(body, r, elements, size) for body, r in zip(bodies, centres, strict=True)]
     return (
-        np.array([foreshortening_matrix(each.position, elements, size) for each in bodies]),
+        np.array([foreshortening_matrix(body.position, elements, size) for body in bodies]),
         np.array(stations),
         np.array(shapes),
     )
@@ -173,36 +172,36 @@ def _body_points(body: LumpedMass) -> Array:
         return centre[None]
     inertia = np.array(body.inertia)
     moments, axes = np.linalg.eigh(np.trace(inertia) / 2.0 * np.eye(3) - inertia)  # second moments of mass
-    arms = (np.sqrt(3.0 * np.maximum(moments, 0.0) / body.mass) * axes).T
-    return centre + np.vstack([arms, -arms])
+    distances = (np.sqrt(3.0 * np.maximum(moments, 0.0) / body.mass) * axes).T
+    return centre + np.vstack([distances, -distances])
 
 
 def _displacement(body: LumpedMass, point: Array, elements: Sequence[Element], size: int) -> Array:
-    """Return the displacement (3, size) of a point of a body: u + theta x r of its cross-section.
+    """Return the displacement u + theta x r (3, size) of a point of a lumped mass per unit of node coordinates.
 
     Args:
         body: lumped mass.
-        point: (3,) position relative to the beam axis, m.
+        point: (3,) position r relative to the beam axis at the cross-section of the body, m.
         elements: elements of the link, base to tip.
-        size: number of its node coordinates, including the clamped node.
+        size: number of node coordinates of the link, including the clamped node.
     """
     element, xi = find_element(elements, body.position)
-    turn = np.zeros((3, 2 * NODE_COORDINATES))
-    turn[0, [3, 9]] = 1.0 - xi, xi
+    theta = np.zeros((3, 2 * NODE_COORDINATES))
+    theta[0, [3, 9]] = 1.0 - xi, xi
     slopes = beam_slopes(xi, element.length)
-    turn[1], turn[2] = -slopes[1], slopes[0]  # theta_y = -w', theta_z = v'
+    theta[1], theta[2] = -slopes[1], slopes[0]  # theta_y = -w', theta_z = v'
     result = np.zeros((3, size))
-    result[:, element.nodes] = beam_shapes(xi, element.length, 0.0, 0.0) + np.cross(turn.T, point).T
+    result[:, element.nodes] = beam_shapes(xi, element.length, 0.0, 0.0) + np.cross(theta.T, point).T
     return result
 
 
 def foreshortening_matrix(position: float, elements: Sequence[Element], size: int) -> Array:
-    """Return G (size, size), the integral of v'^T v' + w'^T w' from the base of a link to a position (m).
+    """Return the matrix G (size, size), 1/m: the integral of v'^T v' + w'^T w' from the base of a link to a position.
 
     Args:
         position: upper limit of the integral, m.
         elements: elements of the link, base to tip.
-        size: number of its node coordinates, including the clamped node.
+        size: number of node coordinates of the link, including the clamped node.
     """
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     result = np.zeros((size, size))
@@ -216,23 +215,25 @@ def foreshortening_matrix(position: float, elements: Sequence[Element], size: in
 
 @dataclass(frozen=True)
 class Beam:
-    """Discretised link with k elastic coordinates in its beam frame; k = 0 for a rigid link.
+    """Discretised link with k elastic coordinates, in its beam frame; k = 0 for a rigid link.
+
+    Equation numbers are those of the paper.
 
     Attributes:
         masses: (p,) mass of each mass point, kg.
-        positions: (p, 3) undeformed position of each mass point, m.
-        shapes: (p, 3, k) displacement of each mass point per unit coordinate (S of Eq. 3).
-        stiffness: (k, k) elastic stiffness (K of Eq. 18).
-        tip_translation: (3, k) displacement of the tip section per unit coordinate (S^jt).
-        tip_rotation: (3, k) rotation vector of the tip section per unit coordinate (S^jr).
-        shortening: (s, k, k) matrix G of each station; the foreshortening of the centreline from 0 to the station is
-            1/2 q^T G q.
+        positions: (p, 3) position of each mass point in the undeformed link, m.
+        shapes: (p, 3, k) displacement of each mass point per unit coordinate (S in Eq. (3)).
+        stiffness: (k, k) stiffness matrix (K in Eq. (18)).
+        tip_translation: (3, k) displacement of the tip cross-section per unit coordinate (S^jt).
+        tip_rotation: (3, k) rotation vector of the tip cross-section per unit coordinate (S^jr).
+        shortening: (s, k, k) matrix G of each station, 1/m; the foreshortening of the centreline inboard of the station
+            is 1/2 q^T G q.
         stations: (s, 4) mass (kg) and position along x, y and z (m) of each station; the first is the massless tip. The
             stations of lumped masses may lie off the centreline.
-        station_shapes: (s, 3, k) displacement of the stations per unit coordinate.
-        polar: (t,) inertia about the beam axis of sections without other rotary inertia, kg m^2; empty with rotary
-            inertia, which the mass points represent.
-        twist: (t, k) rotation of these sections about the beam axis per unit coordinate.
+        station_shapes: (s, 3, k) displacement of each station per unit coordinate.
+        polar: (t,) moments of inertia of the cross-sections at the Gauss points about the beam axis, kg m^2, for a beam
+            without rotary inertia; else empty, because the mass points represent the rotary inertia.
+        twist: (t, k) rotation of these cross-sections about the beam axis per unit coordinate.
     """
 
     masses: Array
@@ -249,15 +250,15 @@ class Beam:
 
     @property
     def mass_matrix(self) -> Array:
-        """Elastic mass matrix (k, k), the sum of m S^T S over the mass points (lower right block of Eq. 13)."""
-        spinning = (self.twist.T * self.polar) @ self.twist
-        return np.einsum("p,pia,pib->ab", self.masses, self.shapes, self.shapes) + spinning
+        """Elastic mass matrix (k, k), the sum of m S^T S over the mass points (lower right block in Eq. (13))."""
+        torsional = (self.twist.T * self.polar) @ self.twist
+        return np.einsum("p,pia,pib->ab", self.masses, self.shapes, self.shapes) + torsional
 
     def reduced(self, basis: Array) -> "Beam":
-        """Return the same beam in reduced coordinates p with q = basis @ p.
+        """Return the beam in reduced coordinates p, with q = basis @ p.
 
         Args:
-            basis: (k, m).
+            basis: (k, m) elastic coordinates per unit of each reduced coordinate.
         """
         return replace(
             self,
@@ -271,33 +272,6 @@ class Beam:
         )
 
 
-@dataclass(frozen=True)
-class ShapeIntegrals:
-    """Mass integrals of a beam with k elastic coordinates; r0 is the undeformed position, S_a the shape function a.
-
-    Cross-sections that resist rotation about the beam axis only, with inertia j, enter as fictitious second moments of
-    mass: these give the inertia j about x and none about y and z, and for the rate of coordinate a the inertia j_a
-    about x.
-
-    Attributes:
-        mass: sum m, kg.
-        first_moment: (3,) sum m r0.
-        first_moment_shape: (k, 3) sum m S_a.
-        second_moment: (3, 3) sum m r0 r0^T.
-        position_shape: (k, 3, 3) sum m r0 S_a^T.
-        shape_shape: (k, k, 3, 3) sum m S_b S_a^T; the first index is b.
-        elastic: (k, k) sum m S_a . S_b.
-    """
-
-    mass: float
-    first_moment: Array
-    first_moment_shape: Array
-    second_moment: Array
-    position_shape: Array
-    shape_shape: Array
-    elastic: Array
-
-
 def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True, rotary_inertia: bool = True) -> Beam:
     """Assemble a link from equal elements in each section, with node 0 clamped to the floating frame.
 
@@ -307,89 +281,104 @@ def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True
         link: the link.
         elements: number of elements in each section; k = 6 * elements * number of sections.
         flexible: False makes the link rigid, with k = 0.
-        rotary_inertia: False makes the cross-sections resist rotation about the beam axis only; lumped masses keep
-            their inertia.
+        rotary_inertia: see `ModelChoice`; lumped masses have their inertia in any case.
     """
-    pieces = beam_elements(link, elements)
-    size = NODE_COORDINATES * (len(pieces) + 1)
+    parts = beam_elements(link, elements)
+    size = NODE_COORDINATES * (len(parts) + 1)
     stiffness = np.zeros((size, size))
-    for piece in pieces:
-        stiffness[piece.nodes, piece.nodes] += beam_stiffness(piece.section, piece.length)
-    (masses, positions, shapes), (polar, twist) = link_points(link, pieces, rotary_inertia)
-    shortening, centres, station_shapes = link_stations(link, pieces)
-    kept = slice(NODE_COORDINATES, size if flexible else NODE_COORDINATES)
+    for element in parts:
+        stiffness[element.nodes, element.nodes] += _element_stiffness(element.section, element.length)
+    points, (polar, twist), stations = inboard_masses(link, parts, rotary_inertia)
+    masses, positions, shapes = points
+    free = slice(NODE_COORDINATES, size if flexible else NODE_COORDINATES)
     identity = np.eye(size)
     return Beam(
         masses=masses,
         positions=positions,
-        shapes=shapes[:, :, kept],
-        stiffness=stiffness[kept, kept],
-        tip_translation=identity[-6:-3, kept],
-        tip_rotation=identity[-3:, kept],
-        shortening=shortening[:, kept, kept],
-        stations=centres,
-        station_shapes=station_shapes[:, :, kept],
+        shapes=shapes[:, :, free],
+        stiffness=stiffness[free, free],
+        tip_translation=identity[-6:-3, free],
+        tip_rotation=identity[-3:, free],
+        shortening=stations[0][:, free, free],
+        stations=stations[1],
+        station_shapes=stations[2][:, :, free],
         polar=polar,
-        twist=twist[:, kept],
+        twist=twist[:, free],
     )
 
 
-def link_points(
-    link: Link | NonUniformLink, elements: Sequence[Element], rotary_inertia: bool, until: float = np.inf
-) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
-    """Return the mass points and polar inertias of the part of a link inboard of a position; a body there is excluded.
+def _element_stiffness(section: Link, length: float) -> Array:
+    """Return the stiffness matrix (12, 12) of an element: axial, St Venant torsion, and bending in two planes.
+
+    Args:
+        section: uniform link section that contains the element.
+        length: length of the element, m.
+    """
+    stiffness = np.zeros((2 * NODE_COORDINATES, 2 * NODE_COORDINATES))
+    bar = np.array([[1.0, -1.0], [-1.0, 1.0]]) / length
+    stiffness[np.ix_([0, 6], [0, 6])] = section.youngs_modulus * section.area * bar
+    stiffness[np.ix_([3, 9], [3, 9])] = section.shear_modulus * section.torsion_constant * bar
+    a, b, c, d = 12 / length**3, 6 / length**2, 4 / length, 2 / length
+    bending = np.array([[a, b, -a, b], [b, c, -b, d], [-a, -b, a, -b], [b, d, -b, c]])
+    stiffness[np.ix_([1, 5, 7, 11], [1, 5, 7, 11])] = section.youngs_modulus * section.second_moment_z * bending
+    mirror = np.array([1.0, -1.0, 1.0, -1.0])  # theta_y = -w'
+    stiffness[np.ix_([2, 4, 8, 10], [2, 4, 8, 10])] = (
+        section.youngs_modulus * section.second_moment_y * bending * np.outer(mirror, mirror)
+    )
+    return stiffness
+
+
+def inboard_masses(
+    link: Link | NonUniformLink,
+    elements: Sequence[Element],
+    rotary_inertia: bool,
+    stiffening: bool = True,
+    position: float = np.inf,
+) -> tuple[tuple[Array, Array, Array], tuple[Array, Array], tuple[Array, Array, Array]]:
+    """Return mass points, polar inertias and stations of the part of a link inboard of a position.
+
+    A lumped mass at the position belongs to the outboard part.
 
     Args:
         link: the link.
-        elements: its elements, base to tip, with `size` node coordinates including the clamped node.
-        rotary_inertia: see `build_beam`.
-        until: the position, m.
+        elements: elements of the link, base to tip, with `size` node coordinates including the clamped node.
+        rotary_inertia: see `ModelChoice`.
+        stiffening: False leaves out the stations.
+        position: distance from the joint along the link, m; by default the whole link is included.
 
     Returns:
-        Masses (p,), positions (p, 3) and shapes (p, 3, size); polar inertias (t,) and twists (t, size).
+        Masses (p,), positions (p, 3) and shapes (p, 3, size); polar inertias (t,) and twists (t, size); G (s, size,
+            size), stations (s, 4) and shapes (s, 3, size); see `Beam`.
     """
-    size, bodies = NODE_COORDINATES * (len(elements) + 1), [body for body in link.masses if body.position < until]
-    points = _mass_points(elements, size, rotary_inertia, until)
+    size, bodies = NODE_COORDINATES * (len(elements) + 1), [body for body in link.masses if body.position < position]
+    points = _mass_points(elements, size, rotary_inertia, position)
     if bodies:
         points = _joined(points, _lumped_mass_points(bodies, elements, size))
-    return points, _polar_inertias([] if rotary_inertia else elements, size, until)
-
-
-def link_stations(
-    link: Link | NonUniformLink, elements: Sequence[Element], until: float = np.inf
-) -> tuple[Array, Array, Array]:
-    """Return G (s, size, size), stations (s, 4) and shapes (s, 3, size) of the part of a link inboard of a position.
-
-    The arguments are those of `link_points`, the results those of `Beam`, including the centres of mass of its bodies.
-
-    Args:
-        link: the link.
-        elements: its elements, base to tip.
-        until: the position, m.
-    """
-    size, bodies = NODE_COORDINATES * (len(elements) + 1), [body for body in link.masses if body.position < until]
+    sections = _polar_inertias([] if rotary_inertia else elements, size, position)
+    if not stiffening:
+        return points, sections, (np.zeros((0, size, size)), np.zeros((0, 4)), np.zeros((0, 3, size)))
     stations = _beam_stations(elements, size)
-    inside = stations[1][:, 1] <= until
+    inside = stations[1][:, 1] <= position
     if not inside.all():
         stations = stations[0][inside], stations[1][inside], stations[2][inside]
-    return _joined(stations, _lumped_mass_stations(bodies, elements, size)) if bodies else stations
+    return points, sections, _joined(stations, _lumped_mass_stations(bodies, elements, size)) if bodies else stations
 
 
 def _joined(first: tuple[Array, ...], second: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-    """Return three arrays with the rows of the first triple followed by those of the second."""
+    """Return three arrays: the rows of each array of the first triple, followed by those of the second triple."""
     one, two, three = (np.concatenate(rows) for rows in zip(first, second, strict=True))
     return one, two, three
 
 
 def _mass_points(
-    elements: Sequence[Element], size: int, rotary_inertia: bool, until: float = np.inf
+    elements: Sequence[Element], size: int, rotary_inertia: bool, limit: float
 ) -> tuple[Array, Array, Array]:
-    """Return masses (p,), positions (p, 3) and shapes (p, 3, size) of the mass points inboard of a position (m)."""
+    """Return masses (p,), positions (p, 3) and shapes (p, 3, size) of the mass points inboard of a limit (m)."""
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     masses, positions, shapes = [], [], []
     for section, start, length, nodes in elements:
         points = section_points(section) if rotary_inertia else np.zeros((1, 2))
-        end = np.clip((until - start) / length, 0.0, 1.0)
+        end = np.clip((limit - start) / length, 0.0, 1.0)
         for xi, weight in zip(end * (1 + abscissae) / 2, end * weights / 2, strict=True):
             for y, z in points:
                 masses.append(weight * length * section.density * section.area / len(points))
@@ -400,34 +389,16 @@ def _mass_points(
     return np.array(masses), np.array(positions), np.array(shapes)
 
 
-def _polar_inertias(elements: Sequence[Element], size: int, until: float = np.inf) -> tuple[Array, Array]:
-    """Return polar inertias (t,) in kg m^2 and twists (t, size) of sections at Gauss points up to a position (m)."""
+def _polar_inertias(elements: Sequence[Element], size: int, limit: float) -> tuple[Array, Array]:
+    """Return polar inertias (t,), kg m^2, and twists (t, size) at the Gauss points, integrated up to a limit (m)."""
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     count = len(elements) * GAUSS_POINTS
     polar, twist = np.zeros(count), np.zeros((count, size))
     for i, (section, start, length, nodes) in enumerate(elements):
-        end = np.clip((until - start) / length, 0.0, 1.0)
+        end = np.clip((limit - start) / length, 0.0, 1.0)
         rows = slice(GAUSS_POINTS * i, GAUSS_POINTS * (i + 1))
-        area = section.second_moment_y + section.second_moment_z
-        polar[rows] = end * weights / 2 * length * section.density * area
+        polar_moment = section.second_moment_y + section.second_moment_z
+        polar[rows] = end * weights / 2 * length * section.density * polar_moment
         _, _, _, inner, *_, outer, _, _ = range(nodes.start, nodes.stop)
         twist[rows, inner], twist[rows, outer] = (1 - end) + end * (1 - abscissae) / 2, end * (1 + abscissae) / 2
     return polar, twist
-
-
-def shape_integrals(beam: Beam) -> ShapeIntegrals:
-    """Return the constant integrals of the mass matrix and the quadratic velocity terms at any state (Eq. 13, 14)."""
-    m, r0, s = beam.masses, beam.positions, beam.shapes
-    position_shape = np.einsum("p,pi,pja->aij", m, r0, s)
-    half = beam.polar @ beam.twist / 2
-    position_shape[:, 1, 2] += half
-    position_shape[:, 2, 1] -= half
-    return ShapeIntegrals(
-        mass=float(m.sum()),
-        first_moment=m @ r0,
-        first_moment_shape=np.einsum("p,pia->ai", m, s),
-        second_moment=np.einsum("p,pi,pj->ij", m, r0, r0) + beam.polar.sum() / 2 * np.diag([-1.0, 1.0, 1.0]),
-        position_shape=position_shape,
-        shape_shape=np.einsum("p,pib,pja->baij", m, s, s),
-        elastic=beam.mass_matrix,
-    )

@@ -1,8 +1,8 @@
-"""Component modes of a link loaded by the inertia of the outboard arm.
+"""Component modes of a clamped link with the inertia of the outboard arm at its tip.
 
-Modes of the bare clamped link, sorted by frequency, place torsion far behind bending, although torsion carries the
-whole outboard arm. Loaded modes therefore include the inertia of the straight, rigid outboard arm at the tip of the
-link.
+Component modes are retained in the order of their frequencies. The torsion modes of the bare link have high
+frequencies, although its torsion moves the whole outboard arm. Loaded modes therefore include the inertia of the rigid
+outboard arm, at zero joint angles, at the tip of the link.
 """
 
 from itertools import pairwise
@@ -14,19 +14,20 @@ from flexman_gym.common.checks import value_error
 from flexman_gym.model.beam import Beam
 from flexman_gym.scene.arm import Arm
 
-NEGLIGIBLE = 1e-12  # coupling relative to the geometric mean of the diagonal entries, below which it is rounding
+NEGLIGIBLE = 1e-12  # 1; off-diagonal entry / geometric mean of its diagonal entries, below which it is a rounded zero
 
 
 def zero_pose_rotations(arm: Arm) -> Array:
-    """Return the rotations (n, 3, 3) from each beam frame to the previous one (or the base) at zero joint angles."""
+    """Return the rotations (n, 3, 3) from each beam frame to that of the inboard link (or the base), at zero angles."""
     orientations = [np.eye(3)] + [np.array(link.orientation) for link in arm.links]
     return np.array([before.T @ after for before, after in pairwise(orientations)])
 
 
 def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:
-    """Return the rigid spatial inertia (n, 6, 6) at the tip of each link at zero joint angles, in its beam frame.
+    """Return the spatial inertia (n, 6, 6) of the rigid outboard arm at the tip of each link, in its beam frame.
 
-    It includes the payload and all links beyond the tip; the linear part comes first.
+    It includes all outboard links and the payload, at zero joint angles. The linear part comes first (kg, kg m, kg
+    m^2).
 
     Args:
         arm: the arm.
@@ -35,8 +36,8 @@ def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:
     inertia = np.zeros((6, 6))
     if arm.payload is not None:
         mount = np.array(arm.links[-1].orientation).T
-        offset, own = arm.payload.offset or np.zeros(3), arm.payload.inertia or np.zeros((3, 3))
-        inertia = spatial_inertia(arm.payload.mass, mount @ offset, mount @ own @ mount.T)
+        offset, central = arm.payload.offset or np.zeros(3), arm.payload.inertia or np.zeros((3, 3))
+        inertia = spatial_inertia(arm.payload.mass, mount @ offset, mount @ central @ mount.T)
     result = np.zeros((len(beams), 6, 6))
     rotations = zero_pose_rotations(arm)
     for i in reversed(range(len(beams))):
@@ -53,17 +54,17 @@ def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:
 
 
 def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
-    """Return the modes of a clamped link with an inertia at its tip.
+    """Return the modes of a clamped link with a rigid inertia at its tip.
 
-    Uncoupled groups of coordinates are solved separately. The bending of a round link has two modes of equal frequency
-    in arbitrary planes; solved separately, they lie along y and z, and more of their mass integrals vanish.
+    The eigenvalue problem is solved for each uncoupled group of coordinates, because two bending modes of equal
+    frequency could otherwise lie in any two planes. Modes along y and z have more mass integrals equal to zero.
 
     Args:
         beam: the link, with k elastic coordinates.
-        outboard: (6, 6) spatial inertia at its tip.
+        outboard: (6, 6) spatial inertia at its tip, linear part first.
 
     Returns:
-        Angular frequencies (k,) in rad/s, ascending, and shapes (k, k) as columns, normalised to unit modal mass
+        Angular frequencies (k,), rad/s, ascending, and shapes (k, k) as columns, normalised to unit modal mass,
             including the outboard inertia.
     """
     from scipy.linalg import eigh  # slow import, which most uses of the package do not need
@@ -88,14 +89,14 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
 
 
 def _uncoupled_groups(*matrices: Array) -> list[np.ndarray]:
-    """Return the groups of coordinates that symmetric positive definite matrices (k, k) couple beyond rounding."""
-    joined = np.zeros(matrices[0].shape, dtype=bool)
+    """Return the groups of coordinates that are coupled by symmetric positive definite matrices (k, k)."""
+    coupled = np.zeros(matrices[0].shape, dtype=bool)
     for matrix in matrices:
         size = np.sqrt(np.diag(matrix))
-        joined |= np.abs(matrix) > NEGLIGIBLE * np.outer(size, size)
-    group, before = np.arange(len(joined)), np.full(len(joined), -1)
-    while not np.array_equal(group, before):  # the lowest index spreads over its group
-        before, group = group, np.where(joined, group, len(group)).min(axis=1, initial=len(group))
+        coupled |= np.abs(matrix) > NEGLIGIBLE * np.outer(size, size)
+    group, previous = np.arange(len(coupled)), np.full(len(coupled), -1)
+    while not np.array_equal(group, previous):  # the lowest index of a group spreads over the group
+        previous, group = group, np.where(coupled, group, len(group)).min(axis=1, initial=len(group))
     return [np.flatnonzero(group == number) for number in np.unique(group)]
 
 
@@ -104,8 +105,8 @@ def spatial_inertia(mass: float, offset: Array, inertia: Array) -> Array:
 
     Args:
         mass: kg.
-        offset: (3,) centre of mass relative to the point, m.
-        inertia: (3, 3) about the centre of mass, kg m^2.
+        offset: (3,) position of the centre of mass relative to the reference point, m.
+        inertia: inertia matrix (3, 3) about the centre of mass, kg m^2.
     """
     centre = _transport(offset)[:3]
     result: Array = mass * centre.T @ centre
@@ -114,7 +115,7 @@ def spatial_inertia(mass: float, offset: Array, inertia: Array) -> Array:
 
 
 def _transport(offset: Array) -> Array:
-    """Return the map (6, 6) from the motion (v, w) of the origin to that of a point at an offset: v + w x offset, w."""
+    """Return the matrix (6, 6) from the velocities (v, w) at the origin to (v + w x offset, w) at an offset (3,), m."""
     x, y, z = offset
     motion = np.eye(6)
     motion[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]

@@ -1,4 +1,4 @@
-"""Deformation of the links: curvature, strain, root strain gauges, and the centreline curves of a state."""
+"""Deformation of the links in a state: curvature, strain, strains at the roots, and centrelines."""
 
 from functools import lru_cache
 from itertools import pairwise
@@ -13,17 +13,17 @@ from flexman_gym.model.model import Model, check_model
 
 
 def curvature(model: Model, state: Vector, link: int, position: float) -> Array:
-    """Return twist rate phi' and curvatures about y, -w'', and about z, v'', of a link, (3,) rad/m, in its beam frame.
+    """Return torsion phi', curvature -w'' about y and curvature v'' about z (3,), rad/m, of a link in its beam frame.
 
-    They are derivatives of the finite-element shapes: linear along each element, and exact for loads at the nodes. A
-    rigid link has zero curvature.
+    They are derivatives of the shape functions: torsion is constant and curvature linear along each element, which is
+    exact for static loads at the nodes. A rigid link has zero curvature.
 
     Args:
         model: model of the arm.
         state: (2 d,) coordinates and speeds.
         link: index of the link, from 0.
-        position: distance along the link, from 0 at its joint to its length at its tip, m. At a node between two
-            elements (and thus between two sections) the outboard element is used.
+        position: distance from the joint along the link, m, at most its length. At a node between two elements (and
+            thus between two sections) the outboard element is used.
 
     Examples:
         >>> model = fm.build_model(fm.catalog.one_joint())
@@ -34,17 +34,17 @@ def curvature(model: Model, state: Vector, link: int, position: float) -> Array:
 
 
 def strain(model: Model, state: Vector, link: int, position: float, y: float = 0.0, z: float = 0.0) -> float:
-    """Return the axial strain u' - y v'' - z w'' at a point of a cross-section, as measured by a strain gauge.
+    """Return the axial strain u' - y v'' - z w'', 1, at a point of a cross-section, as measured by a strain gauge.
 
-    Foreshortening causes no strain, since the centreline keeps its length.
+    Foreshortening causes no strain, because it preserves the length of the centreline.
 
     Args:
         model: model of the arm.
         state: (2 d,) coordinates and speeds.
         link: index of the link, from 0.
         position: distance along the link from its joint, m; see `curvature`.
-        y: position in the cross-section, m.
-        z: position in the cross-section, m.
+        y: coordinate of the point in the cross-section, m.
+        z: coordinate of the point in the cross-section, m.
 
     Examples:
         >>> model = fm.build_model(fm.catalog.one_joint())
@@ -56,9 +56,10 @@ def strain(model: Model, state: Vector, link: int, position: float, y: float = 0
 
 
 def gauge_radii(model: Model) -> Array:
-    """Return the distances (n, 3) in m of the root strain gauges from the axis: along y, along z and for torsion.
+    """Return the distances r_y, r_z and r (n, 3), m, of the strain gauges at the roots of the links from the beam axes.
 
-    They are the radii of gyration of the root section: sqrt(I_z / A), sqrt(I_y / A) and sqrt((I_y + I_z) / A).
+    The bending strains are measured at y = +-r_y and z = +-r_z, the torsional strain at r. They are the radii of
+    gyration of the root cross-section: sqrt(I_z / A), sqrt(I_y / A) and sqrt((I_y + I_z) / A).
 
     Args:
         model: model of the arm.
@@ -69,11 +70,11 @@ def gauge_radii(model: Model) -> Array:
 
 
 def root_strain_matrix(model: Model) -> Array:
-    """Return the matrix (2 d, 3 n) whose product with a state gives the strains at the roots of all links.
+    """Return the matrix (2 d, 3 n) by which a state (2 d,) is multiplied for the strains (3 n,) at the link roots.
 
-    Each link has three strains at the distances r of `gauge_radii`: half the difference of the axial strains at y =
-    +-r, the same at z = +-r, as measured by bridges of two gauges on opposite sides, and the shear strain r phi' of
-    torsion. Rigid links have zero strain.
+    The strains of a link are half the difference of the axial strains at y = r_y and y = -r_y, half the difference of
+    those at z = r_z and z = -r_z (bridges of two gauges on opposite sides), and the shear strain r phi' of torsion,
+    with the distances of `gauge_radii`. Rigid links have zero strain.
 
     Args:
         model: model of the arm.
@@ -118,8 +119,8 @@ def _element_strains(xi: float, length: float) -> Array:
     return rows.reshape(4, -1)
 
 
-MAX_POINTS = 1000  # on each link
-SLOPE_GAUSS_POINTS = 3  # between two breaks; exact for the squares of quadratic slopes
+MAX_POINTS = 1000  # largest number of points on each link
+SLOPE_GAUSS_POINTS = 3  # number of Gauss points per interval; exact for the squares of quadratic slopes
 DISPLACEMENT, ROTATION, STRAIN = slice(0, 3), slice(3, 6), slice(6, 10)  # rows of `_LinkShapes.rows`
 
 
@@ -129,9 +130,10 @@ class Curves(NamedTuple):
     Attributes:
         positions: (..., n, P, 3) in the base frame, m.
         frames: (..., n, P, 3, 3) rotation matrices; their columns are the axes of the cross-sections in the base frame.
-        curvatures: (..., n, P, 3) phi', -w'' and v'', rad/m, as in `curvature`.
-        strains: (..., n, P, 4) axial strain u' of the centreline; bending strains at y = r_y and at z = r_z; shear
-            strain of torsion at r. The distances are the radii of gyration of the cross-section, see `gauge_radii`.
+        curvatures: (..., n, P, 3) torsion phi' and curvatures -w'' and v'', rad/m, see `curvature`.
+        strains: (..., n, P, 4) axial strain u' of the centreline, bending strains -r_y v'' and -r_z w'', and shear
+            strain r phi' of torsion, 1. The distances r_y, r_z and r are the radii of gyration of the cross-section,
+            see `gauge_radii`.
     """
 
     positions: Array
@@ -145,31 +147,31 @@ class _LinkShapes(NamedTuple):
 
     Attributes:
         rows: (P, 10, k) u, v, w, then the rotations phi, -w', v', then u', phi', -w'', v'' per unit coordinate.
-        slopes: (g, 2, k) v' and w' at Gauss points, times the root of half their weight; the foreshortening at a point
-            is the sum of their squares up to that point.
-        before: (P,) number of Gauss points inboard of each point.
-        radii: (P, 3) radii of gyration along y, along z and polar, m.
+        slopes: (g, 2, k) v' and w' at Gauss points per unit coordinate, times the square root of half the quadrature
+            weight; the foreshortening at a point is the sum of their squares over all inboard Gauss points.
+        inboard: (P,) number of Gauss points inboard of each point.
+        radii: (P, 3) radii of gyration sqrt(I_z / A), sqrt(I_y / A) and sqrt((I_y + I_z) / A), m.
     """
 
     rows: Array
     slopes: Array
-    before: np.ndarray
+    inboard: np.ndarray
     radii: Array
 
 
 def curves(model: Model, states: Vector, points: int, gain: float = 1.0) -> Curves:
-    """Return the centreline curves of all links at equally spaced points, for any number of states.
+    """Return the centrelines of all links at equally spaced points, for any number of states.
 
-    A cross-section is rotated by exp(phi, -w', v') relative to the beam frame of its link, as the tip is (Eq. 26). With
-    foreshortening a point moves back by the exact integral of half its squared slopes. The last point is the tip of the
-    link.
+    A cross-section is rotated relative to the beam frame of its link by the rotation vector (phi, -w', v'), as the tip
+    in Eq. (26) of the paper. Foreshortening displaces a point by the exact integral of (v'^2 + w'^2) / 2. The last
+    point is the tip of the link.
 
     Args:
         model: model of the arm.
         states: (..., 2 d) coordinates and speeds.
         points: number P of points on each link, from 2 to 1000.
-        gain: magnification of elastic displacements and joint twists in positions and frames, at least 0; curvatures
-            and strains are not magnified.
+        gain: magnification, 1, of elastic displacements and joint twists in positions and frames, at least 0;
+            curvatures and strains are not magnified.
 
     Examples:
         >>> model = fm.build_model(fm.catalog.one_joint())
@@ -228,29 +230,29 @@ def _shapes(model: Model, link: int, points: int) -> _LinkShapes:
         moments = np.array([section.second_moment_z, section.second_moment_y])
         radius[:] = np.sqrt(np.append(moments, moments.sum()) / section.area)
         if k:
-            own = nodes[element.nodes]
-            across, up = beam_slopes(xi, element.length) @ own
-            row[DISPLACEMENT] = beam_shapes(xi, element.length, 0.0, 0.0) @ own
-            row[ROTATION] = (1.0 - xi) * own[3] + xi * own[3 + NODE_COORDINATES], -up, across
-            row[STRAIN] = _element_strains(xi, element.length) @ own
+            basis = nodes[element.nodes]
+            slope_v, slope_w = beam_slopes(xi, element.length) @ basis
+            row[DISPLACEMENT] = beam_shapes(xi, element.length, 0.0, 0.0) @ basis
+            row[ROTATION] = (1.0 - xi) * basis[3] + xi * basis[3 + NODE_COORDINATES], -slope_w, slope_v
+            row[STRAIN] = _element_strains(xi, element.length) @ basis
     if not (k and model.choice.stiffening):
         return _LinkShapes(rows, np.zeros((0, 2, k)), np.zeros(points, dtype=int), radii)
-    breaks = np.unique(np.append(positions, [each.start for each in elements]))
+    ends = np.unique(np.append(positions, [element.start for element in elements]))  # of the intervals of quadrature
     abscissae, weights = np.polynomial.legendre.leggauss(SLOPE_GAUSS_POINTS)
     slopes = []
-    for first, last in pairwise(breaks):
+    for first, last in pairwise(ends):
         element, _ = find_element(elements, (first + last) / 2)
         for at, weight in zip(abscissae, weights, strict=True):
             xi = (first + (1.0 + at) / 2 * (last - first) - element.start) / element.length
-            part = np.sqrt(weight / 4 * (last - first))  # factors 1/2 of the integrand and of the interval
-            slopes.append(part * beam_slopes(xi, element.length) @ nodes[element.nodes])
-    return _LinkShapes(rows, np.array(slopes), SLOPE_GAUSS_POINTS * np.searchsorted(breaks, positions), radii)
+            root = np.sqrt(weight / 4 * (last - first))  # with a factor 1/2 of the integrand and 1/2 of the interval
+            slopes.append(root * beam_slopes(xi, element.length) @ nodes[element.nodes])
+    return _LinkShapes(rows, np.array(slopes), SLOPE_GAUSS_POINTS * np.searchsorted(ends, positions), radii)
 
 
 def _foreshortening(link: _LinkShapes, elastic: Array) -> Array:
     """Return the foreshortening (T, P) in m at the points of a link for elastic coordinates (T, k)."""
     squares = (np.einsum("gck,tk->tgc", link.slopes, elastic) ** 2).sum(axis=2)
-    return np.cumsum(np.insert(squares, 0, 0.0, axis=1), axis=1)[:, link.before]
+    return np.cumsum(np.insert(squares, 0, 0.0, axis=1), axis=1)[:, link.inboard]
 
 
 def _rotation_matrices(vectors: Array) -> Array:

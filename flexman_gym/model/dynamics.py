@@ -1,4 +1,4 @@
-"""Equations of motion at one state: accelerations, system matrices, natural frequencies and inverse dynamics."""
+"""Equations of motion at one state: accelerations, matrices, frequencies, inverse dynamics; see `docs/theory.md`."""
 
 from collections.abc import Callable
 from typing import TypeGuard
@@ -19,16 +19,18 @@ from flexman_gym.kernels.layout import (
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.natural_modes import natural_modes
 
-Forces = Callable[[Array, Array, Array], Array]
+Forces = Callable[[Array, Array, Array], Array]  # generalised forces of coordinates, speeds and accelerations
 
-# Steps k h of central differences and their weights in Richardson's extrapolation to h = 0. The error is h^6 / 140
-# times the seventh derivative for a first derivative, and h^6 / 560 times the eighth for a second derivative.
+# Richardson extrapolation to h = 0 of central differences: step / h and weight of each. The error is h^6 / 140 times
+# the seventh derivative for a first derivative, and h^6 / 560 times the eighth for a second derivative.
 RICHARDSON = ((1, 1.5), (2, -0.6), (3, 0.1))
 SECOND_STEP = 0.02  # rad; step for second derivatives, at which the truncation error is just below rounding
 
 
 def acceleration(model: Model, state: Vector, torque: Vector) -> Array:
-    """Return the generalised accelerations (d,) at a state under motor torques (Eq. 45 with Eq. 23).
+    """Return the generalised accelerations (d,) at a state under motor torques (Eqs. (45) and (23) of the paper).
+
+    Units are rad/s^2 for angles, m/s^2 and rad/s^2 for node coordinates, kg^(1/2) m/s^2 for modal coordinates.
 
     Args:
         model: model of the arm.
@@ -51,11 +53,11 @@ def acceleration(model: Model, state: Vector, torque: Vector) -> Array:
 
 
 def mass_matrix(model: Model, state: Vector) -> Array:
-    """Return the generalised mass matrix (d, d) at a state, including the rotors (Eq. 46 with Eq. 23).
+    """Return the generalised mass matrix (d, d) at a state, including the rotors (Eqs. (46) and (23) of the paper).
 
     Args:
         model: model of the arm.
-        state: (2 d,); only the coordinates matter.
+        state: (2 d,) coordinates and speeds; the matrix does not depend on the speeds.
 
     Examples:
         >>> model = fm.build_model(fm.catalog.one_joint(), elements=1)
@@ -68,7 +70,7 @@ def mass_matrix(model: Model, state: Vector) -> Array:
 
 
 def _mass_matrix(model: Model, forces: Forces, x: Array) -> Array:
-    """Return the mass matrix (d, d) at coordinates (d,), assembled column by column from unit accelerations."""
+    """Return the mass matrix (d, d) at coordinates (d,): its columns are the forces of unit accelerations at rest."""
     rest = np.zeros(model.n_dof)
     matrix = np.array([forces(x, rest, unit) for unit in np.eye(model.n_dof)])
     return (matrix + matrix.T) / 2
@@ -87,13 +89,11 @@ def stiffness_matrix(model: Model) -> Array:
         ((8, 8), array([[ 20., -20.],
                [-20.,  20.]]))
     """
-    return _structure(check_model(model), model.constants.joint_stiffness, model.constants.stiffness)
+    return _assemble(check_model(model), model.constants.joint_stiffness, model.constants.stiffness)
 
 
 def damping_matrix(model: Model) -> Array:
-    """Return the damping matrix (d, d) of links, joint dampers and viscous friction.
-
-    Its units are those of the stiffness matrix times s.
+    """Return the damping matrix (d, d) of links, joint dampers and viscous friction, in the units of stiffness times s.
 
     Args:
         model: model of the arm.
@@ -104,23 +104,23 @@ def damping_matrix(model: Model) -> Array:
         array([[ 0.005, -0.005],
                [-0.005,  0.005]])
     """
-    matrix = _structure(check_model(model), model.constants.joint_damping, model.constants.damping)
+    matrix = _assemble(check_model(model), model.constants.joint_damping, model.constants.damping)
     matrix[model.motor_columns, model.motor_columns] += model.constants.viscous_friction
     return matrix
 
 
 def frequencies(model: Model, joint_angles: Vector | Matrix | None = None, lock_joints: bool = False) -> Array:
-    """Return the undamped natural frequencies of the undeformed arm in ascending order, Hz, without gravity.
+    """Return the undamped natural frequencies of the undeformed arm, Hz, ascending, without gravity.
 
-    Low frequencies are accurate to rounding even in a model with very high ones, so finite differences of them are
-    reliable.
+    Low frequencies are accurate to rounding even if the model also has very high ones, so that their derivatives can be
+    computed by finite differences.
 
     Args:
         model: model of the arm.
         joint_angles: (n,) rad, zero by default, or (k, n) for k postures.
-        lock_joints: False leaves the motors free and returns d frequencies, the first n of them zero, because the arm
-            can turn about its joints. True clamps the motors (the joints where they are rigid) and returns the
-            remaining d - n frequencies.
+        lock_joints: False leaves the motors free and returns d frequencies; the first n are zero, those of the rigid
+            rotations about the joints. True clamps the motors (rigid joints themselves) and returns the d - n
+            frequencies of the remaining coordinates.
 
     Returns:
         Frequencies (d,) or (d - n,), with a leading axis of length k for k postures.
@@ -132,9 +132,9 @@ def frequencies(model: Model, joint_angles: Vector | Matrix | None = None, lock_
     """
     n = check_model(model).n_joints
     angles = np.zeros(n) if joint_angles is None else joint_angles
-    if _several(angles):
+    if _has_rows(angles):
         angles = number_array("joint_angles", angles, (len(angles), n), f"numbers ({n},) or (k, {n}), rad")
-    rows = angles if _several(angles) else [angles]
+    rows = angles if _has_rows(angles) else [angles]
     free = np.arange(model.n_dof)
     if flag("lock_joints", lock_joints):
         free = np.setdiff1d(free, model.motor_columns)
@@ -149,8 +149,8 @@ def frequencies(model: Model, joint_angles: Vector | Matrix | None = None, lock_
     return result if rows is angles else result[0]
 
 
-def _several(angles: object) -> TypeGuard[Array]:
-    """Return whether joint angles hold several postures, one per row."""
+def _has_rows(angles: object) -> TypeGuard[Array]:
+    """Return whether joint angles are given for several postures, one per row."""
     if isinstance(angles, np.ndarray):
         return angles.ndim > 1
     return isinstance(angles, list | tuple) and bool(angles) and isinstance(angles[0], list | tuple | np.ndarray)
@@ -159,8 +159,8 @@ def _several(angles: object) -> TypeGuard[Array]:
 def tip_acceleration(model: Model, state: Vector, torque: Vector) -> Array:
     """Return the acceleration (3,) of the tip in the base frame, m/s^2.
 
-    It is the second derivative of the tip position (Eq. 32, 33), exact to rounding. An ideal accelerometer at the tip
-    measures this value minus the gravity vector.
+    It is the second time derivative of the tip position in Eqs. (32) and (33) of the paper, exact to rounding. An ideal
+    accelerometer at the tip measures this value minus the acceleration of gravity.
 
     Args:
         model: model of the arm.
@@ -187,14 +187,15 @@ def inverse_dynamics(
     joint_jerks: Vector | None = None,
     joint_snaps: Vector | None = None,
 ) -> Array:
-    """Return the motor torques (n,) in N m for a motion of the joints (link side) of an arm with rigid links.
+    """Return the motor torques (n,), N m, for a motion of the joint angles (link side) of an arm with rigid links.
 
-    For rigid joints the torques are exact to rounding. The motor of a flexible joint leads its link by the joint torque
-    divided by the stiffness (Spong 1987, J. Dyn. Syst. 109, 310); the acceleration of this lead is a difference of
-    order six along the motion.
+    For rigid joints the torques are exact to rounding. The motor angle of a flexible joint exceeds the joint angle by
+    the joint torque divided by the joint stiffness (Spong 1987, J. Dyn. Syst. 109, 310); the second time derivative of
+    this difference is computed by finite differences of order six along the motion.
 
     Args:
-        model: model with rigid links. Its flexible joints must have no damper, no motor friction and no spinning rotor.
+        model: model with rigid links. Flexible joints must have neither damping nor friction, and `spinning_rotors`
+            must be False.
         joint_angles: (n,) rad.
         joint_rates: (n,) rad/s.
         joint_accelerations: (n,) rad/s^2.
@@ -221,17 +222,17 @@ def inverse_dynamics(
     spread[np.arange(n), np.arange(n)] = 1.0  # rotors of flexible joints at rest; their torques are added below
 
     def link_torques(t: float) -> Array:
-        powers = t ** np.arange(5) / np.array([1.0, 1.0, 2.0, 6.0, 24.0])
-        return forces(*(spread @ (powers[: 5 - order] @ motion[order:]) for order in range(3)))[:n]
+        taylor = t ** np.arange(5) / np.array([1.0, 1.0, 2.0, 6.0, 24.0])
+        return forces(*(spread @ (taylor[: 5 - order] @ motion[order:]) for order in range(3)))[:n]
 
     torques = link_torques(0.0) + constants.viscous_friction * motion[1]
     torques += constants.coulomb_friction * np.tanh(motion[1] / constants.coulomb_rate)
     if model.n_motors == 0:
         return _finite_torques(torques, joint_accelerations)
-    quickest = max(np.abs(row).sum() ** (1 / order) for order, row in enumerate(motion[1:], start=1))
-    torque_rates = _second_derivative(link_torques, SECOND_STEP / max(quickest, 1e-3))[flexible]
-    motor_lead = torque_rates / constants.joint_stiffness[flexible]
-    torques[flexible] += constants.rotor_inertia[flexible] * (motion[2, flexible] + motor_lead)
+    rate_scale = max(np.abs(row).sum() ** (1 / order) for order, row in enumerate(motion[1:], start=1))  # rad/s
+    curvature = _second_derivative(link_torques, SECOND_STEP / max(rate_scale, 1e-3))[flexible]  # N m/s^2
+    twist_acceleration = curvature / constants.joint_stiffness[flexible]
+    torques[flexible] += constants.rotor_inertia[flexible] * (motion[2, flexible] + twist_acceleration)
     return _finite_torques(torques, joint_accelerations)
 
 
@@ -263,52 +264,52 @@ def _check_invertible(model: Model, flexible: BoolArray) -> None:
 
 
 def _drive(model: Model, torque: Vector) -> Array:
-    """Return the drive (n + 6,) for motor torques (n,) N m without disturbances."""
+    """Return the inputs of the kernels (n + 6,): motor torques (n,), N m, zero tip force and base acceleration."""
     return np.r_[vector("torque", torque, model.n_joints, "N m"), np.zeros(6)]
 
 
 def split_state(model: Model, state: Vector) -> tuple[Array, Array]:
-    """Return coordinates (d,) and speeds (d,) of a checked state (2 d,); magnitudes are limited to 1e6."""
+    """Return coordinates (d,) and speeds (d,) of a state (2 d,) after checking that no magnitude exceeds 1e6."""
     values = np.array(vector("state", state, 2 * check_model(model).n_dof))
     check_magnitudes("state", values.tolist(), LARGEST_STATE)
     return values[: model.n_dof], values[model.n_dof :]
 
 
-def _structure(model: Model, joints: Array, links: Array) -> Array:
-    """Return the matrix (d, d) assembled from values (n,) of the joint springs or dampers and packed link blocks."""
+def _assemble(model: Model, joint_values: Array, link_blocks: Array) -> Array:
+    """Assemble the stiffness or damping matrix (d, d) from joint values (n,) and packed matrices of the links."""
     starts = model.constants.square_start
     matrix = np.zeros((model.n_dof, model.n_dof))
     for i, motor in enumerate(model.constants.motor):
         if motor >= 0:
-            matrix[np.ix_([i, motor], [i, motor])] = joints[i] * np.array([[1, -1], [-1, 1]])
+            matrix[np.ix_([i, motor], [i, motor])] = joint_values[i] * np.array([[1, -1], [-1, 1]])
         columns = model.elastic_columns(i)
         size = columns.stop - columns.start
-        matrix[columns, columns] = links[starts[i] : starts[i + 1]].reshape(size, size)
+        matrix[columns, columns] = link_blocks[starts[i] : starts[i + 1]].reshape(size, size)
     return matrix
 
 
 def inertial_forces(model: Model, gravity: Array | None = None) -> Forces:
-    """Return a function for the generalised inertial and gravity forces (d,) of a motion.
+    """Return a function that computes the generalised inertial and gravity forces (d,) of a motion.
 
-    Its arguments are coordinates, speeds and accelerations, (d,) each.
+    They are M(x) a + h(x, v), for coordinates x, speeds v and accelerations a, (d,) each, with the weight in h.
 
     Args:
         model: model of the arm.
-        gravity: (3,) m/s^2; None for the gravity of the model.
+        gravity: acceleration of gravity (3,), m/s^2; None for that of the model.
     """
     constants = model.constants if gravity is None else model.constants._replace(gravity=gravity)
     work = make_work(constants)
 
-    def forces(x: Array, v: Array, rates: Array) -> Array:
+    def forces(x: Array, v: Array, accelerations: Array) -> Array:
         out = np.zeros(model.n_dof)
-        inverse.inertial_forces(constants, work, x, v, rates, out)
+        inverse.inertial_forces(constants, work, x, v, accelerations, out)
         return out
 
     return forces
 
 
 def tip_jacobian(model: Model, x: Array) -> Array:
-    """Return the Jacobian (3, d) of the tip velocity with respect to the speeds, at coordinates (d,)."""
+    """Return the Jacobian (3, d) of the tip velocity (m/s, base frame) with respect to the speeds, at coordinates x."""
     rows = np.zeros((model.n_dof, OUTPUTS))
     work = make_work(model.constants)
     for row, unit in zip(rows, np.eye(model.n_dof), strict=True):
@@ -317,7 +318,7 @@ def tip_jacobian(model: Model, x: Array) -> Array:
 
 
 def _second_derivative(function: Callable[[float], Array], h: float) -> Array:
-    """Return the second derivative of a function at 0 by differences with step h, extrapolated to order six."""
+    """Return the second derivative of a function at 0 by central differences with step h, extrapolated to order six."""
     middle = 2.0 * function(0.0)
     parts = [weight / (k * h) ** 2 * (function(k * h) - middle + function(-k * h)) for k, weight in RICHARDSON]
     return np.sum(parts, axis=0)

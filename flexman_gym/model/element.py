@@ -1,4 +1,4 @@
-"""Finite element of a link: shape functions, slopes and stiffness."""
+"""Finite element of a link: shape functions and their slopes."""
 
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -9,8 +9,8 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.scene.link import Link, NonUniformLink
 
-NODE_COORDINATES = 6  # u, v, w, phi_x, theta_y = -w', theta_z = v'
-GAUSS_POINTS = 4  # exact to degree 7; the mass of cubic Hermite shapes has degree 6
+NODE_COORDINATES = 6  # number of coordinates of a node: u, v, w, phi, theta_y = -w', theta_z = v'
+GAUSS_POINTS = 4  # number of Gauss points per element: exact to degree 7; mass integrals have degree 6
 
 
 class Element(NamedTuple):
@@ -18,9 +18,9 @@ class Element(NamedTuple):
 
     Attributes:
         section: uniform link section that contains the element.
-        start: position of its first node along the link, m.
+        start: position of the first node of the element along the link, m.
         length: m.
-        nodes: its twelve node coordinates among those of the link, including the clamped node 0.
+        nodes: slice of its twelve node coordinates among those of the link, including the clamped node 0.
     """
 
     section: Link
@@ -52,7 +52,7 @@ def find_element(elements: Sequence[Element], position: float) -> tuple[Element,
 
     Args:
         elements: elements of the link, base to tip.
-        position: distance along the link, >= 0, m. At a node between two elements the outboard element is returned.
+        position: distance from the joint along the link, m, not negative. The element at a node is the outboard one.
     """
     element = elements[bisect_right(elements, position, key=lambda element: element.start) - 1]
     return element, (position - element.start) / element.length
@@ -61,14 +61,14 @@ def find_element(elements: Sequence[Element], position: float) -> tuple[Element,
 def beam_shapes(xi: float, length: float, y: float, z: float) -> Array:
     """Return the displacement (3, 12) of a point of an element per unit of its twelve node coordinates.
 
-    The displacement is u(x, y, z) = [u - y v' - z w', v - z phi, w + y phi], with cubic Hermite v and w and linear u
+    The displacement is [u - y v' - z w', v - z phi, w + y phi], with cubic Hermite polynomials for v and w and linear u
     and phi.
 
     Args:
         xi: relative position along the element, from 0 to 1.
         length: length of the element, m.
-        y: position in the cross-section, m.
-        z: position in the cross-section, m.
+        y: coordinate of the point in the cross-section, m.
+        z: coordinate of the point in the cross-section, m.
     """
     axial = (1 - xi, xi)
     deflection, slope = _hermite(xi, length), _hermite_derivative(xi, length)
@@ -98,36 +98,15 @@ def beam_slopes(xi: float, length: float) -> Array:
     return slopes
 
 
-def beam_stiffness(link: Link, length: float) -> Array:
-    """Return the stiffness matrix (12, 12) of an element: axial, St Venant torsion, and bending in two planes.
-
-    Args:
-        link: uniform link section that contains the element.
-        length: length of the element, m.
-    """
-    stiffness = np.zeros((2 * NODE_COORDINATES, 2 * NODE_COORDINATES))
-    bar = np.array([[1.0, -1.0], [-1.0, 1.0]]) / length
-    stiffness[np.ix_([0, 6], [0, 6])] = link.youngs_modulus * link.area * bar
-    stiffness[np.ix_([3, 9], [3, 9])] = link.shear_modulus * link.torsion_constant * bar
-    a, b, c, d = 12 / length**3, 6 / length**2, 4 / length, 2 / length
-    bending = np.array([[a, b, -a, b], [b, c, -b, d], [-a, -b, a, -b], [b, d, -b, c]])
-    stiffness[np.ix_([1, 5, 7, 11], [1, 5, 7, 11])] = link.youngs_modulus * link.second_moment_z * bending
-    mirror = np.array([1.0, -1.0, 1.0, -1.0])  # theta_y = -w'
-    stiffness[np.ix_([2, 4, 8, 10], [2, 4, 8, 10])] = (
-        link.youngs_modulus * link.second_moment_y * bending * np.outer(mirror, mirror)
-    )
-    return stiffness
-
-
 def section_points(link: Link) -> Array:
-    """Return y, z (4, 2) in m of four equally weighted points with the area and second moments of area of a section."""
+    """Return y and z (4, 2), m, of four points of equal mass with the second moments of a cross-section."""
     y = np.sqrt(2 * link.second_moment_z / link.area)
     z = np.sqrt(2 * link.second_moment_y / link.area)
     return np.array([[y, 0], [-y, 0], [0, z], [0, -z]])
 
 
 def _hermite(xi: float, length: float) -> tuple[float, float, float, float]:
-    """Return the four cubic Hermite polynomials: deflection and slope at the first node, then at the second."""
+    """Return the cubic Hermite polynomials of deflection and slope at the first node, then of those at the second."""
     return (
         1 - 3 * xi**2 + 2 * xi**3,
         length * xi * (1 - xi) ** 2,

@@ -1,18 +1,18 @@
 """Linearisation of an arm about a state: Jacobians by coordinates and speeds, named inputs and outputs.
 
-The equation inertial forces + damping v + stiffness q = torques is differentiated term by term, so that stiff springs
-cause no loss of accuracy. Stiffness, damping, B and C are exact to rounding, and so is the Jacobian by speeds, because
-the forces are quadratic in them.
+The equations of motion, inertial forces + damping v + stiffness q = torques, are differentiated term by term, so that
+stiff springs cause no loss of accuracy. Stiffness, damping, B and C are exact to rounding. So is the Jacobian of the
+inertial forces by the speeds, because these forces are quadratic in the speeds.
 
-The Jacobian of the inertial forces by coordinates is a central difference, extrapolated to order six. No step moves a
-section by more than 0.5 % of the length of its link or 0.005 rad. On random chains, bent and fast, its measured error
-is 1e-12 of its largest entry. Multiplied by the condition of the mass matrix, this gives an error of A of 1e-10 of its
-largest entry (metres and radians weighted by their masses).
+The Jacobian of the inertial forces by the coordinates is a central difference, extrapolated to order six. No step
+displaces a cross-section by more than 0.5 % of the length of its link or 0.005 rad. Its error, measured on random arms
+with deformed links and high speeds, is 1e-12 of its largest entry. With the condition number of the mass matrix the
+error of A is 1e-10 of its largest entry (metres and radians weighted by their masses).
 
-Coulomb friction c of a sliding motor is a constant torque. It does not damp small deviations and has no part in A. The
-smoothed law c tanh(rate / coulomb_rate) has the slope c / coulomb_rate at rest, by default a damper of a hundred times
-c. A model with this slope is valid only for rates far below `coulomb_rate`, where the motor hardly moves; it is not
-suitable for the design of gains or margins.
+Coulomb friction c of a sliding motor is a constant torque and does not contribute to A. The smoothed friction torque
+c tanh(rate / coulomb_rate) has the slope c / coulomb_rate at rest, by default 100 c (N m s/rad). A model with this
+slope is valid only for rates far below `coulomb_rate`, where the motor hardly moves; it is not suitable for the design
+of gains or margins.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,18 +39,16 @@ from flexman_gym.model.element import NODE_COORDINATES
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import LinearModel, SecondOrderForm
 
-FIRST_STEP = 0.005  # rad; step for first derivatives, at which the truncation error is just below rounding
+FIRST_STEP = 0.005  # rad; step of differences for first derivatives; the truncation error is just below rounding
 
 
 def _coordinate_jacobian(model: Model, function: Callable[[Array], Array], x: Array) -> Array:
-    """Return the Jacobian (m, d) of a function of the coordinates by differences extrapolated to order six.
-
-    No step moves a section by more than 0.5 % of the length of its link or 0.005 rad.
+    """Return the Jacobian (m, d) of a function of the coordinates by central differences, extrapolated to order six.
 
     Args:
         model: model of the arm.
-        function: of coordinates (d,), with values (m,).
-        x: (d,) coordinates of the Jacobian.
+        function: function of the coordinates (d,) that returns an array (m,).
+        x: (d,) coordinates at which the Jacobian is computed.
     """
     size = coordinate_scales(model)
 
@@ -65,15 +63,15 @@ def _coordinate_jacobian(model: Model, function: Callable[[Array], Array], x: Ar
 
 
 def coordinate_scales(model: Model) -> Array:
-    """Return the size (d,) of each coordinate that turns a section by 1 rad or moves it by the length of its link.
+    """Return the scale (d,) of each coordinate: it rotates a node by 1 rad or displaces a node by the link length.
 
     Args:
         model: model of the arm.
     """
     sizes = np.ones(model.n_dof)
     for i, (link, basis) in enumerate(zip(model.arm.links, model.bases, strict=True)):
-        moved = np.abs(basis).reshape(len(basis) // NODE_COORDINATES, 2, 3, basis.shape[1])
-        largest = np.maximum(moved[:, 0] / link.length, moved[:, 1]).max(axis=(0, 1), initial=0.0)
+        motions = np.abs(basis).reshape(len(basis) // NODE_COORDINATES, 2, 3, basis.shape[1])
+        largest = np.maximum(motions[:, 0] / link.length, motions[:, 1]).max(axis=(0, 1), initial=0.0)
         sizes[model.elastic_columns(i)] = 1.0 / largest
     return sizes
 
@@ -82,7 +80,7 @@ MEASUREMENT_UNITS = {
     "motor_angles": "rad", "motor_rates": "rad/s", "joint_twists": "rad", "joint_twist_rates": "rad/s",
     "link_deflections": "m", "link_deflection_rates": "m/s", "root_strains": "1",
 }  # fmt: skip
-SUFFIXES = {1: ("",), 2: ("_y", "_z"), 3: ("_y", "_z", "_torsion")}  # by the number of entries of a joint or link
+SUFFIXES = {1: ("",), 2: ("_y", "_z"), 3: ("_y", "_z", "_torsion")}  # number of entries per joint or link -> suffixes
 OUTPUT_UNITS = MEASUREMENT_UNITS | {
     "joint_angles": "rad", "joint_rates": "rad/s", "tip": "m", "tip_velocity": "m/s", "tip_acceleration": "m/s^2",
 }  # fmt: skip
@@ -90,7 +88,7 @@ INPUT_UNITS = {"motor_torques": "N m", "tip_force": "N", "base_acceleration": "m
 
 
 def _measurement_rows(model: Model) -> dict[str, Array]:
-    """Return the matrix (m, 2 d) of each quantity in MEASUREMENT_UNITS, by name, for products with a state."""
+    """Return name -> matrix (m, 2 d) of each measurement in MEASUREMENT_UNITS, the Jacobian by the state."""
     n, d = model.n_joints, model.n_dof
     bending = np.zeros((2 * n, 2 * d))
     for i in range(n):
@@ -103,26 +101,26 @@ def _measurement_rows(model: Model) -> dict[str, Array]:
 
 
 def column_names(name: str, unit: str, size: int, joints: int) -> list[str]:
-    """Return column names with units for the entries of a quantity, such as "motor_angle_1 (rad)"; joints count from 1.
+    """Return column names with units, such as "motor_angle_1 (rad)"; joints are numbered from 1.
 
     Args:
-        name: name of the quantity.
-        unit: its unit.
+        name: name of a measurement, output or input, such as "motor_angles".
+        unit: unit of its entries.
         size: number of its entries.
         joints: number of joints of the arm.
     """
     if size == 3 and name.startswith(("tip", "base")):
         return [f"{name}_{axis} ({unit})" for axis in "xyz"]
     return [
-        f"{name.removesuffix('s')}_{joint}{end} ({unit})"
+        f"{name.removesuffix('s')}_{joint}{suffix} ({unit})"
         for joint in range(1, joints + 1)
-        for end in SUFFIXES[size // joints]
+        for suffix in SUFFIXES[size // joints]
     ]
 
 
-LINEAR_SENSORS = {  # name of a sensor linear in the state -> its measurements
+LINEAR_SENSORS = {  # sensor whose output is linear in the state -> its measurements
     "motor_encoders": ("motor_angles", "motor_rates"),
-    "joint_encoders": ("joint_twists", "joint_twist_rates"),  # encoders on both sides of a spring
+    "joint_encoders": ("joint_twists", "joint_twist_rates"),  # encoders on both sides of the joint spring
     "strain": ("root_strains",),
 }
 
@@ -131,10 +129,11 @@ class LinearMeasurements:
     """Measurements of an arm with n links that are linear in its state.
 
     Attributes:
-        columns: name -> slice of the 8 n columns of motor_angles, motor_rates, joint_twists, joint_twist_rates, (n,)
-            each, and link_deflections, link_deflection_rates, (2 n,) each.
-        motion: sparse matrix of these columns, as taken by the kernel `sparse_product`.
-        strains: sparse matrix of root_strains, (3 n,), see `model.deformation.root_strain_matrix`.
+        columns: measurement -> slice of the 8 n columns of the product of `motion` with states: motor_angles,
+            motor_rates, joint_twists, joint_twist_rates, (n,) each, link_deflections, link_deflection_rates, (2 n,)
+            each.
+        motion: sparse matrix (8 n, 2 d) of these measurements, for the kernel `sparse_product`.
+        strains: sparse matrix (3 n, 2 d) of root_strains, see `model.deformation.root_strain_matrix`.
     """
 
     def __init__(self, model: Model) -> None:
@@ -150,7 +149,7 @@ class LinearMeasurements:
         self.strains = _entries(strains)
 
     def measure(self, states: Array) -> dict[str, Array]:
-        """Return all measurements (T, ...) of states (T, 2 d) by name."""
+        """Return measurement -> values (T, n), (T, 2 n) or (T, 3 n) for states (T, 2 d); see MEASUREMENT_UNITS."""
         motion = np.zeros((len(states), max(place.stop for place in self.columns.values())))
         strains = np.zeros((len(states), len(self.strains[0]) - 1))
         rows = np.ascontiguousarray(states)
@@ -172,8 +171,8 @@ def _output_rows(model: Model, state: Vector, accelerations: Array, names: objec
     Args:
         model: model of the arm.
         state: (2 d,).
-        accelerations: (d,) at the state.
-        names: outputs, of OUTPUT_UNITS; the acceleration of the tip requires an arm at rest.
+        accelerations: (d,) generalised accelerations at the state.
+        names: names of outputs in OUTPUT_UNITS; "tip_acceleration" requires zero speeds.
     """
     n, d, (x, v) = model.n_joints, model.n_dof, split_state(model, state)
     measurements, parts, labels = _measurement_rows(model), [], []
@@ -191,7 +190,7 @@ def _output_rows(model: Model, state: Vector, accelerations: Array, names: objec
 
 
 def _tip_rows(model: Model, name: str, x: Array, v: Array, accelerations: Array) -> Array:
-    """Return the rows (3, 3 d) of the tip, of its velocity J v, or of its acceleration J a + J' v."""
+    """Return the Jacobian (3, 3 d) of the tip position, velocity J v, or acceleration J a + (dJ/dt) v."""
     d, rows = model.n_dof, np.zeros((3, 3 * model.n_dof))
     order = ("tip", "tip_velocity", "tip_acceleration").index(name)
     rows[:, order * d : (order + 1) * d] = tip_jacobian(model, x)
@@ -210,12 +209,12 @@ def _tip_rows(model: Model, name: str, x: Array, v: Array, accelerations: Array)
 
 
 def _input_columns(model: Model, x: Array, names: object) -> tuple[Array, list[str]]:
-    """Return the generalised forces (d, m) of unit inputs at coordinates (d,), and the names of the inputs.
+    """Return the generalised forces (d, m) of unit inputs, and the names of the inputs.
 
     Args:
         model: model of the arm.
-        x: (d,).
-        names: inputs, of INPUT_UNITS; at least one.
+        x: (d,) coordinates.
+        names: names of inputs in INPUT_UNITS; at least one.
     """
     n, d = model.n_joints, model.n_dof
     makers: dict[str, Callable[[], Array]] = {
@@ -234,9 +233,9 @@ def _input_columns(model: Model, x: Array, names: object) -> tuple[Array, list[s
 
 
 def _base_acceleration_forces(model: Model, x: Array, axis: Array) -> Array:
-    """Return the generalised forces (d,) of a unit acceleration of the base along an axis.
+    """Return the generalised forces (d,) of a unit acceleration of the base along an axis (3,).
 
-    They equal the forces that hold the arm against unit gravity along the axis.
+    They equal the forces in static equilibrium under unit gravity along the axis.
     """
     rest = np.zeros(model.n_dof)
     return inertial_forces(model, axis)(x, rest, rest)
@@ -256,19 +255,19 @@ def linearize(
 ) -> LinearModel:
     """Return the linear model of an arm about the undeformed arm at rest, or about any state.
 
-    The states x (2 d,) are coordinates and speeds in the order of `kernels.layout`. If the accelerations at the state
-    do not vanish (because of gravity or speeds), x is the deviation from the motion that starts there, and A is its
-    Jacobian at the start. Coulomb friction of a sliding motor, the default, is constant and has zero slope.
+    The states x (2 d,) are deviations of coordinates and speeds in the order of `kernels.layout`. If the accelerations
+    at the state are not zero (because of gravity or speeds), x is the deviation from the motion that starts at the
+    state, and A is the Jacobian at its start. By default, Coulomb friction is a constant torque (sliding motors).
 
     Args:
         model: model of the arm.
-        joint_angles: (n,) rad, zero by default.
-        state: (2 d,), as an alternative to joint angles.
+        joint_angles: (n,) rad, zero by default; the arm is undeformed and at rest.
+        state: (2 d,) coordinates and speeds, as an alternative to joint angles.
         torque: (n,) motor torques, N m, zero by default.
         outputs: names of y: "tip", "tip_velocity" and "tip_acceleration" (3 entries each, in the base frame and
             relative to the base), "joint_angles", "joint_rates", "motor_angles", "motor_rates", "joint_twists",
-            "joint_twist_rates" (n each), "link_deflections", "link_deflection_rates" (2 n), "root_strains" (3 n). The
-            acceleration of the tip requires an arm at rest.
+            "joint_twist_rates" (n each), "link_deflections", "link_deflection_rates" (2 n), "root_strains" (3 n).
+            "tip_acceleration" requires a state with zero speeds.
         inputs: names of u: "motor_torques" (n), "tip_force" (3) and "base_acceleration" (3).
         friction: "sliding", or "at rest" for the slope of the smoothed Coulomb friction at the rates of the state.
 
@@ -298,7 +297,7 @@ def linearize(
 def _linear_model(
     model: Model, balance: SecondOrderForm, inputs: tuple[str, ...], outputs: tuple[str, ...]
 ) -> LinearModel:
-    """Return the linear model in state space of a second-order form."""
+    """Return the state-space model for the equations of motion in second-order form."""
     from scipy.linalg import cho_factor, cho_solve
 
     (mass, forces, rows), d = balance, model.n_dof
@@ -339,7 +338,7 @@ def _state_names(model: Model) -> tuple[str, ...]:
 
 
 def _force_jacobian(model: Model, state: Vector, accelerations: Array) -> Array:
-    """Return the Jacobian (d, 2 d), by coordinates and speeds, of the forces behind given accelerations (d,)."""
+    """Return the Jacobian (d, 2 d), by coordinates and speeds, of the forces, for constant accelerations (d,)."""
     (x, v), forces = split_state(model, state), inertial_forces(model)
     d, size = model.n_dof, coordinate_scales(model)
 
@@ -354,7 +353,7 @@ def _force_jacobian(model: Model, state: Vector, accelerations: Array) -> Array:
 
 
 def _add_coulomb_slopes(model: Model, state: Vector, forces: Array) -> None:
-    """Subtract the slopes of the smoothed Coulomb friction from the Jacobian (d, 2 d + m) of the forces."""
+    """Subtract the slopes of the smoothed Coulomb friction (N m s/rad) from the Jacobian (d, 2 d + m) of the forces."""
     motors, constants = model.motor_columns, model.constants
     slopes = constants.coulomb_friction / constants.coulomb_rate
     scaled_rates = np.abs(split_state(model, state)[1][motors] / constants.coulomb_rate)

@@ -11,7 +11,7 @@ from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import check_magnitudes, instance, value_error, vector
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LANES
-from flexman_gym.model.beam import Beam, ShapeIntegrals, build_beam, shape_integrals
+from flexman_gym.model.beam import Beam, build_beam
 from flexman_gym.model.component_modes import loaded_modes, outboard_inertias, zero_pose_rotations
 from flexman_gym.model.element import Element, beam_elements
 from flexman_gym.scene.arm import Arm
@@ -20,29 +20,63 @@ from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import MAX_ELEMENTS, ModelChoice, Scene
 from flexman_gym.scene.serialization import ArmLike, find_arm
 
-UNCOUPLED = 1e-8  # coupling in K or C relative to the geometric mean of the diagonal entries; below, rounding
-NEGLIGIBLE = 1e-14  # mass integral relative to those of its two coordinates, below which it is a rounded zero
-MIN_FREQUENCY, MAX_FREQUENCY = 0.01, 1e4  # Hz; usual range of the first mode of a link
+UNCOUPLED = 1e-8  # 1; entry of K or C / geometric mean of its diagonal entries, below which it is a rounded zero
+NEGLIGIBLE = 1e-14  # 1; mass integral / geometric mean for its two coordinates, below which it is a rounded zero
+MIN_FREQUENCY, MAX_FREQUENCY = 0.01, 1e4  # Hz; usual range of the first natural frequency of a link
+
+
+class _ShapeIntegrals(NamedTuple):
+    """Mass integrals of a beam with k elastic coordinates (Eqs. (13) and (14) of the paper), sums over mass points.
+
+    r0 is the undeformed position of a mass m, S_a the shape function of coordinate a. Polar moments of inertia enter as
+    fictitious second moments of mass.
+    """
+
+    mass: float  # kg; sum m
+    first_moment: Array  # (3,) sum m r0
+    first_moment_shape: Array  # (k, 3) sum m S_a
+    second_moment: Array  # (3, 3) sum m r0 r0^T
+    position_shape: Array  # (k, 3, 3) sum m r0 S_a^T
+    shape_shape: Array  # (k, k, 3, 3) sum m S_b S_a^T; the first index is b
+    elastic: Array  # (k, k) sum m S_a . S_b
+
+
+def _integrate(beam: Beam) -> _ShapeIntegrals:
+    """Return the mass integrals of a beam, which determine its inertial forces in any state."""
+    m, r0, s = beam.masses, beam.positions, beam.shapes
+    position_shape = np.einsum("p,pi,pja->aij", m, r0, s)
+    half = beam.polar @ beam.twist / 2
+    position_shape[:, 1, 2] += half
+    position_shape[:, 2, 1] -= half
+    return _ShapeIntegrals(
+        mass=float(m.sum()),
+        first_moment=m @ r0,
+        first_moment_shape=np.einsum("p,pia->ai", m, s),
+        second_moment=np.einsum("p,pi,pj->ij", m, r0, r0) + beam.polar.sum() / 2 * np.diag([-1.0, 1.0, 1.0]),
+        position_shape=position_shape,
+        shape_shape=np.einsum("p,pib,pja->baij", m, s, s),
+        elastic=beam.mass_matrix,
+    )
 
 
 def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: ModelChoice) -> layout.Constants:
-    """Pack an arm, its reduced beams and its modal damping into the constants of the kernels.
+    """Return the constants of the kernels for an arm.
 
     Args:
         arm: the arm.
         beams: its links in reduced coordinates, base to tip.
-        modal: modal part of the damping matrices of the links, as packed blocks.
-        choice: switches of the model.
+        modal: packed damping matrices of the links by modal damping ratios.
+        choice: modelling assumptions.
     """
     payload = arm.payload or Payload(0.0)
     sizes = np.array([len(beam.stiffness) for beam in beams], dtype=np.int64)
     widths = LANES * ((sizes + 6 + LANES - 1) // LANES)
-    parts = [shape_integrals(beam) for beam in beams]
+    parts = [_integrate(beam) for beam in beams]
 
     shape = _sparse([part.shape_shape for part in parts], 9, parts)
     cross = _sparse([_axial(part.shape_shape) for part in parts], 3, parts)
 
-    end = np.zeros(LANES)  # groups of lanes may reach past the last row
+    end = np.zeros(LANES)  # the kernels read groups of LANES numbers, the last one beyond the last row
     pairs = list(zip(parts, beams, strict=True))
     stiffness = _pack([*[beam.stiffness for beam in beams], end], 1)
     damping = arm.stiffness_proportional_damping * stiffness + modal
@@ -53,7 +87,7 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
         gravity=np.array(arm.gravity, dtype=float),
         mount=zero_pose_rotations(arm).ravel(),
         axis=np.array([np.array(li.orientation).T @ jo.axis for li, jo in zip(arm.links, arm.joints, strict=True)]),
-        **_joints(arm, choice),
+        **_joint_constants(arm, choice),
         length=np.array([link.length for link in arm.links]),
         mass=np.array([part.mass for part in parts]),
         first_moment=np.array([part.first_moment for part in parts]),
@@ -74,7 +108,7 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
         stiffness=stiffness,
         damping=damping,
         coupled=coupled,
-        **_stations(beams, choice.stiffening),
+        **_station_constants(beams, choice.stiffening),
         tip_translation=_pack([beam.tip_translation.T for beam in beams], 3),
         tip_rotation=_pack([beam.tip_rotation.T for beam in beams], 3),
         payload_mass=np.array([payload.mass]),
@@ -109,8 +143,8 @@ def _pack(blocks: list[Array], width: int) -> Array:
     return np.ascontiguousarray(rows[:, 0] if width == 1 else rows)
 
 
-def _joints(arm: Arm, choice: ModelChoice) -> dict[str, np.ndarray]:
-    """Return the fields of `layout.Constants` for joints and their rotors."""
+def _joint_constants(arm: Arm, choice: ModelChoice) -> dict[str, np.ndarray]:
+    """Return the fields of `layout.Constants` for joints and their rotors, by name."""
     springs = [joint.stiffness is not None and choice.flexible_joints for joint in arm.joints]
     motors = arm.n_joints + np.cumsum(springs) - 1
     names = ("rotor_inertia", "viscous_friction", "coulomb_friction", "coulomb_rate")
@@ -133,8 +167,8 @@ class _Sparse(NamedTuple):
     value: Array
 
 
-def _sparse(blocks: list[Array], width: int, parts: list[ShapeIntegrals]) -> _Sparse:
-    """Return the non-zero entries of blocks (k, k, ...) with `width` numbers for each pair of coordinates."""
+def _sparse(blocks: list[Array], width: int, parts: list[_ShapeIntegrals]) -> _Sparse:
+    """Return the non-zero entries of blocks (k, k, ...), one for each link, with `width` numbers for each pair."""
     offset, counts, sources, values = 0, [np.zeros(1, dtype=np.int64)], [], []
     for block, part in zip(blocks, parts, strict=True):
         k = len(part.elastic)
@@ -152,8 +186,8 @@ def _sparse(blocks: list[Array], width: int, parts: list[ShapeIntegrals]) -> _Sp
     )
 
 
-def _stations(beams: tuple[Beam, ...], stiffening: bool) -> dict[str, np.ndarray]:
-    """Return the fields of `layout.Constants` for foreshortening."""
+def _station_constants(beams: tuple[Beam, ...], stiffening: bool) -> dict[str, np.ndarray]:
+    """Return the fields of `layout.Constants` for foreshortening, by name."""
     sizes = np.array([len(beam.stiffness) for beam in beams])
     widths = LANES * -(-sizes // LANES)
     counts = np.array([LANES * -(-len(beam.stations) // LANES) for beam in beams]) * (sizes > 0) * stiffening
@@ -179,12 +213,12 @@ def _stations(beams: tuple[Beam, ...], stiffening: bool) -> dict[str, np.ndarray
 
 
 def _rows(name: str, blocks: list[tuple[Array, Array]], offsets: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the fields start, row, source and value of the non-zero rows of blocks.
+    """Return the fields start, row, source and value of `layout.Constants` with the non-zero rows of blocks.
 
     Args:
-        name: prefix of the fields.
-        blocks: array (rows, k, s) and magnitudes (rows, k) of each link.
-        offsets: (n,) number of rows before each link.
+        name: prefix of the field names.
+        blocks: array (rows, k, s) of each link, and magnitudes (rows, k) with which its entries are compared.
+        offsets: (n,) number of elastic coordinates of all inboard links.
     """
     counts, starts = [], []
     sources, values = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
@@ -203,34 +237,37 @@ def _rows(name: str, blocks: list[tuple[Array, Array]], offsets: np.ndarray) -> 
 
 
 def _starts(counts: np.ndarray) -> np.ndarray:
-    """Return the first index of each of n packed parts with given sizes, and the end of the last one, (n + 1,)."""
+    """Return the start indices of n packed arrays with given sizes (n,), followed by the total size, (n + 1,)."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 def _axial_mass(beam: Beam, stiffening: bool) -> Array:
-    """Return the part (k, k) of the elastic mass matrix that changes with foreshortening; the kernels add it."""
+    """Return the contribution (k, k) of axial station motion to the elastic mass matrix; the kernels add it."""
     axial = beam.station_shapes[:, 0]
     return np.einsum("s,sa,sb->ab", beam.stations[:, 0], axial, axial) * stiffening
 
 
 def _first_moving(beams: tuple[Beam, ...], stiffening: bool) -> np.ndarray:
-    """Return the index (n,), over all links, of the first elastic coordinate of each link that moves its tip."""
+    """Return the index (n,), among those of all links, of the first elastic coordinate of each link that moves its tip.
+
+    With foreshortening (stiffening) every coordinate moves the tip.
+    """
     offset, first = 0, []
     for beam in beams:
         moving = np.abs(np.vstack([beam.tip_translation, beam.tip_rotation])).max(axis=0, initial=0.0) > 0.0
-        moving |= stiffening  # with foreshortening all bending moves the tip
+        moving |= stiffening
         first.append(offset + (int(np.argmax(moving)) if moving.any() else len(moving)))
         offset += len(moving)
     return np.array(first, dtype=np.int64)
 
 
 def _axial(tensors: Array) -> Array:
-    """Return the sums (..., 3) of a x b from sums (..., 3, 3) of a b^T."""
+    """Return the sum (..., 3) of cross products a x b for a sum (..., 3, 3) of dyads a b^T."""
     difference = tensors - np.swapaxes(tensors, -1, -2)
     return np.stack([difference[..., 1, 2], difference[..., 2, 0], difference[..., 0, 1]], axis=-1)
 
 
-MAX_CACHED_ELEMENTS = 24  # finite elements of an arm up to which its complete links are cached
+MAX_CACHED_ELEMENTS = 24  # largest number of finite elements of an arm whose unreduced links are cached
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -239,11 +276,11 @@ class Model:
 
     Attributes:
         arm: the arm.
-        choice: elements, modes and switches of the model.
-        constants: arrays that the kernels read; shapes and units in `kernels.layout.Constants`.
-        bases: (6 * elements * sections, k_i) node coordinates of each link per unit of its elastic coordinates; (0, 0)
-            for a rigid link.
-        modal_damping: modal part of `constants.damping`, packed in the same way.
+        choice: modelling assumptions and discretisation.
+        constants: arrays for the kernels; shapes and units in `kernels.layout.Constants`.
+        bases: for each link, the matrix (6 * elements * sections, k_i) of node coordinates per unit of its k_i elastic
+            coordinates; (0, 0) for a rigid link.
+        modal_damping: part of `constants.damping` by modal damping ratios, in the packed form of `constants.damping`.
 
     Examples:
         >>> model = fm.build_model(fm.catalog.paper_rrr(), elements=2)
@@ -292,11 +329,11 @@ class Model:
 
     @property
     def motor_columns(self) -> np.ndarray:
-        """Index (n,) in x of each motor angle; for a rigid joint, of the joint angle."""
+        """Indices (n,) of the motor angles among the coordinates x; for a rigid joint that of the joint angle."""
         return np.where(self.constants.motor >= 0, self.constants.motor, np.arange(self.n_joints))
 
     def elastic_columns(self, link: int) -> slice:
-        """Return the columns of x with the elastic coordinates of a link (index from 0)."""
+        """Return the slice of the coordinates x with the elastic coordinates of a link (index from 0)."""
         first = self.n_joints + self.n_motors
         start, stop = self.constants.elastic_start[link : link + 2]
         return slice(first + int(start), first + int(stop))
@@ -340,24 +377,23 @@ def build_model(
     spinning_rotors: bool = False,
     rotary_inertia: bool = True,
 ) -> Model:
-    """Discretise an arm.
+    """Discretise an arm by finite elements and, optionally, component modes.
 
     Args:
-        arm: an `Arm`, the name of an arm of the catalog, a file, or a mapping; see `scene.serialization.find_arm`.
-        elements: finite elements of a Link, or of each section of a NonUniformLink; one value or one per link. A link
-            has at most 64 elements in total, and 6 * elements * number of sections coordinates.
-        modes: loaded component modes retained for a flexible link, at most its number of coordinates; one value or one
-            per link. A number retains that many of the lowest modes, a tuple retains modes by index from 0, and None
-            retains all coordinates.
-        flexible_links: False makes a link rigid.
-        flexible_joints: False locks the springs of all joints; their rotor inertia remains.
-        stiffening: foreshortening of bent links (geometric stiffening), needed for links with large deflections or fast
-            rotation.
+        arm: an `Arm`, the name of an arm in the catalog, a file, or a mapping; see `scene.serialization.find_arm`.
+        elements: number of finite elements of a Link, or of each section of a NonUniformLink; one value or one per
+            link. A link has at most 64 elements in total, and 6 * elements * number of sections elastic coordinates.
+        modes: retained component modes (`model.component_modes.loaded_modes`) of a flexible link; one value or one per
+            link. A number m retains the m lowest, a tuple retains modes by index from 0, None all elastic coordinates.
+        flexible_links: False makes a link rigid; one value or one per link.
+        flexible_joints: False makes all joints rigid; their rotor inertia remains.
+        stiffening: True includes the foreshortening of the links (geometric stiffening), needed for large deflections
+            and for fast rotation.
         spinning_rotors: see `ModelChoice`.
         rotary_inertia: see `ModelChoice`.
 
     Warns:
-        UserWarning: if the first bending frequency of the links suggests wrong units.
+        UserWarning: if the first natural frequency of the links suggests wrong units.
 
     Examples:
         >>> model = fm.build_model(fm.catalog.one_joint(), elements=4, modes=3)
@@ -391,7 +427,7 @@ def build_model(
 def _build_links(
     arm: Arm, elements: tuple[int, ...], flexible: tuple[bool, ...], rotary_inertia: bool
 ) -> list[tuple[Beam, tuple[Array, Array]]]:
-    """Return each link with all its coordinates, and the frequencies and shapes of its loaded modes."""
+    """Return each link with all its elastic coordinates, and frequencies (rad/s) and shapes of its loaded modes."""
     beams = tuple(map(build_beam, arm.links, elements, flexible, [rotary_inertia] * arm.n_joints))
     return [
         (beam, loaded_modes(beam, inertia)) for beam, inertia in zip(beams, outboard_inertias(arm, beams), strict=True)
@@ -402,9 +438,9 @@ def _select_modes(shapes: Array, modes: int | tuple[int, ...] | None, field: str
     """Return the node coordinates (size, k) of a link per unit of each retained coordinate.
 
     Args:
-        shapes: (size, size) shapes of its loaded modes.
-        modes: number of modes retained, or a tuple of their indices; None retains every coordinate.
-        field: name of `modes` in an error message.
+        shapes: (size, size) shapes of its loaded modes, as columns.
+        modes: number of retained modes, or a tuple of their indices; None retains all coordinates.
+        field: name of the argument, for errors.
     """
     size = len(shapes)
     if modes is None:
@@ -417,29 +453,25 @@ def _select_modes(shapes: Array, modes: int | tuple[int, ...] | None, field: str
 
 
 def _modal_damping(stiffness: Array, modes: tuple[Array, Array], ratio: float) -> Array:
-    """Return the damping matrix (k, k) of a link in which each loaded mode has the same damping ratio.
+    """Return the damping matrix (k, k) of a link whose loaded modes all have the same damping ratio.
 
     Args:
-        stiffness: (k, k) of the link.
-        modes: angular frequencies (k,) and shapes (k, k) of its loaded modes.
-        ratio: damping ratio.
+        stiffness: stiffness matrix (k, k) of the link.
+        modes: angular frequencies (k,), rad/s, and shapes (k, k) of its loaded modes.
+        ratio: damping ratio, 1.
     """
     frequencies, shapes = modes
-    # K shape / frequency^2 is the loaded mass matrix times the shape, which is the inverse of the shapes
+    # K shapes / frequencies^2 = M shapes with the loaded mass matrix M, and its transpose is the inverse of the shapes
     inverse = stiffness @ shapes / frequencies**2
     return 2.0 * ratio * inverse * frequencies @ inverse.T
 
 
-# an arm is often rebuilt with other modes; these arrays are never modified
+# An arm is often rebuilt with other modes; no code modifies the cached arrays.
 _build_links_cached = lru_cache(maxsize=8)(_build_links)
 
 
 def scene_model(scene: Scene) -> Model:
-    """Return the model of a scene, built from its arm and its model settings.
-
-    Args:
-        scene: the scene.
-    """
+    """Return the model of a scene, built from its fields `arm` and `model`."""
     instance("scene", scene, Scene, "a Scene")
     return build_model(scene.arm, **vars(scene.model))
 
@@ -450,7 +482,7 @@ def check_model(model: object) -> Model:
 
 
 def _each(name: str, value: object, n: int) -> tuple:
-    """Return one value per link from one common value or a tuple."""
+    """Return a tuple (n,) with a value for each link, for one value for all links or a tuple (n,)."""
     if name == "elements" and value is None:
         raise value_error(name, None, "whole numbers >= 1; or pass the scene to choose_model, which chooses them")
     if not isinstance(value, tuple):
@@ -460,13 +492,9 @@ def _each(name: str, value: object, n: int) -> tuple:
     return value
 
 
-def _warn_unusual_frequency(rates: list[float]) -> None:
-    """Warn if the lowest bending frequency of the links is outside the usual range, as it is with wrong units.
-
-    Args:
-        rates: angular frequency of the first mode of each flexible link, rad/s.
-    """
-    frequency = min(rates, default=2.0 * np.pi) / (2.0 * np.pi)
+def _warn_unusual_frequency(angular_frequencies: list[float]) -> None:
+    """Warn if the lowest natural frequency of the flexible links (rad/s) is outside the usual range: wrong units?"""
+    frequency = min(angular_frequencies, default=2.0 * np.pi) / (2.0 * np.pi)
     if not MIN_FREQUENCY <= frequency <= MAX_FREQUENCY:
         usual = f"usual is {MIN_FREQUENCY:g} to {MAX_FREQUENCY:g} Hz; check the units of moduli, sizes and masses"
         warn_caller(f"arm: the first bending frequency of its links, {frequency:.3g} Hz, suggests wrong units; {usual}")

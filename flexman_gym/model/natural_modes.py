@@ -5,25 +5,25 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import check_solvable
 
-SHIFT = 1e-9  # of the largest square; shift that makes the stiffness of a freely turning arm positive definite
-ZERO_SQUARE = 1e-10  # of the shift; a smaller square is a rounded zero
-MAX_SHIFTS = 6  # number of attempts, each with a shift 100 times as large
+SHIFT = 1e-9  # 1; spectral shift / largest scaled stiffness; it makes K positive definite despite rigid-body modes
+ZERO_SQUARE = 1e-10  # 1; squared frequency / shift, below which the frequency is a rounded zero
+MAX_SHIFTS = 6  # number of attempts, each with a shift 100 times as large as the last
 
 
 def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     """Return squared natural frequencies (d,) in rad^2/s^2, ascending, and mass-normalised mode shapes (d, d).
 
-    A general eigenvalue solver has an error proportional to the largest square, which is huge for finite elements. Here
-    the inverse frequencies are the singular values of L_M^T L_K^-T, with the Cholesky factors L_M and L_K; each is
-    accurate to rounding times the ratio of the lowest to the highest frequency. Squares may be negative if gravity
-    makes the equilibrium unstable.
+    The error of a general eigenvalue solver is proportional to the largest squared frequency, which is huge for finite
+    elements. Here the inverse frequencies are the singular values of L_M^T L_K^-T, with the Cholesky factors L_M and
+    L_K of mass and stiffness, so that the lowest frequencies are the most accurate. Squared frequencies are negative
+    where gravity makes the equilibrium unstable.
 
     Args:
-        mass: (d, d), positive definite.
-        stiffness: (d, d), symmetric.
+        mass: mass matrix (d, d), positive definite, in SI units.
+        stiffness: stiffness matrix (d, d), symmetric, in SI units.
 
     Returns:
-        Squares, and shapes as columns with shapes^T M shapes = 1.
+        Squared frequencies, and shapes as columns with shapes^T M shapes = 1.
 
     Raises:
         ValueError: for matrices without Cholesky factors in double precision.

@@ -1,4 +1,4 @@
-"""State-space model with named signals: scaling, reduction, sampling and export."""
+"""Linear state-space model with named inputs and outputs: scaling, order reduction, discretisation and export."""
 
 from dataclasses import dataclass, field, replace
 from importlib import import_module
@@ -12,12 +12,14 @@ from flexman_gym.model.natural_modes import natural_modes
 
 
 class SecondOrderForm(NamedTuple):
-    """Linear equations of motion of d coordinates: mass a = forces [q, v, u], with outputs y = rows [q, v, a].
+    """Linear equations of motion of d coordinates q with speeds v, accelerations a, m inputs u and p outputs y.
+
+    They are mass a = forces [q, v, u] and y = rows [q, v, a]; all matrices are in SI units.
 
     Attributes:
-        mass: (d, d).
-        forces: (d, 2 d + m) by coordinates q, speeds v and inputs u.
-        rows: (p, 3 d) by coordinates, speeds and accelerations a.
+        mass: (d, d) mass matrix.
+        forces: (d, 2 d + m) Jacobian of the generalised forces by q, v and u.
+        rows: (p, 3 d) Jacobian of the outputs by q, v and a.
     """
 
     mass: Array
@@ -27,9 +29,9 @@ class SecondOrderForm(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """Linear model x' = A x + B u, y = C x + D u for small deviations from a state and its torques.
+    """Linear model dx/dt = A x + B u, y = C x + D u for small deviations from a state and its torques.
 
-    In a sampled model x at the next instant takes the place of x'. A model unpacks to A, B, C, D.
+    A discrete-time model is x[k + 1] = A x[k] + B u[k], y[k] = C x[k] + D u[k]. A model unpacks to A, B, C, D.
 
     Attributes:
         A: (s, s) state matrix.
@@ -39,8 +41,8 @@ class LinearModel:
         states: names of x with units, as in the header of a CSV file, such as "tip_x (m)".
         inputs: names of u with units.
         outputs: names of y with units.
-        period: sampling period, s; None for a continuous model.
-        balance: equations of motion from which A, B, C and D were computed; None after a change of the model.
+        period: sampling period, s; None for a continuous-time model.
+        balance: equations of motion from which `linearize` computed A, B, C and D; None in all derived models.
     """
 
     A: Array
@@ -66,34 +68,34 @@ class LinearModel:
 
     @property
     def poles(self) -> Array:
-        """Eigenvalues of A, one for each of its states, sorted by modulus; unit 1/s for a continuous model."""
+        """Eigenvalues (s,) of A, sorted by modulus; 1/s for a continuous-time model, 1 for a discrete-time model."""
         values: Any = np.linalg.eigvals(self.scaled().A if self.balance else self.A)
         result: Array = values[np.argsort(np.abs(values), kind="stable")]
         return result
 
     def frequency_response(self, frequencies: Vector) -> Array:
-        """Return the complex gains (f, p, m) from inputs to outputs at frequencies (f,) in Hz.
+        """Return the complex frequency response (f, p, m) from the m inputs to the p outputs.
 
         Args:
-            frequencies: (f,) >= 0, Hz.
+            frequencies: (f,) Hz, not negative.
 
         Raises:
-            ValueError: for a frequency at an undamped pole.
+            ValueError: for the frequency of an undamped pole.
         """
         checked = sequence("frequencies", frequencies, "numbers")
-        rates = [2.0 * np.pi * non_negative(f"frequencies[{i}]", each, "Hz") for i, each in enumerate(checked)]
+        omega = [2.0 * np.pi * non_negative(f"frequencies[{i}]", each, "Hz") for i, each in enumerate(checked)]
         model = self.scaled() if self.balance else self
-        points = 1j * np.array(rates) if self.period is None else np.exp(1j * np.array(rates) * self.period)
+        points = 1j * np.array(omega) if self.period is None else np.exp(1j * np.array(omega) * self.period)
         with check_solvable("gains at these frequencies"):
             responses = [np.linalg.solve(point * np.eye(len(model.A)) - model.A, model.B) for point in points]
-        return np.array([model.C @ each + model.D for each in responses]).reshape(len(rates), *self.D.shape)
+        return np.array([model.C @ each + model.D for each in responses]).reshape(len(omega), *self.D.shape)
 
     def scaled(self) -> "LinearModel":
-        """Return the model in modal coordinates: frequency times displacement, and speed, of each natural mode.
+        """Return the model with omega_i eta_i and deta_i/dt as states, for the modal coordinate eta_i of each mode.
 
-        All states are then square roots of energies, and the entries of A are frequencies instead of their squares.
-        Solvers of Riccati and Lyapunov equations, which fail on the stiff entries of finite elements, work in these
-        coordinates. Only the model returned by `linearize` can be scaled.
+        All states then have the unit J^0.5, and the entries of A are natural frequencies omega_i instead of their
+        squares. Solvers of Riccati and Lyapunov equations fail in the coordinates of finite elements, but work in
+        these. Only the model returned by `linearize` can be scaled.
         """
         mass, forces, rows = self._own_balance()
         d = len(mass)
@@ -116,13 +118,13 @@ class LinearModel:
         )
 
     def reduced(self, frequency: float) -> "LinearModel":
-        """Return the model of the natural modes up to a frequency; faster modes follow quasi-statically.
+        """Return the model reduced to the natural modes up to a frequency; faster modes are quasi-static.
 
-        Static gains are preserved (singular perturbation: Kokotovic, Automatica 12, 1976). The states are those of
+        Singular perturbation preserves the static gains (Kokotovic, Automatica 12, 1976). The states are those of
         `scaled`, and only the model returned by `linearize` can be reduced.
 
         Args:
-            frequency: Hz.
+            frequency: largest natural frequency of a retained mode, Hz.
         """
         scaled, d = self.scaled(), len(self._own_balance().mass)
         sizes = np.diag(scaled.A[:d, d:])
@@ -144,20 +146,20 @@ class LinearModel:
         )
 
     def discrete(self, period: float, delay: float = 0.0) -> "LinearModel":
-        """Return the exact discrete-time model for inputs that are constant over each sampling period.
+        """Return the zero-order-hold discretisation of the model, with delayed inputs.
 
-        It uses the exponential of [[A, B], [0, 0]] (Van Loan, IEEE Trans. Automatic Control 23, 1978). Delayed inputs
-        are additional states, the newest first (Astrom and Wittenmark, Computer-Controlled Systems).
+        It uses the exponential of [[A, B], [0, 0]] (Van Loan, IEEE Trans. Automatic Control 23, 1978). Past inputs are
+        additional states, the latest first (Astrom and Wittenmark, Computer-Controlled Systems).
 
         Args:
             period: sampling period, s.
-            delay: delay of the inputs, s; not necessarily a multiple of the period.
+            delay: delay of all inputs, s; not necessarily a multiple of the period.
         """
         if self.period is not None:
             raise value_error("period", period, "a continuous model")
         period, delay = positive("period", period, "s"), non_negative("delay", delay, "s")
         periods = int(np.ceil(delay / period - 1e-9))
-        part = max(periods * period - delay, 0.0)  # of a period in which the newest arrived input acts
+        part = max(periods * period - delay, 0.0)  # s; time in a period during which the later of two inputs acts
         size, m = self.B.shape
         transition, newest_input = discretize(self.A, self.B, period if periods == 0 or part == 0.0 else part)
         if periods and part:
@@ -184,7 +186,7 @@ class LinearModel:
         """Return the model as a StateSpace of python-control, with its names.
 
         Raises:
-            ModuleNotFoundError: without that library, which the extra "control" installs.
+            ModuleNotFoundError: if python-control is not installed, see the extra "control".
         """
         try:
             control = import_module("control")
@@ -195,19 +197,19 @@ class LinearModel:
         return control.ss(self.A, self.B, self.C, self.D, 0 if self.period is None else self.period, **given)
 
     def _own_balance(self) -> SecondOrderForm:
-        """Return the equations of motion of an unchanged model."""
+        """Return the equations of motion of a model from `linearize`."""
         if self.balance is None:
             raise value_error("model", "a changed model", "the model returned by linearize")
         return self.balance
 
 
 def discretize(A: Array, B: Array, period: float) -> tuple[Array, Array]:
-    """Return the transition matrices of the states (s, s) and of inputs (s, m) that are constant over a period.
+    """Return state matrix (s, s) and input matrix (s, m) of the zero-order-hold discretisation.
 
     Args:
-        A: (s, s) state matrix.
-        B: (s, m) input matrix.
-        period: s.
+        A: (s, s) state matrix in continuous time.
+        B: (s, m) input matrix in continuous time.
+        period: sampling period, s.
     """
     from scipy.linalg import expm
 

@@ -1,4 +1,4 @@
-"""Static equilibrium under gravity with held motors, and the torques that hold it."""
+"""Static equilibrium under gravity with held motors, and the holding torques of the motors."""
 
 from functools import lru_cache
 
@@ -13,20 +13,20 @@ from flexman_gym.model.model import Model, check_model
 
 
 def rest_state(model: Model, motor_angles: Vector | Matrix) -> Array:
-    """Return the state of the arm at rest with its motors held: deflected by its weight, at zero speed.
+    """Return the state of static equilibrium under gravity with the motors held at given angles.
 
     Without gravity the arm is undeformed. With gravity the equilibrium of weight, joint springs and links is found by a
-    Newton iteration with the stiffness matrix as constant Jacobian.
+    modified Newton iteration, with the stiffness matrix as constant Jacobian.
 
     Args:
         model: model of the arm.
         motor_angles: (n,) rad, or (r, n) for r postures.
 
     Returns:
-        State (2 d,), or (r, 2 d) for r postures.
+        State (2 d,) with zero speeds, or (r, 2 d) for r postures.
 
     Raises:
-        ValueError: for an arm too compliant for the iteration to converge.
+        ValueError: if the iteration does not converge, for a very compliant arm.
 
     Examples:
         An arm in a vertical plane sags: its joint springs twist under its weight.
@@ -44,7 +44,7 @@ def rest_state(model: Model, motor_angles: Vector | Matrix) -> Array:
 
 
 def _rest_states(model: Model, postures: Array) -> Array:
-    """Return the states (r, 2 d) at rest with the motors at angles (r, n) rad."""
+    """Return the states (r, 2 d) of static equilibrium with the motors at angles (r, n), rad."""
     states, d = model.at_rest(postures), model.n_dof
     if not model.constants.gravity.any():
         return states
@@ -59,10 +59,9 @@ def _rest_states(model: Model, postures: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def _rest_system(model: Model) -> tuple[Work, IntArray, Array, Array]:
-    """Return work space, free coordinates, stiffness (d, d) and its inverse over the free coordinates.
+    """Return work space, indices (d - n,) of free coordinates, stiffness (d, d) and its inverse over these coordinates.
 
-    Sharing one work space is safe: kernels overwrite all of it in each call and hold the interpreter lock while they
-    run.
+    All calls can share one work space, because kernels overwrite it completely and hold the interpreter lock.
     """
     free = np.setdiff1d(np.arange(model.n_dof), model.motor_columns)
     stiffness = stiffness_matrix(model)
@@ -70,14 +69,14 @@ def _rest_system(model: Model) -> tuple[Work, IntArray, Array, Array]:
 
 
 def holding_torques(model: Model, motor_angles: Vector) -> Array:
-    """Return the motor torques (n,) in N m that hold the arm at rest; zero without gravity.
+    """Return the motor torques (n,), N m, in static equilibrium with the motors held; zero without gravity.
 
     Args:
         model: model of the arm.
         motor_angles: (n,) rad.
 
     Raises:
-        ValueError: for an arm too compliant for the equilibrium to be found, see `rest_state`.
+        ValueError: if no equilibrium is found, see `rest_state`.
 
     Examples:
         >>> model = fm.build_model(fm.catalog.vertical_2r())
@@ -90,7 +89,7 @@ def holding_torques(model: Model, motor_angles: Vector) -> Array:
 
 
 def rest_tips(model: Model, postures: Array) -> Array:
-    """Return the tip positions (r, 3) in the base frame, m, at rest with the motors at angles (r, n) rad."""
+    """Return the tip positions (r, 3), m, base frame, in static equilibrium with the motors at angles (r, n), rad."""
     work, row, tips = _rest_system(model)[0], np.zeros(OUTPUTS), np.zeros((len(postures), 3))
     for tip, state in zip(tips, _rest_states(model, postures), strict=True):
         outputs.compute_outputs(model.constants, work, state[: model.n_dof], state[model.n_dof :], row)

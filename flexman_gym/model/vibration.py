@@ -1,4 +1,4 @@
-"""Vibration modes of an arm about a static equilibrium, with its motors held or free, and of a spinning arm."""
+"""Vibration modes about a static equilibrium, with the motors held or free, and frequencies of a rotating arm."""
 
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -13,25 +13,25 @@ from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.natural_modes import natural_modes
 from flexman_gym.model.statics import holding_torques, rest_state
 
-RIGID_BODY_LIMIT = 1e-6  # of the lowest natural frequency; slower eigenvalues are rigid-body motion
-OVERDAMPED_LIMIT = 1e-7  # smallest imaginary part of an oscillatory eigenvalue, relative to its magnitude
-ZERO_DAMPING = 1e-12  # damping ratio below which it is a rounded zero
+RIGID_BODY_LIMIT = 1e-6  # 1; magnitude of an eigenvalue / lowest natural frequency, up to which it is rigid-body motion
+OVERDAMPED_LIMIT = 1e-7  # 1; imaginary part of an eigenvalue / its magnitude, up to which it is overdamped
+ZERO_DAMPING = 1e-12  # 1; damping ratio below which it is a rounded zero
 SHOWN_MODES = 3  # number of modes in the repr
-SPIN_ITERATIONS = 200  # limit of the iteration for the equilibrium of a spin
-MAX_COORDINATE = 1e3  # m or rad; the iteration stops beyond it
+MAX_ITERATIONS = 200  # for the equilibrium of a rotating arm
+MAX_COORDINATE = 1e3  # m or rad; a larger coordinate ends the iteration without an equilibrium
 
 
 class EquilibriumMatrices(NamedTuple):
-    """Linearised arm about its static equilibrium, for small deviations q (d,) of its coordinates.
+    """Matrices of an arm linearised about a static equilibrium: mass a + damping v + stiffness q = forces.
 
-    Its equation of motion is mass a + damping v + stiffness q = forces.
+    q (d,) are deviations of the coordinates, v speeds and a accelerations; all matrices are in SI units.
 
     Attributes:
         mass: (d, d).
         damping: (d, d).
-        stiffness: (d, d), including the part of gravity.
-        tip: (3, d) displacement of the tip per unit coordinate.
-        motors: (n,) indices of the motor coordinates.
+        stiffness: (d, d), including the contribution of gravity.
+        tip: (3, d) displacement of the tip per unit coordinate, base frame.
+        motors: (n,) indices of the motor angles, for rigid joints of the joint angles.
     """
 
     mass: Array
@@ -42,17 +42,17 @@ class EquilibriumMatrices(NamedTuple):
 
     @property
     def free(self) -> IntArray:
-        """Columns (d - n,) of the coordinates that move when the motors are held."""
+        """Indices (d - n,) of the coordinates other than the motor angles."""
         return np.setdiff1d(np.arange(len(self.mass)), self.motors)
 
 
 class Eigenpairs(NamedTuple):
-    """Complex eigenvalues with positive imaginary part and their shapes, in order of rising frequency.
+    """Complex eigenvalues with positive imaginary part, ascending, and their eigenvectors.
 
     Attributes:
-        values: (k,) 1/s.
-        shapes: (k, d) complex coordinates, normalised to shape^T (2 s M + C) shape = 1 for an eigenvalue s, so that an
-            initial state q, v excites a mode by shape^T (s M q + C q + M v).
+        values: (k,) eigenvalues s, 1/s.
+        shapes: (k, d) complex mode shapes, normalised to shape^T (2 s M + C) shape = 1 with mass matrix M and damping
+            matrix C. An initial state q, v then has the modal amplitude shape^T (s M q + C q + M v).
     """
 
     values: Array
@@ -64,11 +64,11 @@ class Modes:
     """Vibration modes of an arm about a posture: k conjugate pairs of eigenvalues s of its linear model, lowest first.
 
     Attributes:
-        frequencies: (k,) of the damped oscillation, Im s / (2 pi), Hz.
-        damping_ratios: (k,) -Re s / |s|.
-        shapes: (k, d) complex mode shapes in the coordinates of `kernels.layout`, normalised to unit modal mass (kg m^2
-            or kg, depending on the coordinates), with their largest entry real.
-        shares: (k, 2 n) shares of the n links, then of the n joints, in the elastic energy, 0 to 1.
+        frequencies: (k,) damped natural frequencies Im s / (2 pi), Hz.
+        damping_ratios: (k,) -Re s / |s|, 1.
+        shapes: (k, d) complex mode shapes in the coordinates of `kernels.layout`, with shape^H M shape = 1 (SI units)
+            for the mass matrix M, and with their largest entry real.
+        shares: (k, 2 n) fractions of the elastic energy in the n links, then in the n joints, 0 to 1.
         parts: (2 n,) names of these links and joints.
         motors: "held" or "free".
         eigenvalues: (k,) complex eigenvalues s, 1/s.
@@ -94,25 +94,25 @@ class Modes:
         lines = [f"<Modes: {len(self)} with motors {self.motors}"]
         for frequency, ratio, shares in zip(self.frequencies, self.damping_ratios, self.shares, strict=True):
             largest = [i for i in np.argsort(-shares)[:2] if shares[i] > 0.005]
-            carried = ", ".join(f"{100 * shares[i]:.0f} % in {self.parts[i]}" for i in largest)
-            lines.append(f"  {frequency:.6g} Hz, damping ratio {ratio:.3g}" + (f", {carried}" if carried else ""))
+            energies = ", ".join(f"{100 * shares[i]:.0f} % in {self.parts[i]}" for i in largest)
+            lines.append(f"  {frequency:.6g} Hz, damping ratio {ratio:.3g}" + (f", {energies}" if energies else ""))
         return "\n".join(lines[: SHOWN_MODES + 1] + ["  ..."] * (len(self) > SHOWN_MODES)) + ">"
 
 
 def modes(model: Model, joint_angles: Vector | None = None, motors: str = "held") -> Modes:
-    """Return the damped vibration modes of an arm at rest under its weight.
+    """Return the damped vibration modes of an arm about its static equilibrium under gravity.
 
-    They are those of the linear model about the sagged equilibrium. Solutions without oscillation are left out: the
-    rigid motion of a freely turning arm, and overdamped modes. Free motors slide, and their Coulomb friction does not
-    damp a small oscillation (see `linearize`); a sticking motor is a held one.
+    They are modes of the linear model (see `linearize`). Non-oscillatory solutions are left out: rigid-body motion and
+    overdamped modes. Coulomb friction of free motors does not contribute to the damping; for motors that stick, use
+    "held".
 
     Args:
         model: model of the arm.
-        joint_angles: (n,) angles of the motors, rad, zero by default.
-        motors: "held" clamps the motors (the joints where they are rigid); "free" applies only their holding torques.
+        joint_angles: (n,) motor angles, rad, zero by default.
+        motors: "held" clamps the motors (rigid joints themselves); "free" applies constant holding torques.
 
     Raises:
-        ValueError: for an arm too compliant for its equilibrium to be found.
+        ValueError: if no equilibrium is found, see `rest_state`.
 
     Examples:
         >>> vibration = fm.modes(fm.build_model(fm.catalog.one_joint()), motors="held")
@@ -145,14 +145,14 @@ def modes(model: Model, joint_angles: Vector | None = None, motors: str = "held"
 
 
 def equilibrium_matrices(model: Model, motor_angles: Vector) -> EquilibriumMatrices:
-    """Return the linearised arm about its equilibrium with the motors at angles (n,) rad.
+    """Return the matrices of an arm linearised about its static equilibrium.
 
     Args:
         model: model of the arm.
         motor_angles: (n,) rad.
 
     Raises:
-        ValueError: for an arm too compliant for its equilibrium to be found.
+        ValueError: if no equilibrium is found, see `rest_state`.
     """
     linear = linearize(model, state=rest_state(model, motor_angles), torque=holding_torques(model, motor_angles))
     d, balance = model.n_dof, linear.balance
@@ -165,17 +165,17 @@ def equilibrium_matrices(model: Model, motor_angles: Vector) -> EquilibriumMatri
 
 
 def oscillatory_modes(resting: EquilibriumMatrices, moving: IntArray) -> Eigenpairs:
-    """Return the oscillatory modes of an arm in which only some coordinates move.
+    """Return the oscillatory modes of an arm with some of its coordinates fixed.
 
-    The eigenvalues are computed in the coordinates of the undamped modes, so that low frequencies stay accurate next to
-    very high ones.
+    The eigenvalues are computed in the modal coordinates of the undamped arm, so that low frequencies are accurate
+    beside very high ones.
 
     Args:
-        resting: linearised arm.
-        moving: (m,) columns of the coordinates that move.
+        resting: matrices of the linearised arm.
+        moving: (m,) indices of the coordinates that are not fixed.
 
     Returns:
-        Eigenvalues, and shapes (k, m) over the moving coordinates.
+        Eigenvalues (k,), and shapes (k, m) over the moving coordinates.
     """
     block = np.ix_(moving, moving)
     mass, damping = resting.mass[block], resting.damping[block]
@@ -198,9 +198,9 @@ def oscillatory_modes(resting: EquilibriumMatrices, moving: IntArray) -> Eigenpa
 
 
 def elastic_energies(model: Model, coordinates: Array) -> Array:
-    """Return twice the elastic energies (k, 2 n), in J, of the n links, then of the n joints, at coordinates (k, d).
+    """Return twice the elastic energies (k, 2 n), J, of the n links, then of the n joints, at coordinates (k, d).
 
-    For the complex coordinates of an oscillation it is four times the mean over a cycle.
+    For complex amplitudes of an oscillation the result is four times the mean elastic energy over a cycle.
     """
     n, constants, stiffness = model.n_joints, model.constants, stiffness_matrix(model)
     energies = np.zeros((len(coordinates), 2 * n))
@@ -213,23 +213,23 @@ def elastic_energies(model: Model, coordinates: Array) -> Array:
 
 
 def _shares(model: Model, shapes: Array) -> Array:
-    """Return the shares (k, 2 n) of links and joints in the elastic energy of shapes (k, d)."""
+    """Return the fractions (k, 2 n) of the elastic energy in links and joints for mode shapes (k, d)."""
     energies = elastic_energies(model, shapes)
     total = energies.sum(axis=1, keepdims=True)
     return np.divide(energies, total, out=np.zeros_like(energies), where=total > 0.0)
 
 
-def spin_frequencies(model: Model, rates: Vector, joint_angles: Vector | None = None) -> Array:
-    """Return the natural frequencies (r, k) in Hz, ascending, of an arm that spins about its first joint.
+def rotating_frequencies(model: Model, rates: Vector, joint_angles: Vector | None = None) -> Array:
+    """Return the natural frequencies (r, k), Hz, ascending, of an arm in steady rotation about its first joint.
 
-    The motors keep their rates: the first turns, the others are at rest; gravity is left out. The model is linearised
-    about the equilibrium of the spin, in which its links stiffen if it has foreshortening. A row without an equilibrium
-    is NaN, and so are the last entries of a row with modes that do not oscillate.
+    The first motor rotates at a constant rate, all others are held, and there is no gravity. The arm is linearised
+    about its steady deformation; `stiffening` of the model includes the stiffening of the links by centrifugal forces.
+    A row is NaN if no steady deformation is found; non-oscillatory modes give NaN at the end of a row.
 
     Args:
         model: model of the arm.
-        rates: (r,) spin rates, rad/s.
-        joint_angles: (n,) rad, zero by default.
+        rates: (r,) angular velocities of the first motor, rad/s.
+        joint_angles: (n,) motor angles, rad, zero by default.
     """
     d, n, result = check_model(model).n_dof, model.n_joints, []
     weightless = replace(model, constants=model.constants._replace(gravity=np.zeros(3)))
@@ -237,28 +237,28 @@ def spin_frequencies(model: Model, rates: Vector, joint_angles: Vector | None = 
     columns, k = np.concatenate([free, d + free]), len(free)
     for rate in vector("rates", rates, unit="rad/s"):
         row = np.full(k, np.nan)
-        equilibrium = _spin_equilibrium(weightless, np.zeros(n) if joint_angles is None else joint_angles, rate)
+        equilibrium = _rotating_equilibrium(weightless, np.zeros(n) if joint_angles is None else joint_angles, rate)
         if equilibrium is not None:
             state, torque = equilibrium
             mass = mass_matrix(weightless, state)
-            with np.errstate(over="ignore"):  # of the friction slope, which is negligible in a spin
-                rates_jacobian = linearize(weightless, state=state, torque=torque).A[d:]
-            forces = (mass @ rates_jacobian)[np.ix_(free, columns)]
-            jacobian = np.linalg.solve(mass[np.ix_(free, free)], forces)  # for any torques that hold the motors
+            with np.errstate(over="ignore"):  # the slope of Coulomb friction, which may overflow, is negligible
+                acceleration_jacobian = linearize(weightless, state=state, torque=torque).A[d:]
+            forces = (mass @ acceleration_jacobian)[np.ix_(free, columns)]
+            jacobian = np.linalg.solve(mass[np.ix_(free, free)], forces)  # with the motions of the motors prescribed
             imaginary = np.linalg.eigvals(np.block([[np.zeros((k, k)), np.eye(k)], [jacobian]])).imag
-            frequencies = np.sort(imaginary[imaginary > 0.0]) / (2 * np.pi)  # the upper half of each conjugate pair
+            frequencies = np.sort(imaginary[imaginary > 0.0]) / (2 * np.pi)  # one eigenvalue of each conjugate pair
             row[: len(frequencies)] = frequencies
         result.append(row)
     return np.array(result).reshape(-1, k)
 
 
-def _spin_equilibrium(model: Model, angles: Vector, rate: float) -> tuple[Array, Array] | None:
-    """Return the equilibrium state (2 d,) of a spin and its motor torques (n,) in N m, or None if there is none."""
+def _rotating_equilibrium(model: Model, angles: Vector, rate: float) -> tuple[Array, Array] | None:
+    """Return state (2 d,) and motor torques (n,), N m, of a steady rotation at a rate (rad/s); None if not found."""
     d, n = model.n_dof, model.n_joints
     state, motors = model.initial_state(angles, np.eye(n)[0] * rate), model.motor_columns
     free, stiffness, forces = np.setdiff1d(np.arange(d), motors), stiffness_matrix(model), inertial_forces(model)
     free_stiffness = stiffness[np.ix_(free, free)]
-    for _ in range(SPIN_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         balance = forces(state[:d], state[d:], np.zeros(d)) + stiffness @ state[:d]
         change = np.linalg.solve(free_stiffness, balance[free])
         state[free] -= change

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import (
@@ -22,8 +21,8 @@ from flexman_gym.scene.rigid_body import LumpedMass, Payload
 
 # Limits beyond which a value is probably in a wrong unit.
 MAX_GRAVITY = 300.0  # m/s^2
-MAX_MASS_RATIO = 100.0  # mass of a lumped mass or payload over the mass of the links
-MAX_REACH_RATIO = 20.0  # distance of its centre of mass, or its radius of gyration, over the length of the links
+MAX_MASS_RATIO = 100.0  # 1; mass of a lumped mass or payload / mass of the links
+MAX_REACH_RATIO = 20.0  # 1; offset or radius of gyration of a lumped mass or payload / total length of the links
 
 
 @check_keywords
@@ -40,8 +39,8 @@ class Arm:
             describe the same arm.
         gravity: acceleration of gravity (3,) in the base frame, m/s^2.
         stiffness_proportional_damping: coefficient beta of the damping C = beta K of every link, s; not negative.
-        modal_damping_ratio: damping ratio of every mode of a link, at least 0 and less than 1; one number for all
-            links, or (n,).
+        modal_damping_ratio: damping ratio of every component mode of a link, at least 0 and less than 1; one number for
+            all links, or (n,).
 
     Raises:
         ValueError: for an arm without links, for different numbers of links and joints, and for a value outside its
@@ -87,25 +86,25 @@ class Arm:
         warn_unusual_units("Arm", vars(self))
         _warn_of_gravity(tuple(self.gravity))
         length = sum(link.length for link in self.links)
-        beams = sum(link.mass - sum(each.mass for each in link.masses) for link in self.links)
-        carried: list[tuple[str, LumpedMass | Payload]] = [
-            (f"Arm.links[{i}].masses[{j}]", each)
+        beam_mass = sum(link.mass - sum(body.mass for body in link.masses) for link in self.links)
+        bodies: list[tuple[str, LumpedMass | Payload]] = [
+            (f"Arm.links[{i}].masses[{j}]", body)
             for i, link in enumerate(self.links)
-            for j, each in enumerate(link.masses)
+            for j, body in enumerate(link.masses)
         ]
         if self.payload:
-            carried.append(("Arm.payload", self.payload))
-        for name, each in carried:
-            _warn_of_loads(name, each.mass, each.inertia, each.offset, (beams, length))
+            bodies.append(("Arm.payload", self.payload))
+        for name, body in bodies:
+            _warn_of_body(name, body, beam_mass, length)
 
     def _checked_ratio(self) -> float | Vector:
         """Return the modal damping ratio as one number, or as a tuple with one number for each link."""
         value, field = self.modal_damping_ratio, "Arm.modal_damping_ratio"
-        several = isinstance(value, list | tuple) or getattr(value, "ndim", 0) > 0
-        ratios = vector(field, value, len(self.links)) if several else (non_negative(field, value),)
+        per_link = isinstance(value, list | tuple) or getattr(value, "ndim", 0) > 0
+        ratios = vector(field, value, len(self.links)) if per_link else (non_negative(field, value),)
         if not all(0.0 <= ratio < 1.0 for ratio in ratios):
-            raise value_error(field, value, "numbers >= 0 and < 1" if several else "a number >= 0 and < 1")
-        return ratios if several else ratios[0]
+            raise value_error(field, value, "numbers >= 0 and < 1" if per_link else "a number >= 0 and < 1")
+        return ratios if per_link else ratios[0]
 
     @property
     def damping_ratios(self) -> tuple[float, ...]:
@@ -119,31 +118,32 @@ class Arm:
         return len(self.joints)
 
 
-def _warn_of_loads(name: str, mass: float, inertia: Any, offset: Any, arm: tuple[float, float]) -> None:
+def _warn_of_body(name: str, body: LumpedMass | Payload, link_mass: float, length: float) -> None:
     """Warn (UserWarning) of a body whose mass or size is out of proportion to its arm.
 
     Args:
         name: field of the body, for the message.
-        mass: mass of the body, kg.
-        inertia: inertia matrix (3, 3), kg m^2, or None.
-        offset: position (3,) of the centre of mass, m, or None.
-        arm: total mass (kg) and total length (m) of the links.
+        body: the lumped mass or payload.
+        link_mass: total mass of the links, kg.
+        length: total length of the links, m.
     """
-    size = math.sqrt(max(inertia[i][i] for i in range(3)) / mass) if inertia is not None and mass > 0.0 else 0.0
+    mass, inertia, offset = body.mass, body.inertia, body.offset
+    gyration = math.sqrt(max(inertia[i][i] for i in range(3)) / mass) if inertia is not None and mass > 0.0 else 0.0
     distance = max(map(abs, offset)) if offset is not None else 0.0
-    if mass > MAX_MASS_RATIO * arm[0]:
-        line = f"{name}.mass: {mass:g} (kg) is {mass / arm[0]:.3g} times the mass of the links; wrong unit? is it in g?"
-    elif distance > MAX_REACH_RATIO * arm[1]:
-        line = f"{name}.offset: {distance:g} (m) is far beyond an arm of {arm[1]:g} m; wrong unit? is it in mm?"
-    elif size > MAX_REACH_RATIO * arm[1]:
-        line = f"{name}.inertia: its radius of gyration is {size:.3g} m; wrong unit? is it in g cm^2 or kg mm^2?"
+    if mass > MAX_MASS_RATIO * link_mass:
+        ratio = mass / link_mass
+        message = f"{name}.mass: {mass:g} (kg) is {ratio:.3g} times the mass of the links; wrong unit? is it in g?"
+    elif distance > MAX_REACH_RATIO * length:
+        message = f"{name}.offset: {distance:g} (m) is far beyond an arm of {length:g} m; wrong unit? is it in mm?"
+    elif gyration > MAX_REACH_RATIO * length:
+        message = f"{name}.inertia: its radius of gyration is {gyration:.3g} m; wrong unit? is it in g cm^2 or kg mm^2?"
     else:
         return
-    warn_caller(line)
+    warn_caller(message)
 
 
 def _warn_of_gravity(gravity: tuple[float, ...]) -> None:
-    """Warn (UserWarning) of a gravity (3,) m/s^2 beyond MAX_GRAVITY."""
-    size = math.hypot(*gravity)
-    if size > MAX_GRAVITY:
-        warn_caller(f"Arm.gravity: {size:g} (m/s^2) is unusual; wrong unit? is it in mm/s^2? 9810 mm/s^2 are 9.81")
+    """Warn (UserWarning) of an acceleration of gravity (3,), m/s^2, with a magnitude above MAX_GRAVITY."""
+    magnitude = math.hypot(*gravity)
+    if magnitude > MAX_GRAVITY:
+        warn_caller(f"Arm.gravity: {magnitude:g} (m/s^2) is unusual; wrong unit? is it in mm/s^2? 9810 mm/s^2 are 9.81")

@@ -1,12 +1,12 @@
 """Catalog: named arms and scenes, with their sources.
 
-Each named arm is a YAML file in scene/arms, in the plain form of an arm file, together with its options; to add an arm,
-write such a file and add an entry here. `fm.catalog.NAME(...)` returns an Arm and `paper_scene` returns a Scene, in SI
-units: m, kg, s, rad, N m, m^4 (second moments of area), N m/rad (joint stiffness), N m s/rad (joint damping), kg m^2
-(rotor inertia) and m/s^2 (gravity).
+Each named arm is a YAML file in scene/arms with its description, source, parameters and options. To add an arm, write
+such a file and assign its function in this module. `fm.catalog.NAME(...)` returns an Arm and `paper_scene` returns a
+Scene, in SI units: m, kg, s, rad, N m, m^4 (second moments of area), N m/rad (joint stiffness), N m s/rad (joint
+damping), kg m^2 (rotor inertia) and m/s^2 (gravity).
 
-The frequencies (Hz) of an arm are those of its model: `fm.frequencies(fm.build_model(fm.catalog.one_link()))`. `flexman
-list arms` prints the names, and `help(fm.catalog.paper_rrr)` prints the options of an arm and its source.
+`fm.frequencies(fm.build_model(fm.catalog.one_link()))` returns natural frequencies in Hz. `flexman list arms` prints
+the names of the arms, and `help(fm.catalog.paper_rrr)` prints the options and the source of an arm.
 """
 
 from flexman_gym.common.checks import one_of
@@ -32,19 +32,19 @@ __all__ = [
 ]
 
 paper_rrr = named_arm("paper_rrr")
-"""Spatial RRR arm of the paper's Table 1."""
+"""Spatial arm with three revolute joints (RRR), from Table 1 of the paper."""
 planar_2r = named_arm("planar_2r")
-"""Two aluminium strips of 0.5 m in a horizontal plane: axes +Z, both links along +X at zero angles."""
+"""Horizontal arm of two aluminium strips of 0.5 m; joint axes along +z, links along +x at zero joint angles."""
 one_link = named_arm("one_link")
-"""Slender aluminium link of 2 m on a hub, along +X at a zero angle."""
+"""Slender aluminium link of 2 m on a hub with a rigid joint, along +x at a zero joint angle."""
 vertical_2r = named_arm("vertical_2r")
-"""Two aluminium strips of 0.5 m that move in the vertical x-z plane, on elastic joints, with their motors."""
+"""Two aluminium strips of 0.5 m that move in the vertical x-z plane, with flexible joints."""
 one_joint = named_arm("one_joint")
-"""Aluminium strip of 0.8 m on one elastic joint, which turns it in a horizontal plane about +Z."""
+"""Aluminium strip of 0.8 m on one flexible joint with a vertical axis, +z."""
 quanser_2dsfl = named_arm("quanser_2dsfl")
-"""Quanser 2-DoF serial flexible link: two steel strips in a horizontal plane, driven through gears."""
+"""Quanser 2-DoF Serial Flexible Link: two steel strips in a horizontal plane, with geared motors."""
 flexarm_rome = named_arm("flexarm_rome")
-"""FLEXARM of the University of Rome: a rigid and a flexible link."""
+"""FLEXARM of the University of Rome: a rigid link, then a flexible link."""
 de_luca_siciliano = named_arm("de_luca_siciliano")
 """Two-link arm of De Luca and Siciliano."""
 gifu_2link = named_arm("gifu_2link")
@@ -66,8 +66,8 @@ _PAPER_CASES = {  # case -> flexible links, flexible joints
 def paper_scene(case: str = "ff") -> Scene:
     """Build a scene of the paper: `paper_rrr` from rest at zero angles under 400 N m at each joint, for 2 s.
 
-    The model has two finite elements per link, as in the paper. The paper shows pose and duration in figures only; both
-    are read from there. The output step of 0.01 s is our choice.
+    The model has two finite elements per link, as in the paper. Initial pose and duration are read from the figures of
+    the paper, which does not print them. The output step of 0.01 s is not from the paper.
 
     Args:
         case: "rr" for rigid links and joints, "fr" for flexible links and rigid joints, "ff" for flexible links and

@@ -1,4 +1,4 @@
-"""Checks for common input errors: keywords of other libraries, and values in a wrong unit."""
+"""Checks for common input errors: keywords of URDF and other libraries, and values in a wrong unit."""
 
 import math
 import sys
@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from flexman_gym.common.checks import value_error
 
-Part = TypeVar("Part")
+T = TypeVar("T")
 
 _REVOLUTE = "nothing: every joint is revolute; for prismatic and other joints use MuJoCo, Drake or Pinocchio"
 _SERIAL = "nothing: an arm is a serial chain in the order of its links; for trees and loops use MuJoCo or Drake"
@@ -27,7 +27,7 @@ _SHAPE = "it to fm.Link.strip, fm.Link.tube or fm.Link.rod, which compute a sect
 _RUN = "it to fm.simulate(scene, method=..., step=...)"
 _LIMITS = "fm.Limits(angle=...) to an environment: a joint turns without stops"
 
-# Class -> keyword -> advice, which follows the word "give" in the error.
+# Class -> keyword unknown to it -> advice, which follows the word "give" in the error message.
 FOREIGN_KEYWORDS: dict[str, dict[str, str]] = {
     "Joint": {
         **dict.fromkeys(("kind", "type", "joint_type", "prismatic"), _REVOLUTE),
@@ -55,7 +55,7 @@ FOREIGN_KEYWORDS: dict[str, dict[str, str]] = {
     },
     "Link": dict.fromkeys(("material", "width", "thickness", "diameter", "radius", "wall"), _SHAPE),
 }
-# Class -> attribute that it does not have -> advice.
+# Class -> attribute unknown to it -> advice.
 ABSENT_MEMBERS = {
     "Arm": {
         "from_urdf": "a URDF has rigid bodies, without sections and springs; build fm.Arm(links, joints), or use "
@@ -67,20 +67,20 @@ ABSENT_MEMBERS = {
 class _AbsentMember:
     """Missing attribute of a class; reading it raises an AttributeError with an explanation."""
 
-    def __init__(self, line: str) -> None:
-        self._line = line
+    def __init__(self, message: str) -> None:
+        self._message = message
 
     def __get__(self, instance: object, owner: type) -> Any:
-        raise AttributeError(self._line)
+        raise AttributeError(self._message)
 
 
-def check_keywords(kind: type[Part]) -> type[Part]:
-    """Wrap the constructor of a dataclass so that unknown keywords raise a TypeError of one line with advice.
+def check_keywords(cls: type[T]) -> type[T]:
+    """Decorate a dataclass so that unknown keywords of its constructor raise a one-line TypeError with advice.
 
     The signature of the constructor is preserved.
     """
-    construct: Callable[..., None] = kind.__init__
-    known = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    construct: Callable[..., None] = cls.__init__
+    known = [field.name for field in fields(cls)]  # type: ignore[arg-type]
 
     @wraps(construct)
     def constructor(self: Any, *values: Any, **named: Any) -> None:
@@ -88,17 +88,17 @@ def check_keywords(kind: type[Part]) -> type[Part]:
             if name not in known:
                 near = get_close_matches(name, known, 1, 0.0)[0]
                 nearest = f"a known keyword: the nearest is {near}; all: {' '.join(known)}"
-                allowed = FOREIGN_KEYWORDS.get(kind.__name__, {}).get(name) or nearest
-                raise TypeError(str(value_error(f"{kind.__name__}.{name}", value, allowed)))
+                allowed = FOREIGN_KEYWORDS.get(cls.__name__, {}).get(name) or nearest
+                raise TypeError(str(value_error(f"{cls.__name__}.{name}", value, allowed)))
         construct(self, *values, **named)
 
-    kind.__init__ = constructor  # type: ignore[method-assign]
-    for name, line in ABSENT_MEMBERS.get(kind.__name__, {}).items():
-        setattr(kind, name, _AbsentMember(f"{kind.__name__}.{name}: {line}"))
-    return kind
+    cls.__init__ = constructor  # type: ignore[method-assign]
+    for name, advice in ABSENT_MEMBERS.get(cls.__name__, {}).items():
+        setattr(cls, name, _AbsentMember(f"{cls.__name__}.{name}: {advice}"))
+    return cls
 
 
-# Field -> smallest and largest usual value with a wide margin, unit, units often used by mistake.
+# Field -> smallest and largest usual value with a wide margin, SI unit, units often used by mistake.
 USUAL_RANGES: dict[str, tuple[float, float, str, str]] = {
     "Link.length": (1e-3, 100.0, "m", "mm"),
     "Link.youngs_modulus": (1e5, 2e12, "Pa", "GPa or MPa; 69 GPa is 69e9"),
@@ -107,7 +107,7 @@ USUAL_RANGES: dict[str, tuple[float, float, str, str]] = {
     "Motor.rotor_inertia": (0.0, 1.0, "kg m^2", "g cm^2; 100 g cm^2 is 1e-5"),
     "Motor.torque_constant": (1e-6, 10.0, "N m/A", "mN m/A"),
     "Motor.speed_limit": (0.1, 5e3, "rad/s", "revolutions per minute"),
-    "Motor.encoder_resolution": (0.0, 0.8, "rad", "counts in a turn; 4096 of them are 2 pi / 4096"),
+    "Motor.encoder_resolution": (0.0, 0.8, "rad", "counts per turn; 4096 per turn are 2 pi / 4096"),
     "Joint.rotor_inertia": (0.0, 1e5, "kg m^2", "g cm^2"),
     "Arm.modal_damping_ratio": (0.0, 0.3, "1", "per cent; 0.5 % is 0.005"),
     "Arm.stiffness_proportional_damping": (0.0, 1.0, "s", "ms"),
@@ -118,11 +118,11 @@ OWN_PACKAGES = ("flexman_gym", "gymnasium")  # packages skipped in the search fo
 
 
 def warn_unusual_units(owner: str, values: Mapping[str, Any]) -> None:
-    """Warn (UserWarning) in one line of the first value outside its usual range.
+    """Warn (UserWarning) of the first value outside its usual range, see USUAL_RANGES.
 
     Args:
-        owner: class of the values, such as "Link", or "" for none.
-        values: numbers by field name; all values except floats are ignored.
+        owner: class with these fields, such as "Link"; "" for keywords of environments.
+        values: field name -> value in SI units; values of other types than float are ignored.
     """
     for name, value in values.items():
         field = f"{owner}.{name}".removeprefix(".")
@@ -133,9 +133,9 @@ def warn_unusual_units(owner: str, values: Mapping[str, Any]) -> None:
             return
 
 
-def warn_caller(line: str) -> None:
-    """Issue a UserWarning at the line of the first caller outside this package and Gymnasium."""
+def warn_caller(message: str) -> None:
+    """Issue a UserWarning at the source line of the first caller outside this package and Gymnasium."""
     frame, depth = sys._getframe(1), 2
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in OWN_PACKAGES:
         frame, depth = frame.f_back, depth + 1
-    warnings.warn(line, UserWarning, stacklevel=depth)
+    warnings.warn(message, UserWarning, stacklevel=depth)

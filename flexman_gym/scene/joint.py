@@ -1,4 +1,4 @@
-"""Joints: rigid or elastic revolute joints, and the geared motors that drive them."""
+"""Joints: rigid or flexible revolute joints, and their geared motors."""
 
 import math
 from dataclasses import dataclass
@@ -13,16 +13,16 @@ from flexman_gym.scene.input_checks import check_keywords, warn_unusual_units
 class Motor:
     """Motor with a gear that drives a joint.
 
-    The values refer to the motor shaft, before the gear.
+    All values except the gear ratio and the efficiency refer to the motor shaft, on the input side of the gear.
 
     Attributes:
-        gear_ratio: turns of the motor per turn of the joint; 1 without a gear.
-        torque_constant: motor torque per current, N m/A.
-        rotor_inertia: inertia of the rotor and the parts rotating with it before the gear, kg m^2; may be 0.
+        gear_ratio: turns of the motor shaft per turn of the joint, 1; 1 without a gear.
+        torque_constant: torque at the motor shaft per current, N m/A.
+        rotor_inertia: moment of inertia of the rotor and the parts fixed to the motor shaft, kg m^2; may be 0.
         current_limit: largest current, A; None if unknown.
-        speed_limit: largest speed of the motor, rad/s; None if unknown.
-        efficiency: fraction of the torque transmitted by the gear, greater than 0 and at most 1.
-        encoder_resolution: motor angle per count of the encoder, rad; None without an encoder.
+        speed_limit: largest speed of the motor shaft, rad/s; None if unknown.
+        efficiency: output torque of the gear / ideal output torque, 1; greater than 0 and at most 1.
+        encoder_resolution: angle of the motor shaft per count of the encoder, rad; None without an encoder.
 
     Raises:
         ValueError: for a number outside 1e-30 to 1e30 and for an efficiency outside its range.
@@ -60,12 +60,12 @@ class Motor:
 
     @property
     def reflected_inertia(self) -> float:
-        """Rotor inertia reflected to the joint, gear_ratio^2 rotor_inertia, kg m^2."""
+        """Rotor inertia reflected to the joint: gear_ratio^2 * rotor_inertia, kg m^2."""
         return self.gear_ratio**2 * self.rotor_inertia
 
     @property
     def torque_per_ampere(self) -> float:
-        """Joint torque per current, gear_ratio torque_constant efficiency, N m/A."""
+        """Joint torque per current: gear_ratio * torque_constant * efficiency, N m/A."""
         return self.gear_ratio * self.torque_constant * self.efficiency
 
     @property
@@ -87,24 +87,24 @@ class Motor:
 @check_keywords
 @dataclass(frozen=True)
 class Joint:
-    """Revolute joint: a rotor that drives its link directly, or through a spring and a damper (Eq. 23).
+    """Revolute joint: rotor and link, rigidly connected or by a spring and a damper (Eq. (23) of the paper).
 
     Attributes:
         axis: unit vector (3,) in the tip frame of the previous link, or in the base frame for the first joint. Its
             length must be 1 within 1e-9; it is not normalised.
-        rotor_inertia: inertia about the axis on the link side of any gear, kg m^2. An elastic joint needs one, because
-            the coordinate of its rotor would have no mass.
+        rotor_inertia: moment of inertia of the rotor about the joint axis, reflected to the joint, kg m^2. It must be
+            positive for a flexible joint, because the angle of the rotor is then a coordinate of its own.
         stiffness: stiffness of the spring between rotor and link, N m/rad; None for a rigid joint.
-        damping: damping of a damper parallel to this spring, N m s/rad; 0 for a rigid joint.
-        viscous_friction: viscous friction of the rotor in its bearings and gear, or of the link in a rigid joint, N m
+        damping: coefficient of the damper parallel to this spring, N m s/rad; 0 for a rigid joint.
+        viscous_friction: coefficient of viscous friction between the rotor and the frame that carries the joint, N m
             s/rad.
-        coulomb_friction: Coulomb friction of the rotor in its bearings and gear, N m. It opposes the rate r of the
-            rotor with the torque coulomb_friction tanh(r / coulomb_rate).
-        coulomb_rate: rate at which the Coulomb friction has reached three quarters of its full value, rad/s.
-        torque_limit: largest torque of the motor, N m; None if unknown. Environments scale actions by it; a simulation
-            applies any torque without a limit.
-        motor: Motor with its gear, or None. Its `reflected_inertia` then defines rotor_inertia and its
-            `joint_torque_limit` defines torque_limit, so leave out both.
+        coulomb_friction: Coulomb friction torque between the rotor and the frame that carries the joint, N m. At the
+            rotor rate r (rad/s) the friction torque is coulomb_friction * tanh(r / coulomb_rate), against the motion.
+        coulomb_rate: rotor rate at which the friction torque is 76 % (tanh 1) of coulomb_friction, rad/s.
+        torque_limit: largest motor torque at the joint, N m; None if unknown. Environments scale actions by this limit;
+            `simulate` does not apply it.
+        motor: Motor with its gear, or None. Its `reflected_inertia` replaces rotor_inertia and its `joint_torque_limit`
+            replaces torque_limit; leave out both.
 
     Raises:
         ValueError: for a value outside its range, for a damper without a spring, for a spring without a rotor inertia,
@@ -127,7 +127,7 @@ class Joint:
 
     def __post_init__(self) -> None:
         if self.motor is not None:
-            self._take_from_motor(instance("Joint.motor", self.motor, Motor, "a Motor or None"))
+            self._set_from_motor(instance("Joint.motor", self.motor, Motor, "a Motor or None"))
         set_fields(
             self,
             axis=_unit_vector("Joint.axis", self.axis),
@@ -150,8 +150,8 @@ class Joint:
             )
         warn_unusual_units("Joint", vars(self))
 
-    def _take_from_motor(self, motor: Motor) -> None:
-        """Set rotor inertia and torque limit from the motor; equal values, as in a copy of a joint, are accepted."""
+    def _set_from_motor(self, motor: Motor) -> None:
+        """Set rotor inertia and torque limit from the motor; values equal to those of the motor are accepted."""
         inertia, limit = motor.reflected_inertia, motor.joint_torque_limit
         if self.rotor_inertia not in (0.0, inertia):
             allowed = f"none together with a motor, whose rotor inertia at the joint is {inertia:.6g} (kg m^2)"

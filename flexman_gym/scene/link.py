@@ -22,8 +22,8 @@ from flexman_gym.scene.rigid_body import LumpedMass
 
 SHAPES = ("strip", "tube", "rod")
 OTHER_AXIS = {"y": "z", "z": "y"}
-OUTLINE_TOLERANCE = 1e-6  # largest relative difference between the values of a link and those of its outline
-SERIES_TERMS = 60  # of the torsion constant of a rectangle; the remainder is below rounding from about 30 terms on
+OUTLINE_TOLERANCE = 1e-6  # 1; largest relative difference between the values of a link and those of its outline
+SERIES_TERMS = 60  # terms of the series for the torsion constant of a rectangle; 30 are exact to rounding
 
 
 class _Material(NamedTuple):
@@ -46,7 +46,7 @@ def _find_material(value: object) -> _Material:
 
     The names stand for typical alloys with values from the data sheets of ASM (Aerospace Specification Metals):
     aluminium 6061-T6 (68.9 GPa, 26 GPa, 2700 kg/m^3), steel 4130 (205 GPa, 80 GPa, 7850 kg/m^3) and titanium Ti-6Al-4V
-    (113.8 GPa, 44 GPa, 4430 kg/m^3). Prefer a measured modulus to any of them.
+    (113.8 GPa, 44 GPa, 4430 kg/m^3). Prefer measured values.
     """
     if isinstance(value, str):
         return MATERIALS[one_of("Link.material", value, MATERIALS)]
@@ -67,8 +67,8 @@ class Outline:
 
     Attributes:
         shape: "strip" (rectangle), "tube" (hollow circle) or "rod" (solid circle).
-        y: outer size along y, m.
-        z: outer size along z, m; equal to y for a tube or rod.
+        y: outer dimension along y, m.
+        z: outer dimension along z, m; equal to y for a tube or rod.
         wall: wall thickness of a tube, m, at most half of its diameter; None for the other shapes.
     """
 
@@ -90,7 +90,7 @@ class Outline:
             raise value_error("Outline.wall", self.wall, f"None for a {self.shape}")
 
     @property
-    def hollow(self) -> float:
+    def inner_diameter(self) -> float:
         """Inner diameter of a tube, m; 0 for the other shapes."""
         return self.y - 2.0 * self.wall if self.wall else 0.0
 
@@ -99,24 +99,24 @@ class Outline:
         """Area of the cross-section, m^2."""
         if self.shape == "strip":
             return self.y * self.z
-        return math.pi / 4.0 * (self.y + self.hollow) * (self.y - self.hollow)
+        return math.pi / 4.0 * (self.y + self.inner_diameter) * (self.y - self.inner_diameter)
 
     @property
     def second_moment_y(self) -> float:
         """Second moment of area about y, the integral of z^2 over the area, m^4."""
-        return self.area * (self.z**2 / 12.0 if self.shape == "strip" else (self.y**2 + self.hollow**2) / 16.0)
+        return self.area * (self.z**2 / 12.0 if self.shape == "strip" else (self.y**2 + self.inner_diameter**2) / 16.0)
 
     @property
     def second_moment_z(self) -> float:
         """Second moment of area about z, the integral of y^2 over the area, m^4."""
-        return self.area * (self.y**2 / 12.0 if self.shape == "strip" else (self.y**2 + self.hollow**2) / 16.0)
+        return self.area * (self.y**2 / 12.0 if self.shape == "strip" else (self.y**2 + self.inner_diameter**2) / 16.0)
 
     @property
     def torsion_constant(self) -> float:
         """Torsion constant J of St Venant, m^4.
 
         For a rectangle it is the series of Timoshenko and Goodier (Theory of Elasticity, article on the torsion of
-        rectangular bars); for a round section it is the polar moment of area.
+        rectangular bars); for a circular section it equals the polar moment of area.
         """
         if self.shape != "strip":
             return 2.0 * self.second_moment_y
@@ -127,7 +127,7 @@ class Outline:
 
     @property
     def description(self) -> str:
-        """Description of the sizes, and of the thin direction of a strip."""
+        """Text with the dimensions of the cross-section, and with the bending plane of least stiffness of a strip."""
         if self.shape != "strip":
             return f"{self.y:g} m across" + (f", wall {self.wall:g} m" if self.wall else "")
         sizes = f"{self.y:g} m along y, {self.z:g} m along z"
@@ -147,7 +147,7 @@ def _strip_outline(width: float, thickness: float, thin: str) -> Outline:
 
 
 def _round_outline(diameter: float, wall: float | None = None) -> Outline:
-    """Return the outline of a rod of a diameter (m), or of a tube with this outer diameter and a wall thickness (m)."""
+    """Return the outline of a rod, or of a tube if a wall thickness is given; outer diameter and wall in m."""
     diameter = physical("Link.diameter", diameter, "m")
     if wall is None:
         return Outline("rod", diameter, diameter)
@@ -158,18 +158,18 @@ def _round_outline(diameter: float, wall: float | None = None) -> Outline:
 
 def _check_outline(outline: object, numbers: dict[str, float]) -> None:
     """Check that an outline has the area and the second moments of area of its link."""
-    own = instance("Link.outline", outline, Outline, "an Outline or None")
+    checked = instance("Link.outline", outline, Outline, "an Outline or None")
     for name in ("area", "second_moment_y", "second_moment_z"):
-        if not math.isclose(numbers[name], getattr(own, name), rel_tol=OUTLINE_TOLERANCE):
-            allowed = f"{getattr(own, name):.6g}, the value of its outline, or a link without an outline"
+        if not math.isclose(numbers[name], getattr(checked, name), rel_tol=OUTLINE_TOLERANCE):
+            allowed = f"{getattr(checked, name):.6g}, the value of its outline, or a link without an outline"
             raise value_error(f"Link.{name}", numbers[name], allowed)
 
 
-MAX_MASSES = 64  # lumped masses on a link
+MAX_MASSES = 64  # largest number of lumped masses on a link
 
 
 def _lumped_masses(name: str, value: object, length: float) -> tuple[LumpedMass, ...]:
-    """Return the lumped masses of a link of a length (m) as a tuple of at most 64, none beyond the tip."""
+    """Return the lumped masses of a link of a length (m) as a tuple after checking their number and positions."""
     masses = tuple(sequence(name, value, "LumpedMass"))
     if len(masses) > MAX_MASSES:
         raise value_error(name, f"{len(masses)} masses", f"at most {MAX_MASSES}")
@@ -186,9 +186,9 @@ def _total_mass(masses: Sequence[LumpedMass]) -> float:
     return sum(mass.mass for mass in masses)
 
 
-MAX_WIDTH = 5.0  # width of a cross-section over the length of its link; above it the unit is probably wrong
-MAX_TORSION = 10.0  # torsion constant over polar moment of area; above it the unit is probably wrong
-MAX_SECTIONS = 64  # sections of a link: at least one finite element each, of at most 64
+MAX_WIDTH = 5.0  # 1; width of a cross-section / length of its link; above it the unit is probably wrong
+MAX_TORSION = 10.0  # 1; torsion constant / polar moment of area; above it the unit is probably wrong
+MAX_SECTIONS = 64  # largest number of sections of a link; each needs a finite element, and a link has at most 64
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 _LINK_UNITS = {
@@ -208,22 +208,22 @@ _LINK_UNITS = {
 class Link:
     """Straight uniform beam along the x axis of its own frame, from its joint to its tip.
 
-    A UserWarning is issued if second_moment_y + second_moment_z is less than area^2 / (2 pi). No cross-section has such
-    values, because a solid disc has the smallest polar moment of all sections with the same area. Values that are only
-    plausible in another unit cause a UserWarning, too.
+    A UserWarning is issued if second_moment_y + second_moment_z is less than area^2 / (2 pi), the polar moment of a
+    solid disc, which is the smallest of all cross-sections with the same area. Values that suggest a wrong unit also
+    cause a UserWarning.
 
     Attributes:
         length: length, m.
         area: area of the cross-section, m^2.
-        second_moment_y: second moment of area about y, the integral of z^2, m^4; it resists bending in the x-z plane.
-        second_moment_z: second moment of area about z, the integral of y^2, m^4; it resists bending in the x-y plane.
-        torsion_constant: torsion constant J in the torsional stiffness G J, m^4; for a round section, the polar moment.
+        second_moment_y: second moment of area I_y about y, integral of z^2, m^4, for bending in the x-z plane.
+        second_moment_z: second moment of area I_z about z, integral of y^2, m^4, for bending in the x-y plane.
+        torsion_constant: torsion constant J in the torsional stiffness G J, m^4; I_y + I_z for a circular section.
         youngs_modulus: Young's modulus E, Pa.
         shear_modulus: shear modulus G, Pa.
-        density: density, kg/m^3.
+        density: mass density, kg/m^3.
         orientation: rotation matrix (3, 3), orthonormal within 1e-9, whose columns are the beam axes in the joint
             frame; stored as rows of floats.
-        masses: LumpedMass instances on the link; stored as a tuple.
+        masses: lumped masses on the link, a sequence of LumpedMass; stored as a tuple.
         outline: outline of the cross-section for plots; None if only the numbers above are known.
 
     Raises:
@@ -278,20 +278,19 @@ class Link:
     ) -> Self:
         """Build a flat strip of rectangular cross-section.
 
-        A strip with thin="y" is like a ruler standing on its edge: its width is along z, and it bends easily
-        in its x-y plane. A strip with thin="z" is like a diving board: its width is along y, and it bends
-        easily in its x-z plane.
+        With thin="y" the width is along z, and the strip bends easily in the x-y plane, like a ruler on its edge. With
+        thin="z" the width is along y, and the strip bends easily in the x-z plane, like a diving board.
 
         Args:
             length: length, m.
-            width: larger size of the cross-section, m.
-            thickness: smaller size of the cross-section, m.
-            thin: axis of the link along which the strip is thin, "y" or "z".
+            width: larger dimension of the cross-section, m.
+            thickness: smaller dimension of the cross-section, m.
+            thin: axis of the link along which the thickness is measured, "y" or "z".
             material: "aluminium" (6061-T6), "steel" (4130) or "titanium" (Ti-6Al-4V), with values from the data sheets
                 of ASM (Aerospace Specification Metals); or Young's modulus (Pa), shear modulus (Pa) and density
                 (kg/m^3).
             orientation: rotation matrix (3, 3), see `Link`.
-            masses: LumpedMass instances, see `Link`.
+            masses: lumped masses, see `Link`.
 
         Returns:
             The link, with its outline.
@@ -301,7 +300,7 @@ class Link:
             >>> round(ruler.mass, 3)
             0.108
         """
-        return cls._outlined(length, _strip_outline(width, thickness, thin), material, orientation, masses)
+        return cls._from_outline(length, _strip_outline(width, thickness, thin), material, orientation, masses)
 
     @classmethod
     def tube(
@@ -319,9 +318,9 @@ class Link:
             length: length, m.
             diameter: outer diameter, m.
             wall: wall thickness, m, at most half of the diameter.
-            material: name or numbers, see `strip`.
+            material: name, or moduli and density, see `strip`.
             orientation: rotation matrix (3, 3), see `Link`.
-            masses: LumpedMass instances, see `Link`.
+            masses: lumped masses, see `Link`.
 
         Returns:
             The link, with its outline.
@@ -330,7 +329,7 @@ class Link:
             >>> round(fm.Link.tube(1.0, diameter=0.05, wall=0.002).mass, 3)
             0.814
         """
-        return cls._outlined(length, _round_outline(diameter, wall), material, orientation, masses)
+        return cls._from_outline(length, _round_outline(diameter, wall), material, orientation, masses)
 
     @classmethod
     def rod(
@@ -346,17 +345,17 @@ class Link:
         Args:
             length: length, m.
             diameter: diameter, m.
-            material: name or numbers, see `strip`.
+            material: name, or moduli and density, see `strip`.
             orientation: rotation matrix (3, 3), see `Link`.
-            masses: LumpedMass instances, see `Link`.
+            masses: lumped masses, see `Link`.
 
         Returns:
             The link, with its outline.
         """
-        return cls._outlined(length, _round_outline(diameter), material, orientation, masses)
+        return cls._from_outline(length, _round_outline(diameter), material, orientation, masses)
 
     @classmethod
-    def _outlined(
+    def _from_outline(
         cls, length: float, outline: Outline, material: Any, orientation: Matrix, masses: Sequence[LumpedMass]
     ) -> Self:
         """Build a link from an outline and a material."""
@@ -367,11 +366,11 @@ class Link:
 
     def __repr__(self) -> str:
         if self.outline is None:
-            shown = (each for each in fields(self) if getattr(self, each.name) != each.default)
-            return f"Link({', '.join(f'{each.name}={getattr(self, each.name)!r}' for each in shown)})"
+            shown = (field for field in fields(self) if getattr(self, field.name) != field.default)
+            return f"Link({', '.join(f'{field.name}={getattr(self, field.name)!r}' for field in shown)})"
         moduli = f"E {self.youngs_modulus:g} Pa, G {self.shear_modulus:g} Pa, {self.density:g} kg/m^3"
-        carried = f", lumped masses of {_total_mass(self.masses):g} kg" if self.masses else ""
-        return f"<Link: a {self.outline.shape} {self.length:g} m long, {self.outline.description}\n  {moduli}{carried}>"
+        lumped = f", lumped masses of {_total_mass(self.masses):g} kg" if self.masses else ""
+        return f"<Link: a {self.outline.shape} {self.length:g} m long, {self.outline.description}\n  {moduli}{lumped}>"
 
     @property
     def mass(self) -> float:
@@ -390,11 +389,11 @@ def _warn_of_section(length: float, area: float, polar: float, torsion: float) -
     Args:
         length: length of the link, m.
         area: area, m^2.
-        polar: sum of both second moments of area, m^4.
+        polar: polar moment of area I_y + I_z, m^4.
         torsion: torsion constant, m^4.
     """
-    radius, size = math.sqrt(polar / area), math.sqrt(area)
-    if size > MAX_WIDTH * length:
+    radius, width = math.sqrt(polar / area), math.sqrt(area)
+    if width > MAX_WIDTH * length:
         line = f"Link.area: {area:g} (m^2) is too wide for the length; wrong unit? is it in mm^2, or the sizes in mm?"
     elif radius > MAX_WIDTH * length:
         line = (
@@ -410,15 +409,15 @@ def _warn_of_section(length: float, area: float, polar: float, torsion: float) -
 
 @dataclass(frozen=True)
 class NonUniformLink:
-    """Straight beam of uniform sections in series, with their centroids on one line.
+    """Straight beam of uniform sections in series, with the centroids of all cross-sections on one line.
 
-    Sections of different size form a stepped beam; many short sections approximate a tapered beam.
+    Sections of different dimensions form a stepped beam; many short sections approximate a tapered beam.
 
     Attributes:
         sections: 1 to 64 instances of Link, from base to tip, each with its own length, cross-section and material;
             stored as a tuple. They have no lumped masses, and their orientation is the identity.
-        orientation: rotation matrix (3, 3) of the link as a whole, see `Link`.
-        masses: LumpedMass instances at positions along the link as a whole; stored as a tuple.
+        orientation: rotation matrix (3, 3) of the whole link, see `Link`.
+        masses: lumped masses at positions along the whole link, a sequence of LumpedMass; stored as a tuple.
 
     Raises:
         ValueError: for a section with an orientation or lumped masses, for an invalid rotation matrix, and for a mass
@@ -440,10 +439,10 @@ class NonUniformLink:
             raise value_error("NonUniformLink.sections", f"{len(sections)} sections", f"at most {MAX_SECTIONS}")
         for i, section in enumerate(sections):
             if section.orientation != IDENTITY:
-                allowed = "the identity; the link as a whole has an orientation"
+                allowed = "the identity; give the orientation of the whole link"
                 raise value_error(f"NonUniformLink.sections[{i}].orientation", section.orientation, allowed)
             if section.masses:
-                allowed = "none; the link as a whole has masses"
+                allowed = "none; give the masses of the whole link"
                 raise value_error(f"NonUniformLink.sections[{i}].masses", section.masses, allowed)
         set_fields(self, sections=sections, orientation=rotation("NonUniformLink.orientation", self.orientation))
         set_fields(self, masses=_lumped_masses("NonUniformLink.masses", self.masses, self.length))

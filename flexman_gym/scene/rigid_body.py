@@ -20,10 +20,7 @@ from flexman_gym.scene.input_checks import check_keywords
 
 
 def _checked_fields(name: str, inertia: Matrix | None, offset: Vector | None) -> dict[str, Any]:
-    """Return the inertia and the offset of a rigid body in their stored form; None stays None.
-
-    The offset is three numbers (m) of at most 1e30.
-    """
+    """Return the checked inertia (3, 3), kg m^2, and offset (3,), m, of a rigid body as tuples; None stays None."""
     if inertia is not None:
         inertia = _inertia_matrix(f"{name}.inertia", inertia)
     if offset is not None:
@@ -37,7 +34,7 @@ def _inertia_matrix(name: str, value: object) -> tuple[tuple[float, ...], ...]:
 
     It must be symmetric with non-negative principal moments, none of which exceeds the sum of the other two.
     """
-    allowed = "a symmetric inertia matrix (kg m^2) with principal moments >= 0, none above the sum of the others"
+    allowed = "a symmetric inertia matrix (kg m^2) with principal moments >= 0, none above the sum of the other two"
     rows = sequence(name, value, "3 rows of 3 numbers")
     if len(rows) != 3:
         raise value_error(name, value, "3 rows of 3 numbers")
@@ -56,14 +53,14 @@ def _inertia_matrix(name: str, value: object) -> tuple[tuple[float, ...], ...]:
 class LumpedMass:
     """Point mass or rigid body clamped to one cross-section of a link.
 
-    Inertia and offset refer to the frame of the link. The body does not stiffen the link.
+    Inertia and offset refer to the axes of the beam (see `Link.orientation`). The body does not stiffen the link.
 
     Attributes:
         mass: mass, kg; greater than 0.
-        position: distance of its cross-section from the joint, along the link, m.
+        position: distance of the cross-section from the joint, along the link, m.
         inertia: inertia matrix (3, 3) about the centre of mass, kg m^2; None for a point mass.
-        offset: vector (3,) from the beam axis at the cross-section to the centre of mass, m; None for a centre on the
-            axis.
+        offset: vector (3,) from the beam axis at the cross-section to the centre of mass, m; None for a centre of mass
+            on the beam axis.
 
     Raises:
         ValueError: for a value outside its range and for an inertia impossible for a rigid body.
@@ -94,8 +91,8 @@ class LumpedMass:
 class Payload:
     """Point mass or rigid body at the tip of the last link.
 
-    Inertia and offset refer to the frame of an imaginary next joint, which is parallel to the base frame at zero
-    angles.
+    Inertia and offset refer to axes fixed to the tip cross-section, which are parallel to the base frame at zero joint
+    angles and without deformation.
 
     Attributes:
         mass: mass, kg; not negative.

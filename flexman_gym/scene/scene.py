@@ -40,36 +40,36 @@ from flexman_gym.scene.signals import (
     SineTorque,
 )
 
-MAX_ELEMENTS = 64  # finite elements of a link
-MAX_INLINE_SAMPLES = 100  # samples of a signal in a scene file; more are written to a CSV file
+MAX_ELEMENTS = 64  # largest number of finite elements of a link
+MAX_INLINE_SAMPLES = 100  # largest number of samples of a signal in a scene file; longer signals go to CSV files
 
 
 @dataclass(frozen=True)
 class ModelChoice:
-    """Level of detail of the model of an arm.
+    """Modelling assumptions: flexible or rigid parts, discretisation, and inertial and geometric effects.
 
     `flexible_links`, `elements` and `modes` are one value for all links, or a tuple with one value per link.
 
-    For the arm of the paper under its torques, spinning rotors change the position of the tip within 2 s by 103 mm if
-    everything is flexible and by 78 mm with rigid joints. Rotary inertia changes it by 7.2 mm if everything is rigid
-    and by 6.9 mm if everything is flexible.
+    In the simulation of `catalog.paper_scene`, spinning rotors change the tip position at some time within 2 s by up to
+    103 mm (links and joints flexible) or 78 mm (joints rigid), and rotary inertia by up to 7.2 mm (links and joints
+    rigid) or 6.9 mm (both flexible).
 
     Attributes:
-        flexible_links: whether links deform; a rigid link has no elastic coordinates.
-        elements: number of finite elements, 1 to 64, of a Link or of each section of a NonUniformLink; a whole link has
-            at most 64. A link has 6 * elements * (number of sections) elastic coordinates. None lets `choose_model`
-            decide.
+        flexible_links: False makes a link rigid, without elastic coordinates.
+        elements: number of finite elements, 1 to 64, of a Link or of each section of a NonUniformLink; a link has at
+            most 64 in all, and 6 * elements * (number of sections) elastic coordinates. None leaves the number to
+            `choose_model`.
         modes: component modes of a link; None uses all elastic coordinates. A number m uses the m modes of lowest
             frequency, from 0 to the number of coordinates (at most 384). In a tuple for all links, a tuple lists mode
             numbers in ascending order, from 0 for the lowest: (4, (0, 1, 3), 0) uses four modes of the first link,
             modes 0, 1 and 3 of the second and none of the third.
-        flexible_joints: False makes every joint rigid, whatever its stiffness.
-        stiffening: whether the foreshortening of the links (geometric stiffening) is included.
-        spinning_rotors: whether the rotation of the frame that carries a joint acts on its rotor, of which only the
-            inertia about the axis counts. False neglects it, as the paper does (Eq. 23).
-        rotary_inertia: whether the cross-sections of a link resist rotation about their transverse axes (Rayleigh's
-            term). False is the classical Euler-Bernoulli beam, whose sections resist rotation about the beam axis only,
-            in rigid and in elastic motion.
+        flexible_joints: False makes every joint rigid, also where it has a stiffness.
+        stiffening: True includes the foreshortening of the links (geometric stiffening).
+        spinning_rotors: True includes the angular velocity of the inboard link in the kinetic energy of a rotor, which
+            has a moment of inertia about the joint axis only. False neglects this coupling, as Eq. (23) of the paper.
+        rotary_inertia: True includes the rotary inertia of the cross-sections about their transverse axes (Rayleigh
+            beam). False is the classical Euler-Bernoulli beam: cross-sections have rotary inertia about the beam axis
+            only, in rigid and in elastic motion.
 
     Examples:
         >>> choice = fm.ModelChoice(flexible_links=True, elements=2, modes=(4, (0, 1, 3), 0))
@@ -102,7 +102,7 @@ class ModelChoice:
 
 
 def _one_or_each(name: str, value: object, check: Callable[..., Any], *limits: int) -> Any:
-    """Check one value for all links, or a list with one value for each link."""
+    """Return one checked value for all links, or a tuple with one checked value for each link."""
     if not isinstance(value, list | tuple | np.ndarray):
         return check(name, value, *limits)
     entries = sequence(name, value)
@@ -112,7 +112,7 @@ def _one_or_each(name: str, value: object, check: Callable[..., Any], *limits: i
 
 
 def _modes(name: str, value: object, most: int) -> int | tuple[int, ...]:
-    """Check a number of modes, or a list of mode numbers."""
+    """Return a checked number of modes (at most `most`), or a tuple of checked mode numbers (below `most`)."""
     if not isinstance(value, list | tuple | np.ndarray):
         return whole_number(name, value, 0, most)
     numbers = tuple(whole_number(f"{name}[{i}]", entry, 0, most - 1) for i, entry in enumerate(sequence(name, value)))
@@ -122,18 +122,19 @@ def _modes(name: str, value: object, most: int) -> int | tuple[int, ...]:
 
 
 MAX_OUTPUT_STEPS = 10_000_000
-COLUMN_UNITS = {"prescribed": ("rad", "rad/s^2"), "tip_force": ("N",), "base_acceleration": ("m/s^2",)}  # in CSV files
+# Field of a scene -> units of a column of a CSV file with this signal.
+COLUMN_UNITS = {"prescribed": ("rad", "rad/s^2"), "tip_force": ("N",), "base_acceleration": ("m/s^2",)}
 
 
 @dataclass(frozen=True)
 class Initial:
-    """State at t = 0: joints and motors at given angles and rates, links undeformed.
+    """State at t = 0: joints and motors at given angles and rates, joint springs and links undeformed.
 
     Attributes:
         joint_angles: angles (n,) of the joints and their motors, rad.
         joint_rates: rates (n,) of the joints and their motors, rad/s.
-        state: complete state (2 d,) of the scene's model, in the order of `kernels.layout`, in place of both, for an
-            arm that starts with deformed links or springs; None without one.
+        state: complete state (2 d,) of the scene's model in the order of `kernels.layout`, for an arm that starts with
+            deformed links or springs; it replaces joint angles and rates. None if the arm starts undeformed.
 
     Examples:
         >>> start = fm.Initial(joint_angles=(0.5, -0.2), joint_rates=(0.0, 0.0))
@@ -160,24 +161,24 @@ class Scene:
 
     Attributes:
         arm: Arm, or any argument of `scene.serialization.find_arm`, such as the name of an arm in the catalog.
-        model: level of detail of the model.
-        torque: torques of the motors.
+        model: modelling assumptions.
+        torque: motor torques.
         initial: state at t = 0.
-        duration: duration, s.
+        duration: duration of the simulation, s.
         output_step: time between outputs, s. The duration is a whole number of output steps within a relative 1e-9, at
             most 10 million.
         note: free text.
-        prescribed: motors with prescribed motion (the joints themselves where rigid), (n,): a Signal or SampledSignal
-            of the acceleration in rad/s^2; SampledAngles, which also replace the angle and rate in `initial`; or None
-            for a motor driven by its torque. None if torques drive all motors.
-        tip_force: force on the tip of the last link in the base frame, three Signals or SampledSignals in N; None
-            without one.
-        base_acceleration: acceleration of the base in the base frame, three Signals or SampledSignals in m/s^2; None
-            without one.
+        prescribed: motions of motors with prescribed motion (of the joints themselves where rigid), n entries: Signal
+            or SampledSignal of the acceleration, rad/s^2; SampledAngles, which also replace the angle and rate in
+            `initial`; or None for a motor driven by its torque. None if torques drive all motors.
+        tip_force: external force on the tip of the last link, three Signals or SampledSignals along x, y and z of the
+            base frame, N; None for no force.
+        base_acceleration: acceleration of the base, three Signals or SampledSignals along x, y and z of the base frame,
+            m/s^2; None for a fixed base.
 
     Raises:
-        ValueError: for a part of the wrong type or of another number of joints than the arm, for a torque on a motor
-            with prescribed motion, and for samples shorter than the duration.
+        ValueError: for a field of the wrong type or for another number of joints than the arm has, for a torque on a
+            motor with prescribed motion, and for samples that end before the duration.
 
     Examples:
         >>> choice = fm.ModelChoice(flexible_links=(True,), elements=(2,))
@@ -221,7 +222,7 @@ class Scene:
             set_fields(self, initial=self._initial_state())
 
     def _check_part(self, part: str, *kinds: type) -> None:
-        """Check the type of a part, and its number of joints."""
+        """Check the type of a field, and its number of joints."""
         value = getattr(self, part)
         if not isinstance(value, kinds):
             raise value_error(f"Scene.{part}", value, " or ".join(kind.__name__ for kind in kinds))
@@ -233,7 +234,7 @@ class Scene:
                 raise value_error(f"Scene.{part}.{name}", entry, f"{self.arm.n_joints} values, one for each joint")
 
     def _checked_motion(self) -> tuple[Signal | SampledSignal | SampledAngles | None, ...] | None:
-        """Return the prescribed motions as a tuple, after checking that no such motor has a torque as well."""
+        """Return the prescribed motions as a tuple after checking that the torques of these motors are zero."""
         if self.prescribed is None:
             return None
         name, count = "Scene.prescribed", self.arm.n_joints
@@ -270,7 +271,7 @@ class Scene:
 
     @property
     def pieces(self) -> PiecewiseSignals:
-        """All n motor, 3 tip force and 3 base acceleration signals, in the form of the kernels."""
+        """Signals of n motors, 3 components of the tip force and 3 of the base acceleration, for the kernels."""
         motions, none = self.prescribed or [None] * self.arm.n_joints, [None] * 3
         accelerations = [motion.acceleration if isinstance(motion, SampledAngles) else motion for motion in motions]
         motors = [motion or torque for motion, torque in zip(accelerations, self.torque.signals(), strict=True)]
@@ -304,7 +305,7 @@ class Scene:
     def save(self, path: str | Path) -> None:
         """Write the scene to a .json, .yaml or .yml file, from which `load` returns an equal scene.
 
-        Signals of more than a hundred samples are written to CSV files next to it, such as scene_torque.csv for
+        Signals of more than a hundred samples are written to CSV files in the same folder, such as scene_torque.csv for
         scene.json.
         """
         data, tables = _split_samples(Path(path), self.to_dict())
@@ -352,7 +353,7 @@ class Scene:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the scene as the mapping of a scene file, made of dicts, lists, numbers and strings."""
+        """Return the scene as nested dicts and lists of numbers and strings, as in a scene file."""
         data: dict[str, Any] = to_plain(self)
         if self.arm.payload is None:
             data["arm"]["payload"] = {"mass": 0.0}
@@ -360,7 +361,7 @@ class Scene:
 
 
 def _torque_from_plain(data: object, folder: Path) -> ConstantTorque | SineTorque | SampledTorque:
-    """Return the torque described by a mapping with a `kind`; "csv" may replace the samples of a sampled torque."""
+    """Return the torque for a mapping with the key "kind"; the key "csv" may replace times and values of samples."""
     if not isinstance(data, dict):
         raise value_error("torque", data, "a mapping with the key kind")
     kinds: dict[str, Any] = {kind.kind: kind for kind in (ConstantTorque, SineTorque, SampledTorque)}
@@ -378,7 +379,7 @@ def _torque_from_plain(data: object, folder: Path) -> ConstantTorque | SineTorqu
 def _signal_from_plain(
     path: str, data: object, units: tuple[str, ...], folder: Path
 ) -> Signal | SampledSignal | SampledAngles | None:
-    """Return the signal described by a mapping, by samples if it has times, or from a "column" of a "csv" file.
+    """Return the signal for a mapping with samples, with the fields of Signal, or with the keys "csv" and "column".
 
     Args:
         path: field of the scene file, for errors.
@@ -396,11 +397,11 @@ def _signal_from_plain(
         return None
     keys = data if isinstance(data, dict) else {}
     if "csv" in keys:
-        more = dict(mapping(path, data, ("csv", "column", "hold", "deviation")))
-        name = text(f"{path}.csv", more.pop("csv"))
+        options = dict(mapping(path, data, ("csv", "column", "hold", "deviation")))
+        name = text(f"{path}.csv", options.pop("csv"))
         record = read_time_series(folder / name)
         _warn_outside(f"{path}.csv", name, folder)
-        return _sampled_signal(record, text(f"{path}.column", more.pop("column", None)), units, more)
+        return _sampled_signal(record, text(f"{path}.column", options.pop("column", None)), units, options)
     if "angles" in keys and "rad" in units:
         return from_plain(SampledAngles, path, data)
     return from_plain(SampledSignal, path, data) if "times" in keys else from_plain(Signal, path, data)
@@ -414,14 +415,14 @@ def _warn_outside(field: str, name: str, folder: Path) -> None:
 
 
 def _split_samples(path: Path, data: dict[str, Any]) -> tuple[dict[str, Any], dict[Path, dict[str, Any]]]:
-    """Return the mapping of a scene with CSV files in place of many samples, and the columns of these files."""
+    """Return the mapping of a scene with CSV files in place of long signals, and the columns of each CSV file."""
     result, tables = dict(data), {}
 
     def move(label: str, item: dict[str, Any], columns: dict[str, Any]) -> dict[str, Any]:
         file = path.with_name(f"{path.stem}_{label}.csv")
         tables[file] = {"time (s)": item["times"], **columns}
-        more = {name: value for name, value in item.items() if name not in ("times", "values", "angles")}
-        return more | {"csv": file.name}
+        options = {name: value for name, value in item.items() if name not in ("times", "values", "angles")}
+        return options | {"csv": file.name}
 
     if len(data["torque"].get("times", ())) > MAX_INLINE_SAMPLES:
         heads = [f"torque_{i} (N m)" for i in range(1, len(data["torque"]["values"][0]) + 1)]
@@ -437,19 +438,19 @@ def _split_samples(path: Path, data: dict[str, Any]) -> tuple[dict[str, Any], di
     return result, tables
 
 
-def _sampled_signal(record: TimeSeries, column: str, units: tuple[str, ...], more: dict[str, Any]) -> Any:
+def _sampled_signal(record: TimeSeries, column: str, units: tuple[str, ...], options: dict[str, Any]) -> Any:
     """Return the signal in a column of a record: SampledAngles if the unit is rad, otherwise a SampledSignal."""
     values = record.values(units, [column])[:, 0]
     kind: Any = SampledAngles if record.columns[column][0] == "rad" else SampledSignal
     try:
-        return kind(record.times, values, **more)
+        return kind(record.times, values, **options)
     except TypeError:
-        own = "deviation" if kind is SampledAngles else "hold"
-        raise value_error(column, sorted(more), f"only the keys csv, column and {own}") from None
+        option = "deviation" if kind is SampledAngles else "hold"
+        raise value_error(column, sorted(options), f"only the keys csv, column and {option}") from None
 
 
 def _check_signals(name: str, value: object, units: str) -> tuple[Signal | SampledSignal, ...] | None:
-    """Check the signals of the three components of a vector in the base frame.
+    """Return the checked signals of the three components of a vector in the base frame.
 
     Args:
         name: field, for errors.

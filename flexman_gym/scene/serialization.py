@@ -1,4 +1,4 @@
-"""Plain form (dicts, lists, numbers, strings) of arms, signals and model choices, and arms given by name or file."""
+"""Conversion of scenes to and from nested dicts and lists, as in their files, and arms given by name or file."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -19,12 +19,12 @@ from flexman_gym.scene.signals import Signal
 
 Part = TypeVar("Part")
 
-# Impossible cross-sections of arms in the catalog, whose descriptions explain them; no warning is issued for them.
+# Values of cross-sections in the catalog that no real section has (see the description of the arm): no warning.
 SECTION_FIELDS = ("area", "second_moment_y", "second_moment_z")
 IMPOSSIBLE_SECTIONS = ((0.028, 8.33e-7, 8.33e-7), (4e-4, 1.3e-8, 4e-9))
 
-# Optional keys of a scene file by class; they are written only if they differ from the default. Payload and note are
-# optional too, but always written.
+# Class -> optional keys in a scene file, written only if they differ from the default. The keys "payload" and "note"
+# are also optional, but always written.
 OPTIONAL_KEYS: dict[str, tuple[str, ...]] = {
     "Arm": ("modal_damping_ratio",),
     "Link": ("masses", "outline"),
@@ -56,7 +56,7 @@ def _items(path: str, build: Callable[[str, object], Any], data: object) -> list
 
 
 def _optional(kind: type[Part], path: str) -> Callable[[object], Part | None]:
-    """Return a function to build a `kind` from a mapping, and None from None."""
+    """Return a function that builds a `kind` from a mapping and returns None for None."""
     return lambda data: None if data is None else from_plain(kind, path, data)
 
 
@@ -92,16 +92,16 @@ def _with_masses(path: str, data: object) -> dict[str, Any]:
 
 
 def _section(path: str, data: object) -> Link:
-    """Return a section, which has no orientation and no masses except the defaults written by `dataclasses.asdict`."""
+    """Return a section of a link from a mapping; orientation and masses must be missing or have default values."""
     defaults = {"orientation": [list(row) for row in IDENTITY], "masses": []}
     if isinstance(data, dict):
         data = {name: value for name, value in data.items() if name not in defaults or value != defaults[name]}
     return _uniform_link(path, data, *defaults)
 
 
-def _uniform_link(path: str, data: object, *left_out: str) -> Link:
-    """Return a Link from a mapping with the fields of the class, except those left out."""
-    return from_plain(Link, path, data, left_out, outline=_optional(Outline, f"{path}.outline"))
+def _uniform_link(path: str, data: object, *excluded: str) -> Link:
+    """Return a Link from a mapping with the fields of the class, except the excluded ones."""
+    return from_plain(Link, path, data, excluded, outline=_optional(Outline, f"{path}.outline"))
 
 
 def _joint(path: str, data: object) -> Joint:
@@ -113,7 +113,7 @@ def _joint(path: str, data: object) -> Joint:
 
 
 def from_plain(
-    kind: type[Part], path: str, data: object, left_out: Sequence[str] = (), **parts: Callable[[Any], Any]
+    kind: type[Part], path: str, data: object, excluded: Sequence[str] = (), **parts: Callable[[Any], Any]
 ) -> Part:
     """Build a dataclass from the mapping of its fields.
 
@@ -121,8 +121,8 @@ def from_plain(
         kind: the dataclass.
         path: field of the mapping in the file, for errors.
         data: the mapping.
-        left_out: names of forbidden fields.
-        **parts: functions to build the values of fields from their plain form, by field name.
+        excluded: names of fields that the mapping must not contain.
+        **parts: field name -> function that converts the entry of the mapping to the value of the field.
 
     Returns:
         The instance of the dataclass.
@@ -130,16 +130,16 @@ def from_plain(
     Raises:
         ValueError: for unknown or missing keys and for forbidden values; one line with the field.
     """
-    entries = _check_entries(kind, path, data, *left_out)
+    entries = _check_entries(kind, path, data, *excluded)
     for name, build in parts.items():
         if name in entries:
             entries[name] = build(entries[name])
     return _build_part(kind, path, entries)
 
 
-def _check_entries(kind: Any, path: str, data: object, *left_out: str) -> dict[str, Any]:
-    """Return a copy of a mapping after comparing its keys with the fields of a dataclass, except those left out."""
-    names = [field.name for field in fields(kind) if field.name not in left_out]
+def _check_entries(kind: Any, path: str, data: object, *excluded: str) -> dict[str, Any]:
+    """Return a copy of a mapping after checking that its keys are fields of a dataclass, and not excluded ones."""
+    names = [field.name for field in fields(kind) if field.name not in excluded]
     if not isinstance(data, dict):
         raise value_error(path or "scene", data, "a mapping with the keys " + ", ".join(names))
     prefix = f"{path}." if path else ""
@@ -154,7 +154,7 @@ def _check_entries(kind: Any, path: str, data: object, *left_out: str) -> dict[s
 
 
 def _build_part(kind: type[Part], path: str, entries: dict[str, Any]) -> Part:
-    """Return a `kind` from its entries; errors name the path arm.links[1].length, for example, for Link.length."""
+    """Return a `kind` with the given fields; errors name the path in the file, such as arm.links[1].length."""
     try:
         with warnings.catch_warnings():
             if tuple(entries.get(name) for name in SECTION_FIELDS) in IMPOSSIBLE_SECTIONS:
@@ -165,7 +165,7 @@ def _build_part(kind: type[Part], path: str, entries: dict[str, Any]) -> Part:
 
 
 def to_plain(value: Any) -> Any:
-    """Return a value with dataclasses as dicts and tuples as lists, recursively."""
+    """Return a value with all dataclasses in it as dicts and all tuples as lists, for `from_plain` and for files."""
     if isinstance(value, tuple):
         return [to_plain(entry) for entry in value]
     if not is_dataclass(value):
@@ -186,18 +186,18 @@ def to_plain(value: Any) -> Any:
 
 
 ARM_FOLDER = Path(__file__).parent / "arms"
-ARMS = tuple(sorted(path.stem for path in ARM_FOLDER.glob("*.yaml")))  # names of the arms of the catalog
+ARMS = tuple(sorted(path.stem for path in ARM_FOLDER.glob("*.yaml")))  # names of the arms in the catalog
 SUFFIXES = (".json", ".yaml", ".yml")
 ArmLike = Arm | Mapping[str, Any] | str
 
 
 def find_arm(value: object, folder: Path = Path()) -> Arm:
-    """Return the arm for an Arm, a name, a file or a mapping.
+    """Return an arm that is given as an Arm, by name, by file or as a mapping.
 
     Args:
-        value: an Arm; the name of an arm in the catalog; a mapping with this name under "catalog" and the arguments of
-            the arm; the path of a file with an arm or a scene; or a mapping as in such a file.
-        folder: folder to which a path is relative.
+        value: an Arm; the name of an arm in the catalog; a mapping with this name under the key "catalog" and with
+            options of the arm; the path of a file with an arm or a scene; or a mapping as in an arm file.
+        folder: folder to which the path is relative.
 
     Returns:
         The arm.
@@ -233,15 +233,16 @@ def find_arm(value: object, folder: Path = Path()) -> Arm:
 def named_arm(name: str) -> Callable[..., Arm]:
     """Return the function that builds an arm of the catalog, with the options of its file as arguments.
 
-    The file holds `description` (docstring of the function), `source`, `arm` (plain form), `options` (mapping from the
-    name of an option to its field: "payload", "links[0].area", "joints.stiffness" for every joint, or
-    "file" for another arm), and `values` (allowed values of options by name, or by number from 1 for a list).
+    The file has the keys `description` (docstring of the function), `source`, `arm` (mapping as in an arm file),
+    `options` (name of an option -> field of the arm, such as "payload", "links[0].area" or "joints.stiffness" for all
+    joints; "file" selects another arm), and `values` (name of an option -> allowed values by name, or a list from which
+    the option selects by number, from 1).
 
     Args:
         name: name of a file in ARM_FOLDER, without suffix.
 
     Returns:
-        The function; it raises a ValueError for values forbidden by Joint or Arm.
+        The function; it raises a ValueError for values that Joint or Arm does not accept.
     """
     data = files.read_data(ARM_FOLDER / f"{name}.yaml")
     arm, options, values = _arm_from_plain(data["arm"]), data.get("options", {}), data.get("values", {})
@@ -267,36 +268,36 @@ def named_arm(name: str) -> Callable[..., Arm]:
 
 
 def _default(arm: Arm, name: str, field: str, values: Any) -> Any:
-    """Return the value of an option in the file of an arm; for a field of every joint, the value of the first joint."""
+    """Return the default of an option: its value in the file of the arm, for all joints that of the first joint."""
     if field == "file":
         return values.index(name) + 1
-    part, _, own = field.rpartition(".")
+    part, _, attribute = field.rpartition(".")
     parts, indices = _select_parts(arm, part) if part else ("", [])
-    value = getattr(getattr(arm, parts)[indices[0]] if part else arm, own)
-    return next(each for each, number in values.items() if number == value) if values else value
+    value = getattr(getattr(arm, parts)[indices[0]] if part else arm, attribute)
+    return next(name for name, number in values.items() if number == value) if values else value
 
 
 def _option_value(option: str, value: Any, values: Any) -> Any:
-    """Return the value of an option, which may be a name or a number if the file lists its values."""
+    """Return the value of a field for an option; `values` are the allowed values in the file of the arm, if any."""
     if isinstance(values, list):
         return values[whole_number(option, value, 1, len(values)) - 1]
     return values[one_of(option, value, values)] if values else value
 
 
 def _select_parts(arm: Arm, part: str) -> tuple[str, list[int]]:
-    """Return "links" or "joints", and the indices selected by "joints" (all joints) or "links[0]"."""
+    """Return "links" or "joints" and the selected indices, for "links[0]" or, for all joints, "joints"."""
     name, _, index = part.rstrip("]").partition("[")
     return name, [int(index)] if index else list(range(arm.n_joints))
 
 
 def _change_fields(arm: Arm, name: str, changes: dict[str, dict[str, Any]]) -> Arm:
-    """Return an arm with other values of some fields, by the part to which the fields belong; "" is the arm itself."""
-    own = changes.pop("", {})
-    if (file := own.pop("file", name)) != name:
+    """Return an arm of the catalog with new values (field -> value) in its parts ("" for the arm itself)."""
+    arm_fields = changes.pop("", {})
+    if (file := arm_fields.pop("file", name)) != name:
         return named_arm(file)()
     for part, entries in changes.items():
         name, indices = _select_parts(arm, part)
-        parts = own[name] = list(getattr(arm, name))
+        parts = arm_fields[name] = list(getattr(arm, name))
         for i in indices:
             parts[i] = _build_part(type(parts[i]), type(parts[i]).__name__, vars(parts[i]) | entries)
-    return _build_part(Arm, "Arm", vars(arm) | own)
+    return _build_part(Arm, "Arm", vars(arm) | arm_fields)

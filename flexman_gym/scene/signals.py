@@ -1,4 +1,4 @@
-"""Signals over time for torques, motions, forces and accelerations: constants, sines and samples."""
+"""Signals over time: constant, sinusoidal and sampled torques, accelerations and forces."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -31,17 +31,17 @@ MIN_SPLINE_SAMPLES = 4
 
 @dataclass(frozen=True)
 class SampledSignal:
-    """Signal given by T samples, usable wherever a Signal is.
+    """Signal given by T samples; a scene accepts it in place of a Signal.
 
-    Between samples it is constant (hold="zero", the output of a digital-to-analogue converter) or linear
-    (hold="linear"). With hold="zero" the last value lasts as long as the previous one. The signal is undefined outside
-    these times, so that a scene must not begin earlier or end later. The steps of a simulation end at every sample:
-    none crosses a jump or a kink.
+    Between samples the signal is constant (hold="zero": zero-order hold) or linear (hold="linear": first-order hold).
+    With hold="zero" the last value is held for the last sampling interval, times[-1] - times[-2]. The signal is
+    undefined before the first sample and after its end; the duration of a scene must lie in this interval. Integration
+    steps end at every sample, so that no step contains a jump or a kink.
 
     Attributes:
-        times: times (T,) of the samples, s, ascending, at least two.
-        values: values (T,) in the unit of the quantity.
-        hold: "zero" or "linear".
+        times: times (T,) of the samples, s, ascending; T >= 2.
+        values: values (T,) in the unit of the physical quantity.
+        hold: interpolation between samples, "zero" or "linear".
 
     Examples:
         >>> gust = fm.SampledSignal(times=[0.0, 0.5, 1.0], values=[0.0, 2.0, 0.0], hold="linear")
@@ -54,14 +54,14 @@ class SampledSignal:
     hold: str = "zero"
 
     def __post_init__(self) -> None:
-        times = _moments("SampledSignal.times", self.times)
+        times = _checked_times("SampledSignal.times", self.times)
         values = number_array("SampledSignal.values", self.values, times.shape, f"{len(times)} finite numbers")
         one_of("SampledSignal.hold", self.hold, HOLDS)
         set_fields(self, times=tuple(times.tolist()), values=tuple(values.tolist()))
 
     @classmethod
     def from_csv(cls, path: str | Path, column: str, unit: str, hold: str = "zero") -> Self:
-        """Read a column in a unit, or in a multiple of it such as mN for N, from a CSV file; see `read_time_series`."""
+        """Read a column of a CSV file, converted to a unit (from mN to N, for example); see `read_time_series`."""
         record = read_time_series(path)
         return cls(record.times, record.values((unit,), [column])[:, 0], hold)
 
@@ -75,25 +75,25 @@ class SampledSignal:
         """Time at which the signal ends, s."""
         return self.times[-1] + (self.times[-1] - self.times[-2] if self.hold == "zero" else 0.0)
 
-    def lines(self, moments: Array) -> tuple[Array, Array]:
-        """Return value at time 0 and slope (per s) of the straight line followed at times (p,), s."""
-        times, values = np.array(self.times), np.array(self.values)
-        j = np.clip(np.searchsorted(times, moments, "right") - 1, 0, len(times) - 1)
+    def lines(self, times: Array) -> tuple[Array, Array]:
+        """Return a (p,) and b (p,) of the line a + b t that the signal follows at each of the times (p,), s."""
+        samples, values = np.array(self.times), np.array(self.values)
+        j = np.clip(np.searchsorted(samples, times, "right") - 1, 0, len(samples) - 1)
         if self.hold == "zero":
-            return values[j], np.zeros(len(moments))
-        j = np.minimum(j, len(times) - 2)
-        slopes = (values[j + 1] - values[j]) / (times[j + 1] - times[j])
-        return values[j] - slopes * times[j], slopes
+            return values[j], np.zeros(len(times))
+        j = np.minimum(j, len(samples) - 2)
+        slopes = (values[j + 1] - values[j]) / (samples[j + 1] - samples[j])
+        return values[j] - slopes * samples[j], slopes
 
 
 @dataclass(frozen=True)
 class SampledTorque:
-    """Torques of n motors (of the links in rigid joints) given by T samples; between samples like `SampledSignal`.
+    """Torques of n motors, given by T samples and interpolated as in `SampledSignal`.
 
     Attributes:
-        times: times (T,) of the samples, s, ascending, at least two.
-        values: torques (T, n), N m.
-        hold: "zero" or "linear".
+        times: times (T,) of the samples, s, ascending; T >= 2.
+        values: motor torques (T, n) at the joints, N m.
+        hold: interpolation between samples, "zero" or "linear".
 
     Examples:
         >>> torque = fm.SampledTorque(times=[0.0, 0.5, 1.0], values=[[0.1], [-0.1], [0.0]], hold="zero")
@@ -107,19 +107,19 @@ class SampledTorque:
     hold: str = "zero"
 
     def __post_init__(self) -> None:
-        times = _moments("SampledTorque.times", self.times)
-        values = _rows("SampledTorque.values", self.values, len(times))
+        times = _checked_times("SampledTorque.times", self.times)
+        values = _checked_torques("SampledTorque.values", self.values, len(times))
         one_of("SampledTorque.hold", self.hold, HOLDS)
         set_fields(self, times=tuple(times.tolist()), values=tuple(map(tuple, values.tolist())))
 
     @classmethod
     def from_csv(cls, path: str | Path, columns: Sequence[str] | None = None, hold: str = "zero") -> Self:
-        """Read a CSV file with a header such as "time (s),torque_1 (N m)"; see `read_time_series`.
+        """Read a CSV file with a header such as "time (s),torque_1 (N m)"; see `common.time_series.read_time_series`.
 
         Args:
             path: path of the file.
-            columns: names of columns, such as "torque_1", in the order of the joints; None reads all torques of the
-                file.
+            columns: names of the n columns, such as "torque_1", in the order of the joints; None reads all columns of
+                torques.
             hold: "zero" or "linear".
 
         Returns:
@@ -137,12 +137,11 @@ class SampledTorque:
     ) -> Self:
         """Sample a function of time before the simulation.
 
-        The function is called once per sample, not within the steps of a method. The simulation then stops at every
-        sample, which takes 30 us of one core in addition to the steps and the function itself, whatever the arm. With
-        linear interpolation the error is at most period^2 / 8 times the second derivative.
+        The function is called once per sample. The integration restarts at every sample, which takes 30 us for any arm.
+        With linear interpolation the error is at most period^2 / 8 times the second derivative of the function.
 
         Args:
-            function: torques (n,) in N m at a time in s.
+            function: function of the time (s) that returns the motor torques (n,), N m.
             duration: time of the last sample, s.
             period: sampling interval, s; it must divide the duration.
             hold: "zero" or "linear".
@@ -163,11 +162,11 @@ class SampledTorque:
         return cls(times, [function(time) for time in times.tolist()], hold)
 
     def to_csv(self, path: str | Path) -> None:
-        """Write a CSV file, from which `from_csv` reads equal torques if it is given the same hold."""
+        """Write times and values, without `hold`, to a CSV file for `from_csv`."""
         write_csv(path, {"time (s)": self.times, **_headed_columns("torque", "N m", self.values)})
 
     def signals(self) -> list[Any]:
-        """Return the torque of each motor as a signal, n in all."""
+        """Return the torques of the n motors as n SampledSignals."""
         return [SampledSignal(self.times, column, self.hold) for column in np.array(self.values).T]
 
     def at(self, time: float) -> NDArray[np.float64]:
@@ -182,18 +181,19 @@ class SampledTorque:
 
 @dataclass(frozen=True)
 class SampledAngles:
-    """Prescribed motion of a motor (of the joint itself if rigid), given by its angle at T times.
+    """Prescribed motion of a motor (of the joint itself if it is rigid), given by its angle at T times.
 
-    The motor follows a cubic spline with continuous acceleration, through the angles or, if they are noisy, close to
-    them. It starts at the angle and rate of the spline, whatever `Initial` contains for this joint. For exact samples
-    of a smooth motion, the error of the spline is proportional to the fourth power of the sampling interval.
+    The motor follows a cubic spline with continuous acceleration that interpolates the angles or, for a positive
+    `deviation`, smooths them. Initial angle and rate of the joint are those of the spline and replace the values in
+    `Initial`. For exact samples of a smooth motion, the error of the spline is proportional to the fourth power of the
+    sampling interval.
 
     Attributes:
-        times: times (T,) of the samples, s, ascending, at least four.
-        angles: angles (T,), rad.
-        deviation: standard deviation of the noise or rounding of the angles, rad. If positive, the spline has as few
-            pieces as this deviation from the angles permits (smoothing of FITPACK). If 0, it passes through all angles;
-            the rounding of an encoder, differentiated twice, then shakes the arm.
+        times: times (T,) of the samples, s, ascending; T >= 4.
+        angles: motor angles (T,), rad.
+        deviation: standard deviation of the noise or rounding error of the angles, rad. If positive, the spline has the
+            fewest pieces with this root-mean-square distance from the angles (smoothing spline of FITPACK). If 0, it
+            passes through all angles; rounding by an encoder then causes large accelerations.
 
     Examples:
         >>> motion = fm.SampledAngles(times=[0.0, 0.1, 0.2, 0.3], angles=[0.0, 0.01, 0.04, 0.09])
@@ -206,7 +206,7 @@ class SampledAngles:
     deviation: float = 0.0
 
     def __post_init__(self) -> None:
-        times = _moments("SampledAngles.times", self.times)
+        times = _checked_times("SampledAngles.times", self.times)
         angles = number_array("SampledAngles.angles", self.angles, times.shape, f"{len(times)} finite numbers (rad)")
         if len(times) < MIN_SPLINE_SAMPLES:
             raise value_error("SampledAngles.times", self.times, f"at least {MIN_SPLINE_SAMPLES} times (s)")
@@ -215,13 +215,13 @@ class SampledAngles:
 
     @classmethod
     def from_csv(cls, path: str | Path, column: str, deviation: float = 0.0) -> Self:
-        """Read a column of angles from a CSV file, such as "hub" in "time (s),hub (deg)"; see `read_time_series`."""
+        """Read a column of angles, such as "hub" of a CSV file with the header "time (s),hub (deg)"."""
         record = read_time_series(path)
         return cls(record.times, record.values(("rad",), [column])[:, 0], deviation)
 
     @cached_property
     def _spline(self) -> tuple[Any, Array]:
-        """Spline of the angles, and the times of its knots."""
+        """Spline of the angles (rad) over time, and the times of its knots (s)."""
         from scipy.interpolate import CubicSpline, UnivariateSpline  # imported here because it takes 0.3 s
 
         if self.deviation == 0.0:
@@ -232,7 +232,7 @@ class SampledAngles:
 
     @property
     def acceleration(self) -> SampledSignal:
-        """Acceleration, rad/s^2, linear between the knots of the spline."""
+        """Second derivative of the spline, rad/s^2, as a signal that is linear between the knots."""
         spline, knots = self._spline
         return SampledSignal(knots, spline.derivative(2)(knots), "linear")
 
@@ -243,12 +243,12 @@ class SampledAngles:
 
 
 def _headed_columns(name: str, unit: str, values: Sequence[Vector]) -> dict[str, Any]:
-    """Return columns by header, such as "torque_1 (N m)", numbered from 1."""
+    """Return the columns by heads numbered from 1, such as "torque_1 (N m)"."""
     return {f"{name}_{i} ({unit})": column for i, column in enumerate(zip(*values, strict=True), 1)}
 
 
-def _moments(name: str, value: object) -> Array:
-    """Return times (T,) in ascending order as an array."""
+def _checked_times(name: str, value: object) -> Array:
+    """Return times (T,), s, as an array after checking that they ascend."""
     allowed = f"2 to {MAX_ENTRIES} finite numbers (s), each larger than the one before"
     count = len(value) if isinstance(value, list | tuple | np.ndarray) else 0
     times = number_array(name, value, (count,), allowed) if 2 <= count <= MAX_ENTRIES else np.zeros(2)
@@ -257,8 +257,8 @@ def _moments(name: str, value: object) -> Array:
     return times
 
 
-def _rows(name: str, value: object, count: int) -> Array:
-    """Return values (T, n) as an array."""
+def _checked_torques(name: str, value: object, count: int) -> Array:
+    """Return torques (count, n), N m, as an array after checking their shape."""
     allowed = f"{count} lists of finite numbers (N m), one for each time, all of the same length"
     try:
         joints = len(value[0])  # type: ignore[index]
@@ -269,7 +269,7 @@ def _rows(name: str, value: object, count: int) -> Array:
     return number_array(name, value, (count, joints), allowed)
 
 
-TIME_TOLERANCE = 1e-12  # of the duration; times closer than this are equal
+TIME_TOLERANCE = 1e-12  # 1; difference of two equal times / duration, at most
 
 
 @dataclass(frozen=True)
@@ -277,8 +277,8 @@ class Signal:
     """Sine with an offset: offset + amplitude sin(2 pi frequency_hz t + phase) for start <= t < stop, and 0 otherwise.
 
     Attributes:
-        offset: mean value, in the unit of the quantity.
-        amplitude: amplitude, in the unit of the quantity.
+        offset: mean value, in the unit of the physical quantity.
+        amplitude: amplitude, in the unit of the physical quantity.
         frequency_hz: frequency, Hz, not negative.
         phase: phase, rad.
         start: start time, s, not negative.
@@ -308,7 +308,7 @@ class Signal:
                 raise value_error("Signal.stop", self.stop, f"a time after the start {self.start} (s), or None")
 
     def column(self) -> NDArray[np.float64]:
-        """Return the column (7,) of the signal in the signal table of the kernels, see `kernels.layout`."""
+        """Return the column (7,) of the signal in `signal_table`."""
         stop = math.inf if self.stop is None else self.stop
         return np.array([self.offset, self.amplitude, self.frequency_hz, self.phase, self.start, stop, 0.0])
 
@@ -320,10 +320,10 @@ class Signal:
 
 @dataclass(frozen=True)
 class ConstantTorque:
-    """Constant torques on the motors (on the links in rigid joints).
+    """Constant torques of the motors.
 
     Attributes:
-        value: torques (n,), N m.
+        value: motor torques (n,) at the joints, N m.
 
     Examples:
         >>> fm.ConstantTorque((400.0, 400.0, 400.0)).value
@@ -337,7 +337,7 @@ class ConstantTorque:
         set_fields(self, value=vector("ConstantTorque.value", self.value, unit="N m"))
 
     def signals(self) -> list[Signal | SampledSignal]:
-        """Return the torque of each motor as a Signal, n in all."""
+        """Return the torques of the n motors as n Signals."""
         return [Signal(value) for value in self.value]
 
     def at(self, time: float) -> NDArray[np.float64]:
@@ -347,10 +347,10 @@ class ConstantTorque:
 
 @dataclass(frozen=True)
 class SineTorque:
-    """Sinusoidal torques amplitude sin(2 pi frequency_hz t + phase) on the motors (on the links in rigid joints).
+    """Sinusoidal torques of the motors: amplitude sin(2 pi frequency_hz t + phase).
 
     Attributes:
-        amplitude: amplitudes (n,), N m.
+        amplitude: amplitudes (n,) of the motor torques at the joints, N m.
         frequency_hz: frequencies (n,), Hz, not negative.
         phase: phases (n,), rad.
 
@@ -374,7 +374,7 @@ class SineTorque:
         set_fields(self, amplitude=amplitude, frequency_hz=frequency_hz, phase=phase)
 
     def signals(self) -> list[Signal | SampledSignal]:
-        """Return the torque of each motor as a Signal, n in all."""
+        """Return the torques of the n motors as n Signals."""
         return [Signal(0.0, *numbers) for numbers in zip(self.amplitude, self.frequency_hz, self.phase, strict=True)]
 
     def at(self, time: float) -> NDArray[np.float64]:
@@ -382,35 +382,41 @@ class SineTorque:
         return self.amplitude * np.sin(2.0 * np.pi * time * np.array(self.frequency_hz) + self.phase)
 
 
-def signal_table(drives: Sequence[Signal | None]) -> NDArray[np.float64]:
-    """Return the signal table (7, n + 6) of n + 6 signals; None stands for a zero signal."""
-    return np.column_stack([(drive or Signal()).column() for drive in drives])
+def signal_table(signals: Sequence[Signal | None]) -> NDArray[np.float64]:
+    """Return the signals as the table (7, n + 6) that the kernels read.
+
+    Its rows are offset, amplitude, frequency (Hz), phase (rad), start (s), stop (s) and slope (unit of the signal / s).
+
+    Args:
+        signals: n motor signals, 3 components of the tip force and 3 of the base acceleration; None for zero.
+    """
+    return np.column_stack([(signal or Signal()).column() for signal in signals])
 
 
 class PiecewiseSignals:
-    """Signals from 0 s to a duration as one table per interval, in which no sample begins or ends.
+    """Signals of a scene, with one signal table for each interval between neighbouring samples.
 
     Args:
-        drives: the signals; None for a zero signal.
+        signals: n + 6 signals in the order of `signal_table`; None for zero.
         duration: end of the last interval, s.
 
     Attributes:
-        moments: boundaries (p + 1,) of the p intervals, s; one interval if no signal is sampled.
+        times: boundaries (p + 1,) of the p intervals, s, from 0; p = 1 if no signal is sampled.
     """
 
-    def __init__(self, drives: Sequence[Signal | SampledSignal | None], duration: float) -> None:
-        sampled = {i: drive for i, drive in enumerate(drives) if isinstance(drive, SampledSignal)}
-        self._table = signal_table([None if isinstance(drive, SampledSignal) else drive for drive in drives])
-        moments = np.unique(np.concatenate([[0.0, duration], *(drive.times for drive in sampled.values())]))
-        moments = moments[(moments >= 0.0) & (moments <= duration)]
-        apart = np.append(True, np.diff(moments) > TIME_TOLERANCE * duration)
-        self.moments = moments[apart] if apart[-1] else np.append(moments[apart][:-1], duration)
-        middles = 0.5 * (self.moments[1:] + self.moments[:-1])
-        self._lines: dict[int, tuple[Array, Array]] = {i: drive.lines(middles) for i, drive in sampled.items()}
+    def __init__(self, signals: Sequence[Signal | SampledSignal | None], duration: float) -> None:
+        sampled = {i: signal for i, signal in enumerate(signals) if isinstance(signal, SampledSignal)}
+        self._table = signal_table([None if isinstance(signal, SampledSignal) else signal for signal in signals])
+        times = np.unique(np.concatenate([[0.0, duration], *(signal.times for signal in sampled.values())]))
+        times = times[(times >= 0.0) & (times <= duration)]
+        distinct = np.append(True, np.diff(times) > TIME_TOLERANCE * duration)
+        self.times = times[distinct] if distinct[-1] else np.append(times[distinct][:-1], duration)
+        middles = 0.5 * (self.times[1:] + self.times[:-1])
+        self._lines: dict[int, tuple[Array, Array]] = {i: signal.lines(middles) for i, signal in sampled.items()}
 
-    def table(self, piece: int = 0) -> NDArray[np.float64]:
-        """Return the signal table (7, n + 6) of an interval, see `kernels.layout`."""
+    def table(self, interval: int = 0) -> NDArray[np.float64]:
+        """Return the signal table (7, n + 6) of an interval, given by its index."""
         result = self._table.copy()
-        for i, (values, slopes) in self._lines.items():
-            result[0, i], result[-1, i] = values[piece], slopes[piece]
+        for i, (offsets, slopes) in self._lines.items():
+            result[0, i], result[-1, i] = offsets[interval], slopes[interval]
         return result

@@ -74,7 +74,7 @@ def integration_intervals(pieces: PiecewiseSignals, interval: float, substeps: i
     Yields:
         The parts in order.
     """
-    ends = pieces.moments / interval  # in intervals; whole numbers at outputs
+    ends = pieces.times / interval  # in intervals; whole numbers at outputs
     whole = np.round(ends)
     ends = np.where(np.abs(ends - whole) <= RATIO_TOLERANCE * np.maximum(whole, 1.0), whole, ends)
     for piece, (start, end) in enumerate(pairwise(np.minimum(ends, rows.stop).tolist())):
@@ -251,7 +251,7 @@ def _kinetics(scene: Scene, plan: _ScenePlan, constants: dict[str, Any] | None, 
     run, size, pieces = _make_integrator(scene, plan, constants), result.states.shape[1], scene.pieces
     rates, accelerations, drives = np.zeros(size + 2), [], []
     for time, state in zip(result.time, result.states, strict=True):
-        piece = min(int(np.searchsorted(pieces.moments, time, side="right")), len(pieces.moments) - 1) - 1
+        piece = min(int(np.searchsorted(pieces.times, time, side="right")), len(pieces.times) - 1) - 1
         state_derivative(run.constants, run.work, pieces.table(piece), time, np.append(state, [0.0, 0.0]), rates)
         accelerations.append(rates[size // 2 : size].copy())
         drives.append(run.work.drive.copy())
@@ -329,7 +329,7 @@ def simulate_all(
     varied = varied_constants(plan.model, len(scenes), parameters)
     lanes = isinstance(plan.method, LinearlyImplicit | IteratedGauss) and plan.tolerance is None and len(scenes) > 1
     drives = [scene.pieces for scene in scenes] if lanes else []
-    if not lanes or not all(np.array_equal(each.moments, drives[0].moments) for each in drives):
+    if not lanes or not all(np.array_equal(each.times, drives[0].times) for each in drives):
         return [_simulate_plan(scene, plan, _constants_of(varied, i)) for i, scene in enumerate(scenes)]
     return _simulate_in_lanes(scenes, plan, varied, drives, threads)
 

@@ -13,7 +13,7 @@ from flexman_gym.common.checks import positive, value_error, vector, whole_numbe
 from flexman_gym.common.time_series import write_csv
 from flexman_gym.kernels import layout
 from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurements, column_names
-from flexman_gym.model.loads import FrameMotion, frame_motion, part_energies, section_forces
+from flexman_gym.model.loads import FrameMotion, part_energies, section_forces
 from flexman_gym.model.model import Model
 
 ENERGY_ALARM = 0.01  # 1; share of the energy turnover at which the energy residual is too large
@@ -129,7 +129,7 @@ class Trajectory:
     def _motion(self) -> tuple[Kinetics, FrameMotion]:
         """Kinetics of the trajectory, and the motion of all frames."""
         kinetics = self.kinetics(self)
-        return kinetics, frame_motion(kinetics.model, self.states, kinetics.accelerations, kinetics.drives)
+        return kinetics, FrameMotion(kinetics.model, self.states, kinetics.accelerations, kinetics.drives)
 
     @property
     def accelerations(self) -> Array:

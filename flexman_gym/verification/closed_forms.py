@@ -1,6 +1,9 @@
-"""Natural frequencies of uniform Euler-Bernoulli beams and bars in closed form, from their characteristic equations.
+"""Dimensionless natural frequencies of Euler-Bernoulli beams and bars in closed form, from characteristic equations.
 
-The module uses only NumPy and SciPy, so that the closed forms share no error with the simulator that they verify.
+For a beam of length L, bending stiffness EI and mass per length rho A the dimensionless natural frequency is lambda =
+omega L^2 sqrt(rho A / EI) = b^2 with the frequency parameter b = beta L, where w'''' = beta^4 w (Blevins, Formulas for
+Natural Frequency and Mode Shape, tabulates b). Below, w is a function of b x / L, and primes are derivatives by this
+argument. The module uses only NumPy and SciPy, so that it shares no error with the simulator that it verifies.
 """
 
 from collections.abc import Callable
@@ -10,19 +13,19 @@ import numpy as np
 from scipy.optimize import brentq
 
 from flexman_gym.common.arrays import Array
+from flexman_gym.common.renamed import deprecated_names
 
 
-def cantilever_eigenvalues(count: int, tip_mass_ratio: float = 0.0) -> Array:
-    """Return the first eigenvalues lambda = omega sqrt(rho A L^4 / EI) (count,) of a cantilever with a tip mass.
+def cantilever_frequencies(count: int, tip_mass_ratio: float = 0.0) -> Array:
+    """Return the first dimensionless natural frequencies lambda (count,) of a cantilever with a tip mass.
 
-    With b = sqrt(lambda) and w a function of b x / L, primes denote derivatives by this argument. The boundary
-    conditions are w = w' = 0 at the base, and w'' = 0 and w''' + mu b w = 0 at the tip. They give the characteristic
-    equation 1 + cos b cosh b + mu b (cos b sinh b - sin b cosh b) = 0, with one root between successive multiples of
-    pi.
+    The boundary conditions are w = w' = 0 at the base, and w'' = 0 and w''' + mu b w = 0 at the tip. They give the
+    characteristic equation 1 + cos b cosh b + mu b (cos b sinh b - sin b cosh b) = 0, with one root between successive
+    multiples of pi.
 
     Args:
-        count: number of eigenvalues.
-        tip_mass_ratio: mu = tip mass / beam mass.
+        count: number of frequencies.
+        tip_mass_ratio: mu = tip mass / beam mass, 1.
     """
 
     def characteristic(b: float) -> float:  # divided by cosh b
@@ -31,49 +34,49 @@ def cantilever_eigenvalues(count: int, tip_mass_ratio: float = 0.0) -> Array:
     return _squared_roots(characteristic, np.linspace(0.0, np.pi * count, count + 1))
 
 
-def hub_beam_eigenvalues(count: int, hub_inertia_ratio: float) -> Array:
-    """Return the first elastic eigenvalues lambda (count,) of a beam that turns freely with a hub.
+def hub_beam_frequencies(count: int, hub_inertia_ratio: float) -> Array:
+    """Return the first dimensionless natural frequencies lambda > 0 (count,) of a beam with a freely rotating hub.
 
-    The boundary conditions at the base are w = 0 and w'' + eta b^3 w' = 0, with the notation of
-    `cantilever_eigenvalues`. They give sin b cosh b - cos b sinh b + eta b^3 (1 + cos b cosh b) = 0, with one root
-    between successive roots of the cantilever, which is the limit for a heavy hub.
+    The boundary conditions at the base are w = 0 and w'' + eta b^3 w' = 0. They give the characteristic equation sin b
+    cosh b - cos b sinh b + eta b^3 (1 + cos b cosh b) = 0, with one root between successive roots of the cantilever,
+    which is the limit for eta to infinity.
 
     Args:
-        count: number of eigenvalues.
-        hub_inertia_ratio: eta = hub inertia / (rho A L^3).
+        count: number of frequencies, without the zero frequency of the rigid rotation.
+        hub_inertia_ratio: eta = hub inertia / (rho A L^3), 1.
     """
 
     def characteristic(b: float) -> float:  # divided by cosh b
         clamped = 1.0 / np.cosh(b) + np.cos(b)
         return np.sin(b) - np.cos(b) * np.tanh(b) + hub_inertia_ratio * b**3 * clamped
 
-    return _squared_roots(characteristic, np.sqrt(cantilever_eigenvalues(count + 1)))
+    return _squared_roots(characteristic, np.sqrt(cantilever_frequencies(count + 1)))
 
 
-def flexible_joint_eigenvalues(
+def flexible_joint_frequencies(
     count: int, stiffness_ratio: float, rotor_inertia_ratio: float | None, tip_mass_ratio: float
 ) -> Array:
-    """Return the first elastic eigenvalues lambda (count,) of a beam with a tip mass on a flexible joint.
+    """Return the first dimensionless natural frequencies lambda > 0 (count,) of a beam on a flexible joint.
 
-    The torsion spring of the joint is carried by a rotor and turns the base by kappa b w'. A free rotor turns by
-    theta_m with (kappa - eta b^4) theta_m = kappa b w'. The conditions at the base are w = 0 and (kappa - eta b^4) w''
-    + kappa eta b^3 w' = 0, or b w'' = kappa w' with the rotor clamped; those at the tip are the same as in
-    `cantilever_eigenvalues`.
+    The torsion spring of the joint connects the base of the beam, at the angle b w' / L, to a rotor at the angle
+    theta_m, with (kappa - eta b^4) theta_m = kappa b w' / L for a free rotor. The boundary conditions at the base are w
+    = 0 and (kappa - eta b^4) w'' + kappa eta b^3 w' = 0, or b w'' = kappa w' with a clamped rotor; at the tip they are
+    those of `cantilever_frequencies`.
 
     Args:
-        count: number of eigenvalues.
-        stiffness_ratio: kappa = K L / EI of the joint spring K.
-        rotor_inertia_ratio: eta = rotor inertia / (rho A L^3); None for a clamped rotor.
-        tip_mass_ratio: mu = tip mass / beam mass.
+        count: number of frequencies, without the zero frequency of the rigid rotation.
+        stiffness_ratio: kappa = K L / EI, 1, with the joint stiffness K.
+        rotor_inertia_ratio: eta = rotor inertia / (rho A L^3), 1; None for a clamped rotor.
+        tip_mass_ratio: mu = tip mass / beam mass, 1.
     """
 
     def characteristic(b: float) -> float:  # columns: w = sin, and cos - cosh and sinh divided by cosh b
         s, c, one, sh, mu = np.sin(b), np.cos(b), 1.0 / np.cosh(b), np.tanh(b), tip_mass_ratio * b
-        bend, slope = b, -stiffness_ratio
+        curvature, slope = b, -stiffness_ratio  # coefficients of w'' and w' in the condition at the base
         if rotor_inertia_ratio is not None:
-            bend = stiffness_ratio - rotor_inertia_ratio * b**4
+            curvature = stiffness_ratio - rotor_inertia_ratio * b**4
             slope = stiffness_ratio * rotor_inertia_ratio * b**3
-        base = [slope, -2.0 * bend * one, slope * one]
+        base = [slope, -2.0 * curvature * one, slope * one]
         moment = [-s, -(c * one + 1.0), sh]
         force = [-c + mu * s, s * one - sh + mu * (c * one - 1.0), 1.0 + mu * sh]
         return float(np.linalg.det([base, moment, force]))
@@ -81,19 +84,19 @@ def flexible_joint_eigenvalues(
     return _first_squared_roots(characteristic, count, np.arange(0.05, (count + 2) * np.pi, 0.01))
 
 
-def stepped_cantilever_eigenvalues(count: int, place: float, rigidity_ratio: float, mass_ratio: float) -> Array:
-    """Return the first eigenvalues lambda (count,) of a cantilever with one step in its cross-section.
+def stepped_cantilever_frequencies(count: int, step_position: float, rigidity_ratio: float, mass_ratio: float) -> Array:
+    """Return the first dimensionless natural frequencies lambda (count,) of a cantilever with a stepped cross-section.
 
     lambda refers to the total length L and to rho A and EI of the inboard segment. The argument of w is b x / L from
-    the base in the inboard segment, and c y / L from the tip in the outboard segment, with c = b (mu / kappa)^(1/4).
-    Each segment has the two solutions that its end condition admits. Continuity of w, w', EI w'' and EI w''' at the
+    the base in the inboard segment, and c y / L from the tip in the outboard segment, with c = b (mu / kappa)^(1/4). In
+    each segment two solutions meet the boundary conditions at its end. Continuity of w, w', EI w'' and EI w''' at the
     step, with y in the opposite direction, gives four homogeneous equations, whose determinant vanishes.
 
     Args:
-        count: number of eigenvalues.
-        place: length of the inboard segment / L.
-        rigidity_ratio: kappa = EI of the outboard segment / EI of the inboard segment.
-        mass_ratio: mu = rho A of the outboard segment / rho A of the inboard segment.
+        count: number of frequencies.
+        step_position: length of the inboard segment / L, 1.
+        rigidity_ratio: kappa = EI of the outboard segment / EI of the inboard segment, 1.
+        mass_ratio: mu = rho A of the outboard segment / rho A of the inboard segment, 1.
     """
     scale = (mass_ratio / rigidity_ratio) ** 0.25  # c / b
 
@@ -106,29 +109,32 @@ def stepped_cantilever_eigenvalues(count: int, place: float, rigidity_ratio: flo
 
     def characteristic(b: float) -> float:
         signs = np.array([1.0, -scale, rigidity_ratio * scale**2, -rigidity_ratio * scale**3])
-        inboard, outboard = solutions(b * place, -1.0), solutions(b * scale * (1.0 - place), 1.0)
+        inboard, outboard = solutions(b * step_position, -1.0), solutions(b * scale * (1.0 - step_position), 1.0)
         return float(np.linalg.det(np.hstack([inboard, signs[:, None] * outboard])))
 
-    phase = place + scale * (1.0 - place)  # of the waves per unit b
+    phase = step_position + scale * (1.0 - step_position)  # rad; phase of the waves along the beam per unit of b
     return _first_squared_roots(characteristic, count, np.arange(0.05, (count + 2) * np.pi, 0.01) / phase)
 
 
-def bar_eigenvalues(count: int, elements: int | None = None) -> Array:
-    """Return the first omega L / c (count,) of a bar clamped at one end, in axial vibration or torsion.
+def bar_frequencies(count: int, elements: int | None = None) -> Array:
+    """Return the first dimensionless natural frequencies omega L / c (count,) of a bar clamped at one end.
 
-    The wave speed c is sqrt(E / rho), or sqrt(G J / rho I_p) in torsion. The exact values are (2 n - 1) pi / 2. Equal
-    linear elements with consistent mass have omega h / c = sqrt(6 (1 - cos a) / (2 + cos a)) with a = (2 n - 1) pi / (2
-    elements).
+    The wave speed c is sqrt(E / rho) in axial vibration and sqrt(G J / (rho I_p)) in torsion. The exact values are (2 n
+    - 1) pi / 2. N equal linear elements of length h with consistent mass have omega h / c = sqrt(6 (1 - cos a) / (2 +
+    cos a)) with a = (2 n - 1) pi / (2 N).
 
     Args:
-        count: number of eigenvalues.
-        elements: number of finite elements; None for the exact values.
+        count: number of frequencies.
+        elements: number N of finite elements; None for the exact values.
     """
     exact = np.pi * (np.arange(count, dtype=np.float64) + 0.5)
     if elements is None:
         return exact
     cosine = np.cos(exact / elements)
     return np.array(elements * np.sqrt(6.0 * (1.0 - cosine) / (2.0 + cosine)))
+
+
+__getattr__ = deprecated_names(__name__)
 
 
 def _squared_roots(function: Callable[[float], float], ends: Array) -> Array:

@@ -21,7 +21,7 @@ class VerificationRow:
         source: source of the expected value.
         expected: value from the source.
         computed: value from this package.
-        tolerance: largest error that passes; None for a row that is not judged.
+        tolerance: largest accepted `error`, 1 or the unit of the case; None for a row without a verdict.
     """
 
     case: str
@@ -37,17 +37,17 @@ class VerificationRow:
 
     @property
     def verdict(self) -> str:
-        """Verdict: "pass", "fail" or "shown" (no tolerance); a NaN error fails."""
+        """Verdict: "pass", "fail" or, without a tolerance, "shown"; an error of NaN fails."""
         if self.tolerance is None:
             return SHOWN
         return PASS if self.error <= self.tolerance else FAIL
 
     def values(self) -> dict[str, str | float | None]:
-        """Return the entries of the row by column."""
+        """Return column name -> entry of the row, see COLUMNS."""
         return {name: getattr(self, name) for name in COLUMNS}
 
     def cells(self) -> list[str]:
-        """Return the entries of the row as text, with the significant digits of numbers."""
+        """Return the entries of the row as text."""
         tolerance = "" if self.tolerance is None else f"{self.tolerance:.1e}"
         numbers = [f"{self.expected:.9g}", f"{self.computed:.9g}", f"{self.error:.1e}", tolerance]
         return [self.case, self.source, *numbers, self.verdict]
@@ -59,18 +59,18 @@ def series_rows(
     """Return the rows of a series of values, such as successive frequencies.
 
     Args:
-        case: description of the quantity; {} is replaced by 1, 2, 3, ...
+        case: description of the quantity with its unit; {} is replaced by 1, 2, 3, ...
         source: source of the expected values.
         expected: expected values.
-        computed: computed values, as many.
-        tolerance: largest relative error that passes.
+        computed: computed values, of the same number.
+        tolerance: largest accepted relative error, 1.
     """
     pairs = enumerate(zip(expected, computed, strict=True), start=1)
     return [VerificationRow(case.format(i), source, float(e), float(c), tolerance) for i, (e, c) in pairs]
 
 
 def exit_code(rows: Sequence[VerificationRow]) -> int:
-    """Return 1 if a row fails or there is no row, else 0."""
+    """Return the exit status of a command: 1 if a row fails or there is no row, else 0."""
     return int(not rows or any(row.verdict == FAIL for row in rows))
 
 
@@ -82,7 +82,7 @@ SUMMARY = "{passed} of {evaluated} rows pass, {failed} fail; another {shown} row
 
 
 def summary(rows: Sequence[VerificationRow]) -> str:
-    """Return one line with the numbers of rows that pass, fail, and have no tolerance."""
+    """Return a sentence with the numbers of rows that pass, that fail, and that have no tolerance."""
     count = Counter(row.verdict for row in rows)
     passed, failed = count[PASS], count[FAIL]
     return SUMMARY.format(passed=passed, evaluated=passed + failed, failed=failed, shown=count[SHOWN])
@@ -97,11 +97,11 @@ def format_table(rows: Sequence[VerificationRow]) -> str:
 
 
 def format_json(rows: Sequence[VerificationRow]) -> str:
-    """Return the rows with computer and versions as JSON; numbers that are not finite become null."""
+    """Return rows, computer and versions of the software as JSON; infinite numbers and NaN become null."""
     clean = [{name: _finite(value) for name, value in row.values().items()} for row in rows]
     return json.dumps({"machine": computer_info(), "rule": RULE, "rows": clean}, indent=1, allow_nan=False) + "\n"
 
 
 def _finite(value: str | float | None) -> str | float | None:
-    """Return a value unchanged, or None for a number that is not finite."""
+    """Return a value, or None for an infinite number or NaN."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -18,7 +18,7 @@ from flexman_gym.draw.frequency_diagrams import (
 from flexman_gym.draw.video import side_by_side, write_picture
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.model.vibration import spin_frequencies
+from flexman_gym.model.vibration import rotating_frequencies
 from flexman_gym.simulation.episode import Episode
 
 from oracles.chains import slender_link
@@ -68,7 +68,7 @@ def test_a_spinning_cantilever_stiffens_as_southwell_says(drawn, tmp_path, modes
     round_link = replace(link, second_moment_y=link.second_moment_z)
     arm = fm.Arm([round_link], [fm.Joint((0.0, 0.0, 1.0), rotor_inertia=1.0)])
     model, rates = fm.build_model(arm, elements=4, modes=modes, stiffening=True), np.array([0.0, 1.0, 2.0])
-    still, *spun = spin_frequencies(model, rates)[:, :2]
+    still, *spun = rotating_frequencies(model, rates)[:, :2]
     assert still == pytest.approx([3.516 / (2 * np.pi)] * 2, rel=1e-3)
     for rate, (inside, outside) in zip(rates[1:] / (2 * np.pi), spun, strict=True):
         assert (outside**2 - still[1] ** 2) / rate**2 == pytest.approx(1.193, abs=0.03)

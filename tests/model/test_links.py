@@ -12,7 +12,6 @@ import flexman_gym as fm
 from flexman_gym.model.beam import build_beam
 from flexman_gym.model.dynamics import stiffness_matrix
 from flexman_gym.scene.link import IDENTITY
-from flexman_gym.verification.cases import stepped_link
 
 from oracles.chains import QUICK, random_link, samples
 from oracles.ritz import beam_eigenvalues
@@ -86,6 +85,12 @@ def test_a_load_at_the_tip_bends_twists_and_stretches_every_section_exactly(seed
     bent = own[:, None] * np.linalg.solve(beam.stiffness * np.outer(own, own), own[:, None] * tip.T)
     result, scale = tip @ bent, np.sqrt(np.diag(flexibility))
     assert close(result / np.outer(scale, scale), flexibility / np.outer(scale, scale))
+
+
+def stepped_link(position, ratio):
+    """Return a strip of unit length, EI_z and mass per length, with a step in its thickness at a position (m)."""
+    segments = ((position, 1.0), (1.0 - position, ratio))
+    return fm.NonUniformLink([fm.Link(x, t / 100, t, t**3 / 12e6, t, 12e6, 12e6, 100.0) for x, t in segments])
 
 
 @pytest.mark.parametrize(("place", "ratio"), [(0.5, 0.5), (0.3, 0.7), (0.7, 1.8)])

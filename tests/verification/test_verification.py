@@ -8,7 +8,7 @@ import pytest
 
 from flexman_gym.__main__ import main as flexman
 from flexman_gym.verification import cases
-from flexman_gym.verification.closed_forms import bar_eigenvalues, cantilever_eigenvalues, flexible_joint_eigenvalues
+from flexman_gym.verification.closed_forms import bar_frequencies, cantilever_frequencies, flexible_joint_frequencies
 from flexman_gym.verification.table import COLUMNS, VerificationRow, exit_code, format_json, format_table
 
 ROW = VerificationRow("a number, m", "a book", 2.0, 2.001, 1e-3)
@@ -98,13 +98,13 @@ def test_table_and_file_hold_all_rows(rows):
 )
 def test_a_beam_on_a_spring_and_a_rotor(tip, clamped, expected):
     rotor = None if clamped else 1.0 / (4.0 * 0.7**3)
-    result = flexible_joint_eigenvalues(len(expected), 100.0 * 0.7 / 0.6, rotor, tip / (4.0 * 0.7))
+    result = flexible_joint_frequencies(len(expected), 100.0 * 0.7 / 0.6, rotor, tip / (4.0 * 0.7))
     assert result * np.sqrt(0.6 / (4.0 * 0.7**4)) / (2.0 * np.pi) == pytest.approx(expected, rel=2e-6)
 
 
 def test_limits_of_the_closed_forms():
     slender, bar = (3.51601527, 22.03449156, 61.69721441), (0.5 * np.pi, 1.5 * np.pi)  # Blevins, 1979
-    assert cantilever_eigenvalues(3) == pytest.approx(slender, rel=1e-8)
-    assert flexible_joint_eigenvalues(3, 1e9, None, 0.0) == pytest.approx(slender, rel=1e-7)
-    assert bar_eigenvalues(2) == pytest.approx(bar, rel=1e-15)
-    assert bar_eigenvalues(2, 1000) == pytest.approx(bar, rel=1e-5)
+    assert cantilever_frequencies(3) == pytest.approx(slender, rel=1e-8)
+    assert flexible_joint_frequencies(3, 1e9, None, 0.0) == pytest.approx(slender, rel=1e-7)
+    assert bar_frequencies(2) == pytest.approx(bar, rel=1e-15)
+    assert bar_frequencies(2, 1000) == pytest.approx(bar, rel=1e-5)

@@ -25,10 +25,9 @@ from flexman_gym.verification.cases import (
     TWIST,
     bar_frequency_scale,
     link_frequencies,
-    node_columns,
     slender_link,
 )
-from flexman_gym.verification.closed_forms import bar_eigenvalues, cantilever_eigenvalues
+from flexman_gym.verification.closed_forms import bar_frequencies, cantilever_frequencies
 from flexman_gym.verification.table import VerificationRow, series_rows
 
 DE_LUCA = "De Luca and Siciliano, IEEE Trans. SMC 21 (1991)"
@@ -43,24 +42,25 @@ IDENTITY = "identity"
 FLAP = {1.0: 3.6816, 2.0: 4.1373, 4.0: 5.5850, 6.0: 7.3604}  # eta: lambda_1, hub radius 0
 
 
-def rayleigh_eigenvalues(count: int, gyration_ratio: float) -> Array:
-    """Return the first lambda (count,) of a Rayleigh cantilever, with gyration_ratio s = I / (A L^2).
+def rayleigh_frequencies(count: int, gyration_ratio: float) -> Array:
+    """Return the first dimensionless natural frequencies lambda (count,) of a Rayleigh cantilever.
 
     w'''' + lambda^2 s w'' - lambda^2 w = 0 with w = w' = 0 at the base, w'' = 0 and w''' + lambda^2 s w' = 0 at the
-    tip. The solution combines cos a x - cosh c x and sin a x / a - sinh c x / c, with a^2, c^2 = sqrt(lambda^4 s^2 / 4
-    + lambda^2) +- lambda^2 s / 2. For small s lambda each root is slightly below that of `cantilever_eigenvalues`.
+    tip, and gyration_ratio s = I / (A L^2). The solution combines cos a x - cosh c x and sin a x / a - sinh c x / c,
+    with a^2, c^2 = sqrt(lambda^4 s^2 / 4 + lambda^2) +- lambda^2 s / 2. For small s lambda each root is slightly below
+    that of `cantilever_frequencies`.
     """
 
-    def characteristic(eigenvalue: float) -> float:
-        half = eigenvalue**2 * gyration_ratio / 2.0
-        root = np.hypot(half, eigenvalue)
+    def characteristic(frequency: float) -> float:
+        half = frequency**2 * gyration_ratio / 2.0
+        root = np.hypot(half, frequency)
         a, c = np.sqrt(root + half), np.sqrt(root - half)
         moment = -(a**2) * np.cos(a) - c**2 * np.cosh(c), -a * np.sin(a) - c * np.sinh(c)
         first = a**3 * np.sin(a) - c**3 * np.sinh(c) + 2.0 * half * moment[1]
         second = moment[0] + 2.0 * half * (np.cos(a) - np.cosh(c))
         return float(moment[0] * second - moment[1] * first)
 
-    slender = cantilever_eigenvalues(count)
+    slender = cantilever_frequencies(count)
     return np.array([brentq(characteristic, 0.8 * each, 1.001 * each, xtol=1e-13) for each in slender])
 
 
@@ -106,7 +106,7 @@ def _clamped(link: Link, payload: Payload | None = None) -> Array:
 
 def _convergence_rows() -> Iterator[VerificationRow]:
     """Yield the error of f_1 with Hermite elements and consistent mass, and its order of convergence."""
-    exact, counts = cantilever_eigenvalues(1)[0], (1, 2, 4, 8)
+    exact, counts = cantilever_frequencies(1)[0], (1, 2, 4, 8)
     errors = [2.0 * np.pi * link_frequencies(slender_link(), n, BENDING_Y)[0] / exact - 1.0 for n in counts]
     for count, text, error in zip(counts, ("0.475", "0.0483", "0.0033", "0.0002"), errors, strict=True):
         yield printed_row(f"cantilever f_1, elements: {count}, error in percent", HERMITE, text, 100.0 * error)
@@ -142,15 +142,16 @@ def _rotating_beam_rows() -> Iterator[VerificationRow]:
     A heavy hub keeps the rate constant. Axial coordinates balance the centrifugal force; the accelerations are
     linearised in the bending coordinates there. In the plane of rotation lambda^2 is smaller by eta^2.
     """
-    arm = Arm([slender_link(across=1.0)], [Joint((0.0, 0.0, 1.0), 1e9)])
+    arm = Arm([slender_link(rigidity_ratio=1.0)], [Joint((0.0, 0.0, 1.0), 1e9)])
     model = build_model(arm, 8, stiffening=True)
+    nodes = np.arange(model.n_dof)[model.elastic_columns(0)].reshape(8, 6)
     for eta, flap in FLAP.items():
         state = model.initial_state([0.0], [eta])
-        axial = node_columns(8, AXIAL)
+        axial = nodes[:, AXIAL].ravel()
         state[axial] -= np.linalg.solve(_jacobian(model, state, axial), acceleration(model, state, [0.0])[axial])
         chord = np.sqrt(flap**2 - eta**2)
         for name, columns, expected in (("flap", BENDING_Z, flap), ("chord", BENDING_Y, chord)):
-            squares = -np.linalg.eigvals(_jacobian(model, state, node_columns(8, columns))).real
+            squares = -np.linalg.eigvals(_jacobian(model, state, nodes[:, columns].ravel())).real
             result = np.sqrt(squares.min()) if squares.min() > 0.0 else np.nan
             yield VerificationRow(f"rotating beam, eta {eta:g}, {name} lambda_1", WRIGHT, expected, result, 1e-3)
 
@@ -168,17 +169,17 @@ def _paper_arm_rows() -> Iterator[VerificationRow]:
         yield printed_row(f"paper's {name}, mass, kg", TABLE_1, mass, build_beam(link, 2).masses.sum())
         rigidity, density = link.youngs_modulus * link.second_moment_z, link.density * link.area
         scale = np.sqrt(rigidity / density) / (2.0 * np.pi * link.length**2)
-        expected = scale * rayleigh_eigenvalues(2, link.second_moment_z / (link.area * link.length**2))
+        expected = scale * rayleigh_frequencies(2, link.second_moment_z / (link.area * link.length**2))
         result = link_frequencies(link, 16, BENDING_Y)[:2]
         yield from series_rows(f"paper's {name}, bending f_{{}}, Hz", TABLE_1, expected, result, 1e-5)
         for kind, columns in (("axial", AXIAL), ("torsional", TWIST)):
             scale = bar_frequency_scale(link, columns)
             first, highest = link_frequencies(link, 24, columns)[0], link_frequencies(link, 2, columns)[-1]
             yield VerificationRow(
-                f"paper's {name}, {kind} f_1, Hz", TABLE_1, scale * bar_eigenvalues(1)[0], first, 1e-3
+                f"paper's {name}, {kind} f_1, Hz", TABLE_1, scale * bar_frequencies(1)[0], first, 1e-3
             )
             case = f"paper's {name}, highest {kind} f of 2 elements, Hz"
-            yield VerificationRow(case, TABLE_1, scale * bar_eigenvalues(2, 2)[-1], highest, 1e-9)
+            yield VerificationRow(case, TABLE_1, scale * bar_frequencies(2, 2)[-1], highest, 1e-9)
     light = frequencies(build_model(catalog.paper_rrr(rotor_inertia=0.0, joint_stiffness=None)))
     for i, text in enumerate(("4.5", "9.5")):
         case = f"paper's arm, straight, motors free and weightless, f_{i + 1}, Hz"
