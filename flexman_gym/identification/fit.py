@@ -84,14 +84,7 @@ def _data_warnings(problem: LeastSquaresProblem, x: Array) -> tuple[str, ...]:
 
 
 def _find_spikes(label: str, times: Array, measured: Array, residual: Array) -> list[str]:
-    """Return a line about samples whose residual is far from that of their neighbours, if there are any.
-
-    Args:
-        label: name of the output, for the line.
-        times: (m,) s.
-        measured: (m,) measured values.
-        residual: (m,) computed minus measured values.
-    """
+    """Return a line about samples (m,) whose residual is far from that of their neighbours, if there are any."""
     jumps = np.abs(residual[1:-1] - 0.5 * (residual[2:] + residual[:-2]))
     limit = SPIKE_FACTOR * max(1.4826 * float(np.median(jumps)), 1e-9 * np.ptp(measured))
     padded = np.pad(jumps, 1)
@@ -372,10 +365,7 @@ def _solve_from_starts(problem: LeastSquaresProblem, starts: int, rng: np.random
 
 
 def _misfit(problem: LeastSquaresProblem, x: Array) -> float:
-    """Return the sum over outputs of mean squared residuals relative to the variance of the measured values.
-
-    For frequencies and damping ratios they are relative to the assumed variance. Estimated noise has no influence.
-    """
+    """Return the sum of mean squared residuals relative to the variance of the measured (ringing: given) values."""
     total = 0.0
     for block, rows in zip(problem.blocks, problem.split(problem.evaluate(x)[0]), strict=True):
         residual = rows if block.record < 0 else rows * block.sigma / max(float(np.std(block.measured)), 1e-300)

@@ -77,16 +77,14 @@ class Filter:
             set_fields(self, **{name: tuple(array.tolist())})
         if self.denominator[0] == 0.0 or len(self.numerator) > len(self.denominator):
             raise value_error(
-                "Filter.denominator",
-                self.denominator,
-                "a first number other than 0, and as many as above",
+                "Filter.denominator", self.denominator, "a first number other than 0, and as many as above"
             )
         if len(self.denominator) > 1 and np.roots(self.denominator).real.max() >= 0.0:
             raise value_error("Filter.denominator", self.denominator, "poles with negative real part")
 
     @classmethod
     def low_pass(cls, frequency: float, damping_ratio: float | None = None) -> Self:
-        """Return a low-pass filter with a cut-off frequency (Hz): second order with a damping ratio, else first order."""
+        """Return a low-pass filter with a cut-off frequency (Hz), of first order, or of second with a damping ratio."""
         corner = 2.0 * np.pi * positive("frequency", frequency, "Hz")
         if damping_ratio is None:
             return cls((corner,), (1.0, corner))

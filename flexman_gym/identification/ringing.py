@@ -99,9 +99,7 @@ class Ringing:
         chosen = list(self.numbers or ())
         if len(found.values) <= max(chosen):
             raise value_error(
-                "frequencies",
-                self.frequencies,
-                f"at most {len(found.values)}, the number of modes of this model",
+                "frequencies", self.frequencies, f"at most {len(found.values)}, the number of modes of this model"
             )
         s, y = found.values[chosen], found.shapes[chosen]
         jacobian = []

@@ -128,7 +128,7 @@ class Batch:
         energy = np.empty(len(self.rows))
         outputs.total_energies(self.outputs, energy)
         self.start_energy[arms], self.energy_turnover[arms] = energy[arms], 0.0
-        outputs.update_energy_scale(self.rows, self.outputs, self.energy_turnover)
+        outputs.update_energy_turnover(self.rows, self.outputs, self.energy_turnover)
 
     def place(self, arms: np.ndarray, states: Array) -> None:
         """Set the states (r, 2 d) of the arms with the indices (r,), from which the next step starts.
@@ -182,7 +182,7 @@ class Batch:
         for period in range(periods):
             valid = period < good
             turnover = self.energy_turnover[valid]
-            outputs.update_energy_scale(rows[valid, period], read[valid, period], turnover)
+            outputs.update_energy_turnover(rows[valid, period], read[valid, period], turnover)
             self.energy_turnover[valid] = turnover
         return rows[:, :, :-2], read
 

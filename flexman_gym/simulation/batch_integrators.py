@@ -123,16 +123,9 @@ class BatchIntegrator(Protocol):
         """Clear the data that the method of the arms with the indices (r,) keeps between steps."""
 
     def integrate(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
-        """Integrate the arms whose status is OK over one control period under constant inputs.
+        """Integrate the arms whose status is OK over one control period under inputs `drives` (b, n + 6).
 
-        If an arm fails, only its status changes.
-
-        Args:
-            drives: (b, n + 6) inputs of `kernels.layout`.
-            periods: (b,) number of control periods since the reset of each arm.
-            rows: states and energy ledgers.
-            outputs: outputs.
-            status: status.
+        `periods` (b,) are the numbers of control periods since the resets. If an arm fails, only its status changes.
         """
 
     def integrate_periods(
@@ -149,11 +142,9 @@ class BatchIntegrator(Protocol):
 
 
 class SequentialIntegrator(BatchIntegrator):
-    """Batch integrator that integrates one arm after the other, by any method.
+    """Batch integrator with an `Integrator` for each arm, which integrates one arm after the other.
 
-    Args:
-        integrators: an integrator for each arm.
-        period: control period (s), and number of steps in it.
+    `period` is the control period (s) and the number of steps in it.
     """
 
     state_fields = ("own",)
@@ -223,14 +214,8 @@ GROUPS_PER_THREAD = 4  # least number of groups of arms per thread; passing a ta
 class LaneIntegrator(BatchIntegrator):
     """Batch integrator by fixed steps of a linearly implicit method; the ARMS_PER_GROUP arms of a group are SIMD lanes.
 
-    A single arm without foreshortening is integrated by faster kernels of one arm, with the same results to the bit.
-
-    Args:
-        constants: constants of the model.
-        method: the method.
-        period: control period or output interval (s), and number of steps in it.
-        arms: number of arms b.
-        threads: largest number of threads.
+    A single arm without foreshortening is integrated by faster kernels of one arm, with equal results to the bit.
+    `period` is the control period or output interval (s) and the number of steps in it.
     """
 
     state_fields = ("own",)
@@ -430,10 +415,7 @@ class LaneIntegrator(BatchIntegrator):
         self._run_in_threads(run_groups)
 
     def _run_in_threads(self, task: Callable[[slice, IntArray], Iterator[None]]) -> None:
-        """Call `task` in each thread with the groups and the address table of the work space of the thread.
-
-        The task yields after each kernel call; after Ctrl-C it is not resumed.
-        """
+        """Run a task in each thread with the groups and the work space of the thread; Ctrl-C stops it between calls."""
         ended: list[bool] = []
 
         def part(thread: int) -> None:

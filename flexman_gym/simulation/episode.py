@@ -114,13 +114,10 @@ class Episode:
         return float(self.about.get("band", np.nan))
 
     def save(self, path: str | Path) -> Path:
-        """Write arrays and metadata to one file (npz, without pickles).
+        """Write arrays and metadata to a file (npz, without pickles), and return its path.
 
         Args:
             path: the file; missing folders are created.
-
-        Returns:
-            The path of the file.
 
         Raises:
             OSError: where it cannot be written.
@@ -209,9 +206,6 @@ class Episode:
     def to_pandas(self) -> Any:
         """Return `columns` as a pandas DataFrame; its `attrs` hold the metadata.
 
-        Returns:
-            The DataFrame.
-
         Raises:
             ImportError: without pandas.
         """
@@ -225,9 +219,6 @@ class Episode:
         """Return an xarray Dataset with the metadata as `attrs`.
 
         Coordinates: `time`, and for actions, torques and rewards `period`, the end of a control period, s.
-
-        Returns:
-            The Dataset.
 
         Raises:
             ImportError: without xarray.
@@ -244,15 +235,12 @@ class Episode:
 
 
 def episode_metadata(model: Model, settings: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
-    """Return the metadata of an episode as plain data: arm, model, versions, and settings with their hash.
+    """Return the metadata of an episode as plain data: arm, model, versions, settings and their hash.
 
     Args:
         model: the model of the simulation.
         settings: settings of environment and agent.
         **more: further entries, such as name, seed and failure.
-
-    Returns:
-        The metadata, with the version of the file format.
     """
     text = json.dumps(settings or {}, sort_keys=True, default=_plain_value)
     return {

@@ -61,11 +61,7 @@ class ExternalSimulator(Protocol):
 class ExternalIntegrator(BatchIntegrator):
     """Batch integrator that delegates the integration to an external simulator; see `Batch.replace_integrator`.
 
-    Args:
-        model: the model of the batch.
-        integrator: the replaced integrator; it holds the constants of the arms and computes outputs and tip
-            accelerations.
-        simulator: the external simulator.
+    The replaced integrator holds the constants of the arms and computes outputs and tip accelerations.
     """
 
     state_fields = ()
@@ -116,12 +112,9 @@ class ExternalIntegrator(BatchIntegrator):
 
 
 class RefinedSimulator:
-    """External simulator with finer elements and all their coordinates, foreshortening, and shorter steps.
+    """External simulator with `elements` finite elements in each section of a link, foreshortening, and shorter steps.
 
-    Args:
-        batch: the batch whose arms are simulated.
-        elements: finite elements in each section of a link.
-        step_divisor: ratio of the step of the batch to that of the external simulator.
+    `step_divisor` is the ratio of the step of the batch to that of the external simulator.
     """
 
     def __init__(self, batch: Batch, elements: int, step_divisor: int) -> None:
@@ -193,11 +186,8 @@ def _station_shapes(model: Model, link: int, positions: Array) -> Array:
 def _least_squares_matrix(shapes: Array, positions: Array, outboard: Array, mass: float) -> Array:
     """Return the matrix (k, 6 s) from displacements of sections to elastic coordinates of a link, by least squares.
 
-    Args:
-        shapes: (6 s, k) displacements of the sections per unit elastic coordinate.
-        positions: (s,) of the sections along the link, m.
-        outboard: (6, 6) rigid inertia outboard of the link about its tip.
-        mass: mass of the link, kg.
+    `shapes` (6 s, k) are displacements per unit elastic coordinate of the sections at positions (s,), m; `outboard` (6,
+    6) is the rigid inertia outboard of the link about its tip, `mass` that of the link (kg).
     """
     masses = np.repeat(mass / len(positions), len(positions))
     masses[-1] /= 2.0  # trapezoidal rule; the root is fixed

@@ -103,9 +103,6 @@ def _extrapolation_schedule(sequence: Sequence[int], lanes: int) -> IntArray:
     Args:
         sequence: ascending numbers of substeps.
         lanes: number of lanes.
-
-    Returns:
-        Integers (r, lanes, 2).
     """
     remaining, lane = list(range(len(sequence))), [(0, sequence[0])] * lanes
     rounds: list[list[tuple[int, int]]] = []

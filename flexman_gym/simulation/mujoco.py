@@ -39,14 +39,7 @@ class MuJoCoSimulator:
     """External simulator with a MuJoCo model for each arm.
 
     Shapes are computed from positions and rotations of MuJoCo's bodies, without approximations for small angles.
-
-    Args:
-        model: the model of the batch.
-        period: control period, s.
-        arms: number of arms b.
-
-    Raises:
-        ValueError: for an arm with Coulomb friction.
+    `period` is the control period, s. A ValueError is raised for an arm with Coulomb friction.
     """
 
     def __init__(self, model: Model, period: float, arms: int) -> None:

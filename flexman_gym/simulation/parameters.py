@@ -215,9 +215,6 @@ def varied_model(model: Model, **parameters: object) -> Model:
         model: the model.
         **parameters: values by their name in PARAMETERS, in the units there.
 
-    Returns:
-        The model with changed constants.
-
     Raises:
         ValueError: as `Batch.vary`.
     """
@@ -232,9 +229,6 @@ def varied_arm(arm: Arm, values: Mapping[str, Array]) -> Arm:
         arm: the arm.
         values: values by their name in PARAMETERS, as in `varied_model`; stiffness and damping of rigid joints are
             ignored.
-
-    Returns:
-        The changed arm.
     """
     links = arm.links
     if "link_stiffness_factor" in values:

@@ -312,9 +312,6 @@ def simulate_all(
         threads: largest number of threads, 1 to 256.
         **parameters: values (b,) or (b, n) of physical parameters in place of those of the model, see `Batch.vary`.
 
-    Returns:
-        b trajectories.
-
     Examples:
         >>> scene = fm.catalog.paper_scene("rr")
         >>> both = fm.simulate_all([scene, scene], step=0.01, payload_mass=[0.0, 2.0])

@@ -70,10 +70,7 @@ class Simulator:
         self._record: list[tuple[Array, Array]] | None = None
 
     def reset(
-        self,
-        joint_angles: Vector | None = None,
-        joint_rates: Vector | None = None,
-        state: Vector | None = None,
+        self, joint_angles: Vector | None = None, joint_rates: Vector | None = None, state: Vector | None = None
     ) -> None:
         """Restart at time 0, undeformed at joint angles and rates, or from a complete state.
 
@@ -119,9 +116,6 @@ class Simulator:
         """Return the record as a trajectory, with a row for its start, at time 0, and for each successful period.
 
         Work and dissipation are those since the start of the record. `evaluations` and `wall_seconds` are 0.
-
-        Returns:
-            The trajectory.
 
         Raises:
             RuntimeError: where `record` was not called before.

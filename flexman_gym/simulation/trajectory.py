@@ -25,15 +25,12 @@ def _energy_turnover(moving_energy: Array | float, work: Array | float, dissipat
 
 
 def energy_alarm(residual: Any, turnover: Any, level: float = ENERGY_ALARM) -> Any:
-    """Return whether an energy residual exceeds a share of the energy turnover.
+    """Return True, or an array of flags, if an energy residual exceeds a fraction of the energy turnover.
 
     Args:
         residual: number or array, J.
         turnover: energy turnover, number or array, J.
-        level: the share, 1.
-
-    Returns:
-        A flag, or an array of flags.
+        level: the fraction, 1.
     """
     return abs(residual) > level * turnover
 
@@ -168,9 +165,6 @@ class Trajectory:
         Args:
             link: index of the link, from 0.
             positions: (P,) distances of the sections from the joint of the link, 0 to the length of the link, m.
-
-        Returns:
-            Forces (N) and moments (N m), (T, P, 6).
         """
         i, (kinetics, motion) = whole_number("link", link, 0, self.model.n_joints - 1), self._motion
         length, checked = self.model.arm.links[i].length, vector("positions", positions, unit="m")
@@ -249,9 +243,6 @@ class Trajectory:
 
         Args:
             level: largest allowed residual as a fraction of the energy turnover at the end.
-
-        Returns:
-            The time, or None without an alarm.
         """
         above = np.flatnonzero(energy_alarm(self.energy_residual, self.energy_turnover[-1], positive("level", level)))
         return float(self.time[above[0]]) if above.size else None
@@ -276,9 +267,6 @@ def build_trajectory(
         outcome: status, number of evaluations, and wall-clock time of the integration, s.
         explain: function: trajectory -> its explanation.
         kinetics: function: trajectory -> its `Kinetics`.
-
-    Returns:
-        The trajectory.
     """
     size = 2 * model.n_dof
     return Trajectory(
