@@ -198,7 +198,7 @@ def _draw(found: "Fit", file: Path) -> None:
 MIN_SCORE = 0.9  # 1; R2 below which a fit is poor and other starts are tried
 MAX_DEVIATIONS = 3.0  # standard deviations of a frequency residual beyond which a fit is poor
 SPREAD = 1.0  # 1; largest change of the logarithm of a parameter in other starts
-MAX_STARTS = 3  # number of other starts, the best ones, from which the problem is solved
+MAX_STARTS = 3  # number of starts with the smallest misfit from which the problem is solved
 WEAK_PRIOR = 1e-8  # 1; relative weight of a prior that keeps the covariance finite
 
 

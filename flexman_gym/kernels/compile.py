@@ -116,9 +116,9 @@ class _InlineLowering(NativeLowering):
         state.flags.no_compile = True
         super().run_pass(state)
         lowered = state.cr
-        about = lowered.fndesc
-        name = _dynfunc.make_function(about.lookup_module(), about.qualname, "", 0, lowered.env, (library,))
-        state.targetctx.insert_user_function(name, about, [library])
+        described = lowered.fndesc
+        name = _dynfunc.make_function(described.lookup_module(), described.qualname, "", 0, lowered.env, (library,))
+        state.targetctx.insert_user_function(name, described, [library])
         state.cr = lowered._replace(cfunc=name)
         return True
 

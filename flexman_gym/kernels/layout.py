@@ -9,9 +9,9 @@ numbers: the work done by motors and disturbances, and the energy dissipated, si
 
 Drive. The n + 6 inputs of the arm are n motor torques (N m), or accelerations (rad/s^2) of motors with prescribed
 motion; 3 components of a force on the tip (N) and 3 of the acceleration of the base (m/s^2), both in the base frame. A
-drive table (7, n + 6) gives them as functions of time t: each column has the offset, amplitude, frequency (Hz), phase
-(rad), start (s), stop (s) and slope (1/s) of an input, which is offset + slope t + amplitude sin(2 pi frequency t +
-phase) while start <= t < stop, and zero otherwise. Offset, amplitude and slope have the unit of the input.
+drive table (7, n + 6) gives the inputs as functions of time t: column j has the offset, amplitude, frequency (Hz),
+phase (rad), start (s), stop (s) and slope of input j, which is offset + slope t + amplitude sin(2 pi frequency t +
+phase) while start <= t < stop, and zero otherwise. Offset and amplitude have the unit of the input, slope that per s.
 
 Equation numbers are those of the paper "Dynamic modeling and simulation of spatial manipulator with flexible links and
 joints".
@@ -36,8 +36,8 @@ acceleration or force that depends on x and v only (velocity-product term). A mo
 moments are those of mass.
 
 Six-vectors begin with the linear part. All vectors of a link are in its beam frame, whose x axis is the undeformed
-centreline. Matrices (k_i, k_i) of links are stored by rows one after the other, q = sum of k_i^2 entries, and begin at
-`square_start[i]`; rows of the k elastic coordinates begin at `elastic_start[i]`.
+centreline. Matrices (k_i, k_i) of links are stored by rows one after the other and begin at `square_start[i]`; in
+shapes, q is their number of entries, the sum of k_i^2. Rows of the k elastic coordinates begin at `elastic_start[i]`.
 """
 
 from collections.abc import Callable
@@ -113,7 +113,7 @@ class Constants(NamedTuple):
     shape_start: IntArray  # (9 k + 1,)
     shape_source: IntArray
     shape_value: Array
-    # integral of S_b x S_a dm in the same format, three numbers for each a
+    # integral of S_b x S_a dm as a sparse matrix like that of U, three numbers for each a
     cross_start: IntArray  # (3 k + 1,)
     cross_source: IntArray
     cross_value: Array

@@ -105,7 +105,7 @@ class Batch:
         self._periods = np.zeros(count)  # number of control periods since the reset
         self.energy_turnover, self.start_energy = np.zeros(count), np.zeros(count)
         self._drive = np.zeros((count, n + 6))  # drive of the last successful control period, zero after a reset
-        # tip accelerations, and whether they are those of the present rows
+        # tip accelerations; True if they are those of the present rows
         self._felt, self._known = np.zeros((count, layout.TIP_ACCELERATIONS)), False
         self.nominal = nominal_parameters(model)
         self.reset(np.arange(count), np.zeros((count, 2 * model.n_dof)))

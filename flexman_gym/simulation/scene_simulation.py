@@ -46,7 +46,7 @@ class _Interval(NamedTuple):
 
     Attributes:
         piece: index of the piece.
-        row: number of outputs from time 0 to the start of the interval, without that at time 0.
+        row: number of whole output intervals before its start.
         rows: number of whole output intervals in this interval; 0 where it is shorter than an output interval.
         grid: start (s), step (s), and number of steps in an output interval, or in this interval where `rows` is 0.
         complete: True if an output is due at the end of the interval.

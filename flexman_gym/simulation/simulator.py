@@ -15,7 +15,7 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.diagnostics import explain_energy, explain_failure
 from flexman_gym.simulation.integrator import prescribed_flags
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
-from flexman_gym.simulation.trajectory import Trajectory, build_trajectory, energy_alarm
+from flexman_gym.simulation.trajectory import ENERGY_ALARM, Trajectory, build_trajectory
 
 
 class Simulator:
@@ -189,7 +189,7 @@ class Simulator:
     def explanation(self) -> str:
         """Return the cause of a failure or of an energy alarm, with remedies, see `Trajectory`; otherwise ""."""
         ok, model = self.status == STATUS[layout.OK], self.model
-        if ok and not energy_alarm(self.energy_residual, self.energy_turnover):
+        if ok and not abs(self.energy_residual) > ENERGY_ALARM * self.energy_turnover:
             return ""
         integrator, step = self.batch.integrator(0), self.control_period / self.substeps
         if ok:

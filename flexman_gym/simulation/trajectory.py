@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,17 +22,6 @@ ENERGY_ALARM = 0.01  # 1; fraction of the energy turnover above which the energy
 def _energy_turnover(moving_energy: Array | float, work: Array | float, dissipation: Array | float) -> Array:
     """Return the largest of kinetic + elastic energy, |work| and |dissipation|, J: the scale of the energy residual."""
     return np.maximum(np.maximum(moving_energy, np.abs(work)), np.abs(dissipation))
-
-
-def energy_alarm(residual: Any, turnover: Any, level: float = ENERGY_ALARM) -> Any:
-    """Return True, or an array of flags, if an energy residual exceeds a fraction of the energy turnover.
-
-    Args:
-        residual: number or array, J.
-        turnover: energy turnover, number or array, J.
-        level: the fraction, 1.
-    """
-    return abs(residual) > level * turnover
 
 
 class Kinetics(NamedTuple):
@@ -244,7 +233,8 @@ class Trajectory:
         Args:
             level: largest allowed residual as a fraction of the energy turnover at the end.
         """
-        above = np.flatnonzero(energy_alarm(self.energy_residual, self.energy_turnover[-1], positive("level", level)))
+        largest = positive("level", level) * self.energy_turnover[-1]
+        above = np.flatnonzero(abs(self.energy_residual) > largest)
         return float(self.time[above[0]]) if above.size else None
 
 
