@@ -28,7 +28,6 @@ from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.control_period import all_within, apply_actions, count_episode_periods, flag_violations
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.trajectory import energy_alarm
 
 ROUNDING = 1e-6  # largest rounding error of float32 actions near 1
 
@@ -390,7 +389,7 @@ class Episodes:
             "tip_vibration": view.tip_vibration,
             "elastic_energy": view.elastic_energy,
             "energy_residual": residual,
-            "energy_alarm": energy_alarm(residual, view.energy_turnover, self._energy_alarm),
+            "energy_alarm": abs(residual) > self._energy_alarm * view.energy_turnover,
             "reward_terms": dict(self.terms),
             **{
                 name: copy(value) for name, value in self.task.info(view).items()

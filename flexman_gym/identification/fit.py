@@ -10,7 +10,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import instance, mapping, positive, value_error, whole_number
 from flexman_gym.common.files import write_data
-from flexman_gym.identification.least_squares import FreeParameters, LeastSquaresProblem, ResidualBlock
+from flexman_gym.identification.least_squares import FreeParameters, LeastSquaresProblem
 from flexman_gym.identification.measurement import Measurement, SimulatedResponse, output_unit
 from flexman_gym.identification.ringing import KEYS, Ringing
 from flexman_gym.model.model import build_model
@@ -18,21 +18,21 @@ from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.serialization import to_plain
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters
 
-MAX_RELATIVE_DEVIATION = 0.5  # above it a parameter is undetermined
-MIN_COMPONENT = 0.3  # of an eigenvector of the covariance, for a parameter to take part in it
-SPIKE_FACTOR = 10.0  # a spike over the robust standard deviation of the residual
-MIN_CORRELATION = 0.7  # of measured and computed output, for a check of unit and sign
-MAX_SCORE = 0.995  # R2 above which no missing filter is suspected
+MAX_RELATIVE_DEVIATION = 0.5  # 1; relative standard deviation above which a parameter is undetermined
+MIN_COMPONENT = 0.3  # 1; least component of an eigenvector of the covariance for a parameter that belongs to it
+SPIKE_FACTOR = 10.0  # 1; size of a spike relative to the robust standard deviation of the residual
+MIN_CORRELATION = 0.7  # 1; least correlation of measured and computed output for a check of unit and sign
+MAX_SCORE = 0.995  # 1; R2 above which no missing filter is suspected
 UNIT_SCALES = {"rad": {57.29578: "deg", 1e3: "mrad"}, "m": {1e3: "mm", 1e2: "cm"}, "m/s^2": {1.0 / 9.80665: "g"},
                "1": {1e6: "um/m", 1e2: "percent"}}  # fmt: skip
-MAX_SCALE = 4.0  # ratio of measured to computed output above which a wrong unit is suspected
-FILTER_RESIDUAL = 0.5  # fraction of the squared residuals that a filter may leave to be reported as missing
+MAX_SCALE = 4.0  # 1; ratio of measured to computed output above which a wrong unit is suspected
+FILTER_RESIDUAL = 0.5  # 1; a filter is reported as missing if it reduces the squared residuals below this fraction
 
 
 def _find_undetermined(free: FreeParameters, values: Array, covariance: Array) -> tuple[tuple[str, ...], str]:
-    """Find the parameters left undetermined by the data.
+    """Find the parameters that the data do not determine.
 
-    A parameter is undetermined if its standard deviation exceeds half of its value and half of its value at the start.
+    A parameter is undetermined if its standard deviation exceeds half of its value and half of its initial value.
 
     Args:
         free: the free parameters.
@@ -40,7 +40,7 @@ def _find_undetermined(free: FreeParameters, values: Array, covariance: Array) -
         covariance: covariance (p, p) of their logarithms.
 
     Returns:
-        The names of these parameters, and a sentence about them and any inseparable ones.
+        The names of undetermined parameters, and a sentence about undetermined and inseparable parameters.
     """
     scale = values / np.maximum(values, free.start)
     sizes, directions = np.linalg.eigh(covariance * np.outer(scale, scale))
@@ -68,11 +68,13 @@ def _data_warnings(problem: LeastSquaresProblem, x: Array) -> tuple[str, ...]:
         if block.record < 0:
             continue
         label, residual = f"record {block.record}, {block.name}", after * block.sigma
-        lines += _find_spikes(label, problem, block, residual)
-        wrong = _check_scale(label, block, block.measured + before * block.sigma) if block.gain < 0 else ""
+        data = problem.responses[block.record].measurement
+        lines += _find_spikes(label, np.asarray(data.times)[data.compared], block.measured, residual)
+        computed = block.measured + before * block.sigma
+        wrong = _check_scale(label, block.name, block.measured, computed) if block.gain < 0 else ""
         lines += [wrong] if wrong else []
         score = 1.0 - np.mean(residual**2) / max(float(np.var(block.measured)), 1e-300)
-        if score < MAX_SCORE and not wrong and not problem.responses[block.record].measurement.filters.get(block.name):
+        if score < MAX_SCORE and not wrong and not data.filters.get(block.name):
             unexplained.add(block.name)
         if score < 0.5:
             lines.append(
@@ -81,22 +83,21 @@ def _data_warnings(problem: LeastSquaresProblem, x: Array) -> tuple[str, ...]:
     return (*lines, *(line for name in sorted(unexplained) for line in _check_filter(problem, x, name)))
 
 
-def _find_spikes(label: str, problem: LeastSquaresProblem, block: ResidualBlock, residual: Array) -> list[str]:
-    """Return a line about samples of the residual far outside their neighbourhood, if there are any."""
+def _find_spikes(label: str, times: Array, measured: Array, residual: Array) -> list[str]:
+    """Return a line about samples (m,) whose residual is far from that of their neighbours, if there are any."""
     jumps = np.abs(residual[1:-1] - 0.5 * (residual[2:] + residual[:-2]))
-    limit = SPIKE_FACTOR * max(1.4826 * float(np.median(jumps)), 1e-9 * np.ptp(block.measured))
+    limit = SPIKE_FACTOR * max(1.4826 * float(np.median(jumps)), 1e-9 * np.ptp(measured))
     padded = np.pad(jumps, 1)
     found = np.flatnonzero((jumps > limit) & (jumps >= padded[:-2]) & (jumps >= padded[2:])) + 1
     if not len(found) or len(found) > 0.02 * len(residual):
         return []
-    data = problem.responses[block.record].measurement
-    time = np.asarray(data.times)[data.compared][found[0]]
+    time = times[found[0]]
     return [f"{label}: single samples have large residuals, the first at {time:g} s; is the record damaged?"]
 
 
-def _check_scale(label: str, block: ResidualBlock, computed: Array) -> str:
-    """Return a line about a unit or a sign in contradiction to the initial arm, "" for none."""
-    a, b = computed - computed.mean(), block.measured - block.measured.mean()
+def _check_scale(label: str, name: str, measured: Array, computed: Array) -> str:
+    """Return a line about an output whose unit or sign contradicts the initial arm, "" for none."""
+    a, b = computed - computed.mean(), measured - measured.mean()
     sizes = np.linalg.norm(a), np.linalg.norm(b)
     if min(sizes) == 0.0:
         return ""
@@ -105,19 +106,19 @@ def _check_scale(label: str, block: ResidualBlock, computed: Array) -> str:
         return f"{label}: it moves opposite to the arm; is a sign wrong?"
     if correlation < MIN_CORRELATION or 1.0 / MAX_SCALE < ratio < MAX_SCALE:
         return ""
-    unit = output_unit(block.name)
-    near = [name for factor, name in UNIT_SCALES.get(unit, {}).items() if 0.5 < ratio / factor < 2.0]
+    unit = output_unit(name)
+    near = [other for factor, other in UNIT_SCALES.get(unit, {}).items() if 0.5 < ratio / factor < 2.0]
     guess = f" in {near[0]}" if near else " or an input in another unit"
     return f"{label}: it is {ratio:.3g} times the computed value in {unit}; is it{guess}?"
 
 
 def _check_filter(problem: LeastSquaresProblem, x: Array, name: str) -> list[str]:
-    """Return a line about a low-pass filter missing in the record, if it explains most of the residual."""
+    """Return a line about a low-pass filter that the record lacks, if it explains most of the residual of an output."""
     filtered = LeastSquaresProblem(problem.free, problem.ringing, problem.responses, problem.choice, corner=name)
     start = filtered.start.copy()
     index = len(problem.free.numbers) + filtered.nuisances.index(f"corner of {name}")
     data = filtered.responses[0].measurement
-    start[index] = np.log(2.0 * np.pi / data.period * np.sqrt(0.5 / len(data.times)))  # between slowest and fastest
+    start[index] = np.log(2.0 * np.pi / data.period * np.sqrt(0.5 / len(data.times)))  # mid-range
     found = filtered.solve(start)
     sums = [_squared_residuals(each, y, name) for each, y in ((problem, x), (filtered, found))]
     corner = float(np.exp(found[index]) / (2.0 * np.pi))
@@ -194,11 +195,11 @@ def _draw(found: "Fit", file: Path) -> None:
     figure.savefig(file)
 
 
-MIN_SCORE = 0.9  # R2 below which a fit is poor and other starts are tried
+MIN_SCORE = 0.9  # 1; R2 below which a fit is poor and other starts are tried
 MAX_DEVIATIONS = 3.0  # standard deviations of a frequency residual beyond which a fit is poor
-SPREAD = 1.0  # of the logarithms of other starts, to either side
-MAX_STARTS = 3  # number of best starts from which the problem is solved
-WEAK_PRIOR = 1e-8  # relative weight of a prior that keeps the covariance finite
+SPREAD = 1.0  # 1; largest change of the logarithm of a parameter in other starts
+MAX_STARTS = 3  # number of starts with the smallest misfit from which the problem is solved
+WEAK_PRIOR = 1e-8  # 1; relative weight of a prior that keeps the covariance finite
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,17 +211,17 @@ class Fit:
         values: fitted values by the names passed to `fit`; a number, or (n,) with one value per joint or link. Units
             are those of `simulation.parameters.PARAMETERS`; link_stiffness_factor is a factor on the moduli of the
             initial arm.
-        deviations: standard deviations of the values by the same names; 0 for fixed values. Coloured
-            residuals count as a correspondingly smaller number of samples.
-        undetermined: parameters left undetermined by the data, such as "joint_stiffness[1]".
-        explanation: sentence about these parameters and about parameters that cannot be separated from each other.
-        warnings: likely errors in the data: a unit, a sign, a missing filter, single samples.
-        gains: gain and standard deviation of each output with an unknown gain, by the name of the output.
+        deviations: standard deviations of the values by the names passed to `fit`; 0 for fixed values. They take the
+            autocorrelation of the residuals into account.
+        undetermined: parameters that the data do not determine, such as "joint_stiffness[1]".
+        explanation: sentence about undetermined parameters and about parameters that the data cannot separate.
+        warnings: likely errors in the data: wrong units or signs, missing filters, damaged samples.
+        gains: name of each output with an unknown gain -> estimated gain and its standard deviation.
         scores: coefficient of determination R2 of each output, by a name such as "record 0, motor_angle_1".
         frequencies: rows (k, 3) of measured value, computed value and standard deviation of the frequencies and damping
             ratios.
         correlation: correlation matrix (p, p) of the free parameters, in their order.
-        choice: numbers of elements and modes of the model.
+        choice: arguments `elements` and `modes` of `build_model`.
         records: the fitted records.
         step: time step of the simulation, s; None for the sampling interval.
 
@@ -270,14 +271,14 @@ class Fit:
         return result
 
     def score(self, record: Measurement) -> dict[str, float]:
-        """Return the coefficient of determination R2 of each output of a record, fitted or not."""
+        """Return the coefficient of determination R2 of each output of any record, by name."""
         outputs, samples = self.predicted(record), record.compared
         return {
             name: _r_squared(np.asarray(record.outputs[name])[samples], each[samples]) for name, each in outputs.items()
         }
 
     def save(self, path: str | Path) -> None:
-        """Write the arm to a .json, .yaml or .yml file under the key `arm`, as in a file of an environment."""
+        """Write the arm to a .json, .yaml or .yml file under the key `arm`, as in a configuration of an environment."""
         write_data(Path(path), {"arm": to_plain(self.arm)})
 
     def report(self, folder: str | Path) -> None:
@@ -300,26 +301,26 @@ def fit(
 ) -> Fit:
     """Estimate physical parameters of an arm from measured frequencies, damping ratios and time records.
 
-    The squared residuals, in units of their standard deviations, are minimised by Gauss-Newton steps in a trust region.
-    The Jacobian of frequencies is exact; that of time records is computed by central differences of perturbed arms
-    simulated together. A poor fit is repeated from other starting points. The time step of the simulation is halved
-    until the estimates no longer change.
+    The sum of squared residuals, each relative to its standard deviation, is minimised by Gauss-Newton steps in a trust
+    region. The Jacobian of frequencies and damping ratios is exact; that of time records is computed by central
+    differences. A poor fit is repeated from other starts. The time step of the simulation is halved until the estimates
+    no longer change.
 
     Args:
         arm: initial arm.
-        free: names of free parameters from `simulation.parameters.PARAMETERS`; "joint_stiffness[1]" is that of one
-            joint, counted from 0.
-        frequencies: the k lowest frequencies (k,) at zero angles with locked motors, Hz, with a standard deviation of
-            0.5 %; or one or several mappings of arguments of `Ringing`, for other postures, free motors and other
-            deviations.
-        damping: damping ratios (k,) of these frequencies, with a standard deviation of 10 %.
+        free: names of free parameters from `simulation.parameters.PARAMETERS`; "joint_stiffness[1]" is the stiffness of
+            the joint with index 1, counted from 0.
+        frequencies: the k lowest frequencies (k,) at zero joint angles with locked motors, Hz, with a relative standard
+            deviation of 0.5 %. For other postures, free motors or other deviations: a `Ringing`, a mapping of its
+            arguments, or a list of these.
+        damping: damping ratios (k,) of the modes with these frequencies, with a relative standard deviation of 10 %.
         records: time records.
-        elements: finite elements, see `build_model`.
-        modes: component modes, see `build_model`.
+        elements: numbers of finite elements, see `build_model`.
+        modes: numbers of component modes, see `build_model`.
         step: initial time step of the simulation, s; None for the sampling interval.
-        starts: number of other starting points for a poor fit, within a factor e of the initial values.
-        check: whether to check units, signs, filters and single samples of the records. This takes a further fit for
-            each poorly explained output without a filter.
+        starts: number of other starts of a poor fit, drawn within a factor e of the initial values.
+        check: True checks the records for wrong units or signs, missing filters and damaged samples. This takes a
+            further fit for each poorly explained output without a filter.
 
     Returns:
         The fitted arm, with its uncertainty.
@@ -351,20 +352,20 @@ def fit(
 
 
 def _solve_from_starts(problem: LeastSquaresProblem, starts: int, rng: np.random.Generator) -> Array:
-    """Return the parameter vector of the best fit; other starts are tried only if the first fit is poor."""
+    """Return the parameter vector of the best fit; `starts` other starts are tried if the first fit is poor."""
     x = problem.solve(problem.start)
     if not _is_poor(problem, x) or not starts:
         return x
-    places = [problem.start.copy() for _ in range(starts)]
-    for place in places:
-        place[: len(problem.free.numbers)] += rng.uniform(-SPREAD, SPREAD, len(problem.free.numbers))
-    places.sort(key=lambda place: _misfit(problem, place))
-    found = [x, *(problem.solve(place) for place in places[:MAX_STARTS])]
-    return min(found, key=lambda place: _misfit(problem, place))
+    vectors = [problem.start.copy() for _ in range(starts)]
+    for vector in vectors:
+        vector[: len(problem.free.numbers)] += rng.uniform(-SPREAD, SPREAD, len(problem.free.numbers))
+    vectors.sort(key=lambda vector: _misfit(problem, vector))
+    found = [x, *(problem.solve(vector) for vector in vectors[:MAX_STARTS])]
+    return min(found, key=lambda vector: _misfit(problem, vector))
 
 
 def _misfit(problem: LeastSquaresProblem, x: Array) -> float:
-    """Return a misfit independent of the weights: mean squared residuals relative to variances or deviations."""
+    """Return the sum of mean squared residuals relative to the variance of the measured (ringing: given) values."""
     total = 0.0
     for block, rows in zip(problem.blocks, problem.split(problem.evaluate(x)[0]), strict=True):
         residual = rows if block.record < 0 else rows * block.sigma / max(float(np.std(block.measured)), 1e-300)
@@ -373,7 +374,7 @@ def _misfit(problem: LeastSquaresProblem, x: Array) -> float:
 
 
 def _is_poor(problem: LeastSquaresProblem, x: Array) -> bool:
-    """Return whether an output has a low R2, or a frequency is far from its measured value."""
+    """Return True if R2 of an output is low, or a frequency or damping ratio far from its measured value."""
     for block, rows in zip(problem.blocks, problem.split(problem.evaluate(x)[0]), strict=True):
         if block.record < 0:
             if np.abs(rows).max() > MAX_DEVIATIONS:
@@ -420,38 +421,38 @@ def _by_name(free: FreeParameters, parameters: Mapping[str, Array]) -> dict[str,
 
 
 def parameter_covariance(problem: LeastSquaresProblem, x: Array) -> Array:
-    """Return the covariance (u, u) of the parameter vector, also for coloured noise that differs by record."""
+    """Return the covariance (u, u) of the parameter vector, a sandwich estimate for autocorrelated residuals."""
     residuals, jacobian = problem.evaluate(x)
     prior = WEAK_PRIOR * np.eye(len(x)) * np.maximum((jacobian**2).sum(axis=0).max(), 1.0) * 1e-4
     inverse = np.linalg.inv(jacobian.T @ jacobian + prior)
-    share = len(x) / len(residuals)
+    used = len(x) / len(residuals)  # fraction of the degrees of freedom used by the fit
     middle = np.zeros_like(inverse)
     for block, rows, own in zip(problem.blocks, problem.split(residuals), problem.split(jacobian), strict=True):
-        noise = 1.0 if block.record < 0 else float(np.mean(rows**2)) / max(1.0 - share, 0.1) * _correlation_length(rows)
+        noise = 1.0 if block.record < 0 else float(np.mean(rows**2)) / max(1.0 - used, 0.1) * _correlation_length(rows)
         middle += noise * own.T @ own
     return np.asarray(inverse @ (middle + prior) @ inverse)
 
 
 def _correlation_length(rows: Array) -> float:
-    """Return the number of samples equivalent to one: 1 for white noise, more for correlated residuals."""
+    """Return the sum of the autocorrelation of residuals over all lags: 1 for white noise, more for coloured noise."""
     centred = rows - rows.mean()
     size, power = len(centred), float(centred @ centred)
     if power <= 0.0:
         return 1.0
     spectrum = np.abs(np.fft.rfft(centred, 2 * size)) ** 2
     autocorrelation = np.fft.irfft(spectrum)[:size] / power
-    ends = np.flatnonzero(autocorrelation < 2.0 / np.sqrt(size))  # where it is lost in the noise
+    ends = np.flatnonzero(autocorrelation < 2.0 / np.sqrt(size))  # lags without significant correlation
     return float(1.0 + 2.0 * autocorrelation[1 : ends[0] if len(ends) else size].sum())
 
 
 def _r_squared(measured: Array, computed: Array) -> float:
-    """Return the coefficient of determination, 1 minus the residual variance over the variance of the measurement."""
+    """Return R2: 1 minus the mean squared residual relative to the variance of the measured values."""
     spread = float(np.sum((measured - measured.mean()) ** 2))
     return 1.0 - float(np.sum((measured - computed) ** 2)) / max(spread, 1e-300)
 
 
 def _parse_ringings(frequencies: Any, damping: Any) -> list[Ringing]:
-    """Return the `frequencies` and `damping` arguments of a fit as a list of Ringing."""
+    """Return the arguments `frequencies` and `damping` of `fit` as a list of Ringing."""
     if frequencies is None:
         if damping is not None:
             raise value_error("damping", damping, "the frequencies of the same modes, too")

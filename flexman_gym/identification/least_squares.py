@@ -1,4 +1,4 @@
-"""Least-squares problem of a fit: logarithms of free parameters, residuals of the data, and their Jacobian."""
+"""Least-squares problem of a fit: logarithms of free parameters, residuals, their Jacobian, and the solution."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -16,11 +16,12 @@ from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters, varied_arm
 
-MAX_LOG_CHANGE = 7.0  # largest change of a logarithm from its start: a factor of 1100
-MAX_DAMPING_RATIO = 0.99  # of a link
-LOG_STEP = 1e-3  # change of a logarithm, to either side, for finite differences
-TYPICAL_RATE = 2.0 * np.pi  # rad/s; for the values below
-TYPICAL_VALUES: dict[str, Callable[[Model, Array], Array | float]] = {  # start of a parameter that is 0 in the arm
+MAX_LOG_CHANGE = 7.0  # largest change of the logarithm of a parameter from its start: a factor of 1100
+MAX_DAMPING_RATIO = 0.99  # 1; largest modal damping ratio of a link
+LOG_STEP = 1e-3  # step of logarithms of parameters in central differences
+TYPICAL_RATE = 2.0 * np.pi  # rad/s; motor rate at which friction is estimated below
+# Start of a parameter that is 0 in the arm, from the model and the joint inertias (n,), kg m^2.
+TYPICAL_VALUES: dict[str, Callable[[Model, Array], Array | float]] = {
     "payload_mass": lambda model, inertia: 0.1 * sum(link.mass for link in model.arm.links),
     "joint_damping": lambda model, inertia: 0.02 * np.sqrt(model.constants.joint_stiffness * inertia),
     "rotor_inertia": lambda model, inertia: 0.1 * inertia,
@@ -74,18 +75,18 @@ class FreeParameters:
         self.highest = np.where(ratios, np.log(MAX_DAMPING_RATIO / start), MAX_LOG_CHANGE)
 
     def select(self, parameters: Mapping[str, Any]) -> Array:
-        """Return the free values (p,) out of parameters by name."""
+        """Return the values (p,) of the free scalars from parameters by name."""
         return np.array([np.ravel(parameters[each.parameter])[each.joint or 0] for each in self.numbers], dtype=float)
 
     def parameters(self, values: Array, rest: float = 1.0) -> dict[str, Array]:
-        """Return parameters by name with free values (p,); the others are `rest` times those of the initial arm."""
+        """Return parameters by name: free values (p,), and `rest` times the initial values for all other entries."""
         result = {each.parameter: rest * np.array(self._base[each.parameter], ndmin=1) for each in self.numbers}
         for number, value in zip(self.numbers, values, strict=True):
             result[number.parameter][number.joint or 0] = value
         return {name: each if PARAMETERS[name].of != ARM else each[0] for name, each in result.items()}
 
     def build_arm(self, values: Array) -> Arm:
-        """Return the arm with free values (p,)."""
+        """Return the arm with values (p,) of the free scalars."""
         return varied_arm(self.arm, self.parameters(values))
 
     def perturbed(self, model: Model, departures: Array) -> dict[str, Array]:
@@ -93,11 +94,12 @@ class FreeParameters:
 
         Args:
             model: model of an arm.
-            departures: logarithms (p,) of the free values relative to those of the model, the same for all arms; each
-                value is in turn increased and decreased by LOG_STEP.
+            departures: logarithms (p,) of the ratios of free values to those of the model, for all arms; in the
+                perturbed arms one of them is increased or decreased by LOG_STEP.
 
         Returns:
-            Parameters (1 + 2 p, ...) by name, of a nominal arm and of 2 p perturbed arms.
+            Parameters (1 + 2 p, ...) by name: those of the unperturbed arm, then for each free scalar those of the arms
+            with its increased and its decreased value.
         """
         count, nominal = 1 + 2 * len(self.numbers), nominal_parameters(model)
         result = {each.parameter: np.array([nominal[each.parameter]] * count) for each in self.numbers}
@@ -110,7 +112,7 @@ class FreeParameters:
 
 
 def _numbers(name: str, model: Model) -> list[_FreeNumber]:
-    """Return the free scalars of a name, such as joint_stiffness or joint_stiffness[1]."""
+    """Return the free scalars of a name passed to `fit`, such as joint_stiffness or joint_stiffness[1]."""
     kind, _, index = name.partition("[")
     kind = next(iter(rename_keys({kind: None}, PARAMETER_KEYS, field="free")))
     if PARAMETERS[one_of("free", kind, PARAMETERS)].of == ARM:
@@ -128,20 +130,20 @@ def _numbers(name: str, model: Model) -> list[_FreeNumber]:
     return [_FreeNumber(kind, each) for each in indices]
 
 
-INITIAL_NOISE = 0.1  # assumed noise as a fraction of the standard deviation of a signal, before the first fit
-MIN_NOISE = 1e-12  # in the unit of the signal; below it is rounding
+INITIAL_NOISE = 0.1  # 1; standard deviation of noise before the first fit, relative to that of the signal
+MIN_NOISE = 1e-12  # in the unit of the signal; least standard deviation of noise, the size of rounding errors
 FAILED_RESIDUAL = 1e3  # standard deviations; residual of an arm whose simulation fails
-MAX_ROUNDS = 4  # alternations of solving for the parameters and updating noise and model
-MAX_EVALUATIONS = 40  # in each round
+MAX_ROUNDS = 4  # largest number of alternations of solving for the parameters and updating noise and model
+MAX_EVALUATIONS = 40  # largest number of evaluations in a round
 ROUND_TOLERANCE = 1e-4  # change of the parameter vector below which a round is the last
 STEP_TOLERANCE = 0.5  # standard deviations; largest change of a parameter by halving the time step
-MIN_RELATIVE_NOISE = 1e-3  # least noise of a signal in this comparison, as a fraction of its standard deviation
-MAX_HALVINGS = 5  # of the time step
-BOUND_MARGIN = 1e-3  # least distance of a start from a bound
-FILTER_DAMPING_RATIO = 0.7  # of a filter that a record may lack
+MIN_RELATIVE_NOISE = 1e-3  # 1; least noise for this test, relative to the standard deviation of the signal
+MAX_HALVINGS = 5  # largest number of halvings of the time step
+BOUND_MARGIN = 1e-3  # least distance of the start of a solution from the bounds of the parameter vector
+FILTER_DAMPING_RATIO = 0.7  # 1; damping ratio of the assumed filter of an output
 
 
-class ResidualBlock(NamedTuple):
+class _ResidualBlock(NamedTuple):
     """Residuals of one output of a record, or of the frequencies and damping ratios at one posture.
 
     Attributes:
@@ -149,10 +151,10 @@ class ResidualBlock(NamedTuple):
         name: name of the output.
         measured: measured values (m,).
         sigma: assumed standard deviations (m,).
-        known: whether the standard deviations were given.
+        known: True if the standard deviations are given by the user.
         gain: index of the gain among the nuisance parameters, or -1.
         offset: index of the offset among the nuisance parameters, or -1.
-        corner: index of the corner frequency of an assumed filter among the nuisance parameters, or -1.
+        corner: index of the cut-off frequency of an assumed filter among the nuisance parameters, or -1.
     """
 
     record: int
@@ -168,8 +170,8 @@ class ResidualBlock(NamedTuple):
 class LeastSquaresProblem:
     """Residuals of an arm as a function of the parameter vector.
 
-    The parameter vector (u,) holds the logarithms (p,) of the free values relative to their start, then nuisance
-    parameters: gains and offsets of sensors, and the corner frequency of a filter.
+    The parameter vector (u,) has the logarithms (p,) of the ratios of the free values to their initial values, then the
+    nuisance parameters: gains and offsets of sensors, and the logarithm of the cut-off frequency (rad/s) of a filter.
 
     Args:
         free: the free parameters.
@@ -199,7 +201,7 @@ class LeastSquaresProblem:
         self.free, self.ringing, self.responses, self.choice = free, ringing, responses, choice
         self.nuisances: list[str] = []
         start = [0.0] * len(free.numbers)
-        self.blocks = [ResidualBlock(-1, "ringing", each.measured, each.deviations, True) for each in ringing]
+        self.blocks = [_ResidualBlock(-1, "ringing", each.measured, each.deviations, True) for each in ringing]
         for number, response in enumerate(responses):
             data = response.measurement
             for name, values in data.outputs.items():
@@ -215,7 +217,8 @@ class LeastSquaresProblem:
                     indices[i] = self.nuisances.index(label) if wanted[i] else -1
                 known = name in data.deviations
                 size = data.deviations[name] if known else max(INITIAL_NOISE * float(np.std(measured)), MIN_NOISE)
-                self.blocks.append(ResidualBlock(number, name, measured, np.full(len(measured), size), known, *indices))
+                sigma = np.full(len(measured), size)
+                self.blocks.append(_ResidualBlock(number, name, measured, sigma, known, *indices))
         self.start = np.array(start)
         self._last: tuple[Array, Array, Array] | None = None
         self._progress = Progress("evaluations of the fit")
@@ -230,7 +233,7 @@ class LeastSquaresProblem:
         return np.asarray(self.free.start * np.exp(x[: len(self.free.start)]))
 
     def evaluate(self, x: Array) -> tuple[Array, Array]:
-        """Return the residuals (m,) in standard deviations, and their Jacobian (m, u)."""
+        """Return the residuals (m,), computed minus measured, in standard deviations, and their Jacobian (m, u)."""
         if self._last is None or not np.array_equal(self._last[0], x):
             self._last = (x.copy(), *self._evaluate(x))
             self._progress.count()
@@ -258,7 +261,7 @@ class LeastSquaresProblem:
                 rows.append(np.zeros_like(jacobian))
         return np.concatenate(residuals), np.vstack(rows)
 
-    def _predict(self, x: Array, block: ResidualBlock, signals: Array, jacobian: Array) -> Array:
+    def _predict(self, x: Array, block: _ResidualBlock, signals: Array, jacobian: Array) -> Array:
         """Return the output of the sensor of a block from signals (1 + 2 p, T); fill in its Jacobian."""
         p, data = len(self.free.numbers), self.responses[block.record].measurement
         if block.corner >= 0:
@@ -277,14 +280,13 @@ class LeastSquaresProblem:
         return np.asarray(gain * signals[0] + (x[p + block.offset] if block.offset >= 0 else 0.0))
 
     def split(self, rows: Array) -> list[Array]:
-        """Return the rows of each block."""
+        """Divide an array (m, ...) with the rows of all residuals into one array for each block."""
         return np.split(rows, np.cumsum([len(block.measured) for block in self.blocks])[:-1])
 
     def solve(self, x: Array) -> Array:
-        """Return the least-squares parameter vector from a start, by Gauss-Newton steps in a trust region (SciPy).
+        """Return the least-squares parameter vector, from a start x, by Gauss-Newton steps in a trust region (SciPy).
 
-        Unknown noise levels, one per output over all records, and the model are updated alternately with the
-        parameters.
+        The solution alternates with updates of the model and of unknown noise levels, one per output over all records.
         """
         from scipy.optimize import least_squares
 
@@ -308,15 +310,15 @@ class LeastSquaresProblem:
     def _update_model(self, x: Array) -> None:
         """Rebuild the model at a parameter vector.
 
-        Between updates the component modes and the modal damping are constant, so that the Jacobian is that of the
-        residuals.
+        Component modes and modal damping are constant between updates, as the Jacobian assumes.
         """
         self._model_point, self._model, self._last = x.copy(), self.model(x), None
 
     def refine(self, x: Array) -> Array:
-        """Return the parameter vector for time steps whose halving changes no parameter by half a standard deviation.
+        """Halve time steps until halving changes no parameter by half a standard deviation; return the solution.
 
-        The largest possible change is bounded by the norm of the change of the signals in standard deviations.
+        The change of a parameter, in its standard deviations, is at most the norm of the change of the signals in
+        theirs.
         """
         nominal = nominal_parameters(self.model(x))
         nominal_only = {"payload_mass": np.array([nominal["payload_mass"]])}
@@ -340,7 +342,7 @@ class LeastSquaresProblem:
         return x
 
     def _solve_sensors(self, x: Array) -> Array:
-        """Return a parameter vector with optimal gains and offsets, in which the residuals are linear."""
+        """Return a parameter vector with least-squares gains and offsets, on which the residuals depend linearly."""
         linear = [len(self.free.numbers) + i for i, name in enumerate(self.nuisances) if not name.startswith("corner")]
         result = x.copy()
         if linear:
@@ -363,5 +365,5 @@ class LeastSquaresProblem:
 
 
 def _low_pass(corner: float) -> Filter:
-    """Return a low-pass filter given the logarithm of its corner frequency in rad/s."""
+    """Return a low-pass filter for the logarithm of its cut-off frequency (rad/s)."""
     return Filter.low_pass(float(np.exp(np.clip(corner, -20.0, 20.0))) / (2.0 * np.pi), FILTER_DAMPING_RATIO)

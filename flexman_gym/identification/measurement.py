@@ -1,4 +1,4 @@
-"""Measurements: time records, the filters of their signals, and the simulated response of an arm to their inputs."""
+"""Measurements: time records, filters of their signals, and the simulated response of an arm to their inputs."""
 
 import re
 import warnings
@@ -33,29 +33,29 @@ from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import ConstantTorque, SampledAngles, SampledTorque
 from flexman_gym.simulation.integrator import prescribed_flags
 from flexman_gym.simulation.parameters import varied_constants
-from flexman_gym.simulation.scene_simulation import prescribed_joints, simulate_all
+from flexman_gym.simulation.scene_simulation import simulate_all
 from flexman_gym.simulation.trajectory import Trajectory
 
-INTERVAL_TOLERANCE = 1e-3  # largest relative deviation of a sampling interval
-MIN_SAMPLES = 16
-INPUT = re.compile(r"(torque|current)_[1-9][0-9]*")  # default inputs
+INTERVAL_TOLERANCE = 1e-3  # 1; largest relative deviation of a sampling interval from the median
+MIN_SAMPLES = 16  # least number of samples of a record
+INPUT = re.compile(r"(torque|current)_[1-9][0-9]*")  # names of columns read as inputs by default
 OUTPUT = re.compile(
     r"(tip|tip_velocity|tip_acceleration|specific_force|deflection)_[xyz]"
     r"|((joint|motor)_(angle|rate)|joint_twist|joint_twist_rate)_[1-9][0-9]*"
     r"|link_deflection(_rate)?_[1-9][0-9]*_[yz]|root_strain_[1-9][0-9]*_(y|z|torsion)"
-)  # default outputs
-INPUTS = {"torque": "N m", "current": "A", "motor_angle": "rad"}  # followed by the number of the joint, from 1
+)  # names of columns read as outputs by default
+INPUTS = {"torque": "N m", "current": "A", "motor_angle": "rad"}  # kind of an input -> unit
 
 
 @dataclass(frozen=True)
 class Filter:
-    """Linear filter in the path of a measured signal, as a transfer function in s.
+    """Linear filter of a measured signal, as a transfer function of the Laplace variable s, in rad/s.
 
     Attributes:
         numerator: coefficients, highest power of s first, such as (1.0,). Its degree does not exceed that of the
-            denominator, because the gain at high frequencies must be finite.
-        denominator: coefficients, highest power of s first, such as (0.1, 1.0) for 1 / (0.1 s + 1). All poles have a
-            negative real part.
+            denominator, so that the gain at high frequencies is finite.
+        denominator: coefficients, highest power of s first, such as (0.1, 1.0) for 1 / (0.1 s + 1). All poles must have
+            a negative real part.
 
     Raises:
         ValueError: for empty or infinite coefficients, and for an improper or unstable filter.
@@ -77,23 +77,21 @@ class Filter:
             set_fields(self, **{name: tuple(array.tolist())})
         if self.denominator[0] == 0.0 or len(self.numerator) > len(self.denominator):
             raise value_error(
-                "Filter.denominator",
-                self.denominator,
-                "a first number other than 0, and as many as above",
+                "Filter.denominator", self.denominator, "a first number other than 0, and as many as above"
             )
         if len(self.denominator) > 1 and np.roots(self.denominator).real.max() >= 0.0:
             raise value_error("Filter.denominator", self.denominator, "poles with negative real part")
 
     @classmethod
     def low_pass(cls, frequency: float, damping_ratio: float | None = None) -> Self:
-        """Return a low-pass filter of first order, or of second order if a damping ratio is given; frequency in Hz."""
+        """Return a low-pass filter with a cut-off frequency (Hz), of first order, or of second with a damping ratio."""
         corner = 2.0 * np.pi * positive("frequency", frequency, "Hz")
         if damping_ratio is None:
             return cls((corner,), (1.0, corner))
         return cls((corner**2,), (1.0, 2.0 * positive("damping_ratio", damping_ratio) * corner, corner**2))
 
     def applied(self, values: Array, period: float) -> Array:
-        """Return signals (..., T), linear between samples a period (s) apart, after the filter."""
+        """Return signals (..., T) after the filter; samples are a period (s) apart, and linear in between."""
         from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
         if len(self.denominator) == 1:
@@ -104,7 +102,7 @@ class Filter:
 
 
 class _InputChannel(NamedTuple):
-    """Input: its kind in INPUTS, and the index of its joint from 0."""
+    """Input of a record: its kind in INPUTS, and the index of its joint, from 0."""
 
     kind: str
     joint: int
@@ -112,7 +110,7 @@ class _InputChannel(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """Signals of a real arm at T equally spaced times.
+    """Measurement record: signals of a real arm at T equally spaced times.
 
     Attributes:
         times: times (T,), s.
@@ -120,16 +118,16 @@ class Measurement:
             (rad, for a motor with prescribed motion); joints count from 1. Motors without an input are free.
         outputs: outputs (T,) by name, with the names and units of `Trajectory.columns`, such as "motor_angle_1" (rad),
             "link_deflection_1_y" (m) or "root_strain_1_z" (1), and "tip_acceleration_x" and "specific_force_x" (m/s^2).
-        filters: Filter, or several in series, by the name of the filtered output.
-        gains: outputs whose sensor has an unknown gain. It is estimated, one value per output over all records.
-        offsets: outputs with an unknown constant offset.
-        deviations: standard deviation of the noise of an output, or of the rounding of a prescribed angle, by name, in
-            its unit. For an output without an entry it is estimated.
-        settling: time at the start, s, that is not compared, so that the response to the previous motion can decay.
-        start: initial angles (n,) of the motors at rest, rad. None for the first sample of each motor angle among the
-            outputs, and 0 for the others. Give them if encoders are noisy, because an error of the start does not
-            decay.
-        hold: "zero" or "linear", the course of torques and currents between samples.
+        filters: name of an output -> Filter of its sensor, or several Filters in series.
+        gains: names of outputs whose sensor has an unknown gain; it is estimated, one value per output for all records.
+        offsets: names of outputs whose sensor has an unknown constant offset; it is estimated, one value per record.
+        deviations: name of an output -> standard deviation of its noise, in its unit, or name of a prescribed motor
+            angle -> standard deviation of its rounding, rad. The noise of an output without an entry is estimated.
+        settling: time, s, at the start of the record whose samples are not compared, so that the response to an earlier
+            motion can decay.
+        start: initial motor angles (n,) at rest, rad. None for the first samples of the motor angles among the outputs,
+            and 0 for all other motors. Give `start` if encoders are noisy, because its error does not decay.
+        hold: interpolation of torques and currents between samples, "zero" (constant) or "linear".
 
     Raises:
         ValueError: one line with field, value and allowed values, for example for NaN in a damaged record and for a gap
@@ -188,7 +186,7 @@ class Measurement:
             raise value_error("Measurement.settling", self.settling, f"less than {times[-1] - times[0]:g} (s)")
 
     def _signals(self, part: str, count: int) -> dict[str, Array]:
-        """Return inputs or outputs as arrays."""
+        """Check the signals "inputs" or "outputs", and return them as arrays (count,) by name."""
         given = getattr(self, part)
         if not isinstance(given, Mapping):
             raise value_error(f"Measurement.{part}", given, "a mapping from names to numbers")
@@ -200,7 +198,7 @@ class Measurement:
         }
 
     def channel(self, name: str) -> _InputChannel:
-        """Return kind and joint of an input."""
+        """Return the kind and the joint of an input, given its name."""
         kind, _, number = name.rpartition("_")
         if kind not in INPUTS or not is_decimal_integer(number) or int(number) == 0:
             allowed = "torque_1, current_1 or motor_angle_1, with the number of the joint from 1"
@@ -219,11 +217,11 @@ class Measurement:
 
         Args:
             path: path of the file.
-            inputs: column by input name; its unit must fit the input. None selects the columns torque_1, current_1 and
-                so on.
-            outputs: column by output name; its unit must fit the output. None selects all columns with the name of an
-                output that are no inputs; a UserWarning names any other columns.
-            **more: other arguments of the class, such as filters and gains.
+            inputs: name of an input -> column; the unit of the column must fit the input. None selects the columns
+                torque_1, current_1 and so on.
+            outputs: name of an output -> column; the unit of the column must fit the output. None selects all unused
+                columns with the name of an output; a UserWarning names the columns that are not read.
+            **more: further arguments of the class, such as filters and gains.
 
         Returns:
             The record.
@@ -243,7 +241,7 @@ class Measurement:
         return cls(record.times, signals[0], signals[1], **more)
 
     def part(self, start: float, stop: float) -> Self:
-        """Return the record from start to stop, s, in its own times."""
+        """Return the samples of the record from a start to a stop time, s; their times do not change."""
         inside = (self.times >= start) & (self.times <= stop)
         inputs = {name: each[inside] for name, each in self.inputs.items()}
         outputs = {name: each[inside] for name, each in self.outputs.items()}
@@ -256,14 +254,14 @@ class Measurement:
 
     @property
     def compared(self) -> slice:
-        """Samples after the settling time."""
+        """Slice of the samples after the settling time, which are compared with the simulation."""
         return slice(round(self.settling / self.period), len(self.times))
 
 
 def _select_columns(
     record: TimeSeries, inputs: Mapping[str, str] | None, outputs: Mapping[str, str] | None
 ) -> tuple[Mapping[str, str], Mapping[str, str]]:
-    """Return both mappings; None is replaced by the remaining columns with known names."""
+    """Return the mappings of inputs and outputs; None is replaced by all unused columns with suitable names."""
     used = {*(inputs or {}).values(), *(outputs or {}).values()}
     remaining = [name for name in record.columns if name not in used]
     if inputs is None:
@@ -289,12 +287,12 @@ def output_unit(name: str) -> str:
     return next((unit for part, unit in units if part in name), "rad")
 
 
-METHOD = "gauss_3"  # of order 4, in lanes: its error stays below that of the data
-STACKED = (
+METHOD = "gauss_3"  # integration method of order 4, which simulates several arms at once in lanes
+STACKED = (  # attributes of a trajectory with a row for each time
     "time", "tip", "tip_velocity", "joint_angles", "motor_angles", "energy", "moving_energy", "work", "dissipation",
     "states", "deflection",
 )  # fmt: skip
-TIP_ACCELERATIONS = {  # column of `kernels.outputs.compute_tip_accelerations` by name
+TIP_ACCELERATIONS = {  # name of an output -> its column in `kernels.outputs.compute_tip_accelerations`
     f"{name}_{axis}": part.start + i
     for name, part in (("tip_acceleration", layout.TIP_ACCELERATION), ("specific_force", layout.SPECIFIC_FORCE))
     for i, axis in enumerate("xyz")
@@ -350,14 +348,15 @@ class SimulatedResponse:
         )
 
     def signals(self, model: Model, parameters: Mapping[str, Array]) -> Array:
-        """Simulate b arms.
+        """Simulate b arms of one model that differ in physical parameters, and filter their outputs.
 
         Args:
-            model: model of the arm.
-            parameters: values (b, ...) of at least one parameter, by its name in `simulation.parameters.PARAMETERS`.
+            model: model of the arms.
+            parameters: values (b,) or (b, n) of at least one parameter, by its name in
+                `simulation.parameters.PARAMETERS`.
 
         Returns:
-            The filtered outputs (b, c, T), NaN for an arm whose simulation failed.
+            The c outputs of the measurement after their filters, (b, c, T); NaN for an arm whose simulation failed.
         """
         count = len(next(iter(parameters.values())))
         varied: dict[str, Any] = dict(parameters)
@@ -389,15 +388,16 @@ class SimulatedResponse:
         return result
 
     def _tip_accelerations(self, model: Model, runs: list[Trajectory], parameters: Mapping[str, Array]) -> Array:
-        """Return the tip accelerations (b, T, TIP_ACCELERATIONS), under the drive just before each sample."""
+        """Return the tip accelerations (b, T, TIP_ACCELERATIONS), m/s^2, under the inputs just before each sample."""
         own, size = varied_constants(model, len(runs), parameters), len(self.measurement.times)
-        flags = prescribed_flags(model.n_joints, prescribed_joints(self.scene))
+        prescribed = [i for i, motion in enumerate(self.scene.prescribed or ()) if motion is not None]
+        flags = prescribed_flags(model.n_joints, prescribed)
         pieces, d = self.scene.pieces, model.n_dof
-        moments = self.measurement.period * np.arange(size)
+        times = self.measurement.period * np.arange(size)
         middle = 0.5 * (pieces.times[1:] + pieces.times[:-1])
         drives = np.array([pieces.table(p) for p in range(len(middle))])
-        before = np.clip(np.searchsorted(pieces.times, moments - 1e-9 * moments[-1]) - 1, 0, len(middle) - 1)
-        applied = drives[before, layout.OFFSET] + drives[before, layout.SLOPE] * moments[:, None]
+        before = np.clip(np.searchsorted(pieces.times, times - 1e-9 * times[-1]) - 1, 0, len(middle) - 1)
+        applied = drives[before, layout.OFFSET] + drives[before, layout.SLOPE] * times[:, None]
         result = np.full((len(runs), size, layout.TIP_ACCELERATIONS), np.nan)
         work = layout.make_work(model.constants)
         for i, run in enumerate(runs):
@@ -408,7 +408,7 @@ class SimulatedResponse:
 
 
 def _per_ampere(arm: Arm, joint: int) -> float:
-    """Return the joint torque per current, N m/A."""
+    """Return the torque per current of the motor of a joint, after the gear, N m/A."""
     motor = arm.joints[joint].motor
     if motor is None:
         raise value_error(f"Measurement.inputs['current_{joint + 1}']", None, "torques: this joint has no Motor")

@@ -22,14 +22,15 @@ class Ringing:
     """Frequencies and damping ratios measured at one posture.
 
     Attributes:
-        frequencies: damped frequencies (k,) from a ring-down or a spectrum, Hz.
-        damping: damping ratios (k,) of the same modes, or None. For a logarithmic decrement D the ratio is D / sqrt(4
-            pi^2 + D^2).
-        joint_angles: posture (n,), rad; None for zero.
-        lock_joints: whether the motors were locked during the measurement; otherwise they are free.
-        numbers: numbers (k,) of these modes in the model, from 0 for the lowest frequency; None for the k lowest.
-        deviation: standard deviation of the frequencies as a fraction of them.
-        damping_deviation: standard deviation of the damping ratios as a fraction of them.
+        frequencies: damped natural frequencies (k,) from a ring-down or a spectrum, Hz.
+        damping: damping ratios (k,) of the modes with these frequencies, or None. A logarithmic decrement D corresponds
+            to a damping ratio D / sqrt(4 pi^2 + D^2).
+        joint_angles: joint angles (n,) of the measurement, rad; None for zeros.
+        lock_joints: True if the motors, not the links, were locked in the measurement; False if they were free.
+        numbers: indices (k,) of these modes among those of the model, from 0 for the lowest frequency; None for the k
+            lowest frequencies.
+        deviation: relative standard deviation of the frequencies, 1.
+        damping_deviation: relative standard deviation of the damping ratios, 1.
 
     Examples:
         >>> ringing = fm.Ringing(frequencies=(1.3, 11.2), damping=(0.008, 0.007), joint_angles=(0.5,))
@@ -70,21 +71,22 @@ class Ringing:
 
     @property
     def deviations(self) -> Array:
-        """Standard deviations of `measured`."""
+        """Standard deviations of `measured`, (k,) or (2 k,)."""
         parts = [self.deviation] * len(self.frequencies) + [self.damping_deviation] * len(self.damping or ())
         return self.measured * parts
 
     def predict(self, model: Model, parameters: Mapping[str, Array], h: float) -> tuple[Array, Array]:
-        """Compute the values of `measured` for a model, and their Jacobian.
+        """Compute the frequencies and damping ratios of a model, and their Jacobian.
 
-        A change of mass M, damping C and stiffness K changes an eigenvalue s with shape y by -y (s^2 dM + s dC + dK) y,
-        where y (2 s M + C) y = 1. M and K are linear in most parameters, so that their differences are exact.
+        A change of mass, damping and stiffness matrices M, C and K changes an eigenvalue s with eigenvector y by
+        -y^T (s^2 dM + s dC + dK) y, if y^T (2 s M + C) y = 1. M and K are linear in most parameters, so that their
+        central differences are exact.
 
         Args:
             model: the model.
-            parameters: values (1 + 2 p, ...) by name: those of the model, then p parameters, each increased and
-                decreased.
-            h: half the difference between the increased and the decreased value, in the unit of the Jacobian.
+            parameters: values (1 + 2 p, ...) by name: unperturbed values, then for each of p free scalars those with
+                its increased and its decreased value.
+            h: half the difference between increased and decreased value, or its logarithm, for the Jacobian.
 
         Returns:
             Frequencies (k,) or frequencies and damping ratios (2 k,), and their Jacobian with p columns.
@@ -97,9 +99,7 @@ class Ringing:
         chosen = list(self.numbers or ())
         if len(found.values) <= max(chosen):
             raise value_error(
-                "frequencies",
-                self.frequencies,
-                f"at most {len(found.values)}, the number of modes of this model",
+                "frequencies", self.frequencies, f"at most {len(found.values)}, the number of modes of this model"
             )
         s, y = found.values[chosen], found.shapes[chosen]
         jacobian = []
@@ -112,11 +112,11 @@ class Ringing:
         return self._join(s.imag / (2.0 * np.pi), -s.real / np.abs(s)), np.transpose(jacobian)
 
     def _join(self, frequencies: Array, ratios: Array) -> Array:
-        """Return frequencies, followed by damping ratios if they were measured."""
+        """Return frequencies, followed by damping ratios if these were measured."""
         return np.append(frequencies, ratios) if self.damping else np.asarray(frequencies)
 
     def _equilibrium(self, model: Model) -> EquilibriumMatrices:
-        """Return the matrices of the arm at rest; without gravity the equilibrium is known."""
+        """Return the matrices at the equilibrium, which is the undeformed arm if there is no gravity."""
         angles = np.zeros(model.n_joints) if self.joint_angles is None else self.joint_angles
         if any(model.arm.gravity):
             return equilibrium_matrices(model, angles)

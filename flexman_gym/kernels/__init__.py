@@ -1,7 +1,7 @@
-"""Compiled kernels: the equations of motion and all arithmetic that is called in every step.
+"""Compiled kernels: equations of motion, integration methods, and all arithmetic of a control period.
 
-The machine code is cached on the disk, see `cache`. Messages on stderr announce kernels while they compile;
-FLEXMAN_QUIET=1 silences them.
+The machine code is cached on the disk, see `cache`. Messages on stderr announce kernels that compile; FLEXMAN_QUIET=1
+silences the messages.
 """
 
 import sys
@@ -12,7 +12,7 @@ from numba.core import event
 
 from flexman_gym.kernels.cache import find_cache_folder, is_quiet
 
-# Compile time in s on a processor of 2024; for the kernels of an environment, the time until its first step. Kernels
+# Remaining compile time, s, on a processor of 2024; for kernels of an environment the time to its first step. Kernels
 # that compile in less than 2 s are not listed.
 COMPILE_SECONDS = {
     "inertial_forces": 25, "advance_single": 17, "advance_batch": 20, "tip_accelerations_single": 6,
@@ -22,13 +22,13 @@ COMPILE_SECONDS = {
 
 
 class _CompileMessages(event.Listener):
-    """Messages about kernels that compile; Numba sends no event for kernels loaded from the cache."""
+    """Messages about kernels that compile; Numba sends no event for a kernel loaded from the cache."""
 
     def __init__(self) -> None:
         self._announced, self._depth = False, 0
 
     def on_start(self, event: Any) -> None:
-        """Announce a kernel of this package that Numba begins to compile."""
+        """Announce a kernel of this package when Numba begins to compile it."""
         function = event.data["dispatcher"].py_func
         self._depth += 1
         if is_quiet() or self._depth > 1 or not function.__module__.startswith(f"{__name__}."):
@@ -43,7 +43,7 @@ class _CompileMessages(event.Listener):
             print(f"  {function.__name__}: about {seconds} s left", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
-        """Leave a nested compilation."""
+        """Decrease the depth of nested compilations."""
         self._depth -= 1
 
 
@@ -80,21 +80,6 @@ finally:
     numba.config.CACHE_DIR = _setting
 
 __all__ = [
-    "arguments",
-    "batch",
-    "compile",
-    "control_period",
-    "dynamics",
-    "forces",
-    "implicit",
-    "inverse",
-    "kinematics",
-    "lanes",
-    "layout",
-    "linalg",
-    "outputs",
-    "raster",
-    "rigid_arm",
-    "runge_kutta",
-    "thread_sync",
-]
+    "arguments", "batch", "compile", "control_period", "dynamics", "forces", "implicit", "inverse", "kinematics",
+    "lanes", "layout", "linalg", "outputs", "raster", "rigid_arm", "runge_kutta", "thread_sync",
+]  # fmt: skip

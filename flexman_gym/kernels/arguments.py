@@ -1,8 +1,8 @@
 """Numba types of the arguments `Constants` and `Work`, their aligned arrays and their tables of addresses.
 
-A kernel receives one address of a struct of arrays. Numba would pass a named tuple as all numbers of all its arrays,
-700 of them to each of a hundred functions, which took a third of the compile time. The struct holds the same numbers
-one after the other; the compiler keeps them in registers, as no kernel overwrites them.
+A kernel receives the address of a struct with data pointers and shapes of all arrays. Numba would pass a named tuple
+as separate arguments, 700 numbers to each of a hundred functions, which took a third of the compile time. The compiler
+keeps the numbers of the struct in registers, as no kernel overwrites them.
 
 Indices of these arrays are unsigned, so kernels cannot count from the end of an array. Numba compares each signed index
 with zero to allow that; without the comparison an arm is simulated 1.3 to 1.4 times as fast.
@@ -37,7 +37,7 @@ from flexman_gym.kernels.layout import ARMS_PER_GROUP, Array, Constants, IntArra
 
 
 class _ArrayField(types.Array):
-    """Numba type of an array in a struct, and of parts of the array."""
+    """Numba type of an array of a struct, and of a part of such an array."""
 
     def __init__(self, dtype: types.Type, ndim: int, readonly: bool = False, layout: Any = "C") -> None:
         name = f"field({dtype}, {ndim}, {layout}, {'readonly' if readonly else 'mutable'})"
@@ -80,7 +80,7 @@ BYTE_POINTER = ir.IntType(8).as_pointer()
 
 
 class _StructPointer(types.Type):
-    """Numba type of a `Constants` or `Work` with fields of these types; `whole` is the named tuple type."""
+    """Numba type of a `Constants` or `Work` with fields of given types; `whole` is the type of the named tuple."""
 
     def __init__(self, kinds: list[_ArrayField], parts: type) -> None:
         self.whole = types.NamedTuple(kinds, parts)  # type: ignore[attr-defined]
@@ -95,7 +95,7 @@ class _StructPointerModel(models.PrimitiveModel):
         super().__init__(manager, kind, BYTE_POINTER)
 
     def from_argument(self, builder: Any, value: Any) -> Any:
-        """Return the value itself; in a kernel that is not inlined, mark that no array overlaps the struct."""
+        """Return the value; in a kernel that is not inlined, declare that no array overlaps the struct."""
         if "alwaysinline" not in builder.function.attributes:
             value.add_attribute("noalias")
         return value
@@ -103,7 +103,7 @@ class _StructPointerModel(models.PrimitiveModel):
 
 @infer_getattr
 class _StructFields(AttributeTemplate):
-    """Type inference of the fields."""
+    """Type inference of the fields of a struct."""
 
     key = _StructPointer
 
@@ -127,7 +127,7 @@ def _field_address(context: Any, builder: Any, kind: _StructPointer, address: An
 
 
 def _store_struct(context: Any, builder: Any, kind: _StructPointer, fields: list[Any]) -> Any:
-    """Return the address of these fields, stored on the stack of the compiled function."""
+    """Store fields in a struct on the stack of the compiled function, and return its address."""
     memory = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(64), sum(_sizes(context, kind)) // 8))
     address = builder.bitcast(memory, BYTE_POINTER)
     for row, value in enumerate(fields):
@@ -154,7 +154,7 @@ def _from_python(kind: Any, parts: Any, c: Any) -> NativeValue:
 # Constants that may differ between the arms of a batch.
 PER_ARM = frozenset(name for name, kind in Constants.__annotations__.items() if kind is PerArm)
 
-ALIGNMENT = 64  # bytes; size of a group of eight numbers
+ALIGNMENT = 64  # bytes; size of a group of ARMS_PER_GROUP numbers
 
 
 def aligned_zeros(shape: tuple[int, ...], lanes: int = ARMS_PER_GROUP) -> Array:
@@ -173,7 +173,7 @@ def address_table(arrays: NamedTuple, element: types.Type) -> IntArray:
         element: type of the elements: NUMBER, or ARMS or SEQUENCES, whose arrays have one more axis for the lanes.
 
     Returns:
-        Rows (fields, 3) of address, first and second axis; 0 for the second axis of an array with one axis.
+        (fields, 3) address, and lengths of the first and second axis; 0 for an array with one axis.
 
     Raises:
         TypeError: for an array of another layout than the annotation of its field.
@@ -208,13 +208,13 @@ def _kind(parts: type, name: str, element: types.Type) -> _ArrayField:
 
 @cache
 def _columns(parts: type, name: str) -> int:
-    """Return the number of columns of a field with two axes, 0 if it depends on the model."""
+    """Return the number of columns of a field, 0 for one axis or a number that depends on the model."""
     annotation = parts.__annotations__[name]
     return 0 if annotation is PerArm else getattr(annotation, "__metadata__", (0,))[0]
 
 
 def _view(context: Any, builder: Any, kind: _ArrayField, address: tuple[Any, int], columns: int) -> Any:
-    """Return the array given by a row (address, shape) of a table of addresses."""
+    """Return the array given by a row of an address table; `address` is the table and the index of the row."""
     table, row = address
 
     def number(column: int) -> Any:
@@ -233,7 +233,7 @@ def _view(context: Any, builder: Any, kind: _ArrayField, address: tuple[Any, int
 
 
 def _reader(parts: type, element: types.Type) -> Any:
-    """Return a function for kernels that converts a table of addresses to a `Constants` or `Work`."""
+    """Return a function for kernels that converts an address table to a `Constants` or `Work`."""
     kinds = [_kind(parts, name, element) for name in parts._fields]  # type: ignore[attr-defined]
     columns = [_columns(parts, name) for name in parts._fields]  # type: ignore[attr-defined]
     whole = _StructPointer(kinds, parts)

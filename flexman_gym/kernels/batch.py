@@ -1,9 +1,9 @@
-"""Batch kernels: arms of one model side by side, each in a lane of the processor's vector registers.
+"""Batch kernels: b arms of one model, each in a lane of the SIMD registers of the processor.
 
-The same kernels integrate one arm or ARMS_PER_GROUP arms; here they are compiled for a work space with groups of
-numbers as elements, one number for each arm. Lanes do not mix, so the motion of an arm is the same to the last bit
-whatever its neighbours are. Constants that may differ between arms (`arguments.PER_ARM`) are groups as well; all arms
-share the rest. A call passes addresses instead of arrays, which saves microseconds.
+The kernels of an integration step are compiled for a work space whose elements are groups of ARMS_PER_GROUP numbers,
+one for each arm. No operation combines lanes, so the motion of an arm does not depend on the other arms, bit for bit.
+Constants that may differ between arms (`arguments.PER_ARM`) are groups as well; all arms share the other constants. A
+call passes tables of addresses instead of arrays, which saves microseconds.
 """
 
 from flexman_gym.kernels.arguments import constants_of_arms, constants_of_one, work_of_arms, work_of_one
@@ -20,8 +20,8 @@ from flexman_gym.kernels.runge_kutta import linearly_implicit_step, out_of_bound
 def _fixed_step(constants, work, tableau, counts, table, span, state):
     """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
 
-    The method is the linearly implicit one of the tableau, or without a tableau (None) that of the counts, see
-    `implicit.fixed_newton_step`.
+    The method is the linearly implicit method of the tableau, or if this is None the method with the numbers `counts`
+    of `implicit.fixed_newton_step`.
     """
     if tableau is None:
         fixed_newton_step(constants, work, counts, table, span, state)
@@ -31,7 +31,7 @@ def _fixed_step(constants, work, tableau, counts, table, span, state):
 
 @inner
 def _advance_steps(constants, work, tableau, counts, steps, state):
-    """Advance the state and its two accumulated energies (J) under work.drive; then compute work.outputs.
+    """Advance the state and ledger (2 d + 2,) under the inputs work.drive, and compute work.outputs.
 
     steps = (length in s, number). Tableau and counts as in `_fixed_step`.
     """
@@ -45,18 +45,19 @@ def _advance_steps(constants, work, tableau, counts, steps, state):
 
 @released
 def advance_batch(tables, work_table, method, drives, steps, rows, out, status, trail):
-    """Advance arms through T periods of constant drives.
+    """Integrate arms over T control periods of constant inputs.
 
     Args:
-        tables: (groups, fields, 3) addresses of the constants of each group of ARMS_PER_GROUP arms.
-        work_table: (fields, 3) addresses of the work space.
+        tables: (groups, fields, 3) address table of the constants of each group of ARMS_PER_GROUP arms.
+        work_table: (fields, 3) address table of the work space.
         method: tableau (or None) and counts, as in `_fixed_step`.
-        drives: (b, T, n + 6).
+        drives: (b, T, n + 6) inputs of `layout` in each period.
         steps: length (s) and number of the steps in a period.
-        rows: (b, 2 d + 2) state and ledger of each arm, overwritten.
-        out: (b, OUTPUTS), overwritten.
-        status: (b,) arms other than OK do not move; DIVERGED from the period in which an arm diverges.
-        trail: rows and outputs after each valid period, (b, T, ...), or (b, 0, ...) to record none.
+        rows: (b, 2 d + 2) states and ledgers at the end of the last successful period, overwritten.
+        out: (b, OUTPUTS) output rows, overwritten.
+        status: (b,) arms whose status is not OK are not integrated; set to DIVERGED for arms that diverge.
+        trail: rows (b, T, 2 d + 2) and outputs (b, T, OUTPUTS) after each successful period, overwritten; (b, 0, ...)
+            records none.
     """
     work = work_of_arms(work_table)
     state = work.row
@@ -78,7 +79,7 @@ def advance_batch(tables, work_table, method, drives, steps, rows, out, status, 
 
 @released
 def advance_single(table, work_table, method, drives, steps, rows, out, status, trail):
-    """Advance a single arm; arguments as in `advance_batch`, with one table of its constants."""
+    """Integrate a single arm; arguments as in `advance_batch`, but the address table (fields, 3) of its constants."""
     work = work_of_one(work_table)
     copy(rows[0], work.row)
     for t in range(drives.shape[1]):
@@ -94,7 +95,7 @@ def advance_single(table, work_table, method, drives, steps, rows, out, status, 
 
 @inner
 def _record_period(trail, arm, t, rows, out):
-    """Copy the row and outputs of an arm after period t to the trail, unless it has no periods."""
+    """Copy the row and outputs of an arm after period t to the trail, unless the trail is empty."""
     if trail[0].shape[1] > 0:
         copy(rows[arm], trail[0][arm, t])
         copy(out[arm], trail[1][arm, t])
@@ -105,15 +106,15 @@ def run_batch(tables, work_table, tableau, newton, drives, grid, rows, out, coun
     """Integrate arms by fixed steps, each under its own drive table.
 
     Args:
-        tables: (groups, fields, 3) addresses of the constants of each group of ARMS_PER_GROUP arms.
-        work_table: (fields, 3) addresses of the work space.
-        tableau: of a linearly implicit method, or None, see `_fixed_step`.
-        newton: counts of a method without a tableau.
-        drives: (b, 7, n + 6) drive tables, see `forces.evaluate_drive`.
-        grid: output times.
-        rows: (b, r + 1, 2 d + 2) state and ledger; the first row is the start, the others are overwritten.
-        out: (b, r + 1, OUTPUTS), overwritten.
-        counts: (b, 2) overwritten by the number of valid rows after the first, and the number of steps.
+        tables: (groups, fields, 3) address table of the constants of each group of ARMS_PER_GROUP arms.
+        work_table: (fields, 3) address table of the work space.
+        tableau: tableau of a linearly implicit method, or None, see `_fixed_step`.
+        newton: counts of a method without a tableau, see `_fixed_step`.
+        drives: (b, 7, n + 6) drive tables of `layout`.
+        grid: time grid of the rows.
+        rows: (b, r + 1, 2 d + 2) states and ledgers; the first row is the start, all other rows are overwritten.
+        out: (b, r + 1, OUTPUTS) output rows, overwritten.
+        counts: (b, 2) numbers of valid rows after the first and of steps, overwritten.
     """
     work = work_of_arms(work_table)
     for group in range(len(tables)):
@@ -145,7 +146,7 @@ def run_batch(tables, work_table, tableau, newton, drives, grid, rows, out, coun
 
 @inner
 def _load_arms(work, drives, rows, first):
-    """Set work.row and work.drive_table to the first rows and the drives of the arms from `first` on."""
+    """Set work.row and work.drive_table to the first rows and the drive tables of the group of arms from `first` on."""
     for k in range(ARMS_PER_GROUP):
         arm = min(first + k, len(rows) - 1)  # lanes without an arm repeat the last arm
         for j in range(len(work.row)):
@@ -157,7 +158,7 @@ def _load_arms(work, drives, rows, first):
 
 @inner
 def _set_lanes(values, first, flat):
-    """Set flat (j,) to the numbers (b, j) of the group of arms from `first` on."""
+    """Set the groups flat (j,) to the rows of values (b, j) for the arms from `first` on."""
     for k in range(ARMS_PER_GROUP):
         arm = min(first + k, len(values) - 1)  # lanes without an arm repeat the last arm
         for j in range(len(flat)):
@@ -166,7 +167,7 @@ def _set_lanes(values, first, flat):
 
 @inner
 def _copy_lane(flat, k, out):
-    """Copy lane k of the first entries of a flat array of groups to out."""
+    """Copy lane k of the groups of a flat array to out, for all entries of out."""
     for j in range(len(out)):
         out[j] = extract_lane(flat, j, k)
 
@@ -176,11 +177,11 @@ def tip_accelerations_batch(tables, work_table, drives, rows, out):
     """Compute the tip accelerations of arms, see `outputs.compute_tip_accelerations`.
 
     Args:
-        tables: (groups, fields, 3) addresses of the constants of each group of ARMS_PER_GROUP arms.
-        work_table: (fields, 3) addresses of the work space.
-        drives: (b, n + 6).
-        rows: (b, 2 d + 2) state and ledger.
-        out: (b, TIP_ACCELERATIONS), overwritten.
+        tables: (groups, fields, 3) address table of the constants of each group of ARMS_PER_GROUP arms.
+        work_table: (fields, 3) address table of the work space.
+        drives: (b, n + 6) inputs of `layout`.
+        rows: (b, 2 d + 2) states and ledgers.
+        out: (b, TIP_ACCELERATIONS) m/s^2, overwritten.
     """
     work = work_of_arms(work_table)
     state = work.row
@@ -196,7 +197,7 @@ def tip_accelerations_batch(tables, work_table, drives, rows, out):
 
 @released
 def tip_accelerations_single(table, work_table, drives, rows, out):
-    """Compute the tip acceleration of a single arm; arguments as in `tip_accelerations_batch`."""
+    """Compute the tip accelerations of a single arm, with the address table (fields, 3) of its constants."""
     work = work_of_one(work_table)
     d = rows.shape[1] // 2 - 1
     copy(drives[0], work.drive)
@@ -205,7 +206,7 @@ def tip_accelerations_single(table, work_table, drives, rows, out):
 
 @inner
 def _any_moving(status, first, end):
-    """Return whether the status of an arm from `first` to `end` is OK."""
+    """Return True if the status of an arm from `first` to before `end` is OK."""
     for arm in range(first, end):
         if status[arm] == OK:
             return True
@@ -214,7 +215,7 @@ def _any_moving(status, first, end):
 
 @inner
 def _lane_in_bounds(state, k):
-    """Return whether the state in lane k is finite and within LARGEST_STATE, without the ledger."""
+    """Return True if coordinates and speeds in lane k are finite and within LARGEST_STATE."""
     for j in range(len(state) - 2):
         if not abs(extract_lane(state, j, k)) <= LARGEST_STATE:
             return False

@@ -1,9 +1,9 @@
 """Cache folder of compiled kernels.
 
 The name of the folder is a hash of the sources of all kernels and of the Numba settings that affect the code: Numba
-itself checks only the file of a kernel, not the files of the kernels that it calls. The folder is made in
-`NUMBA_CACHE_DIR`, else in `XDG_CACHE_HOME`, else in `~/.cache`. If the home cannot be written, it is made in the
-temporary folder, with one line on stderr.
+itself checks only the file of a kernel, not the files of the kernels it calls. The folder is created in
+`NUMBA_CACHE_DIR`, else in `XDG_CACHE_HOME`, else in `~/.cache`. If the home folder is not writable, it is created in
+the temporary folder, with a message on stderr.
 
 The cached files are pickles, which can execute any code when they are read. They are read only from a folder that
 belongs to the user and that nobody else can write to; a folder that was open to others is emptied first.
@@ -21,12 +21,12 @@ from pathlib import Path
 
 import numba
 
-FOLDER_NAME = re.compile("[0-9a-f]{16}")  # names of folders of kernels
+FOLDER_NAME = re.compile("[0-9a-f]{16}")  # names of cache folders, see `_folder_name`
 CODE_SETTINGS = ("BOUNDSCHECK", "CPU_NAME", "CPU_FEATURES", "OPT", "ENABLE_AVX", "LOOP_VECTORIZE", "SLP_VECTORIZE")
 
 
 def find_cache_folder() -> str | None:
-    """Find or make the folder for the present kernels and Numba settings; None if no safe folder can be written."""
+    """Find or create the folder for the present kernels and Numba settings; None if no safe folder is writable."""
     for place, strict in _candidates():
         parent = place / "flexman_gym"
         folder = parent / _folder_name()
@@ -49,7 +49,7 @@ def find_cache_folder() -> str | None:
 
 
 def is_quiet() -> bool:
-    """Return whether the environment variable FLEXMAN_QUIET silences messages on stderr."""
+    """Return True if the environment variable FLEXMAN_QUIET silences messages on stderr."""
     return os.environ.get("FLEXMAN_QUIET", "0") not in ("", "0")
 
 
@@ -58,16 +58,16 @@ def _candidates() -> Iterator[tuple[Path, bool]]:
     chosen, home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME"), Path(os.path.expanduser("~"))
     if chosen:
         yield Path(chosen), False
-    elif home.is_dir():  # a missing home is not made
+    elif home.is_dir():  # a missing home folder is not created
         yield home / ".cache", False
     yield Path(tempfile.gettempdir()) / f"user-{os.getuid()}", True
 
 
 def _is_private(folder: Path, strict: bool) -> bool:
-    """Return whether a folder belongs to the user and nobody else can write to it.
+    """Return True if a folder belongs to the user and no other user can write to it.
 
-    If other users can write to it, a strict check returns False. A check that is not strict removes their permission
-    and deletes the kernels in the folder, recognised by the name of their folder; other files stay and are not read.
+    If other users can write to it, a strict check returns False. Otherwise their permission is removed and the cache
+    folders in it are deleted, recognised by their names; other files stay and are not read.
     """
     result = folder.lstat() if strict else folder.stat()
     if not stat.S_ISDIR(result.st_mode) or result.st_uid != os.getuid():

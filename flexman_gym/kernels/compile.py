@@ -1,8 +1,8 @@
-"""Decorators that compile kernels, their common flags, and checksummed files for the compiled code.
+"""Decorators that compile kernels, their common flags, and checksummed files of compiled code.
 
-Numba optimises each function together with all functions that it calls, and emits machine code for it. A kernel that
-is only inlined into other kernels needs neither: it is optimised once, in its caller. This saves two fifths of the
-compile time.
+Numba optimises each function together with all functions it calls, and emits machine code for it. For a kernel that is
+only inlined into other kernels both are omitted: it is optimised in its callers. This saves two fifths of the compile
+time.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import register_pass
 from numba.core.typed_passes import NativeLowering
 
-DIGEST_SIZE = hashlib.sha256().digest_size  # bytes; digest at the beginning of a file
+DIGEST_SIZE = hashlib.sha256().digest_size  # bytes; size of the digest at the beginning of a file
 
 
 class _ChecksummedFiles(IndexDataCacheFile):
@@ -49,10 +49,10 @@ class _ChecksummedFiles(IndexDataCacheFile):
 
 
 class _ChecksummedCache(FunctionCache):
-    """Numba's cache of a kernel with checksummed files; if the disk is full, the call succeeds without a cache.
+    """Numba's cache of a kernel with checksummed files; if the disk is full, compilation succeeds without a cache.
 
     Numba identifies a kernel by the path and the modification time of its file. Kernels of this package are identified
-    by the name of their folder, a hash of the sources, so that all copies of the package share the compiled code.
+    by the name of the cache folder, a hash of the sources, so that all copies of the package share the compiled code.
     """
 
     _warned = False
@@ -95,10 +95,10 @@ def _cached(decorate: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 class _InlineLibrary(JITCodeLibrary):
-    """Code of an inner kernel, to be linked into its callers; it has no machine code of its own."""
+    """Code of an inner kernel, which is linked into its callers; no machine code is emitted for it."""
 
     def _optimize_final_module(self) -> None:
-        """Leave this optimisation to the caller, after Numba's passes over each function, which matter for speed."""
+        """Leave this optimisation to the callers; Numba's passes over each function, run before, matter for speed."""
 
     def _finalize_final_module(self) -> None:
         self._finalized = True
@@ -111,23 +111,23 @@ class _InlineLowering(NativeLowering):
     _name = "ingredient_lowering"
 
     def run_pass(self, state: Any) -> bool:
-        """Run Numba's pass without machine code; a function without an address represents the kernel in callers."""
+        """Run Numba's pass without machine code; callers see a function without an address."""
         state.library = library = _InlineLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.flags.no_compile = True
         super().run_pass(state)
         lowered = state.cr
-        about = lowered.fndesc
-        name = _dynfunc.make_function(about.lookup_module(), about.qualname, "", 0, lowered.env, (library,))
-        state.targetctx.insert_user_function(name, about, [library])
+        described = lowered.fndesc
+        name = _dynfunc.make_function(described.lookup_module(), described.qualname, "", 0, lowered.env, (library,))
+        state.targetctx.insert_user_function(name, described, [library])
         state.cr = lowered._replace(cfunc=name)
         return True
 
 
 class _InlineCompiler(Compiler):
-    """Numba's compiler with another last pass."""
+    """Numba's compiler with `_InlineLowering` as the last pass."""
 
     def define_pipelines(self) -> list[Any]:
-        """Return Numba's passes with `_InlineLowering` as the lowering."""
+        """Return Numba's passes, with `_InlineLowering` in place of the lowering."""
         (passes,) = super().define_pipelines()
         passes.add_pass_after(_InlineLowering, NativeLowering)
         passes.passes = [each for each in passes.passes if each[0] is not NativeLowering]
@@ -135,9 +135,9 @@ class _InlineCompiler(Compiler):
         return [passes]
 
 
-# Without Numba's runtime, a kernel that allocates memory does not compile, and a call does not count references to
-# each array of a model, which took ten times as long as the arithmetic. Fast arithmetic is off because its last digits
-# would differ between one arm and a batch; most of its gain comes from `fma` as well.
+# "_nrt": without Numba's runtime a call does not count references to each array of a model, which took ten times as
+# long as the arithmetic; a kernel that allocates memory does not compile. Fast arithmetic is off because last digits
+# would differ between one arm and a batch; `lanes.fma` has most of its gain.
 FLAGS: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
 FOLDER = numba.config.CACHE_DIR or None  # cache folder, set while the modules of this package are imported
 kernel = _cached(numba.njit(**FLAGS))  # called from Python

@@ -1,7 +1,7 @@
-"""Operations of a control period on arrays of many arms: sensors, observations, limits, actions, episode length.
+"""Operations of an environment in a control period, for b arms: readings, observations, limits, actions, truncation.
 
-One call of a kernel replaces several NumPy calls of about a microsecond each, which for a single arm took as long as
-its simulation.
+A kernel replaces several NumPy calls of about a microsecond each, which for one arm took as long as the simulation. d
+is the number of coordinates, n that of joints; rows, outputs and drives are those of `layout`.
 """
 
 import math
@@ -17,12 +17,15 @@ from flexman_gym.kernels.layout import (
     TIP_VELOCITY_COLUMN,
 )
 from flexman_gym.kernels.linalg import copy
-from flexman_gym.kernels.outputs import energy_residuals, update_energy_scale
+from flexman_gym.kernels.outputs import energy_residuals, update_energy_turnover
 
 
 @kernel
 def sparse_product(rows, start, source, value, out):
-    """Set out[b, j] to the sum of value[e] rows[b, source[e]] over start[j] <= e < start[j + 1]."""
+    """Set out (b, m) to rows (b, s) times a sparse matrix, whose column j has value[e] in row source[e].
+
+    Entries e of column j are those with start[j] <= e < start[j + 1].
+    """
     for b in range(len(rows)):
         for j in range(len(start) - 1):
             total = 0.0
@@ -33,18 +36,18 @@ def sparse_product(rows, start, source, value, out):
 
 @kernel
 def fill_views(rows, outputs, energies, turnover, targets, readings, motion, vectors, scalars):
-    """Compute the quantities of a `View` of b arms.
+    """Compute the quantities of an `envs.view.View` of b arms.
 
     Args:
-        rows: (b, 2 d + 2) state and ledger.
-        outputs: (b, OUTPUTS).
-        energies: (b,) J, total energy at the start.
-        turnover: (b,) J, scale of the energy, see `update_energy_scale`.
-        targets: (b, 3) m.
-        readings: start, source and value of `sparse_product`.
-        motion: (b, m) set to the product of the readings, followed by the tip velocity.
-        vectors: (b, 2, 3) set to target - tip and the deflection rate.
-        scalars: (5, b) set to the lengths of both, elastic energy, energy residual and turnover.
+        rows: (b, 2 d + 2) states and energy ledgers.
+        outputs: (b, OUTPUTS) output rows.
+        energies: (b,) total energy at the reset, J.
+        turnover: (b,) energy turnover, J, see `update_energy_turnover`.
+        targets: (b, 3) target positions, base frame, m.
+        readings: arguments start, source and value of `sparse_product`, which computes sensor readings from rows.
+        motion: (b, m) set to the readings, followed by the tip velocity (m/s).
+        vectors: (b, 2, 3) set to target - tip (m) and the deflection rate (m/s).
+        scalars: (5, b) set to the lengths of these two vectors, elastic energy, energy residual and turnover (J).
     """
     sparse_product(rows, readings[0], readings[1], readings[2], motion)
     last = motion.shape[1] - 3
@@ -65,14 +68,14 @@ def full_observation(motion, angles, velocity, goal_angles, vectors, lengths, of
     """Set out (b, 9 n + 9) to the observation of the full state.
 
     Args:
-        motion: (b, m) of which the first 8 n entries are copied.
+        motion: (b, m) readings; the first 8 n are the first entries of the observation.
         angles: (b, n) motor angles, rad.
-        velocity: (b, 3) tip velocity, m/s.
-        goal_angles: (b, n) rad; the entries after the motion are goal_angles - angles.
-        vectors: (b, 3) target - tip, m; observed as it is and divided by length + offset.
+        velocity: (b, 3) tip velocity, m/s, the last entries of the observation.
+        goal_angles: (b, n) goal of the motor angles, rad; the entries after the readings are goal_angles - angles.
+        vectors: (b, 3) target - tip, m; the next entries are this vector, and this vector divided by length + offset.
         lengths: (b,) lengths of the vectors, m.
-        offset: m, added to the length in the divisor.
-        out: observation, overwritten; the last entries are the tip velocity.
+        offset: length added in the divisor, m.
+        out: observation, overwritten.
     """
     n = goal_angles.shape[1]
     end = 9 * n
@@ -89,15 +92,15 @@ def full_observation(motion, angles, velocity, goal_angles, vectors, lengths, of
 
 @kernel
 def flag_violations(motion, limits, observations, bound, status, flags):
-    """Set the flags of arms that have failed or exceeded a limit.
+    """Set the flags of arms whose simulation has failed or that exceed a limit; NaN exceeds every limit.
 
     Args:
-        motion: (b, m).
-        limits: (m,) largest magnitudes of the motion.
-        observations: (b, s).
-        bound: (s,) largest magnitudes of the observations.
-        status: (b,) OK, or any other status for a failed simulation.
-        flags: (b,) overwritten; NaN counts as a violation.
+        motion: (b, m) readings and tip velocity of `fill_views`.
+        limits: (m,) largest allowed magnitudes of the motion.
+        observations: (b, s) observations.
+        bound: (s,) largest allowed magnitudes of the observations.
+        status: (b,) status of the simulations.
+        flags: (b,) overwritten.
 
     Returns:
         The number of flagged arms.
@@ -117,7 +120,7 @@ def flag_violations(motion, limits, observations, bound, status, flags):
 
 @kernel
 def all_within(values, bound):
-    """Return whether all magnitudes of the values (m,) are at most the bound; False for NaN."""
+    """Return True if all magnitudes of the values (m,) are at most the bound; NaN exceeds the bound."""
     for value in values:
         if not abs(value) <= bound:
             return False
@@ -129,11 +132,11 @@ def apply_actions(actions, arriving, limits, active, drive, requested, efforts):
     """Set the torques of the drive, and record the actions of active arms and their mean squares.
 
     Args:
-        actions: (b, n) requested by the agent.
-        arriving: (b, n) actions that take effect now.
+        actions: (b, n) actions of the agent, as fractions of the torque limits.
+        arriving: (b, n) actions that take effect in this period, after delays and other effects.
         limits: (b, n) torque limits, N m.
-        active: (b,) arms whose episode continues.
-        drive: (b, n + 6), whose torques are set to arriving * limits.
+        active: (b,) flags of the arms whose episode continues.
+        drive: (b, n + 6) inputs, whose torques are set to arriving * limits.
         requested: (b, n) set to the actions of active arms.
         efforts: (b,) set to the mean square of the actions of active arms.
     """
@@ -151,33 +154,33 @@ def apply_actions(actions, arriving, limits, active, drive, requested, efforts):
 
 @kernel
 def close_period(rows, outputs, status, drive, periods, last_drive, turnover):
-    """Count a control period and store its drive for the arms with status OK; update the energy scale of all arms.
+    """Increase the period count and store the drive of arms with status OK; update the energy turnover of all arms.
 
     Args:
-        rows: (b, 2 d + 2) state and ledger.
-        outputs: (b, OUTPUTS).
-        status: (b,).
-        drive: (b, n + 6) of this period.
-        periods: (b,) number of periods, increased.
-        last_drive: (b, n + 6), overwritten.
-        turnover: (b,) J, see `update_energy_scale`.
+        rows: (b, 2 d + 2) states and energy ledgers at the end of the period.
+        outputs: (b, OUTPUTS) output rows at the end of the period.
+        status: (b,) status of the arms in this period.
+        drive: (b, n + 6) inputs in this period.
+        periods: (b,) numbers of periods since the reset, increased by one.
+        last_drive: (b, n + 6) inputs in the last successful period, overwritten.
+        turnover: (b,) energy turnover, J, see `update_energy_turnover`.
     """
     for b in range(len(status)):
         if status[b] == OK:
             periods[b] += 1.0
             copy(drive[b], last_drive[b])
-    update_energy_scale(rows, outputs, turnover)
+    update_energy_turnover(rows, outputs, turnover)
 
 
 @kernel
 def count_episode_periods(periods, active, horizon, truncated):
-    """Count a control period of the active arms, and set which episodes are truncated.
+    """Increase the period count of the episodes of active arms, and set the flags of truncated episodes.
 
     Args:
-        periods: (b,) control periods of the episodes, increased.
-        active: (b,) arms whose episode continues.
+        periods: (b,) numbers of control periods in the episodes, increased by one for active arms.
+        active: (b,) flags of the arms whose episode continues.
         horizon: number of periods after which an episode is truncated.
-        truncated: (b,) overwritten.
+        truncated: (b,) flags, overwritten.
 
     Returns:
         The number of truncated episodes.
@@ -194,7 +197,7 @@ def count_episode_periods(periods, active, horizon, truncated):
 def fourier_series(series, phases, out):
     """Set out (r, p, s) to Fourier series at phases (r, p), rad.
 
-    The coefficients `series` (r, s, 2 h + 1) are the mean, then cosine and sine of each harmonic.
+    The coefficients `series` (r, s, 2 h + 1) are the mean, then those of cosine and sine of each of h harmonics.
     """
     for r in range(phases.shape[0]):
         for p in range(phases.shape[1]):

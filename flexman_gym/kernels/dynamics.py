@@ -1,16 +1,17 @@
-"""Forward dynamics of the chain by the articulated-body algorithm, equal to Eq. 40-46 with O(n) operations for n links.
+"""Forward dynamics by the articulated-body algorithm: solves Eq. 40-46 of the paper in O(n) operations for n links.
 
-From the tip to the base, the elastic coordinates and then the joint of each link are eliminated, and the inboard link
-carries an articulated-body inertia of 6 x 6 (Featherstone's algorithm with elastic coordinates). With a shift (g, h)
-the eliminated blocks are M + g damping + h K instead of M, with the damping and stiffness of links and joint springs:
-this solves the linear system of an implicit step at the cost of an explicit one. Without shift the solution is the
-accelerations. An inertia is a triple of 3 x 3 blocks: force by linear, force by angular and moment by angular
-acceleration.
+From the tip to the base, the elastic coordinates and then the joint of each link are eliminated, which leaves an
+articulated-body inertia (6, 6) at the tip of the inboard link (Featherstone's algorithm with elastic coordinates). With
+a shift (g, h) the matrix of the linear system is M + g D + h K instead of M, with damping D and stiffness K of links,
+joint springs and motor friction: an implicit step costs as much as an explicit one. The shift (0, 0) gives the
+accelerations. An inertia is a triple of 3 x 3 blocks: force per linear acceleration, force per angular acceleration,
+and moment per angular acceleration.
 
-A rotor is accelerated by its motor alone (Eq. 23), or, if its inertia is carried, turns as a body in the frame that
-carries its joint: with the angular velocity w of that frame, along the axis a, its energy is J (a . w + rate)^2 / 2,
-and its reaction acts on the frame. In `_eliminate_joint`, `total` is the rotor with its implicit spring and friction;
-eliminating it leaves the three numbers `joint`, `mixed` and `frame` for joint and frame.
+A rotor turns about its joint axis only (Eq. 23 of the paper), or, if its inertia J is carried, as a body in the frame
+of the inboard link: with the angular velocity w of this frame, the joint axis a and the motor rate p, its kinetic
+energy is J (a . w + p)^2 / 2, and its reaction acts on the frame. In `_eliminate_joint`, `total` is the
+rotor inertia with the shifted spring and friction; its elimination leaves `joint` for the joint, `frame` for the
+inertia of the frame about the axis, and `mixed` for their coupling.
 """
 
 import math
@@ -51,7 +52,7 @@ from flexman_gym.kernels.linalg import (
 
 @inner
 def _eliminate_joint(constants, work, i, shift, inertia):
-    """Return an inertia after elimination of joint i with its rotor and spring, or with its motion prescribed."""
+    """Return an inertia after elimination of joint i with its rotor and spring, or of its prescribed motion."""
     force, mixed_block, moment = inertia
     axis, rotor, carried = load(constants.axis, i), constants.rotor_inertia[i], constants.carried_inertia[i]
     total = rotor + shift[0] * work.friction_slope[i]
@@ -81,7 +82,10 @@ def _eliminate_joint(constants, work, i, shift, inertia):
 
 @inner
 def _joint_force(constants, work, i, total, bias):
-    """Return force and moment transmitted by the free joint i whose inboard side has the bias acceleration."""
+    """Return force and moment transmitted by the free joint i if its inboard side has the acceleration `bias`.
+
+    `total` is force and moment on the outboard link for the locked joint and no acceleration; sets work.joint_force[i].
+    """
     axis, angular_bias = load(constants.axis, i), load(work.joint_bias, i)
     torque, acceleration, rotor_torque = work.force[i] - dot(axis, total[1]), work.drive[i], 0.0
     m = constants.motor[i]
@@ -107,9 +111,9 @@ def _joint_force(constants, work, i, total, bias):
 
 @inner
 def _joint_acceleration(constants, work, i, frame, out):
-    """Return the acceleration of joint i from that of its frame, and store it and its motor's in out.
+    """Return the acceleration of joint i for that of its frame; store the accelerations of joint and motor in out.
 
-    Sets work.motor_torque[i] to the torque of a prescribed motion, with spring and friction after the shift.
+    Sets work.motor_torque[i] to the torque (N m) that produces a prescribed motion, exact for the shift (0, 0).
     """
     linear, angular = load_pair(work.joint_column, i)
     m, torque = constants.motor[i], work.joint_force[i] - dot(linear, frame[0]) - dot(angular, frame[1])
@@ -133,7 +137,7 @@ def _joint_acceleration(constants, work, i, frame, out):
 
 @inner
 def prescribed_power(constants, work, v):
-    """Return the power (W) of the motors with prescribed motion; needs a solution without shift."""
+    """Return the power (W) of the motors with prescribed motion, after `solve` with the shift (0, 0)."""
     power = 0.0
     for i in range(len(constants.mass)):
         if constants.prescribed[i]:
@@ -144,10 +148,10 @@ def prescribed_power(constants, work, v):
 
 @inner
 def _eliminate_elastic(constants, work, i, shift, tip, inertia):
-    """Return the inertia of link i and its outboard chain after elimination of the elastic coordinates of the link.
+    """Return an inertia of link i and its outboard chain after elimination of the elastic coordinates of the link.
 
-    Fills work.factor row by row: R of the shifted M = R^T D^-1 R with its diagonal D inverted, then the coupling with
-    the frame.
+    Fills work.factor row by row: R of the factorisation R^T diag(R)^-1 R of the shifted elastic mass matrix, with
+    inverted diagonal, then six columns of the coupling with the frame.
     """
     start, width, first = constants.elastic_start[i], constants.factor_width[i], constants.factor_start[i]
     k, factor = constants.elastic_start[i + 1] - start, work.factor
@@ -176,9 +180,9 @@ def _eliminate_elastic(constants, work, i, shift, tip, inertia):
 
 @inner
 def _elastic_row(constants, work, i, a, shift):
-    """Set row a of work.factor for link i to the row of the shifted M minus multiples of the rows above.
+    """Set row a of work.factor for link i to a row of the shifted elastic mass matrix minus multiples of rows above.
 
-    Only entries from the diagonal on are valid. work.row_sums[c] is the multiplier of row c.
+    Entries left of the diagonal are invalid. work.row_sums[c] is the multiplier of row c.
     """
     start, square, width = constants.elastic_start[i], constants.square_start[i], constants.factor_width[i]
     first, length, factor, carried = constants.factor_start[i], constants.station_width[i], work.factor, work.carried
@@ -210,7 +214,7 @@ def _elastic_row(constants, work, i, a, shift):
 
 @inner
 def _add_axial_mass(constants, work, i, a, group, total):
-    """Return total + the axial motion of the stations in a group of row a of the elastic mass matrix of link i."""
+    """Return total + the mass matrix entries of axial station motion of link i for a group of row a."""
     first, width, stretch = constants.station_start[i], constants.station_width[i], work.stretch
     for s in range(0, constants.station_start[i + 1] - first, group_size(work.foreshortening)):
         j = constants.station_row[i] + s * width
@@ -221,7 +225,7 @@ def _add_axial_mass(constants, work, i, a, group, total):
 
 @inner
 def _frame_coupling(constants, work, i, a):
-    """Return force and moment on the frame of link i for unit acceleration of its elastic coordinate a."""
+    """Return force and moment on the fixed frame of link i for unit acceleration of its elastic coordinate a."""
     start, length, carried = constants.elastic_start[i], constants.station_width[i], work.carried
     force = moment = ZERO
     if start + a >= constants.tip_start[i]:
@@ -233,7 +237,7 @@ def _frame_coupling(constants, work, i, a):
 
 @inner
 def _tip_coupling(constants, work, i, tip):
-    """Set work.carried to the inertia at the tip of link i times the tip motion of each elastic coordinate."""
+    """Set work.carried to the inertia `tip` outboard of link i times the tip motion per elastic coordinate."""
     start, length = constants.elastic_start[i], constants.station_width[i]
     carried = work.carried
     for a in range(constants.tip_start[i], constants.elastic_start[i + 1]):
@@ -249,26 +253,19 @@ def _tip_coupling(constants, work, i, tip):
 
 @kernel
 def accelerations(constants, work, x, v, drive, out):
-    """Set out (d,) to the accelerations at coordinates x (d,) and speeds v (d,) for inputs drive (n + 6,)."""
+    """Set out (d,) to the accelerations at coordinates x and speeds v (d,) for inputs drive (n + 6,) of `layout`."""
     copy(drive, work.drive)
-    compute_accelerations(constants, work, x, v, out)
-
-
-@inner
-def compute_accelerations(constants, work, x, v, out):
-    """Set out (d,) to the accelerations for work.drive; return the power supplied and dissipated (W)."""
     compute_kinematics(constants, work, x, v)
     factorise(constants, work, (0.0, 0.0))
-    supplied, dissipated = applied_forces(constants, work, x, v)
+    applied_forces(constants, work, x, v)
     solve(constants, work, out)
-    return supplied + prescribed_power(constants, work, v), dissipated
 
 
 @inner
 def factorise(constants, work, shift):
-    """Eliminate elastic coordinates and joints from the tip to the base, with a shift (g, h). Needs `positions`.
+    """Eliminate elastic coordinates and joints from tip to base with a shift (g, h), after `compute_kinematics`.
 
-    Overwrites the work space group `factorisation`.
+    Overwrites the group `factorisation` of the work space.
     """
     tip = _payload_inertia(constants, work)
     for i in range(len(constants.mass) - 1, -1, -1):
@@ -281,7 +278,7 @@ def factorise(constants, work, shift):
 
 @inner
 def _product_skew(a, d):
-    """Return the product of a matrix and the skew matrix of d: the rows crossed with d."""
+    """Return the product of a matrix and the skew matrix of d: the cross products of its rows and d."""
     return (
         fma(a[1], d[2], -a[2] * d[1]), fma(a[2], d[0], -a[0] * d[2]), fma(a[0], d[1], -a[1] * d[0]),
         fma(a[4], d[2], -a[5] * d[1]), fma(a[5], d[0], -a[3] * d[2]), fma(a[3], d[1], -a[4] * d[0]),
@@ -299,7 +296,7 @@ def _payload_inertia(constants, work):
 
 @inner
 def _apply_inertia(inertia, acceleration):
-    """Return force and moment of an inertia for a linear and an angular acceleration."""
+    """Return force (N) and moment (N m) of an inertia for a linear and an angular acceleration."""
     linear, angular = acceleration
     force, mixed, moment = inertia
     return add(apply(force, linear), apply(mixed, angular)), add(
@@ -309,7 +306,7 @@ def _apply_inertia(inertia, acceleration):
 
 @inner
 def _link_inertia(constants, work, i, tip):
-    """Return the inertia of link i and of the chain at its tip, with elastic coordinates and joint locked."""
+    """Return the inertia of link i and of the inertia `tip` at its tip, with locked elastic coordinates and joint."""
     d, c, mass = load(work.tip, i), load(work.moment, i), constants.mass[i]
     force, mixed, moment = tip
     moment = add_matrix(moment, -1.0, _product_skew(transposed(mixed), d))
@@ -324,7 +321,7 @@ def _link_inertia(constants, work, i, tip):
 
 @inner
 def _rotate_inertia(inertia, c):
-    """Return an inertia in the frame before the rotation c."""
+    """Return an inertia in the inboard frame, given that in the frame rotated by c."""
     back = transposed(c)
     force, mixed, moment = inertia
     return product(product(c, force), back), product(product(c, mixed), back), product(product(c, moment), back)
@@ -334,8 +331,10 @@ def _rotate_inertia(inertia, c):
 def solve(constants, work, out):
     """Set out (d,) to the accelerations under work.force and the quadratic velocity forces, after `factorise`.
 
-    Overwrites the work space group `accelerations`. Returns the linear and angular acceleration of the tip in the frame
-    of the last link, minus gravity.
+    Overwrites the group `accelerations` of the work space.
+
+    Returns:
+        Linear acceleration minus gravity (m/s^2) and angular acceleration of the tip, in the frame of the last link.
     """
     n = len(constants.mass)
     elastic = len(out) - constants.elastic_start[n]
@@ -363,7 +362,7 @@ def solve(constants, work, out):
 
 @inner
 def payload_force(constants, work, acceleration):
-    """Return force and moment on the payload, at the tip, for an acceleration of the tip."""
+    """Return force and moment on the payload, at the tip, for an acceleration (linear, angular) of the tip."""
     force, moment = _apply_inertia(_payload_inertia(constants, work), acceleration)
     bias = load_pair(work.payload_bias, 0)
     return add(force, bias[0]), add(moment, bias[1])
@@ -371,7 +370,11 @@ def payload_force(constants, work, acceleration):
 
 @inner
 def _link_bias_force(constants, work, i, elastic, tip):
-    """Return force and moment on link i and its outboard chain without frame acceleration, elastic coordinates free."""
+    """Return force and moment on link i and its outboard chain for no acceleration of its frame.
+
+    Elastic coordinates are free. `tip` is force and moment on the outboard chain at the tip; `elastic` is the index in
+    x of the first elastic coordinate.
+    """
     factor, load_vector = work.factor, work.elastic_force
     start, stop = constants.elastic_start[i], constants.elastic_start[i + 1]
     k = stop - start
@@ -399,7 +402,7 @@ def _link_bias_force(constants, work, i, elastic, tip):
 
 @inner
 def _elastic_accelerations(constants, work, i, frame, out):
-    """Compute the accelerations of the elastic coordinates of link i from that of its frame, by back substitution."""
+    """Set out to the accelerations of the elastic coordinates of link i for that of its frame, by back substitution."""
     start, factor = constants.elastic_start[i], work.factor
     k = constants.elastic_start[i + 1] - start
     first = len(out) - len(constants.first_moment_shape) + start
@@ -416,7 +419,7 @@ def _elastic_accelerations(constants, work, i, frame, out):
 
 @inner
 def link_tip_acceleration(constants, work, i, frame, rates):
-    """Return the acceleration of the tip of link i from that of its frame and the accelerations `rates` (d,)."""
+    """Return the acceleration of the tip of link i for that of its frame and generalised accelerations `rates` (d,)."""
     elastic = len(rates) - len(constants.first_moment_shape)
     linear, angular = load_pair(work.tip_bias, i)
     linear = add(add(linear, frame[0]), cross(frame[1], load(work.tip, i)))

@@ -1,4 +1,4 @@
-"""Generalised forces of motors, springs, dampers, friction and disturbances, and their power."""
+"""Generalised forces of motors, springs, dampers, friction, tip force and base acceleration, and their power."""
 
 import math
 
@@ -21,7 +21,7 @@ from flexman_gym.kernels.linalg import (
 
 @inner
 def evaluate_drive(table, time, out):
-    """Set out (n + 6,) to the inputs of a drive table (7, n + 6) at a time (s); without a table (None), keep out."""
+    """Set out (n + 6,) to the inputs given by a drive table (7, n + 6) of `layout` at a time (s); None keeps out."""
     if table is not None:
         for i in range(len(out)):
             value = table[OFFSET, i]
@@ -35,10 +35,13 @@ def evaluate_drive(table, time, out):
 
 @inner
 def applied_forces(constants, work, x, v):
-    """Set work.force (d,) to the drive, friction, springs and dampers of joints (Eq. 23) and links (Eq. 18).
+    """Set work.force (d,) to the generalised forces of motors, friction, springs and dampers at x and v (d,).
 
-    Also sets work.field and work.tip_force. Needs `velocities`. Returns the power supplied, without that of prescribed
-    motions, and the power dissipated (W).
+    Joints as in Eq. 23 of the paper, links as in Eq. 18 with damping. Sets work.field and work.tip_force, too. Call
+    `compute_kinematics` before.
+
+    Returns:
+        Power (W) supplied, without that of motors with prescribed motion, and power dissipated.
     """
     supplied, dissipated = _motor_forces(constants, work, v)
     dissipated += _structural_forces(constants, work, x, v)
@@ -98,8 +101,8 @@ def _structural_forces(constants, work, x, v):
 def secant_friction(constants, work, v):
     """Set work.friction_slope (n,) to the friction torque divided by the motor rate, at the speeds v (d,).
 
-    The tangent would vanish at all but small rates, so that a large step would reverse the motion again and again. With
-    the secant, a motor comes to rest, and the order of a W-method does not depend on the approximation.
+    The tangent of Coulomb friction vanishes except at small rates, so that large steps would reverse the motion again
+    and again. With the secant, a motor comes to rest; a W-method has its order with any approximate Jacobian.
     """
     for i in range(len(constants.mass)):
         slope = constants.viscous_friction[i]
@@ -121,10 +124,10 @@ def _shift_friction(constants, work, change):
 
 @inner
 def stage_forces(constants, work, v, x_implicit, v_implicit, change):
-    """Set the forces of an implicit stage at the positions in the work space and the speeds v (d,).
+    """Set work.force, work.field and work.tip_force for an implicit stage at speeds v (d,), after `compute_kinematics`.
 
-    Springs and dampers act at the coordinates x_implicit and speeds v_implicit (d,); friction is that of the speeds
-    v + change, to first order in the change (d,).
+    Springs and dampers are evaluated at x_implicit and v_implicit (d,), friction at the speeds v + change (d,), to
+    first order in the change.
     """
     _motor_forces(constants, work, v)
     _shift_friction(constants, work, change)
@@ -134,14 +137,14 @@ def stage_forces(constants, work, v, x_implicit, v_implicit, change):
 
 @inner
 def shift_forces(constants, work, x_change, v_change):
-    """Add to work.force the first-order change of springs, dampers and friction for changes (d,) of x and v."""
+    """Add to work.force the first-order change of spring, damper and friction forces for changes (d,) of x and v."""
     _structural_forces(constants, work, x_change, v_change)
     _shift_friction(constants, work, v_change)
 
 
 @inner
 def _apply_disturbance(constants, work, v):
-    """Set work.field and work.tip_force from the last six numbers of work.drive; return their power (W)."""
+    """Set work.field and work.tip_force from tip force and base acceleration in work.drive; return their power (W)."""
     n = len(constants.mass)
     drive, gravity = work.drive, constants.gravity
     force, base = (drive[n], drive[n + 1], drive[n + 2]), (drive[n + 3], drive[n + 4], drive[n + 5])
@@ -158,7 +161,7 @@ def _apply_disturbance(constants, work, v):
 
 @inner
 def _momentum(constants, work, v):
-    """Return the linear momentum of links and payload in the base frame (kg m/s). Needs `velocities`."""
+    """Return the linear momentum of links and payload in the base frame (kg m/s), after `compute_kinematics`."""
     n = len(constants.mass)
     elastic = len(v) - constants.elastic_start[n]
     total = cross(load(work.payload_spin, 0), load(work.payload_moment, 0))

@@ -1,4 +1,4 @@
-"""Inverse dynamics of the chain, M v' + h (left side of Eq. 44), and static equilibrium."""
+"""Inverse dynamics M v' + h, with quadratic velocity and gravitational forces h, and static equilibrium."""
 
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import link_tip_acceleration, payload_force
@@ -20,9 +20,9 @@ from flexman_gym.kernels.linalg import (
 
 @kernel
 def inertial_forces(constants, work, x, v, acceleration, out):
-    """Set out (d,) to the generalised inertial and gravitational forces at x, v (d,) for accelerations (d,).
+    """Set out (d,) to M v' + h at coordinates x (d,) and speeds v (d,) for accelerations v' (d,).
 
-    Sets work.reaction (n + 1, 6) to force and moment on each link at its origin, and on the payload at the last tip.
+    Sets work.reaction (n + 1, 6) to force (N) and moment (N m) on each link at its origin, then on the payload.
     """
     compute_kinematics(constants, work, x, v)
     n = len(constants.mass)
@@ -58,7 +58,7 @@ def inertial_forces(constants, work, x, v, acceleration, out):
 
 @inner
 def _rotor_torque(constants, i, angular, acceleration):
-    """Return the torque (N m) on carried rotor i for the angular acceleration of its frame and those of x (d,)."""
+    """Return the torque (N m) on carried rotor i for the angular acceleration of link i and those of x (d,)."""
     m = constants.motor[i]
     rate = acceleration[m] if m >= 0 else acceleration[i]
     return constants.carried_inertia[i] * (rate + dot(load(constants.axis, i), angular) - acceleration[i])
@@ -66,7 +66,7 @@ def _rotor_torque(constants, i, angular, acceleration):
 
 @inner
 def _link_force(constants, work, i, frame, tip, acceleration):
-    """Return force and moment at the origin of link i from the acceleration of its frame and those at its tip."""
+    """Return force and moment at the origin of link i for accelerations of its frame and `tip`, those at its tip."""
     elastic = len(acceleration) - len(constants.first_moment_shape)
     linear, angular = frame
     c = load(work.moment, i)
@@ -83,7 +83,7 @@ def _link_force(constants, work, i, frame, tip, acceleration):
 
 @inner
 def _elastic_forces(constants, work, i, frame, tip, acceleration, out):
-    """Set the entries of out for the elastic coordinates of link i, with force and moment at its tip."""
+    """Set the entries of out for the elastic coordinates of link i; `tip` is force and moment at its tip."""
     start = constants.elastic_start[i]
     k = constants.elastic_start[i + 1] - start
     first = len(out) - len(constants.first_moment_shape) + start
@@ -101,7 +101,7 @@ def _elastic_forces(constants, work, i, frame, tip, acceleration, out):
 
 @inner
 def _add_axial_forces(constants, work, i, rates, elastic, out):
-    """Add to out (d,) the forces of axial station motion of link i for accelerations `rates` (d,)."""
+    """Add to out (d,) the inertial forces of axial station motion of link i for accelerations `rates` (d,)."""
     start, first = elastic + constants.elastic_start[i], constants.station_start[i]
     k = constants.elastic_start[i + 1] - constants.elastic_start[i]
     for s in range(constants.station_start[i + 1] - first):
@@ -112,7 +112,7 @@ def _add_axial_forces(constants, work, i, rates, elastic, out):
             out[start + a] += force * work.stretch[row + a]
 
 
-EQUILIBRIUM_ITERATIONS, EQUILIBRIUM_TOLERANCE = 100, 1e-12  # most iterations; largest relative change at the end
+EQUILIBRIUM_ITERATIONS, EQUILIBRIUM_TOLERANCE = 100, 1e-12  # largest number of iterations; relative change at the end
 
 
 @kernel
@@ -120,14 +120,14 @@ def solve_equilibrium(constants, work, stiffness, compliance, free, rest, x, for
     """Solve for the static equilibrium of the arm under gravity, by a fixed-point iteration.
 
     Args:
-        constants: of the model.
+        constants: constants of the model.
         work: work space.
-        stiffness: (d, d), used as the Jacobian of the balance of forces.
-        compliance: (f, f) inverse of the stiffness of the free coordinates.
-        free: (f,) indices of the coordinates that change.
-        rest: (d,) zeros.
-        x: (d,) first guess, overwritten by the solution.
-        force: (d,) overwritten.
+        stiffness: (d, d) stiffness matrix without gravity.
+        compliance: (f, f) inverse of the stiffness matrix of the free coordinates.
+        free: (f,) indices of the free coordinates; all other coordinates are constant.
+        rest: (d,) zeros, for speeds and accelerations.
+        x: (d,) coordinates; first guess, overwritten by the solution.
+        force: (d,) residual forces, overwritten.
 
     Returns:
         The largest change in the last iteration, relative to the largest coordinate or to 1.

@@ -1,10 +1,10 @@
-"""Kinematics of the chain from the base to the tip: positions, velocities, velocity-product terms (Eq. 24-33).
+"""Kinematics of the chain from the base to the tip: positions, velocities and bias terms (Eq. 24-33 of the paper).
 
-Foreshortening: a bent beam keeps the length of its centreline, so a point at x moves back by 1/2 q^T G(x) q, the
-integral of half the squared slopes. All its terms are exact derivatives of the positions of mass points, called
-stations, that represent the centreline (see `model.beam`); an expansion to second order would lose the positive mass
-matrix at deflections of a few percent of the length. The stations of a link begin with its tip and fill whole groups of
-LANES; stations that pad the last group have no mass.
+Foreshortening: bending does not change the length of the centreline, so a point at x moves towards the joint by
+1/2 q^T G(x) q, the integral of half the squared slopes from 0 to x. Its inertia terms are exact derivatives of the
+positions of the stations, mass points on the centreline (see `model.beam`); with terms expanded to second order the
+mass matrix would not stay positive definite at deflections of a few percent of the length. The stations of a link begin
+with the tip and fill whole groups of LANES; stations that pad the last group have no mass.
 """
 
 import math
@@ -50,7 +50,7 @@ from flexman_gym.kernels.linalg import (
 def compute_kinematics(constants, work, x, v):
     """Compute the kinematics of all links at the coordinates x and speeds v (d,), outward from the base.
 
-    Overwrites the work space groups `positions` and `velocities`.
+    Overwrites the groups `positions` and `velocities` of the work space.
     """
     _positions(constants, work, x)
     _velocities(constants, work, v)
@@ -60,7 +60,7 @@ def compute_kinematics(constants, work, x, v):
 def _positions(constants, work, x):
     """Compute relative rotations, tips, tip shapes and mass integrals of all links at the coordinates x (d,).
 
-    Overwrites the work space group `positions`.
+    Overwrites the group `positions` of the work space.
     """
     n = len(constants.mass)
     elastic = len(x) - constants.elastic_start[n]
@@ -94,7 +94,7 @@ def tip_rotation(work, i):
 
 @inner
 def _joint_rotation(constants, work, i, angle):
-    """Compute C of link i = exp(S_r q of the previous link) mount exp(axis angle)."""
+    """Compute C of link i, exp(S_r q) of the previous link times mount exp(axis angle)."""
     sine, versine = sine_versine(angle)
     turned = rotation_matrix(sine, versine, load(constants.axis, i))
     c = product(load_matrix(constants.mount, i), turned)
@@ -105,7 +105,10 @@ def _joint_rotation(constants, work, i, angle):
 
 @inner
 def _tip_position(constants, work, i, x, elastic):
-    """Compute the tip of link i and its derivatives by the elastic coordinates (Eq. 26 with the tangent operator)."""
+    """Compute the tip of link i and its derivatives with respect to elastic coordinates (Eq. 26 of the paper, with T).
+
+    `elastic`, here and below, is the index in x of the first elastic coordinate.
+    """
     tip = (constants.length[i], 0.0, 0.0)
     phi = ZERO
     for a in range(constants.tip_linear_start[i], constants.elastic_start[i + 1]):
@@ -126,7 +129,10 @@ def _tip_position(constants, work, i, x, elastic):
 
 @inner
 def _tangent_coefficients(z):
-    """Return (1 - cos p)/p^2, (p - sin p)/p^3 and their derivatives by z = p^2."""
+    """Return b = (1 - cos p)/p^2 and c = (p - sin p)/p^3 of T = I + b X + c X^2, and db/dz and dc/dz for z = p^2.
+
+    X is the skew matrix of the rotation vector phi, p its length.
+    """
     # Taylor series, exact to rounding: the quotients below lose all digits at zero
     b = 1 / 2 - z * (1 / 24 - z * (1 / 720 - z * (1 / 40320 - z * (1 / 3628800 - z * (1 / 479001600)))))
     c = 1 / 6 - z * (1 / 120 - z * (1 / 5040 - z * (1 / 362880 - z * (1 / 39916800 - z * (1 / 6227020800)))))
@@ -148,7 +154,7 @@ def _tangent_coefficients(z):
 
 @inner
 def _mass_integrals(constants, work, i, x, elastic):
-    """Compute first moment, J, U and the coupling of rotation and elastic coordinates of link i (blocks of Eq. 13)."""
+    """Compute first moment, J, U and coupling of rotation and elastic coordinates of link i (Eq. 13 of the paper)."""
     start, stop = constants.elastic_start[i], constants.elastic_start[i + 1]
     shape = work.shape
     for j in range(9 * start, 9 * stop):
@@ -181,9 +187,9 @@ def _mass_integrals(constants, work, i, x, elastic):
 
 @inner
 def _velocities(constants, work, v):
-    """Compute velocities, velocity-product accelerations and forces of all links for speeds v (d,).
+    """Compute velocities and biases of accelerations and forces of all links for speeds v (d,), after `_positions`.
 
-    Needs `positions`; overwrites the work space group `velocities`.
+    Overwrites the group `velocities` of the work space.
     """
     n = len(constants.mass)
     elastic = len(v) - constants.elastic_start[n]
@@ -213,7 +219,7 @@ def _velocities(constants, work, v):
 
 @inner
 def _tip_motion(constants, work, i, v, elastic):
-    """Return the elastic velocity (linear, angular) of the tip of link i; store its bias acceleration (Eq. 32, 33)."""
+    """Return the elastic velocity (linear, angular) of the tip of link i; set its bias (Eq. 32, 33 of the paper)."""
     linear = angular = phi_rate = ZERO
     for a in range(constants.tip_start[i], constants.tip_linear_start[i]):
         linear = (linear[0] + v[elastic + a] * work.tip_shape[a, 0], 0.0, 0.0)
@@ -238,7 +244,7 @@ def _tip_motion(constants, work, i, v, elastic):
 
 @inner
 def _quadratic_forces(constants, work, i, v, elastic):
-    """Compute quadratic velocity force, torque and elastic forces of link i (Eq. 14), on the side of M v'."""
+    """Compute the quadratic velocity forces of link i: minus Eq. 14 of the paper, on the side of M v'."""
     spin = load(work.spin, i)
     square = dot(spin, spin)
     linear = relative = ZERO  # sum of q' S dm, and (tr(N) I - N^T) w with N = sum of q'_a U_a
@@ -265,7 +271,7 @@ def _quadratic_forces(constants, work, i, v, elastic):
 
 @inner
 def _foreshorten_tip(constants, work, i, x, elastic):
-    """Compute the stations of link i, and add foreshortening to the tip and its shape."""
+    """Compute motion and foreshortening of the stations of link i; add foreshortening to tip and tip shape."""
     start, stop, first = constants.elastic_start[i], constants.elastic_start[i + 1], constants.station_start[i]
     count = constants.station_start[i + 1] - first
     width, row = constants.station_width[i], constants.station_row[i]
@@ -290,7 +296,7 @@ def _foreshorten_tip(constants, work, i, x, elastic):
 
 @inner
 def _station_motion(constants, i, s, rates, elastic):
-    """Return the motion x, y, z of a group of stations of link i, from s on, without foreshortening."""
+    """Return displacements x, y, z, for elastic entries of `rates` (d,), of the group of stations s of link i."""
     count = constants.station_start[i + 1] - constants.station_start[i]
     start, source = constants.displacement_start, constants.displacement_source
     values, first = constants.displacement_value, constants.displacement_row[i] + s
@@ -306,7 +312,7 @@ def _station_motion(constants, i, s, rates, elastic):
 
 @inner
 def _station_bend(constants, i, s, a, rates, elastic):
-    """Return row a of G times the elastic part of `rates` (d,) at a group of stations of link i, from s on."""
+    """Return row a of G times the elastic part of `rates` (d,) at the group of stations s of link i."""
     count = constants.station_start[i + 1] - constants.station_start[i]
     bend, value = 0.0, constants.bend_row[i] + s
     for e in range(constants.bend_start[a], constants.bend_start[a + 1]):
@@ -316,7 +322,7 @@ def _station_bend(constants, i, s, a, rates, elastic):
 
 @inner
 def _foreshorten_mass(constants, work, i):
-    """Add foreshortening to the moment shape and the coupling of link i; needs `_foreshorten_tip`.
+    """Add foreshortening to work.moment_shape and work.coupling of link i, after `_foreshorten_tip`.
 
     Returns the changes of the first moment along x and of the entries xx, xy, xz of P.
     """
@@ -360,7 +366,7 @@ def _foreshorten_mass(constants, work, i):
 
 @inner
 def _foreshorten_forces(constants, work, i, v, elastic):
-    """Add the quadratic velocity forces of foreshortening to link i; needs `_foreshorten_mass` at the same x."""
+    """Add the quadratic velocity forces of foreshortening to link i, after `_foreshorten_mass` at these coordinates."""
     first, row, width = constants.station_start[i], constants.station_row[i], constants.station_width[i]
     count, weight, w = constants.station_start[i + 1] - first, work.weight, load(work.spin, i)
     square = dot(w, w)
@@ -374,7 +380,7 @@ def _foreshorten_forces(constants, work, i, v, elastic):
         shortening_rate, axial_bias = _station_rates(constants, work, i, s, v, elastic)
         store_lanes(work.axial_rate, first + s, rate[0] + shortening_rate)
         store_lanes(work.axial_bias, first + s, axial_bias)
-        # 2 w x velocity: the part of foreshortening, and the rest
+        # 2 w x velocity of foreshortening (turn), and of the other displacement (plain)
         turn_y, turn_z = 2.0 * w[2] * shortening_rate, -2.0 * w[1] * shortening_rate
         plain_y, plain_z = 2.0 * (w[2] * rate[0] - w[0] * rate[2]), 2.0 * (w[0] * rate[1] - w[1] * rate[0])
         whole = w[0] * dot(w, (x, y, z)) - square * x + 2.0 * (w[1] * rate[2] - w[2] * rate[1]) + axial_bias
@@ -409,7 +415,7 @@ def _foreshorten_forces(constants, work, i, v, elastic):
 
 @inner
 def _station_rates(constants, work, i, s, v, elastic):
-    """Return - q'^T G q, the rate of foreshortening, and - q'^T G q' at a group of stations of link i, from s on."""
+    """Return - q'^T G q, the rate of foreshortening, and - q'^T G q' at the group of stations s of link i."""
     start, row = constants.elastic_start[i], constants.station_row[i] + s
     count = constants.station_start[i + 1] - constants.station_start[i]
     shortening_rate = axial_bias = 0.0

@@ -1,10 +1,10 @@
 """SIMD groups of float64 as a Numba type, with arithmetic, comparisons, loads and stores.
 
 The kernels need an explicit type because Numba turns automatic vectorisation off. The lanes of a `NEIGHBOURS` group are
-neighbouring entries of an array of one arm; those of an `ARMS` group are the same entry for several arms; those of a
-`SEQUENCES` group are the same entry for several sequences of one extrapolated step. The source of a kernel is the same
-for all: in a work space of `ARMS` or `SEQUENCES` groups, each array element is a group, a load of neighbours returns
-one element, and the constants shared by the lanes are read-only arrays of plain numbers.
+neighbouring entries of an array of one arm, those of an `ARMS` group one entry for several arms, and those of a
+`SEQUENCES` group one entry for several sequences of an extrapolated step. A kernel has one source for all three: in a
+work space of `ARMS` or `SEQUENCES` groups, each array element is a group, a load of neighbours returns one element, and
+constants shared by the lanes are read-only arrays of plain numbers.
 """
 
 import math
@@ -24,7 +24,7 @@ INDEX = ir.IntType(32)
 
 
 class Lanes(types.Type):
-    """Numba type of a group of numbers; arithmetic combines it with a group of its kind or with one number."""
+    """Numba type of a group of numbers; arithmetic combines a group with a group of the same type or a number."""
 
     def __init__(self, width: int, of: str) -> None:
         super().__init__(name=f"Lanes({width}, {of})")
@@ -54,7 +54,7 @@ class _LanesModel(models.PrimitiveModel):
 
 @lower_cast(types.Float, Lanes)
 def _broadcast(context: Any, builder: Any, kind: Any, target: Any, value: Any) -> Any:
-    """Return a number as a group with equal lanes; if the type is the target already, return the value."""
+    """Return a number as a group with equal lanes, and a group unchanged."""
     if kind == target:
         return value
     undefined = ir.Constant(target.vector, ir.Undefined)
@@ -63,7 +63,7 @@ def _broadcast(context: Any, builder: Any, kind: Any, target: Any, value: Any) -
 
 
 def _common_type(*kinds: Any) -> Any:
-    """Return the type of a result of these types: the group type if all others are numbers, None otherwise."""
+    """Return the type of a result: the only group type among the arguments, NUMBER without groups, None otherwise."""
     groups = {kind for kind in kinds if isinstance(kind, Lanes)}
     if len(groups) > 1 or any(kind not in groups and kind != NUMBER for kind in kinds):
         return None
@@ -74,7 +74,7 @@ class _LanesArithmetic(AbstractTemplate):
     """Type inference of operators and functions of groups."""
 
     def generic(self, args: Any, kws: Any) -> Any:
-        """Return the signature if an argument is a group and the others are numbers or groups of its kind."""
+        """Return the signature if the arguments are groups of one type, or such groups and numbers."""
         kind = _common_type(*args)
         return signature(kind, *args) if isinstance(kind, Lanes) else None
 
@@ -145,7 +145,7 @@ for _single in (math.sin, math.cos, math.tanh):
 
 @intrinsic
 def fma(typing_context, a, b, c):
-    """Return a b + c with one rounding; explicit, as the compiler fuses differently for one arm and for a batch."""
+    """Return a b + c with one rounding; explicit, as the compiler would fuse differently for one arm and several."""
     kind = _common_type(a, b, c)
 
     def generate(context, builder, kinds, values):
@@ -157,7 +157,7 @@ def fma(typing_context, a, b, c):
 
 
 def _all(builder: Any, kind: Any, condition: Any) -> Any:
-    """Return the condition that is true if a condition holds in every lane."""
+    """Return the boolean that is true if the condition holds in every lane."""
     if not isinstance(kind, Lanes):
         return condition
     bits = ir.IntType(kind.width)
@@ -166,7 +166,7 @@ def _all(builder: Any, kind: Any, condition: Any) -> Any:
 
 @intrinsic
 def is_zero(typing_context, a):
-    """Return whether a number, or every lane of a group, is zero."""
+    """Return True if a number, or every lane of a group, is zero."""
 
     def generate(context, builder, kinds, values):
         zero = _broadcast(context, builder, NUMBER, kinds.args[0], ir.Constant(ir.DoubleType(), 0.0))
@@ -177,7 +177,7 @@ def is_zero(typing_context, a):
 
 @intrinsic
 def is_below(typing_context, a, limit):
-    """Return whether a number, or every lane of a group, is less than a limit."""
+    """Return True if a number, or every lane of a group, is less than a limit."""
 
     def generate(context, builder, kinds, values):
         kind = kinds.args[0]
@@ -201,7 +201,7 @@ def select_below(typing_context, a, limit, below, otherwise):
 
 
 def _group(flat: Any) -> Any:
-    """Return the type of a group loaded from a flat array: its elements, or neighbours of one arm."""
+    """Return the type of a group loaded from a flat array: NEIGHBOURS for mutable numbers, else the element type."""
     if isinstance(flat.dtype, Lanes) or not flat.mutable:
         return flat.dtype
     return NEIGHBOURS
@@ -290,8 +290,8 @@ def scatter_lanes(typing_context, flat, i, stride, a):
 def add_weighted_rows(typing_context, total, factors, rows, j, stride):
     """Return total + the weighted sum of rows, which are groups at j, j + stride, ... of flat arrays.
 
-    `factors` are groups whose lanes are the weights of consecutive rows. Factors and arrays are tuples of equal length:
-    the first row of each array is added first, then the second row of each.
+    `factors` are groups whose lanes are the weights of consecutive rows. `factors` and `rows` are tuples of equal
+    length; the first row of each array is added first, then the second row of each.
     """
     kind = _common_type(total, *factors, *map(_group, rows))
     size = LANES if any(_group(each) == NEIGHBOURS for each in rows) else 1
@@ -319,7 +319,7 @@ def add_weighted_rows(typing_context, total, factors, rows, j, stride):
 
 @intrinsic
 def add_products(typing_context, total, a, b):
-    """Return total + a b; for neighbours, the total is a number and the products are added one after the other."""
+    """Return total + a b; for neighbours, a number: total plus the products of all lanes, one after the other."""
     kind = _common_type(a, b)
     result = NUMBER if kind == NEIGHBOURS else _common_type(total, a, b)
 

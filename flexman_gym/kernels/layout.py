@@ -1,16 +1,20 @@
-"""Memory layout shared by the kernels: state, drive, constants, work space, status.
+"""Memory layout shared by the kernels: state, drive, constants, work space, status. Units are SI units and radians.
 
 State. With n links, m flexible joints and k = k_1 + ... + k_n elastic coordinates there are d = n + m + k coordinates
 
     x = [joint angles (n), motor angles (m, flexible joints in ascending order), elastic coordinates (k, link by link)]
 
-and speeds v in the same order. A state is [x, v] (2 d,). Integrators append an energy ledger of two numbers: the work
-done by motors and disturbances, and the energy dissipated, since the start (J).
+and speeds v = dx/dt in this order. A state is [x, v] (2 d,). A row (2 d + 2,) is a state with its energy ledger of two
+numbers: the work done by motors and disturbances, and the energy dissipated, since the start (J).
 
-Drive. The inputs of the arm are n + 6 numbers: the torque of each motor (N m), or its acceleration (rad/s^2) where the
-motion is prescribed; the force on the tip (N) and the acceleration of the base (m/s^2), both in the base frame. A drive
-table (7, n + 6) has one column for each input: offset + slope t + amplitude sin(2 pi frequency t + phase) while
-start <= t < stop, and zero otherwise.
+Drive. The n + 6 inputs of the arm are n motor torques (N m), or accelerations (rad/s^2) of motors with prescribed
+motion; 3 components of a force on the tip (N) and 3 of the acceleration of the base (m/s^2), both in the base frame. A
+drive table (7, n + 6) gives the inputs as functions of time t: column j has the offset, amplitude, frequency (Hz),
+phase (rad), start (s), stop (s) and slope of input j, which is offset + slope t + amplitude sin(2 pi frequency t +
+phase) while start <= t < stop, and zero otherwise. Offset and amplitude have the unit of the input, slope that per s.
+
+Equation numbers are those of the paper "Dynamic modeling and simulation of spatial manipulator with flexible links and
+joints".
 
 Symbols. Single capital letters have only these meanings:
 
@@ -21,12 +25,19 @@ Symbols. Single capital letters have only these meanings:
     L  length of a link
     P  (3, 3) integral of r r^T dm over a link
     R  (3,) origin of a link in the base frame
-    S  shape functions; T tangent operator of the rotation vector (w = T phi')
+    S  (3, k) translation of a point of a link per unit elastic coordinate (shape functions), with columns S_a; S_t at
+       the tip, and S_r rotation vector of the tip
+    T  (3, 3) tangent operator of the rotation vector phi of the tip: angular velocity T phi'
     U  (3, 3) integral of r S_a^T dm for elastic coordinate a
 
-Six-vectors begin with the linear part. All vectors of a link are in its beam frame. Blocks of k_i^2 entries, one for
-each link, are stored one after the other and begin at `square_start[i]`; rows of the k elastic coordinates begin at
-`elastic_start[i]`.
+In formulas, r is the position of a point of a link relative to its origin at the joint, r0 that without deformation, q
+the elastic coordinates, w (`spin`) the angular velocity of a link, and ' a time derivative. A bias is the part of an
+acceleration or force that depends on x and v only (velocity-product term). A moment is a torque; first and second
+moments are those of mass.
+
+Six-vectors begin with the linear part. All vectors of a link are in its beam frame, whose x axis is the undeformed
+centreline. Matrices (k_i, k_i) of links are stored by rows one after the other and begin at `square_start[i]`; in
+shapes, q is their number of entries, the sum of k_i^2. Rows of the k elastic coordinates begin at `elastic_start[i]`.
 """
 
 from collections.abc import Callable
@@ -36,7 +47,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-# Arrays with two axes. The annotation holds the number of columns where it is fixed, for faster code, see `arguments`.
+# Arrays with two axes, annotated with the number of columns, or 0 if it is not fixed; for faster code, see `arguments`.
 Rows = Annotated[NDArray[np.float64], 0]
 Vectors = Annotated[NDArray[np.float64], 3]
 SixVectors = Annotated[NDArray[np.float64], 6]
@@ -44,21 +55,23 @@ IntArray = NDArray[np.int64]
 PerArm = Annotated[NDArray[np.float64], "per arm"]  # one axis; arms of a batch may differ in these constants
 
 OK, DIVERGED, NOT_CONVERGED = 0, 1, 2  # status of an integration; index into STATUS
-PAUSED = 3  # status between two calls of a long integration; internal
+PAUSED = 3  # status between two kernel calls of a long integration; internal
 STATUS = ("ok", "diverged", "not converged")
 
-LARGEST_STATE = 1e6  # rad, m, 1/s; an integration with a larger coordinate or speed ends as diverged
+LARGEST_STATE = 1e6  # rad, m, rad/s, m/s; an integration with a larger coordinate or speed ends as diverged
 
 LANES = 4  # neighbouring numbers in a SIMD group; rows of a factorisation are padded to whole groups
-ARMS_PER_GROUP = 8  # arms that the kernels integrate at once, one in each lane
+ARMS_PER_GROUP = 8  # number of arms that the kernels integrate at once, one in each lane
 
-MAX_STAGES = 16  # stages of a method, including the evaluation at the end of the step
-MAX_SEQUENCES = 8  # sequences of an extrapolation method
+MAX_STAGES = 16  # largest number of stages of a method, including the evaluation at the end of the step
+MAX_SEQUENCES = 8  # largest number of sequences of an extrapolation method
 
-# Rows of a drive table.
+# Rows of a drive table, see Drive above.
 OFFSET, AMPLITUDE, FREQUENCY, PHASE, START, STOP, SLOPE = 0, 1, 2, 3, 4, 5, 6
 
-# Columns of an output row: the first of each vector, the slices of the vectors, energies (J).
+# Columns of an output row (OUTPUTS,): first column and slice of tip position and deflection (m), tip velocity and
+# deflection rate (m/s), all in the base frame; kinetic energy, elastic energy of links and of joints, and gravitational
+# energy (J).
 TIP_COLUMN, TIP_VELOCITY_COLUMN, DEFLECTION_COLUMN, DEFLECTION_RATE_COLUMN = 0, 3, 6, 9
 TIP, TIP_VELOCITY, DEFLECTION, DEFLECTION_RATE = (
     slice(first, first + 3) for first in (TIP_COLUMN, TIP_VELOCITY_COLUMN, DEFLECTION_COLUMN, DEFLECTION_RATE_COLUMN)
@@ -66,18 +79,18 @@ TIP, TIP_VELOCITY, DEFLECTION, DEFLECTION_RATE = (
 KINETIC, LINK_ENERGY, JOINT_ENERGY, GRAVITATIONAL = 12, 13, 14, 15
 OUTPUTS = 16
 
-# Columns of a row of tip accelerations (m/s^2), see `outputs.compute_tip_accelerations`.
+# Columns of a row (TIP_ACCELERATIONS,) of tip accelerations (m/s^2), see `outputs.compute_tip_accelerations`.
 TIP_ACCELERATION, SPECIFIC_FORCE = slice(0, 3), slice(3, 6)
 TIP_ACCELERATIONS = 6
 
 
 class Constants(NamedTuple):
-    """Constants of a model: n links, k elastic coordinates, q = sum of k_i^2; SI units."""
+    """Constants of a model with n links and k elastic coordinates; symbols as in the module, SI units."""
 
     motor: IntArray  # (n,) index of the motor angle in x, -1 for a rigid joint
-    elastic_start: IntArray  # (n + 1,)
-    square_start: IntArray  # (n + 1,)
-    gravity: Array  # (3,)
+    elastic_start: IntArray  # (n + 1,) first elastic coordinate of each link, then k
+    square_start: IntArray  # (n + 1,) first entry of each link in packed matrices, then q
+    gravity: Array  # (3,) acceleration of gravity, base frame
     mount: Array  # (9 n,) rotation between neighbouring beam frames at zero angle and deflection, by rows
     axis: Vectors  # (n, 3) joint axis in the frame of the outboard link
     joint_stiffness: PerArm  # (n,)
@@ -86,7 +99,7 @@ class Constants(NamedTuple):
     carried_inertia: PerArm  # (n,) rotor inertia if the rotor also turns with the inboard link, else 0 (Eq. 23)
     viscous_friction: PerArm  # (n,)
     coulomb_friction: PerArm  # (n,) zero in all arms where `has_coulomb_friction` is zero
-    coulomb_rate: Array  # (n,) rate in the tanh that smooths Coulomb friction
+    coulomb_rate: Array  # (n,) motor rate r in the Coulomb friction c tanh(rate / r)
     has_coulomb_friction: IntArray  # (n,) 1 for a joint with Coulomb friction, else 0
     prescribed: IntArray  # (n,) 1 for a motor with prescribed motion, else 0; set by a simulation, not by a model
     length: Array  # (n,)
@@ -100,14 +113,14 @@ class Constants(NamedTuple):
     shape_start: IntArray  # (9 k + 1,)
     shape_source: IntArray
     shape_value: Array
-    # integral of S_b x S_a dm in the same format, three numbers for each a
+    # integral of S_b x S_a dm as a sparse matrix like that of U, three numbers for each a
     cross_start: IntArray  # (3 k + 1,)
     cross_source: IntArray
     cross_value: Array
     factor_start: IntArray  # (n,) first entry of each link in `Work.factor`
     factor_width: IntArray  # (n,) k_i + 6, rounded up to a multiple of LANES
     tip_start: IntArray  # (n,) first elastic coordinate that moves the tip
-    tip_linear_start: IntArray  # (n,) first that moves it without foreshortening; earlier ones move it along x only
+    tip_linear_start: IntArray  # (n,) first one that moves it to first order; those before only by foreshortening
     # the next three end with LANES zeros, so that the last group may extend beyond the last row
     elastic_mass: Array  # (q + LANES,) without the contribution of the stations
     stiffness: PerArm  # (q + LANES,)
@@ -118,39 +131,39 @@ class Constants(NamedTuple):
     station_start: IntArray  # (n + 1,)
     station_width: IntArray  # (n,) k_i, rounded up to a multiple of LANES
     station_row: IntArray  # (n,) first of the b numbers of each link
-    station_mass: Array  # (s,)
-    station_position: Array  # (s,) undeformed x
+    station_mass: Array  # (s,) mass of each station
+    station_position: Array  # (s,) undeformed x of each station
     station_offset: Array  # (2 s,) for each link s_i values of y, then z: offset of lumped masses from the centreline
-    station_shape: Rows  # (3, b) displacement of the stations per unit coordinate
-    # the same without zeros: per unit of coordinate displacement_source[e], the stations of link i move by the s_i
-    # values from displacement_row[i] + e s_i on
+    station_shape: Rows  # (3, b) displacement of the stations per unit coordinate, rows x, y, z
+    # these displacements as a sparse matrix: per unit of coordinate displacement_source[e], the stations of link i move
+    # by the s_i values from displacement_row[i] + e s_i on
     displacement_start: IntArray  # (3 n + 1,) entries of x, y, z of each link
     displacement_row: IntArray  # (n,)
     displacement_source: IntArray
     displacement_value: Array
-    # G in the same format
+    # G as a sparse matrix: entry e of row a acts on coordinate bend_source[e], s_i values from bend_row[i] + e s_i on
     bend_start: IntArray  # (k + 1,) entries of each row of G
     bend_row: IntArray  # (n,)
     bend_source: IntArray
     bend_value: Array
-    tip_translation: Vectors  # (k, 3) S at the tip
-    tip_rotation: Vectors  # (k, 3) rotation vector of the tip per unit coordinate, S_r
+    tip_translation: Vectors  # (k, 3) S_t
+    tip_rotation: Vectors  # (k, 3) S_r
     payload_mass: PerArm  # (1,)
-    payload_offset: Vectors  # (1, 3) centre of mass relative to the tip, in the frame of a next joint
-    payload_inertia: PerArm  # (9,) about the centre of mass, by rows
-    payload_mount: Array  # (9,) rotation from that frame to the beam frame of the undeformed last link, by rows
+    payload_offset: Vectors  # (1, 3) centre of mass relative to the tip, in the payload frame
+    payload_inertia: PerArm  # (9,) about the centre of mass, in the payload frame, by rows
+    payload_mount: Array  # (9,) rotation from the payload frame to the beam frame of the undeformed last link, by rows
 
 
 class Work(NamedTuple):
-    """Work space of the kernels, one for each thread. Fields are grouped by the kernel that fills them."""
+    """Work space of the kernels, one for each thread; symbols as in the module. Comments name the kernel of a group."""
 
     # positions (kinematics.compute_kinematics)
     rotation: Array  # (9 n,) C, by rows
-    tip: Vectors  # (n, 3) tip relative to the origin of the link
+    tip: Vectors  # (n, 3) position of the tip relative to the origin of the link
     rotation_vector: Vectors  # (n, 3) rotation vector phi = S_r q of the tip
-    tangent: Rows  # (n, 4) two coefficients of T and their derivatives
-    tip_shape: SixVectors  # (k, 6) motion of the tip per unit elastic speed: S_t and T S_r
-    moment: Vectors  # (n, 3) integral of r dm
+    tangent: Rows  # (n, 4) two coefficients of T and their derivatives with respect to phi . phi
+    tip_shape: SixVectors  # (k, 6) velocity and angular velocity of the tip per unit elastic speed: S_t and T S_r
+    moment: Vectors  # (n, 3) first moment, integral of r dm
     inertia: Array  # (9 n,) J, by rows
     shape: Array  # (9 k,) U, by rows
     coupling: Vectors  # (k, 3) integral of r x S_a dm
@@ -161,68 +174,65 @@ class Work(NamedTuple):
     bend_stations: Array  # (b,) G q, for each link k_i rows of s_i
     bend: Array  # (b,) G q, for each link s_i rows of station_width[i]
     stretch: Array  # (b,) axial displacement of the stations per unit coordinate
-    weight: Array  # (4 s,) factors of sums over stations, for each link four rows of s_i
-    row_sums: Array  # (3 x largest station_width,) sums over stations; later multipliers of the elimination
+    weight: Array  # (4 s,) weights of sums over stations, for each link four rows of s_i
+    row_sums: Array  # (3 x largest station_width,) sums over stations; in a factorisation multipliers of rows
     payload_moment: Vectors  # (1, 3) first moment of the payload about the tip, in the frame of the last link
     payload_rotary: Array  # (9,) inertia of the payload about the tip, in the frame of the last link
     # velocities (kinematics.compute_kinematics)
     payload_spin: Vectors  # (1, 3) angular velocity of the payload
     payload_bias: SixVectors  # (1, 6) quadratic velocity force and torque of the payload
     spin: Vectors  # (n, 3) angular velocity
-    velocity: Vectors  # (n, 3) velocity of the origin
+    velocity: Vectors  # (n, 3) velocity of the origin of the link
     rotor_bias: Vectors  # (n, 3) gyroscopic torque of a carried rotor
     tip_velocity: Vectors  # (1, 3) velocity of the tip of the last link
-    joint_bias: Vectors  # (n, 3) velocity-product angular acceleration of the link
-    tip_bias: SixVectors  # (n, 6) velocity-product acceleration of the tip relative to the link frame
+    joint_bias: Vectors  # (n, 3) bias of the angular acceleration of the link at its joint
+    tip_bias: SixVectors  # (n, 6) bias of the acceleration of the tip relative to the link frame, Eq. 32, 33
     axial_rate: Array  # (s,) elastic velocity of the stations along x
-    axial_bias: Array  # (s,) - q'^T G q', velocity-product acceleration of the stations along x
+    axial_bias: Array  # (s,) - q'^T G q', bias of the acceleration of the stations along x
     bias: SixVectors  # (n, 6) quadratic velocity force and torque, Eq. 14
     elastic_bias: Array  # (k,) quadratic velocity force on elastic coordinates, Eq. 14
     # factorisation (dynamics.factorise)
     articulated: Array  # (27 n,) articulated-body inertia of each link, joint free: three 3x3 blocks by rows
-    carried: Array  # (6 x largest station_width,) inertia outboard of one link's tip times tip_shape, by components
+    carried: Array  # (6 x largest station_width,) inertia outboard of the tip of a link times tip_shape, by components
     # for each link k_i rows of factor_width[i]: R of the shifted M = R^T D^-1 R with its diagonal D inverted, then six
     # columns of the coupling with the frame
     factor: Array
-    joint_column: SixVectors  # (n, 6) articulated inertia times joint axis
-    joint_pivot: Array  # (n,) effective inertia of the joint
-    spring: Array  # (n,) implicit stiffness of the joint spring
-    motor_inertia: Array  # (n,) rotor inertia with implicit spring and friction
-    friction_slope: Array  # (n,) friction torque divided by motor rate
+    joint_column: SixVectors  # (n, 6) U = I^A S of Featherstone: articulated-body inertia times joint axis
+    joint_pivot: Array  # (n,) D = S^T U of Featherstone: inertia about the joint axis, with the rotor
+    spring: Array  # (n,) g damping + h stiffness of the joint for a shift (g, h) of the factorisation
+    motor_inertia: Array  # (n,) rotor inertia plus `spring` plus g friction_slope
+    friction_slope: Array  # (n,) friction torque divided by motor rate (secant), N m s/rad
     # accelerations (forces and dynamics.solve)
-    drive: Array  # (n + 6,) inputs at one time
-    field: Vectors  # (1, 3) gravity minus the acceleration of the base
-    tip_force: Vectors  # (1, 3) in the frame of the last link
-    force: Array  # (d,) generalised forces of motors, springs and dampers
-    elastic_force: Array  # (k,)
-    joint_force: Array  # (n,)
-    motor_torque: Array  # (n,) torque required by a prescribed motion
+    drive: Array  # (n + 6,) inputs at a time
+    field: Vectors  # (1, 3) gravity minus the acceleration of the base, base frame
+    tip_force: Vectors  # (1, 3) force on the tip, in the frame of the last link
+    force: Array  # (d,) generalised forces of motors, friction, springs and dampers
+    elastic_force: Array  # (k,) right-hand side of the elastic coordinates during the elimination
+    joint_force: Array  # (n,) right-hand side of the joint angles during the elimination
+    motor_torque: Array  # (n,) torque that produces a prescribed motion
     frame_acceleration: SixVectors  # (n, 6) of the link frame, with gravity as an upward acceleration of the base
-    reaction: SixVectors  # (n + 1, 6) force and moment on each link at its origin, on the payload at the last tip
+    reaction: SixVectors  # (n + 1, 6) force and moment on each link at its origin, then on the payload at the last tip
     # integrators (implicit, runge_kutta)
-    stages: Rows  # (MAX_STAGES, 2 d + 2)
-    stage_state: Array  # (2 d + 2,)
-    shift: Array  # (2 d + 2,)
+    stages: Rows  # (MAX_STAGES, 2 d + 2) stages of a step
+    stage_state: Array  # (2 d + 2,) state and ledger at which a stage is evaluated
+    shift: Array  # (2 d + 2,) changes of x and v for the implicit parts of a stage
     new_state: Array  # (2 d + 2,) state and ledger at the end of the step
-    rates: Array  # (d,)
-    extrapolated: Rows  # (MAX_SEQUENCES, 2 d + 2)
-    error_estimate: Rows  # (2, 2 d + 2)
-    row: Array  # (2 d + 2,)
-    outputs: Array  # (OUTPUTS,)
-    next_step: Array  # (1,) s; step size with which an adaptive integration continues, 0 before the first
-    progress: Array  # (3,) of a paused integration: 1, steps and seconds completed in this interval; else zeros
-    drive_table: Rows  # (7, n + 6) used by a batch, with one drive for each arm
+    rates: Array  # (d,) accelerations
+    extrapolated: Rows  # (MAX_SEQUENCES, 2 d + 2) result of each sequence of an extrapolation
+    error_estimate: Rows  # (2, 2 d + 2) one or two estimates of the local error
+    row: Array  # (2 d + 2,) state and ledger of the arms of a batch
+    outputs: Array  # (OUTPUTS,) outputs of the arms of a batch
+    next_step: Array  # (1,) s; step size with which an adaptive integration continues, 0 before the first step
+    progress: Array  # (3,) 1, steps and seconds completed in the interval of a paused integration; else zeros
+    drive_table: Rows  # (7, n + 6) drive table of the arms of a batch
 
 
 def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = np.zeros) -> Work:
     """Return a new work space of a model, filled with zeros.
 
     Args:
-        constants: of the model.
-        zeros: function that allocates an array of a shape; a batch allocates one number for each lane.
-
-    Returns:
-        The work space.
+        constants: constants of the model.
+        zeros: function: shape -> array of zeros; for a batch an array with one number for each lane.
     """
     n, k = len(constants.mass), len(constants.first_moment_shape)
     size = 2 * (n + int((constants.motor >= 0).sum()) + k) + 2
@@ -252,23 +262,23 @@ def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = 
 class Tableau(NamedTuple):
     """Coefficients of a one-step method with s stages, explicit or linearly implicit.
 
-    Explicit methods: stage i starts from y + h sum a_ij k_j, and the step adds h sum b_i k_i. Rows of `error` are
-    weights of k, with s + 1 columns, the last for the derivative at the new state. Linearly implicit methods use the
-    transformed variables u of Hairer and Wanner (Solving ODEs II, IV.7), with off-diagonal `c` and diagonal `gamma`.
-    An extrapolation adds, with weights, the results of the method with sequence[j] substeps in a step.
+    Explicit methods for y' = f(y): stage i evaluates k_i = f(y + h sum_j a_ij k_j), and the step adds h sum_i b_i k_i.
+    Rows of `error` are weights of the k_i, with s + 1 columns, the last for f at the new state. Linearly implicit
+    methods use the transformed variables u_i, with a_ij, b_i, c_ij and gamma as in Hairer and Wanner, Solving ODEs II,
+    IV.7 (there m_i for b_i). An extrapolation is the weighted sum of the results with sequence[j] substeps in a step.
     """
 
     a: Array  # (s, s)
     b: Array  # (s,)
-    c: Array  # (s, s) linearly implicit only
-    abscissae: Array  # (s + 1,)
+    c: Array  # (s, s) linearly implicit methods only
+    abscissae: Array  # (s + 1,) times of the stages and of the end of the step, as fractions of the step
     error: Array  # (0 to 2, s + 1) explicit, (0 or 1, s) linearly implicit
     gamma: float
-    order: int  # order of the error estimate plus 1, the exponent of the step size control
-    semi_implicit: bool  # coordinates advance with the new speeds
-    sequence: IntArray  # (j,) ascending
-    weights: Array  # (j,)
-    sequence_error: Array  # (j,) weights of the error estimate
+    order: int  # order of the error estimate plus 1, the inverse exponent of the step size control
+    semi_implicit: bool  # True: coordinates advance with the new speeds
+    sequence: IntArray  # (j,) numbers of substeps, ascending; (1,) without extrapolation
+    weights: Array  # (j,) weights of the results of the sequences
+    sequence_error: Array  # (j,) weights of the results in the error estimate
 
 
 class GeneralisedAlpha(NamedTuple):
@@ -284,9 +294,10 @@ class GeneralisedAlpha(NamedTuple):
 class TimeGrid(NamedTuple):
     """Output times and step size control of an integration.
 
-    It starts at `time` (s) and records the state after every `substeps` steps of `step` (s). With rtol > 0 the step
-    size follows the estimated error, beginning with `step`, and the output times are the same. A call returns after
-    `max_evaluations` evaluations with status PAUSED; the next call passes the number of steps completed, `first_step`.
+    The integration starts at `time` (s) and records the state after every interval of `substeps` steps of `step` (s).
+    With tolerances rtol > 0 and atol of the local error, the step size follows the estimated error, from `step` on, and
+    the output times do not change. A call returns after `max_evaluations` evaluations with status PAUSED; the next call
+    passes the number of completed steps, `first_step`.
     """
 
     time: float

@@ -1,15 +1,15 @@
 """Linear algebra of 3-vectors and 3 x 3 matrices as tuples (matrices by rows), sine and versine.
 
-Tuples stay in registers, and the compiler need not assume that a store to one array changes another. `sine_versine` has
-the same bits for one arm and for a batch. The mathematical library accepts single numbers only, took half the time of
-the positions of a batch, and its last digits depend on the computer.
+Tuples stay in registers, and the compiler need not assume that a store to one array changes another. `sine_versine` is
+a series, equal to the bit for one arm and a batch, because the sine of the mathematical library accepts single numbers
+only, took half the time of the positions of a batch, and differs between computers in the last digits.
 """
 
 from flexman_gym.kernels.compile import inner
 from flexman_gym.kernels.lanes import fma
 
 PI_HIGH, PI_LOW = 3.141592653589793, 1.2246467991473532e-16  # pi rounded to float64, and the rounding error
-ROUND_TO_INTEGER = 1.5 * 2.0**52  # adding and subtracting it rounds to an integer
+ROUND_TO_INTEGER = 1.5 * 2.0**52  # adding and subtracting this number rounds to an integer
 
 
 @inner
@@ -46,7 +46,7 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 @inner
 def load(rows, i):
-    """Return the first three numbers of row i."""
+    """Return the first three numbers of row i as a vector."""
     return rows[i, 0], rows[i, 1], rows[i, 2]
 
 
@@ -58,7 +58,7 @@ def load_pair(rows, i):
 
 @inner
 def load_matrix(flat, i):
-    """Return matrix i of a flat array of matrices."""
+    """Return matrix i, nine numbers by rows, of a flat array of matrices."""
     j = 9 * i
     return (
         flat[j], flat[j + 1], flat[j + 2], flat[j + 3], flat[j + 4], flat[j + 5], flat[j + 6], flat[j + 7], flat[j + 8],
@@ -87,7 +87,7 @@ def store_matrix(flat, i, a):
 
 @inner
 def copy(source, target):
-    """Copy the source to a target of equal length; assignment to a slice would allocate memory."""
+    """Copy a source (j,) to a target (j,); assignment to a slice would allocate memory."""
     for j in range(len(source)):
         target[j] = source[j]
 

@@ -34,10 +34,10 @@ from flexman_gym.kernels.rigid_arm import rigid_tip
 
 @kernel
 def compute_outputs(constants, work, x, v, out):
-    """Set out (OUTPUTS,) to tip position, velocity, deflection and deflection rate (base frame), and energies (J).
+    """Set out (OUTPUTS,) to the output row of `layout` at coordinates x and speeds v (d,).
 
-    The deflection (m) is relative to the tip of the rigid arm at the motor angles, its rate (m/s) relative to the tip
-    velocity of that arm; both vanish for an arm that does not deform. Columns: see `layout`.
+    Deflection and deflection rate are relative to position and velocity of the tip of the rigid arm at the motor angles
+    and rates; they vanish for an arm that does not deform.
     """
     compute_kinematics(constants, work, x, v)
     n = len(constants.mass)
@@ -66,12 +66,12 @@ def compute_outputs(constants, work, x, v, out):
 
 @inner
 def compute_tip_accelerations(constants, work, x, v, out):
-    """Set out to the tip acceleration and the specific force at coordinates and speeds (d,) for work.drive.
+    """Set out to tip acceleration and specific force (m/s^2) at coordinates x and speeds v (d,) for work.drive.
 
-    The acceleration (m/s^2) is the second derivative of the tip position, in the base frame and relative to the base,
-    which may accelerate too. The specific force (m/s^2) is the signal of an accelerometer: acceleration in inertial
-    space minus gravity, along the axes of the last link's tip. Overwrites the first four work space groups, work.rates
-    and the first TIP_ACCELERATIONS numbers of out.
+    The tip acceleration is the second time derivative of the tip position in the base frame, relative to the base. The
+    specific force is the signal of an accelerometer: acceleration in inertial space minus gravity, along the axes of
+    the tip section of the last link. Overwrites the first four groups of the work space, work.rates and the first
+    TIP_ACCELERATIONS numbers of out.
     """
     last = len(constants.mass) - 1
     compute_kinematics(constants, work, x, v)
@@ -90,7 +90,7 @@ def compute_tip_accelerations(constants, work, x, v, out):
 
 @kernel
 def tip_accelerations(constants, work, x, v, drive, out):
-    """Set out (TIP_ACCELERATIONS,) for inputs drive (n + 6,), see `compute_tip_accelerations`."""
+    """Set out (TIP_ACCELERATIONS,) as `compute_tip_accelerations` for inputs drive (n + 6,) of `layout`."""
     copy(drive, work.drive)
     compute_tip_accelerations(constants, work, x, v, out)
 
@@ -105,7 +105,10 @@ def total_energies(outputs, out):
 
 @kernel
 def energy_residuals(rows, outputs, start, out):
-    """Set out (b,) to work - dissipation - change of energy (J) since the start, with its energies (b,)."""
+    """Set out (b,) to work - dissipation - change of energy (J) of arms, from their energies (b,) at the start.
+
+    Rows (b, 2 d + 2) are states and energy ledgers, outputs (b, OUTPUTS) output rows.
+    """
     total_energies(outputs, out)
     last = rows.shape[1] - 1
     for b in range(len(rows)):
@@ -113,8 +116,8 @@ def energy_residuals(rows, outputs, start, out):
 
 
 @kernel
-def update_energy_scale(rows, outputs, out):
-    """Increase out (b,) to kinetic + elastic energy, |work| or |dissipation| (J) of each arm, whichever is largest."""
+def update_energy_turnover(rows, outputs, out):
+    """Increase the energy turnover out (b,) to kinetic + elastic energy, |work| or |dissipation| (J), if larger."""
     last = rows.shape[1] - 1
     for b in range(len(rows)):
         moving = outputs[b, KINETIC] + outputs[b, JOINT_ENERGY] + outputs[b, LINK_ENERGY]
@@ -125,7 +128,7 @@ def update_energy_scale(rows, outputs, out):
 
 @inner
 def _quadratic_form(matrices, constants, i, rates, elastic):
-    """Return q^T matrix q for the packed (k, k) matrix of link i and the elastic part of `rates` (d,)."""
+    """Return r^T A r for matrix A (k, k) of link i in packed `matrices` and its elastic entries r of `rates` (d,)."""
     start, square = constants.elastic_start[i], constants.square_start[i]
     k = constants.elastic_start[i + 1] - start
     value = 0.0
@@ -137,11 +140,11 @@ def _quadratic_form(matrices, constants, i, rates, elastic):
 
 @inner
 def _chain_outputs(constants, work, v, elastic):
-    """Return tip position and velocity in the base frame, kinetic energy without rotors, gravitational energy."""
+    """Return tip position and velocity (base frame), kinetic energy without rotors, and gravitational energy."""
     n = len(constants.mass)
     frame = IDENTITY
     origin = ZERO
-    mass_moment = ZERO  # sum of mass times position
+    mass_moment = ZERO  # first moment of links and payload, base frame
     velocity = ZERO
     kinetic = 0.0
     for i in range(n):
@@ -170,7 +173,7 @@ def _tip_velocity(constants, work, i, v, elastic):
 
 @inner
 def _link_energy(constants, work, i, v, elastic):
-    """Return the kinetic energy of link i, 1/2 v^T M v with the blocks of Eq. 13."""
+    """Return the kinetic energy of link i, 1/2 v^T M v with the blocks of M in Eq. 13 of the paper."""
     velocity, spin = load(work.velocity, i), load(work.spin, i)
     value = 0.5 * _quadratic_form(constants.elastic_mass, constants, i, v, elastic) + _axial_energy(constants, work, i)
     value += dot(velocity, cross(spin, load(work.moment, i))) + 0.5 * constants.mass[i] * dot(velocity, velocity)
@@ -183,7 +186,7 @@ def _link_energy(constants, work, i, v, elastic):
 
 @inner
 def _axial_energy(constants, work, i):
-    """Return the kinetic energy of axial station motion, not in the elastic mass matrix; needs `velocities`."""
+    """Return the kinetic energy of axial station motion of link i, which elastic_mass does not contain."""
     value = 0.0
     for s in range(constants.station_start[i], constants.station_start[i + 1]):
         value += 0.5 * constants.station_mass[s] * work.axial_rate[s] * work.axial_rate[s]

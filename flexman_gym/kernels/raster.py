@@ -1,8 +1,7 @@
 """Rasteriser with depth buffer, two lights, shadow, floor grid and antialiasing.
 
 Shapes are drawn to samples, several per pixel, which are averaged at the end. Only the box around the shapes of the
-last frame is drawn again, so the cost of a frame is that of its changes. Results are reproducible to the bit, as the
-order of all operations is fixed.
+last frame is redrawn. Results are reproducible to the bit, as the order of all operations is fixed.
 """
 
 from typing import NamedTuple
@@ -12,9 +11,9 @@ import numpy as np
 from flexman_gym.kernels.compile import inner, kernel
 
 AMBIENT, SKY, KEY, FILL = 0.36, 0.10, 0.62, 0.22  # intensities: ambient, from above, key light, fill light
-GLOSS, RIM = 0.35, 0.16  # strengths of the highlight and of the darker silhouette edge
+GLOSS, RIM = 0.35, 0.16  # 1; strengths of the highlight and of the darker silhouette edge
 KEY_DIRECTION, FILL_DIRECTION = (-0.2933, -0.4609, 0.8376), (0.8491, 0.4717, 0.2358)  # unit vectors to the lights
-SHADOW_THRESHOLD = 0.003  # fainter shadows are invisible and not drawn
+SHADOW_THRESHOLD = 0.003  # 1; opacity below which a shadow is invisible and not drawn
 
 
 class Canvas(NamedTuple):
@@ -23,9 +22,9 @@ class Canvas(NamedTuple):
     Attributes:
         colour: (s H, s W, 3) uint8 samples.
         depth: (s H, s W) float32, inverse distance along the view direction; 0 for the background.
-        mask: (s H, s W) uint8; 1 for samples of the ghost, 2 for those of lines.
+        mask: (s H, s W) uint8; 1 for samples of the translucent rigid arm (ghost), 2 for samples of lines.
         back: (s H, s W, 3) uint8 samples of the empty scene.
-        shadow: (H, W) float32 intensity.
+        shadow: (H, W) float32 intensity of the shadow, 0 to 1.
         scratch: (H, W) float32, for intermediate results.
         picture: (H, W, 3) uint8 result.
         plain: (H, W, 3) uint8 picture of the empty scene.
@@ -45,7 +44,7 @@ class Canvas(NamedTuple):
 
 @kernel
 def project(points, eye, axes, lens, out):
-    """Set out (p, 3) to column, row and inverse distance along the view direction of points (p, 3), m.
+    """Set out (p, 3) to column and row (samples) and inverse distance along the view direction (1/m) of points.
 
     Args:
         points: (p, 3) base frame, m.
@@ -64,7 +63,7 @@ def project(points, eye, axes, lens, out):
 
 @inner
 def _bounds(low_x, high_x, low_y, high_y, box, height, width):
-    """Return first and last column and row that a shape can cover, and enlarge the box by them."""
+    """Return first and last column, first and last row that a shape can cover; enlarge the box to contain them."""
     left, right = max(int(np.floor(low_x)), 0), min(int(np.ceil(high_x)), width - 1)
     top, bottom = max(int(np.floor(low_y)), 0), min(int(np.ceil(high_y)), height - 1)
     if left <= right and top <= bottom:
@@ -75,7 +74,7 @@ def _bounds(low_x, high_x, low_y, high_y, box, height, width):
 
 @inner
 def _luminance(n0, n1, n2, e0, e1, e2):
-    """Return the factor of the surface colour and the added highlight; normal and view need not be unit vectors."""
+    """Return the factor of the surface colour and the added highlight, for a normal n and a view direction e."""
     scale = 1.0 / np.sqrt(n0 * n0 + n1 * n1 + n2 * n2 + 1e-30)
     n0, n1, n2 = n0 * scale, n1 * scale, n2 * scale
     scale = 1.0 / np.sqrt(e0 * e0 + e1 * e1 + e2 * e2 + 1e-30)
@@ -102,8 +101,8 @@ def draw_triangles(canvas, screen, points, normals, colours, faces, eye):
         canvas: overwritten.
         screen: (p, 3) projected points, see `project`.
         points: (p, 3) m, base frame.
-        normals: (p, 3) at the points, interpolated linearly.
-        colours: (p, 3) at the points, interpolated linearly.
+        normals: (p, 3) surface normals at the points, interpolated linearly.
+        colours: (p, 3) colours at the points, 0 to 255, interpolated linearly.
         faces: (f, 3) indices of points.
         eye: (3,) position of the camera, m.
     """
@@ -146,7 +145,7 @@ def draw_triangles(canvas, screen, points, normals, colours, faces, eye):
 
 @kernel
 def mark_coverage(screen, faces, mask, depth, box):
-    """Set mask to 1 where triangles cover an empty sample; with a depth of size 1, wherever they are."""
+    """Set mask to 1 where triangles cover an empty sample, or with a depth of size 1 any sample; enlarge the box."""
     height, width = mask.shape
     everywhere = depth.size == 1
     for t in range(len(faces)):
@@ -180,7 +179,7 @@ def draw_line(canvas, screen, radius, faintest, colour):
     Args:
         canvas: overwritten.
         screen: (p, 3) projected points.
-        radius: at the last point, in samples.
+        radius: half the line width at the last point, in samples.
         faintest: opacity at the first point, 0 to 1.
         colour: (3,) 0 to 255.
     """
@@ -278,7 +277,7 @@ def draw_shadow(canvas, box, radius, darkness):
 
 @kernel
 def resolve(canvas, ghost, opacity):
-    """Average the samples in the box to pixels, with the colour `ghost` (3,) blended over those of mask 1."""
+    """Average the samples in the box to pixels; blend the colour `ghost` (3,) over samples of mask 1."""
     samples = len(canvas.depth) // len(canvas.shadow)
     height, width = canvas.shadow.shape
     for row in range(canvas.box[2] // samples, min(canvas.box[3] // samples + 1, height)):
@@ -305,7 +304,7 @@ def draw_floor(back, eye, axes, lens, floor, reach, step):
         eye: (3,) position of the camera, m.
         axes: (3, 3) right, up and forward direction of the camera, by rows.
         lens: (3,) focal length and centre, in samples.
-        floor: height, m.
+        floor: z coordinate of the floor, m.
         reach: distance from the base at which the floor fades out, m.
         step: distance of the grid lines, m.
     """

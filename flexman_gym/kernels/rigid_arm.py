@@ -1,4 +1,4 @@
-"""Kinematics of the rigid arm: tip at given motor angles, and inverse kinematics."""
+"""Kinematics of the rigid arm, whose joints turn by the motor angles: tip position, and inverse kinematics."""
 
 import math
 
@@ -19,8 +19,8 @@ from flexman_gym.kernels.linalg import (
     store,
 )
 
-MAX_ITERATIONS = 8  # Newton iterations
-MAX_TURN, DIFFERENCE_STEP = 0.5, 1e-7  # rad; largest change of a motor angle in an iteration; finite difference
+MAX_ITERATIONS = 8  # largest number of Newton iterations
+MAX_TURN, DIFFERENCE_STEP = 0.5, 1e-7  # rad; largest change of a motor angle in an iteration; step of differences
 
 
 @inner
@@ -52,19 +52,19 @@ def rigid_tips(constants, states, out):
 def inverse_kinematics(constants, targets, x, jacobian, accuracy, damping, out):
     """Set out (r, n) to motor angles at which the tip of the rigid arm is at the targets, by damped Newton iterations.
 
-    If the arm has more joints than necessary, the change of the angles is the smallest one.
+    For a redundant arm, an iteration takes the smallest change of the angles.
 
     Args:
-        constants: of the model.
-        targets: (r, 3) m, base frame.
-        x: (d,) overwritten.
-        jacobian: (n, 3) overwritten.
-        accuracy: m, distance from the target at which the iteration ends.
-        damping: m; directions in which the tip moves by less per radian are suppressed.
-        out: (r, n) rad, first guess on entry.
+        constants: constants of the model.
+        targets: (r, 3) target positions, m, base frame.
+        x: (d,) coordinates, overwritten.
+        jacobian: (n, 3) derivatives of the tip position, m/rad, overwritten.
+        accuracy: distance from the target at which the iteration ends, m.
+        damping: damping of the Newton iteration, m/rad; singular values of the Jacobian below it are suppressed.
+        out: (r, n) motor angles, rad; first guess, overwritten by the solution.
 
     Returns:
-        The largest remaining distance, m.
+        The largest distance between tip and target at the end, m.
     """
     n, largest = len(constants.mass), 0.0
     for r in range(len(targets)):
@@ -99,7 +99,7 @@ def inverse_kinematics(constants, targets, x, jacobian, accuracy, damping, out):
 
 @inner
 def _turned_tip(constants, angles, r, turned, x):
-    """Return the tip at row r of angles (r, n), with motor `turned` (or -1) moved by DIFFERENCE_STEP; overwrites x."""
+    """Return the tip at row r of motor angles (r, n), angle `turned` (-1: none) increased by DIFFERENCE_STEP."""
     for i in range(len(constants.mass)):
         m = constants.motor[i] if constants.motor[i] >= 0 else i
         x[m] = angles[r, i]

@@ -1,38 +1,34 @@
 """Runge-Kutta methods given by their coefficients (`layout.Tableau`): explicit, linearly implicit, step size control.
 
 Explicit methods include the semi-implicit Euler method; linearly implicit methods are W-methods and their
-extrapolation. An integration sets rows (r, 2 d + 2) to the state and ledger and outputs (r, OUTPUTS) to the values of
-`compute_outputs` after every interval of the time grid. It returns a status, the number of valid rows and the number of
-evaluations, and advances the given state in place. `table` is the drive table, see `layout`. A paused integration
-(`TimeGrid.max_evaluations`) leaves its progress in the work space: the next call takes the same state, the remaining
-rows and `TimeGrid.first_step`, and the results have the bits of a single call. Each family has its own loop with a
-single call of the dynamics, because the compiler inlines the dynamics at every call.
+extrapolation. A kernel `run_...` advances the given state and ledger (2 d + 2,) in place and sets rows (r, 2 d + 2) to
+the state and ledger and outputs (r, OUTPUTS) to the values of `compute_outputs` after each interval of the time grid.
+It returns a status, the number of valid rows and the number of evaluations of the accelerations. `table` is the drive
+table (7, n + 6) of `layout`. A paused integration (`TimeGrid.max_evaluations`) leaves its progress in the work space:
+the next call receives the state at the pause, the remaining rows and `TimeGrid.first_step`, and the results equal those
+of a single call to the bit. Each family has its own loop with a single call of the dynamics, because the compiler
+inlines the dynamics at every call.
 """
 
 import math
 
 from flexman_gym.kernels.arguments import constants_of_sequences, work_of_sequences
 from flexman_gym.kernels.compile import inner, kernel
-from flexman_gym.kernels.dynamics import compute_accelerations, factorise, prescribed_power, solve
-from flexman_gym.kernels.forces import (
-    applied_forces,
-    evaluate_drive,
-    secant_friction,
-    shift_forces,
-)
+from flexman_gym.kernels.dynamics import factorise, prescribed_power, solve
+from flexman_gym.kernels.forces import applied_forces, evaluate_drive, secant_friction, shift_forces
 from flexman_gym.kernels.kinematics import compute_kinematics
 from flexman_gym.kernels.lanes import extract_lane, fma, insert_lane
 from flexman_gym.kernels.layout import DIVERGED, LARGEST_STATE, NOT_CONVERGED, OK, PAUSED
 from flexman_gym.kernels.linalg import copy
 from flexman_gym.kernels.outputs import compute_outputs
 
-SAFETY, MIN_FACTOR, MAX_FACTOR = 0.9, 0.2, 10.0  # step size control; Hairer, Norsett and Wanner I, II.4
-MIN_STEP = 1e-14  # smallest step as a fraction of the interval between outputs
+SAFETY, MIN_FACTOR, MAX_FACTOR = 0.9, 0.2, 10.0  # step size control; Hairer, Norsett and Wanner, Solving ODEs I, II.4
+MIN_STEP = 1e-14  # 1; smallest step as a fraction of the interval between outputs
 
 
 @inner
 def _first_step_size(work, grid):
-    """Return the first step (s): the last one of the previous integration, or that of the time grid."""
+    """Return the first step (s): that proposed at the end of the previous integration, or that of the time grid."""
     if grid.rtol > 0.0 and work.next_step[0] > 0.0:
         return work.next_step[0]
     return grid.step
@@ -40,7 +36,7 @@ def _first_step_size(work, grid):
 
 @inner
 def resume(work):
-    """Return whether an integration continues after a pause, and the steps and seconds completed in its interval."""
+    """Return True after a pause, and the steps and seconds completed in the interval; clear the progress."""
     paused, n, elapsed = work.progress[0], work.progress[1], work.progress[2]
     work.progress[:] = 0.0
     return paused > 0.0, int(n), elapsed
@@ -48,19 +44,19 @@ def resume(work):
 
 @inner
 def pause(work, n, elapsed, step_size):
-    """Store the progress of an integration and its next step (s)."""
+    """Store steps n and seconds `elapsed` completed in the interval of an integration, and its next step size (s)."""
     work.progress[0], work.progress[1], work.progress[2], work.next_step[0] = 1.0, n, elapsed, step_size
 
 
 @inner
 def step_start(grid, r, n):
-    """Return the start (s) of step n of interval r in this call."""
+    """Return the start (s) of fixed step n of interval r of this call."""
     return grid.time + (grid.first_step + r * grid.substeps + n) * grid.step
 
 
 @inner
 def _next_step(grid, r, n, elapsed, step_size):
-    """Return start and length (s) of step n of interval r, `elapsed` s after its start, and whether it is the last."""
+    """Return start and length (s) of step n of interval r after `elapsed` seconds of it, and True for its last step."""
     if grid.rtol == 0.0:
         return step_start(grid, r, n), grid.step, n + 1 == grid.substeps
     interval = grid.step * grid.substeps
@@ -71,9 +67,9 @@ def _next_step(grid, r, n, elapsed, step_size):
 
 @inner
 def _next_step_size(step_size, h, last, error, order):
-    """Return the step (s) after a step of length h with this error.
+    """Return the next step size (s) after a step of length h (s) with a scaled error and an error order.
 
-    A step that was shortened to end an interval contains little information about larger steps.
+    A step shortened to end at an output (`last`) contains little information about larger steps.
     """
     if not error <= 1.0:
         return h * (max(MIN_FACTOR, SAFETY * error ** (-1.0 / order)) if error > 1.0 else 0.1)
@@ -86,7 +82,7 @@ def _next_step_size(step_size, h, last, error, order):
 
 @inner
 def _error_norm(work, count, grid, state):
-    """Return the scaled error of a step from 1 or 2 estimates, combined as in DOP853 (Hairer et al. I, II.10)."""
+    """Return the scaled error of a step from 1 or 2 estimates, combined as in DOP853 (Solving ODEs I, II.10)."""
     size = len(state) - 2
     first = second = 0.0
     for k in range(size):
@@ -103,7 +99,7 @@ def _error_norm(work, count, grid, state):
 
 @inner
 def out_of_bounds(state):
-    """Return whether a state is not finite or beyond LARGEST_STATE, without the ledger."""
+    """Return True if a coordinate or speed is not finite or exceeds LARGEST_STATE; the ledger is not checked."""
     for j in range(len(state) - 2):
         if not abs(state[j]) <= LARGEST_STATE:
             return True
@@ -116,14 +112,18 @@ def _stage_derivative(constants, work, table, time, state, out):
     d = len(state) // 2 - 1
     x, v = state[:d], state[d : 2 * d]
     evaluate_drive(table, time, work.drive)
-    out[2 * d], out[2 * d + 1] = compute_accelerations(constants, work, x, v, out[d : 2 * d])
+    compute_kinematics(constants, work, x, v)
+    factorise(constants, work, (0.0, 0.0))
+    supplied, dissipated = applied_forces(constants, work, x, v)
+    solve(constants, work, out[d : 2 * d])
+    out[2 * d], out[2 * d + 1] = supplied + prescribed_power(constants, work, v), dissipated
     for j in range(d):
         out[j] = v[j]
 
 
 @kernel
 def state_derivative(constants, work, table, time, state, out):
-    """Set out (2 d + 2,) to the time derivative of state and ledger, for integrators outside the kernels."""
+    """Set out (2 d + 2,) to the time derivative of state and ledger (2 d + 2,) at a time (s)."""
     _stage_derivative(constants, work, table, time, state, out)
 
 
@@ -193,17 +193,17 @@ def run_explicit(constants, work, tableau, table, grid, state, rows, outputs):
 def run_linearly_implicit(constants, work, tableau, table, grid, state, rows, outputs):
     """Integrate by a W-method, with extrapolation if the tableau has several sequences.
 
-    Its approximate Jacobian contains damping and stiffness of links and joints.
+    The approximate Jacobian contains damping and stiffness of links and joints, and motor friction.
     """
     return _run_w_method(constants, work, None, tableau, table, grid, state, rows, outputs)
 
 
 @kernel
 def run_extrapolation(constants, work, lanes, tableau, table, grid, state, rows, outputs):
-    """Integrate one arm by an extrapolated method of one stage with several sequences in the SIMD lanes.
+    """Integrate one arm by an extrapolated method of one stage, with several sequences of a step in the SIMD lanes.
 
-    `lanes` are the addresses of the same constants, those of a work space of sequences, and the schedule of
-    `_sequences_step`. The results have the bits of `run_linearly_implicit`.
+    `lanes` are the address tables of the constants and of a work space of sequences, and the schedule of
+    `_sequences_step`. The results equal those of `run_linearly_implicit` to the bit.
     """
     sequences = constants_of_sequences(lanes[0]), work_of_sequences(lanes[1]), lanes[2]
     return _run_w_method(constants, work, sequences, tableau, table, grid, state, rows, outputs)
@@ -211,7 +211,7 @@ def run_extrapolation(constants, work, lanes, tableau, table, grid, state, rows,
 
 @inner
 def _run_w_method(constants, work, lanes, tableau, table, grid, state, rows, outputs):
-    """Integrate; with `lanes`, as in `_sequences_step`, several sequences of a step are computed at once."""
+    """Integrate by a W-method; with `lanes` of `_sequences_step`, several sequences of a step are computed at once."""
     d, evaluations = len(state) // 2 - 1, 0
     adaptive = grid.rtol > 0.0
     step_size = _first_step_size(work, grid)
@@ -248,10 +248,11 @@ def _run_w_method(constants, work, lanes, tableau, table, grid, state, rows, out
 
 @inner
 def linearly_implicit_step(constants, work, tableau, table, span, state):
-    """Set work.new_state to the state after a step; span = (start time, step), s. Returns the number of evaluations.
+    """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
 
     An extrapolation method divides the step into sequence[j] equal substeps, for each j, and adds the results with
-    weights. The first substeps of all sequences start from the same state and share its kinematics.
+    weights. The first substeps of all sequences start from the same state and share its kinematics. Returns the number
+    of evaluations.
     """
     s, parts, evaluations, (time, step) = len(tableau.b), tableau.sequence, 0, span
     for j in range(len(parts)):
@@ -274,9 +275,9 @@ def linearly_implicit_step(constants, work, tableau, table, span, state):
 def _sequences_step(lanes, work, tableau, table, span, state):
     """Set work.new_state after an extrapolated step of a one-stage method, with several sequences computed at once.
 
-    `work` is that of one arm. `lanes` are constants, work space and schedule (r, lanes, 2): the sequence of each lane
-    in each round, and its next substep. A lane without a remaining sequence continues with its last one, whose result
-    is not used. Returns the number of evaluations.
+    `work` is the work space of one arm. `lanes` are constants and work space of sequences, and a schedule (r, lanes,
+    2): sequence and substep of each lane in each of r rounds. A lane without a remaining sequence continues beyond its
+    last sequence, and the results are not used. Returns the number of evaluations.
     """
     (constants, lane_work, schedule), parts, (time, step) = lanes, tableau.sequence, span
     start, steps = lane_work.row, lane_work.next_step
@@ -306,11 +307,11 @@ def _sequences_step(lanes, work, tableau, table, span, state):
 
 @inner
 def _extrapolate(work, tableau, state):
-    """Set work.new_state to the weighted results of all sequences and work.error_estimate[0] to their error."""
+    """Set work.new_state to the weighted sum of the results of all sequences, and work.error_estimate[0]."""
     for k in range(len(state)):
         value = error = 0.0
         for j in range(len(tableau.sequence)):
-            # weighting differences from the state avoids rounding errors of its magnitude
+            # sums of changes have smaller rounding errors than sums of states
             change = work.extrapolated[j, k] - state[k]
             value = fma(tableau.weights[j], change, value)
             error = fma(tableau.sequence_error[j], change, error)
@@ -324,10 +325,10 @@ def _extrapolate(work, tableau, state):
 def _implicit_stage(constants, work, tableau, table, span, state, i, update):
     """Set work.stages[i] to stage i of a W-method; span = (start time, step), s.
 
-    With g = gamma step and r = sum of c_ij u_j / step, the stage u = (position part, speed part) solves
-    u_x / g = v + u_v + r_x and M u_v / g = F(x, v) - K u_x - D u_v + M r_v. In w = u_v / g - r_v that is
-    (M + g D + g^2 K) w = F with springs taken at x + g (v + r_x + g r_v) and dampers at v + g r_v: no product with M.
-    D contains friction divided by rate at the start of the step. Kinematics are recomputed if `update`.
+    With g = gamma step and r = sum of c_ij u_j / step, the stage u = (u_x, u_v) for x and v solves
+    u_x / g = v + u_v + r_x and M u_v / g = F(x, v) - K u_x - D u_v + M r_v. For w = u_v / g - r_v this is
+    (M + g D + g^2 K) w = F with springs at x + g (v + r_x + g r_v) and dampers at v + g r_v: no product with M is
+    needed. D contains the secant of friction at the start of the step. Kinematics are computed if `update`.
     """
     d, size, (time, step) = len(state) // 2 - 1, len(state), span
     g = tableau.gamma * step
@@ -365,7 +366,7 @@ def _implicit_stage(constants, work, tableau, table, span, state, i, update):
 
 @inner
 def _any_prescribed(constants):
-    """Return whether the motion of any motor is prescribed."""
+    """Return True if the motion of a motor is prescribed."""
     for i in range(len(constants.prescribed)):
         if constants.prescribed[i]:
             return True

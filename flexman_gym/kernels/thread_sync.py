@@ -8,7 +8,7 @@ from numba.extending import intrinsic
 
 from flexman_gym.kernels.compile import released
 
-FLAG_SIZE = 8  # bytes; size of a flag, int64
+FLAG_SIZE = 8  # bytes; size of an int64
 
 
 @intrinsic

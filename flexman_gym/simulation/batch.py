@@ -23,39 +23,40 @@ from flexman_gym.simulation.integrator import (
 from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
 from flexman_gym.simulation.parameters import nominal_parameters, varied_constants
 
-MAX_ARMS, MAX_THREADS = 65536, 256  # of a batch
-RESTING = -1  # status of arms excluded from a step; used between batch and integrator only
+MAX_ARMS, MAX_THREADS = 65536, 256  # largest numbers of arms and of threads of a batch
+EXCLUDED = -1  # status of arms excluded from a step; used between batch and integrator only
 
 
 class Batch:
-    """Arms of one model, each simulated from its own state under its own drive, one control period at a time.
+    """Arms of one model, each simulated from its own state under its own inputs, one control period at a time.
 
-    The b arms share all constants of the model except those set by `vary`. Each arm has the result of a batch of this
-    arm alone, bit for bit.
+    The b arms share all constants of the model except those set by `vary`. The result of an arm does not depend on the
+    other arms, bit for bit. d is the number of coordinates, n that of joints; see `kernels.layout`.
 
     Attributes:
         model: the model.
         method: the Method.
         control_period: s.
-        substeps: steps in a control period, at most 100000.
-        rows: (b, 2 d + 2) state and ledger of each arm, see `kernels.layout`.
-        state: (b, 2 d) view of the states in `rows`.
+        substeps: number of integration steps in a control period, at most 100000.
+        rows: (b, 2 d + 2) state and energy ledger of each arm, see `kernels.layout`.
+        state: (b, 2 d) view of the states in `rows`: coordinates, then speeds.
         outputs: (b, OUTPUTS) tip, deflection and energies at these states; columns in `kernels.layout`.
         status: (b,) int64 status of the last step: OK, DIVERGED or NOT_CONVERGED of `kernels.layout`. After a failure,
             state and outputs stay those at the end of the last successful control period, until the arm is reset.
         start_energy: (b,) kinetic + elastic + gravitational energy at the last reset, J.
-        energy_turnover: (b,) largest values since the reset of kinetic + elastic energy, work and dissipation, J.
-        nominal: value in the model of each physical parameter of `vary`, by name.
+        energy_turnover: (b,) largest magnitude since the reset of kinetic + elastic energy, work or dissipation, J; the
+            scale for `energy_residual`.
+        nominal: name of each physical parameter of `vary` -> its value in the model.
 
     Args:
         model: the model of all arms.
         method: a Method or a name from `METHODS`.
-        step: s; it divides the control period. "auto" takes the longest divisor up to 5 ms, None lets the method
-            choose.
+        step: integration step, s; it divides the control period. "auto" selects the longest divisor up to 5 ms, None
+            lets the method choose its steps by rtol and atol.
         control_period: s.
-        rtol: relative local error of adaptive steps.
-        atol: absolute local error of adaptive steps.
-        prescribed: joints, from 0, whose motors follow accelerations instead of torques.
+        rtol: relative tolerance of the local error of adaptive steps.
+        atol: absolute tolerance of the local error of adaptive steps, in the unit of each coordinate or speed.
+        prescribed: indices, from 0, of the joints whose motors follow prescribed accelerations instead of torques.
         arms: number of arms b, 1 to 65536.
         threads: largest number of threads, 1 to 256.
     """
@@ -101,9 +102,10 @@ class Batch:
         self.state = self.rows[:, :-2]
         self.outputs = np.zeros((count, layout.OUTPUTS))
         self.status = np.zeros(count, dtype=np.int64)
-        self._periods = np.zeros(count)  # control periods since the reset
+        self._periods = np.zeros(count)  # number of control periods since the reset
         self.energy_turnover, self.start_energy = np.zeros(count), np.zeros(count)
         self._drive = np.zeros((count, n + 6))  # drive of the last successful control period, zero after a reset
+        # tip accelerations; True if they are those of the present rows
         self._felt, self._known = np.zeros((count, layout.TIP_ACCELERATIONS)), False
         self.nominal = nominal_parameters(model)
         self.reset(np.arange(count), np.zeros((count, 2 * model.n_dof)))
@@ -112,11 +114,11 @@ class Batch:
         """Restart some arms at time 0 from given states.
 
         Args:
-            arms: indices (r,).
-            states: (r, 2 d).
+            arms: indices (r,) of the arms.
+            states: (r, 2 d) coordinates and speeds.
 
         Raises:
-            ValueError: for a state beyond `kernels.layout.LARGEST_STATE`; the batch is then unchanged.
+            ValueError: for a coordinate or speed beyond `kernels.layout.LARGEST_STATE`; the batch is then unchanged.
         """
         if not np.abs(states).max(initial=0.0) <= layout.LARGEST_STATE:
             check_magnitudes("states", states.ravel().tolist(), layout.LARGEST_STATE)
@@ -126,13 +128,13 @@ class Batch:
         energy = np.empty(len(self.rows))
         outputs.total_energies(self.outputs, energy)
         self.start_energy[arms], self.energy_turnover[arms] = energy[arms], 0.0
-        outputs.update_energy_scale(self.rows, self.outputs, self.energy_turnover)
+        outputs.update_energy_turnover(self.rows, self.outputs, self.energy_turnover)
 
     def place(self, arms: np.ndarray, states: Array) -> None:
-        """Set the states (r, 2 d) of the arms with the indices (r,), as start of the next step.
+        """Set the states (r, 2 d) of the arms with the indices (r,), from which the next step starts.
 
-        Faster than `reset`, as nothing is checked or computed: outputs and energies are invalid until the next step,
-        and the ledger stays invalid until the next reset.
+        Faster than `reset`, as nothing is checked or computed: outputs are invalid until the next step, and the energy
+        ledger, `energy_residual` and `energy_turnover` until the next reset.
         """
         self.rows[arms, :-2], self.rows[arms, -2:] = states, 0.0
         self.status[arms] = layout.OK
@@ -140,31 +142,30 @@ class Batch:
         self._mover.forget(arms)
 
     def step(self, drive: Array, moving: BoolArray | None = None) -> None:
-        """Integrate all arms without a failure over one control period under constant drives.
+        """Integrate all arms whose status is OK over one control period under constant inputs.
 
         Args:
-            drive: (b, n + 6) torques (accelerations of prescribed motors), tip force and base acceleration as in
-                `kernels.layout`; not checked.
+            drive: (b, n + 6) inputs in the order of `kernels.layout`: n motor torques, N m (accelerations of prescribed
+                motors, rad/s^2), tip force, N, and base acceleration, m/s^2; not checked.
             moving: (b,) flags of the arms to integrate; None for all.
         """
         if moving is None:
             status = self.status
             self._mover.integrate(drive, self._periods, self.rows, self.outputs, status)
         else:
-            status = np.where(moving, self.status, RESTING)
+            status = np.where(moving, self.status, EXCLUDED)
             self._mover.integrate(drive, self._periods, self.rows, self.outputs, status)
             self.status[moving] = status[moving]
         self._known = False
         close_period(self.rows, self.outputs, status, drive, self._periods, self._drive, self.energy_turnover)
 
     def roll(self, drives: Array) -> tuple[Array, Array]:
-        """Integrate all arms without a failure over T control periods, with Python's global lock released.
+        """Integrate all arms whose status is OK over T control periods, with Python's global interpreter lock released.
 
-        The result equals that of T calls of `step`, to the bit, except for `tip_accelerations`, which are those at the
-        end.
+        The results equal those of T calls of `step` to the bit; `tip_accelerations` are those at the end.
 
         Args:
-            drives: (b, T, n + 6) drive of each control period, as in `step`; not checked.
+            drives: (b, T, n + 6) inputs in each control period, as in `step`; not checked.
 
         Returns:
             States (b, T, 2 d) and outputs (b, T, OUTPUTS) after each control period; NaN from the period in which an
@@ -181,7 +182,7 @@ class Batch:
         for period in range(periods):
             valid = period < good
             turnover = self.energy_turnover[valid]
-            outputs.update_energy_scale(rows[valid, period], read[valid, period], turnover)
+            outputs.update_energy_turnover(rows[valid, period], read[valid, period], turnover)
             self.energy_turnover[valid] = turnover
         return rows[:, :, :-2], read
 
@@ -190,11 +191,10 @@ class Batch:
 
         TIP_ACCELERATION is the second time derivative of the tip position in the base frame, relative to the base,
         which may itself accelerate. SPECIFIC_FORCE is the reading of an accelerometer at the tip: the acceleration in
-        inertial space minus gravity, along the axes of the tip, which turn with the end of the last link as it bends.
+        inertial space minus gravity, along the axes of the tip section of the deformed last link.
 
-        Both hold at the end of the last control period, under its drive; after a reset, under zero drive; for a failed
-        arm, at the end of its last successful period. They are computed on demand, once in a period. The array is
-        overwritten by later calls.
+        Both quantities are those at the end of the last successful control period under its inputs; after a reset,
+        those under zero inputs. They are computed on demand, once in a period. Later calls overwrite the array.
         """
         if not self._known:
             self._mover.compute_tip_accelerations(self._drive, self.rows, self._felt)
@@ -202,10 +202,10 @@ class Batch:
         return self._felt
 
     def integrator(self, arm: int) -> Integrator:
-        """Return an integrator of one arm with its present parameters, independent of the batch."""
-        run, own = Integrator(self.model, self.method, *self._bound), self._mover.constants(arm)
-        run.constants = run.constants._replace(**own)
-        return run
+        """Return a new integrator with the present parameters of an arm, independent of the batch."""
+        result, own = Integrator(self.model, self.method, *self._bound), self._mover.constants(arm)
+        result.constants = result.constants._replace(**own)
+        return result
 
     def rigid_tips(self, states: Array) -> Array:
         """Return the tips (r, 3) in the base frame, m, of the rigid arm at the motor angles of states (r, 2 d)."""
@@ -221,22 +221,23 @@ class Batch:
     def vary(self, arms: np.ndarray, **parameters: Array) -> None:
         """Set physical parameters of the arms with the indices (r,), in place of those of the model.
 
-        They act from the next step on; energies follow from the next reset on, so reset the arms at once. Elements and
-        modes stay those of the model, modal damping ratios are kept, and the inertia of a payload scales with its mass.
+        The parameters act from the next step on, but start energies are those before the change until the next reset;
+        so reset these arms at once. Elements, modes and modal damping ratios stay those of the model, and the inertia
+        of a payload scales with its mass.
 
         Args:
-            arms: indices (r,).
-            **parameters: values (r, ...) by their name in `simulation.parameters.PARAMETERS`, in its units.
+            arms: indices (r,) of the arms.
+            **parameters: values (r,) or (r, n) by their name in `simulation.parameters.PARAMETERS`, in the units there.
 
         Raises:
             ValueError: for an unknown name or a wrong shape, for numbers not finite or negative, for zero where the arm
                 needs a positive value, and for stiffness or damping of a rigid joint that differ from the model's.
         """
         self._known = False
-        self._mover.vary(arms, varied_constants(self.model, len(arms), parameters))
+        self._mover.set_constants(arms, varied_constants(self.model, len(arms), parameters))
 
     def replace_integrator(self, make: Callable[[BatchIntegrator], BatchIntegrator]) -> None:
-        """Replace the integrator of all arms by one made from the present one; it acts from the next reset on."""
+        """Replace the integrator of all arms by `make(present integrator)`; reset all arms before the next step."""
         self._mover = make(self._mover)
 
     @property
@@ -246,21 +247,18 @@ class Batch:
 
     @property
     def energy_residual(self) -> Array:
-        """Work - dissipation - change of energy since the reset (b,), J; see `Trajectory`."""
+        """Work - dissipation - change of energy since the reset (b,), J; zero for the exact solution."""
         result = np.empty(len(self.rows))
         outputs.energy_residuals(self.rows, self.outputs, self.start_energy, result)
         return result
 
 
 def _find_substeps(step: float | str | None, control_period: float) -> int:
-    """Return the number of steps in a control period (s): one for None, for "auto" as in `default_step`.
+    """Return the number of steps in a control period.
 
     Args:
-        step: s, None or "auto".
+        step: s; None for one step, "auto" for that of `default_step`.
         control_period: s.
-
-    Returns:
-        The number of steps.
 
     Raises:
         ValueError: for a step that does not divide the control period.
@@ -273,7 +271,7 @@ def _find_substeps(step: float | str | None, control_period: float) -> int:
 
 
 def _joints(prescribed: object, count: int) -> list[int]:
-    """Return the numbers of the joints with prescribed motion, of `count` joints."""
+    """Check the indices, from 0, of joints with prescribed motion among `count` joints, and return them as a list."""
     try:
         is_list = not isinstance(prescribed, str | bytes) and len(prescribed) <= count  # type: ignore[arg-type]
     except Exception:  # an object without a length

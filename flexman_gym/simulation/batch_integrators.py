@@ -1,7 +1,6 @@
-"""Integrators of the arms of a batch: the protocol and two implementations.
+"""Integrators of the arms of a batch: protocol, integration one arm after the other, and integration in SIMD lanes.
 
-`SequentialIntegrator` integrates one arm after the other by any method, `LaneIntegrator` several arms at once by
-linearly implicit methods.
+b is the number of arms, n that of joints, d that of coordinates; see `kernels.layout`.
 """
 
 import os
@@ -27,17 +26,15 @@ from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.integrator import LANE_COST_RATIO, Integrator, evaluations_per_call
 from flexman_gym.simulation.methods import IteratedGauss, LinearlyImplicit
 
-SPIN_CHECKS = (
-    600_000  # of who waits before he falls asleep: 0.2 ms, in which a short control period comes after the last
-)
-GIVEN, DONE = 0, 1
+SPIN_CHECKS = 600_000  # reads of a flag before a waiting thread sleeps: 0.2 ms, more than the time between two tasks
+GIVEN, DONE = 0, 1  # indices of the numbers of tasks passed to a worker thread and done by it
 
 
 class WorkerThread:
-    """Worker thread, which ends with its owner.
+    """Worker thread; it ends when this object is deleted.
 
-    Two locks pass a task to the thread and back. Waking a sleeping thread takes as long as the integration of a few
-    dozen arms, so both sides spin for a while before they sleep.
+    One lock signals a task, another its completion. Waking a sleeping thread takes as long as the integration of a few
+    dozen arms, so both threads poll a flag for a short time before they sleep.
     """
 
     def __init__(self) -> None:
@@ -47,7 +44,7 @@ class WorkerThread:
 
     def begin(self, task: Callable[[], object]) -> None:
         """Start a task in the thread and return at once."""
-        self.finish()  # an earlier task remains if an interrupt ended the wait for it
+        self.finish()  # a task remains if Ctrl-C ended the wait for it
         self._busy = True
         self._slot.give(task)
 
@@ -64,18 +61,18 @@ class WorkerThread:
 
 
 class _TaskSlot:
-    """State shared by the thread and its owner, so that the thread holds no reference to its owner."""
+    """State shared by a worker thread and its `WorkerThread`, to which the thread holds no reference."""
 
     def __init__(self) -> None:
         self.task: Callable[[], object] | None = None
         self.error: BaseException | None = None
-        self.counts = np.zeros(2, dtype=np.int64)  # tasks given and done
+        self.counts = np.zeros(2, dtype=np.int64)  # numbers of tasks passed and done
         self.given, self.done = allocate_lock(), allocate_lock()
         self.given.acquire()
         self.done.acquire()
 
     def give(self, task: Callable[[], object] | None) -> None:
-        """Hand over a task; None ends the thread."""
+        """Pass a task to the thread; None ends the thread."""
         self.task = task
         self.counts[GIVEN] += 1
         self.given.release()
@@ -91,7 +88,7 @@ def _serve(slot: _TaskSlot) -> None:
             return
         try:
             slot.task()
-        except BaseException as error:  # raised by the owner
+        except BaseException as error:  # raised by `WorkerThread.finish`
             slot.error = error
         slot.task, done = None, done + 1
         slot.done.release()
@@ -103,9 +100,9 @@ PeriodRecord = tuple[Array, Array]  # rows (b, T, 2 d + 2) and outputs (b, T, OU
 class BatchIntegrator(Protocol):
     """Integrator of the b arms of a batch.
 
-    Rows (b, 2 d + 2) hold state and ledger of each arm, outputs (b, OUTPUTS) the quantities of `kernels.layout` at that
-    state, and status (b,) OK, DIVERGED or NOT_CONVERGED. Arguments named rows, outputs, status and result are
-    overwritten.
+    In all methods, rows (b, 2 d + 2) hold the state and energy ledger of each arm, outputs (b, OUTPUTS) the quantities
+    of `kernels.layout` at this state, and status (b,) OK, DIVERGED or NOT_CONVERGED. Arguments named rows, outputs,
+    status and result are overwritten.
 
     Attributes:
         state_fields: names of the attributes that a snapshot of the batch stores.
@@ -113,110 +110,112 @@ class BatchIntegrator(Protocol):
 
     state_fields: ClassVar[tuple[str, ...]]
 
-    def vary(self, arms: IntArray, constants: dict[str, Array]) -> None:
-        """Set constants (r, ...), by their name in PER_ARM, of the arms (r,)."""
+    def set_constants(self, arms: IntArray, constants: dict[str, Array]) -> None:
+        """Set constants (r, ...), by their name in `kernels.arguments.PER_ARM`, of the arms with the indices (r,)."""
 
     def constants(self, arm: int) -> dict[str, Any]:
-        """Return copies of the constants of one arm that may differ from arm to arm."""
+        """Return copies of the constants PER_ARM of an arm, by name."""
 
     def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array) -> None:
-        """Compute the outputs of some arms from their rows, and clear the memory of their method."""
+        """Compute the outputs of the arms with the indices (r,) from their rows, and call `forget`."""
 
     def forget(self, arms: IntArray) -> None:
-        """Clear the memory of the method of some arms between steps."""
+        """Clear the data that the method of the arms with the indices (r,) keeps between steps."""
 
     def integrate(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
-        """Integrate the arms whose status is OK over one control period under drives (b, n + 6).
+        """Integrate the arms whose status is OK over one control period under inputs `drives` (b, n + 6).
 
-        Periods (b,) is the number of control periods since the reset of each arm. An arm that fails gets its status;
-        its rows and outputs stay.
+        `periods` (b,) are the numbers of control periods since the resets. If an arm fails, only its status changes.
         """
 
     def integrate_periods(
         self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, record: PeriodRecord
     ) -> None:
-        """Integrate the arms whose status is OK over T control periods of drives (b, T, n + 6), and fill the record."""
+        """Integrate the arms whose status is OK over T control periods under drives (b, T, n + 6); fill the record."""
         for period in range(drives.shape[1]):
             self.integrate(drives[:, period], periods + period, rows, outputs, status)
             ok = status == layout.OK
             record[0][ok, period], record[1][ok, period] = rows[ok], outputs[ok]
 
     def compute_tip_accelerations(self, drives: Array, rows: Array, result: Array) -> None:
-        """Compute the tip accelerations (b, TIP_ACCELERATIONS) of all arms, m/s^2."""
+        """Compute the tip accelerations (b, TIP_ACCELERATIONS) of all arms under drives (b, n + 6), m/s^2."""
 
 
 class SequentialIntegrator(BatchIntegrator):
-    """Batch integrator with one `Integrator` for each arm, which integrates one arm after the other."""
+    """Batch integrator with an `Integrator` for each arm, which integrates one arm after the other.
+
+    `period` is the control period (s) and the number of steps in it.
+    """
 
     state_fields = ("own",)
 
-    def __init__(self, runs: list[Integrator], period: tuple[float, int]) -> None:
-        self._runs = runs
-        for run in runs:
-            run.constants = run.constants._replace(**_own_constants(run.constants))
+    def __init__(self, integrators: list[Integrator], period: tuple[float, int]) -> None:
+        self._integrators = integrators
+        for each in integrators:
+            each.constants = each.constants._replace(**_own_constants(each.constants))
         self._step, self._substeps = period[0] / period[1], period[1]
         self._period = period[0]
-        self._drive = signal_table([None] * (len(runs[0].constants.mass) + 6))
+        self._drive = signal_table([None] * (len(integrators[0].constants.mass) + 6))
 
-    def vary(self, arms: IntArray, constants: dict[str, Array]) -> None:
+    def set_constants(self, arms: IntArray, constants: dict[str, Array]) -> None:
         """Set constants of some arms."""
         for i, arm in enumerate(arms):
             own = {name: values[i] for name, values in constants.items()}
-            self._runs[arm].constants = self._runs[arm].constants._replace(**own)
+            self._integrators[arm].constants = self._integrators[arm].constants._replace(**own)
 
     def constants(self, arm: int) -> dict[str, Any]:
         """Return copies of the constants of one arm."""
-        return _own_constants(self._runs[arm].constants)
+        return _own_constants(self._integrators[arm].constants)
 
     @property
     def own(self) -> list[dict[str, Array]]:
-        """Constants of each arm, with the step size and the stages kept by its method between steps."""
+        """Constants PER_ARM of each arm, with the step size and the stages that its method keeps between steps."""
         return [
-            {name: getattr(run.constants, name) for name in sorted(PER_ARM)}
-            | {"pace": run.work.next_step, "stages": run.work.stages}
-            for run in self._runs
+            {name: getattr(each.constants, name) for name in sorted(PER_ARM)}
+            | {"pace": each.work.next_step, "stages": each.work.stages}
+            for each in self._integrators
         ]
 
     def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array) -> None:
-        """Compute the outputs of some arms, and clear the memory of their method."""
+        """Compute the outputs of some arms, and clear the data that their method keeps."""
         for arm in arms:
-            self._runs[arm].start(rows[arm], rows[arm].copy(), outputs[arm])
+            self._integrators[arm].start(rows[arm], rows[arm].copy(), outputs[arm])
 
     def forget(self, arms: IntArray) -> None:
-        """Clear the memory of the method of some arms."""
+        """Clear the data that the method of some arms keeps between steps."""
         for arm in arms:
-            self._runs[arm].forget()
+            self._integrators[arm].forget()
 
     def integrate(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
         """Integrate the arms whose status is OK over one control period."""
         row, result = np.zeros((1, rows.shape[1])), np.zeros((1, layout.OUTPUTS))
         for arm in np.flatnonzero(status == layout.OK):
             self._drive[layout.OFFSET] = drives[arm]
-            moment, state = (periods[arm] * self._period, self._step, self._substeps), rows[arm].copy()
-            status[arm] = self._runs[arm](self._drive, moment, state, row, result)[0]
+            grid, state = (periods[arm] * self._period, self._step, self._substeps), rows[arm].copy()
+            status[arm] = self._integrators[arm](self._drive, grid, state, row, result)[0]
             if status[arm] == layout.OK:
                 rows[arm], outputs[arm] = state, result[0]
 
     def compute_tip_accelerations(self, drives: Array, rows: Array, result: Array) -> None:
         """Compute the tip accelerations of all arms."""
         d = rows.shape[1] // 2 - 1
-        for run, drive, row, out in zip(self._runs, drives, rows, result, strict=True):
-            tip_accelerations(run.constants, run.work, row[:d], row[d : 2 * d], drive, out)
+        for each, drive, row, out in zip(self._integrators, drives, rows, result, strict=True):
+            tip_accelerations(each.constants, each.work, row[:d], row[d : 2 * d], drive, out)
 
 
 def _own_constants(constants: Constants) -> dict[str, Any]:
-    """Return copies of the constants that may differ from arm to arm."""
+    """Return copies of the constants PER_ARM, which may differ between the arms of a batch."""
     return {name: getattr(constants, name).copy() for name in PER_ARM}
 
 
-GROUPS_PER_THREAD = 4  # least number of groups of a thread; passing a task costs as much as one or two groups
+GROUPS_PER_THREAD = 4  # least number of groups of arms per thread; passing a task costs as much as one or two groups
 
 
 class LaneIntegrator(BatchIntegrator):
-    """Batch integrator by fixed steps of a linearly implicit method, ARMS_PER_GROUP arms in one pass of the kernels.
+    """Batch integrator by fixed steps of a linearly implicit method; the ARMS_PER_GROUP arms of a group are SIMD lanes.
 
-    A single arm without foreshortening is integrated by the kernels of one arm, which are faster and give the same
-    bits.
+    A single arm without foreshortening is integrated by faster kernels of one arm, with equal results to the bit.
+    `period` is the control period or output interval (s) and the number of steps in it.
     """
 
     state_fields = ("own",)
@@ -242,21 +241,21 @@ class LaneIntegrator(BatchIntegrator):
             self._works = [
                 make_work(constants, aligned_zeros) for _ in range(min(threads, -(-groups // GROUPS_PER_THREAD)))
             ]
-        stages = method.evaluations
-        self._most = max(1, evaluations_per_call(constants) // (LANE_COST_RATIO * stages))  # steps of a group in a call
+        step_cost = LANE_COST_RATIO * method.evaluations
+        self._max_steps = max(1, evaluations_per_call(constants) // step_cost)  # of a group, in a kernel call
         kind = NUMBER if self._single else ARMS
         self._tables = np.array([address_table(each, kind) for each in self._constants])
         self._work_tables = [address_table(each, kind) for each in self._works]
         bounds = np.linspace(0, groups, len(self._works) + 1).round().astype(int)
-        self._shares = [slice(int(first), int(end)) for first, end in pairwise(bounds)]
-        self._observed = np.zeros(arms, dtype=np.int64)
+        self._thread_groups = [slice(int(first), int(end)) for first, end in pairwise(bounds)]
+        self._reset_status = np.zeros(arms, dtype=np.int64)
         self._no_record: PeriodRecord = np.zeros((arms, 0, 1)), np.zeros((arms, 0, 1))
         self._workers: list[WorkerThread] = []
-        self._process = 0
+        self._process = 0  # id of the process of the worker threads
 
     @property
     def own(self) -> list[dict[str, Array]]:
-        """Constants of each group of arms that may differ from arm to arm."""
+        """Constants PER_ARM of each group of arms."""
         return [{name: getattr(each, name) for name in sorted(PER_ARM)} for each in self._constants]
 
     def constants(self, arm: int) -> dict[str, Any]:
@@ -265,7 +264,7 @@ class LaneIntegrator(BatchIntegrator):
         lane = () if self._single else (..., arm % ARMS_PER_GROUP)
         return {name: values[lane].copy() for name, values in own.items()}
 
-    def vary(self, arms: IntArray, constants: dict[str, Array]) -> None:
+    def set_constants(self, arms: IntArray, constants: dict[str, Array]) -> None:
         """Set constants of some arms."""
         groups, lanes = np.divmod(arms, ARMS_PER_GROUP)
         for group in np.unique(groups).tolist():
@@ -278,31 +277,33 @@ class LaneIntegrator(BatchIntegrator):
                     target[..., lanes[some]] = np.moveaxis(values[some], 0, -1)
 
     def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array) -> None:
-        """Compute the outputs of some arms, by a run of zero steps."""
-        self._observed[:] = layout.NOT_CONVERGED
-        self._observed[arms] = layout.OK
+        """Compute the outputs of some arms, by zero steps."""
+        self._reset_status[:] = layout.NOT_CONVERGED
+        self._reset_status[arms] = layout.OK
         drives = np.zeros((len(rows), len(self._constants[0].mass) + 6))
-        self._advance(drives, 0, rows, outputs, self._observed)
+        self._integrate_period(drives, 0, rows, outputs, self._reset_status)
 
     def forget(self, arms: IntArray) -> None:
-        """Do nothing: these methods keep no memory from step to step."""
+        """Do nothing: linearly implicit methods with fixed steps keep no data between steps."""
 
     def integrate(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
         """Integrate the arms whose status is OK over one control period."""
-        self._advance(drives, self._substeps, rows, outputs, status)
+        self._integrate_period(drives, self._substeps, rows, outputs, status)
 
     def integrate_periods(
         self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, record: PeriodRecord
     ) -> None:
         """Integrate the arms whose status is OK over several control periods, in kernel calls of bounded length."""
-        if self._substeps > self._most:
+        if self._substeps > self._max_steps:
             super().integrate_periods(drives, periods, rows, outputs, status, record)
             return
-        for first, count in _chunks(drives.shape[1], self._most // self._substeps):
+        for first, count in _chunks(drives.shape[1], self._max_steps // self._substeps):
             some = slice(first, first + count)
             part: PeriodRecord = tuple(np.ascontiguousarray(each[:, some]) for each in record)  # type: ignore[assignment]
             given = np.ascontiguousarray(drives[:, some])
-            self._move(given, [self._substeps], (rows, outputs, status), max(1, self._most // count), part)
+            self._integrate_groups(
+                given, [self._substeps], (rows, outputs, status), max(1, self._max_steps // count), part
+            )
             record[0][:, some], record[1][:, some] = part
 
     def compute_tip_accelerations(self, drives: Array, rows: Array, result: Array) -> None:
@@ -311,43 +312,41 @@ class LaneIntegrator(BatchIntegrator):
             kernels.tip_accelerations_single(self._tables[0], self._work_tables[0], drives, rows, result)
             return
 
-        def run_share(groups: slice, work: IntArray) -> Iterator[None]:
+        def run_groups(groups: slice, work: IntArray) -> Iterator[None]:
             arms = _arm_slice(groups)
             kernels.tip_accelerations_batch(self._tables[groups], work, drives[arms], rows[arms], result[arms])
             yield
 
-        self._share(run_share)
+        self._run_in_threads(run_groups)
 
-    def run(
-        self, drives: Array, rows: Array, outputs: Array, counts: IntArray, moment: tuple[float, float, int]
-    ) -> None:
-        """Integrate all arms from row to row, a period apart, see `kernels.batch.run_batch`.
+    def run(self, drives: Array, rows: Array, outputs: Array, counts: IntArray, grid: tuple[float, float, int]) -> None:
+        """Integrate all arms under drives that change within an output interval, see `kernels.batch.run_batch`.
 
         Not available for a single arm without foreshortening.
 
         Args:
-            drives: (b, 7, n + 6) tables of the drives.
-            rows: (b, r, 2 d + 2) states and ledgers, the first given, the others overwritten.
+            drives: (b, 7, n + 6) drive tables of `kernels.layout`.
+            rows: (b, r, 2 d + 2) states and energy ledgers; the first row is the start, all other rows are overwritten.
             outputs: (b, r, OUTPUTS), overwritten.
-            counts: (b, 2) valid rows after the first, and steps taken; overwritten.
-            moment: time of the first row (s), step (s), and number of steps in a period.
+            counts: (b, 2) numbers of valid rows after the first and of steps, overwritten.
+            grid: time of the first row (s), step (s), and number of steps between rows.
         """
-        clock = TimeGrid(*moment, 0.0, 0.0)
+        clock = TimeGrid(*grid, 0.0, 0.0)
 
-        def run_share(groups: slice, work: IntArray) -> Iterator[None]:
+        def run_groups(groups: slice, work: IntArray) -> Iterator[None]:
             for group in range(groups.start, groups.stop):
                 arms = _arm_slice(slice(group, group + 1))
                 given = self._tables[group : group + 1], work, *self._method, drives[arms]
                 yield from self._run_group(given, clock, rows[arms], outputs[arms], counts[arms])
 
-        self._share(run_share)
+        self._run_in_threads(run_groups)
 
     def _run_group(
         self, given: tuple[Any, ...], whole: TimeGrid, rows: Array, outputs: Array, counts: IntArray
     ) -> Iterator[None]:
-        """Integrate a group of arms from row to row in kernel calls of bounded length."""
+        """Integrate a group of arms in kernel calls of bounded length; yield after each call."""
         last, ok = rows[:, 0].copy(), np.ones(len(rows), dtype=bool)
-        for row, count, steps, first in _row_chunks(rows.shape[1] - 1, whole.substeps, self._most):
+        for row, count, steps, first in _row_chunks(rows.shape[1] - 1, whole.substeps, self._max_steps):
             part, read = (np.zeros((len(rows), count + 1, each.shape[2])) for each in (rows, outputs))
             part[:, 0], now = last, np.zeros_like(counts)
             clock = whole._replace(substeps=steps, first_step=first)
@@ -359,65 +358,68 @@ class LaneIntegrator(BatchIntegrator):
             last, ok = part[:, -1], ok & (now[:, 0] == count)
             yield
 
-    def _advance(self, drives: Array, substeps: int, rows: Array, outputs: Array, status: IntArray) -> None:
-        """Integrate the arms whose status is OK; a period in several calls is applied as a whole or not at all."""
-        together = max(1, self._most // max(1, substeps))  # groups in a call
-        if together >= len(self._tables) and substeps <= self._most:
-            self._move(drives[:, None], [substeps], (rows, outputs, status), together)
+    def _integrate_period(self, drives: Array, substeps: int, rows: Array, outputs: Array, status: IntArray) -> None:
+        """Integrate the arms whose status is OK over a control period.
+
+        If the period takes several kernel calls, an interruption by Ctrl-C leaves rows, outputs and status unchanged.
+        """
+        groups_per_call = max(1, self._max_steps // max(1, substeps))  # groups in a kernel call
+        if groups_per_call >= len(self._tables) and substeps <= self._max_steps:
+            self._integrate_groups(drives[:, None], [substeps], (rows, outputs, status), groups_per_call)
             return
         new, read, after = rows.copy(), outputs.copy(), status.copy()
-        parts = [steps for _, steps in _chunks(substeps, self._most)]
-        self._move(drives[:, None], parts or [0], (new, read, after), together)
+        parts = [steps for _, steps in _chunks(substeps, self._max_steps)]
+        self._integrate_groups(drives[:, None], parts or [0], (new, read, after), groups_per_call)
         moved = (after == layout.OK)[:, None]
         np.copyto(rows, new, where=moved)
         np.copyto(outputs, read, where=moved)
         status[:] = after
 
-    def _move(
+    def _integrate_groups(
         self,
         drives: Array,
         parts: list[int],
         moved: tuple[Array, Array, IntArray],
-        together: int,
+        groups_per_call: int,
         record: PeriodRecord | None = None,
     ) -> None:
-        """Integrate the arms over periods of constant drives and overwrite their rows, outputs and status.
+        """Integrate the arms over T periods of constant inputs and overwrite their rows, outputs and status.
 
         Args:
-            drives: (b, T, n + 6) drives of T periods.
+            drives: (b, T, n + 6) inputs in each period.
             parts: numbers of steps of successive kernel calls.
             moved: rows, outputs and status of the arms.
-            together: number of groups in a call.
-            record: rows and outputs after each period, overwritten; None for none.
+            groups_per_call: number of groups in a kernel call.
+            record: rows and outputs after each period, overwritten; None records none.
         """
         rows, outputs, status = moved
-        kept = record or self._no_record
+        recorded = record or self._no_record
         if self._single:
             given = self._tables[0], self._work_tables[0], self._method, drives
             for part in parts:
                 if status[0] == layout.OK:
-                    kernels.advance_single(*given, (self._step, part), *moved, kept)
+                    kernels.advance_single(*given, (self._step, part), *moved, recorded)
             return
 
-        def run_share(groups: slice, work: IntArray) -> Iterator[None]:
-            for first, count in _chunks(groups.stop - groups.start, together):
+        def run_groups(groups: slice, work: IntArray) -> Iterator[None]:
+            for first, count in _chunks(groups.stop - groups.start, groups_per_call):
                 some = slice(groups.start + first, groups.start + first + count)
                 arms = _arm_slice(some)
                 for part in parts:
                     kernels.advance_batch(
                         self._tables[some], work, self._method, drives[arms], (self._step, part),
-                        rows[arms], outputs[arms], status[arms], (kept[0][arms], kept[1][arms]),
+                        rows[arms], outputs[arms], status[arms], (recorded[0][arms], recorded[1][arms]),
                     )  # fmt: skip
                     yield
 
-        self._share(run_share)
+        self._run_in_threads(run_groups)
 
-    def _share(self, task: Callable[[slice, IntArray], Iterator[None]]) -> None:
-        """Run a function over the groups of each thread with its work space, kernel call by kernel call."""
+    def _run_in_threads(self, task: Callable[[slice, IntArray], Iterator[None]]) -> None:
+        """Run a task in each thread with the groups and the work space of the thread; Ctrl-C stops it between calls."""
         ended: list[bool] = []
 
         def part(thread: int) -> None:
-            for _ in task(self._shares[thread], self._work_tables[thread]):
+            for _ in task(self._thread_groups[thread], self._work_tables[thread]):
                 if ended:
                     return
 
@@ -428,7 +430,7 @@ class LaneIntegrator(BatchIntegrator):
             part(0)
             for worker in workers:
                 worker.finish()
-        except BaseException:  # Ctrl-C reaches the calling thread only: the workers must stop before it returns
+        except BaseException:  # Ctrl-C reaches the calling thread only: the workers must stop before it continues
             ended.append(True)
             for worker in workers:
                 worker.finish()
@@ -437,17 +439,17 @@ class LaneIntegrator(BatchIntegrator):
     def _threads(self) -> list[WorkerThread]:
         """Return the worker threads; a forked process starts its own."""
         if self._process != os.getpid():
-            self._workers, self._process = [WorkerThread() for _ in self._shares[1:]], os.getpid()
+            self._workers, self._process = [WorkerThread() for _ in self._thread_groups[1:]], os.getpid()
         return self._workers
 
 
 def _arm_slice(groups: slice) -> slice:
-    """Return the indices of the arms of some groups."""
+    """Return the indices of the arms in a range of groups."""
     return slice(groups.start * ARMS_PER_GROUP, groups.stop * ARMS_PER_GROUP)
 
 
 def _lane_constants(constants: Constants) -> Constants:
-    """Return the constants of ARMS_PER_GROUP equal arms."""
+    """Return the constants of a group of ARMS_PER_GROUP equal arms."""
     own: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in PER_ARM}
     for name, values in own.items():
         values[:] = getattr(constants, name)[..., None]
@@ -455,17 +457,17 @@ def _lane_constants(constants: Constants) -> Constants:
 
 
 def _chunks(count: int, most: int) -> Iterator[tuple[int, int]]:
-    """Return the first index and the length of consecutive pieces of `count` items, at most `most` in a piece."""
+    """Yield the first index and the length of consecutive chunks of `count` items, at most `most` in a chunk."""
     for first in range(0, count, most):
         yield first, min(most, count - first)
 
 
 def _row_chunks(rows: int, substeps: int, most: int) -> Iterator[tuple[int, int, int, int]]:
-    """Return the kernel calls, of at most `most` steps, for `rows` rows of `substeps` steps each.
+    """Yield the kernel calls, of at most `most` steps, for `rows` rows with `substeps` steps between them.
 
-    Each is (row, count, steps, first): the row of its start, the number of rows to fill, the steps of each, and the
-    steps of the row that precede it. A row of more than `most` steps is filled several times, the last time with its
-    end state.
+    A call is (row, count, steps, first): the row from which it starts, the number of rows to fill, the number of steps
+    between these rows, and the number of steps from time 0. If `substeps` exceeds `most`, a row is filled several
+    times, the last time with the state at its time.
     """
     for row, count in _chunks(rows, max(1, most // substeps)):
         for first, steps in _chunks(substeps, most):

@@ -1,4 +1,4 @@
-"""Diagnostics of failed simulations: the first quantity out of bounds, and remedies."""
+"""Diagnostics of failed simulations and energy alarms: the quantity that first exceeds its bound, and remedies."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -14,11 +14,11 @@ from flexman_gym.simulation.integrator import Integrator
 from flexman_gym.simulation.methods import DEFAULT_METHOD, EXPLICIT
 from flexman_gym.simulation.stability import NEGLIGIBLE_GROWTH, stability_limit
 
-LARGE_RATE = 100.0  # rad/s; bound of the rates of joints and motors
-LARGE_TWIST = 1.0  # rad; bound of the twists of joint springs
-LARGE_BEND = 0.25  # 1; bound of the deflection of a link, relative to its length
-STIFFENING_BEND = 0.1  # 1; deflection relative to the length of the link from which on foreshortening matters
-STEPS_PER_PERIOD = 50  # outputs in a period whose steps the method chooses
+LARGE_RATE = 100.0  # rad/s; bound of joint and motor rates
+LARGE_TWIST = 1.0  # rad; bound of joint twists
+LARGE_DEFLECTION = 0.25  # 1; bound of the deflection of a link relative to its length
+STIFFENING_DEFLECTION = 0.1  # 1; deflection relative to the length of the link above which foreshortening matters
+OUTPUTS_PER_INTERVAL = 50  # outputs of the second simulation if the method chooses its steps
 
 
 class _Quantity(NamedTuple):
@@ -31,41 +31,41 @@ class _Quantity(NamedTuple):
 
 
 def explain_failure(
-    run: Integrator, model: Model, drive: Array, moment: tuple[float, float, int], state: Array, status: str
+    integrator: Integrator, model: Model, drive: Array, grid: tuple[float, float, int], state: Array, status: str
 ) -> str:
-    """Return the first quantity out of bounds and remedies, from a second run after the last valid state.
+    """Return the quantity that first exceeds its bound, and remedies; integrates again from the last valid state.
 
     Args:
-        run: the integrator of the arm.
+        integrator: the integrator of the arm.
         model: the model.
-        drive: (7, n + 6) table of the drive.
-        moment: time of the last valid state (s), step (s), and number of steps still to go.
-        state: (2 d + 2,) last valid state and its ledger.
+        drive: (7, n + 6) drive table of `kernels.layout`.
+        grid: time of the last valid state (s), step (s), and number of remaining steps.
+        state: (2 d + 2,) last valid state and energy ledger.
         status: "diverged", "not converged" or "ok".
 
     Returns:
         One or two sentences: the fact, then "Try ...".
     """
-    time, step, substeps = moment
-    if run.tolerance[0] > 0.0:
-        step, substeps = step * substeps / STEPS_PER_PERIOD, STEPS_PER_PERIOD
+    time, step, substeps = grid
+    if integrator.tolerance[0] > 0.0:
+        step, substeps = step * substeps / OUTPUTS_PER_INTERVAL, OUTPUTS_PER_INTERVAL
     rows, result = np.zeros((substeps, len(state))), np.zeros((substeps, layout.OUTPUTS))
-    outcome, valid, _ = run(drive, (time, step, 1), state.copy(), rows, result)
-    states = np.vstack([state, rows[:valid], *([] if outcome == layout.OK else [run.work.new_state])])
+    outcome, valid, _ = integrator(drive, (time, step, 1), state.copy(), rows, result)
+    states = np.vstack([state, rows[:valid], *([] if outcome == layout.OK else [integrator.work.new_state])])
     with np.errstate(all="ignore"):
         first, row = _first_excess(model, states[:, : 2 * model.n_dof])
     size = f"{abs(first.values[row]):.4g} {first.unit} at {time + row * step:.6g} s"
-    advice = "; or ".join(_advice(model, run, moment[1], states[: max(row, 1)]))
+    advice = "; or ".join(_advice(model, integrator, grid[1], states[: max(row, 1)]))
     return f"the simulation {status}: the first quantity out of bounds is {first.name}, {size}. Try {advice}."
 
 
-def explain_energy(model: Model, run: Integrator, step: float, time: float, states: Array) -> str:
-    """Return the coordinate with the largest vibration energy at an energy alarm, and remedies.
+def explain_energy(model: Model, integrator: Integrator, step: float, time: float, states: Array) -> str:
+    """Return the coordinate with the largest vibration energy up to an energy alarm, and remedies.
 
     Args:
         model: the model.
-        run: the integrator of the arm.
-        step: s.
+        integrator: the integrator of the arm.
+        step: integration step, s.
         time: time of the alarm, s.
         states: (r, 2 d) states up to the alarm.
 
@@ -73,17 +73,17 @@ def explain_energy(model: Model, run: Integrator, step: float, time: float, stat
         One or two sentences: the fact, then "Try ...".
     """
     d, label, diagonal = model.n_dof, _coordinate_names(model), np.diag(stiffness_matrix(model))
-    shares = {f"the rate of {label[i]}": states[:, d + i] ** 2 for i in range(model.n_joints)}
-    if diagonal.any():  # over a cycle potential energy is as large as kinetic energy, and needs no mass matrix
+    energies = {f"the rate of {label[i]}": states[:, d + i] ** 2 for i in range(model.n_joints)}
+    if diagonal.any():  # mean potential and kinetic energy of a vibration are equal, and stiffness is constant
         first = model.n_joints + model.n_motors
-        shares = {label[a]: diagonal[a] * states[:, a] ** 2 for a in range(first, d)}
+        energies = {label[a]: diagonal[a] * states[:, a] ** 2 for a in range(first, d)}
         for i, motor in enumerate(model.constants.motor):
             if motor >= 0:
                 twist = states[:, motor] - states[:, i]
-                shares[f"the spring of joints[{i}]"] = model.constants.joint_stiffness[i] * twist**2
-    name = max(shares, key=lambda each: float(shares[each].max()))
+                energies[f"the spring of joints[{i}]"] = model.constants.joint_stiffness[i] * twist**2
+    name = max(energies, key=lambda each: float(energies[each].max()))
     fact = f"the energy residual exceeds 1 % of the energy turnover at {time:.6g} s"
-    return f"{fact}: most of the vibration is in {name}. Try {'; or '.join(_advice(model, run, step, states))}."
+    return f"{fact}: most of the vibration is in {name}. Try {'; or '.join(_advice(model, integrator, step, states))}."
 
 
 def _coordinate_names(model: Model) -> list[str]:
@@ -97,7 +97,7 @@ def _coordinate_names(model: Model) -> list[str]:
 
 
 def _quantities(model: Model, states: Array) -> Iterator[_Quantity]:
-    """Yield rates of joints and motors, twists of springs, deflections of links, and elastic coordinates."""
+    """Yield joint and motor rates, joint twists, link deflections and elastic coordinates of states (r, 2 d)."""
     d, n, label = model.n_dof, model.n_joints, _coordinate_names(model)
     for column in range(n + model.n_motors):
         yield _Quantity(f"the rate of {label[column]}", "rad/s", states[:, d + column], LARGE_RATE)
@@ -110,18 +110,18 @@ def _quantities(model: Model, states: Array) -> Iterator[_Quantity]:
         shapes = model.constants.tip_translation[starts[link] : starts[link + 1]]
         if len(shapes):
             deflection = np.linalg.norm(states[:, columns] @ shapes, axis=1) / model.constants.length[link]
-            yield _Quantity(f"the deflection of links[{link}]", "of its length", deflection, LARGE_BEND)
+            yield _Quantity(f"the deflection of links[{link}]", "of its length", deflection, LARGE_DEFLECTION)
         for column in range(columns.start, columns.stop):
-            bend = states[:, column] / sizes[column]
-            yield _Quantity(label[column], "rad or parts of the link's length", bend, LARGE_BEND)
+            relative = states[:, column] / sizes[column]
+            yield _Quantity(label[column], "rad or parts of the link's length", relative, LARGE_DEFLECTION)
 
 
-def _advice(model: Model, run: Integrator, step: float, states: Array) -> list[str]:
-    """Return remedies for a diverged simulation, the most promising first."""
-    method, d, result = run.method, model.n_dof, []
+def _advice(model: Model, integrator: Integrator, step: float, states: Array) -> list[str]:
+    """Return remedies for a failed simulation with given states (r, 2 d), the most promising first."""
+    method, d, result = integrator.method, model.n_dof, []
     highest = frequencies(model).max(initial=0.0)
     limit = stability_limit(method, NEGLIGIBLE_GROWTH) if method.kind == EXPLICIT else np.inf
-    if run.tolerance[0] > 0.0:
+    if integrator.tolerance[0] > 0.0:
         result.append(f"a method with fixed steps, such as {DEFAULT_METHOD}")
     elif 2.0 * np.pi * highest * step > limit:
         stable = limit / (2.0 * np.pi * highest)
@@ -131,11 +131,11 @@ def _advice(model: Model, run: Integrator, step: float, states: Array) -> list[s
         result.append(f"a step shorter than {step:g} s")
     with np.errstate(all="ignore"):
         valid = states[np.isfinite(states).all(axis=1)]
-        bends = (each for each in _quantities(model, valid) if each.largest == LARGE_BEND)
-        bent = any(np.abs(each.values).max() > STIFFENING_BEND for each in bends)
+        deflections = (each for each in _quantities(model, valid) if each.largest == LARGE_DEFLECTION)
+        large = any(np.abs(each.values).max() > STIFFENING_DEFLECTION for each in deflections)
         locked = frequencies(model, lock_joints=True)
-        spins = np.abs(valid[:, d : d + model.n_joints]).max(initial=0.0)
-    if not model.choice.stiffening and (bent or (len(locked) and spins > np.pi * locked[0])):
+        fastest = np.abs(valid[:, d : d + model.n_joints]).max(initial=0.0)
+    if not model.choice.stiffening and (large or (len(locked) and fastest > np.pi * locked[0])):
         result.append("stiffening=True, as the foreshortening of links matters at large bends and fast rotation")
     if model.n_elastic and not model.constants.damping.any():
         result.append("a modal_damping_ratio of the links, which are undamped")
@@ -143,7 +143,7 @@ def _advice(model: Model, run: Integrator, step: float, states: Array) -> list[s
 
 
 def _first_excess(model: Model, states: Array) -> tuple[_Quantity, int]:
-    """Return the quantity that first exceeds its bound, and the row; the largest relative to its bound if none does."""
+    """Return the quantity that first exceeds its bound, and its row; without one, the relatively largest one."""
     result = list(_quantities(model, states))
     sizes = np.array([np.abs(each.values) / each.largest for each in result])
     sizes = np.nan_to_num(sizes, nan=np.inf, posinf=np.inf)

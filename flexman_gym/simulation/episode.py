@@ -1,4 +1,4 @@
-"""Episode: the record of an episode or of a scene as arrays, with the data needed to draw or repeat it."""
+"""Episode: record of an episode, or of the simulation of a scene, with the data needed to draw or repeat it."""
 
 import hashlib
 import json
@@ -22,24 +22,24 @@ from flexman_gym.scene.serialization import find_arm, from_plain, to_plain
 from flexman_gym.simulation.trajectory import Trajectory
 
 FORMAT = 1  # version of the file format
-METADATA_KEY = "about"  # name of the metadata among the arrays of a file
+METADATA_KEY = "about"  # name of the metadata in a file and of their attribute
 AXES = "xyz"
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """T control periods of one arm, or the T + 1 output times of a scene; nan for missing quantities.
+    """Record of T control periods of one arm, or of T + 1 output times of a scene; missing quantities are nan.
 
     Attributes:
-        time: (T + 1,) s, from the reset on.
-        states: (T + 1, 2 d), in the order of `kernels.layout`.
-        tips: (T + 1, 3) m, base frame.
-        targets: (T + 1, 3) m, base frame.
-        errors: (T + 1,) m, distances between tip and target.
+        time: (T + 1,) time since the reset, s.
+        states: (T + 1, 2 d) coordinates and speeds, in the order of `kernels.layout`.
+        tips: (T + 1, 3) tip positions, base frame, m.
+        targets: (T + 1, 3) positions of the target, base frame, m.
+        errors: (T + 1,) distances between tip and target, m.
         readings: name -> (T + 1, k) latest readings of the agent's sensors.
-        actions: (T, n) commands to the motors, as parts of their limits.
-        torques: (T, n) N m, torques of the motors after delays and other effects.
-        rewards: (T,).
+        actions: (T, n) actions that reach the motors, as fractions of the torque limits.
+        torques: (T, n) motor torques after delays and other effects, N m.
+        rewards: (T,) rewards of the control periods.
         about: metadata as plain data: name of the agent, environment, its settings and their hash, seed, versions,
             failure, arm and model, units of the readings.
 
@@ -63,7 +63,7 @@ class Episode:
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory, name: str = "scene") -> Self:
-        """Return a trajectory in the form of an episode, without targets, actions, torques and rewards.
+        """Return a trajectory as an episode without targets, actions, torques and rewards.
 
         Args:
             trajectory: the solution of a scene.
@@ -90,7 +90,7 @@ class Episode:
 
     @cached_property
     def model(self) -> Model:
-        """Simulated model, built from the metadata.
+        """Model of the simulation, built from the metadata.
 
         Raises:
             ValueError: for an invalid arm or model.
@@ -100,7 +100,7 @@ class Episode:
 
     @property
     def name(self) -> str:
-        """Name of the agent."""
+        """Name of the agent or of the scene; "" if the metadata have none."""
         return str(self.about.get("name", ""))
 
     @property
@@ -110,17 +110,14 @@ class Episode:
 
     @property
     def band(self) -> float:
-        """Largest distance between tip and target at which the tip counts as settled, m; nan where none was given."""
+        """Distance from the target within which the tip counts as settled, m; nan if the metadata have none."""
         return float(self.about.get("band", np.nan))
 
     def save(self, path: str | Path) -> Path:
-        """Write arrays and metadata to one file (npz, without pickles).
+        """Write arrays and metadata to a file (npz, without pickles), and return its path.
 
         Args:
             path: the file; missing folders are created.
-
-        Returns:
-            The path of the file.
 
         Raises:
             OSError: where it cannot be written.
@@ -146,8 +143,8 @@ class Episode:
             The episode.
 
         Raises:
-            FileNotFoundError: when there is none.
-            ValueError: for a file without an episode.
+            FileNotFoundError: if the file does not exist.
+            ValueError: for a file that is no saved episode.
         """
         try:
             with open_arrays(path) as data:
@@ -166,7 +163,7 @@ class Episode:
         return result
 
     def _check(self) -> None:
-        """Check that the arrays match each other and the metadata is that of `episode_metadata`."""
+        """Check the shapes of the arrays and the format of the metadata."""
         if self.about["format"] != FORMAT or not isinstance(self.about["name"], str):
             raise ValueError("unknown format")
         rows, n = len(self.time), len(self.about["arm"]["links"])
@@ -179,10 +176,10 @@ class Episode:
                 raise ValueError(f"{name} is {values.dtype} {values.shape}")
 
     def columns(self) -> dict[str, Array]:
-        """Return all quantities but the states as columns (T + 1,) by name and unit, such as "tip_x (m)".
+        """Return all quantities except the states as columns (T + 1,) by name and unit, such as "tip_x (m)".
 
-        Joints are numbered from 1. Actions, torques and rewards are in the row of the end of their period; the first
-        row has none.
+        Joints are numbered from 1. Actions, torques and rewards of a control period stand in the row of its end; in the
+        first row they are nan.
         """
         units, joints = self.about.get("units", {}), range(1, self.actions.shape[1] + 1)
         result = {"time (s)": self.time, "error (m)": self.errors, "reward": _shift_to_period_ends(self.rewards)}
@@ -196,7 +193,7 @@ class Episode:
         return result
 
     def to_csv(self, path: str | Path) -> None:
-        """Write `columns` to a CSV file: a row of names and units, then a row for each time, numbers with all digits.
+        """Write `columns` to a CSV file: a row of names and units, then a row for each time, with all digits.
 
         Args:
             path: the file.
@@ -209,9 +206,6 @@ class Episode:
     def to_pandas(self) -> Any:
         """Return `columns` as a pandas DataFrame; its `attrs` hold the metadata.
 
-        Returns:
-            The DataFrame.
-
         Raises:
             ImportError: without pandas.
         """
@@ -222,12 +216,9 @@ class Episode:
         return result
 
     def to_xarray(self) -> Any:
-        """Return an xarray Dataset over time, with a coordinate `period` for actions, torques and rewards.
+        """Return an xarray Dataset with the metadata as `attrs`.
 
-        Its `attrs` hold the metadata.
-
-        Returns:
-            The Dataset.
+        Coordinates: `time`, and for actions, torques and rewards `period`, the end of a control period, s.
 
         Raises:
             ImportError: without xarray.
@@ -244,15 +235,12 @@ class Episode:
 
 
 def episode_metadata(model: Model, settings: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
-    """Return the metadata of an episode as plain data: arm, model, versions, and settings with their hash.
+    """Return the metadata of an episode as plain data: arm, model, versions, settings and their hash.
 
     Args:
-        model: the simulated model.
-        settings: settings of environment and agent, plain.
-        **more: name, seed, failure and further entries.
-
-    Returns:
-        The metadata, with the format version of the file.
+        model: the model of the simulation.
+        settings: settings of environment and agent.
+        **more: further entries, such as name, seed and failure.
     """
     text = json.dumps(settings or {}, sort_keys=True, default=_plain_value)
     return {
@@ -278,6 +266,6 @@ def _versions() -> dict[str, str]:
 
 
 def _shift_to_period_ends(values: Array) -> Array:
-    """Return values (T,) of control periods in the rows of their ends (T + 1,), nan first."""
+    """Return the values (T,) of control periods after a nan, (T + 1,)."""
     result: Array = np.append(np.nan, values)
     return result

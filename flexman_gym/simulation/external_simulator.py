@@ -1,9 +1,9 @@
-"""External simulators: arms of a batch integrated by a second simulation, with states in the coordinates of the batch.
+"""External simulators: arms of a batch integrated by another simulation, with states in the coordinates of the batch.
 
-Sensors and controllers of the batch see state, outputs and parameters of its own model. Both simulations exchange
-shapes: angles of joints and motors, and for each link the translation and rotation vector of its sections at some
-stations, in its beam frame. Shapes are projected on the coordinates of the model by least squares, weighted by the mass
-at the stations and by the whole mass outboard of the link, so that its component modes need no separate fit.
+Sensors and controllers read states, outputs and parameters of the model of the batch. The two simulations exchange
+shapes: joint and motor angles, and for each link the translations (m) and rotation vectors (rad) of sections at given
+positions along the link, in its beam frame. Shapes are projected onto the coordinates of the model by least squares,
+weighted by the mass at the sections and, at the tip, by the rigid inertia outboard of the link.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,16 +22,17 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import BatchIntegrator
 from flexman_gym.simulation.parameters import LINK, PARAMETERS
 
-Stations = Sequence[Array]  # m; positions (s_i,) along each link, the last at its tip
-ROTATION_WEIGHT = 1e-4  # 1; squared radius of gyration for rotations, relative to the squared spacing of stations
+Stations = Sequence[Array]  # m; positions (s_i,) of the sections along link i, the last at its tip
+ROTATION_WEIGHT = 1e-4  # 1; weight of rotations: squared radius of gyration relative to the squared section spacing
 
 
 class ArmShapes(NamedTuple):
-    """Shapes of r arms.
+    """Shapes of r arms with n joints and s sections.
 
     Attributes:
-        shapes, rates: (r, 2 n + 6 s) angles of joints and motors and displacements of the stations of each link, and
-            their rates.
+        shapes: (r, 2 n + 6 s) joint angles, motor angles (rad), and translation (m) and rotation vector (rad) of each
+            section, link by link.
+        rates: (r, 2 n + 6 s) time derivatives of the shapes.
         tips: (r, 6) position (m) and velocity (m/s) of the tip in the base frame.
     """
 
@@ -45,16 +46,16 @@ class ExternalSimulator(Protocol):
 
     @property
     def stations(self) -> Stations:
-        """Positions along the links at which the shapes are given, m."""
+        """Positions along the links of the sections of a shape, m."""
 
     def start(self, arm: int, shape: Array, rate: Array, parameters: Mapping[str, Array]) -> None:
-        """Start an arm with these physical parameters, by their name in PARAMETERS, from a shape and its rate."""
+        """Start an arm from a shape (2 n + 6 s,) and its rate, with physical parameters by their name in PARAMETERS."""
 
     def integrate(self, drives: Array, moving: BoolArray) -> BoolArray:
-        """Integrate the flagged arms over a control period under drives (b, n + 6); return flags of success."""
+        """Integrate the flagged arms over a control period under drives (b, n + 6); return flags (b,) of success."""
 
     def read(self, arms: IntArray) -> ArmShapes:
-        """Return the shapes of some arms."""
+        """Return the shapes of the arms with the indices (r,)."""
 
 
 class ExternalIntegrator(BatchIntegrator):
@@ -69,16 +70,16 @@ class ExternalIntegrator(BatchIntegrator):
         self._model, self._integrator, self._simulator = model, integrator, simulator
         self._to_shapes, self._to_coordinates = _shape_matrices(model, simulator.stations)
 
-    def vary(self, arms: IntArray, constants: dict[str, Array]) -> None:
-        """Set constants of some arms; the external simulator uses them from their next start on."""
-        self._integrator.vary(arms, constants)
+    def set_constants(self, arms: IntArray, constants: dict[str, Array]) -> None:
+        """Set constants of some arms; the external simulator uses them from the next start of these arms on."""
+        self._integrator.set_constants(arms, constants)
 
     def constants(self, arm: int) -> dict[str, Any]:
         """Return copies of the constants of one arm."""
         return self._integrator.constants(arm)
 
     def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array) -> None:
-        """Start the external simulator at the rows of some arms, and compute their outputs."""
+        """Start some arms in the external simulator from their rows, and compute their outputs."""
         d = self._model.n_dof
         for arm in arms.tolist():
             own = _parameters_from_constants(self._model, self._integrator.constants(arm))
@@ -87,7 +88,7 @@ class ExternalIntegrator(BatchIntegrator):
         self._read(arms, rows, outputs)
 
     def forget(self, arms: IntArray) -> None:
-        """Do nothing: an external simulator starts from the given state."""
+        """Do nothing: data of the external simulator are reset by `compute_outputs`."""
 
     def integrate(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
         """Integrate the arms whose status is OK over one control period."""
@@ -97,7 +98,7 @@ class ExternalIntegrator(BatchIntegrator):
         self._read(np.flatnonzero(moving & ok), rows, outputs)
 
     def _read(self, arms: IntArray, rows: Array, outputs: Array) -> None:
-        """Project the shapes of some arms on the coordinates of the model, and compute their outputs."""
+        """Project the shapes of some arms onto the coordinates of the model, and compute their outputs."""
         d, now = self._model.n_dof, self._simulator.read(arms)
         rows[arms, :d], rows[arms, d : 2 * d] = now.shapes @ self._to_coordinates, now.rates @ self._to_coordinates
         self._integrator.compute_outputs(arms, rows, outputs)
@@ -106,15 +107,18 @@ class ExternalIntegrator(BatchIntegrator):
         outputs[arms, layout.DEFLECTION_COLUMN : layout.KINETIC] += correction
 
     def compute_tip_accelerations(self, drives: Array, rows: Array, result: Array) -> None:
-        """Compute the tip accelerations of all arms with the model of the batch in this state."""
+        """Compute the tip accelerations of all arms, by the model of the batch."""
         self._integrator.compute_tip_accelerations(drives, rows, result)
 
 
 class RefinedSimulator:
-    """External simulator of finer elements with all their coordinates, foreshortening, and shorter steps."""
+    """External simulator with `elements` finite elements in each section of a link, foreshortening, and shorter steps.
 
-    def __init__(self, batch: Batch, elements: int, parts: int) -> None:
-        choice, steps = batch.model.choice, parts * batch.substeps
+    `step_divisor` is the ratio of the step of the batch to that of the external simulator.
+    """
+
+    def __init__(self, batch: Batch, elements: int, step_divisor: int) -> None:
+        choice, steps = batch.model.choice, step_divisor * batch.substeps
         switches = {"spinning_rotors": choice.spinning_rotors, "rotary_inertia": choice.rotary_inertia}
         model = build_model(batch.model.arm, elements, stiffening=True, **switches)
         period = batch.control_period
@@ -144,13 +148,13 @@ class RefinedSimulator:
 
 
 def _shape_matrices(model: Model, stations: Stations) -> tuple[Array, Array]:
-    """Return the matrices from coordinates of a model to shapes, (d, p), and from shapes to coordinates, (p, d)."""
+    """Return matrices (d, p) and (p, d): row vectors of coordinates times the first are shapes, and vice versa."""
     n, d = model.n_joints, model.n_dof
     to_shapes = np.zeros((d, 2 * n + NODE_COORDINATES * sum(map(len, stations))))
     to_coordinates = np.zeros(to_shapes.T.shape)
     to_shapes[np.arange(n), np.arange(n)] = to_shapes[model.motor_columns, np.arange(n, 2 * n)] = 1.0
     to_coordinates[np.arange(n), np.arange(n)] = 1.0
-    to_coordinates[np.arange(n, 2 * n), model.motor_columns] = 1.0  # in a rigid joint it equals the joint angle
+    to_coordinates[np.arange(n, 2 * n), model.motor_columns] = 1.0  # in a rigid joint the column of the joint angle
     to_coordinates[np.flatnonzero(model.constants.motor < 0)] = 0.0
     beams = tuple(build_beam(link, 1, flexible=False) for link in model.arm.links)
     first = 2 * n
@@ -166,7 +170,7 @@ def _shape_matrices(model: Model, stations: Stations) -> tuple[Array, Array]:
 
 
 def _station_shapes(model: Model, link: int, positions: Array) -> Array:
-    """Return translations and rotations (6 s, k) of the sections of a link at positions per unit of its coordinates."""
+    """Return translations and rotations (6 s, k) of sections at positions (s,), m, per unit elastic coordinate."""
     elements, basis = model.elements(link), model.bases[link]
     nodes = np.vstack([np.zeros((NODE_COORDINATES, basis.shape[1])), basis])
     result = []
@@ -180,18 +184,22 @@ def _station_shapes(model: Model, link: int, positions: Array) -> Array:
 
 
 def _least_squares_matrix(shapes: Array, positions: Array, outboard: Array, mass: float) -> Array:
-    """Return the matrix (k, 6 s) from displacements of the stations of a link to its coordinates, by least squares."""
-    shares = np.repeat(mass / len(positions), len(positions))
-    shares[-1] /= 2.0  # trapezoidal rule; the root is fixed
+    """Return the matrix (k, 6 s) from displacements of sections to elastic coordinates of a link, by least squares.
+
+    `shapes` (6 s, k) are displacements per unit elastic coordinate of the sections at positions (s,), m; `outboard` (6,
+    6) is the rigid inertia outboard of the link about its tip, `mass` that of the link (kg).
+    """
+    masses = np.repeat(mass / len(positions), len(positions))
+    masses[-1] /= 2.0  # trapezoidal rule; the root is fixed
     gyration = ROTATION_WEIGHT * (positions[-1] / len(positions)) ** 2
-    weights = np.diag(np.repeat(shares, NODE_COORDINATES) * np.tile([1.0] * 3 + [gyration] * 3, len(positions)))
+    weights = np.diag(np.repeat(masses, NODE_COORDINATES) * np.tile([1.0] * 3 + [gyration] * 3, len(positions)))
     weights[-NODE_COORDINATES:, -NODE_COORDINATES:] += outboard
     weighted = shapes.T @ weights
     return np.asarray(np.linalg.lstsq(weighted @ shapes, weighted, rcond=1e-12)[0])
 
 
 def _parameters_from_constants(model: Model, constants: Mapping[str, Any]) -> dict[str, Array]:
-    """Return the physical parameters, by name, at which the constants of a model become those of one of its arms."""
+    """Return the physical parameters, by name, that correspond to the constants PER_ARM of an arm."""
     nominal = model.constants
     changed = replace(model, constants=nominal._replace(**constants))
     result = {name: np.array(row.nominal(changed)) for name, row in PARAMETERS.items() if row.of != LINK}

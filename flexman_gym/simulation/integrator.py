@@ -1,4 +1,4 @@
-"""Integrator of one arm: a method bound to a model and its work space, with the checks of step and tolerance."""
+"""Integrator of one arm: an integration method with a model and a work space, and checks of step and tolerances."""
 
 import math
 from collections.abc import Callable, Collection, Sequence
@@ -26,29 +26,29 @@ from flexman_gym.simulation.methods import (
     ScipyMethod,
 )
 
-MAX_CALL_COST = 1e8  # matrix entries to the power 3 / 2; work of one kernel call, at most 0.1 s
+MAX_CALL_COST = 1e8  # flops, roughly; largest cost of a kernel call, at most 0.1 s
 LANE_COST_RATIO = 4  # 1; upper bound of the cost of an evaluation of ARMS_PER_GROUP arms relative to a single arm
-MAX_STEPS = 100_000  # steps between two outputs, or in a control period
-DEFAULT_MAX_STEP = 0.005  # s; longest step where none is given
+MAX_STEPS = 100_000  # largest number of steps between two outputs, or in a control period
+DEFAULT_MAX_STEP = 0.005  # s; longest step selected automatically
 
 
 def evaluations_per_call(constants: Constants) -> int:
     """Return the number of evaluations of the accelerations after which a kernel call ends or pauses.
 
-    An evaluation costs about as much as the matrices of the links have entries, to the power of 3 / 2.
+    The cost of an evaluation is estimated as the sum over the links of (k_i + 6)^3 for k_i elastic coordinates.
     """
     sides = np.diff(constants.elastic_start) + 6.0
     return max(1, int(MAX_CALL_COST / (sides**3).sum()))
 
 
-# Kernels of the method families; ScipyMethod has none.
+# Kernel of each family of methods; ScipyMethod has none.
 KERNELS: dict[type, Callable[..., tuple[int, int, int]]] = {
     Explicit: runge_kutta.run_explicit,
     LinearlyImplicit: runge_kutta.run_linearly_implicit,
     Implicit: implicit.run_implicit,
     IteratedGauss: implicit.run_fixed_newton,
 }
-# Least numbers of sequences of an extrapolation for which parallel lanes are faster: flexible and rigid arms.
+# Least numbers of sequences of an extrapolation method for which SIMD lanes are faster: flexible and rigid arms.
 MIN_SEQUENCES, MIN_SEQUENCES_RIGID = 4, 6
 
 
@@ -69,18 +69,18 @@ def find_tolerance(method: Method, step: float | None, rtol: float, atol: float)
     Args:
         method: the method.
         step: s; None lets the method choose.
-        rtol: relative local error.
-        atol: absolute local error.
+        rtol: relative tolerance of the local error.
+        atol: absolute tolerance of the local error, in the unit of each coordinate or speed.
 
     Returns:
         (rtol, atol) or None.
 
     Raises:
-        ValueError: for a tolerance <= 0, and for a missing step where the method takes fixed steps.
+        ValueError: for a tolerance <= 0, and for step None if the method has fixed steps only.
     """
     given = positive("rtol", rtol), positive("atol", atol)
     if step is None and not method.estimates:
-        raise value_error("step", None, f"a number > 0 (s): {method.name} takes fixed steps")
+        raise value_error("step", None, f"a number > 0 (s): {method.name} has fixed steps only")
     return given if step is None or method.adaptive else None
 
 
@@ -90,48 +90,44 @@ def default_step(control_period: float, longest: float = DEFAULT_MAX_STEP) -> fl
 
 
 def prescribed_flags(joints: int, prescribed: Collection[int]) -> IntArray:
-    """Return flags (joints,): 1 where the motion of the motor of a joint is prescribed, else 0."""
+    """Return flags (n,) of n joints: 1 for the indices, from 0, of joints with prescribed motor motion, else 0."""
     return np.isin(np.arange(joints), list(prescribed)).astype(np.int64)
 
 
-def extrapolation_schedule(sequence: Sequence[int], lanes: int) -> IntArray:
-    """Return the schedule (r, lanes, 2) of an extrapolated step: sequence and substep of each lane in each round.
+def _extrapolation_schedule(sequence: Sequence[int], lanes: int) -> IntArray:
+    """Return the schedule (r, lanes, 2) of an extrapolated step: sequence and substep of each lane in each of r rounds.
 
-    A free lane takes the longest sequence that is left; without one it continues past the end of its last sequence.
+    A free lane receives the longest remaining sequence; if none remains, it continues beyond its last sequence, and the
+    results are not used.
 
     Args:
         sequence: ascending numbers of substeps.
         lanes: number of lanes.
-
-    Returns:
-        Integers (r, lanes, 2).
     """
-    left, lane = list(range(len(sequence))), [(0, sequence[0])] * lanes
+    remaining, lane = list(range(len(sequence))), [(0, sequence[0])] * lanes
     rounds: list[list[tuple[int, int]]] = []
-    while left or any(part < sequence[number] for number, part in lane):
+    while remaining or any(part < sequence[number] for number, part in lane):
         for k, (number, part) in enumerate(lane):
-            if left and part >= sequence[number]:
-                lane[k] = left.pop(), 0
+            if remaining and part >= sequence[number]:
+                lane[k] = remaining.pop(), 0
         rounds.append(lane)
         lane = [(number, part + 1) for number, part in lane]
     return np.array(rounds, dtype=np.int64)
 
 
 class Integrator:
-    """Method bound to a model: a callable to advance a state in place and fill rows and outputs.
+    """Integration method with a model: a callable that advances a state in place and fills rows and outputs.
 
-    The arguments of a call are the table of the drive (7, n + 6), the time (s), step (s) and number of steps between
-    rows, a state with its ledger (2 d + 2,), rows (r, 2 d + 2) and outputs (r, OUTPUTS). The call returns the status,
-    the number of valid rows and the number of evaluations.
+    d is the number of coordinates, n that of joints; see `kernels.layout`.
 
     Args:
         model: the model.
         method: the method.
         tolerance: (rtol, atol) of adaptive steps; None for fixed steps.
-        prescribed: joints, from 0, whose motors follow accelerations instead of torques.
+        prescribed: indices, from 0, of the joints whose motors follow prescribed accelerations instead of torques.
 
     Attributes:
-        constants: constants of the model, with the flags of prescribed motions.
+        constants: constants of the model, with flags of the motors with prescribed motion.
         work: work space of the kernels.
         method: the method.
         tolerance: (rtol, atol) of adaptive steps; zeros for fixed steps.
@@ -144,7 +140,7 @@ class Integrator:
         self.work: Work = make_work(model.constants)
         self.method = method
         self.tolerance = tolerance or (0.0, 0.0)
-        self._most = evaluations_per_call(model.constants)
+        self._max_evaluations = evaluations_per_call(model.constants)
         self._at_rest = signal_table([None] * (model.n_joints + 6))
         self._coefficients: Tableau | GeneralisedAlpha | tuple[int, float | None] | None = None
         if isinstance(method, Implicit):
@@ -156,15 +152,26 @@ class Integrator:
         self._lanes: tuple[Constants, tuple[IntArray, ...]] | None = None
         fewest = MIN_SEQUENCES if model.n_elastic else MIN_SEQUENCES_RIGID
         if isinstance(method, LinearlyImplicit) and len(method.sequence) >= fewest:
-            self._abreast = make_work(model.constants, partial(aligned_zeros, lanes=SEQUENCES.width))
-            tables = address_table(self.constants, SEQUENCES), address_table(self._abreast, SEQUENCES)
-            self._lanes = self.constants, (*tables, extrapolation_schedule(method.sequence, SEQUENCES.width))
+            self._lane_work = make_work(model.constants, partial(aligned_zeros, lanes=SEQUENCES.width))
+            tables = address_table(self.constants, SEQUENCES), address_table(self._lane_work, SEQUENCES)
+            self._lanes = self.constants, (*tables, _extrapolation_schedule(method.sequence, SEQUENCES.width))
 
     def __call__(
-        self, drive: Array, moment: tuple[float, float, int], state: Array, rows: Array, result: Array
+        self, drive: Array, grid: tuple[float, float, int], state: Array, rows: Array, result: Array
     ) -> tuple[int, int, int]:
-        """Integrate the state by the method; return the status, the valid rows and the evaluations."""
-        clock = TimeGrid(*moment, *self.tolerance)
+        """Integrate a state over r intervals, and fill the rows and outputs at their ends.
+
+        Args:
+            drive: drive table (7, n + 6) of `kernels.layout`.
+            grid: start (s), step (s), and number of steps in an interval.
+            state: (2 d + 2,) state and energy ledger, overwritten by those at the end.
+            rows: (r, 2 d + 2) states and energy ledgers, overwritten.
+            result: (r, OUTPUTS) outputs, overwritten.
+
+        Returns:
+            Status, number of valid rows, and number of evaluations of the accelerations.
+        """
+        clock = TimeGrid(*grid, *self.tolerance)
         if isinstance(self.method, ScipyMethod):
             return self._by_scipy(drive, clock, state, rows, result)
         return self._in_calls(drive, clock, state, rows, result)
@@ -174,15 +181,15 @@ class Integrator:
     ) -> tuple[int, int, int]:
         """Integrate in several kernel calls of bounded length: Python handles Ctrl-C only between two calls."""
         valid, evaluations, status = 0, 0, layout.PAUSED
-        self.work.progress[:] = 0.0  # a run ended by Ctrl-C leaves it set
+        self.work.progress[:] = 0.0  # an integration interrupted by Ctrl-C leaves it set
         while status == layout.PAUSED:
-            part = clock._replace(first_step=valid * clock.substeps, max_evaluations=self._most)
-            status, good, more = self._called(drive, part, state, rows[valid:], result[valid:])
+            part = clock._replace(first_step=valid * clock.substeps, max_evaluations=self._max_evaluations)
+            status, good, more = self._call_kernel(drive, part, state, rows[valid:], result[valid:])
             valid, evaluations = valid + good, evaluations + more
         return status, valid, evaluations
 
-    def _called(self, *rest: Any) -> tuple[int, int, int]:
-        """Call the kernel of the method; the sequences of a long extrapolation run in parallel lanes."""
+    def _call_kernel(self, *rest: Any) -> tuple[int, int, int]:
+        """Call the kernel of the method; several sequences of a long extrapolation are computed at once in lanes."""
         rest = self._coefficients, *rest
         if self._lanes is None:
             return KERNELS[type(self.method)](self.constants, self.work, *rest)
@@ -191,11 +198,11 @@ class Integrator:
         return runge_kutta.run_extrapolation(self.constants, self.work, self._lanes[1], *rest)
 
     def forget(self) -> None:
-        """Clear the memory of the method between steps."""
+        """Clear the step size and stages that the method keeps between steps."""
         self.work.next_step[0] = self.work.stages[:] = 0.0
 
     def start(self, state: Array, row: Array, result: Array) -> None:
-        """Compute row and outputs of a state by a run of zero steps, which also loads or compiles the kernels."""
+        """Set a row and its outputs to those of a state, by zero steps; this also loads or compiles the kernels."""
         self.forget()
         self(self._at_rest, (0.0, 0.0, 0), state, row[None], result[None])
 

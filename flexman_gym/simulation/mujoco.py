@@ -1,4 +1,4 @@
-"""MuJoCo: arms of a batch integrated by MuJoCo as chains of rigid pieces, see `model.mjcf` and `external_simulator`."""
+"""MuJoCo as external simulator: arms as chains of rigid pieces, see `model.mjcf` and `external_simulator`."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -13,32 +13,33 @@ from flexman_gym.model.model import Model
 from flexman_gym.simulation.external_simulator import ArmShapes, Stations
 from flexman_gym.simulation.parameters import varied_arm
 
-PIECES_PER_SECTION = 3  # rigid pieces; natural frequencies 1 to 6 of the named arms are then within 3 %
+PIECES_PER_SECTION = 3  # rigid pieces; errors of the natural frequencies 1 to 6 of the catalog's arms are below 3 %
 DIFFERENCE_STEP = 1e-5  # s; half the interval of central differences for velocities
 
 
 class _LinkBodies(NamedTuple):
-    """Bodies and hinges of a link of n pieces after its first, in MuJoCo's model.
+    """Bodies and hinges, in MuJoCo's model, of a link with m + 1 rigid pieces.
 
     Attributes:
-        root: number of the body at its joint; the bodies of its pieces follow.
-        turn: (3, 3) rotation from the beam frame to this body.
-        angles: (n, 3) indices of the coordinates of its hinges.
-        ahead: (n,) distances from the hinges of a piece to the end of its segment, m.
-        stations: (n,) positions of these ends along the link, m.
+        root: index of the body of the first piece, at the joint; the bodies of the other pieces follow.
+        rotation: (3, 3) rotation from the beam frame to the frame of this body.
+        angles: (m, 3) indices of the hinge angles between a piece and the previous one.
+        offsets: (m,) distances from the hinges of a piece to the end of its segment of the link, m.
+        stations: (m,) positions of these ends along the link, m.
     """
 
     root: int
-    turn: Array
+    rotation: Array
     angles: IntArray
-    ahead: Array
+    offsets: Array
     stations: Array
 
 
 class MuJoCoSimulator:
-    """External simulator (see `external_simulator`) with a MuJoCo model for each arm.
+    """External simulator with a MuJoCo model for each arm.
 
-    Positions and velocities are those of MuJoCo's bodies, without small-angle approximation.
+    Shapes are computed from positions and rotations of MuJoCo's bodies, without approximations for small angles.
+    `period` is the control period, s. A ValueError is raised for an arm with Coulomb friction.
     """
 
     def __init__(self, model: Model, period: float, arms: int) -> None:
@@ -55,14 +56,14 @@ class MuJoCoSimulator:
         mujoco.set_mju_user_warning(lambda message: None)  # else MuJoCo writes a log file at each divergence
 
     def start(self, arm: int, shape: Array, rate: Array, parameters: Mapping[str, Array]) -> None:
-        """Start an arm from a shape."""
+        """Start an arm from a shape and its rate."""
         model = mujoco.MjModel.from_xml_string(to_mjcf(varied_arm(self._arm, parameters), PIECES_PER_SECTION))
         self._models[arm], data = model, mujoco.MjData(model)
         self._datas[arm] = data
         model.opt.timestep = self._period / np.ceil(self._period / model.opt.timestep)
         n = len(self._motors)
         for values, result in ((shape, data.qpos), (rate, data.qvel)):
-            result[self._springs] = values[:n]  # in a rigid joint it is the motor coordinate
+            result[self._springs] = values[:n]  # in a rigid joint the coordinate of the motor
             flexible = self._springs != self._motors
             result[self._motors[flexible]] = values[n : 2 * n][flexible]
             result[self._springs[flexible]] -= values[n : 2 * n][flexible]
@@ -106,15 +107,15 @@ class MuJoCoSimulator:
         )
 
     def _shape(self, data: Any) -> Array:
-        """Return the angles of joints and motors, then the displacements of the stations of each link."""
+        """Return the shape of an arm, see `ArmShapes`."""
         motors = data.qpos[self._motors]
         springs = np.where(self._springs != self._motors, data.qpos[self._springs], 0.0)
         parts = [motors + springs, motors]
         for link in self._links:
             bodies = slice(link.root + 1, link.root + 1 + len(link.stations))
-            frame = data.xmat[link.root].reshape(3, 3) @ link.turn
+            frame = data.xmat[link.root].reshape(3, 3) @ link.rotation
             turned = data.xmat[bodies].reshape(-1, 3, 3)
-            ends = data.xpos[bodies] + turned[:, :, 0] * link.ahead[:, None] - data.xpos[link.root]
+            ends = data.xpos[bodies] + turned[:, :, 0] * link.offsets[:, None] - data.xpos[link.root]
             moved = ends @ frame
             moved[:, 0] -= link.stations
             parts.append(np.hstack([moved, _rotation_vectors(frame.T @ turned)]).ravel())
@@ -122,7 +123,7 @@ class MuJoCoSimulator:
 
 
 def _link_bodies(model: Any, number: int, link: Any) -> _LinkBodies:
-    """Return the bodies of a link in MuJoCo's model of its arm."""
+    """Return the bodies and hinges of the link with index `number` in MuJoCo's model of its arm."""
     cut = rigid_pieces(link, PIECES_PER_SECTION)
     starts = np.array([piece.start for piece in cut[1:]])
     ends = np.concatenate(
@@ -136,7 +137,7 @@ def _link_bodies(model: Any, number: int, link: Any) -> _LinkBodies:
 
 
 def _rotation_vectors(turned: Array) -> Array:
-    """Return the rotation vectors (k, 3) of rotations (k, 3, 3) by less than a right angle."""
+    """Return the rotation vectors (k, 3), rad, of rotation matrices (k, 3, 3) with angles below pi / 2."""
     vectors = np.stack([turned[:, 2, 1] - turned[:, 1, 2], turned[:, 0, 2] - turned[:, 2, 0],
                         turned[:, 1, 0] - turned[:, 0, 1]], axis=1) / 2.0  # fmt: skip
     sines = np.minimum(np.linalg.norm(vectors, axis=1), 1.0)

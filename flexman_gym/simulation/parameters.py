@@ -1,4 +1,4 @@
-"""Parameters: the table of physical parameters in which the arms of a batch may differ."""
+"""Physical parameters in which the arms of a batch may differ: table, checks, and their model constants."""
 
 import warnings
 from collections.abc import Callable, Mapping
@@ -44,19 +44,18 @@ def _all_joints(model: Model) -> BoolArray:
 
 @dataclass(frozen=True)
 class _Parameter:
-    """Physical parameter: a row of the table.
+    """Physical parameter: an entry of PARAMETERS.
 
     Attributes:
-        unit: unit of its values.
+        unit: unit of the values.
         of: "arm" for one number, "joint" or "link" for one number per joint or link, (n,).
-        nominal: function: model -> its value.
-        constants: function: model and values -> changed fields of `kernels.layout.Constants`, (r, ...), for the values
-            of r arms of all given parameters, by name. Each field must be of the type `Own` there.
-        factor: a randomisation draws factors on the nominal value instead of values.
-        fixed: function: model -> flags (n,) of joints whose value must stay nominal, as the model lacks a coordinate
-            for it.
-        needed: function: model -> flags (n,) of joints whose value must not be 0.
-        lacking: description of the fixed joints, for the error.
+        nominal: function: model -> value in the model.
+        constants: function: model and values of all given parameters of r arms, by name -> changed fields (r, ...) of
+            `kernels.layout.Constants`, all of them in `kernels.arguments.PER_ARM`.
+        factor: True if a randomisation draws factors on the nominal value instead of values.
+        fixed: function: model -> flags (n,) of joints or links whose value must stay nominal.
+        needed: function: model -> flags (n,) of joints or links whose value must not be 0.
+        lacking: reason why values are fixed, for the error.
     """
 
     unit: str
@@ -73,16 +72,13 @@ class _Parameter:
         return () if self.of == ARM else (joints,)
 
     def checked(self, name: str, value: object, model: Model, count: int) -> Array:
-        """Return the values (count, ...) as floats, after checks.
+        """Check the values of a parameter for several arms and return them as floats.
 
         Args:
             name: name of the parameter, for the error.
-            value: (count, ...).
+            value: values (count,) or (count, n).
             model: the model.
             count: number of arms.
-
-        Returns:
-            The values (count, ...).
 
         Raises:
             ValueError: for a wrong shape, for numbers not finite or negative, for 0 where a positive value is needed,
@@ -119,7 +115,11 @@ def _constant_of_same_name(name: str) -> Callable[[Model, Mapping[str, Array]], 
 
 
 def _link_constants(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
-    """Scale stiffness and modal damping of each link; proportional damping follows, modal damping ratios stay."""
+    """Return the stiffness and damping matrices of the links for given stiffness factors and modal damping ratios.
+
+    Stiffness-proportional damping scales with the stiffness. Modal damping scales with its square root, so that modal
+    damping ratios do not change with the stiffness.
+    """
     nominal = model.constants
     factor = (
         _expand_to_blocks(model, given["link_stiffness_factor"])
@@ -135,7 +135,7 @@ def _link_constants(model: Model, given: Mapping[str, Array]) -> dict[str, Array
 
 
 def _expand_to_blocks(model: Model, factors: Array) -> Array:
-    """Return factors (r, n) of links for the entries of their packed blocks, (r, q + LANES)."""
+    """Return factors (r, n) of links as factors (r, q + LANES) of the entries of `Constants.stiffness`."""
     result = np.ones((len(factors), len(model.constants.stiffness)))
     result[:, : model.constants.square_start[-1]] = np.repeat(factors, np.diff(model.constants.square_start), axis=1)
     return result
@@ -175,21 +175,21 @@ PARAMETERS: dict[str, _Parameter] = {
 
 
 UNCERTAIN = {f"{name.removesuffix('_factor')}_factor" if row.factor else name: name for name, row in PARAMETERS.items()}
-"""Name of a range -> parameter: NAME_factor where the range holds factors on the nominal value of NAME."""
+"""Name of a range of uncertainty -> parameter: NAME_factor for a range of factors on the nominal value of NAME."""
 
 
 def nominal_parameters(model: Model) -> dict[str, Array]:
-    """Return a copy of the model's value of each parameter, by name."""
+    """Return the value in the model of each parameter in PARAMETERS, by name."""
     return {name: np.array(parameter.nominal(model)) for name, parameter in PARAMETERS.items()}
 
 
 def varied_constants(model: Model, count: int, parameters: Mapping[str, object]) -> dict[str, Array]:
-    """Return the constants (count, ...) of `count` arms with given parameter values (count, ...).
+    """Return the model constants of several arms with given values of physical parameters.
 
     Args:
         model: the model.
         count: number of arms.
-        parameters: values (count, ...) by their name in PARAMETERS.
+        parameters: values (count,) or (count, n) by their name in PARAMETERS.
 
     Returns:
         Changed fields of `kernels.layout.Constants` (count, ...), by name.
@@ -209,14 +209,11 @@ def varied_constants(model: Model, count: int, parameters: Mapping[str, object])
 def varied_model(model: Model, **parameters: object) -> Model:
     """Return the model of an arm with changed parameters, in the coordinates of the given model.
 
-    `build_model` of a changed arm may select other modes, hence other coordinates.
+    The component modes stay those of the given model, whereas `build_model` computes those of the changed arm.
 
     Args:
         model: the model.
-        **parameters: values by their name in PARAMETERS, in its unit.
-
-    Returns:
-        The model with changed constants.
+        **parameters: values by their name in PARAMETERS, in the units there.
 
     Raises:
         ValueError: as `Batch.vary`.
@@ -226,15 +223,12 @@ def varied_model(model: Model, **parameters: object) -> Model:
 
 
 def varied_arm(arm: Arm, values: Mapping[str, Array]) -> Arm:
-    """Return an arm with changed physical parameters; motors keep their gear ratio, their rotors take the new inertia.
+    """Return an arm with changed physical parameters; the gear ratios of motors do not change.
 
     Args:
         arm: the arm.
-        values: parameters by their name in PARAMETERS, as in `varied_model`; stiffness and damping of a rigid joint are
+        values: values by their name in PARAMETERS, as in `varied_model`; stiffness and damping of rigid joints are
             ignored.
-
-    Returns:
-        The changed arm.
     """
     links = arm.links
     if "link_stiffness_factor" in values:
@@ -251,7 +245,7 @@ def varied_arm(arm: Arm, values: Mapping[str, Array]) -> Arm:
 
 
 def _varied_joint(joint: Any, values: Mapping[str, Array], i: int) -> Any:
-    """Return joint i with its values of the given parameters."""
+    """Return a joint with its values, at index i, of the given parameters."""
     own = {"viscous_friction": "viscous_friction", "coulomb_friction": "coulomb_friction"}
     own |= {"rotor_inertia": "rotor_inertia"}
     if joint.stiffness is not None:
@@ -269,5 +263,5 @@ def _scale_moduli(link: Any, factor: float) -> Any:
     if isinstance(link, NonUniformLink):
         return replace(link, sections=[_scale_moduli(section, factor) for section in link.sections])
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # issued before, when the link was made
+        warnings.simplefilter("ignore", UserWarning)  # issued when the given link was made
         return replace(link, youngs_modulus=factor * link.youngs_modulus, shear_modulus=factor * link.shear_modulus)

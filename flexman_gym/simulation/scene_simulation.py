@@ -1,7 +1,7 @@
 """Simulation of scenes: one scene, or several scenes of one model together.
 
-The torques and prescribed motions of a scene are smooth in intervals, such as those between samples; no step crosses
-the boundary of two intervals.
+The inputs of a scene (torques, prescribed motions, tip force, base acceleration) are smooth within pieces, such as the
+time between two samples; no integration step crosses the boundary of two pieces.
 """
 
 import math
@@ -42,37 +42,36 @@ from flexman_gym.simulation.trajectory import Kinetics, Trajectory, build_trajec
 
 
 class _Interval(NamedTuple):
-    """Part of a simulation within one piece of the drive.
+    """Time interval of a simulation within one piece of the drive.
 
     Attributes:
-        piece: number of the piece.
-        row: number of outputs before it.
-        rows: number of whole output intervals it covers; 0 where it is shorter than one.
-        moment: start (s), step (s), and steps in an output interval, or in the whole part where it is shorter.
-        complete: flag of an output at its end.
+        piece: index of the piece.
+        row: number of whole output intervals before its start.
+        rows: number of whole output intervals in this interval; 0 where it is shorter than an output interval.
+        grid: start (s), step (s), and number of steps in an output interval, or in this interval where `rows` is 0.
+        complete: True if an output is due at the end of the interval.
     """
 
     piece: int
     row: int
     rows: int
-    moment: tuple[float, float, int]
+    grid: tuple[float, float, int]
     complete: bool
 
 
 def integration_intervals(pieces: PiecewiseSignals, interval: float, substeps: int, rows: range) -> Iterator[_Interval]:
-    """Divide a simulation through output rows at the boundaries of the pieces of its drive.
+    """Divide a range of output intervals at the boundaries of the pieces of a drive.
 
-    Steps between an output and the end of a piece, or between two ends of pieces, are equal and no longer than the
-    others.
+    A part shorter than an output interval has equal steps, none longer than those of a whole output interval.
 
     Args:
         pieces: the drive.
         interval: time between outputs, s.
-        substeps: steps in an interval.
-        rows: numbers of the outputs.
+        substeps: steps in an output interval.
+        rows: indices of the output intervals, from 0 at time 0.
 
     Yields:
-        The parts in order.
+        The intervals in order.
     """
     ends = pieces.times / interval  # in intervals; whole numbers at outputs
     whole = np.round(ends)
@@ -84,51 +83,52 @@ def integration_intervals(pieces: PiecewiseSignals, interval: float, substeps: i
             count = math.floor(end) - row if now == row else 0
             then = row + count if count else min(end, row + 1.0)
             if count:
-                moment = row * interval, interval / substeps, substeps
+                grid = row * interval, interval / substeps, substeps
             else:
                 steps = max(1, math.ceil(substeps * (then - now) * (1.0 - RATIO_TOLERANCE)))
-                moment = now * interval, (then - now) * interval / steps, steps
-            yield _Interval(piece, row, count, moment, then == math.floor(then))
+                grid = now * interval, (then - now) * interval / steps, steps
+            yield _Interval(piece, row, count, grid, then == math.floor(then))
             now = then
 
 
 def _run_pieces(
-    run: Integrator,
+    integrator: Integrator,
     pieces: PiecewiseSignals,
-    plan: tuple[float, int],
+    spacing: tuple[float, int],
     state: Array,
     rows: Array,
     outputs: Array,
     first: int = 0,
 ) -> tuple[int, int, int, tuple[Array, tuple[float, float, int], Array]]:
-    """Integrate a state and its ledger (2 d + 2,) piece by piece, and fill rows (r, 2 d + 2) and outputs (r, OUTPUTS).
+    """Integrate a state piece by piece, and fill rows and outputs.
 
     Args:
-        run: the integrator.
+        integrator: the integrator.
         pieces: pieces of the drive.
-        plan: time between rows (s), and steps in it.
-        state: overwritten, as by an `Integrator`.
-        rows: overwritten, as by an `Integrator`.
-        outputs: overwritten, as by an `Integrator`.
-        first: number of the first row since the start of the drive.
+        spacing: time between rows (s), and number of steps in this time.
+        state: (2 d + 2,) state and energy ledger at the start, overwritten by those at the end.
+        rows: (r, 2 d + 2) states and energy ledgers after each interval, overwritten.
+        outputs: (r, OUTPUTS) columns of `kernels.layout`, overwritten.
+        first: number of output intervals before the start.
 
     Returns:
-        Status, number of valid rows, number of evaluations, and the start of the last call: table, moment and state.
+        Status, number of valid rows, number of evaluations, and the arguments of the last call of the integrator: drive
+        table, time grid and state.
     """
     row, result = np.zeros((1, len(state))), np.zeros((1, layout.OUTPUTS))
-    status, valid, evaluations, began = layout.OK, 0, 0, (pieces.table(), (0.0, *plan), state.copy())
-    for call in integration_intervals(pieces, *plan, range(first, first + len(rows))):
-        began, at = (pieces.table(call.piece), call.moment, state.copy()), call.row - first
+    status, valid, evaluations, last_call = layout.OK, 0, 0, (pieces.table(), (0.0, *spacing), state.copy())
+    for call in integration_intervals(pieces, *spacing, range(first, first + len(rows))):
+        last_call, at = (pieces.table(call.piece), call.grid, state.copy()), call.row - first
         some = slice(at, at + call.rows)
-        here, there = (rows[some], outputs[some]) if call.rows else (row, result)
-        status, valid_rows, calls = run(began[0], call.moment, state, here, there)
-        evaluations += calls
+        new_rows, new_outputs = (rows[some], outputs[some]) if call.rows else (row, result)
+        status, valid_rows, more = integrator(last_call[0], call.grid, state, new_rows, new_outputs)
+        evaluations += more
         valid = at + valid_rows if call.rows or call.complete else valid
         if call.complete and not call.rows and status == layout.OK:
             rows[at], outputs[at] = row[0], result[0]
         if status != layout.OK:
             break
-    return status, valid, evaluations, began
+    return status, valid, evaluations, last_call
 
 
 def simulate(
@@ -142,38 +142,38 @@ def simulate(
     """Simulate a scene.
 
     Args:
-        scene: arm, torque, initial state, duration.
-        model: a model of the scene's arm; None builds the one specified by the scene.
-        method: a Method or a name from `METHODS`. "auto" takes "midpoint_corrected_3" with a step and the reference
-            method "dop853" without one.
-        step: s. It divides the output step of the scene, into at most 100000 steps, or is a multiple of it; a multiple
-            gives an output after every step. Steps are shorter where a sample of the drive ends within one. None lets a
-            method with an error estimate choose its steps. A reference method always chooses its steps; a given step is
-            its first guess.
-        rtol: relative local error of adaptive steps.
-        atol: absolute local error of adaptive steps.
+        scene: arm, inputs, initial state and duration.
+        model: a model of the scene's arm; None builds the model specified by the scene.
+        method: a Method or a name from `METHODS`. "auto" selects "midpoint_corrected_3" if a step is given and the
+            reference method "dop853" otherwise.
+        step: integration step, s. It divides the output step of the scene into at most 100000 steps, or is a multiple
+            of the output step; then there is an output after every step. Steps that contain a sample of an input are
+            divided there. None lets a method with an error estimate choose its steps. A reference method always chooses
+            its steps, and `step` is its first guess.
+        rtol: relative tolerance of the local error of adaptive steps.
+        atol: absolute tolerance of the local error of adaptive steps, in the unit of each coordinate or speed.
 
     Returns:
-        The trajectory at the output times. A failure is a status of the trajectory, not an exception.
+        The trajectory at the output times. After a failure its status is not "ok"; no exception is raised.
 
     Examples:
         >>> trajectory = fm.simulate(fm.catalog.paper_scene("ff"), method="midpoint_corrected_3", step=0.005)
         >>> trajectory.status, trajectory.tip.shape, trajectory.tip[-1].round(1)
         ('ok', (201, 3), array([ 1.1,  2.1, -0.6]))
     """
-    plan = _plan_scene(scene, model, method, step, rtol, atol)
-    return _simulate_plan(scene, plan)
+    settings = _scene_settings(scene, model, method, step, rtol, atol)
+    return _simulate_scene(scene, settings)
 
 
-class _ScenePlan(NamedTuple):
+class _Settings(NamedTuple):
     """Model, method and steps of the simulation of a scene.
 
     Attributes:
         model, method: the model and the Method.
         tolerance: (rtol, atol), or None for fixed steps.
         interval: time between outputs, s.
-        substeps: number of steps in it.
-        rows: number of outputs after the first.
+        substeps: number of steps between outputs.
+        rows: number of outputs after that at time 0.
     """
 
     model: Model
@@ -184,10 +184,10 @@ class _ScenePlan(NamedTuple):
     rows: int
 
 
-def _plan_scene(
+def _scene_settings(
     scene: Scene, model: Model | None, method: str | Method, step: float | None, rtol: float, atol: float
-) -> _ScenePlan:
-    """Check the arguments of `simulate` and return the plan."""
+) -> _Settings:
+    """Check the arguments of `simulate` and return its settings."""
     instance("scene", scene, Scene, "a Scene")
     model = scene_model(scene) if model is None else check_model(model)
     if model.n_joints != scene.arm.n_joints:
@@ -198,64 +198,65 @@ def _plan_scene(
     chosen = find_method(automatic if isinstance(method, str) and method == "auto" else method)
     interval, substeps = _output_interval(chosen, step, scene.output_step)
     rows = whole_ratio("step", interval, scene.duration, "a number of seconds that divides the duration")
-    return _ScenePlan(model, chosen, find_tolerance(chosen, step, rtol, atol), interval, substeps, rows)
+    return _Settings(model, chosen, find_tolerance(chosen, step, rtol, atol), interval, substeps, rows)
 
 
 def _initial_row(scene: Scene, model: Model) -> Array:
-    """Return the initial state and ledger (2 d + 2,) of a scene."""
+    """Return the initial state and energy ledger (2 d + 2,) of a scene."""
     return np.append(_initial_state(scene, model), [0.0, 0.0])
 
 
-def prescribed_joints(scene: Scene) -> list[int]:
-    """Return the numbers of the joints with prescribed motion in a scene."""
+def _prescribed_joints(scene: Scene) -> list[int]:
+    """Return the indices, from 0, of the joints with prescribed motion in a scene."""
     return [i for i, motion in enumerate(scene.prescribed or ()) if motion is not None]
 
 
-def _simulate_plan(scene: Scene, plan: _ScenePlan, constants: dict[str, Any] | None = None) -> Trajectory:
-    """Simulate a scene by a plan, with some constants of the model replaced."""
-    model, interval, rows = plan.model, plan.interval, plan.rows
-    run, state = _make_integrator(scene, plan, constants), _initial_row(scene, model)
+def _simulate_scene(scene: Scene, settings: _Settings, constants: dict[str, Any] | None = None) -> Trajectory:
+    """Simulate a scene with given settings; `constants` replace those of the model by name."""
+    model, interval, rows = settings.model, settings.interval, settings.rows
+    integrator, state = _make_integrator(scene, settings, constants), _initial_row(scene, model)
     states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
-    run.start(state, states[0], outputs[0])
+    integrator.start(state, states[0], outputs[0])
     started = clock.perf_counter()
-    times = interval, plan.substeps
-    status, valid, evaluations, _ = _run_pieces(run, scene.pieces, times, state, states[1:], outputs[1:])
+    times = interval, settings.substeps
+    status, valid, evaluations, _ = _run_pieces(integrator, scene.pieces, times, state, states[1:], outputs[1:])
     elapsed = clock.perf_counter() - started
     outcome = (STATUS[status], evaluations, elapsed)
-    sources = partial(_explanation, scene, plan, constants), partial(_kinetics, scene, plan, constants)
+    sources = partial(_explanation, scene, settings, constants), partial(_kinetics, scene, settings, constants)
     return build_trajectory(model, interval, states[: valid + 1], outputs[: valid + 1], outcome, *sources)
 
 
-def _make_integrator(scene: Scene, plan: _ScenePlan, constants: dict[str, Any] | None = None) -> Integrator:
-    """Return the integrator of a plan, with some constants of the model replaced."""
-    run = Integrator(plan.model, plan.method, plan.tolerance, prescribed_joints(scene))
-    run.constants = run.constants._replace(**(constants or {}))
-    return run
+def _make_integrator(scene: Scene, settings: _Settings, constants: dict[str, Any] | None = None) -> Integrator:
+    """Return the integrator for given settings; `constants` replace those of the model by name."""
+    integrator = Integrator(settings.model, settings.method, settings.tolerance, _prescribed_joints(scene))
+    integrator.constants = integrator.constants._replace(**(constants or {}))
+    return integrator
 
 
-def _explanation(scene: Scene, plan: _ScenePlan, constants: dict[str, Any] | None, result: Trajectory) -> str:
+def _explanation(scene: Scene, settings: _Settings, constants: dict[str, Any] | None, result: Trajectory) -> str:
     """Return the explanation of a failure or an energy alarm of a trajectory; "" without either."""
-    run, step = _make_integrator(scene, plan, constants), plan.interval / plan.substeps
+    integrator, step = _make_integrator(scene, settings, constants), settings.interval / settings.substeps
     if result.status != STATUS[layout.OK]:
         last = np.append(result.states[-1], [result.work[-1], result.dissipation[-1]])
         row, rows, outputs = len(result.time) - 1, np.zeros((1, len(last))), np.zeros((1, layout.OUTPUTS))
-        again = _run_pieces(run, scene.pieces, (plan.interval, plan.substeps), last, rows, outputs, row)
-        return explain_failure(_make_integrator(scene, plan, constants), plan.model, *again[3], result.status)
+        again = _run_pieces(integrator, scene.pieces, (settings.interval, settings.substeps), last, rows, outputs, row)
+        return explain_failure(_make_integrator(scene, settings, constants), settings.model, *again[3], result.status)
     alarm = result.energy_alarm()
     before = result.states[result.time <= (alarm or 0.0)]
-    return "" if alarm is None else explain_energy(plan.model, run, step, alarm, before)
+    return "" if alarm is None else explain_energy(settings.model, integrator, step, alarm, before)
 
 
-def _kinetics(scene: Scene, plan: _ScenePlan, constants: dict[str, Any] | None, result: Trajectory) -> Kinetics:
-    """Return accelerations and drive of a trajectory of a scene; where samples jump, those after the jump."""
-    run, size, pieces = _make_integrator(scene, plan, constants), result.states.shape[1], scene.pieces
+def _kinetics(scene: Scene, settings: _Settings, constants: dict[str, Any] | None, result: Trajectory) -> Kinetics:
+    """Return the accelerations and inputs of a trajectory of a scene; at a jump of the inputs those after the jump."""
+    integrator, size, pieces = _make_integrator(scene, settings, constants), result.states.shape[1], scene.pieces
     rates, accelerations, drives = np.zeros(size + 2), [], []
     for time, state in zip(result.time, result.states, strict=True):
         piece = min(int(np.searchsorted(pieces.times, time, side="right")), len(pieces.times) - 1) - 1
-        state_derivative(run.constants, run.work, pieces.table(piece), time, np.append(state, [0.0, 0.0]), rates)
+        row = np.append(state, [0.0, 0.0])
+        state_derivative(integrator.constants, integrator.work, pieces.table(piece), time, row, rates)
         accelerations.append(rates[size // 2 : size].copy())
-        drives.append(run.work.drive.copy())
-    return Kinetics(replace(plan.model, constants=run.constants), np.array(accelerations), np.array(drives))
+        drives.append(integrator.work.drive.copy())
+    return Kinetics(replace(settings.model, constants=integrator.constants), np.array(accelerations), np.array(drives))
 
 
 def _initial_state(scene: Scene, model: Model) -> Array:
@@ -268,7 +269,7 @@ def _initial_state(scene: Scene, model: Model) -> Array:
 
 
 def _output_interval(method: Method, step: float | None, output_step: float) -> tuple[float, int]:
-    """Return the time between outputs and the number of steps in it."""
+    """Return the time between outputs (s) and the number of steps in this time, for a step (s) or None."""
     if step is None:
         return output_step, 1
     allowed = "a number of seconds that divides, or is a multiple of, the output step"
@@ -296,22 +297,20 @@ def simulate_all(
 ) -> list[Trajectory]:
     """Simulate b scenes of one model that may differ in torques, disturbances and initial state.
 
-    Linearly implicit methods with fixed steps integrate eight scenes at once, in about twice the time of one. The other
-    methods run one scene after the other; so do scenes whose samples have different times. Each trajectory equals that
-    of `simulate`, bit for bit.
+    Linearly implicit methods with fixed steps integrate eight scenes at once, in about twice the time of one. Other
+    methods integrate one scene after the other, as does any method if the sample times of the scenes differ. Each
+    trajectory equals that of `simulate`, bit for bit.
 
     Args:
-        scenes: b scenes of the same duration, output step and prescribed joints.
-        model: the model of all scenes; None builds the one specified by the scenes, which then need equal arms.
+        scenes: b scenes of equal duration, output step and prescribed joints.
+        model: the model of all scenes; None builds the model specified by the scenes, which must then have equal arms
+            and model settings.
         method: see `simulate`.
         step: see `simulate`.
         rtol: see `simulate`.
         atol: see `simulate`.
         threads: largest number of threads, 1 to 256.
-        **parameters: values (b, ...) of physical parameters in place of the model's, by name, see `Batch.vary`.
-
-    Returns:
-        b trajectories.
+        **parameters: values (b,) or (b, n) of physical parameters in place of those of the model, see `Batch.vary`.
 
     Examples:
         >>> scene = fm.catalog.paper_scene("rr")
@@ -323,19 +322,20 @@ def simulate_all(
     if not 0 < len(scenes) <= MAX_ARMS:
         raise value_error("scenes", f"{len(scenes)} scenes", f"1 to {MAX_ARMS}")
     whole_number("threads", threads, 1, MAX_THREADS)
-    plan = _plan_scene(scenes[0], model, method, step, rtol, atol)
+    settings = _scene_settings(scenes[0], model, method, step, rtol, atol)
     for i, scene in enumerate(scenes):
         _check_compatible(f"scenes[{i}]", scene, scenes[0], model is None)
-    varied = varied_constants(plan.model, len(scenes), parameters)
-    lanes = isinstance(plan.method, LinearlyImplicit | IteratedGauss) and plan.tolerance is None and len(scenes) > 1
+    varied = varied_constants(settings.model, len(scenes), parameters)
+    lanes = isinstance(settings.method, LinearlyImplicit | IteratedGauss) and settings.tolerance is None
+    lanes = lanes and len(scenes) > 1
     drives = [scene.pieces for scene in scenes] if lanes else []
     if not lanes or not all(np.array_equal(each.times, drives[0].times) for each in drives):
-        return [_simulate_plan(scene, plan, _constants_of(varied, i)) for i, scene in enumerate(scenes)]
-    return _simulate_in_lanes(scenes, plan, varied, drives, threads)
+        return [_simulate_scene(scene, settings, _constants_of(varied, i)) for i, scene in enumerate(scenes)]
+    return _simulate_in_lanes(scenes, settings, varied, drives, threads)
 
 
 def _check_compatible(name: str, scene: object, first: Scene, built: bool) -> None:
-    """Check that a scene can be simulated together with the first one; `built` if its model is built from the scene."""
+    """Check that a scene fits the first one; `built` means that the model is built from the scenes."""
     if not isinstance(scene, Scene):
         raise value_error(name, scene, "a Scene")
     for part in ("duration", "output_step"):
@@ -344,44 +344,44 @@ def _check_compatible(name: str, scene: object, first: Scene, built: bool) -> No
     for part in ("arm", "model") if built else ():
         if getattr(scene, part) != getattr(first, part):
             raise value_error(f"{name}.{part}", "different", "that of scenes[0], or a model for all scenes")
-    joints = prescribed_joints(first)
-    if scene.arm.n_joints != first.arm.n_joints or prescribed_joints(scene) != joints:
+    joints = _prescribed_joints(first)
+    if scene.arm.n_joints != first.arm.n_joints or _prescribed_joints(scene) != joints:
         raise value_error(name, "a scene of different joints", f"{first.arm.n_joints} joints, with {joints} prescribed")
 
 
 def _simulate_in_lanes(
-    scenes: list[Scene], plan: _ScenePlan, varied: dict[str, Array], drives: list[PiecewiseSignals], threads: int
+    scenes: list[Scene], settings: _Settings, varied: dict[str, Array], drives: list[PiecewiseSignals], threads: int
 ) -> list[Trajectory]:
-    """Simulate scenes, whose drives have their pieces in common, by fixed steps of a linearly implicit method."""
-    model, method, count = plan.model, plan.method, len(scenes)
+    """Simulate scenes by fixed steps of a linearly implicit method; the pieces of all drives have equal boundaries."""
+    model, method, interval, last = settings.model, settings.method, settings.interval, settings.rows
     assert isinstance(method, LinearlyImplicit | IteratedGauss)
-    flags = prescribed_flags(model.n_joints, prescribed_joints(scenes[0]))
+    flags = prescribed_flags(model.n_joints, _prescribed_joints(scenes[0]))
     shared = model.constants._replace(prescribed=flags)
-    integrator = LaneIntegrator(shared, method, (plan.interval, plan.substeps), count, threads)
-    integrator.vary(np.arange(count), varied)
+    integrator = LaneIntegrator(shared, method, (interval, settings.substeps), len(scenes), threads)
+    integrator.set_constants(np.arange(len(scenes)), varied)
     starts = np.array([_initial_row(scene, model) for scene in scenes])
-    rows, outputs = np.zeros((count, plan.rows + 1, starts.shape[1])), np.zeros((count, plan.rows + 1, layout.OUTPUTS))
+    rows, outputs = (np.zeros((len(scenes), last + 1, size)) for size in (starts.shape[1], layout.OUTPUTS))
     rows[:, 0] = starts
     started = clock.perf_counter()
-    counts = _run_in_lanes(integrator, drives, plan, rows, outputs)
-    seconds = (clock.perf_counter() - started) / count
+    counts = _run_in_lanes(integrator, drives, settings, rows, outputs)
+    seconds = (clock.perf_counter() - started) / len(scenes)
     stages = method.evaluations
     result = []
     for i, (states, read, (valid, steps)) in enumerate(zip(rows, outputs, counts.tolist(), strict=True)):
-        status = STATUS[layout.OK if valid == plan.rows else layout.DIVERGED]
+        status = STATUS[layout.OK if valid == last else layout.DIVERGED]
         outcome = status, steps * stages, seconds
-        own = scenes[i], plan, _constants_of(varied, i)
+        own = scenes[i], settings, _constants_of(varied, i)
         sources = partial(_explanation, *own), partial(_kinetics, *own)
-        result.append(build_trajectory(model, plan.interval, states[: valid + 1], read[: valid + 1], outcome, *sources))
+        result.append(build_trajectory(model, interval, states[: valid + 1], read[: valid + 1], outcome, *sources))
     return result
 
 
 def _run_in_lanes(
-    integrator: LaneIntegrator, drives: list[PiecewiseSignals], plan: _ScenePlan, rows: Array, outputs: Array
+    integrator: LaneIntegrator, drives: list[PiecewiseSignals], settings: _Settings, rows: Array, outputs: Array
 ) -> IntArray:
-    """Fill rows and outputs after the first, piece by piece; return valid rows and steps taken, (b, 2)."""
+    """Fill the rows and outputs after time 0, piece by piece; return the numbers (b, 2) of valid rows and of steps."""
     counts, ok, last = np.zeros((len(rows), 2), dtype=np.int64), np.ones(len(rows), dtype=bool), rows[:, 0]
-    for call in integration_intervals(drives[0], plan.interval, plan.substeps, range(plan.rows)):
+    for call in integration_intervals(drives[0], settings.interval, settings.substeps, range(settings.rows)):
         part, read, now = (
             rows[:, call.row :][:, : call.rows + 1],
             outputs[:, call.row :][:, : call.rows + 1],
@@ -390,8 +390,8 @@ def _run_in_lanes(
         if not call.rows:
             part, read = (np.zeros((len(rows), 2, each.shape[2])) for each in (rows, outputs))
             part[:, 0] = last
-        integrator.run(np.array([each.table(call.piece) for each in drives]), part, read, now, call.moment)
-        if call.moment[0] == 0.0:
+        integrator.run(np.array([each.table(call.piece) for each in drives]), part, read, now, call.grid)
+        if call.grid[0] == 0.0:
             outputs[:, 0] = read[:, 0]
         if call.complete and not call.rows:
             rows[:, call.row + 1], outputs[:, call.row + 1] = part[:, 1], read[:, 1]

@@ -15,30 +15,30 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.diagnostics import explain_energy, explain_failure
 from flexman_gym.simulation.integrator import prescribed_flags
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
-from flexman_gym.simulation.trajectory import Trajectory, build_trajectory, energy_alarm
+from flexman_gym.simulation.trajectory import ENERGY_ALARM, Trajectory, build_trajectory
 
 
 class Simulator:
-    """Simulation of one arm, one control period at a time, under torques that are constant in each period.
+    """Simulation of one arm, one control period at a time, under inputs that are constant in each period.
 
     Args:
         model: the model.
         method: a Method or a name from `METHODS`.
-        step: s; it divides the control period. "auto" takes the longest divisor up to 5 ms, None lets the method choose
-            by rtol and atol.
+        step: integration step, s; it divides the control period. "auto" selects the longest divisor up to 5 ms, None
+            lets the method choose its steps by rtol and atol.
         control_period: s.
-        rtol: relative local error of adaptive steps.
-        atol: absolute local error of adaptive steps.
-        prescribed: joints, from 0, whose motors (joints where rigid) follow accelerations instead of torques.
+        rtol: relative tolerance of the local error of adaptive steps.
+        atol: absolute tolerance of the local error of adaptive steps, in the unit of each coordinate or speed.
+        prescribed: indices, from 0, of the joints whose motors follow prescribed accelerations instead of torques.
 
     Attributes:
         batch: the Batch of this single arm.
         model, method, control_period, substeps: as in the batch.
         state: (2 d,) coordinates and speeds, a view that `step` updates; order in `kernels.layout`.
         outputs: (OUTPUTS,) tip, deflection and energies at this state; columns in `kernels.layout`.
-        prescribed: (n,) flags of prescribed motion.
+        prescribed: (n,) flags of the motors with prescribed motion.
         time: time since the reset, s.
-        energy_turnover: largest values since the reset of kinetic + elastic energy, work and dissipation, J.
+        energy_turnover: largest magnitude since the reset of kinetic + elastic energy, work or dissipation, J.
         status: status of the last step: "ok", "diverged" or "not converged". After a failure, state and outputs stay
             those at the end of the last successful control period, until a reset.
 
@@ -70,21 +70,18 @@ class Simulator:
         self._record: list[tuple[Array, Array]] | None = None
 
     def reset(
-        self,
-        joint_angles: Vector | None = None,
-        joint_rates: Vector | None = None,
-        state: Vector | None = None,
+        self, joint_angles: Vector | None = None, joint_rates: Vector | None = None, state: Vector | None = None
     ) -> None:
         """Restart at time 0, undeformed at joint angles and rates, or from a complete state.
 
         Args:
             joint_angles: (n,) rad, zero by default.
             joint_rates: (n,) rad/s, zero by default.
-            state: (2 d,), in place of angles and rates.
+            state: (2 d,) coordinates and speeds, in place of angles and rates.
 
         Raises:
-            ValueError: for a wrong shape, a value that is not finite or beyond 1e6 (rad, m, 1/s), the bound of
-                divergence, and for angles together with a state.
+            ValueError: for a wrong shape, for a value that is not finite or exceeds 1e6 (rad, m, rad/s, m/s), from
+                which a simulation counts as diverged, and for angles or rates together with a state.
         """
         if state is not None:
             if joint_angles is not None or joint_rates is not None:
@@ -116,12 +113,9 @@ class Simulator:
             self._record.append((self.batch.rows[0].copy(), self.outputs.copy()))
 
     def trajectory(self) -> Trajectory:
-        """Return the record as a trajectory from time 0, with a row for each successful control period.
+        """Return the record as a trajectory, with a row for its start, at time 0, and for each successful period.
 
-        Work and dissipation count from its start. Evaluations and seconds are not counted and are 0.
-
-        Returns:
-            The trajectory, with one row per control period.
+        Work and dissipation are those since the start of the record. `evaluations` and `wall_seconds` are 0.
 
         Raises:
             RuntimeError: where `record` was not called before.
@@ -140,13 +134,14 @@ class Simulator:
         tip_force: Vector | None = None,
         base_acceleration: Vector | None = None,
     ) -> str:
-        """Integrate over one control period under constant drives.
+        """Integrate over one control period under constant inputs.
 
         Args:
-            torque: (n,) torques of the motors, N m; 0 for prescribed motors.
-            acceleration: (n,) accelerations of prescribed motors, rad/s^2, and 0 for the others; None for zeros.
-            tip_force: (3,) force on the tip of the last link, base frame, N; None for none.
-            base_acceleration: (3,) acceleration of the base, base frame, m/s^2; None for none.
+            torque: (n,) motor torques, N m; 0 for motors with prescribed motion.
+            acceleration: (n,) accelerations of motors with prescribed motion, rad/s^2, and 0 for all other motors; None
+                for zeros.
+            tip_force: (3,) force on the tip of the last link, base frame, N; None for zeros.
+            base_acceleration: (3,) acceleration of the base, base frame, m/s^2; None for zeros.
 
         Returns:
             The status.
@@ -188,21 +183,21 @@ class Simulator:
 
     @property
     def drive(self) -> Array:
-        """Drive (n + 6,) of the last control period, in the order of `kernels.layout`."""
+        """Inputs (n + 6,) in the last control period, in the order and units of `kernels.layout`."""
         return self._drive[0]
 
     def explanation(self) -> str:
-        """Return the first quantity out of bounds in a failure or at an energy alarm, with remedies; otherwise ""."""
+        """Return the cause of a failure or of an energy alarm, with remedies, see `Trajectory`; otherwise ""."""
         ok, model = self.status == STATUS[layout.OK], self.model
-        if ok and not energy_alarm(self.energy_residual, self.energy_turnover):
+        if ok and not abs(self.energy_residual) > ENERGY_ALARM * self.energy_turnover:
             return ""
-        run, step = self.batch.integrator(0), self.control_period / self.substeps
+        integrator, step = self.batch.integrator(0), self.control_period / self.substeps
         if ok:
-            return explain_energy(model, run, step, self.time, self.state[None])
+            return explain_energy(model, integrator, step, self.time, self.state[None])
         table = signal_table([None] * (model.n_joints + 6))
         table[layout.OFFSET] = self.drive
-        moment = (self.time, step, self.substeps)
-        return explain_failure(run, model, table, moment, self.batch.rows[0], self.status)
+        grid = (self.time, step, self.substeps)
+        return explain_failure(integrator, model, table, grid, self.batch.rows[0], self.status)
 
     @property
     def time(self) -> float:
@@ -211,7 +206,7 @@ class Simulator:
 
     @property
     def energy_turnover(self) -> float:
-        """Largest values since the reset of kinetic + elastic energy, work and dissipation, J."""
+        """Largest magnitude since the reset of kinetic + elastic energy, work or dissipation, J."""
         return float(self.batch.energy_turnover[0])
 
     @property
@@ -241,15 +236,15 @@ class Simulator:
 
     @property
     def energy(self) -> float:
-        """Kinetic, elastic and gravitational energy, the last zero at the base origin, J."""
+        """Kinetic + elastic + gravitational energy, J; gravitational energy is zero at the base origin."""
         return float(self.outputs[layout.KINETIC :].sum())
 
     @property
     def energy_residual(self) -> float:
-        """Work - dissipation - change of energy since the reset, J; see `Trajectory`."""
+        """Work - dissipation - change of energy since the reset, J; zero for the exact solution."""
         return float(self.batch.energy_residual[0])
 
 
 def _numbers(name: str, value: Vector, count: int, unit: str) -> Array:
-    """Return the value as an array of finite numbers."""
+    """Check a vector of `count` finite numbers in a unit, and return it as an array (count,)."""
     return number_array(name, value, (count,), f"{count} finite numbers ({unit})")

@@ -1,10 +1,10 @@
-"""Trajectory: the solution of a scene at its output times, its energy residual and the energy alarm."""
+"""Trajectory: solution of a scene at its output times, with its energy residual and energy alarm."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,30 +16,19 @@ from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurement
 from flexman_gym.model.loads import FrameMotion, part_energies, section_forces
 from flexman_gym.model.model import Model
 
-ENERGY_ALARM = 0.01  # 1; share of the energy turnover at which the energy residual is too large
+ENERGY_ALARM = 0.01  # 1; fraction of the energy turnover above which the energy residual is too large
 
 
 def _energy_turnover(moving_energy: Array | float, work: Array | float, dissipation: Array | float) -> Array:
-    """Return the largest magnitude of kinetic, elastic and gravitational energy, J: the scale of an energy error."""
+    """Return the largest of kinetic + elastic energy, |work| and |dissipation|, J: the scale of the energy residual."""
     return np.maximum(np.maximum(moving_energy, np.abs(work)), np.abs(dissipation))
 
 
-def energy_alarm(residual: Any, turnover: Any, level: float = ENERGY_ALARM) -> Any:
-    """Return whether an energy residual exceeds a share of the energy turnover.
-
-    Args:
-        residual: number or array, J.
-        turnover: energy turnover, number or array, J.
-        level: the share, 1.
-
-    Returns:
-        A flag, or an array of flags.
-    """
-    return abs(residual) > level * turnover
-
-
 class Kinetics(NamedTuple):
-    """Model with the constants of a simulation, accelerations (T, d) and drive (T, n + 6)."""
+    """Model with the constants of a simulation, and its accelerations (T, d) and inputs (T, n + 6) at T times.
+
+    Accelerations and inputs have the order and units of `kernels.layout`.
+    """
 
     model: Model
     accelerations: Array
@@ -56,27 +45,28 @@ def _no_kinetics(result: "Trajectory") -> Kinetics:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
-    """Solution of a scene at T output times; after a failure only the times before it.
+    """Solution of a scene at T output times; after a failure only at those before the failure.
 
-    All quantities are in SI units and radians; energies are relative to the base.
+    All quantities are in SI units and radians. Velocities and energies are those of the motion relative to the base.
 
     Attributes:
         time: (T,) s.
         tip: (T, 3) tip position in the base frame, m.
         tip_velocity: (T, 3) tip velocity in the base frame, m/s.
-        joint_angles: (T, n) link side, rad.
-        motor_angles: (T, n) motor side after the gear, rad; equal to the joint angle where a joint is rigid.
-        energy: (T,) kinetic + elastic (links and joints) + gravitational energy, the last zero at the base origin, J.
+        joint_angles: (T, n) angles of the link sides of the joints, rad.
+        motor_angles: (T, n) angles of the rotors after the gears, rad; in a rigid joint equal to the joint angle.
+        energy: (T,) kinetic + elastic (links and joints) + gravitational energy, J; gravitational energy is zero at the
+            base origin.
         moving_energy: (T,) kinetic + elastic energy, J.
         work: (T,) work of motors, tip force and base acceleration since the start, J.
-        dissipation: (T,) energy lost in dampers and friction since the start, J.
-        states: (T, 2 d), in the order of `kernels.layout`.
+        dissipation: (T,) energy dissipated by dampers and friction since the start, J.
+        states: (T, 2 d) coordinates and speeds, in the order of `kernels.layout`.
         deflection: (T, 3) tip position relative to the tip of the rigid arm at the motor angles, m.
         status: "ok", "diverged" or "not converged".
         evaluations: number of evaluations of the accelerations.
-        wall_seconds: time in the integrator without compilation, s.
+        wall_seconds: wall-clock time of the integration without compilation, s.
         model: the simulated model.
-        explain: function of the trajectory behind `explanation`.
+        explain: function: trajectory -> its `explanation`.
         kinetics: function: trajectory -> its `Kinetics`, for loads and energies.
 
     Examples:
@@ -122,7 +112,10 @@ class Trajectory:
 
     @property
     def readings(self) -> dict[str, Array]:
-        """Readings of the arm (T, ...) by the names of `View`; units in MEASUREMENT_UNITS of `model.linearization`."""
+        """Sensor readings without noise (T, ...), by the names of `envs.view.View`.
+
+        Units: MEASUREMENT_UNITS of `model.linearization`.
+        """
         return LinearMeasurements(self.model).measure(self.states)
 
     @cached_property
@@ -133,36 +126,34 @@ class Trajectory:
 
     @property
     def accelerations(self) -> Array:
-        """Accelerations (T, d) of all coordinates under the torques of the scene.
+        """Accelerations (T, d) of all coordinates under the inputs of the scene, rad/s^2 or m/s^2 by coordinate.
 
         Raises:
-            ValueError: for a trajectory without a scene, whose torques are unknown; likewise for `joint_reactions`,
-                `section_forces` and `energies`.
+            ValueError: for a trajectory of a `Simulator`, whose inputs are not recorded. `joint_reactions`,
+                `section_forces` and `energies` raise the same error.
         """
         return self._motion[0].accelerations
 
     @property
     def joint_reactions(self) -> Array:
-        """Force (N) and moment (N m) of each joint on its outboard link, (T, n, 6), in the frame of this link.
+        """Force (N) and moment (N m) of each joint on its outboard link, (T, n, 6), in the beam frame of this link.
 
-        The component about the joint axis is the torque on the link.
+        The component of the moment about the joint axis is the driving torque of the link.
         """
         return self._motion[1].reaction[:, :-1]
 
     def section_forces(self, link: int, positions: Sequence[float]) -> Array:
         """Return the internal forces of sections of a link, (T, P, 6), in the link frame at its origin.
 
-        They are the normal force, the shear forces along y and z (N), the torsion and the bending moments about y and z
-        (N m) that the outboard part exerts on the inboard part by its inertia and weight (d'Alembert). Tension is
-        positive, and a moment about z bends as E I v''. At a lumped mass the section is the one before it. Between the
-        joints of a model with foreshortening the result has the error of its stations.
+        The six columns are the normal force, the shear forces along y and z (N), the torsional moment and the bending
+        moments about y and z (N m) exerted by the outboard part, with its inertia and weight (d'Alembert), on the
+        inboard part. Tension is positive, and the moment about z equals E I_z v''. At a lumped mass the section lies
+        just inboard of the mass. In a model with foreshortening, the mass between the joints is lumped at the stations,
+        which limits the accuracy of the result.
 
         Args:
-            link: number of the link, from 0.
-            positions: (P,) positions along the link, from 0 at its joint to its length at its tip, m.
-
-        Returns:
-            Forces (N) and moments (N m), (T, P, 6).
+            link: index of the link, from 0.
+            positions: (P,) distances of the sections from the joint of the link, 0 to the length of the link, m.
         """
         i, (kinetics, motion) = whole_number("link", link, 0, self.model.n_joints - 1), self._motion
         length, checked = self.model.arm.links[i].length, vector("positions", positions, unit="m")
@@ -183,18 +174,18 @@ class Trajectory:
     def explanation(self) -> str:
         """Return the first quantity out of bounds in a failure or at an energy alarm, with remedies; otherwise "".
 
-        It repeats the motion from the last valid state, step by step; nothing is computed before the call.
+        The call integrates again from the last valid state, step by step, to find the cause of a failure.
         """
         return self.explain(self)
 
     @property
     def energy_residual(self) -> Array:
-        """Energy error of the integration: work - dissipation - change of energy (T,), J."""
+        """Work - dissipation - change of energy since the start (T,), J; zero for the exact solution."""
         return self.work - self.dissipation - (self.energy - self.energy[0])
 
     @property
     def energy_turnover(self) -> Array:
-        """Largest values so far of kinetic + elastic energy, work and dissipation (T,), J."""
+        """Largest magnitude so far of kinetic + elastic energy, work or dissipation (T,), J."""
         parts = _energy_turnover(self.moving_energy, self.work, self.dissipation)
         return np.maximum.accumulate(parts)
 
@@ -240,12 +231,10 @@ class Trajectory:
         """Return the first time (s) at which the energy residual is too large, or None.
 
         Args:
-            level: largest residual as a share of the energy turnover at the end.
-
-        Returns:
-            The time, or None without an alarm.
+            level: largest allowed residual as a fraction of the energy turnover at the end.
         """
-        above = np.flatnonzero(energy_alarm(self.energy_residual, self.energy_turnover[-1], positive("level", level)))
+        largest = positive("level", level) * self.energy_turnover[-1]
+        above = np.flatnonzero(abs(self.energy_residual) > largest)
         return float(self.time[above[0]]) if above.size else None
 
 
@@ -258,19 +247,16 @@ def build_trajectory(
     explain: Callable[[Trajectory], str] = _no_explanation,
     kinetics: Callable[[Trajectory], Kinetics] = _no_kinetics,
 ) -> Trajectory:
-    """Return the trajectory of rows at equal intervals.
+    """Return the trajectory given by states and outputs at equal intervals.
 
     Args:
         model: the model.
         interval: time between rows, s.
-        states: (T, 2 d + 2) states with their ledger.
-        outputs: (T, OUTPUTS).
-        outcome: status, evaluations, and seconds in the integrator.
-        explain: function behind `Trajectory.explanation`.
+        states: (T, 2 d + 2) states and energy ledgers.
+        outputs: (T, OUTPUTS) columns of `kernels.layout`.
+        outcome: status, number of evaluations, and wall-clock time of the integration, s.
+        explain: function: trajectory -> its explanation.
         kinetics: function: trajectory -> its `Kinetics`.
-
-    Returns:
-        The trajectory.
     """
     size = 2 * model.n_dof
     return Trajectory(

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 import flexman_gym as fm
 from flexman_gym.identification.fit import MAX_STARTS, SPREAD, parameter_covariance
-from flexman_gym.identification.least_squares import FreeParameters, LeastSquaresProblem, ResidualBlock
+from flexman_gym.identification.least_squares import FreeParameters, LeastSquaresProblem
 from flexman_gym.identification.measurement import SimulatedResponse
 from flexman_gym.identification.ringing import Ringing
 from flexman_gym.model.dynamics import frequencies
@@ -219,7 +219,7 @@ def coloured(random, size, kept):
 
 def linear(rows, slopes, record=0):
     """A problem that is linear in its unknowns, at their place of the least residuals."""
-    part = ResidualBlock(record, "linear", rows, np.ones(len(rows)), False)
+    part = SimpleNamespace(record=record, name="linear", measured=rows, sigma=np.ones(len(rows)), known=False)
     return SimpleNamespace(blocks=[part], evaluate=lambda x: (rows, slopes), split=lambda values: [values])
 
 

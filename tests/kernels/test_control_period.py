@@ -13,7 +13,7 @@ from flexman_gym.kernels.control_period import (
     flag_violations,
     full_observation,
 )
-from flexman_gym.kernels.outputs import update_energy_scale
+from flexman_gym.kernels.outputs import update_energy_turnover
 
 LIMITS, BOUND = np.array([1.0, 2.0]), np.array([3.0])
 
@@ -58,7 +58,7 @@ def test_the_energy_scale_increases_and_keeps_nan():
             rows[:, -2], rows[:, -1], out[:, layout.KINETIC] = 0.5, -turnover, 1.0
             if lost:
                 (out[0, layout.LINK_ENERGY : layout.LINK_ENERGY + 1], rows[0, -2:-1], rows[0, -1:])[place][:] = np.nan
-            update_energy_scale(rows, out, result)
+            update_energy_turnover(rows, out, result)
         assert np.isnan(result[0]) and result[1] == 7.0
 
 

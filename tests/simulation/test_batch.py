@@ -306,6 +306,6 @@ def test_a_long_roll_is_made_of_calls_that_are_not_long(monkeypatch):
     model = fm.build_model(fm.catalog.paper_rrr(), 1, 2)
     drives = np.random.default_rng(0).uniform(-100.0, 100.0, (9, 7, 9))
     whole, parted, single = (Batch(model, "midpoint_3", 0.005, 0.02, arms=9) for _ in range(3))
-    parted._mover._most, single._mover._most = 9, 3  # steps: two control periods, and not a whole one
+    parted._mover._max_steps, single._mover._max_steps = 9, 3  # steps: two control periods, and not a whole one
     states = whole.roll(drives)[0]
     assert np.array_equal(states, parted.roll(drives)[0]) and np.array_equal(states, single.roll(drives)[0])

@@ -91,10 +91,13 @@ def test_methods_that_choose_their_steps_and_single_scenes_are_simulated_too():
 def test_threads_share_the_scenes(monkeypatch):
     given = (scenes() * 13)[:137]
     expected = fm.simulate_all(given, step=0.02)
-    used, real = [], LaneIntegrator._share
-    monkeypatch.setattr(
-        LaneIntegrator, "_share", lambda self, share: (used.append(len(self._shares)), real(self, share))[1]
-    )
+    used, real = [], LaneIntegrator._run_in_threads
+
+    def counted(self, task):
+        used.append(len(self._thread_groups))
+        real(self, task)
+
+    monkeypatch.setattr(LaneIntegrator, "_run_in_threads", counted)
     assert all(map(same, fm.simulate_all(given, step=0.02, threads=3), expected)) and used == [3]
 
 
@@ -249,9 +252,9 @@ def test_sampled_pushes_are_the_pulses_that_they_sample(name):
 def test_intervals_fill_the_time_and_begin_anew_at_any_output():
     pieces = PiecewiseSignals([fm.SampledSignal(UNEVEN, PUSHES), fm.Signal()], 0.5)
     made = list(integration_intervals(pieces, 0.05, 4, range(10)))
-    ends = [call.moment[0] + call.moment[1] * call.moment[2] * max(call.rows, 1) for call in made]
-    assert [call.moment[0] for call in made] == pytest.approx([0.0, *ends[:-1]]) and ends[-1] == pytest.approx(0.5)
-    assert all(call.moment[1] <= 0.0125 * (1.0 + 1e-9) for call in made)
+    ends = [call.grid[0] + call.grid[1] * call.grid[2] * max(call.rows, 1) for call in made]
+    assert [call.grid[0] for call in made] == pytest.approx([0.0, *ends[:-1]]) and ends[-1] == pytest.approx(0.5)
+    assert all(call.grid[1] <= 0.0125 * (1.0 + 1e-9) for call in made)
     for moment in UNEVEN:
         assert not any(start + 1e-9 < moment < end - 1e-9 for start, end in pairwise([0.0, *ends]))
     assert sum(call.rows for call in made) + sum(call.complete and not call.rows for call in made) == 10
