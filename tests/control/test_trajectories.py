@@ -179,7 +179,7 @@ def test_the_slew_of_a_rigid_link_takes_the_time_of_its_closed_form(law, peak, w
 
 def peak_share(path, duration, limits):
     """The largest torque of a path as a part of the limits, where it is looked at."""
-    return np.abs(path.at(path.parts, duration)[1] / limits).max()
+    return np.abs(path.at(path.check_points, duration)[1] / limits).max()
 
 
 @pytest.mark.parametrize("law", TIMING_LAWS)
@@ -269,7 +269,7 @@ def test_a_goal_whose_weight_is_too_much_is_refused_in_one_line():
 def test_other_laws_and_postures_are_refused_in_one_line():
     model, arguments = rigid(), (np.ones(1), SHARE, PERIOD)
     line = refusal(plan_slew, model, np.zeros(1), np.ones(1), *arguments, "cubic")
-    assert line == "law: 'cubic' is not allowed; give one of minimum-jerk, trapezoid, double-s"
+    assert line == "timing_law: 'cubic' is not allowed; give one of minimum-jerk, trapezoid, double-s"
     for postures in ([[0.0]], [[0.0], [1.0], [1.0]]):
         line = refusal(plan_via, model, np.array(postures), *arguments)
         assert line == f"postures: {postures} is not allowed; give at least two, no two equal in succession"
@@ -302,7 +302,7 @@ def test_a_spline_passes_its_postures_in_their_order_within_the_limits(name):
 def test_a_spline_has_continuous_accelerations_that_are_its_slopes():
     model = fm.build_model(fm.catalog.planar_2r(), flexible_links=False)
     path, h = via_path(model, wandering(model, 5), 500), 1e-5
-    before, now, after = (path.motion(path.parts[1:-1] + step) for step in (-h, 0.0, h))
+    before, now, after = (path.motion(path.check_points[1:-1] + step) for step in (-h, 0.0, h))
     for order in (0, 1):
         slope = (after[order] - before[order]) / (2.0 * h)
         assert np.abs(slope - now[order + 1]).max() <= 1e-3 * np.abs(now[order + 1]).max()
@@ -356,6 +356,6 @@ def test_joints_do_not_turn_far_for_what_an_outstretched_arm_cannot_reach():
     model, (first, second) = fm.build_model(arm, flexible_links=False), (link.length for link in arm.links)
     rest, place = (fm.rest_state(model, np.array([0.0, elbow]))[: model.n_dof] for elbow in (0.3, 1e-3))
     slopes, across = np.array([first + second, second]), second * (np.sin(0.3) - np.sin(1e-3))
-    assert DeflectionCompensation(model).turn(rest, place) == pytest.approx(
+    assert DeflectionCompensation(model).rotation(rest, place) == pytest.approx(
         across * slopes / (slopes @ slopes), rel=5e-3
     )
