@@ -125,7 +125,7 @@ class SlewReferences:
         """Adapt the references of the arms (r,) to estimated parameters (b, ...), see `Estimate`."""
         if not len(arms):
             return
-        weights, self._compliance[arms], self._friction[arms] = adaptation_factors(
+        weights, self._compliance[arms], self._friction[arms] = _adaptation_factors(
             self.model, self._payloads, parameters, arms
         )
         for adapted, table in ((self._adapted_coordinates, self._coordinates), (self._adapted_torques, self._torques)):
@@ -225,7 +225,7 @@ def estimated_payloads(model: Model, parameters: Mapping[str, Array], arms: IntA
     return np.full(len(arms), model.constants.payload_mass[0])
 
 
-def adaptation_factors(
+def _adaptation_factors(
     model: Model, nodes: Array, parameters: Mapping[str, Array], arms: IntArray
 ) -> tuple[Array, Array, Array]:
     """Return the factors by which the references of arms (r,) are adapted to estimated parameters.
@@ -302,7 +302,7 @@ class PathReferences:
         """Adapt the references of the arms (r,) to estimated parameters (b, ...), see `Estimate`."""
         if not len(arms):
             return
-        self._weights[arms], self._compliance[arms], self._friction[arms] = adaptation_factors(
+        self._weights[arms], self._compliance[arms], self._friction[arms] = _adaptation_factors(
             self.model, self._payloads, parameters, arms
         )
 

@@ -118,18 +118,6 @@ MAX_DURATION = 60.0  # s; longest slew
 JUMP_MARGIN = 1e-9  # fraction of the duration; distance of a check point before a jump of the acceleration
 
 
-class _ReferenceTrajectory(NamedTuple):
-    """Reference trajectory over T control periods, followed by rest.
-
-    Attributes:
-        states: (T + 1, 2 d) states at the start and at the end of each period.
-        torques: (T, n) motor torques, constant in each period, N m.
-    """
-
-    states: Array
-    torques: Array
-
-
 class QuasiStaticDeflection:
     """Quasi-static deflection of a model and its motor torques, for a prescribed joint motion.
 
@@ -199,7 +187,21 @@ class _JointPath(NamedTuple):
         return np.array(coordinates), np.array(torques)
 
 
-def slew_path(model: Model, start: Array, goal: Array, timing_law: str = "minimum-jerk") -> _JointPath:
+class _ReferenceTrajectory(NamedTuple):
+    """Reference trajectory over T control periods, followed by rest.
+
+    Attributes:
+        states: (T + 1, 2 d) states at the start and at the end of each period.
+        torques: (T, n) motor torques, constant in each period, N m.
+        path: path of a planned slew or motion through postures; None for a given path.
+    """
+
+    states: Array
+    torques: Array
+    path: _JointPath | None = None
+
+
+def _slew_path(model: Model, start: Array, goal: Array, timing_law: str = "minimum-jerk") -> _JointPath:
     """Return the straight path between postures of the motors (n,) rad, with a timing law from `TIMING_LAWS`."""
     ends, timing = rest_state(model, np.array([start, goal]))[:, : model.n_dof], TIMING_LAWS[timing_law]
     first, last = ends[:, : model.n_joints]
@@ -212,7 +214,7 @@ def slew_path(model: Model, start: Array, goal: Array, timing_law: str = "minimu
     return _JointPath(QuasiStaticDeflection(model), ends, motion, _check_points(jumps - JUMP_MARGIN, jumps))
 
 
-def via_path(model: Model, postures: Array, count: int) -> _JointPath:
+def _via_path(model: Model, postures: Array, count: int) -> _JointPath:
     """Return the path through postures (m, n) rad of the motors, each at the end of one of `count` control periods.
 
     The path is a cubic spline with two additional knots, so that it starts and ends with zero acceleration (Biagiotti
@@ -269,7 +271,7 @@ def plan_slew(
     Raises:
         ValueError: for a goal at which holding torques alone exceed the fraction, and for an unknown timing law.
     """
-    path = slew_path(model, start, goal, one_of("timing_law", timing_law, TIMING_LAWS))
+    path = _slew_path(model, start, goal, one_of("timing_law", timing_law, TIMING_LAWS))
     slew = _time_optimal(lambda count: path, torque_fraction * limits, period, 1)
     if slew is None:
         raise value_error(
@@ -281,7 +283,7 @@ def plan_slew(
 def plan_via(
     model: Model, postures: Array, limits: Array, torque_fraction: float, period: float
 ) -> _ReferenceTrajectory:
-    """Plan the fastest motion through postures, see `via_path`, with torques within a fraction of the limits.
+    """Plan the fastest motion along a spline through postures, with torques within a fraction of the limits.
 
     Each posture is reached at the end of a control period, so that the spline changes slightly with the duration; the
     search may therefore miss a shorter motion.
@@ -302,7 +304,7 @@ def plan_via(
     if len(postures) < 2 or not np.diff(postures, axis=0).any(axis=1).all():
         raise value_error("postures", postures.tolist(), "at least two, no two equal in succession")
     motion = _time_optimal(
-        lambda count: via_path(model, postures, count), torque_fraction * limits, period, len(postures) - 1
+        lambda count: _via_path(model, postures, count), torque_fraction * limits, period, len(postures) - 1
     )
     if motion is None:
         raise value_error(
@@ -347,7 +349,7 @@ def _sample_path(path: _JointPath, count: int, period: float) -> _ReferenceTraje
     rates = np.gradient(coordinates, period, axis=0) if count > 1 else np.zeros_like(coordinates)
     rates[[0, -1]] = 0.0
     torques = path.at((np.arange(count) + 0.5) / count, count * period)[1]
-    return _ReferenceTrajectory(np.hstack([coordinates, rates]), torques)
+    return _ReferenceTrajectory(np.hstack([coordinates, rates]), torques, path)
 
 
 def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTrajectory:
