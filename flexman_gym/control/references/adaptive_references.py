@@ -155,7 +155,7 @@ class SlewReferences:
         if not len(arms):
             return
         initial = (np.zeros((3, len(arms))) if first else np.array(self.at(times, arms)))[:, :, None]
-        candidates = quintic_coefficients(*initial, CANDIDATE_DURATIONS.astype(float))
+        candidates = quintic_coefficients(initial[0], initial[1], initial[2], CANDIDATE_DURATIONS.astype(float))
         checked = CANDIDATE_DURATIONS[:, None] * CHECKED_TIMES
         progress, speeds, accelerations = evaluate_polynomials(candidates[:, :, None], checked)
         torques = self._interpolate(self._adapted_torques, arms, progress, accelerations, speeds)
