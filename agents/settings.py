@@ -26,7 +26,7 @@ from flexman_gym.common.checks import (
 )
 from flexman_gym.common.renamed import RUN_SETTINGS, deprecated_arguments, rename_keys
 from flexman_gym.common.run_folder import SETTINGS, read_settings
-from flexman_gym.control.base_controllers import parse_base
+from flexman_gym.control.base_controllers import BASES, parse_kind
 from flexman_gym.envs.config.configuration import Configuration
 
 ALGORITHMS = ("ppo", "sac", "dagger")
@@ -137,7 +137,7 @@ class Settings:
                 raise value_error(f"schedules.{name}", self.algo, f"it with {' and '.join(SCHEDULES[name])} only")
             self.schedule(name)
         if self.base_in_use is not None:
-            parse_base(self.base_in_use)
+            parse_kind("base", self.base_in_use, BASES)
         for name, value in self.hyperparameters.items():
             _check(f"hyperparameters.{name}", name, value)
         environment = self.environment
@@ -230,7 +230,7 @@ def _check(field: str, name: str, value: object) -> None:
     elif name == "ortho_init":
         flag(field, value)
     elif name == "teacher":
-        parse_base(value)
+        parse_kind("base", value, BASES)
     elif name == "net_arch" and not isinstance(value, dict):
         for i, width in enumerate(sequence(field, value, "widths of layers")):
             whole_number(f"{field}[{i}]", width, 1, MAX_WIDTH)

@@ -46,6 +46,7 @@ def migration_page() -> str:
         "Functions, classes and constants": ("module", renamed.NAMES),
         "Arguments of functions": ("function", renamed.ARGUMENTS),
         "Members of classes": ("class or protocol", renamed.MEMBERS),
+        "Arguments of base controllers": ("", {"": renamed.BASE_ARGUMENTS}),
         "Keywords of environments": ("", {"": keywords}),
         "Physical parameters": ("", {"": renamed.PARAMETER_KEYS}),
         "Ranges in `unknown=` of a base controller": ("", {"": {new: old for old, new in ranges.items()}}),

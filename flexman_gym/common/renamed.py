@@ -87,7 +87,7 @@ STATE_FIELDS = {
     "_apart": "_perturbations_reduced", "_following": "_paths", "_given_up": "_fallback_active", "_known": "_latest",
     "_looked": "_updated", "_own_coordinates": "_adapted_coordinates", "_own_torques": "_adapted_torques",
     "_pushed": "_filtering", "_residuals": "_detector", "_soft": "_compliance", "_tight": "_holding",
-    "ahead": "clock_offset", "begun": "start_time", "lasting": "duration", "pace": "time_scaling",
+    "ahead": "clock_offset", "begun": "start_time", "lasting": "duration", "numbers": "theta", "pace": "time_scaling",
     "quickening": "pace_rate", "shape": "shaping", "wanted": "action", "way": "displacement",
 }  # fmt: skip
 """Old field of a saved state -> present field."""
@@ -113,9 +113,11 @@ ARGUMENTS = {
     "diagnose": {"entrant": "agent"}, "evaluate": {"entrant": "agent"},
     "export_policy": {"words": "description", "venue": "environment"}, "record_dataset": {"entrant": "agent"},
     "resume": {"judge_every": "eval_every"}, "rollout": {"entrant": "agent", "watch": "callback", "moved": "set_plant"},
-    "write_onnx": {"entrant": "agent"},
+    "TrackingLQR": {"law": "timing_law"}, "write_onnx": {"entrant": "agent"},
 }  # fmt: skip
 """Function -> old argument -> present argument, see `deprecated_arguments`."""
+BASE_ARGUMENTS = {"law": "timing_law"}
+"""Old argument of a base controller, in configurations and files -> present argument."""
 PARAMETER_KEYS = {"link_stiffness": "link_stiffness_factor"}
 """Old name of a physical parameter in fits, reset options and draws -> present name."""
 LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")  # packages whose frames are no callers of a deprecated name
@@ -205,8 +207,9 @@ def deprecated_arguments(**names: str) -> Callable[[Function], Function]:
     def decorate(function: Function) -> Function:
         @wraps(function)
         def call(*arguments: Any, **keywords: Any) -> Any:
+            name = function.__qualname__.removesuffix(".__init__")
             for old in names.keys() & keywords.keys():
-                said = f"{function.__name__}({old}=...) is deprecated; give {names[old]}=..."
+                said = f"{name}({old}=...) is deprecated; give {names[old]}=..."
                 warnings.warn(said, DeprecationWarning, stacklevel=2)
                 keywords[names[old]] = keywords.pop(old)
             return function(*arguments, **keywords)

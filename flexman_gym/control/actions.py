@@ -19,23 +19,23 @@ from flexman_gym.control.reference_shaping import ReferenceShaping, ShapingLimit
 from flexman_gym.control.tracking import OutputFeedback
 from flexman_gym.model.linearization import LinearMeasurements
 
-UNSTABLE_RADIUS = 1.0 + 1e-6  # spectral radius; undamped modes outside the influence of the motors have 1, to rounding
+UNSTABLE_RADIUS = 1.0 + 1e-6  # 1; spectral radius of an unstable loop; undamped uncontrollable modes have 1
 
 
 class _ServoMode:
     """Joint servo: torque = stiffness (reference - angle) + damping (reference rate - rate).
 
-    It runs in every control period and reads the motor encoders only. With kind="position" an action is the reference
-    as a fraction of an angle range (rad), with zero reference rate. With kind="velocity" an action is the reference
-    rate as a fraction of a speed range (rad/s), and the reference is its integral from the start, so that stiffness is
-    the integral gain of the speed loop. Anti-windup: the integral stays within the distance at which stiffness alone
-    commands the torque limit. There is no other integral action; under gravity a position servo therefore has a
-    steady-state error of weight / stiffness.
+    The servo runs in every control period and reads the motor encoders only. With kind="position" an action is the
+    reference as a fraction of an angle range (rad), with zero reference rate. With kind="velocity" an action is the
+    reference rate as a fraction of a speed range (rad/s); the reference is the integral of this rate from the start,
+    so that stiffness is the integral gain of the speed loop. Anti-windup: the integral is clamped to the distance from
+    the measured angle at which stiffness alone commands the torque limit. A position servo has no integral action and,
+    under gravity, a steady-state error of weight / stiffness.
 
     Args:
         kind: "position" or "velocity".
         gains: PD with gains and torque limits.
-        span: (n,) rad or rad/s at an action of 1.
+        span: (n,) reference angle (rad) or rate (rad/s) at an action of 1.
         period: control period, s.
     """
 
@@ -43,12 +43,12 @@ class _ServoMode:
     sensors: tuple[object, ...] = ("motor_encoders",)
 
     def __init__(self, kind: str, gains: PD, span: Vector, period: float) -> None:
-        self._moves, self._gains, self._span, self._period = kind == "velocity", gains, np.array(span), period
+        self._integrates, self._gains, self._span, self._period = kind == "velocity", gains, np.array(span), period
         self.joints = len(self._span)
         self.names = tuple(f"{kind}_{joint + 1}" for joint in range(self.joints))
-        self._reference = np.zeros((1, self.joints))  # of each arm, rad
+        self._reference = np.zeros((1, self.joints))  # rad; reference of each arm
         zero = gains.stiffness == 0.0
-        self._most = np.where(zero, np.inf, gains.torque_limit / np.where(zero, 1.0, gains.stiffness))
+        self._max_error = np.where(zero, np.inf, gains.torque_limit / np.where(zero, 1.0, gains.stiffness))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes of the arms (r,) with the reference at their joint angles."""
@@ -58,10 +58,11 @@ class _ServoMode:
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the torques (b, n) for reference actions (b, n), as fractions of the torque limits from -1 to 1."""
         angles, command = readings["motor_angles"], actions * self._span
-        if self._moves:
+        if self._integrates:
             error, target_rate = self._reference - angles, command
-            onward = np.clip(self._reference + command * self._period, angles - self._most, angles + self._most)
-            self._reference[active] = onward[active]
+            low, high = angles - self._max_error, angles + self._max_error
+            integral = np.clip(self._reference + command * self._period, low, high)
+            self._reference[active] = integral[active]
         else:
             error, target_rate = command - angles, 0.0
         torque = self._gains.stiffness * error + self._gains.damping * (target_rate - readings["motor_rates"])
@@ -70,17 +71,18 @@ class _ServoMode:
 
 
 def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) -> _ServoMode:
-    """Make a servo with the given gains, or with those tuned for the plant.
+    """Make a servo with the given gains, or with the gains tuned for the plant.
 
     A UserWarning is issued if the sampled loop, with delay and drive lag, is unstable at zero joint angles for any set
-    of motors that slide or stick.
+    of sticking motors.
 
     Args:
         kind: "position" or "velocity".
         plant: plant model.
-        base: None.
-        **given: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each; "range", rad or rad/s at action 1, for all
-            joints or for each. The default range is pi, or the speed limits of the motors.
+        base: None; a base controller raises ValueError.
+        **given: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each; "range", the angle (rad) or rate (rad/s) at
+            an action of 1, for all joints or for each joint (n,). The default range is pi, for kind="velocity" the
+            speed limit of the motor.
 
     Returns:
         Servo mode.
@@ -93,8 +95,8 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
         speeds = [motor.joint_speed_limit if motor else None for motor in motors]
         spans = [speed if speed and kind == "velocity" else np.pi for speed in speeds]
     else:
-        several = span if isinstance(span, list | tuple | np.ndarray) else [span] * n
-        numbers = vector("actions.range", several, n)
+        ranges = span if isinstance(span, list | tuple | np.ndarray) else [span] * n
+        numbers = vector("actions.range", ranges, n)
         spans = [physical(f"actions.range[{i}]", number) for i, number in enumerate(numbers)]
     gains = make_base({"kind": "pd", **given}, plant)
     assert isinstance(gains, PD)
@@ -111,22 +113,22 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
     return _ServoMode(kind, gains, spans, plant.period)
 
 
-SMALL_DEPARTURE = 1.0 / 30.0  # fraction of the range; scale of the arcsinh of departures
-SMALL_ANGLE = 0.01  # rad; scale of the arcsinh of motor errors
-MAX_OBSERVATION = 100.0  # bound on observed quantities
+DEVIATION_SCALE = 1.0 / 30.0  # fraction of a range; deviation from the reference with an arcsinh of 0.88
+ANGLE_SCALE = 0.01  # rad; error of a motor angle with an arcsinh of 0.88
+MAX_OBSERVATION = 100.0  # bound on the magnitude of observed quantities
 
 
 class _ReferenceShapingMode:
     """Action mode of reference shaping: time scaling, joint offsets and added torques on the reference of the base.
 
-    It adds quantities to the observation: the estimated state as measured quantities, their departures from the
-    reference as arcsinh, motor errors, the reference, its clock and its shaping, the last torques and actions, and the
-    estimates of payload and stiffness with their deviations.
+    The mode adds to the observation: measured quantities of the estimated state, arcsinh of their deviations from the
+    reference, errors of motor angles, the reference with its clock and its shaping, the last torques and actions, and
+    the estimates of payload and stiffness with their standard deviations.
 
     Args:
         plant: plant model.
-        base: OutputFeedback of an observer and a tracking law.
-        **authority: pace, offset, torque and fading, see `ShapingLimits`.
+        base: OutputFeedback with an observer and a tracking law.
+        **authority: "pace", "offset", "torque" and "fading", see `ShapingLimits`.
     """
 
     def __init__(self, plant: Plant, base: Controller | None, **authority: object) -> None:
@@ -137,14 +139,14 @@ class _ReferenceShapingMode:
         limits = ShapingLimits(**{name: non_negative(f"actions.{name}", value) for name, value in authority.items()})
         self.strength = limits.torque if limits.fading == 0.0 else None
         n = self.joints = len(plant.torque_limit)
-        self._shape = self._law.shaping = ReferenceShaping(self._law.slews, self._law.limits, plant.period, limits)
-        every = ("pace", *(f"{part}_{joint + 1}" for part in ("offset", "torque") for joint in range(n)))
+        self._shaping = self._law.shaping = ReferenceShaping(self._law.slews, self._law.limits, plant.period, limits)
+        names = ("pace", *(f"{part}_{joint + 1}" for part in ("offset", "torque") for joint in range(n)))
         self._columns = np.flatnonzero(np.repeat([limits.pace, limits.offset, limits.torque], [1, n, n]) > 0.0)
-        self.names = tuple(every[column] for column in self._columns)
+        self.names = tuple(names[column] for column in self._columns)
         self.sensors: tuple[object, ...] = tuple(base.sensors)
         self._quantities = LinearMeasurements(plant.model)
         self._ranges = np.concatenate([plant.measured()[name][0] for name in self._quantities.columns])
-        sizes = {"estimate": 8 * n, "departures": 8 * n, "angle_errors": 2 * n, "reference": 2 * n, "way": 3 * n}
+        sizes = {"estimate": 8 * n, "tracking_errors": 8 * n, "angle_errors": 2 * n, "reference": 2 * n, "path": 3 * n}
         sizes |= {"clock": 6, "offsets": 2 * n, "applied": n, "action": len(self.names)}
         sizes |= {"parameters": 1 + 2 * n, "deviations": 1 + 2 * n}
         self.observation_sizes: Mapping[str, int] = sizes
@@ -154,22 +156,22 @@ class _ReferenceShapingMode:
         """Start new episodes of the arms (r,).
 
         Args:
-            arms: (r,).
+            arms: (r,) indices.
             episode: start and goal of these episodes.
-            count: number of arms.
+            count: number of arms in all.
 
         Raises:
             ValueError: for a moving goal.
         """
         if episode.reference is not None:
             raise value_error("actions", "shaping", "torque: the goal of this task moves, and only slews can be shaped")
-        self._shape.reset(arms, count)
+        self._shaping.reset(arms, count)
         self._base.reset(arms, episode, count)
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the commanded torques (b, n) as fractions of the torque limits."""
         arms = np.flatnonzero(active)
-        self._shape.action[arms[:, None], self._columns] = actions[arms]
+        self._shaping.action[arms[:, None], self._columns] = actions[arms]
         return self._base.act(readings, applied, active)
 
     def observe(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
@@ -179,41 +181,31 @@ class _ReferenceShapingMode:
         if active.any():
             estimate, arms = self._base.update_estimate(readings, applied, active), np.flatnonzero(active)
             self._law.plan(estimate, active)
-            shown = np.concatenate(list(self._parts(estimate, applied, arms).values()), axis=1)
-            self._observed[arms] = np.clip(np.nan_to_num(shown), -MAX_OBSERVATION, MAX_OBSERVATION)
+            observed = np.concatenate(list(self._parts(estimate, applied, arms).values()), axis=1)
+            self._observed[arms] = np.clip(np.nan_to_num(observed), -MAX_OBSERVATION, MAX_OBSERVATION)
         return self._observed
 
     def _parts(self, estimate: Estimate, applied: Array, arms: IntArray) -> dict[str, Array]:
         """Return the observed quantities of the arms (r,), by name."""
         law, slews, model, d = self._law, self._law.slews, self._plant.model, self._plant.model.n_dof
-        states, reference, now = estimate.states[arms], law.reference(estimate, arms), law.clock(estimate, arms)
-        motors, (place, speed, change) = model.motor_columns, slews.at(now, arms)
-        displacement, remaining = slews.displacement[arms], slews.start_time[arms] + slews.duration[arms] - now
+        states, reference, times = estimate.states[arms], law.reference(estimate, arms), law.clock(estimate, arms)
+        motors, (progress, speed, acceleration) = model.motor_columns, slews.at(times, arms)
+        displacement, end_time = slews.displacement[arms], slews.start_time[arms] + slews.duration[arms]
         errors = slews.start[arms] + displacement + slews.shift[arms] - states[:, motors]
-        departures = np.arcsinh(self._read(states - reference) / (SMALL_DEPARTURE * self._ranges))
-        displacements = [
-            displacement * (1.0 - place)[:, None],
-            displacement * speed[:, None],
-            displacement * change[:, None],
-        ]
-        clock = [
-            place,
-            speed,
-            change,
-            np.maximum(remaining, 0.0),
-            slews.time_scaling[arms],
-            slews.start_time[arms] + slews.duration[arms],
-        ]
+        deviations = np.arcsinh(self._read(states - reference) / (DEVIATION_SCALE * self._ranges))
+        path = [displacement * each[:, None] for each in (1.0 - progress, speed, acceleration)]
+        remaining = np.maximum(end_time - times, 0.0)
+        clock = [progress, speed, acceleration, remaining, slews.time_scaling[arms], end_time]
         return {
             "estimate": self._read(states),
-            "departures": departures,
-            "angle_errors": np.concatenate([errors, np.arcsinh(errors / SMALL_ANGLE)], axis=1),
+            "tracking_errors": deviations,
+            "angle_errors": np.concatenate([errors, np.arcsinh(errors / ANGLE_SCALE)], axis=1),
             "reference": np.concatenate([reference[:, motors], reference[:, d + motors]], axis=1),
-            "way": np.concatenate(displacements, axis=1),
+            "path": np.concatenate(path, axis=1),
             "clock": np.stack(clock, axis=1),
-            "offsets": self._shape.offsets[arms].reshape(len(arms), 2 * self.joints),
+            "offsets": self._shaping.offsets[arms].reshape(len(arms), 2 * self.joints),
             "applied": applied[arms],
-            "action": self._shape.action[arms][:, self._columns],
+            "action": self._shaping.action[arms][:, self._columns],
             "parameters": self._parameters(estimate, arms),
             "deviations": self._deviations(arms),
         }
@@ -236,15 +228,15 @@ class _ReferenceShapingMode:
         return np.concatenate([payload[:, None], joints, links], axis=1)
 
     def _deviations(self, arms: IntArray) -> Array:
-        """Return the standard deviations (r, 1 + 2 n) of these parameters; 0 for known ones and for rigid joints."""
+        """Return the standard deviations (r, 1 + 2 n) of payload (kg) and stiffness factors; 0 for known parameters."""
         constants, estimates = self._plant.model.constants, self._base.estimates
         result, n = np.zeros((len(arms), 1 + 2 * self.joints)), self.joints
         if "payload_mass_deviation" in estimates:
             result[:, 0] = estimates["payload_mass_deviation"][arms]
         if "joint_stiffness_deviation" in estimates:
             flexible = constants.motor >= 0
-            part = estimates["joint_stiffness_deviation"][arms] / constants.joint_stiffness[flexible]
-            result[:, 1 : 1 + n][:, flexible] = part
+            relative = estimates["joint_stiffness_deviation"][arms] / constants.joint_stiffness[flexible]
+            result[:, 1 : 1 + n][:, flexible] = relative  # rigid joints keep 0
         if "link_stiffness_factor_deviation" in estimates:
             result[:, 1 + n :] = estimates["link_stiffness_factor_deviation"][arms]
         return result
@@ -252,17 +244,18 @@ class _ReferenceShapingMode:
 
 @runtime_checkable
 class ActionMode(Protocol):
-    """Protocol of action modes: the meaning of k numbers from -1 to 1 for b arms of n joints, in every control period.
+    """Protocol of action modes, which convert actions (b, k) from -1 to 1 into torques of b arms with n joints.
 
     The torques of an arm must not depend on the other arms, to the last bit. Optional members: `state_fields`, as in
-    `Controller`, without the base; `strength`, for modes of torques, the part of the torque limits (of all joints, or
-    (n,)) that an action of 1 adds. A mode with observed quantities beyond the sensors has `observation_sizes`, name ->
-    number of values, and `observe(readings, applied, active)`, which returns them concatenated, (b, size), and updates
-    those of the active arms. It is called before the agent acts, in the same control period.
+    `Controller`, without the base; `strength`, for modes of torques, the fraction of the torque limits that an action
+    of 1 adds, for all joints or for each joint (n,). A mode with observed quantities beyond the sensors has
+    `observation_sizes`, name -> number of values, and `observe(readings, applied, active)`, which updates the
+    quantities of the active arms and returns the quantities of all arms, concatenated to (b, size). `observe` is called
+    before the agent acts, in the same control period.
 
     Attributes:
-        joints: n.
-        names: (k,) of the numbers of an action.
+        joints: n, number of joints.
+        names: (k,) names of the entries of an action.
         sensors: names of the sensors that the mode and its base read.
     """
 
@@ -273,7 +266,7 @@ class ActionMode(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the numbers of an action."""
+        """Names of the entries of an action."""
         ...
 
     @property
@@ -282,14 +275,14 @@ class ActionMode(Protocol):
         ...
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms with the indices (r,), those of the base included."""
+        """Start new episodes of the arms with the indices (r,), also in the base controller."""
         ...
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the commanded torques (b, n) as fractions of the torque limits, from -1 to 1.
 
         Args:
-            actions: (b, k) of the agent, each held for its `action_repeat` control periods.
+            actions: (b, k) actions of the agent, each held for `action_repeat` control periods.
             readings: as in `Controller.act`.
             applied: as in `Controller.act`.
             active: as in `Controller.act`.
@@ -304,10 +297,10 @@ class TorqueMode:
     """Action mode of motor torques, added to the torques of a base controller; the sum is saturated at -1 and 1.
 
     Args:
-        joints: n.
-        base: controller whose torques are added; None for none.
-        strength: part of the torque limits that an action of 1 commands, for all joints or for each (n,).
-        quantity: "torque", or "current" for motor currents as parts of their limits.
+        joints: n, number of joints.
+        base: controller whose torques are added; None for no base controller.
+        strength: fraction of the torque limits at an action of 1, for all joints or for each joint (n,).
+        quantity: "torque", or "current" for motor currents as fractions of the current limits.
     """
 
     def __init__(
@@ -323,7 +316,7 @@ class TorqueMode:
             self._base.reset(arms, episode, count)
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Return the commanded torques (b, n) for actions (b, n): their sum with those of the base controller."""
+        """Return the commanded torques (b, n): the sum of actions (b, n) and torques of the base controller."""
         if isinstance(self.strength, np.ndarray):
             actions = np.clip(actions * self.strength, -1.0, 1.0)
         if self._base is None:
@@ -335,7 +328,7 @@ class TorqueMode:
 
 @dataclass(frozen=True)
 class _ActionModeEntry:
-    """Action mode by name.
+    """Entry of the table of action modes.
 
     Attributes:
         make: function of a Plant, the base controller or None, and the arguments that returns the mode.
@@ -351,7 +344,7 @@ def _make_current(plant: Plant, base: Controller | None) -> TorqueMode:
 
     Args:
         plant: plant model.
-        base: controller whose torques are added; None for none.
+        base: controller whose torques are added; None for no base controller.
 
     Returns:
         Action mode.
@@ -377,18 +370,13 @@ ACTIONS: dict[str, _ActionModeEntry] = {
 }
 
 
-def parse_action_mode(value: object) -> tuple[str, dict[str, Any]]:
-    """Return name and arguments of an action mode given as a name, or as a mapping with the name under "kind"."""
-    return parse_kind("actions", value, {name: mode.arguments for name, mode in ACTIONS.items()})
-
-
 def make_action_mode(value: object, plant: Plant, base: Controller | None) -> ActionMode:
-    """Make an action mode for a plant and a base; see `parse_action_mode`. An `ActionMode` is returned unchanged."""
+    """Make an action mode for a plant and a base; see `parse_kind`. An `ActionMode` is returned unchanged."""
     if isinstance(value, ActionMode):
         if hasattr(value, "shown") and not hasattr(value, "observation_sizes"):
-            estimates = f"{type(value).__name__}.shown and look are deprecated; name them observation_sizes and observe"
-            warnings.warn(estimates, DeprecationWarning, stacklevel=2)
+            message = f"{type(value).__name__}.shown and look are deprecated; name them observation_sizes and observe"
+            warnings.warn(message, DeprecationWarning, stacklevel=2)
             value.observation_sizes, value.observe = value.shown, value.look  # type: ignore[attr-defined]
         return value
-    name, arguments = parse_action_mode(value)
+    name, arguments = parse_kind("actions", value, ACTIONS)
     return ACTIONS[name].make(plant, base, **arguments)

@@ -1,4 +1,4 @@
-"""Agent: sensors, observation history, action repeat, control law, and action mode with its base controller."""
+"""Agent: sensors, observation history, action repeat, policy or control law, and action mode with base controller."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -12,18 +12,18 @@ from flexman_gym.control.actions import MAX_OBSERVATION, ActionMode
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 
 Law = Callable[[NDArray[np.float32]], NDArray[Any]]  # observations (b, size) -> commands (b, k) from -1 to 1
-MAX_HISTORY = 1000  # observations
+MAX_HISTORY = 1000  # largest number of observations in a history
 
 
 class _History:
     """Observation history of b arms: the last k observations, or the current one and exponential moving averages.
 
-    At the start of an episode, the first observation stands for the earlier ones.
+    At the start of an episode the first observation is repeated in place of earlier observations.
 
     Args:
-        kind: k, or the time constants (s) of the averages.
+        kind: number k of observations, or time constants (s) of the averages.
         interval: time between two observations, s.
-        arms: b.
+        arms: b, number of arms.
         size: number of values of one observation.
     """
 
@@ -31,21 +31,20 @@ class _History:
 
     def __init__(self, kind: int | tuple[float, ...], interval: float, arms: int, size: int) -> None:
         self._gains = None if isinstance(kind, int) else 1.0 - np.exp(-interval / np.array(kind))[:, None]
-        self.parts = history_length(kind)
-        self._memory = np.zeros((arms, self.parts, size))
+        self._memory = np.zeros((arms, history_length(kind), size))
 
-    def following(self, earlier: "_History") -> "_History":
-        """Return this history with the content of an earlier one with fewer arms."""
+    def copy_from(self, earlier: "_History") -> "_History":
+        """Return this history after copying the content of a history with fewer arms."""
         self._memory[: len(earlier._memory)] = earlier._memory
         return self
 
     def begin(self, observations: Array, arms: IntArray) -> Array:
-        """Fill the history of the arms (r,) with their first observations (r, size); return it, (r, parts size)."""
+        """Fill the histories of the arms (r,) with first observations (r, size); return the histories (r, k size)."""
         self._memory[arms] = observations[:, None]
         return self._read(arms)
 
     def add(self, observations: Array, arms: IntArray) -> Array:
-        """Add observations (r, size) of the arms (r,); return the history, (r, parts size)."""
+        """Add observations (r, size) of the arms (r,); return the histories (r, k size)."""
         memory = self._memory
         if self._gains is None:
             memory[arms, 1:] = memory[arms, :-1]
@@ -55,30 +54,30 @@ class _History:
         return self._read(arms)
 
     def _read(self, arms: IntArray) -> Array:
-        """Return the history (r, parts size) of the arms (r,), the newest observation first."""
+        """Return the histories (r, k size) of the arms (r,), the newest observation first."""
         result: Array = self._memory[arms].reshape(len(arms), self._memory[0].size)  # for zero arms too
         return result
 
 
 def history_length(kind: int | tuple[float, ...]) -> int:
-    """Return the number of observations in a history."""
+    """Return the number of entries in a history of k observations, or of the present one and moving averages."""
     return kind if isinstance(kind, int) else 1 + len(kind)
 
 
 class Agent:
-    """Agent of b arms with n joints, from sensor readings to torques.
+    """Agent of b arms with n joints: a mapping from sensor readings to torques.
 
     An observation is taken every `action_repeat` control periods, and the law maps it to a command (k,), which is held
-    in between. In every control period the action mode converts the command into torques and adds those of the base
-    controller. Without a law, the command is written to `command` by a trainer or an evaluation. An agent with a law
-    satisfies `Controller`, so that it can serve as the base of another agent.
+    in between. In every control period the action mode converts the command into torques and adds the torques of the
+    base controller. Without a law, a trainer or an evaluation writes the command to `command`. An agent with a law
+    satisfies `Controller` and can serve as the base controller of another agent.
 
     Args:
-        sensors: observed sensors in their order, including those of the task.
+        sensors: observed sensors in their order, including the sensors of the task.
         size: number of values of these sensors for one arm.
         mode: action mode, constructed with the base.
-        base: controller inside the mode; None for none.
-        history: number of observations, or time constants (s) of averages.
+        base: base controller of the mode; None for no base controller.
+        history: number of observations, or time constants (s) of moving averages.
         action_repeat: control periods for which a command is held.
         law: function from observations (b, size) to commands (b, k) from -1 to 1, such as a `Network`; None if commands
             are written from outside.
@@ -86,7 +85,7 @@ class Agent:
     Attributes:
         observations: (b, size) float32, including history and the quantities of the mode; unchanged between two
             commands.
-        command: (b, k).
+        command: (b, k) latest commands, from -1 to 1.
     """
 
     state_fields = ("base", "mode", "_history", "observations", "command", "_ages")
@@ -104,8 +103,8 @@ class Agent:
         self.mode, self.base, self.law, self.action_repeat = mode, base, law, action_repeat
         self.sensors: Any = (*sensors, *mode.sensors)
         mode_size = sum(getattr(mode, "observation_sizes", {}).values())
-        self.shows = mode_size > 0
-        self._size, self._kind, self._counts = size, history, action_repeat > 1 or history != 1
+        self.mode_observes = mode_size > 0
+        self._size, self._kind, self._counts_periods = size, history, action_repeat > 1 or history != 1
         self._row = size + mode_size
         self._history: _History | None = None
         self.observations: NDArray[np.float32] = np.zeros((0, history_length(history) * self._row), dtype=np.float32)
@@ -119,28 +118,28 @@ class Agent:
         return getattr(self.base, "estimates", {})
 
     def bound(self, sensors: Array) -> NDArray[np.float32]:
-        """Return the bounds (size,) of an observation with history, from those of the sensors."""
+        """Return the bounds (k size,) of an observation with history, from the bounds of the sensors (size,)."""
         row = np.append(sensors, np.full(self._row - self._size, MAX_OBSERVATION))
         return np.tile(row, history_length(self._kind)).astype(np.float32)
 
     def check_law(self, law: object) -> None:
-        """Check the input and output sizes of a law; a law without `size` and `joints` is not checked.
+        """Check the numbers of inputs and outputs of a law, its optional attributes `size` and `joints`.
 
         Args:
-            law: any object that maps observations to commands.
+            law: function from observations to commands.
 
         Raises:
             ValueError: for sizes other than those of the agent.
         """
-        parts, hidden = history_length(self._kind), self._row - self._size
-        size = getattr(law, "size", parts * self._row) // parts - hidden
+        length, mode_size = history_length(self._kind), self._row - self._size
+        size = getattr(law, "size", length * self._row) // length - mode_size
         if size != self._size:
             allowed = f"one with {self._size}, the number of values of its sensors here"
             raise value_error("base", f"a policy with {size} inputs", allowed)
         commands = getattr(law, "joints", len(self.mode.names))
         if commands != len(self.mode.names):
             raise value_error(
-                "actions", self.mode.names, f"an action mode of {commands} numbers, as the policy has outputs"
+                "actions", self.mode.names, f"an action mode of {commands} numbers, the number of outputs of the policy"
             )
 
     def allocate(self, count: int, period: float) -> None:
@@ -151,18 +150,18 @@ class Agent:
             setattr(self, name, pad_rows(getattr(self, name), count))
         if self._kind != 1:
             longer = _History(self._kind, self.action_repeat * period, count, self._row)
-            self._history = longer.following(self._history) if self._history else longer
+            self._history = longer.copy_from(self._history) if self._history else longer
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,) of `count`.
+        """Start new episodes of the arms (r,).
 
         Args:
-            arms: (r,).
+            arms: (r,) indices.
             episode: start, goal and control period of these episodes.
-            count: number of arms.
+            count: number of arms in all.
 
         Raises:
-            ValueError: for an arm with another number of joints.
+            ValueError: for arms whose number of joints differs from that of the action mode.
         """
         if episode.start.shape[1] != self.mode.joints:
             raise value_error("base", f"a policy for {self.mode.joints} motors", f"one for {episode.start.shape[1]}")
@@ -180,22 +179,22 @@ class Agent:
 
         Args:
             observed: (b, size) sensor readings, concatenated.
-            readings: readings of the action mode, as in `Controller.act`; unused by modes without observed quantities.
+            readings: readings of the action mode, as in `Controller.act`; unused for modes without observed quantities.
             applied: as in `Controller.act`.
-            due: (b,) flags.
+            due: (b,) flags of arms whose next command is due.
         """
         now = observed
-        if self.shows:
+        if self.mode_observes:
             now = np.concatenate([observed, self.mode.observe(readings, applied, due)], axis=1)  # type: ignore[attr-defined]
         if self._history is None:
             rows: Any = slice(None) if np.count_nonzero(due) == len(due) else due
             self.observations[rows] = now[rows]
             return
         first = self._ages == 0
-        for flags, see in ((due & first, self._history.begin), (due & ~first, self._history.add)):
+        for flags, update in ((due & first, self._history.begin), (due & ~first, self._history.add)):
             arms = np.flatnonzero(flags)
             if len(arms):
-                self.observations[arms] = see(now[arms], arms)
+                self.observations[arms] = update(now[arms], arms)
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the torques (b, n) as fractions of the torque limits; see `Controller.act`.
@@ -209,13 +208,13 @@ class Agent:
             Torques (b, n).
 
         Raises:
-            ValueError: for readings of another size than the agent observes.
+            ValueError: for readings whose size differs from that of the agent's sensors.
         """
         if self.law is not None and (due := self.due(active)).any():
             self.observe(self._observed(readings), readings, applied, due)
             arms = np.flatnonzero(due)
             self.command[arms] = np.asarray(self.law(self.observations[arms]), dtype=np.float32)
-        if self._counts:
+        if self._counts_periods:
             self._ages += active
         return np.asarray(self.mode.act(self.command, readings, applied, active))
 

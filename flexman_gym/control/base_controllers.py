@@ -1,10 +1,11 @@
 """Base controllers by name: construction, required information and description."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from flexman_gym.common.checks import flag, mapping, one_of, positive, text, value_error
+from flexman_gym.common.renamed import BASE_ARGUMENTS, rename_keys
 from flexman_gym.control.controller import Controller, Plant
 from flexman_gym.control.input_shaping.shaped_controller import InputShapedController
 from flexman_gym.control.lqr import LQR, CostWeights, TrackingLQR
@@ -16,32 +17,39 @@ from flexman_gym.control.references.optimised_slews import SHIPPED_TABLE, Optimi
 from flexman_gym.control.tracking import OutputFeedback, Tracking
 
 
-def parse_kind(name: str, value: object, known: Mapping[str, Collection[str]]) -> tuple[str, dict[str, Any]]:
-    """Return name and arguments of a value that is a name, or a mapping with the name under "kind" and its arguments.
+class _Entry(Protocol):
+    """Entry of a table of base controllers or action modes: `arguments` are the names of its arguments."""
+
+    @property
+    def arguments(self) -> tuple[str, ...]: ...
+
+
+def parse_kind(field: str, value: object, table: Mapping[str, _Entry]) -> tuple[str, dict[str, Any]]:
+    """Return name and arguments of a base controller or an action mode.
 
     Args:
-        name: name of the field, for error messages.
-        value: any value.
-        known: allowed names, each with the names of its arguments.
+        field: name of the field, for error messages.
+        value: name, or mapping with the name under "kind" and the arguments.
+        table: `BASES` or `ACTIONS`.
 
     Returns:
         Name and arguments.
     """
     if isinstance(value, str):
-        return one_of(name, value, known), {}
+        return one_of(field, value, table), {}
     if not isinstance(value, Mapping) or "kind" not in value:
-        raise value_error(name, value, "a name, or a mapping with the name under kind and its arguments")
-    chosen = one_of(f"{name}.kind", text(f"{name}.kind", value["kind"]), known)
-    given = {text(f"a key of {name}", key): each for key, each in value.items() if key != "kind"}
-    return chosen, mapping(name, given, known[chosen])
+        raise value_error(field, value, "a name, or a mapping with the name under kind and its arguments")
+    name = one_of(f"{field}.kind", text(f"{field}.kind", value["kind"]), table)
+    given = {text(f"a key of {field}", key): each for key, each in value.items() if key != "kind"}
+    return name, mapping(field, rename_keys(given, BASE_ARGUMENTS, field=field), table[name].arguments)
 
 
-DEFAULT_TUNING = "none: default weights for every arm"  # tuning of the controllers that are designed from a model
+DEFAULT_TUNING = "none: default weights for every arm"  # tuning of controllers designed from a model
 
 
 @dataclass(frozen=True)
 class _BaseEntry:
-    """Base controller by name.
+    """Entry of the table of base controllers.
 
     Attributes:
         make: function of a Plant and the arguments that returns the controller.
@@ -69,10 +77,10 @@ def _shaped_pd(plant: Plant, **given: Any) -> InputShapedController:
     return InputShapedController(_pd(plant, **gains), plant.model, **given)
 
 
-def _regulator(law: type[LQR]) -> Callable[..., LQR]:
+def _regulator(regulator: type[LQR]) -> Callable[..., LQR]:
     def make(plant: Plant, weights: object = None, **options: Any) -> LQR:
         chosen = None if weights is None else _weights(weights)
-        return law(plant.model, plant.torque_limit, plant.period, chosen, **options)
+        return regulator(plant.model, plant.torque_limit, plant.period, chosen, **options)
 
     return make
 
@@ -101,7 +109,7 @@ def _adaptive(plant: Plant, weights: object = None, unknown: Any = None, **optio
 
 
 def _safe(plant: Plant) -> PD | None:
-    """Return the PD tuned for the arm and its delay; None if no gains are tuned for it."""
+    """Return the PD with gains tuned for the arm and its delay; None for an arm without tuned gains."""
     try:
         return _pd(plant)
     except ValueError:
@@ -135,7 +143,7 @@ BASES: dict[str, _BaseEntry] = {
     "lqr-tracking": _BaseEntry(
         _regulator(TrackingLQR),
         ("model", "true state"),
-        ("weights", "law"),
+        ("weights", "timing_law"),
         "a linear-quadratic regulator that tracks a smooth slew, or a path",
     ),
     "lqg": _BaseEntry(
@@ -173,15 +181,10 @@ BASES: dict[str, _BaseEntry] = {
         "that of the PD",
     ),
 }
-"""Controllers that have a name: name -> construction, required information, arguments and description."""
-
-
-def parse_base(value: object) -> tuple[str, dict[str, Any]]:
-    """Return name and arguments of a base controller given as a name, or as a mapping with the name under "kind"."""
-    return parse_kind("base", value, {name: base.arguments for name, base in BASES.items()})
+"""Base controllers: name -> construction, required information, arguments and description."""
 
 
 def make_base(value: object, plant: Plant) -> Controller:
-    """Make a base controller for a plant; see `parse_base`."""
-    name, arguments = parse_base(value)
+    """Make a base controller, given by name or mapping, for a plant; see `parse_kind`."""
+    name, arguments = parse_kind("base", value, BASES)
     return BASES[name].make(plant, **arguments)

@@ -1,4 +1,4 @@
-"""Controller protocol, the information given at the start of an episode, and the plant model of the design."""
+"""Controller protocol, information given at the start of an episode, and plant model for controller design."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -22,18 +22,18 @@ class Plant(NamedTuple):
 
     Attributes:
         model: nominal model of the arm.
-        torque_limit: (n,) N m.
+        torque_limit: (n,) torque limits, N m.
         period: control period, s.
-        gains: function that returns "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each, tuned for a PD on the
-            arm.
-        unknown: ranges (low, high) of the uncertain parameters, with the names and units of a randomisation, see
+        gains: function that returns PD gains tuned for the arm: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,)
+            each.
+        unknown: uncertain parameters: name -> range (low, high), with the names and units of a randomisation, see
             `simulation.parameters.UNCERTAIN`: "payload_mass" (kg), "joint_stiffness_factor" (1), and so on.
-        delay: least and largest delay of the torques, whole control periods.
-        integration: method and step (s) of simulations.
-        tip_force: N, magnitude of unmeasured forces on the tip.
-        measured: function that returns, name -> (2, size), the range of each quantity that instruments measure and the
-            standard deviation of its noise, in its unit.
-        bandwidth: Hz, of a first-order lag between commanded and applied torques; None for no lag.
+        delay: smallest and largest delay of the torques, whole control periods.
+        integration: integration method and step (s) of simulations.
+        tip_force: magnitude of unmeasured forces on the tip, N.
+        measured: function that returns, for each measured quantity, its range and the standard deviation of its noise:
+            name -> (2, size), in the unit of the quantity.
+        bandwidth: bandwidth of a first-order lag between commanded and applied torques, Hz; None for no lag.
     """
 
     model: Model
@@ -62,8 +62,8 @@ class EpisodeInfo:
         goal: (r, n) motor angles of the goal, rad; those at the start for a moving goal.
         period: control period, s.
         path: function that returns `reference`; None for a fixed goal.
-        drawn: name -> (r, ...) random draws of these episodes: physical parameters in their units, and the delay of the
-            torques in control periods. These are the true values, for privileged controllers only.
+        drawn: name -> (r, ...) randomised true values of these episodes, for privileged controllers only: physical
+            parameters in their units, and the delay of the torques in control periods.
     """
 
     start: Array
@@ -74,7 +74,7 @@ class EpisodeInfo:
 
     @cached_property
     def reference(self) -> Array | None:
-        """Motor angles (r, T + 1, n) of a moving goal at each control period, rad; None for a fixed goal."""
+        """Motor angles (r, T + 1, n) of a moving goal at the control periods, rad; None for a fixed goal."""
         return None if self.path is None else self.path()
 
 
@@ -87,7 +87,7 @@ class Controller(Protocol):
     (`arrays.row_dots`, elementwise operations): the last digits of BLAS products depend on the number of rows.
 
     Two members are optional. `state_fields`, () by default, lists the attributes (arrays or numbers) that change
-    during an episode and cannot be recomputed by `reset`; they become part of the state of an environment.
+    during an episode and cannot be recomputed by `reset`; these attributes become part of the state of an environment.
     `estimates`, {} by default, maps names to estimates (b, ...), which are added to `info`.
 
     Attributes:
@@ -117,7 +117,7 @@ class Controller(Protocol):
         Args:
             arms: (r,) indices.
             episode: start, goal and control period of these episodes.
-            count: number of arms.
+            count: number of arms in all.
         """
         ...
 
@@ -144,14 +144,14 @@ def checked_controller(field: str, value: object, others: str = "") -> Controlle
     Args:
         field: name of the field, for error messages.
         value: any object.
-        others: other allowed values, for the message.
+        others: text with further allowed values, for error messages.
 
     Returns:
         The value, or its adapter.
 
     Raises:
-        ValueError: for any other object, for methods with other arguments, and for a member whose name resembles that
-            of an optional member.
+        ValueError: for an object without these members, for methods with different arguments, and for a member whose
+            name resembles that of an optional member.
     """
     if not isinstance(value, Controller) or isinstance(value, type):
         raise value_error(field, value, f"{others}a Controller: an object with sensors, reset and act")

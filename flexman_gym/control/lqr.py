@@ -1,4 +1,4 @@
-"""Linear-quadratic regulators: gain of the sampled model, gain table, control about the goal and along a slew."""
+"""Linear-quadratic regulators: gain of the sampled model, gain table, regulator about the goal and along a slew."""
 
 import hashlib
 import os
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import check_solvable, one_of, positive
 from flexman_gym.common.files import READ_ERRORS, open_arrays
+from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.control.controller import EpisodeInfo, Readings
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import TIMING_LAWS, plan_path, plan_slew
@@ -26,12 +27,12 @@ from flexman_gym.simulation.parameters import varied_model
 
 
 class CostWeights(NamedTuple):
-    """Deviations of equal cost in an LQR. Torques have the same cost at their limits.
+    """Deviations of unit cost in an LQR (Bryson's rule); a torque has unit cost at its limit.
 
     Attributes:
-        tip: m.
-        tip_speed: m/s.
-        motor: rad, of a motor angle.
+        tip: deviation of the tip position, m.
+        tip_speed: deviation of the tip velocity, m/s.
+        motor: deviation of a motor angle, rad.
     """
 
     tip: float
@@ -60,7 +61,7 @@ def lqr_gain(linear: LinearModel, motors: Array, limits: Array, weights: CostWei
 
 
 def performance_outputs(linear: LinearModel, motors: Array, weights: CostWeights) -> Array:
-    """Return the outputs (6 + n, 2 d) of the cost: tip, tip velocity and motor angles, divided by their weights."""
+    """Return the matrix (6 + n, 2 d) of the outputs in the cost: tip, tip velocity and motor angles over weights."""
     d, n = len(linear.A) // 2, len(motors)
     tip, outputs = linear.C[:, :d], np.zeros((6 + n, 2 * d))
     outputs[:3, :d], outputs[3:6, d:] = tip / weights.tip, tip / weights.tip_speed
@@ -74,29 +75,29 @@ def _riccati_gain(linear: LinearModel, motors: Array, limits: Array, weights: Co
     transition, inputs = discretize(linear.A, linear.B, period)
     n, outputs = len(limits), performance_outputs(linear, motors, weights)
     cost = np.diag(1.0 / limits**2)
-    # torques relative to their limits, for a well-scaled equation
+    # torques as fractions of their limits, for a well-scaled equation
     scaled = inputs * limits
     solution = solve_discrete_are(transition, scaled, outputs.T @ outputs, cost * np.outer(limits, limits))
     gain = np.linalg.solve(np.eye(n) + scaled.T @ solution @ scaled, scaled.T @ solution @ transition)
     return limits[:, None] * gain
 
 
-POSTURE_SPACING = 0.17  # rad between postures; interpolation over 0.43 rad lets a folded arm oscillate
-SAVE_INTERVAL = 50  # new designs (15 ms each) between two writes of the file
+POSTURE_SPACING = 0.17  # rad; distance of postures in the table; with 0.43 rad a folded arm oscillates
+SAVE_INTERVAL = 50  # number of new designs (15 ms each) between two writes of the file
 
 
 class GainTable:
     """Gains K (n, 2 d) of the sampled LQR, interpolated between designs on a grid of postures and payloads.
 
-    Interpolation is multilinear, with postures `POSTURE_SPACING` apart. A first joint whose axis is parallel to
-    gravity does not affect the gains and has no axis in the table.
+    Interpolation is multilinear, with postures `POSTURE_SPACING` apart. The angle of a first joint whose axis is
+    parallel to gravity does not affect the gains and is no coordinate of the grid.
 
     Args:
-        model: of the arm.
+        model: model of the arm.
         limits: (n,) torque limits, N m.
         period: control period, s.
         weights: cost weights.
-        payloads: kg, ascending; payloads outside their range are clipped to it.
+        payloads: (p,) payloads of the grid, kg, ascending; other payloads are clipped to their range.
     """
 
     def __init__(
@@ -105,13 +106,13 @@ class GainTable:
         self._design = limits, period, weights
         self._payloads = np.array(payloads, dtype=float)
         self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
-        somewhere, turn = np.full(model.n_joints, 0.3), np.eye(model.n_joints)[0]
-        alike = np.allclose(holding_torques(model, somewhere), holding_torques(model, somewhere + turn))
-        self._joints = np.arange(1 if alike else 0, model.n_joints)
-        self._rows: dict[tuple[int, ...], int] = {}
-        self._rows_of: dict[bytes, list[int]] = {}  # cell -> rows of its corners
+        posture, rotation = np.full(model.n_joints, 0.3), np.eye(model.n_joints)[0]
+        invariant = np.allclose(holding_torques(model, posture), holding_torques(model, posture + rotation))
+        self._joints = np.arange(1 if invariant else 0, model.n_joints)
+        self._rows: dict[tuple[int, ...], int] = {}  # grid point -> row of its gain
+        self._corner_rows: dict[bytes, list[int]] = {}  # cell -> rows of the gains at its corners
         self._gains = np.zeros((0, model.n_joints, 2 * model.n_dof))
-        self._cells = np.zeros((0, 1 + len(self._joints)), dtype=np.int64)  # of each arm
+        self._cells = np.zeros((0, 1 + len(self._joints)), dtype=np.int64)  # present cell of each arm
         self._corners = np.zeros((0, 2 ** (1 + len(self._joints))), dtype=np.int64)
         self._steps = np.array(list(product((0, 1), repeat=1 + len(self._joints))))
         self._path, self._unsaved = self._file(model), 0
@@ -119,28 +120,28 @@ class GainTable:
 
     def __call__(self, arms: IntArray, postures: Array, payloads: Array) -> Array:
         """Return the gains (r, n, 2 d) of the arms (r,) at motor angles (r, n) rad and payloads (r,) kg."""
-        places = np.column_stack([self._between(payloads), postures[:, self._joints] / POSTURE_SPACING])
-        cells = np.floor(places).astype(np.int64)
+        positions = np.column_stack([self._payload_positions(payloads), postures[:, self._joints] / POSTURE_SPACING])
+        cells = np.floor(positions).astype(np.int64)
         cells[:, 0] = np.minimum(cells[:, 0], max(len(self._payloads) - 2, 0))
         self._find(arms, cells)
-        parts = places - cells
-        weights = np.ones((len(places), len(self._steps)))
-        for axis in range(places.shape[1]):
+        parts = positions - cells
+        weights = np.ones((len(positions), len(self._steps)))
+        for axis in range(positions.shape[1]):
             part = parts[:, axis, None]
             weights *= np.where(self._steps[:, axis], part, 1.0 - part)
-        result = np.zeros((len(places), *self._gains.shape[1:]))
+        result = np.zeros((len(positions), *self._gains.shape[1:]))
         for corner in range(len(self._steps)):
             result += weights[:, corner, None, None] * self._gains[self._corners[arms, corner]]
         return result
 
-    def _between(self, payloads: Array) -> Array:
-        """Return the positions (b,) of payloads (b,) in the table, counted from 0."""
+    def _payload_positions(self, payloads: Array) -> Array:
+        """Return the positions (r,) of payloads (r,) kg among the payloads of the grid, from 0 to p - 1."""
         if len(self._payloads) == 1:
             return np.zeros(len(payloads))
         return np.interp(payloads, self._payloads, np.arange(len(self._payloads)))
 
     def _find(self, arms: IntArray, cells: IntArray) -> None:
-        """Look up the corners of the cells (r, axes) of those arms (r,) that have entered a new cell."""
+        """Update the corners of the arms (r,) that have left their previous cell for another of the cells (r, axes)."""
         count = int(arms.max(initial=-1)) + 1
         if count > len(self._cells):
             outside = np.full((count - len(self._cells), cells.shape[1]), np.iinfo(np.int64).min)
@@ -148,13 +149,13 @@ class GainTable:
         moved: BoolArray = (cells != self._cells[arms]).any(axis=1)
         for arm, cell in zip(arms[moved], cells[moved], strict=True):
             key = cell.tobytes()
-            if key not in self._rows_of:
-                self._rows_of[key] = [self._row(tuple(corner)) for corner in (cell + self._steps).tolist()]
-            self._corners[arm] = self._rows_of[key]
+            if key not in self._corner_rows:
+                self._corner_rows[key] = [self._row(tuple(corner)) for corner in (cell + self._steps).tolist()]
+            self._corners[arm] = self._corner_rows[key]
         self._cells[arms] = cells
 
     def _row(self, key: tuple[int, ...]) -> int:
-        """Return the row of a design, which is computed if it is missing."""
+        """Return the row of the gain at a grid point; a missing gain is computed."""
         key = (min(key[0], len(self._payloads) - 1), *key[1:])
         if key not in self._rows:
             model, posture = self._models[key[0]], np.zeros(self._gains.shape[1])
@@ -170,17 +171,17 @@ class GainTable:
         return self._rows[key]
 
     def _file(self, model: Model) -> Path | None:
-        """Return the file of the designs for this arm, in the folder of the kernels with which they are computed."""
+        """Return the path of the file with the gains of this arm, in the cache folder of the kernels, or None."""
         folder = find_cache_folder()
         if folder is None:
             return None
-        seal = hashlib.sha256(SLIDING.encode())  # distinguishes files of earlier versions, with sticking motors
+        seal = hashlib.sha256(SLIDING.encode())  # separates files of versions that linearised about sticking motors
         for values in (*model.constants, *map(np.array, self._design), self._payloads, np.array(POSTURE_SPACING)):
             seal.update(np.ascontiguousarray(values).tobytes())
         return Path(folder) / f"gains-{seal.hexdigest()[:16]}.npz"
 
     def _load(self) -> None:
-        """Read the designs from the file; an unreadable file is replaced at the next `save`."""
+        """Read the gains from the file; an unreadable file is replaced by the next `save`."""
         try:
             with open_arrays(self._path) as data:  # type: ignore[arg-type]
                 keys, gains = data["keys"], data["gains"]
@@ -191,7 +192,7 @@ class GainTable:
             self._gains = gains
 
     def save(self) -> None:
-        """Write the designs to the file if possible."""
+        """Write new gains to the file; a file that cannot be written is omitted."""
         if self._path is None or not self._unsaved:
             return
         handle, name = tempfile.mkstemp(dir=self._path.parent, suffix=".npz")
@@ -204,20 +205,17 @@ class GainTable:
         self._unsaved = 0
 
 
-TIP_WEIGHT = 0.2 / 8.5  # reach; smaller weights saturate the torques and fail
-TIP_SPEED_WEIGHT = 1.0 / 8.5  # reach/s
-MOTOR_WEIGHT = 0.5  # rad
-HOLDING_FACTOR = 0.25  # 1; factor of the tip weight for an arm that starts at its goal
-TORQUE_SHARE = 0.95  # 1; fraction of the torque limits for the feed-forward
-SLEW_POSTURES = 3  # postures along a slew at which gains are designed
-PATH_POSTURES = 25  # postures along a given path at which gains are designed
+TIP_WEIGHT = 0.2 / 8.5  # fraction of the reach; smaller deviations of unit cost saturate the torques and fail
+TIP_SPEED_WEIGHT = 1.0 / 8.5  # 1/s; tip speed of unit cost per reach
+MOTOR_WEIGHT = 0.5  # rad; motor angle of unit cost
+HOLDING_FACTOR = 0.25  # 1; factor of the tip deviation of unit cost for an arm that starts at its goal
+FEEDFORWARD_FRACTION = 0.95  # fraction of the torque limits available to the feed-forward
+SLEW_POSTURES = 3  # number of postures along a slew at which gains are designed
+PATH_POSTURES = 25  # number of postures along a given path at which gains are designed
 
 
 def default_weights(model: Model) -> CostWeights:
-    """Return the cost weights: 20 cm, 1 m/s and 0.5 rad for a reach of 8.5 m.
-
-    Lengths and speeds scale with the reach.
-    """
+    """Return the cost weights: 20 cm and 1 m/s for a reach of 8.5 m, in proportion to the reach, and 0.5 rad."""
     reach = float(model.constants.length.sum())
     return CostWeights(TIP_WEIGHT * reach, TIP_SPEED_WEIGHT * reach, MOTOR_WEIGHT)
 
@@ -225,12 +223,12 @@ def default_weights(model: Model) -> CostWeights:
 class LQR:
     """Linear-quadratic regulator about the goal: torque = holding torque - K (state - equilibrium), saturated.
 
-    It requires the true state and a model equal to the arm, and therefore serves as a benchmark rather than as a
+    The regulator requires the true state and an exact model, and therefore serves as a benchmark rather than as a
     controller for hardware.
 
     Args:
-        model: of the arm, with the same coordinates as the controlled one.
-        torque_limit: N m, for all joints or for each.
+        model: model of the arm, with the coordinates of the controlled arm.
+        torque_limit: torque limit of all joints, or of each joint (n,), N m.
         period: control period, s.
         weights: cost weights; None for `default_weights`.
 
@@ -258,7 +256,7 @@ class LQR:
         self._gains, self._rest, self._holding_torques = np.zeros((0, n, 2 * d)), np.zeros((0, 2 * d)), np.zeros((0, n))
 
     def gain(self, posture: Array, weights: CostWeights | None = None) -> Array:
-        """Return the gain K (n, 2 d) at a posture (n,) rad of the motors; weights None for those of the regulator."""
+        """Return the gain K (n, 2 d) at motor angles (n,) rad; weights None for the weights of the regulator."""
         state, holding = rest_state(self.model, posture), holding_torques(self.model, posture)
         linear = linearize(self.model, state=state, torque=holding)
         return lqr_gain(linear, self.model.motor_columns, self.limits, weights or self.weights, self.period)
@@ -278,13 +276,13 @@ class LQR:
     def act(
         self, readings: Readings, applied: Array | None = None, active: BoolArray | None = None
     ) -> NDArray[np.floating]:
-        """Return the actions (b, n), or (n,), for the state."""
+        """Return the actions (b, n) for states (b, 2 d), or (n,) for a state (2 d,)."""
         state = readings["state"]
-        alone = state.ndim == 1
+        single = state.ndim == 1
         states = np.asarray(state, dtype=np.float64)
-        torques = self.torques(states[None] if alone else states)
+        torques = self.torques(states[None] if single else states)
         actions = np.clip(torques / self.limits, -1.0, 1.0)
-        return actions[0] if alone else actions
+        return actions[0] if single else actions
 
     def torques(self, states: Array) -> Array:
         """Return the torques (b, n) for states (b, 2 d), N m; products are computed arm by arm."""
@@ -295,106 +293,102 @@ class _GainSchedule(NamedTuple):
     """Reference states, feed-forward torques and gains of a tracking LQR in each control period.
 
     Attributes:
-        states: (T + 1, 2 d).
-        torques: (T + 1, n) N m.
-        gains: (g, n, 2 d) at postures along the path.
-        places: (T + 1,) position of each period among these, from 0 to g - 1.
+        states: (T + 1, 2 d) reference states.
+        torques: (T + 1, n) feed-forward torques, N m.
+        gains: (g, n, 2 d) gains at postures along the path.
+        positions: (T + 1,) position of each period among these postures, from 0 to g - 1.
     """
 
     states: Array
     torques: Array
     gains: Array
-    places: Array
+    positions: Array
 
 
 class TrackingLQR(LQR):
     """LQR about a slew within the torque limits, with feed-forward torques and gains scheduled along the path.
 
-    An arm that starts at its goal is held with a larger weight on the tip. For a moving goal the reference is the path
-    of the goal. The other arguments are those of `LQR`.
+    An arm that starts at its goal is held with a larger cost of the tip deviation. For a moving goal the reference is
+    the path of the goal.
 
     Args:
         model: see `LQR`.
         torque_limit: see `LQR`.
         period: see `LQR`.
         weights: see `LQR`.
-        law: timing law of the slew: "minimum-jerk", "trapezoid" or "double-s".
+        timing_law: timing law of the slew: "minimum-jerk", "trapezoid" or "double-s".
     """
 
     state_fields = ("_now",)
 
+    @deprecated_arguments(**ARGUMENTS["TrackingLQR"])
     def __init__(
         self,
         model: Model,
         torque_limit: float | Vector,
         period: float,
         weights: CostWeights | None = None,
-        law: str = "minimum-jerk",
+        timing_law: str = "minimum-jerk",
     ) -> None:
         super().__init__(model, torque_limit, period, weights)
-        self.law = one_of("law", law, TIMING_LAWS)
-        self._plans: list[_GainSchedule] = []
+        self.timing_law = one_of("timing_law", timing_law, TIMING_LAWS)
+        self._schedules: list[_GainSchedule] = []
         self._now = np.zeros(0, dtype=np.int64)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Plan the slews of the arms (r,), or their motion along moving goals."""
         if episode.reference is not None:
-            self._follow(arms, episode.reference)
+            self._plan_paths(arms, episode.reference)
             return
         motors = self.model.motor_columns
         for arm, first, last in zip(arms, episode.start, episode.goal, strict=True):
             if np.array_equal(first, last):
-                self._keep(int(arm), self._holding(last))
+                self._start(int(arm), self._holding_schedule(last))
                 continue
-            slew = plan_slew(self.model, first, last, self.limits, TORQUE_SHARE, self.period, self.law)
+            slew = plan_slew(self.model, first, last, self.limits, FEEDFORWARD_FRACTION, self.period, self.timing_law)
             gains = np.array(
                 [self.gain(first + progress * (last - first)) for progress in np.linspace(0.0, 1.0, SLEW_POSTURES)]
             )
             moved = slew.states[:, motors] - slew.states[0, motors]
             progress = row_dots(moved, moved[-1]) / max(moved[-1] @ moved[-1], 1e-12)
             torques = np.vstack([slew.torques, holding_torques(self.model, last)])
-            self._keep(
-                int(arm), _GainSchedule(slew.states, torques, gains, (SLEW_POSTURES - 1) * np.clip(progress, 0.0, 1.0))
-            )
+            positions = (SLEW_POSTURES - 1) * np.clip(progress, 0.0, 1.0)
+            self._start(int(arm), _GainSchedule(slew.states, torques, gains, positions))
 
-    def _holding(self, posture: Array) -> _GainSchedule:
-        """Return the schedule of an arm at rest.
-
-        No torque is reserved for a slew, so that the tip has a larger weight.
-        """
+    def _holding_schedule(self, posture: Array) -> _GainSchedule:
+        """Return the schedule of an arm that holds a posture (n,) rad, with a larger cost of the tip deviation."""
         tight = self.weights._replace(tip=HOLDING_FACTOR * self.weights.tip)
         holding = holding_torques(self.model, posture)[None]
         return _GainSchedule(
             rest_state(self.model, posture)[None], holding, self.gain(posture, tight)[None], np.zeros(1)
         )
 
-    def _follow(self, arms: IntArray, postures: Array) -> None:
+    def _plan_paths(self, arms: IntArray, postures: Array) -> None:
         """Plan the motion of the arms (r,) through goal postures (r, T + 1, n) rad, one per control period."""
         for arm, path in zip(arms, postures, strict=True):
             slew = plan_path(self.model, path, self.period)
             rows = np.linspace(0, len(path) - 1, min(PATH_POSTURES, len(path))).round().astype(int)
             gains = np.array([self.gain(path[row]) for row in rows])
-            places = np.interp(np.arange(len(path)), rows, np.arange(len(rows)))
-            self._keep(
-                int(arm), _GainSchedule(slew.states, np.vstack([slew.torques, slew.torques[-1:]]), gains, places)
-            )
+            positions = np.interp(np.arange(len(path)), rows, np.arange(len(rows)))
+            torques = np.vstack([slew.torques, slew.torques[-1:]])
+            self._start(int(arm), _GainSchedule(slew.states, torques, gains, positions))
 
-    def _keep(self, arm: int, plan: _GainSchedule) -> None:
+    def _start(self, arm: int, schedule: _GainSchedule) -> None:
         """Start the schedule of an arm."""
         empty = _GainSchedule(*(np.zeros(0),) * 4)
-        self._plans += [empty] * (arm + 1 - len(self._plans))
+        self._schedules += [empty] * (arm + 1 - len(self._schedules))
         self._now = pad_rows(self._now, arm + 1)
-        self._plans[arm], self._now[arm] = plan, 0
+        self._schedules[arm], self._now[arm] = schedule, 0
 
     def torques(self, states: Array) -> Array:
         """Return the torques (b, n) for states (b, 2 d), N m, and advance by a control period."""
         result = np.zeros((len(states), self.model.n_joints))
         for arm, state in enumerate(states):
-            plan = self._plans[arm]
-            row = min(self._now[arm], len(plan.states) - 1)
-            lower = min(int(plan.places[row]), max(len(plan.gains) - 2, 0))
-            upper, part = min(lower + 1, len(plan.gains) - 1), plan.places[row] - lower
-            gain = plan.gains[lower] + part * (plan.gains[upper] - plan.gains[lower])
-            result[arm] = plan.torques[row] - row_dots(gain, state - plan.states[row])
+            schedule = self._schedules[arm]
+            row, gains = min(self._now[arm], len(schedule.states) - 1), schedule.gains
+            lower = min(int(schedule.positions[row]), max(len(gains) - 2, 0))
+            upper, part = min(lower + 1, len(gains) - 1), schedule.positions[row] - lower
+            gain = gains[lower] + part * (gains[upper] - gains[lower])
+            result[arm] = schedule.torques[row] - row_dots(gain, state - schedule.states[row])
         self._now += 1
         return result

@@ -1,11 +1,10 @@
 """Stability margins of the sampled PD loop, with sliding and with sticking motors.
 
 A motor with Coulomb friction c slides or sticks. Friction of a sliding motor is a constant torque, which does not damp
-small deviations; a sticking motor is clamped. A loop may be stable with one set of stuck motors and unstable with
-another, so that each set defines a loop and the worst of them determines the margins. The slope of a smoothed friction
-law at rest, equivalent to a damper of a hundred times c, is not part of any loop: with it every gain would appear safe.
-
-Friction may stop an unstable loop after a small disturbance, but not after a large one, and is not counted as a margin.
+small deviations; a sticking motor is clamped. A loop may be stable with one set of sticking motors and unstable with
+another set, so that each set defines a loop and the worst loop determines the margins. The slope of a smoothed friction
+law at rest, equivalent to a damper of a hundred times c, is excluded: with this damper every gain would appear safe.
+Friction stops an unstable loop after a small disturbance only, and therefore adds nothing to the margins.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,10 +21,10 @@ from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel
 from flexman_gym.model.statics import holding_torques, rest_state
 
-GAIN_FACTORS = np.geomspace(1.0, 16.0, 25)  # candidate gain margins
+GAIN_FACTORS = np.geomspace(1.0, 16.0, 25)  # 1; candidate gain margins
 PHASE_SHIFTS = np.linspace(0.0, 90.0, 19)  # degrees; candidate phase margins
-IMAGINARY_DEGREE = 1j * np.pi / 180.0  # exponent of a phase shift of 1 degree
-STABLE_RADIUS = 1.0 + 1e-9  # spectral radius; undamped modes outside the influence of the motors have 1, to rounding
+IMAGINARY_DEGREE = 1j * np.pi / 180.0  # logarithm of the factor exp(i phase) of a phase shift of 1 degree
+STABLE_RADIUS = 1.0 + 1e-9  # 1; bound of the spectral radius; undamped uncontrollable modes have 1 within rounding
 Response = NDArray[np.complex128]
 
 
@@ -33,11 +32,12 @@ class SampledLoop(NamedTuple):
     """Linear model of an arm about a posture with sampled torques: x[k + 1] = transition x[k] + inputs torques[k].
 
     Attributes:
-        transition: (m, m) of coordinates, rates and delayed torques; zero rows and columns for stuck motors.
-        inputs: (m, n).
-        motors: (n,) columns of the motor angles.
-        rates: (n,) columns of the motor rates.
-        stuck: joints, from 0, with stuck motors.
+        transition: (m, m) state matrix; the state x consists of coordinates, rates and delayed torques. Rows and
+            columns of sticking motors are zero.
+        inputs: (m, n) input matrix.
+        motors: (n,) columns of the motor angles in x.
+        rates: (n,) columns of the motor rates in x.
+        stuck: indices, from 0, of the joints with sticking motors.
     """
 
     transition: Array
@@ -51,9 +51,10 @@ class Margins(NamedTuple):
     """Stability margins of a loop.
 
     Attributes:
-        gain: factor of the torques of one motor or of all.
-        phase: lag or lead of the torques of one motor or of all, degrees.
-        stuck: joints, from 0, with stuck motors in the worst loop: an unstable one, or that of the least gain margin.
+        gain: gain margin, a factor of the torques of any one motor or of all motors.
+        phase: phase margin, a lag or lead of the torques of any one motor or of all motors, degrees.
+        stuck: indices, from 0, of the joints with sticking motors in the worst loop: an unstable loop, or the loop with
+            the smallest gain margin.
     """
 
     gain: float
@@ -66,18 +67,18 @@ def sampled_loops(
 ) -> list[SampledLoop]:
     """Return the loops of an arm at rest, one for each set of motors that may stick.
 
-    The first loop has sliding motors only, and it is the only one for an arm without Coulomb friction. The set of all
-    motors is excluded: no torque moves the arm then, so that gains are irrelevant.
+    The first loop has sliding motors only; an arm without Coulomb friction has no further loop. The set of all motors
+    is excluded, since the gains have no effect if every motor sticks.
 
     Args:
-        model: of the arm.
-        joint_angles: (n,) rad.
+        model: model of the arm.
+        joint_angles: (n,) joint angles, rad.
         period: control period, s.
         delay: delay of the torques, whole control periods.
-        bandwidth: Hz, of a first-order lag of the drives, see `first_order_lag`; None for none.
+        bandwidth: bandwidth of a first-order lag of the drives, Hz, see `first_order_lag`; None for no lag.
 
     Returns:
-        Loops, the first without stuck motors.
+        Loops, the first without sticking motors.
     """
     linear = _at_rest(model, joint_angles)
     return [_loop(model, linear, stuck, period, delay, bandwidth) for stuck in _stuck_sets(model)]
@@ -89,7 +90,7 @@ def _at_rest(model: Model, joint_angles: Vector) -> LinearModel:
 
 
 def _stuck_sets(model: Model) -> Iterator[tuple[int, ...]]:
-    """Yield the sets of joints whose motors may stick: first the empty set, never that of all joints."""
+    """Yield the sets of joints whose motors may stick, the empty set first and the set of all joints excluded."""
     frictional = np.flatnonzero(model.constants.coulomb_friction > 0.0).tolist()
     for count in range(min(len(frictional) + 1, model.n_joints)):
         yield from combinations(frictional, count)
@@ -98,7 +99,7 @@ def _stuck_sets(model: Model) -> Iterator[tuple[int, ...]]:
 def _loop(
     model: Model, linear: LinearModel, stuck: tuple[int, ...], period: float, delay: int, bandwidth: float | None
 ) -> SampledLoop:
-    """Return the sampled loop of a linear model in which the stuck motors are clamped."""
+    """Return the sampled loop of a linear model with the sticking motors clamped."""
     motors, n, d = model.motor_columns, model.n_joints, model.n_dof
     columns = motors[list(stuck)]
     clamped = np.concatenate([columns, d + columns])
@@ -129,55 +130,53 @@ def _clamped(linear: LinearModel, columns: IntArray) -> LinearModel:
 
 
 def first_order_lag(period: float, bandwidth: float) -> tuple[float, float]:
-    """Return the response of a first-order lag with a bandwidth (Hz) to a command that is constant over a period (s).
-
-    Returns:
-        The remaining distance to the command at the end of the period and its mean over the period, as fractions of the
-        distance at the beginning.
+    """Return the response of a first-order lag to a command that is constant over a period.
 
     Args:
         period: s.
-        bandwidth: Hz.
+        bandwidth: bandwidth of the lag, Hz.
+
+    Returns:
+        Difference of command and output at the end of the period and its mean over the period, as fractions of the
+        initial difference.
     """
-    turned = 2.0 * np.pi * bandwidth * period
-    return float(np.exp(-turned)), float(-np.expm1(-turned) / turned)
+    decay = 2.0 * np.pi * bandwidth * period  # control period over time constant
+    return float(np.exp(-decay)), float(-np.expm1(-decay) / decay)
 
 
 def margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector) -> Margins:
-    """Return the smallest margins of a PD over several loops; (1, 0) if one of them is unstable.
+    """Return the smallest margins of a PD over several loops; gain 1 and phase 0 if a loop is unstable.
 
     A margin is the smallest change of the torques for which an eigenvalue of the closed loop leaves the unit circle.
-    The torques of one motor, or of all motors, are multiplied by a factor >= 1, or by exp(+-i phase).
+    The torques of any one motor, or of all motors, are multiplied by a factor >= 1, or by exp(+-i phase).
 
     Args:
         loops: from `sampled_loops`.
-        stiffness: (n,) N m/rad.
-        damping: (n,) N m s/rad.
+        stiffness: (n,) proportional gains, N m/rad.
+        damping: (n,) derivative gains, N m s/rad.
 
     Returns:
         The smallest gain margin and the smallest phase margin, each over all loops and motors.
     """
-    each, stable = [], np.ones(len(loops), dtype=bool)
+    smallest, stable = [], np.ones(len(loops), dtype=bool)
     for values, changes in ((GAIN_FACTORS, GAIN_FACTORS), (PHASE_SHIFTS, np.exp(IMAGINARY_DEGREE * PHASE_SHIFTS))):
-        passes = np.array([[_stable(loop, stiffness, damping, change) for change in changes] for loop in loops])
-        first = np.argmin(
-            np.column_stack([passes, np.zeros(len(loops), dtype=bool)]), axis=1
-        )  # first change beyond the margin
-        each.append(values[np.maximum(first - 1, 0)])
-        stable &= first > 0
-    gains, phases = each
+        passed = np.array([[_stable(loop, stiffness, damping, change) for change in changes] for loop in loops])
+        failed = np.argmin(np.column_stack([passed, np.zeros(len(loops), dtype=bool)]), axis=1)  # first unstable change
+        smallest.append(values[np.maximum(failed - 1, 0)])
+        stable &= failed > 0
+    gains, phases = smallest
     worst = loops[int(np.lexsort((phases, gains, stable))[0])]
     return Margins(float(gains.min()), float(phases.min()), worst.stuck)
 
 
 def has_margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector, least: Margins) -> bool:
-    """Return whether the loops are stable, and remain so with the gain factor and with the phase shift of `least`."""
+    """Return True if the loops are stable and remain stable with the gain factor and the phase shift of `least`."""
     changes = (1.0, least.gain, np.exp(IMAGINARY_DEGREE * least.phase))
     return all(_stable(loop, stiffness, damping, change) for change in changes for loop in loops)
 
 
 def describe_stuck_motors(stuck: Sequence[int]) -> str:
-    """Return a clause for messages that lists the stuck motors, counted from 1; "" for none."""
+    """Return a clause for messages with the sticking motors, counted from 1; "" without sticking motors."""
     return f" while friction holds motor {' and '.join(str(joint + 1) for joint in stuck)}" if stuck else ""
 
 
@@ -194,7 +193,7 @@ def _gain(loop: SampledLoop, stiffness: Vector, damping: Vector) -> Array:
 
 
 def _stable(loop: SampledLoop, stiffness: Vector, damping: Vector, change: complex) -> bool:
-    """Return whether a loop is stable if the torques of any one motor, and those of all, are multiplied by a number."""
+    """Return True if a loop is stable with the torques of any one motor, and of all motors, multiplied by `change`."""
     n, gain = loop.inputs.shape[1], _gain(loop, stiffness, damping)
     motors = np.ones((1, n)) if n == 1 or change == 1.0 else np.vstack([np.eye(n), np.ones(n)])
     closed = loop.transition - (loop.inputs * (1.0 + motors[:, None] * (change - 1.0))) @ gain
@@ -204,12 +203,12 @@ def _stable(loop: SampledLoop, stiffness: Vector, damping: Vector, change: compl
 def open_loop_responses(
     loop: SampledLoop, stiffness: Vector, damping: Vector, frequencies: Vector, period: float
 ) -> Response:
-    """Return the frequency responses (n, f) of a PD's loops, each opened at one motor with the others closed.
+    """Return the open-loop frequency responses (n, f) of a PD: the loop of one motor is opened, all others are closed.
 
     Args:
         loop: from `sampled_loops`.
-        stiffness: (n,) N m/rad.
-        damping: (n,) N m s/rad.
+        stiffness: (n,) proportional gains, N m/rad.
+        damping: (n,) derivative gains, N m s/rad.
         frequencies: (f,) Hz, below half the sampling frequency.
         period: sampling period, s.
 
@@ -218,9 +217,9 @@ def open_loop_responses(
     """
     n, size = loop.inputs.shape[1], len(loop.transition)
     gain, result = _gain(loop, stiffness, damping), []
-    turns = np.exp(2j * np.pi * period * np.asarray(frequencies, dtype=float))
+    points = np.exp(2j * np.pi * period * np.asarray(frequencies, dtype=float))
     for motor in range(n):
-        acting = np.where(np.arange(n) == motor, 0.0, 1.0)[:, None] * gain
-        others = turns[:, None, None] * np.eye(size) - (loop.transition - loop.inputs @ acting)
-        result.append(np.linalg.solve(others, loop.inputs[:, motor][None, :, None])[..., 0] @ gain[motor])
+        closed = np.where(np.arange(n) == motor, 0.0, 1.0)[:, None] * gain
+        resolvent = points[:, None, None] * np.eye(size) - (loop.transition - loop.inputs @ closed)  # its inverse
+        result.append(np.linalg.solve(resolvent, loop.inputs[:, motor][None, :, None])[..., 0] @ gain[motor])
     return np.array(result)

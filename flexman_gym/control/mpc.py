@@ -20,27 +20,27 @@ from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 
-TIP_WEIGHT = 0.05 / 8.5  # reach; a quarter of the weight in the LQR
-TIP_SPEED_WEIGHT = 0.5 / 8.5  # reach/s; half of the weight in the LQR
-SLEW_SHARE = 1.3  # 1; fraction of the torque limits for which the reference slew is planned
-MAX_CHANGE = 0.05  # 1; largest change of planned torques per period, fraction of the limits, within the linear range
-LINEARISATION_PERIOD = 20  # period of the horizon at whose state the prediction is linearised
-LINEARISATION_POSTURES = 5  # number of linear predictions along a slew
+TIP_WEIGHT = 0.05 / 8.5  # fraction of the reach; tip deviation of unit cost, a quarter of that in the LQR
+TIP_SPEED_WEIGHT = 0.5 / 8.5  # 1/s; tip speed of unit cost per reach, half of that in the LQR
+REFERENCE_TORQUE = 1.3  # fraction of the torque limits for which the reference slew is planned
+MAX_CHANGE = 0.05  # fraction of the torque limits; largest change of planned torques, within the linear range
+LINEARISATION_PERIOD = 20  # control period of the horizon at whose state the prediction is linearised
+LINEARISATION_POSTURES = 5  # number of postures along a slew about which the prediction is linearised
 MIN_SQUARED_LENGTH = 1e-12  # rad^2; avoids division by zero for a slew of zero length
 MOVE_BLOCKS = (1, 2, 3, 4, 5, 5, 5, 6, 7, 7, 8, 10)  # control periods over which each torque change is constant
 
 
 class _Horizon(NamedTuple):
-    """Linear prediction over N periods, with respect to m = blocks x n changes of planned torques.
+    """Linear prediction over N control periods, with respect to m = blocks x n changes of planned torques.
 
-    Torque changes are fractions of the limits. The outputs are those of the cost, divided by their weights: tip, tip
-    velocity and motor angles after each period but the last, whose whole state has the terminal cost of the
+    Torque changes are fractions of the limits. The outputs in the cost are tip, tip velocity and motor angles, divided
+    by their weights, after each period but the last; the state after the last period has the terminal cost of the
     infinite-horizon LQR.
 
     Attributes:
-        jacobian: (m, (N - 1) (6 + n) + 2 d) of the outputs with respect to each change.
+        jacobian: (m, (N - 1) (6 + n) + 2 d) Jacobian of the outputs with respect to the changes.
         curvature: (m, m) Hessian of the cost.
-        terminal: (2 d, 2 d) outputs of the last state.
+        terminal: (2 d, 2 d) square root of the terminal cost matrix.
     """
 
     jacobian: Array
@@ -59,26 +59,26 @@ def _design_horizon(
     inputs, d, n = inputs * limits, model.n_dof, len(limits)
     outputs = performance_outputs(linear, model.motor_columns, weights)
     squares, axes = np.linalg.eigh(solve_discrete_are(transition, inputs, outputs.T @ outputs, np.eye(n)))
-    ending = np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T
+    terminal = np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T
     state, rows = np.zeros((2 * d, n * len(blocks))), []
     for block in np.repeat(np.arange(len(blocks)), blocks):
         state = transition @ state
         state[:, n * block : n * (block + 1)] += inputs
         rows.append(outputs @ state)
-    jacobian = np.vstack([*rows[:-1], ending @ state]).T.copy()
-    return _Horizon(jacobian, jacobian @ jacobian.T + np.diag(np.repeat(np.array(blocks, dtype=float), n)), ending)
+    jacobian = np.vstack([*rows[:-1], terminal @ state]).T.copy()
+    return _Horizon(jacobian, jacobian @ jacobian.T + np.diag(np.repeat(np.array(blocks, dtype=float), n)), terminal)
 
 
 class _Plan(NamedTuple):
     """Reference of an arm: a slew followed by N periods of rest, and the linear predictions along it.
 
     Attributes:
-        horizons: (g, ...) predictions at postures along the path.
-        start: (n,) motor angles, rad.
-        displacement: (n,) of the motors from start to goal, rad.
-        states: (T, 2 d).
-        outputs: (T, OUTPUTS).
-        torques: (T, n) fractions of the limits.
+        horizons: (g, ...) linear predictions at postures along the path.
+        start: (n,) initial motor angles, rad.
+        displacement: (n,) motor angles of the goal minus those of the start, rad.
+        states: (T, 2 d) reference states.
+        outputs: (T, OUTPUTS) outputs of the model at these states.
+        torques: (T, n) feed-forward torques, fractions of the limits.
     """
 
     horizons: _Horizon
@@ -94,12 +94,12 @@ class MPC:
 
     The simulator predicts the motion of the nonlinear arm under the previous plan. A quadratic program then computes
     changes of the torques, constant over blocks of periods (move blocking), that bring the prediction closest to a
-    minimum-jerk slew planned for 1.3 times the torque limits. The effect of the changes is linear, with gains
-    scheduled along the path. For a linear arm within its limits, the result equals the finite-horizon LQR.
+    minimum-jerk slew planned for 1.3 times the torque limits. The effect of the changes is linearised, with Jacobians
+    interpolated along the path. For a linear arm within its limits, the result equals the finite-horizon LQR.
 
     Args:
-        model: of the arm, with the same coordinates as the controlled one.
-        torque_limit: N m, for all joints or for each.
+        model: model of the arm, with the coordinates of the controlled arm.
+        torque_limit: torque limit of all joints, or of each joint (n,), N m.
         period: control period, s.
         integration: method and step (s) of the prediction.
 
@@ -143,25 +143,27 @@ class MPC:
             self._planned[arm], self._now[arm] = np.clip(plan.torques[: sum(MOVE_BLOCKS)], -1.0, 1.0), 0
 
     def _plan(self, start: Array, goal: Array) -> _Plan:
-        slew, rest = plan_slew(self.model, start, goal, self.limits, SLEW_SHARE, self.period), sum(MOVE_BLOCKS) + 1
+        slew, rest = (
+            plan_slew(self.model, start, goal, self.limits, REFERENCE_TORQUE, self.period),
+            sum(MOVE_BLOCKS) + 1,
+        )
         states = np.vstack([slew.states, np.repeat(slew.states[-1:], rest, axis=0)])
         torques = np.vstack([slew.torques, np.repeat(holding_torques(self.model, goal)[None], rest + 1, axis=0)])
         batch = self._make_batch(len(states))
         batch.reset(np.arange(len(states)), states)
         postures = start + np.linspace(0.0, 1.0, LINEARISATION_POSTURES)[:, None] * (goal - start)
-        each = [
-            _design_horizon(self.model, one, self.limits, self._weights, self.period, MOVE_BLOCKS) for one in postures
-        ]
-        horizons = _Horizon(*(np.array(parts) for parts in zip(*each, strict=True)))
-        return _Plan(horizons, start, goal - start, states, batch.outputs, torques / self.limits)
+        design = self.limits, self._weights, self.period, MOVE_BLOCKS
+        horizons = [_design_horizon(self.model, posture, *design) for posture in postures]
+        stacked = _Horizon(*(np.array(parts) for parts in zip(*horizons, strict=True)))
+        return _Plan(stacked, start, goal - start, states, batch.outputs, torques / self.limits)
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Return the actions (b, n) for the state; 0 for inactive arms."""
+        """Return the actions (b, n) for the states; 0 for inactive arms."""
         states = np.asarray(readings["state"], dtype=np.float64)
         if len(self._batch.rows) != len(states):
             self._batch = self._make_batch(len(states))
         self._batch.reset(np.arange(len(states)), np.where(active[:, None], states, 0.0))
-        drives = np.zeros((*self._planned.shape[:2], self.model.n_joints + 6))
+        drives = np.zeros((*self._planned.shape[:2], self.model.n_joints + 6))  # torques, tip force, base acceleration
         drives[..., : len(self.limits)] = self._planned * self.limits
         predicted = self._batch.roll(drives)
         actions = np.zeros((len(states), len(self.limits)))
@@ -173,9 +175,9 @@ class MPC:
         """Return the action (n,) of an arm.
 
         Args:
-            arm: index.
-            states: (N, 2 d) predicted for the planned torques.
-            outputs: (N, OUTPUTS) predicted for the planned torques.
+            arm: index of the arm.
+            states: (N, 2 d) states predicted for the planned torques.
+            outputs: (N, OUTPUTS) outputs predicted for the planned torques.
 
         Returns:
             Action (n,) from -1 to 1.
@@ -185,10 +187,10 @@ class MPC:
         planned, firsts = self._planned[arm], np.cumsum((0, *MOVE_BLOCKS[:-1]))
         if np.isfinite(states).all():  # the prediction did not diverge
             horizon = self._interpolate(plan, states[LINEARISATION_PERIOD])
-            gap = self._residuals(horizon, states - plan.states[rows[1:]], outputs - plan.outputs[rows[1:]])
-            departures = np.add.reduceat(planned - plan.torques[rows[:-1]], firsts).ravel()
+            residuals = self._residuals(horizon, states - plan.states[rows[1:]], outputs - plan.outputs[rows[1:]])
+            torque_residuals = np.add.reduceat(planned - plan.torques[rows[:-1]], firsts).ravel()
             mean = (np.add.reduceat(planned, firsts) / np.array(MOVE_BLOCKS)[:, None]).ravel()
-            gradient = row_dots(horizon.jacobian, gap) + departures
+            gradient = row_dots(horizon.jacobian, residuals) + torque_residuals
             low, high = np.maximum(-1.0 - mean, -MAX_CHANGE), np.minimum(1.0 - mean, MAX_CHANGE)
             changes = solve_quadratic_program(self._daqp, horizon.curvature, gradient, low, high)
             planned = np.clip(planned + np.repeat(changes.reshape(-1, n), MOVE_BLOCKS, axis=0), -1.0, 1.0)
@@ -197,37 +199,45 @@ class MPC:
         return planned[0]
 
     def _interpolate(self, plan: _Plan, state: Array) -> _Horizon:
-        """Return the linear prediction at the position of an arm along its path."""
+        """Return the linear prediction at the position along the path of an arm with a state (2 d,)."""
         progress = row_dots(state[self.model.motor_columns] - plan.start, plan.displacement) / max(
             row_dots(plan.displacement, plan.displacement), MIN_SQUARED_LENGTH
         )
-        place = float(np.clip(progress, 0.0, 1.0)) * (LINEARISATION_POSTURES - 1)
-        lower = min(int(place), LINEARISATION_POSTURES - 2)
-        part = place - lower
+        position = float(np.clip(progress, 0.0, 1.0)) * (LINEARISATION_POSTURES - 1)
+        lower = min(int(position), LINEARISATION_POSTURES - 2)
+        part = position - lower
         return _Horizon(*(each[lower] + part * (each[lower + 1] - each[lower]) for each in plan.horizons))
 
     def _residuals(self, horizon: _Horizon, states: Array, outputs: Array) -> Array:
-        """Return the outputs of the cost for deviations of states (N, 2 d) and outputs (N, OUTPUTS)."""
+        """Return the outputs in the cost for deviations (N, 2 d) and (N, OUTPUTS) of states and outputs."""
         weights, motors = self._weights, states[:-1, self.model.motor_columns]
-        near = outputs[:-1, TIP] / weights.tip, outputs[:-1, TIP_VELOCITY] / weights.tip_speed, motors / weights.motor
-        return np.concatenate([np.hstack(near).ravel(), row_dots(horizon.terminal, states[-1])])
+        running = (
+            outputs[:-1, TIP] / weights.tip,
+            outputs[:-1, TIP_VELOCITY] / weights.tip_speed,
+            motors / weights.motor,
+        )
+        return np.concatenate([np.hstack(running).ravel(), row_dots(horizon.terminal, states[-1])])
 
 
 def solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array, low: Array, high: Array) -> Array:
-    """Return the changes (m,) between low and high of least cost; zero if the solver fails."""
+    """Return x (m,) with least x H x / 2 + g x between low and high, (m,) each; 0, clipped, if the solver fails.
+
+    Args:
+        daqp: solver package.
+        curvature: H, (m, m).
+        gradient: g, (m,).
+        low: (m,) lower bounds.
+        high: (m,) upper bounds.
+
+    Returns:
+        Solution (m,).
+    """
     changes, _, status, _ = daqp.solve(curvature, gradient, np.zeros((0, len(gradient))), high, low)
     return np.array(changes) if status > 0 else np.clip(np.zeros(len(gradient)), low, high)
 
 
 def _import_solver() -> ModuleType:
-    """Return the package that solves the quadratic programs.
-
-    Returns:
-        Module `daqp`.
-
-    Raises:
-        ImportError: if it is missing; the message names the extra.
-    """
+    """Return the module `daqp`; raise ImportError, with the name of the extra, if the package is missing."""
     try:
         import daqp
     except ImportError:

@@ -1,4 +1,4 @@
-"""Policy network in NumPy: layers and observation statistics of a trained policy."""
+"""Policy network in NumPy: layers and observation statistics of a policy trained by PPO, DAgger or SAC."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -13,7 +13,7 @@ ACTIVATION_FUNCTIONS: dict[str, Callable[[Array], Array]] = {
     "tanh": np.tanh,
     "relu": lambda values: np.maximum(values, 0.0),
 }
-MAX_INPUT = 10.0  # largest magnitude of a normalised observation
+MAX_INPUT = 10.0  # 1; largest magnitude of a normalised observation
 VARIANCE_OFFSET = 1e-8  # added to variances to avoid division by zero
 # algorithm -> prefix of its layers, name of the last layer, default activation, output function
 LAYER_NAMES: dict[str, tuple[str, str, str, Callable[[Array], Array]]] = {
@@ -24,35 +24,33 @@ LAYER_NAMES: dict[str, tuple[str, str, str, Callable[[Array], Array]]] = {
 
 
 class Network:
-    """Multilayer perceptron f(W x + b) on normalised observations, with actions bounded by -1 and 1.
+    """Multilayer perceptron with layers f(W x + b), from normalised observations to actions between -1 and 1.
 
-    The result of a row does not depend on the other rows, to the last bit.
+    The action for an observation does not depend on the other observations of the batch, to the last bit.
 
     Args:
         algo: "ppo", "dagger" or "sac", which defines the names of the parameters.
         activation: "tanh" or "relu"; None for the default of the algorithm.
         parameters: name -> array, with the names of Stable-Baselines3.
-        statistics: "mean" and "var" of observations, (size,) each.
+        statistics: "mean" and "var" (variance) of observations, (size,) each.
 
     Attributes:
         size: number of inputs.
-        joints: n, number of actions.
-        mean: (size,) subtracted from observations.
-        scale: (size,) factor of the difference.
+        joints: n, number of outputs.
+        mean: (size,) mean of observations.
+        scale: (size,) reciprocal standard deviation of observations.
         layers: weights (m, k) and bias (m,) of each layer.
         activation: "tanh" or "relu".
-        bent: True if the actions pass a tanh; otherwise they are clipped.
+        squashed: True if a tanh bounds the actions; False if the actions are clipped.
 
     Raises:
         ValueError: for missing arrays, inconsistent shapes and numbers that are not finite.
     """
 
     def __init__(self, algo: str, activation: str | None, parameters: object, statistics: object) -> None:
-        first, last, usual, self._end = LAYER_NAMES[one_of("algo", algo, LAYER_NAMES)]
-        self.activation, self.bent = (
-            one_of("activation", activation or usual, ACTIVATION_FUNCTIONS),
-            self._end is np.tanh,
-        )
+        first, last, default, self._output = LAYER_NAMES[one_of("algo", algo, LAYER_NAMES)]
+        self.activation = one_of("activation", activation or default, ACTIVATION_FUNCTIONS)
+        self.squashed = self._output is np.tanh
         self._function = ACTIVATION_FUNCTIONS[self.activation]
         result = {name: _finite(f"policy.{name}", each) for name, each in _mapping("policy", parameters).items()}
         moments = _mapping("statistics", statistics)
@@ -74,7 +72,7 @@ class Network:
         for weights, bias in self.layers[:-1]:
             values = self._function(self.product(values, weights) + bias)
         weights, bias = self.layers[-1]
-        actions: Array = self._end(self.product(values, weights) + bias)
+        actions: Array = self._output(self.product(values, weights) + bias)
         return actions
 
     def product(self, values: Array, weights: Array) -> Array:

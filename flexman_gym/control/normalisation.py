@@ -15,14 +15,14 @@ VARIANCE_OFFSET = 1e-8  # added to variances to avoid division by zero
 
 
 class RunningMeanStd:
-    """Running mean and variance of arrays with one shape (Chan, Golub and LeVeque 1983).
+    """Running mean and variance of arrays of equal shape (Chan, Golub and LeVeque 1983).
 
     Args:
-        shape: of one sample, such as that of an observation; () for a number.
+        shape: shape of one sample, such as an observation; () for a number.
 
     Attributes:
         count: number of samples.
-        mean: (...) of the samples.
+        mean: (...) mean of the samples.
         squares: (...) sum of squared deviations from the mean.
     """
 
@@ -40,14 +40,14 @@ class RunningMeanStd:
         return result
 
     def add(self, values: NDArray[Any]) -> None:
-        """Add samples (b, ...); more leading axes are allowed."""
+        """Add samples (b, ...), with any number of leading axes."""
         rows = np.asarray(values, dtype=np.float64).reshape(-1, *self.mean.shape)
         if len(rows):
             mean = rows.mean(axis=0)
             self._join(float(len(rows)), mean, np.square(rows - mean).sum(axis=0))
 
     def merge(self, other: Self) -> None:
-        """Add the samples of another instance, which must not be included in this one already."""
+        """Add the samples of another instance, which must share no sample with this instance."""
         if other.count:
             self._join(other.count, other.mean, other.squares)
 
@@ -72,17 +72,17 @@ class RunningMeanStd:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a file written by `save`; no code in it is executed.
+        """Read a file written by `save`; no code in the file is executed.
 
         Args:
-            path: of the file.
+            path: path of the file.
 
         Returns:
             New instance with the statistics of the file.
 
         Raises:
             FileNotFoundError: if there is no file.
-            ValueError: for any other file.
+            ValueError: for a file without statistics.
         """
         try:
             with open_arrays(path) as file:

@@ -14,16 +14,16 @@ from flexman_gym.model.statics import holding_torques
 class PD:
     """Proportional-derivative controller of the motors: torque = stiffness (goal - angle) - damping rate, saturated.
 
-    With a moving goal, the rate is relative to that of the goal. The controller reads motor encoders only, as an
-    industrial robot does. Sensors and actuators are collocated, so that the continuous-time loop is stable for any
-    positive gains.
+    With a moving goal, the rate is relative to the rate of the goal. The controller reads motor encoders only, as in
+    industrial robots. Sensors and actuators are collocated, so that the continuous-time loop is stable for any positive
+    gains.
 
     Args:
         stiffness: (n,) proportional gains, N m/rad.
         damping: (n,) derivative gains, N m s/rad; with a control period T they must stay below about 2 rotor_inertia /
             T.
-        torque_limit: N m, for all joints or for each.
-        gravity_model: model whose holding torques at the goal are added as feed-forward; None for none.
+        torque_limit: torque limit of all joints, or of each joint (n,), N m.
+        gravity_model: model whose holding torques at the goal are added as feed-forward; None for no feed-forward.
 
     Examples:
         >>> import numpy as np
@@ -70,7 +70,7 @@ class PD:
         links may still cause instability.
 
         Args:
-            model: of the arm.
+            model: model of the arm.
             period: control period, s.
             delay: delay of the torques, whole control periods.
 
@@ -79,12 +79,12 @@ class PD:
         """
         limit = stability_limit(delay)
         inertia = 1.0 / np.diag(np.linalg.inv(mass_matrix(model, np.zeros(2 * model.n_dof))))[model.motor_columns]
-        shares = self.damping * period / inertia
+        ratios = self.damping * period / inertia
         late = f" and a delay of {delay} periods" if delay else ""
-        for i in np.flatnonzero(shares >= limit):
+        for i in np.flatnonzero(ratios >= limit):
             return (
                 f"PD.damping[{i}]: {self.damping[i]:.4g} N m s/rad is not stable with a period of {period:g} s{late}: "
-                f"damping x period / inertia of the motor is {shares[i]:.3g}; give less than {limit:.3g}, "
+                f"damping x period / inertia of the motor is {ratios[i]:.3g}; give less than {limit:.3g}, "
                 f"which is {limit * inertia[i] / period:.4g} N m s/rad"
             )
         return ""
@@ -103,7 +103,7 @@ class PD:
 
 
 def stability_limit(delay: int) -> float:
-    """Return the value of damping x period / inertia above which a sampled motor is unstable, see `PD.unstable`.
+    """Return the bound of damping x period / inertia above which a sampled motor loop is unstable, see `PD.unstable`.
 
     Args:
         delay: delay of the torques, whole control periods.
@@ -119,14 +119,14 @@ def torque_limits(name: str, value: object, joints: int) -> tuple[float, ...]:
 
     Args:
         name: name of the field, for error messages.
-        value: limit of all joints, or one per joint.
-        joints: n.
+        value: torque limit of all joints, or of each joint (n,), N m.
+        joints: n, number of joints.
 
     Returns:
         Limits (n,), N m.
 
     Raises:
-        ValueError: for another number of limits, and for a limit outside 1e-30 to 1e30.
+        ValueError: for a number of limits other than n, and for a limit outside 1e-30 to 1e30.
     """
     if not isinstance(value, list | tuple | np.ndarray):
         return (physical(name, value, "N m"),) * joints

@@ -1,4 +1,4 @@
-"""Reference shaping: time scaling, joint offsets and added torques by which an agent changes a reference."""
+"""Reference shaping: an agent changes a reference by time scaling, joint offsets and added torques."""
 
 from typing import NamedTuple
 
@@ -7,17 +7,17 @@ import numpy as np
 from flexman_gym.common.arrays import Array, IntArray, pad_rows
 from flexman_gym.control.references.adaptive_references import SlewReferences
 
-TIME_SCALING_GAIN = 0.35  # 1; fraction of the distance to the commanded time scaling that is covered per control period
-OFFSET_FREQUENCY = 12.0  # rad/s; natural frequency of the critically damped filter between commanded and actual offset
+TIME_SCALING_GAIN = 0.35  # 1; change of the time scaling per control period over its distance to the command
+OFFSET_FREQUENCY = 12.0  # rad/s; natural frequency of the critically damped filter of commanded offsets
 
 
 class ShapingLimits(NamedTuple):
     """Largest changes of a reference that an agent can command.
 
     Attributes:
-        pace: logarithm of the time scaling at an action of 1: the clock runs exp(pace) times as fast; 0 for none.
-        offset: rad, of each joint of the reference.
-        torque: of each motor, as a fraction of its limit.
+        pace: natural logarithm of the time scaling at an action of 1; 0 for no time scaling.
+        offset: offset of each reference joint angle at an action of 1, rad.
+        torque: added torque of each motor at an action of 1, as a fraction of the torque limit.
         fading: last fraction of the path over which offsets and torques fade out; 0 for no fading.
     """
 
@@ -36,11 +36,11 @@ class ReferenceShaping:
         slews: references whose clocks are scaled.
         limits: (n,) torque limits, N m.
         period: control period, s.
-        authority: limits of the changes.
+        authority: limits of the changes that the agent can command.
 
     Attributes:
-        clock_offset: (b,) s, by which the clocks of the slews are ahead of time.
-        offsets: (b, 2, n) of the reference, rad and rad/s.
+        clock_offset: (b,) time by which the clock of each slew is ahead, s.
+        offsets: (b, 2, n) offsets of the reference joint angles and rates, rad and rad/s.
         action: (b, 1 + 2 n) commands of the agent, from -1 to 1: time scaling, offsets, torques.
     """
 
@@ -52,7 +52,7 @@ class ReferenceShaping:
         self.clock_offset, self.offsets, self.action = np.zeros(0), np.zeros((0, 2, n)), np.zeros((0, 1 + 2 * n))
 
     def reset(self, arms: IntArray, count: int) -> None:
-        """Set clock offsets, offsets and actions of the arms (r,) to zero."""
+        """Set clock offsets, joint offsets and actions of the arms (r,), of `count` arms in all, to zero."""
         for name in self.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), count))
             getattr(self, name)[arms] = 0.0
@@ -62,20 +62,20 @@ class ReferenceShaping:
         slews, target = self._slews, np.exp(self._authority.pace * self.action[arms, 0])
         change = TIME_SCALING_GAIN * (target - slews.time_scaling[arms])
         slews.time_scaling[arms] += change
-        slews.pace_rate[arms] = 0.5 * change / self._period  # at half a step, since the deflection lags
+        slews.pace_rate[arms] = 0.5 * change / self._period  # half of the mean rate, since the deflection lags
 
-    def advance(self, arms: IntArray, places: Array) -> Array:
+    def advance(self, arms: IntArray, progress: Array) -> Array:
         """Advance offsets and clocks by a control period; return the added torques (r, n), N m.
 
         Args:
-            arms: (r,).
-            places: (r,) path parameters.
+            arms: (r,) indices.
+            progress: (r,) path parameters from 0 to 1.
 
         Returns:
             Torques (r, n), N m.
         """
         n, fading = self._joints, self._authority.fading
-        fade = np.clip((1.0 - places) / fading, 0.0, 1.0)[:, None] if fading else np.ones((len(arms), 1))
+        fade = np.clip((1.0 - progress) / fading, 0.0, 1.0)[:, None] if fading else np.ones((len(arms), 1))
         offsets, rates = self.offsets[arms, 0], self.offsets[arms, 1]
         target = fade * self._authority.offset * self.action[arms, 1 : 1 + n]
         rates = rates + self._period * (OFFSET_FREQUENCY**2 * (target - offsets) - 2.0 * OFFSET_FREQUENCY * rates)
@@ -85,7 +85,7 @@ class ReferenceShaping:
         return result
 
     def offset_states(self, arms: IntArray) -> Array:
-        """Return the state (r, 2 d) that the offsets of the arms (r,) add to their references."""
+        """Return the changes (r, 2 d) of the reference states of the arms (r,) by the joint offsets."""
         model = self._slews.model
         angles, rates = (model.at_rest(self.offsets[arms, i])[:, : model.n_dof] for i in (0, 1))
         return np.concatenate([angles, rates], axis=1)

@@ -8,13 +8,13 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_dots
 from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings
-from flexman_gym.control.lqr import HOLDING_FACTOR, TORQUE_SHARE, CostWeights, GainTable, default_weights
+from flexman_gym.control.lqr import FEEDFORWARD_FRACTION, HOLDING_FACTOR, CostWeights, GainTable, default_weights
 from flexman_gym.control.observers.observer import Estimate, Observer
 from flexman_gym.control.reference_shaping import ReferenceShaping
 from flexman_gym.control.references.adaptive_references import PathReferences, SlewReferences, estimated_payloads
 
-RETIMING_PERIODS = (6, 12, 20, 30, 45)  # control periods; age at which a slew is planned again
-LAST_RETIMING = 0.75  # path parameter beyond which a slew is not planned again
+RETIMING_PERIODS = (6, 12, 20, 30, 45)  # control periods since the start of an episode at which timing is replanned
+LAST_RETIMING = 0.75  # path parameter beyond which the timing is not replanned
 ADAPTATION_INTERVAL = 5  # control periods between two adaptations of references to the estimates
 
 
@@ -22,17 +22,17 @@ class Tracking:
     """Tracking law of b arms: torque = feed-forward - K (state - reference).
 
     The gains are scheduled by posture and payload. Slews are straight lines in motor space with quintic timing within
-    95 % of the torque limits. While parameter estimates converge, the rest of a slew is planned again from the current
-    reference. An arm that starts at its goal is held with a larger weight on the tip.
+    95 % of the torque limits. While parameter estimates converge, the timing of the remaining path is replanned from
+    the current reference. An arm that starts at its goal is held with a larger cost of the tip deviation.
 
     Args:
         plant: plant model with its uncertain parameters.
-        weights: cost weights; None for those of `LQR`.
-        retimed: whether slews are planned again with new estimates.
+        weights: cost weights; None for `default_weights`.
+        retimed: True to replan the timing of slews with new parameter estimates.
 
     Attributes:
         slews: references of the arms.
-        shaping: changes of the references by an agent; None for none.
+        shaping: reference shaping by an agent; None for no reference shaping.
     """
 
     state_fields = ("slews", "_paths", "_ages", "_holding", "_goal", "_planned", "shaping")
@@ -44,12 +44,12 @@ class Tracking:
         self._payloads = (low, 0.5 * (low + high), high) if high > low else (low,)
         self.limits, self._period = np.array(plant.torque_limit), plant.period
         self._paths = PathReferences(model, plant.period, self._payloads)
-        self.slews = SlewReferences(model, self.limits, TORQUE_SHARE, self._payloads)
+        self.slews = SlewReferences(model, self.limits, FEEDFORWARD_FRACTION, self._payloads)
         tight = weights._replace(tip=HOLDING_FACTOR * weights.tip)
         self._gains = [GainTable(model, self.limits, plant.period, each, self._payloads) for each in (weights, tight)]
         self._motors = model.motor_columns
         self.shaping: ReferenceShaping | None = None
-        self._planned = np.zeros(0, dtype=bool)  # in this control period
+        self._planned = np.zeros(0, dtype=bool)  # flags of arms with a plan of this control period
         self._ages, self._holding = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
         self._goal, self._on_path = np.zeros((0, model.n_joints)), np.zeros(0, dtype=bool)
 
@@ -79,9 +79,9 @@ class Tracking:
         states, (reference, forward) = estimate.states[arms], self._reference(now, arms)
         payloads = estimated_payloads(self.slews.model, estimate.parameters, arms)
         gains = np.zeros((len(arms), len(self.limits), states.shape[1]))
-        for table, some in zip(self._gains, (~self._holding[arms], self._holding[arms]), strict=True):
-            if some.any():
-                gains[some] = table(arms[some], states[some][:, self._motors], payloads[some])
+        for table, chosen in zip(self._gains, (~self._holding[arms], self._holding[arms]), strict=True):
+            if chosen.any():
+                gains[chosen] = table(arms[chosen], states[chosen][:, self._motors], payloads[chosen])
         command = forward - row_dots(gains, (states - reference)[:, None])
         if self.shaping:
             command += self.shaping.advance(arms, self.slews.at(now, arms)[0])
@@ -121,10 +121,10 @@ class Tracking:
         return states, torques
 
     def _plan(self, arms: IntArray, estimate: Estimate) -> None:
-        """Plan the references of arms (r,) at their start, and adapt those of the others at fixed intervals."""
-        due, follows = self._ages[arms] % ADAPTATION_INTERVAL == 0, self._on_path[arms]
-        self._paths.adapt(arms[follows & due], estimate.parameters)
-        arms, due = arms[~follows], due[~follows] & (self._ages[arms[~follows]] > 0)
+        """Plan the references of arms (r,) at the start of an episode, later adapt them at fixed intervals."""
+        due, on_path = self._ages[arms] % ADAPTATION_INTERVAL == 0, self._on_path[arms]
+        self._paths.adapt(arms[on_path & due], estimate.parameters)
+        arms, due = arms[~on_path], due[~on_path] & (self._ages[arms[~on_path]] > 0)
         first = arms[self._ages[arms] == 0]
         if len(first):
             start = np.where(self._holding[first, None], self._goal[first], estimate.states[first][:, self._motors])
@@ -145,10 +145,10 @@ class OutputFeedback:
     episode.
 
     Args:
-        observer: estimates state and parameters. Its optional member `inconsistent`, (b,) flags, marks arms whose
-            readings it cannot explain.
+        observer: observer of states and parameters. Its optional member `inconsistent`, (b,) flags, marks arms whose
+            readings no model of the observer explains.
         law: tracking law.
-        fallback: controller that does not depend on a model, such as a PD; None for none.
+        fallback: controller without a model, such as a PD; None for no fallback.
     """
 
     state_fields = ("observer", "law", "fallback", "_fallback_active", "_updated", "_latest")
@@ -194,8 +194,8 @@ class OutputFeedback:
         torques = self.law.torques(estimate, active & ~self._fallback_active) - estimate.disturbance
         result = np.clip(torques / self.law.limits, -1.0, 1.0)
         if self.fallback and self._fallback_active.any():
-            safe = np.asarray(self.fallback.act(readings, applied, active), dtype=float)
-            result = np.where(self._fallback_active[:, None], safe, result)
+            fallback = np.asarray(self.fallback.act(readings, applied, active), dtype=float)
+            result = np.where(self._fallback_active[:, None], fallback, result)
         if not self._updated.any():
             self._latest = {}
         return result

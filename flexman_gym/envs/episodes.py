@@ -342,7 +342,8 @@ class Episodes:
     def _observe(self, arms: BoolArray) -> None:
         """Update the observations of the arms (b,)."""
         observed = self.measurements.read()
-        self.agent.observe(observed, self._readings() if self.agent.shows else {}, self.view.action.copy(), arms)
+        readings = self._readings() if self.agent.mode_observes else {}
+        self.agent.observe(observed, readings, self.view.action.copy(), arms)
 
     def _fail(self, arms: IntArray) -> None:
         for arm in arms[~self.over[arms]].tolist():

@@ -19,7 +19,7 @@ from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, read_settings
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.agent import Law
-from flexman_gym.control.base_controllers import BASES, parse_base
+from flexman_gym.control.base_controllers import BASES, parse_kind
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.control.network import Network
 from flexman_gym.envs.config.configuration import Configuration, current_name
@@ -71,7 +71,7 @@ def find_agent(agent: object) -> AgentSpec:
     if isinstance(agent, Controller) and not isinstance(agent, type):
         return AgentSpec(type(agent).__name__, None, {"base": agent})
     if isinstance(agent, dict):
-        return AgentSpec(parse_base(agent)[0], None, {"base": agent})
+        return AgentSpec(parse_kind("base", agent, BASES)[0], None, {"base": agent})
     if hasattr(agent, "predict") and not isinstance(agent, type):
         return predictor_agent(agent)
     name = str(agent)
@@ -193,7 +193,7 @@ def network_agent(name: str, network: Law, environment: Configuration, base_in_u
     agent = AgentSpec(name, network, interface, moved)
     if base_in_use is None:
         return _design_for(agent, environment)
-    parse_base(base_in_use)
+    parse_kind("base", base_in_use, BASES)
     interface.pop("gains", None)
     return replace(agent, interface={**interface, "base": base_in_use})
 

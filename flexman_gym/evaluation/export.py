@@ -183,7 +183,7 @@ def _onnx_model(network: Network, onnx: Any) -> Any:
         if i + 1 < len(network.layers):
             nodes.append(({"tanh": "Tanh", "relu": "Relu"}[network.activation], (f"s{i}",), f"h{i + 1}"))
     last = f"s{len(network.layers) - 1}"
-    nodes.append(("Tanh", (last,), "action") if network.bent else ("Clip", (last, "minus_one", "one"), "action"))
+    nodes.append(("Tanh", (last,), "action") if network.squashed else ("Clip", (last, "minus_one", "one"), "action"))
     helper, kind = onnx.helper, onnx.TensorProto.FLOAT
     inputs, outputs = [[helper.make_tensor_value_info(name, kind, ["b", size])]
             for name, size in (("observation", network.size), ("action", network.joints))]  # fmt: skip

@@ -91,7 +91,7 @@ def test_a_policy_acts_in_its_mode_wherever_it_plays(winding):
         alone.step(np.zeros((3, 2), dtype=np.float32))
     assert np.array_equal(asked, played) and np.abs(asked).max() > 0.01
     said = refusal(lambda: Agent(beside.configuration.sensors, 6, TorqueMode(2), law=network))
-    expected = "give an action mode of 1 numbers, as the policy has outputs"
+    expected = "give an action mode of 1 numbers, the number of outputs of the policy"
     assert said == f"actions: ('torque_1', 'torque_2') is not allowed; {expected}"
 
 

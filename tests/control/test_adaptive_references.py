@@ -8,10 +8,10 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control.references.adaptive_references import (
     CANDIDATE_DURATIONS,
+    PathReferences,
     SlewReferences,
-    adaptation_factors,
 )
-from flexman_gym.control.references.trajectories import slew_path
+from flexman_gym.control.references.trajectories import plan_slew
 from flexman_gym.model.dynamics import acceleration
 from flexman_gym.model.statics import rest_tips
 from flexman_gym.simulation.parameters import varied_model
@@ -70,10 +70,11 @@ def test_a_slew_without_an_estimate_of_the_payload_is_that_of_the_model():
 
 
 def test_a_flexible_arm_is_bent_as_on_a_minimum_jerk_slew():
-    """Without weight; what `slew_path` solves for at each moment comes from tables here, linear in the inertia."""
+    """Without weight; what a planned slew solves for at each moment comes from tables here, linear in the inertia."""
     own = fm.build_model(replace(arm(), gravity=(0.0, 0.0, 0.0)), 1, 1)
     slews = begun(own, (own.constants.payload_mass[0],))
-    path, lasting, d = slew_path(own, START[0], GOAL[0]), slews.duration[0], own.n_dof
+    path = plan_slew(own, START[0], GOAL[0], LIMITS, SHARE, 0.02).path
+    lasting, d = slews.duration[0], own.n_dof
     result, expected = [], []
     for now in times(slews, 21)[:, None]:
         state = slews.states(now, ONE)[0]
@@ -142,17 +143,24 @@ def test_arms_on_their_ways_do_not_touch_each_other():
 NODE = np.array([0.1])
 
 
+def adapted(own, nodes, parameters, arms):
+    """Interpolation weights, compliance and friction of arms (r,) on paths that rest, as they are estimated."""
+    paths = PathReferences(own, 0.02, nodes)
+    paths.begin(int(arms[-1]), np.tile(START, (6, 1)))
+    paths.adapt(arms, parameters)
+    return paths._weights[arms], paths._compliance[arms], paths._friction[arms]
+
+
 def weights_of(nodes, masses):
     """Interpolation weights of arms with payloads (r,) kg."""
-    return adaptation_factors(model(), nodes, {"payload_mass": masses}, np.arange(len(masses)))[0]
+    return adapted(model(), nodes, {"payload_mass": masses}, np.arange(len(masses)))[0]
 
 
 def test_payloads_between_nodes_are_weighed_by_a_parabola():
-    nodes = np.array([1.0, 2.0, 4.0])
-    masses = np.array([1.0, 2.0, 4.0, 3.3, 9.0])
+    nodes, masses = 0.05 * np.array([1.0, 2.0, 4.0]), 0.05 * np.array([1.0, 2.0, 4.0, 3.3, 9.0])
     weights = weights_of(nodes, masses)
     assert weights[:3] == pytest.approx(np.eye(3)) and np.array_equal(weights[4], weights[2]), "none beyond the last"
-    assert weights @ nodes**2 == pytest.approx(np.minimum(masses, 4.0) ** 2)
+    assert weights @ nodes**2 == pytest.approx(np.minimum(masses, nodes[2]) ** 2)
     assert np.array_equal(weights_of(nodes, masses[3:4]), weights[3:4])
     assert weights_of(nodes[:1], masses).tolist() == [[1.0]] * 5
 
@@ -189,23 +197,23 @@ def test_the_tip_of_an_arm_that_is_known_rests_where_that_of_the_model_would():
 def test_softness_is_how_much_further_springs_and_links_bend():
     """The same load: a rigid joint and links' sides of joints stay."""
     own = model()
-    assert adaptation_factors(own, NODE, {}, ONE)[1].tolist() == [[1.0] * own.n_dof]
+    assert adapted(own, NODE, {}, ONE)[1].tolist() == [[1.0] * own.n_dof]
     true = true_parameters(own)
     estimated = {name: true[name] for name in ("joint_stiffness", "link_stiffness_factor")}
-    result = adaptation_factors(own, NODE, estimated, ONE)[1][0]
+    result = adapted(own, NODE, estimated, ONE)[1][0]
     assert result[:2] == pytest.approx([1.25, 0.8]) and result[own.motor_columns] == pytest.approx([1.25, 0.8])
     for link, factor in enumerate(TRUE["link_stiffness_factor"]):
         assert result[own.elastic_columns(link)] == pytest.approx(1.0 / factor)
     stiff = fm.build_model(arm(stiffness=None, damping=0.0), 1, 1)
     given = {"joint_stiffness": np.zeros((1, 2))}
-    assert adaptation_factors(stiff, NODE, given, ONE)[1].tolist() == [[1.0] * stiff.n_dof]
+    assert adapted(stiff, NODE, given, ONE)[1].tolist() == [[1.0] * stiff.n_dof]
 
 
 def test_friction_is_that_of_the_estimate_and_where_there_is_none_that_of_the_model():
     own = model(**RUBBING)
-    assert adaptation_factors(own, NODE, {}, ONE)[2][0].tolist() == [[0.4, 0.4], [0.3, 0.3]]
+    assert adapted(own, NODE, {}, ONE)[2][0].tolist() == [[0.4, 0.4], [0.3, 0.3]]
     found = {"coulomb_friction": np.array([[0.0, 0.0], [0.1, 0.2]])}
-    assert adaptation_factors(own, NODE, found, np.array([1]))[2][0].tolist() == [[0.4, 0.4], [0.1, 0.2]]
+    assert adapted(own, NODE, found, np.array([1]))[2][0].tolist() == [[0.4, 0.4], [0.1, 0.2]]
 
 
 def test_a_slew_knows_the_friction_that_was_found():

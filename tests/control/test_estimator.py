@@ -82,7 +82,7 @@ def test_a_delay_that_is_known_is_the_delay(delay):
 
 def normalised_errors(observer, plant, parameters):
     """Errors of the numbers (b, p) of the arms' parameters, in the standard deviations that the observer has."""
-    numbers = observer.numbers + observer._change
+    numbers = observer.theta + observer._change
     known = len(observer.uncertain.names)
     columns = []
     for i, name in enumerate(observer.uncertain.names):
@@ -210,7 +210,7 @@ def test_encoders_that_are_off_are_found_out():
     actions = pushes(random, 66, 3, 1)
     observer = Estimator(plant, biased=True)
     estimate = bench.follow(observer, actions)[-1]
-    found = observer.numbers[:, observer._models.dynamic :] + observer._change[:, observer._models.dynamic :]
+    found = observer.theta[:, observer._models.dynamic :] + observer._change[:, observer._models.dynamic :]
     size = np.concatenate([ranges[name] for name in names])
     true = np.concatenate([biases[name] for name in names])
     assert np.abs((found - true) / size).max() < 1e-3
@@ -282,7 +282,7 @@ def test_its_trials_have_the_numbers_that_it_says():
     states, trials = observer._states.copy(), observer._models
     bench.step(np.full((2, 2), 0.2))
     observer._advance(np.arange(2), bench.applied)
-    numbers = trials.perturb(observer.numbers, observer._steps).reshape(-1, trials.size)
+    numbers = trials.perturb(observer.theta, observer._steps).reshape(-1, trials.size)
     alone = Batch(plant.model, *plant.integration, plant.period, arms=len(numbers))
     alone.vary(np.arange(len(numbers)), **trials.parameters(numbers))
     alone.reset(np.arange(len(numbers)), states.reshape(len(numbers), -1))

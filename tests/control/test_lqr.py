@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import flexman_gym as fm
 from flexman_gym.control import LQR, Controller, EpisodeInfo, TrackingLQR
-from flexman_gym.control.lqr import TORQUE_SHARE, CostWeights, lqr_gain
+from flexman_gym.control.lqr import FEEDFORWARD_FRACTION, CostWeights, lqr_gain
 from flexman_gym.control.references.trajectories import TIMING_LAWS, plan_path, plan_slew
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
@@ -204,7 +204,7 @@ def followed_gains(controller, start, goal):
     They are what the torques of arms that are off the plan in one number each differ by.
     """
     model, size = controller.model, 2 * controller.model.n_dof
-    slew = plan_slew(model, start, goal, controller.limits, TORQUE_SHARE, controller.period)
+    slew = plan_slew(model, start, goal, controller.limits, FEEDFORWARD_FRACTION, controller.period)
     off = np.vstack([np.zeros(size), np.eye(size)])
     goals = np.repeat(goal[None], size + 1, 0)
     controller.reset(np.arange(size + 1), EpisodeInfo(np.repeat(start[None], size + 1, 0), goals, PERIOD), size + 1)
@@ -243,8 +243,8 @@ def test_feed_forward_leaves_a_part_of_the_limits_for_feedback():
     controller = designed(TrackingLQR)
     starts, goals = postures(controller, 1)
     controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD), 1)
-    asked = np.array([controller.act({"state": state}) for state in controller._plans[0].states])
-    assert 0.9 * TORQUE_SHARE < np.abs(asked).max() <= 1.01 * TORQUE_SHARE < 0.97
+    asked = np.array([controller.act({"state": state}) for state in controller._schedules[0].states])
+    assert 0.9 * FEEDFORWARD_FRACTION < np.abs(asked).max() <= 1.01 * FEEDFORWARD_FRACTION < 0.97
 
 
 def test_along_a_path_gains_and_torques_are_those_of_the_moment():
@@ -271,7 +271,7 @@ def test_on_its_plan_the_tracking_one_only_feeds_forward():
     controller = designed(TrackingLQR)
     starts, goals = postures(controller, 1)
     controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD), 1)
-    states, torques, gains, _ = controller._plans[0]
+    states, torques, gains, _ = controller._schedules[0]
     assert len(torques) == len(states) and len(gains) == 3
     for state, torque in zip(states, torques, strict=True):
         assert np.array_equal(controller.act({"state": state}), torque / controller.limits)
@@ -323,11 +323,12 @@ def test_weights_are_parts_of_the_reach():
 @pytest.mark.parametrize("law", TIMING_LAWS)
 def test_a_slew_has_the_law_that_is_asked_for(law):
     plain = designed(TrackingLQR)
-    controller = TrackingLQR(plain.model, plain.limits, PERIOD, law=law)
+    controller = TrackingLQR(plain.model, plain.limits, PERIOD, timing_law=law)
     starts, goals = postures(controller, 1)
     controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD), 1)
-    slew = plan_slew(controller.model, starts[0], goals[0], controller.limits, TORQUE_SHARE, PERIOD, law)
-    assert np.array_equal(controller._plans[0].states, slew.states) and (plain.law == law) == (law == "minimum-jerk")
+    slew = plan_slew(controller.model, starts[0], goals[0], controller.limits, FEEDFORWARD_FRACTION, PERIOD, law)
+    assert np.array_equal(controller._schedules[0].states, slew.states)
+    assert (plain.timing_law == law) == (law == "minimum-jerk")
 
 
 def test_bad_arguments_are_refused_in_one_line():
@@ -335,5 +336,5 @@ def test_bad_arguments_are_refused_in_one_line():
     assert refusal(LQR, "arm", 1.0, 0.02) == "model: 'arm' is not allowed; give a Model, from build_model"
     assert refusal(LQR, model, -1.0, 0.02).startswith("torque_limit: -1.0 is not allowed; give a finite number > 0")
     assert refusal(TrackingLQR, model, (1.0, 2.0), 0.02).startswith("torque_limit: (1.0, 2.0) is not allowed; give 1")
-    assert refusal(TrackingLQR, model, 1.0, 0.02, None, "s").startswith("law: 's' is not allowed; give one of minimum-")
+    assert refusal(TrackingLQR, model, 1.0, 0.02, None, "s").startswith("timing_law: 's' is not allowed; give one of m")
     assert refusal(LQR, model, 1.0, 0).startswith("period: 0 is not allowed; give a finite number > 0 (s)")

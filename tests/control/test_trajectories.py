@@ -15,8 +15,6 @@ from flexman_gym.control.references.trajectories import (
     plan_path,
     plan_slew,
     plan_via,
-    slew_path,
-    via_path,
 )
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
@@ -179,7 +177,7 @@ def test_the_slew_of_a_rigid_link_takes_the_time_of_its_closed_form(law, peak, w
 
 def peak_share(path, duration, limits):
     """The largest torque of a path as a part of the limits, where it is looked at."""
-    return np.abs(path.at(path.parts, duration)[1] / limits).max()
+    return np.abs(path.at(path.check_points, duration)[1] / limits).max()
 
 
 @pytest.mark.parametrize("law", TIMING_LAWS)
@@ -193,9 +191,9 @@ def test_a_slew_keeps_to_its_share_of_the_limits_and_takes_all_of_it(name, law):
         assert slew.states[0] == pytest.approx(fm.rest_state(model, start), abs=1e-12)
         assert slew.states[-1] == pytest.approx(fm.rest_state(model, goal), abs=1e-12)
         assert np.abs(slew.torques / limits).max() <= 1.01 * SHARE
-        path, duration = slew_path(model, start, goal, law), setup.control_period * len(slew.torques)
-        assert peak_share(path, duration, limits) <= SHARE
-        assert peak_share(path, duration - setup.control_period, limits) > SHARE
+        duration = setup.control_period * len(slew.torques)
+        assert peak_share(slew.path, duration, limits) <= SHARE
+        assert peak_share(slew.path, duration - setup.control_period, limits) > SHARE
         assert slew.states.shape == (len(slew.torques) + 1, 2 * model.n_dof)
 
 
@@ -203,8 +201,8 @@ def test_a_slew_of_a_soft_arm_is_timed_as_it_bends():
     """A load that bends the links of this one takes a third more torque than those of a slow slew by 1 / T^2."""
     model = fm.build_model(fm.catalog.planar_2r(payload=fm.Payload(10.0)), 2)
     start, goal, limits = np.array([0.0, 1.2]), np.array([1.5, -1.2]), np.full(2, 20.0)
-    duration = PERIOD * len(plan_slew(model, start, goal, limits, SHARE, PERIOD).torques)
-    path = slew_path(model, start, goal)
+    slew = plan_slew(model, start, goal, limits, SHARE, PERIOD)
+    path, duration = slew.path, PERIOD * len(slew.torques)
     assert (60.0 / duration) ** 2 * peak_share(path, 60.0, limits) < 0.8 * SHARE
     assert peak_share(path, duration, limits) <= SHARE < peak_share(path, duration - PERIOD, limits)
 
@@ -215,12 +213,9 @@ def test_links_on_the_way_are_bent_as_far_as_inertia_and_weight_ask(name):
     setup = Configuration.from_keywords({"name": name})
     model, limits, random = resolve_fidelity(setup).model, np.array(setup.torque_limit), np.random.default_rng(1)
     start, goal = random.uniform(-0.8, 0.8, (2, model.n_joints))
-    duration = setup.control_period * len(plan_slew(model, start, goal, limits, SHARE, setup.control_period).torques)
-    n, path, elastic = (
-        model.n_joints,
-        slew_path(model, start, goal),
-        slice(model.n_joints + model.n_motors, model.n_dof),
-    )
+    slew = plan_slew(model, start, goal, limits, SHARE, setup.control_period)
+    path, duration = slew.path, setup.control_period * len(slew.torques)
+    n, elastic = model.n_joints, slice(model.n_joints + model.n_motors, model.n_dof)
     way = (fm.rest_state(model, goal) - fm.rest_state(model, start))[:n]
     for part in np.linspace(0.0, 1.0, 9):
         _, speed, change = (each[0] for each in TIMING_LAWS["minimum-jerk"].at(np.array([part])))
@@ -238,7 +233,7 @@ def test_a_slow_slew_is_a_sequence_of_places_of_rest():
     setup = Configuration.from_keywords({"name": "FlexPlanar-v0"})
     model = resolve_fidelity(setup).model
     start, goal = np.array([-0.5, 0.2]), np.array([0.6, -0.4])
-    path = slew_path(model, start, goal)
+    path = plan_slew(model, start, goal, np.array(setup.torque_limit), SHARE, setup.control_period).path
     first, last = (fm.rest_state(model, posture)[:2] for posture in (start, goal))
     for part in (0.0, 0.3, 1.0):
         x, torques = (each[0] for each in path.at(np.array([part]), 1e4))
@@ -269,7 +264,7 @@ def test_a_goal_whose_weight_is_too_much_is_refused_in_one_line():
 def test_other_laws_and_postures_are_refused_in_one_line():
     model, arguments = rigid(), (np.ones(1), SHARE, PERIOD)
     line = refusal(plan_slew, model, np.zeros(1), np.ones(1), *arguments, "cubic")
-    assert line == "law: 'cubic' is not allowed; give one of minimum-jerk, trapezoid, double-s"
+    assert line == "timing_law: 'cubic' is not allowed; give one of minimum-jerk, trapezoid, double-s"
     for postures in ([[0.0]], [[0.0], [1.0], [1.0]]):
         line = refusal(plan_via, model, np.array(postures), *arguments)
         assert line == f"postures: {postures} is not allowed; give at least two, no two equal in succession"
@@ -293,7 +288,7 @@ def test_a_spline_passes_its_postures_in_their_order_within_the_limits(name):
     assert gaps.min(axis=0).max() <= 1e-9 and (np.diff(rows) > 0).all() and rows[[0, -1]].tolist() == [0, len(gaps) - 1]
     assert np.array_equal(motion.states[[0, -1]], rests[[0, -1]])
     assert 0.9 * SHARE < np.abs(motion.torques / limits).max() <= 1.01 * SHARE
-    path = via_path(model, postures, len(motion.torques))
+    path = motion.path
     assert peak_share(path, setup.control_period * len(motion.torques), limits) <= SHARE
     held = np.array([fm.holding_torques(model, posture) for posture in postures[[0, -1]]])
     assert path.at(np.array([0.0, 1.0]), 1.0)[1] == pytest.approx(held, abs=1e-6 * limits.max())
@@ -301,8 +296,8 @@ def test_a_spline_passes_its_postures_in_their_order_within_the_limits(name):
 
 def test_a_spline_has_continuous_accelerations_that_are_its_slopes():
     model = fm.build_model(fm.catalog.planar_2r(), flexible_links=False)
-    path, h = via_path(model, wandering(model, 5), 500), 1e-5
-    before, now, after = (path.motion(path.parts[1:-1] + step) for step in (-h, 0.0, h))
+    path, h = plan_via(model, wandering(model, 5), np.full(2, 20.0), SHARE, PERIOD).path, 1e-5
+    before, now, after = (path.motion(path.check_points[1:-1] + step) for step in (-h, 0.0, h))
     for order in (0, 1):
         slope = (after[order] - before[order]) / (2.0 * h)
         assert np.abs(slope - now[order + 1]).max() <= 1e-3 * np.abs(now[order + 1]).max()
@@ -313,7 +308,8 @@ def test_a_spline_has_continuous_accelerations_that_are_its_slopes():
 def test_postures_that_nearly_meet_are_a_period_apart():
     model = fm.build_model(fm.catalog.planar_2r(), flexible_links=False)
     postures = np.array([[0.0, 0.0], [0.5, 0.2], [0.5, 0.2 + 1e-9], [0.5, 0.2 + 2e-9], [0.8, 0.8], [0.8, 0.8 + 1e-9]])
-    angles = via_path(model, postures, 40).motion(np.linspace(0.0, 1.0, 41))[0]
+    plan = plan_via(model, postures, np.full(2, 20.0), SHARE, PERIOD)
+    angles = plan.path.motion(np.linspace(0.0, 1.0, len(plan.states)))[0]
     rows = np.abs(angles[:, None] - postures).max(axis=2).argmin(axis=0)
     assert (np.diff(rows) >= 1).all() and np.abs(angles[rows] - postures).max() <= 1e-12
 
@@ -325,14 +321,10 @@ def test_a_rigid_arm_is_fed_what_inverse_dynamics_asks(name):
     arm = replace(arm, gravity=(0.3, -0.2, -9.81), payload=fm.Payload(3.0))
     model = fm.build_model(arm, flexible_links=False, flexible_joints=False)
     postures, limits = wandering(model, 4), np.full(model.n_joints, 8000.0)
-    plans = [
-        (slew_path(model, *postures[:2], law), plan_slew(model, *postures[:2], limits, SHARE, PERIOD, law))
-        for law in TIMING_LAWS
-    ]
-    spline = plan_via(model, postures, limits, SHARE, PERIOD)
-    for path, plan in [*plans, (via_path(model, postures, len(spline.torques)), spline)]:
+    plans = [plan_slew(model, *postures[:2], limits, SHARE, PERIOD, law) for law in TIMING_LAWS]
+    for plan in [*plans, plan_via(model, postures, limits, SHARE, PERIOD)]:
         count = len(plan.torques)
-        motion = path.motion((np.arange(count) + 0.5) / count)
+        motion = plan.path.motion((np.arange(count) + 0.5) / count)
         scaled = zip(*(each / (PERIOD * count) ** order for order, each in enumerate(motion)), strict=True)
         expected = np.array([fm.inverse_dynamics(model, *each) for each in scaled])
         assert np.abs(plan.torques - expected).max() <= 1e-9 * limits[0]
@@ -356,6 +348,6 @@ def test_joints_do_not_turn_far_for_what_an_outstretched_arm_cannot_reach():
     model, (first, second) = fm.build_model(arm, flexible_links=False), (link.length for link in arm.links)
     rest, place = (fm.rest_state(model, np.array([0.0, elbow]))[: model.n_dof] for elbow in (0.3, 1e-3))
     slopes, across = np.array([first + second, second]), second * (np.sin(0.3) - np.sin(1e-3))
-    assert DeflectionCompensation(model).turn(rest, place) == pytest.approx(
+    assert DeflectionCompensation(model).rotation(rest, place) == pytest.approx(
         across * slopes / (slopes @ slopes), rel=5e-3
     )

@@ -1,8 +1,8 @@
 """Input shapers: modes excited by the motors, impulse sequences, and residual vibration over postures and payloads.
 
-A shaper delays the command: its last impulse follows the first by 0.5 (ZV), 0.75 (MZV), 1 (ZVD, EI) or 1.5 (two-hump
-EI) periods of the mode. The lowest mode of `FlexRRR-v0` with held motors is at about 0.3 Hz, so that the delay is 1.5
-to 4.6 s.
+A shaper delays the command: its last impulse follows the first by 0.5 (ZV, zero vibration), 0.75 (MZV, modified ZV),
+1 (ZVD, ZV and derivative; EI, extra-insensitive) or 1.5 (two-hump EI) periods of the mode. The lowest mode of
+`FlexRRR-v0` with held motors is at about 0.3 Hz, so that the delay is 1.5 to 4.6 s.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,77 +17,76 @@ from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.vibration import Eigenpairs, equilibrium_matrices, oscillatory_modes
 from flexman_gym.simulation.parameters import varied_model
 
-RIGID_MODE_RATIO = 0.5  # of the lowest mode with held motors; slower modes are rigid-body motion of the arm
+RIGID_MODE_RATIO = 0.5  # fraction of the lowest frequency with held motors; slower modes are rigid-body motion
 RATIO_ROUNDING = 1e-9  # 1; smaller damping ratios are set to 0
-MIN_TIP_AMPLITUDE = 1e-3  # relative to the largest tip amplitude of a mode; smaller ones are omitted
+MIN_TIP_AMPLITUDE = 1e-3  # fraction of the largest tip amplitude; modes with smaller amplitudes are omitted
 
 
 def excited_modes(model: Model, posture: Vector, held: bool = True) -> Array:
     """Return the modes (k, 3) excited by the motors and observable at the tip of an arm at rest, the lowest first.
 
-    A mode is a pair of complex eigenvalues s of the linear model, see `model.vibration`. Its columns are the natural
+    A mode is a pair of complex eigenvalues s of the linear model, see `model.vibration`. The columns are the natural
     frequency |s| / (2 pi), Hz; the damping ratio -Re s / |s|; and the largest tip amplitude caused by one motor: in m
     after a step of 1 rad of a held motor, or after an impulse of 1 N m s on a free one. Constraints raise frequencies
-    (Rayleigh), so that free motors have no mode below the lowest one with held motors, except for the arm turning, or
-    swinging under gravity, as a whole; that mode is omitted.
+    (Rayleigh), so that an arm with free motors has no mode below the lowest mode with held motors, except for rotation,
+    or the pendulum motion under gravity, of the whole arm, which is omitted.
 
     Args:
-        model: of the arm.
+        model: model of the arm.
         posture: (n,) motor angles, rad.
-        held: True for motors held in position; False for free motors under the holding torques.
+        held: True for motors held in position; False for motors free to turn under constant holding torques.
 
     Returns:
         Frequency (Hz), damping ratio and tip amplitude of each mode, (k, 3).
 
     Raises:
-        ValueError: for a posture of wrong shape, and for an arm too soft for an equilibrium.
+        ValueError: for a posture of wrong shape, and for an arm without an equilibrium.
     """
     resting = equilibrium_matrices(check_model(model), posture)
     motors, others = resting.motors, resting.free
     inertia, springs = (matrix[np.ix_(others, others)] for matrix in (resting.mass, resting.stiffness))
     result = np.zeros((0, 3))
     if len(others):
-        # a step moves the link with its motor; springs pull it to the equilibrium
-        carried = -np.linalg.solve(inertia, resting.mass[np.ix_(others, motors)])
-        starts = carried + np.linalg.solve(springs, resting.stiffness[np.ix_(others, motors)])
+        # a step of a motor moves the links at once by inertia; springs then pull them to the equilibrium
+        inertial = -np.linalg.solve(inertia, resting.mass[np.ix_(others, motors)])
+        starts = inertial + np.linalg.solve(springs, resting.stiffness[np.ix_(others, motors)])
         eigen = oscillatory_modes(resting, others)
-        lost = resting.damping[np.ix_(others, others)]
-        caused = [shape @ (value * inertia + lost) @ starts for value, shape in zip(*eigen, strict=True)]
-        result = _observable_modes(eigen, np.array(caused), resting.tip[:, others])
+        damping = resting.damping[np.ix_(others, others)]
+        excited = [shape @ (value * inertia + damping) @ starts for value, shape in zip(*eigen, strict=True)]
+        result = _observable_modes(eigen, np.array(excited), resting.tip[:, others])
     if flag("held", held) or not len(result):
         return result
-    every = np.arange(model.n_dof)
-    eigen = oscillatory_modes(resting, every)
+    eigen = oscillatory_modes(resting, np.arange(model.n_dof))
     above = np.abs(eigen.values) > 2.0 * np.pi * RIGID_MODE_RATIO * result[0, 0]
     return _observable_modes(
         Eigenpairs(eigen.values[above], eigen.shapes[above]), eigen.shapes[np.ix_(above, motors)], resting.tip
     )
 
 
-def _observable_modes(eigen: Eigenpairs, caused: Array, tip: Array) -> Array:
-    """Return the modes (k, 3) with a sufficient tip amplitude, of those excited by the motors (k, n)."""
-    tip_amplitudes = 2.0 * np.linalg.norm(eigen.shapes @ tip.T, axis=1) * np.abs(caused).max(axis=1, initial=0.0)
+def _observable_modes(eigen: Eigenpairs, amplitudes: Array, tip: Array) -> Array:
+    """Return the modes (k, 3) with sufficient tip amplitude, from complex modal amplitudes by each motor (k, n)."""
+    tip_amplitudes = 2.0 * np.linalg.norm(eigen.shapes @ tip.T, axis=1) * np.abs(amplitudes).max(axis=1, initial=0.0)
     kept = np.flatnonzero(tip_amplitudes > MIN_TIP_AMPLITUDE * tip_amplitudes.max(initial=0.0))
-    sizes = np.abs(eigen.values)
-    kept = kept[np.argsort(sizes[kept])]
-    ratios = -eigen.values[kept].real / sizes[kept]
+    rates = np.abs(eigen.values)
+    kept = kept[np.argsort(rates[kept])]
+    ratios = -eigen.values[kept].real / rates[kept]
     ratios[np.abs(ratios) < RATIO_ROUNDING] = 0.0
-    return np.transpose([sizes[kept] / (2.0 * np.pi), ratios, tip_amplitudes[kept]])
+    return np.transpose([rates[kept] / (2.0 * np.pi), ratios, tip_amplitudes[kept]])
 
 
 DEFAULT_TOLERANCE = 0.05  # 1; residual vibration tolerated by EI shapers
-EI_ITERATIONS = 8  # for the parameter of an EI shaper; each reduces the error by a factor of ten or more
+EI_ITERATIONS = 8  # iterations for the amplitudes of a damped EI shaper; each reduces the error at least tenfold
 SQRT_2 = np.sqrt(2.0)
 
 
 def _two_hump(v: float) -> tuple[float, ...]:
-    """Return the undamped amplitudes of the two-hump EI shaper for a tolerated residual."""
+    """Return the undamped amplitudes of the two-hump EI shaper for a tolerated residual v (1)."""
     x = (v**2 * (np.sqrt(1.0 - v**2) + 1.0)) ** (1.0 / 3.0)
     outer = (3.0 * x**2 + 2.0 * x + 3.0 * v**2) / (16.0 * x)
     return outer, 0.5 - outer, 0.5 - outer, outer
 
 
-# name -> periods of the mode between two impulses, and undamped amplitudes as a function of the tolerated residual
+# name -> time between two impulses in periods of the mode; undamped amplitudes as a function of the tolerated residual
 # ZV and ZVD: Singer and Seering, J. of Dynamic Systems, Measurement, and Control 112 (1990), 76. EI: Singhose, Seering
 # and Singer, J. of Mechanical Design 116 (1994), 654. Two-hump EI: Singhose, Porter, Tuttle and Singer, J. of Dynamic
 # Systems, Measurement, and Control 119 (1997), 320. MZV: three impulses in three quarters of a period, as in printers
@@ -105,8 +104,8 @@ class Shaper(NamedTuple):
     """Impulse sequence with which a command is convolved.
 
     Attributes:
-        times: (k,) s, the first 0.
-        amplitudes: (k,) with sum 1.
+        times: (k,) times of the impulses, s; the first is 0.
+        amplitudes: (k,) amplitudes of the impulses, with sum 1.
     """
 
     times: Array
@@ -116,9 +115,9 @@ class Shaper(NamedTuple):
 def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: float = DEFAULT_TOLERANCE) -> Shaper:
     """Design a shaper for one mode.
 
-    With damping, amplitudes decrease with the decay of the mode from impulse to impulse, so that ZV, MZV, ZVD and
-    two-hump EI still cancel the vibration. An EI shaper leaves the tolerated residual at the mode and nearly none on
-    both sides.
+    With damping, the amplitudes decrease with the decay of the mode from impulse to impulse, so that ZV, MZV, ZVD and
+    two-hump EI still cancel the vibration. An EI shaper has the tolerated residual at the frequency of the mode and
+    nearly zero residual at a lower and a higher frequency.
 
     Args:
         name: name in `SHAPERS`.
@@ -130,7 +129,7 @@ def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: fl
         Shaper whose first impulse is at 0 s.
 
     Raises:
-        ValueError: also for a damping ratio at which EI impulses would be negative.
+        ValueError: for arguments out of range, and for a damping ratio with negative EI impulses.
     """
     spacing, amplitudes = SHAPERS[one_of("shaper", name, SHAPERS)]
     rate = 2.0 * np.pi * physical("frequency", frequency, "Hz")
@@ -140,18 +139,18 @@ def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: fl
         raise value_error("tolerance", tolerance, "a number > 0 and < 1")
     count = len(amplitudes(tolerance))
     times = spacing * np.arange(count) * 2.0 * np.pi / (rate * np.sqrt(1.0 - ratio**2))
-    decay, own = np.exp(-ratio * rate * times), tolerance
-    # the residual decays too, relative to impulses with sum 1
+    decay, corrected = np.exp(-ratio * rate * times), tolerance
+    # the tolerance is relative to impulses with sum 1, whose residual decays as well
     for _ in range(EI_ITERATIONS if name.endswith("ei") else 1):
-        if not own < 1.0:
+        if not corrected < 1.0:
             raise value_error("ratio", ratio, f"a mode with less damping, or no {name}: its impulses would be negative")
-        weighted = np.array(amplitudes(own)) * decay
-        own = tolerance * float(weighted.sum() / decay[-1])
+        weighted = np.array(amplitudes(corrected)) * decay
+        corrected = tolerance * float(weighted.sum() / decay[-1])
     return Shaper(times, weighted / weighted.sum())
 
 
 def convolve_shapers(first: Shaper, second: Shaper) -> Shaper:
-    """Return the convolution of two shapers, which cancels the modes of both and has the sum of their durations."""
+    """Return the convolution of two shapers, a shaper for the modes of both, whose delay is the sum of both delays."""
     times = np.add.outer(first.times, second.times).ravel()
     order = np.argsort(times, kind="stable")
     return Shaper(times[order], np.outer(first.amplitudes, second.amplitudes).ravel()[order])
@@ -164,46 +163,46 @@ def shaper_residual(shaper: Shaper, frequency: float | Array, ratio: float = 0.0
     ratio r and damped frequency w_d.
 
     Args:
-        shaper: with its last impulse at t_k.
-        frequency: Hz, a number or an array.
-        ratio: damping ratio.
+        shaper: shaper with impulses A_i at times t_i, i = 1 to k.
+        frequency: natural frequency of the mode, Hz, a number or an array.
+        ratio: damping ratio of the mode.
 
     Returns:
         Residual, %, with the shape of `frequency`.
     """
     rate = 2.0 * np.pi * np.asarray(frequency, dtype=np.float64)
     pole = rate * (ratio + 1j * np.sqrt(1.0 - ratio**2))
-    grown_since = np.exp(np.multiply.outer(shaper.times, pole) - shaper.times[-1] * pole.real)
-    return 100.0 * np.abs(np.tensordot(shaper.amplitudes, grown_since, 1))
+    growth = np.exp(np.multiply.outer(shaper.times, pole) - shaper.times[-1] * pole.real)
+    return 100.0 * np.abs(np.tensordot(shaper.amplitudes, growth, 1))
 
 
 def sample_shaper(shaper: Shaper, period: float) -> Array:
-    """Return the fractions (m,) of a command that are delayed by 0, 1, ... control periods.
+    """Return the sampled shaper: the fractions (m,) of a command that are delayed by 0, 1, ... control periods.
 
     An impulse between two samples is split linearly between them. At a natural frequency w this adds at most
     100 (w period)^2 / 8 percent of residual: 0.02 % at 0.3 Hz and 20 ms.
 
     Args:
-        shaper: with impulses at any times.
+        shaper: shaper with impulses at any times.
         period: control period, s.
 
     Returns:
         Fractions (m,) with sum 1.
     """
-    places = shaper.times / positive("period", period, "s")
-    lower = np.floor(places).astype(int)
+    delays = shaper.times / positive("period", period, "s")  # control periods
+    lower = np.floor(delays).astype(int)
     result = np.zeros(lower[-1] + 2)
-    np.add.at(result, lower, shaper.amplitudes * (1.0 - places + lower))
-    np.add.at(result, lower + 1, shaper.amplitudes * (places - lower))
+    np.add.at(result, lower, shaper.amplitudes * (1.0 - delays + lower))
+    np.add.at(result, lower + 1, shaper.amplitudes * (delays - lower))
     return result
 
 
-TOLERATED_RESIDUAL = 5.0  # %; residual of a mode within the tolerated frequency errors
-TOLERANCE_SLACK = 1.02  # 1; factor of it, since damped EI shapers slightly exceed the tolerance at the mode
+TOLERATED_RESIDUAL = 5.0  # %; largest residual of a mode within the tolerated frequency errors
+TOLERANCE_SLACK = 1.02  # 1; factor of TOLERATED_RESIDUAL, which damped EI shapers slightly exceed at the mode
 TIP_VIBRATION_LIMIT = 10.0  # %; largest residual tip vibration of a recommended shaper
-EVALUATED_MODES = 3  # number of lowest modes
-MAX_FREQUENCY_ERROR = 0.9  # relative; largest error examined
-FREQUENCY_ERROR_STEP = 0.0005  # relative
+EVALUATED_MODES = 3  # number of the lowest modes in an evaluation
+MAX_FREQUENCY_ERROR = 0.9  # 1; largest relative error of a frequency in an evaluation
+FREQUENCY_ERROR_STEP = 0.0005  # 1; resolution of the relative error
 
 
 class OperatingPoint(NamedTuple):
@@ -211,7 +210,7 @@ class OperatingPoint(NamedTuple):
 
     Attributes:
         posture: (n,) motor angles, rad.
-        payload: kg.
+        payload: mass of the payload, kg.
         held: (k, 3) modes with held motors, see `excited_modes`.
         free: (k, 3) modes with free motors.
     """
@@ -223,15 +222,16 @@ class OperatingPoint(NamedTuple):
 
 
 class ShaperEvaluation(NamedTuple):
-    """Residual vibration of a shaper, designed for one or two modes of one operating point, over all operating points.
+    """Residual vibration, over all operating points, of a shaper designed for one or two modes of one operating point.
 
     Attributes:
-        name: of the shaper.
-        modes: number of lowest modes in the design.
-        delay: from the first impulse to the last, s.
-        tolerated_errors: (low, high) relative errors of the frequencies with at most TOLERATED_RESIDUAL of each mode.
-        residuals: (cases, k) residual of each mode, %.
-        tip: (cases,) residual tip vibration after a step of the motors, with all modes in phase, %.
+        name: name of the shaper in `SHAPERS`.
+        modes: number of modes in the design, 1 or 2.
+        delay: time from the first impulse to the last, s.
+        tolerated_errors: (low, high) relative errors of the frequencies, with a residual of each mode of the design of
+            at most TOLERATED_RESIDUAL.
+        residuals: (points, k) residual of each mode, %.
+        tip: (points,) residual tip vibration after a step of the motors, with all modes in phase, %.
     """
 
     name: str
@@ -257,9 +257,9 @@ class _ShaperComparison(NamedTuple):
     """Comparison of all shapers.
 
     Attributes:
-        median: operating point with the median lowest frequency with held motors.
-        evaluations: first of all shapers for one mode of the median point, then for two.
-        recommended: evaluation of shortest delay with at most TIP_VIBRATION_LIMIT in every case, or None.
+        median: operating point with the median of the lowest frequencies with held motors.
+        evaluations: evaluations of all shapers for one mode of the median point, then of all shapers for two modes.
+        recommended: evaluation with the shortest delay and at most TIP_VIBRATION_LIMIT at every point, or None.
     """
 
     median: OperatingPoint
@@ -267,40 +267,36 @@ class _ShaperComparison(NamedTuple):
     recommended: ShaperEvaluation | None
 
 
-def compare_shapers(cases: Sequence[OperatingPoint]) -> _ShaperComparison:
-    """Evaluate all shapers over operating points, each with at least one mode with held motors; recommend one."""
-    median = sorted(cases, key=lambda case: float(case.held[0, 0]))[len(cases) // 2]
+def compare_shapers(points: Sequence[OperatingPoint]) -> _ShaperComparison:
+    """Evaluate all shapers over operating points, each with at least one mode with held motors; recommend a shaper."""
+    median = sorted(points, key=lambda point: float(point.held[0, 0]))[len(points) // 2]
     counts = [count for count in (1, 2) if count <= len(median.held)]
-    found = [_evaluate_shaper(name, median.held[:count], cases) for count in counts for name in SHAPERS]
+    found = [_evaluate_shaper(name, median.held[:count], points) for count in counts for name in SHAPERS]
     feasible = [evaluation for evaluation in found if evaluation.tip.max() <= TIP_VIBRATION_LIMIT]
     return _ShaperComparison(median, found, min(feasible, key=lambda evaluation: evaluation.delay, default=None))
 
 
-def _evaluate_shaper(name: str, modes: Array, cases: Sequence[OperatingPoint]) -> ShaperEvaluation:
-    """Return the evaluation of a shaper for given modes (k, 3) of its design."""
+def _evaluate_shaper(name: str, modes: Array, points: Sequence[OperatingPoint]) -> ShaperEvaluation:
+    """Return the evaluation of a shaper designed for modes (k, 3)."""
     shaper = reduce(convolve_shapers, [design_shaper(name, frequency, ratio) for frequency, ratio, _ in modes.tolist()])
-    most = min(len(case.held) for case in cases)
-    left, tips = [], []
-    for case in cases:
-        each = np.array(
-            [float(shaper_residual(shaper, frequency, ratio)) for frequency, ratio, _ in case.held.tolist()]
-        )
-        left.append(each[:most])
-        tips.append(float(each @ case.held[:, 2] / case.held[:, 2].sum()))
-    delay = float(shaper.times[-1])
-    return ShaperEvaluation(
-        name, len(modes), delay, _tolerated_frequency_errors(shaper, modes), np.array(left), np.array(tips)
-    )
+    count = min(len(point.held) for point in points)
+    residuals, tips = [], []
+    for point in points:
+        each = np.array([float(shaper_residual(shaper, *mode[:2])) for mode in point.held.tolist()])
+        residuals.append(each[:count])
+        tips.append(float(each @ point.held[:, 2] / point.held[:, 2].sum()))
+    delay, errors = float(shaper.times[-1]), _tolerated_frequency_errors(shaper, modes)
+    return ShaperEvaluation(name, len(modes), delay, errors, np.array(residuals), np.array(tips))
 
 
 def _tolerated_frequency_errors(shaper: Shaper, modes: Array) -> tuple[float, float]:
     """Return the relative errors (low, high) of the frequencies of modes (k, 3); see `ShaperEvaluation`."""
-    steps = np.arange(0.0, MAX_FREQUENCY_ERROR, FREQUENCY_ERROR_STEP)
+    errors = np.arange(0.0, MAX_FREQUENCY_ERROR, FREQUENCY_ERROR_STEP)
     result = []
     for sign in (-1.0, 1.0):
-        left = [
-            shaper_residual(shaper, frequency * (1.0 + sign * steps), ratio) for frequency, ratio, _ in modes.tolist()
+        residuals = [
+            shaper_residual(shaper, frequency * (1.0 + sign * errors), ratio) for frequency, ratio, _ in modes.tolist()
         ]
-        over = np.append((np.array(left) > TOLERANCE_SLACK * TOLERATED_RESIDUAL).any(axis=0), True)
+        over = np.append((np.array(residuals) > TOLERANCE_SLACK * TOLERATED_RESIDUAL).any(axis=0), True)
         result.append(sign * FREQUENCY_ERROR_STEP * max(int(np.argmax(over)) - 1, 0))
     return result[0], result[1]

@@ -1,4 +1,4 @@
-"""Output-error estimator: joint estimation of states, uncertain parameters, start angles and delay."""
+"""Output-error estimator: joint estimation of states, uncertain parameters, start angles, biases and delay."""
 
 from collections.abc import Mapping, Sequence
 
@@ -20,38 +20,40 @@ from flexman_gym.control.observers.perturbed_models import (
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import rest_state
 
-RESIMULATION_PERIODS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods; age of an episode
-LAST_DELAY_SEARCH = 20  # control period; the delay is fitted at resimulations up to here
-UPDATE_INTERVAL = 5  # control periods between two shifts of the models to the estimate
-START_ANGLE_DEVIATION = 1e-4  # rad; standard deviation of start angles that are given
-MAX_STATE = 100.0  # largest entry of a usable state of a model
+RESIMULATION_PERIODS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods since the start of an episode
+LAST_DELAY_SEARCH = 20  # control periods since the start; last resimulation at which the delay is estimated
+UPDATE_INTERVAL = 5  # control periods between two updates of the models to the estimate
+START_ANGLE_DEVIATION = 1e-4  # rad; prior standard deviation of start angles given by `EpisodeInfo`
+MAX_STATE = 100.0  # largest magnitude of an entry of the state of a model that has not diverged
 MAX_PERTURBATION = 0.5  # rad; difference of motor angles beyond which perturbations are reduced
-DETECTION_START = 25  # control periods at the start of an episode without change detection
-START_ANGLE_BOUND = 10.0  # standard deviations; largest estimated deviation of a start angle
+DETECTION_START = 25  # control periods from the start of an episode to the start of change detection
+START_ANGLE_BOUND = 10.0  # prior standard deviations; bound of the estimate of a start angle
 
 
 class Estimator:
-    """Output-error observer: parameters, start angles and delay are fitted to all measurements of the episode.
+    """Output-error observer: a parameter vector theta and the delay are fitted to all measurements of the episode.
 
-    The model has no process noise: the motion follows from parameters, start and applied torques. Perturbed models,
-    one for each fitted number, move alongside the estimated model and yield the sensitivities of a recursive
-    least-squares fit. At certain periods the whole episode is simulated again from the start with Levenberg-Marquardt
-    steps, which removes linearisation errors (Ljung, System Identification, 2nd ed., 1999, chapters 7 and 10).
+    The model has no process noise: the motion follows from theta and the applied torques. Perturbed models, one for
+    each entry of theta that affects the motion, are simulated together with the estimated model and yield the
+    sensitivities of a recursive least-squares fit. At certain periods the whole episode is simulated again from the
+    start with Levenberg-Marquardt steps, which removes linearisation errors (Ljung, System Identification, 2nd ed.,
+    1999, chapters 7 and 10).
 
     Args:
         plant: plant model with uncertain parameters and the noise of the instruments.
         sensors: names in `model.linearization.LINEAR_SENSORS`.
-        unknown: name -> (low, high), see `UncertainParameters`; None for those of the plant.
-        biased: whether measurements may have a bias of up to 0.5 % of their range. Start angles are then those of
-            `EpisodeInfo`, since biased encoders do not determine them.
+        unknown: name -> (low, high), see `UncertainParameters`; None for the uncertain parameters of the plant.
+        biased: True to estimate biases of the measurements, up to 0.5 % of their ranges. The start angles are then
+            those of `EpisodeInfo`, since biased encoders do not determine them.
 
     Attributes:
-        numbers: (b, p) fitted numbers: uncertain parameters, start angles (rad) relative to `_origin`, biases.
-        delays: (b,) control periods.
+        theta: (b, p) parameter vectors: uncertain parameters, start angles relative to their initial guess
+            (rad), biases.
+        delays: (b,) estimated delays, control periods.
     """
 
     _arrays = (
-        "numbers", "delays", "_origin", "_states", "_information", "_change", "_ages", "_readings",
+        "theta", "delays", "_origin", "_states", "_information", "_change", "_ages", "_readings",
         "_torques", "_steps", "_perturbations_reduced", "_filtering",
     )  # fmt: skip
     state_fields = (*_arrays, "_innovations", "_prediction", "_detector")
@@ -65,20 +67,20 @@ class Estimator:
     ) -> None:
         self.sensors, self._plant = tuple(sensors), plant
         model, n = plant.model, plant.model.n_joints
-        read = self._instruments = MeasurementModel(plant, self.sensors)
+        instruments = self._instruments = MeasurementModel(plant, self.sensors)
         uncertain = self.uncertain = UncertainParameters(model, plant.unknown if unknown is None else unknown)
-        models = self._models = PerturbedModels(plant, uncertain, read.matrix, biased)
-        self._innovations = InnovationGains(DiscreteJacobians(plant), read, plant.tip_force)
-        self._encoders = None if biased else read.places["motor_angles"]
-        starts = np.full(n, START_ANGLE_DEVIATION) if self._encoders is None else read.deviations[self._encoders]
-        biases = MAX_BIAS * read.ranges if biased else np.zeros(0)
+        models = self._models = PerturbedModels(plant, uncertain, instruments.matrix, biased)
+        self._innovations = InnovationGains(DiscreteJacobians(plant), instruments, plant.tip_force)
+        self._encoders = None if biased else instruments.places["motor_angles"]
+        starts = np.full(n, START_ANGLE_DEVIATION) if self._encoders is None else instruments.deviations[self._encoders]
+        biases = MAX_BIAS * instruments.ranges if biased else np.zeros(0)
         self._prior = Prior(
             np.concatenate([uncertain.mean, np.zeros(models.size - len(uncertain.mean))]),
             np.concatenate([uncertain.deviation, starts, biases / np.sqrt(3.0)]),
             np.concatenate([uncertain.low, -START_ANGLE_BOUND * starts, -2.0 * biases]),
             np.concatenate([uncertain.high, START_ANGLE_BOUND * starts, 2.0 * biases]),
         )
-        self._weights = np.tile(read.deviations**-2.0, (RESIMULATION_PERIODS[-1] + 1, 1))
+        self._weights = np.tile(instruments.deviations**-2.0, (RESIMULATION_PERIODS[-1] + 1, 1))
         if self._encoders is not None:
             self._weights[0, self._encoders] = 0.0  # the first readings define the start angles
         self._allocate()
@@ -87,26 +89,26 @@ class Estimator:
         """Create the arrays, for zero arms."""
         (m, size), p, models = self._models.matrix.shape, self._models.size, 1 + self._models.dynamic
         n, late, rows = self._plant.model.n_joints, self._plant.delay[1], len(self._weights)
-        self.numbers, self._change = np.zeros((0, p)), np.zeros((0, p))
+        self.theta, self._change = np.zeros((0, p)), np.zeros((0, p))
         self._origin, self._states = np.zeros((0, size)), np.zeros((0, models, size))
         self.delays, self._ages = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
         self._information, self._readings = np.zeros((0, p, p)), np.zeros((0, rows, m))
         self._torques = np.zeros((0, late + rows, n))
         self._given_angles, self._prediction = np.zeros((0, n)), DelayCompensation(self._plant)
         self._detector = ChangeDetector(m)
-        self._steps, self._simulated_numbers = np.zeros((0, models - 1)), np.zeros((0, p + models - 1))
+        self._steps, self._simulated_theta = np.zeros((0, models - 1)), np.zeros((0, p + models - 1))
         self._perturbations_reduced, self._filtering = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes of the arms (r,)."""
         if count > len(self._ages):
-            for name in (*self._arrays, "_given_angles", "_simulated_numbers"):
+            for name in (*self._arrays, "_given_angles", "_simulated_theta"):
                 setattr(self, name, pad_rows(getattr(self, name), count))
             self._innovations.allocate(count)
         self._ages[arms], self._given_angles[arms], self._filtering[arms] = 0, episode.start, False
-        self.numbers[arms], self._change[arms] = self._prior.mean, 0.0
+        self.theta[arms], self._change[arms] = self._prior.mean, 0.0
         self._information[arms] = self._prior.information
-        self._torques[arms], self._simulated_numbers[arms] = 0.0, np.nan
+        self._torques[arms], self._simulated_theta[arms] = 0.0, np.nan
         self._detector.reset(arms, count)
         self._prediction.reset(arms, count)
 
@@ -135,13 +137,13 @@ class Estimator:
 
     @property
     def inconsistent(self) -> BoolArray:
-        """Flags (b,) of arms whose measurements are not explained, even after a restart for a change or a tip force."""
+        """Flags (b,) of arms whose measurements no model explains, even after a restart for a detected change."""
         return self._detector.inconsistent & ((self._ages > DETECTION_START) | self._filtering)
 
     @property
     def estimates(self) -> dict[str, Array]:
-        """Parameters by name, (b, ...), their standard deviations by name_deviation, `delay` and `misfit`."""
-        values = self._models.parameters(self._prior.clip(self.numbers + self._change))
+        """Parameters NAME, (b, ...), their standard deviations NAME_deviation, `delay` and `misfit`."""
+        values = self._models.parameters(self._prior.clip(self.theta + self._change))
         spread = self._models.uncertain.deviations(standard_deviations(self._information))
         return values | spread | {"delay": self.delays.astype(float), "misfit": self._detector.misfit}
 
@@ -151,49 +153,49 @@ class Estimator:
         self._origin[arms] = rest_state(self._plant.model, angles)
         self._readings[arms, 0] = now
         self.delays[arms] = (sum(self._plant.delay) + 1) // 2
-        self._states[arms] = self._models.initial_states(self._origin[arms], self.numbers[arms])
+        self._states[arms] = self._models.initial_states(self._origin[arms], self.theta[arms])
         self._steps[arms], self._perturbations_reduced[arms] = self._models.steps, False
         if self._plant.tip_force:
             self._filtering[arms] = self._start_filter(arms, sudden=False)
 
     def _restart_after_change(self, arms: IntArray) -> None:
         """Restart the fit of arms (r,) with a detected change, such as a new payload or an external force."""
-        known, states = len(self.uncertain.names), self._current_states(arms)
-        self.numbers[arms] = self._prior.clip(self.numbers[arms] + self._change[arms])
-        self.numbers[arms, known : self._models.dynamic], self._change[arms] = 0.0, 0.0
+        count, states = len(self.uncertain.names), self._current_states(arms)
+        self.theta[arms] = self._prior.clip(self.theta[arms] + self._change[arms])
+        self.theta[arms, count : self._models.dynamic], self._change[arms] = 0.0, 0.0
         self._states[arms], self._steps[arms] = states[:, None], self._models.steps
         self._information[arms] = self._prior.information
-        self._ages[arms], self._perturbations_reduced[arms] = 1, True  # no start for resimulations
+        self._ages[arms], self._perturbations_reduced[arms] = 1, True  # True: no resimulation, without known start
         self._detector.reset(arms, len(self._ages))
         self._filtering[arms] = self._start_filter(arms, sudden=True)
 
     def _start_filter(self, arms: IntArray, sudden: bool) -> BoolArray:
-        """Start the correction of arms (r,) by innovations; return flags of those for which it is possible."""
+        """Start the correction of arms (r,) by innovations; return flags (r,) of arms with a stationary covariance."""
         torques = self._prediction.past[arms, self.delays[arms]]
         return self._innovations.begin(arms, self._current_states(arms), torques, sudden)
 
     def _reduce_perturbations(self, arms: IntArray) -> None:
-        """Reduce the perturbations of arms (r,) whose perturbed models have diverged from the estimated one."""
+        """Reduce the perturbations of arms (r,) whose perturbed models are far from the estimated model."""
         states, motors = self._states[arms], self._plant.model.motor_columns
         spread = np.abs(states[:, 1:, motors] - states[:, :1, motors]).max(axis=2) / MAX_PERTURBATION
         large = spread > 1.0
         if large.any():
-            part = np.where(large, 1.0 / np.maximum(spread, 1.0), 1.0)
-            self._states[arms, 1:] = states[:, :1] + part[..., None] * (states[:, 1:] - states[:, :1])
-            self._steps[arms] *= part
+            factor = np.where(large, 1.0 / np.maximum(spread, 1.0), 1.0)
+            self._states[arms, 1:] = states[:, :1] + factor[..., None] * (states[:, 1:] - states[:, :1])
+            self._steps[arms] *= factor
             self._perturbations_reduced[arms] |= large.any(axis=1)
 
     def _set_parameters(self, arms: IntArray) -> None:
-        """Set the parameters of the simulated models of arms (r,) to the estimated numbers where these have changed."""
-        current = np.hstack([self.numbers[arms], self._steps[arms]])
-        stale = (current != self._simulated_numbers[arms]).any(axis=1)
+        """Set the parameters of the simulated models of arms (r,) to changed estimates."""
+        current = np.hstack([self.theta[arms], self._steps[arms]])
+        stale = (current != self._simulated_theta[arms]).any(axis=1)
         if stale.any():
             arms = arms[stale]
-            numbers = self.numbers[arms]
-            all_numbers = self._models.perturb(numbers, self._steps[arms]).reshape(-1, numbers.shape[1])
-            self._models.models(*self._batch_key).vary(self._rows(arms).ravel(), **self._models.parameters(all_numbers))
-            self._prediction.vary(arms, self._models.parameters(numbers))
-            self._simulated_numbers[arms] = current[stale]
+            theta = self.theta[arms]
+            perturbed = self._models.perturb(theta, self._steps[arms]).reshape(-1, theta.shape[1])
+            self._models.models(*self._batch_key).vary(self._rows(arms).ravel(), **self._models.parameters(perturbed))
+            self._prediction.set_parameters(arms, self._models.parameters(theta))
+            self._simulated_theta[arms] = current[stale]
 
     @property
     def _batch_key(self) -> tuple[str, int]:
@@ -205,83 +207,83 @@ class Estimator:
         return arms[:, None] * self._states.shape[1] + np.arange(self._states.shape[1])
 
     def _advance(self, arms: IntArray, actions: Array) -> None:
-        """Advance the models of arms (r,) by a period under the commanded torques, fractions of the limits (r, n)."""
+        """Advance the models of arms (r,) by a period, after commanded torques (r, n), fractions of the limits."""
         self._set_parameters(arms)
         self._prediction.record(arms, actions)
         past, early = self._prediction.past, arms[self._ages[arms] <= len(self._weights)]
         self._torques[early, self._plant.delay[1] + self._ages[early] - 1] = past[early, 0]
         rows, torques = self._rows(arms), past[arms, self.delays[arms]]
         states = self._states[arms].reshape(rows.size, -1)
-        shifts = self._models.models.step(self._batch_key, rows.ravel(), states, torques.repeat(rows.shape[1], axis=0))
-        self._states[arms] = shifts.reshape(*rows.shape, -1)
+        ends = self._models.models.step(self._batch_key, rows.ravel(), states, torques.repeat(rows.shape[1], axis=0))
+        self._states[arms] = ends.reshape(*rows.shape, -1)
         lost = arms[~(np.abs(self._states[arms]) < MAX_STATE).all(axis=(1, 2))]
         self._states[lost], self._detector.misfit[lost] = self._origin[lost][:, None], MAX_STATE
 
     def _update_fit(self, arms: IntArray, now: Array) -> None:
         """Update the recursive least-squares fits of arms (r,) with measurements (r, m)."""
         jacobian = self._models.measurement_jacobian(self._models.jacobian(self._states[arms], self._steps[arms]))
-        error = now - self._models.read(self._states[arms, 0], self.numbers[arms])
+        error = now - self._models.read(self._states[arms, 0], self.theta[arms])
         error -= row_dots(jacobian, self._change[arms][:, None])
         precision = np.repeat(self._weights[-1:], len(arms), axis=0)
-        pushed = self._filtering[arms]
-        if pushed.any():
-            precision[pushed] = 1.0 / self._innovations.variances(arms[pushed])
+        filtered = self._filtering[arms]
+        if filtered.any():
+            precision[filtered] = 1.0 / self._innovations.variances(arms[filtered])
         weighted = (jacobian * precision[..., None]).transpose(0, 2, 1)
         self._information[arms] += weighted @ jacobian
         gradient = row_dots(weighted, error[:, None])
         self._change[arms] += solve_scaled(self._information[arms], gradient)
         self._detector.update(arms, error * np.sqrt(precision))
-        if pushed.any():
-            self._correct(arms[pushed], now[pushed])
+        if filtered.any():
+            self._correct(arms[filtered], now[filtered])
         due = arms[self._ages[arms] % UPDATE_INTERVAL == 0]
         if len(due):
             self._apply_change(due)
 
     def _correct(self, arms: IntArray, now: Array) -> None:
         """Correct each model of arms (r,) by its own innovation with respect to the measurements (r, m)."""
-        states, numbers = self._states[arms], self._models.perturb(self.numbers[arms], self._steps[arms])
+        states, theta = self._states[arms], self._models.perturb(self.theta[arms], self._steps[arms])
         error = now[:, None] - self._models.read(
-            states.reshape(-1, states.shape[2]), numbers.reshape(-1, numbers.shape[2])
+            states.reshape(-1, states.shape[2]), theta.reshape(-1, theta.shape[2])
         ).reshape(*states.shape[:2], -1)
         gain = self._innovations.gains(arms, states[:, 0], self._prediction.past[arms, self.delays[arms]])
         self._states[arms] = states + row_dots(gain[:, None], error[:, :, None])
 
     def _apply_change(self, arms: IntArray) -> None:
-        """Update the parameters of the models of arms (r,) by the change estimated since the last update."""
-        before = self.numbers[arms]
-        self.numbers[arms] = self._prior.clip(before + self._change[arms])
-        shifts = (self.numbers[arms] - before)[:, None, : self._models.dynamic]
+        """Add the change of theta estimated since the last update to theta and to the states of arms (r,)."""
+        before = self.theta[arms]
+        self.theta[arms] = self._prior.clip(before + self._change[arms])
+        shifts = (self.theta[arms] - before)[:, None, : self._models.dynamic]
         self._states[arms] += row_dots(self._models.jacobian(self._states[arms], self._steps[arms]), shifts)[:, None]
         self._change[arms] = 0.0
         self._reduce_perturbations(arms)
 
     def _refit(self, arms: IntArray, age: int) -> None:
-        """Fit the numbers of arms (r,) to all measurements since the start of the episode."""
-        self.numbers[arms] = self._prior.clip(self.numbers[arms] + self._change[arms])
-        start, read = (self._origin[arms], self.numbers[arms]), self._readings[arms, : age + 1]
+        """Fit theta of arms (r,) to all measurements of their first `age` control periods."""
+        self.theta[arms] = self._prior.clip(self.theta[arms] + self._change[arms])
+        start, read = (self._origin[arms], self.theta[arms]), self._readings[arms, : age + 1]
         weights = np.broadcast_to(self._weights[: age + 1], read.shape)
-        fewest, late = self._plant.delay
-        if late > fewest and age <= LAST_DELAY_SEARCH:
-            tried = [self._delayed_torques(arms, age, np.full(len(arms), delay)) for delay in range(fewest, late + 1)]
+        least, largest = self._plant.delay
+        if largest > least and age <= LAST_DELAY_SEARCH:
+            tried = [self._delayed_torques(arms, age, np.full(len(arms), delay)) for delay in range(least, largest + 1)]
             costs = [self._models.resimulate(*start, torques, read, weights).cost for torques in tried]
-            self.delays[arms] = fewest + np.nan_to_num(np.array(costs), nan=np.inf).argmin(axis=0)
+            self.delays[arms] = least + np.nan_to_num(np.array(costs), nan=np.inf).argmin(axis=0)
         data = self._delayed_torques(arms, age, self.delays[arms]), read, weights
-        numbers, simulation = self._models.fit(*start, self._prior, data)
+        theta, simulation = self._models.fit(*start, self._prior, data)
         valid = np.isfinite(simulation.cost) & (np.abs(simulation.states) < MAX_STATE).all(axis=(1, 2))
-        if not valid.all():  # these continue with the recursive fit
+        if not valid.all():  # arms with diverged simulations continue with the recursive fit
             self._update_fit(arms[~valid], self._readings[arms[~valid], age])
-        arms, numbers, simulation = arms[valid], numbers[valid], simulation.of(valid)
-        self.numbers[arms] = numbers
+        arms, theta, simulation = arms[valid], theta[valid], simulation.select(valid)
+        self.theta[arms] = theta
         self._states[arms], self._steps[arms] = simulation.states, self._models.steps
         self._information[arms] = simulation.information + self._prior.information
         if age <= 2 * DETECTION_START:
             self._detector.reset(arms, len(self._ages))  # innovations so far include linearisation errors
         self._detector.misfit[arms] = simulation.cost / self._weights[: age + 1].size
-        self._change[arms], _ = levenberg_marquardt_step(simulation, self.numbers[arms], self._prior)
+        self._change[arms], _ = levenberg_marquardt_step(simulation, self.theta[arms], self._prior)
         self._apply_change(arms)
 
     def _delayed_torques(self, arms: IntArray, periods: int, delays: IntArray) -> Array:
-        """Return the torques (r, k, n) applied to arms (r,) in the first k periods, N m."""
+        """Return the torques (r, k, n) N m applied to arms (r,) in the first k periods, for delays (r,) in periods."""
         return self._torques[arms[:, None], self._plant.delay[1] + np.arange(periods) - delays[:, None]]
 
     def _current_states(self, arms: IntArray) -> Array:
@@ -291,10 +293,10 @@ class Estimator:
         return result + row_dots(self._models.jacobian(self._states[arms], self._steps[arms]), shifts)
 
     def _state_at_effect(self, arms: IntArray) -> Estimate:
-        """Return the estimate, with the active arms (r,) predicted to the effect of torques commanded now."""
+        """Return the estimate; states of the active arms (r,) are predicted to when torques commanded now act."""
         states = self._states[:, 0].copy()
         states[arms] = self._current_states(arms)
-        numbers = self._prior.clip(self.numbers + self._change)
+        theta = self._prior.clip(self.theta + self._change)
         self._set_parameters(arms)
         states[arms] = self._prediction(arms, states[arms], self.delays[arms])
-        return Estimate(states, self.delays, self._models.parameters(numbers))
+        return Estimate(states, self.delays, self._models.parameters(theta))

@@ -7,18 +7,18 @@ from flexman_gym.control.observers.internal_model import DiscreteJacobians
 from flexman_gym.control.observers.kalman_filter import measurement_update, stationary_covariance, time_update
 from flexman_gym.control.observers.observer import MeasurementModel
 
-PROCESS_NOISE = (0.001, 0.002)  # fractions of the force scales; random torques and tip forces in usual operation
-CHANGE_NOISE = (0.02, 0.1)  # fractions of the force scales; the same at a detected change
-RELINEARISATION_ANGLE = 0.3  # rad; change of a joint angle after which the dynamics are linearised again
+PROCESS_NOISE = (0.001, 0.002)  # fractions of the force scales; standard deviations of random torques and tip forces
+CHANGE_NOISE = (0.02, 0.1)  # fractions of the force scales; standard deviations added after a detected change
+RELINEARISATION_ANGLE = 0.3  # rad; change of a joint or motor angle after which the dynamics are linearised again
 
 
 class InnovationGains:
     """Kalman gains of b arms for their innovations, with the discrete dynamics linearised about the current states.
 
     Args:
-        jacobians: of the discrete dynamics.
+        jacobians: Jacobians of the discrete dynamics.
         instruments: measurement model.
-        tip_force: N, magnitude of unmeasured forces on the tip.
+        tip_force: magnitude of unmeasured forces on the tip, N.
     """
 
     state_fields = ("covariance", "_transition", "_noise", "_designed")
@@ -30,75 +30,73 @@ class InnovationGains:
         self._designed = np.zeros((0, size))
 
     def allocate(self, count: int) -> None:
-        """Allocate memory for a number of arms."""
+        """Allocate memory for `count` arms."""
         for name in self.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), count))
 
     def begin(self, arms: IntArray, states: Array, torques: Array, sudden: bool) -> BoolArray:
-        """Initialise the covariance of arms (r,); return flags (r,) of those for which a stationary covariance exists.
+        """Initialise the covariance of arms (r,) with the stationary covariance, where it exists.
 
         Args:
-            arms: (r,).
+            arms: (r,) indices.
             states: (r, 2 d) estimated states.
             torques: (r, n) applied torques, N m.
-            sudden: whether an abrupt change has just been detected, so that the estimate is inaccurate.
+            sudden: True after a detected abrupt change, when the estimate is inaccurate.
 
         Returns:
-            Flags (r,).
+            Flags (r,) of arms with a stationary covariance.
         """
         inputs, valid = self._linearise(arms, states, torques)
-        noise = self._noise[arms] + sudden * self._noise_of(inputs, CHANGE_NOISE)
+        noise = self._noise[arms] + sudden * self._process_noise(inputs, CHANGE_NOISE)
         covariance = stationary_covariance(self._transition[arms], noise, self._matrix, self._variances)
         result: BoolArray = valid & np.isfinite(covariance).all(axis=(1, 2))
         self.covariance[arms[result]] = covariance[result]
         return result
 
     def _linearise(self, arms: IntArray, states: Array, torques: Array) -> tuple[Array, BoolArray]:
-        """Store the linearised dynamics of arms (r,); return the force Jacobians and flags of success."""
+        """Store the linearised dynamics of arms (r,); return input Jacobians (r, 2 d, n + 3) and flags (r,)."""
         jacobians, valid = self._jacobians(states, torques)
-        some, inputs = arms[valid], jacobians[..., states.shape[1] :]
-        self._transition[some] = jacobians[valid][..., : states.shape[1]]
-        self._noise[some] = self._noise_of(inputs[valid], PROCESS_NOISE)
-        self._designed[some] = states[valid]
+        updated, inputs = arms[valid], jacobians[..., states.shape[1] :]
+        self._transition[updated] = jacobians[valid][..., : states.shape[1]]
+        self._noise[updated] = self._process_noise(inputs[valid], PROCESS_NOISE)
+        self._designed[updated] = states[valid]
         return inputs, valid
 
-    def _noise_of(self, inputs: Array, parts: tuple[float, float]) -> Array:
-        """Return the process noise covariance (r, 2 d, 2 d) of random forces, given as fractions of their scales."""
+    def _process_noise(self, inputs: Array, fractions: tuple[float, float]) -> Array:
+        """Return the covariance (r, 2 d, 2 d) of random torques and tip forces, given as fractions of their scales."""
         scales = self._jacobians.scales
-        forces = np.repeat(parts, (len(scales) - 3, 3)) * scales
+        forces = np.repeat(fractions, (len(scales) - 3, 3)) * scales
         forces[-3:] = np.hypot(forces[-3:], self._tip_force)
         result: Array = (inputs * forces**2) @ inputs.mT
         return result
 
     def variances(self, arms: IntArray) -> Array:
         """Return the variances (r, m) of the innovations of arms (r,)."""
-        spread = self._matrix @ self.covariance[arms] @ self._matrix.T
-        return np.diagonal(spread, axis1=1, axis2=2) + self._variances
+        covariance = self._matrix @ self.covariance[arms] @ self._matrix.T
+        return np.diagonal(covariance, axis1=1, axis2=2) + self._variances
 
     def gains(self, arms: IntArray, states: Array, torques: Array) -> Array:
-        """Return the gains (r, 2 d, m) of arms (r,), and advance the covariance by a period."""
-        turned = (
-            np.abs(states - self._designed[arms])[:, : len(self._jacobians.scales) - 3].max(axis=1)
-            > RELINEARISATION_ANGLE
-        )
-        if turned.any():
-            self._linearise(arms[turned], states[turned], torques[turned])
+        """Return the gains (r, 2 d, m) of arms (r,), and advance their covariances by a period."""
+        changes = np.abs(states - self._designed[arms])[:, : len(self._jacobians.scales) - 3]
+        due = changes.max(axis=1) > RELINEARISATION_ANGLE
+        if due.any():
+            self._linearise(arms[due], states[due], torques[due])
         result, covariance = measurement_update(self.covariance[arms], self._matrix, self._variances)
         self.covariance[arms] = time_update(covariance, self._transition[arms], self._noise[arms])
         return result
 
 
-SQUARE_FORGETTING = 0.1  # weight of the newest innovation in the mean square
-MEAN_FORGETTING = 0.02  # weight of the newest innovation in the mean
-SQUARE_THRESHOLD = 1.45  # standard deviations; excess of the mean square over 1 at a change
-MEAN_THRESHOLD = 5.5  # standard deviations; mean of a measurement at a change
+SQUARE_FORGETTING = 0.1  # 1; weight of the latest innovation in the mean square
+MEAN_FORGETTING = 0.02  # 1; weight of the latest innovation in the mean
+SQUARE_THRESHOLD = 1.45  # standard deviations; mean square minus 1 above which a change is detected
+MEAN_THRESHOLD = 5.5  # standard deviations; mean innovation above which a change is detected
 MAX_MISFIT = 20.0  # 1; mean square above which no model explains the measurements
 
 
 class ChangeDetector:
-    """Change detection for b arms from the means of their normalised innovations.
+    """Change detection for b arms from moving averages of their normalised innovations.
 
-    An abrupt change shows in the mean square, a slow one in the mean of one measurement (Gustafsson, Adaptive
+    An abrupt change shows in the mean square, a slow change in the mean of one innovation (Gustafsson, Adaptive
     Filtering and Change Detection, 2000, chapter 3).
 
     Args:
@@ -114,7 +112,7 @@ class ChangeDetector:
         self.misfit, self._mean = np.zeros(0), np.zeros((0, readings))
 
     def reset(self, arms: IntArray, count: int) -> None:
-        """Reset the means of the arms (r,)."""
+        """Reset the moving averages of the arms (r,), of `count` arms in all."""
         self.misfit, self._mean = pad_rows(self.misfit, count), pad_rows(self._mean, count)
         self.misfit[arms], self._mean[arms] = 1.0, 0.0
 
@@ -124,14 +122,14 @@ class ChangeDetector:
         self._mean[arms] += MEAN_FORGETTING * (errors - self._mean[arms])
 
     def detect(self, arms: IntArray) -> BoolArray:
-        """Return flags of those arms (r,) whose innovations are not explained by noise."""
-        drift = np.abs(self._mean[arms]).max(axis=1) / np.sqrt(MEAN_FORGETTING / (2.0 - MEAN_FORGETTING))
+        """Return flags (r,) of the arms (r,) with innovations beyond the noise."""
+        bias = np.abs(self._mean[arms]).max(axis=1) / np.sqrt(MEAN_FORGETTING / (2.0 - MEAN_FORGETTING))
         square = (self.misfit[arms] - 1.0) / np.sqrt(2.0 / self._mean.shape[1])
-        result: BoolArray = (square > SQUARE_THRESHOLD) | (drift > MEAN_THRESHOLD)
+        result: BoolArray = (square > SQUARE_THRESHOLD) | (bias > MEAN_THRESHOLD)
         return result
 
     @property
     def inconsistent(self) -> BoolArray:
-        """Flags (b,) of arms whose innovations are not finite or fail the consistency test with every model."""
+        """Flags (b,) of arms with innovations that no model explains, or that are not finite."""
         result: BoolArray = ~(self.misfit < MAX_MISFIT)
         return result

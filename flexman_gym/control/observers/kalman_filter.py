@@ -12,12 +12,12 @@ from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, Measureme
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import holding_torques, rest_state
 
-MAX_DOUBLINGS = 20  # 2^20, a million, periods
-VARIANCE_TOLERANCE = 1e-6  # 1; relative change of a variance in the last doubling, above which it is taken as infinite
+MAX_DOUBLINGS = 20  # number of doublings, for 2^20 periods, about a million
+VARIANCE_TOLERANCE = 1e-6  # 1; relative growth of a variance in the last doubling above which it counts as infinite
 
 
 def time_update(covariance: Array, transition: Array, noise: Array) -> Array:
-    """Return covariances (..., s, s) after a period with process noise covariance (..., s, s)."""
+    """Return covariances (..., s, s) after a period, for state matrices and process noise covariances (..., s, s)."""
     return _symmetric_part(transition @ covariance @ transition.mT + noise)
 
 
@@ -28,9 +28,9 @@ def measurement_update(covariance: Array, matrix: Array, variances: Array) -> tu
     rounding.
 
     Args:
-        covariance: (..., s, s) before the measurement.
-        matrix: (m, s) of the measurements with respect to the state.
-        variances: (m,) of the measurement noise.
+        covariance: (..., s, s) covariances before the measurement.
+        matrix: (m, s) measurement matrix.
+        variances: (m,) variances of the measurement noise.
 
     Returns:
         Gains (..., s, m) and covariances (..., s, s).
@@ -44,28 +44,28 @@ def measurement_update(covariance: Array, matrix: Array, variances: Array) -> tu
 def stationary_covariance(transition: Array, noise: Array, matrix: Array, variances: Array) -> Array:
     """Return the stationary covariances (..., s, s) before a measurement.
 
-    Each pass of the doubling algorithm doubles the number of periods and needs no eigenvalues (Anderson, International
-    Journal of Control 28, 1978, 295). The arguments are those of `time_update` and `measurement_update`. Entries of
-    unobservable states are infinite.
+    Each iteration of the doubling algorithm doubles the number of periods and needs no eigenvalues (Anderson,
+    International Journal of Control 28, 1978, 295). The arguments are those of `time_update` and `measurement_update`.
+    Entries of unobservable states are infinite.
     """
-    passing, information, result = transition.mT, (matrix.T / variances) @ matrix, noise
+    alpha, information, result = transition.mT, (matrix.T / variances) @ matrix, noise
     before, eye = result, np.eye(matrix.shape[1])
     for _ in range(MAX_DOUBLINGS):
         before = result
-        through = np.linalg.solve(
-            eye + information @ result, np.concatenate([passing, np.broadcast_to(information, passing.shape)], -1)
+        solved = np.linalg.solve(
+            eye + information @ result, np.concatenate([alpha, np.broadcast_to(information, alpha.shape)], -1)
         )
         size = len(eye)
-        onward, spread = through[..., :size], through[..., size:]
-        result = _symmetric_part(result + passing.mT @ result @ onward)
-        information, passing = _symmetric_part(information + passing @ spread @ passing.mT), passing @ onward
+        product, weighted = solved[..., :size], solved[..., size:]
+        result = _symmetric_part(result + alpha.mT @ result @ product)
+        information, alpha = _symmetric_part(information + alpha @ weighted @ alpha.mT), alpha @ product
     now, earlier = (np.diagonal(each, axis1=-2, axis2=-1) for each in (result, before))
-    unknown = now > (1.0 + VARIANCE_TOLERANCE) * earlier
-    return np.where(unknown[..., None] | unknown[..., None, :], np.inf, result)
+    unbounded = now > (1.0 + VARIANCE_TOLERANCE) * earlier
+    return np.where(unbounded[..., None] | unbounded[..., None, :], np.inf, result)
 
 
 def _symmetric_part(matrix: Array) -> Array:
-    """Return the symmetric part."""
+    """Return the symmetric parts of matrices (..., s, s)."""
     result: Array = 0.5 * (matrix + matrix.mT)
     return result
 
@@ -75,19 +75,19 @@ FORCE_NOISE = 0.005  # fraction of the force scale; standard deviation of random
 MISMATCH_FORCE_NOISE = 0.03  # replaces FORCE_NOISE for uncertain plants, whose model errors act like forces
 OFFSET_DEVIATION = 0.1  # fraction of the torque limits; initial standard deviation of a constant torque
 OFFSET_DRIFT = 0.05  # fraction of the torque limits, s^(-1/2); random walk of a constant torque
-BIAS_TIME_CONSTANT = 30.0  # s
+BIAS_TIME_CONSTANT = 30.0  # s; correlation time of a measurement bias (first-order Markov process)
 RELINEARISATION_INTERVAL = 5  # control periods between two evaluations of the Jacobians
 
 
 class KalmanFilter:
     """Extended Kalman filter: the simulator predicts the state, and innovations correct it.
 
-    The covariance follows the Jacobians of the simulated motion; at the start it is that of a long rest. Process noise
-    consists of random torques on the motors and forces on the tip. The state may be augmented by constants: torques on
-    the motors, which a controller then compensates (integral action), and biases of measurements (Anderson and Moore,
-    Optimal Filtering, 1979, chapters 3, 8 and 9).
+    The covariance follows the Jacobians of the simulated motion; its initial value is the stationary covariance at
+    rest. Process noise consists of random torques on the motors and forces on the tip. The state may be augmented by
+    constant torques on the motors, which a controller then compensates (integral action), and by biases of measurements
+    (Anderson and Moore, Optimal Filtering, 1979, chapters 3, 8 and 9).
 
-    The arm starts at rest at the angles of its encoders. For a range of delays, the mean delay is assumed.
+    The arm starts at rest at the measured motor angles. For a range of delays, the mean delay is assumed.
 
     Args:
         plant: plant model with the delay of the torques and the noise of the instruments.
@@ -95,15 +95,14 @@ class KalmanFilter:
         noise: standard deviations of the random torques, as a fraction of the torque limits, and of the tip forces, as
             a fraction of the force that the strongest motor balances at full reach. None for 0.005 and 0.005, or 0.005
             and 0.03 for a plant with uncertain parameters, and in addition the plant's `tip_force`.
-        disturbed: whether constant torques on the motors are estimated.
-        biased: whether biases of the measurements, up to 0.5 % of their range, are estimated.
-        fixed: whether the gain is the stationary one at the goal throughout an episode; faster, for arms that stay near
-            their goal.
+        disturbed: True to estimate constant torques on the motors.
+        biased: True to estimate biases of the measurements, up to 0.5 % of their ranges.
+        fixed: True for the stationary gain at the goal throughout an episode; faster, for arms near their goal.
 
     Attributes:
-        delay: control periods.
+        delay: assumed delay of the torques, control periods.
         states: (b, s) estimates after the last measurement: state, constant torques (N m) and biases.
-        covariance: (b, s, s) of their errors; that of the start if the gain is fixed.
+        covariance: (b, s, s) error covariances of these estimates; the initial ones with a fixed gain.
     """
 
     state_fields = ("states", "covariance", "_transition", "_noise", "_prediction", "_ages")
@@ -117,7 +116,7 @@ class KalmanFilter:
         biased: bool = False,
         fixed: bool = False,
     ) -> None:
-        self._instruments = read = MeasurementModel(plant, sensors)
+        self._instruments = instruments = MeasurementModel(plant, sensors)
         self.sensors, self._plant, self._jacobians = tuple(sensors), plant, DiscreteJacobians(plant)
         self._prediction, self._models = DelayCompensation(plant), InternalModels(plant)
         self._disturbed, self._biased, self._fixed = (
@@ -125,17 +124,17 @@ class KalmanFilter:
         )
         n, limits, period = plant.model.n_joints, np.array(plant.torque_limit), plant.period
         self.delay, self._size, self._limits = (sum(plant.delay) + 1) // 2, 2 * plant.model.n_dof, limits
-        usual = (TORQUE_NOISE, MISMATCH_FORCE_NOISE if plant.unknown else FORCE_NOISE)
-        parts = usual if noise is None else [non_negative("noise", each) for each in vector("noise", noise, 2)]
-        self._forces = (np.repeat(parts, (n, 3)) * self._jacobians.scales) ** 2
+        default = (TORQUE_NOISE, MISMATCH_FORCE_NOISE if plant.unknown else FORCE_NOISE)
+        fractions = default if noise is None else [non_negative("noise", each) for each in vector("noise", noise, 2)]
+        self._forces = (np.repeat(fractions, (n, 3)) * self._jacobians.scales) ** 2
         if noise is None:
             self._forces[n:] += plant.tip_force**2
-        self._variances, motors, all_read = read.deviations**2, self._disturbed * n, len(read.ranges)
+        self._variances, motors, m = instruments.deviations**2, self._disturbed * n, len(instruments.ranges)
         self._offsets = slice(self._size, self._size + motors)
-        biases = np.eye(all_read, self._biased * all_read)
-        self._matrix = np.hstack([read.matrix, np.zeros((all_read, motors)), biases])
-        bias, decay = (MAX_BIAS * biases.T @ read.ranges) ** 2 / 3.0, np.exp(-period / BIAS_TIME_CONSTANT)
-        self._decay = np.append(np.ones(motors), np.full(len(bias), decay))  # of constants and biases per period
+        biases = np.eye(m, self._biased * m)
+        self._matrix = np.hstack([instruments.matrix, np.zeros((m, motors)), biases])
+        bias, decay = (MAX_BIAS * biases.T @ instruments.ranges) ** 2 / 3.0, np.exp(-period / BIAS_TIME_CONSTANT)
+        self._decay = np.append(np.ones(motors), np.full(len(bias), decay))  # factors in a period
         self._drift = np.append((OFFSET_DRIFT * limits[:motors]) ** 2 * period, (1.0 - decay**2) * bias)
         self._initial_variance = np.append((OFFSET_DEVIATION * limits[:motors]) ** 2, bias)
         self._allocate()
@@ -151,9 +150,9 @@ class KalmanFilter:
         """Start new episodes of the arms (r,).
 
         Args:
-            arms: (r,).
+            arms: (r,) indices.
             episode: start and goal of these episodes.
-            count: number of arms.
+            count: number of arms in all.
 
         Raises:
             ValueError: with a fixed gain, for sensors from which the state is not observable.
@@ -167,12 +166,12 @@ class KalmanFilter:
             self._gain[arms] = measurement_update(covariance, self._matrix, self._variances)[0]
 
     def _rest(self, postures: Array) -> tuple[Array, Array]:
-        """Return equilibrium states (r, 2 d) at postures (r, n) rad and the holding torques (r, n), N m."""
+        """Return the equilibrium states (r, 2 d) at motor angles (r, n) rad, and the holding torques (r, n), N m."""
         model = self._plant.model
         return rest_state(model, postures), np.array([holding_torques(model, each) for each in postures])
 
     def _system(self, states: Array, torques: Array) -> tuple[Array, Array, BoolArray]:
-        """Return transition and process noise (r, s, s) of the augmented state, and flags (r,) of success."""
+        """Return state matrix and noise covariance (r, s, s) of the augmented state, and flags (r,) of success."""
         jacobians, valid = self._jacobians(states, torques)
         size, count, s = self._size, len(states), self._matrix.shape[1]
         transition, noise, inputs = np.zeros((count, s, s)), np.zeros((count, s, s)), jacobians[..., size:]
@@ -215,20 +214,20 @@ class KalmanFilter:
             self._predict(running)
             self._correct(running, now[running])
         self._ages += active
-        ahead, arms = self.states[:, : self._size].copy(), np.flatnonzero(active)
-        delays, offset = np.full(len(ahead), self.delay), self._offset(np.arange(len(ahead)))
-        ahead[arms] = self._prediction(arms, ahead[arms], delays[arms], offset[arms])
-        return Estimate(ahead, delays, {}, offset)
+        states, arms = self.states[:, : self._size].copy(), np.flatnonzero(active)
+        delays, offset = np.full(len(states), self.delay), self._offset(np.arange(len(states)))
+        states[arms] = self._prediction(arms, states[arms], delays[arms], offset[arms])
+        return Estimate(states, delays, {}, offset)
 
     def _begin(self, arms: IntArray, now: Array) -> None:
-        """Initialise the arms (r,) from their first measurements (r, m), with angles from the encoders."""
-        places, core, model = self._instruments.places["motor_angles"], slice(0, self._size), self._plant.model
-        self.states[arms, core], holding = self._rest(now[:, places])
+        """Initialise the states of the arms (r,) by the motor angles in their first measurements (r, m)."""
+        angles, core, model = self._instruments.places["motor_angles"], slice(0, self._size), self._plant.model
+        self.states[arms, core], holding = self._rest(now[:, angles])
         self._transition[arms], self._noise[arms], _ = self._system(self.states[arms, core], holding)
-        turns = model.at_rest(np.eye(model.n_joints))
+        rotations = model.at_rest(np.eye(model.n_joints))
         covariance, each = np.zeros_like(self._noise[arms]), np.arange(self._size, len(self._noise[0]))
         covariance[:, core, core] = self._stationary(self._transition[arms], self._noise[arms], core)
-        covariance[:, core, core] += (turns.T * self._variances[places]) @ turns
+        covariance[:, core, core] += (rotations.T * self._variances[angles]) @ rotations
         covariance[:, each, each] = self._initial_variance
         self.covariance[arms] = covariance
 

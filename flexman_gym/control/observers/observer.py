@@ -15,11 +15,11 @@ class Estimate(NamedTuple):
     """Estimate of the states and parameters of b arms for a control period.
 
     Attributes:
-        states: (b, 2 d) predicted for the time at which torques commanded now take effect.
-        lead: (b,) whole control periods until that time.
-        parameters: name -> (b, ...) estimated physical parameters in their units; the model's values where a name is
-            missing.
-        disturbance: (b, n) constant torques on the motors in addition to the commanded ones, N m.
+        states: (b, 2 d) states predicted for the time at which torques commanded now take effect.
+        lead: (b,) control periods from now to this time, whole numbers.
+        parameters: name -> (b, ...) estimated physical parameters in their units; a missing name stands for the value
+            of the model.
+        disturbance: (b, n) estimated constant disturbance torques on the motors, N m.
     """
 
     states: Array
@@ -32,7 +32,7 @@ class Observer(Protocol):
     """Protocol of observers of b arms. The estimate of an arm must not depend on the other arms, to the last bit.
 
     Optional members are `state_fields`, as in `Controller`; `estimates`, name -> (b, ...), added to `info`; and
-    `inconsistent`, (b,) flags of arms whose readings the observer cannot explain.
+    `inconsistent`, (b,) flags of arms whose readings no model of the observer explains.
 
     Attributes:
         sensors: names of the sensors that the observer reads.
@@ -55,25 +55,25 @@ class Observer(Protocol):
         ...
 
 
-MAX_BIAS = 0.005  # 1; largest bias of a reading, fraction of the range
-MIN_DEVIATION = 1e-4  # 1; least standard deviation of a reading, fraction of the range; accounts for model errors
+MAX_BIAS = 0.005  # fraction of the range; largest bias of a measurement
+MIN_DEVIATION = 1e-4  # fraction of the range; smallest standard deviation of a measurement, due to model errors
 
 
 class MeasurementModel:
-    """Linear measurement model of instruments: m measured quantities y = matrix x + noise.
+    """Linear measurement model of the instruments: y = matrix x + noise, with m measurements y and the state x.
 
     Args:
         plant: plant model with the range and the noise of each instrument; standard deviations are at least 1e-4 of
             the range.
-        sensors: names in `model.linearization.LINEAR_SENSORS`, among them "motor_encoders", which define the pose of an
-            arm at the start.
+        sensors: names in `model.linearization.LINEAR_SENSORS`, including "motor_encoders", which determine the posture
+            at the start.
 
     Attributes:
-        names: measured quantities, in their order.
-        places: name -> slice of the m numbers.
-        matrix: (m, 2 d) of the quantities with respect to the state.
-        ranges: (m,) largest magnitude of each number.
-        deviations: (m,) standard deviation of its noise.
+        names: names of the measured quantities in their order.
+        places: name -> slice of the measurement vector (m,).
+        matrix: (m, 2 d) measurement matrix.
+        ranges: (m,) largest magnitude of each measurement.
+        deviations: (m,) standard deviation of the noise of each measurement.
 
     Raises:
         ValueError: for a sensor whose readings are nonlinear in the state, and without motor encoders.
@@ -93,5 +93,5 @@ class MeasurementModel:
         self.deviations: Array = np.maximum(deviations, MIN_DEVIATION * self.ranges)
 
     def read(self, readings: Readings) -> Array:
-        """Return the measured quantities (b, m) of b arms, one after another."""
+        """Return the measurements (b, m) of b arms, concatenated in the order of `names`."""
         return np.concatenate([readings[name] for name in self.names], axis=1).astype(float)

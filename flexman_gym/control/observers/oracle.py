@@ -17,12 +17,12 @@ DEVIATION_DECAY = {"payload_mass": (0.2, 3.0), "joint_stiffness": (0.1, 3.0), "l
 
 
 class Oracle:
-    """Oracle: the true state, predicted over the delay with the true parameters. It is privileged.
+    """Privileged observer: the true state, predicted over the delay with the true parameters.
 
     Args:
         plant: plant model; the true parameters are those of each episode.
-        doubt: whether uncertain parameters carry a simulated estimation error that decays as that of `Estimator` does,
-            for agents that are trained on the oracle and run on estimates.
+        doubt: True to add to the uncertain parameters a simulated estimation error that decays as that of `Estimator`,
+            for agents that are trained with the oracle and run with the estimator.
     """
 
     sensors: tuple[str, ...] = ("state",)
@@ -34,30 +34,29 @@ class Oracle:
         self._plant, self._ages = plant, np.zeros(0, dtype=np.int64)
         ranges = {name: span for name, span in plant.unknown.items() if UNCERTAIN.get(name) in DEVIATION_DECAY}
         self._uncertain = UncertainParameters(plant.model, ranges) if doubt and ranges else None
-        self._numbers = np.zeros(
-            (0, 2, len(self._uncertain.names) if self._uncertain else 0)
-        )  # true numbers, and standard normal errors
+        # true parameter vectors and standard normal errors
+        self._theta = np.zeros((0, 2, len(self._uncertain.names) if self._uncertain else 0))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Store parameters and delays of new episodes of the arms (r,)."""
         self._prediction.reset(arms, count, episode.drawn.get("torque_limit"))
-        self._prediction.remember(int(np.max(episode.drawn.get("delay", 0), initial=0)))
+        self._prediction.extend(int(np.max(episode.drawn.get("delay", 0), initial=0)))
         drawn = {name: values.astype(float) for name, values in episode.drawn.items() if name in PARAMETERS}
         for name, values in drawn.items():
             self._parameters[name] = pad_rows(self._parameters.get(name, values[:0]), count)
             self._parameters[name][arms] = values
-        self._prediction.vary(arms, drawn)
+        self._prediction.set_parameters(arms, drawn)
         self._delays, self._ages = pad_rows(self._delays, count), pad_rows(self._ages, count)
         self._delays[arms], self._ages[arms] = episode.drawn.get("delay", 0), 0
         if self._uncertain:
-            self._numbers = pad_rows(self._numbers, count)
-            self._numbers[arms, 0] = self._normalised_parameters(arms)
+            self._theta = pad_rows(self._theta, count)
+            self._theta[arms, 0] = self._normalised_parameters(arms)
             for arm in arms.tolist():  # seeded by the parameters: equal arms have equal errors
-                random = np.random.default_rng(np.abs(self._numbers[arm, 0].view(np.int64)))
-                self._numbers[arm, 1] = random.standard_normal(self._numbers.shape[2])
+                random = np.random.default_rng(np.abs(self._theta[arm, 0].view(np.int64)))
+                self._theta[arm, 1] = random.standard_normal(self._theta.shape[2])
 
     def _normalised_parameters(self, arms: IntArray) -> Array:
-        """Return the true numbers (r, p) of the uncertain parameters of arms (r,), see `UncertainParameters`."""
+        """Return the true parameter vectors (r, p) of arms (r,), see `UncertainParameters`."""
         assert self._uncertain is not None
         columns = zip(self._uncertain.names, self._uncertain.joints, self._uncertain.scales, strict=True)
         values = [(self._parameters[name][arms], joint, scale) for name, joint, scale in columns]
@@ -65,24 +64,24 @@ class Oracle:
 
     @property
     def _remaining_deviation(self) -> Array:
-        """Remaining fraction (b, p) of the prior deviations."""
+        """Standard deviations (b, p) as fractions of the prior standard deviations."""
         assert self._uncertain is not None
         scales, powers = np.array([DEVIATION_DECAY[name] for name in self._uncertain.names]).T
         return 1.0 / (1.0 + (self._ages[:, None] * self._plant.period / scales) ** powers)
 
     def _current_parameters(self) -> dict[str, Array]:
-        """Return the parameters of all arms, with the simulated estimation errors."""
+        """Return the parameters of all arms, name -> (b, ...), with the simulated estimation errors."""
         if self._uncertain is None:
             return dict(self._parameters)
-        uncertain, remaining, (true, errors) = self._uncertain, self._remaining_deviation, self._numbers.swapaxes(0, 1)
-        first, later = uncertain.mean - true, uncertain.deviation * errors
-        numbers = true + remaining * (remaining * first + np.sqrt(1.0 - remaining**2) * later)
-        estimated = uncertain.values(self._plant.model, np.clip(numbers, uncertain.low, uncertain.high))
+        uncertain, remaining, (true, errors) = self._uncertain, self._remaining_deviation, self._theta.swapaxes(0, 1)
+        initial, later = uncertain.mean - true, uncertain.deviation * errors
+        theta = true + remaining * (remaining * initial + np.sqrt(1.0 - remaining**2) * later)
+        estimated = uncertain.values(self._plant.model, np.clip(theta, uncertain.low, uncertain.high))
         return self._parameters | estimated
 
     @property
     def estimates(self) -> Mapping[str, Array]:
-        """Standard deviations of the simulated errors, name_deviation -> (b, ...); {} without them."""
+        """Standard deviations of the simulated errors, NAME_deviation -> (b, ...); {} without simulated errors."""
         if self._uncertain is None:
             return {}
         return self._uncertain.deviations(self._remaining_deviation * self._uncertain.deviation)

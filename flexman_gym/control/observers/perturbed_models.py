@@ -1,4 +1,4 @@
-"""Perturbed models: uncertain parameters, simulations with one perturbed parameter each, and least-squares steps."""
+"""Perturbed models: parameter vectors, simulations with one perturbed entry each, and least-squares fits."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -13,27 +13,27 @@ from flexman_gym.control.observers.internal_model import InternalModels
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN
 
-PARAMETER_STEP = 0.0003  # fraction of a range; 0.03 would shift the phase by a radian in 2 s
-RANGE_MARGIN = 0.08  # fraction of a range by which an estimate may exceed it
-KNOWN_RANGE = 1e-3  # range of a known number, relative to it, or to 1 if it is 0
+PARAMETER_STEP = 0.0003  # fraction of a range; perturbation; 0.03 would shift the phase by a radian in 2 s
+RANGE_MARGIN = 0.08  # fraction of a range by which an estimate may exceed the range
+KNOWN_RANGE = 1e-3  # fraction of the value, or of 1 for the value 0; assumed width of a range of zero width
 
 
 class UncertainParameters:
-    """Uncertain parameters of an arm as p numbers, one for each entry of a physical parameter.
+    """Uncertain parameters of an arm as a vector theta (p,), with an entry for each joint or link of a parameter.
 
     Args:
-        model: of the arm.
+        model: model of the arm.
         ranges: name -> (low, high), with names as in `simulation.parameters.UNCERTAIN`: in the unit of the parameter,
-            or factors (1) on the nominal value, one per joint or link.
+            or as factors (1) of the nominal value, for each joint or link.
 
     Attributes:
-        names: (p,) name of the parameter of each number.
-        joints: (p,) joint or link of each number; 0 for a parameter of the whole arm.
-        scales: (p,) value of the entry per unit of the number: the nominal value where the number is a factor.
-        mean: (p,) of a uniform distribution over the range.
-        deviation: (p,) standard deviation of that distribution.
+        names: (p,) name of the physical parameter of each entry.
+        joints: (p,) index of the joint or link of each entry; 0 for a parameter of the whole arm.
+        scales: (p,) physical value per unit of each entry: the nominal value where the entry is a factor.
+        mean: (p,) mean of a uniform distribution over the range.
+        deviation: (p,) standard deviation of this distribution.
         step: (p,) perturbation for finite differences.
-        low: (p,) least estimate.
+        low: (p,) smallest estimate.
         high: (p,) largest estimate.
     """
 
@@ -60,46 +60,46 @@ class UncertainParameters:
         self.low: Array = np.maximum(low - RANGE_MARGIN * width, 0.0)
         self.high: Array = high + RANGE_MARGIN * width
 
-    def values(self, model: Model, numbers: Array) -> dict[str, Array]:
-        """Return the parameters, name -> (r, ...) in their units, for numbers (r, p)."""
+    def values(self, model: Model, theta: Array) -> dict[str, Array]:
+        """Return the physical parameters, name -> (r, ...) in their units, for parameter vectors (r, p)."""
         result = {}
         for name in dict.fromkeys(self.names):
             row, columns = PARAMETERS[name], np.flatnonzero(np.array(self.names) == name)
-            values = numbers[:, columns] * self.scales[columns]
+            values = theta[:, columns] * self.scales[columns]
             if row.shape(model.n_joints):
-                whole = np.repeat(np.asarray(row.nominal(model))[None], len(numbers), axis=0)
-                whole[:, self.joints[columns]] = values
-                result[name] = whole
+                complete = np.repeat(np.asarray(row.nominal(model))[None], len(theta), axis=0)
+                complete[:, self.joints[columns]] = values
+                result[name] = complete
             else:
                 result[name] = values[:, 0]
         return result
 
-    def deviations(self, numbers: Array) -> dict[str, Array]:
-        """Return the standard deviation of each parameter, NAME_deviation -> (r,) or (r, entries)."""
+    def deviations(self, deviations: Array) -> dict[str, Array]:
+        """Return standard deviations of physical parameters, NAME_deviation -> (r,) or (r, entries), from (r, p)."""
         result = {}
         for name in dict.fromkeys(self.names):
             columns = np.flatnonzero(np.array(self.names) == name)
-            values = numbers[:, columns] * self.scales[columns]
+            values = deviations[:, columns] * self.scales[columns]
             result[f"{name}_deviation"] = values[:, 0] if PARAMETERS[name].of == ARM else values
         return result
 
 
 ANGLE_STEP = 1e-3  # rad; perturbation of a start angle
-BATCH_ARMS = 32  # arms whose models are simulated together; limits the memory
-DIAGONAL_OFFSET = 1e-12  # added to the diagonal of a scaled matrix
+BATCH_ARMS = 32  # number of arms whose models are simulated together; limits the memory
+DIAGONAL_OFFSET = 1e-12  # 1; added to the unit diagonal of a scaled matrix against rounding
 MAX_ITERATIONS = 4  # Levenberg-Marquardt iterations of a fit
-MIN_DECREASE = (2.0, 0.02)  # decrease of the cost that ends a fit: in all, and per period
-INITIAL_DAMPING = 1e-3  # of the first Levenberg-Marquardt step
+MIN_DECREASE = (2.0, 0.02)  # 1; predicted decrease of the cost, in all and per period, below which a fit ends
+INITIAL_DAMPING = 1e-3  # 1; damping of the first Levenberg-Marquardt step
 
 
 class Prior(NamedTuple):
-    """Prior of p numbers.
+    """Prior distribution of a parameter vector (p,), normal and independent, within bounds.
 
     Attributes:
-        mean: (p,).
+        mean: (p,) mean.
         deviation: (p,) standard deviation.
-        low: (p,) least value.
-        high: (p,) largest value.
+        low: (p,) lower bound.
+        high: (p,) upper bound.
     """
 
     mean: Array
@@ -112,17 +112,17 @@ class Prior(NamedTuple):
         """Information matrix (p, p) of the prior."""
         return np.diag(1.0 / self.deviation**2)
 
-    def clip(self, numbers: Array) -> Array:
-        """Return numbers (r, p) clipped to their bounds."""
-        return np.clip(numbers, self.low, self.high)
+    def clip(self, theta: Array) -> Array:
+        """Return parameter vectors (r, p) clipped to the bounds."""
+        return np.clip(theta, self.low, self.high)
 
 
 class _Resimulation(NamedTuple):
     """Result of a simulation of r arms from their start, compared with the measurements.
 
     Attributes:
-        states: (r, 1 + s, 2 d) of all models at the end.
-        information: (r, p, p) of the measurements about the numbers, the Gauss-Newton matrix.
+        states: (r, 1 + s, 2 d) final states of all models.
+        information: (r, p, p) information matrix of the measurements for theta, the Gauss-Newton matrix.
         gradient: (r, p) half the negative gradient of the cost.
         cost: (r,) sum of squared residuals, in standard deviations.
     """
@@ -132,21 +132,22 @@ class _Resimulation(NamedTuple):
     gradient: Array
     cost: Array
 
-    def of(self, arms: BoolArray) -> "_Resimulation":
-        """Return the result of the flagged arms (r,)."""
+    def select(self, arms: BoolArray) -> "_Resimulation":
+        """Return the results of the flagged arms (r,)."""
         return _Resimulation(*(values[arms] for values in self))
 
 
 class PerturbedModels:
-    """Estimated and perturbed simulations of arms, for fitted numbers: uncertain parameters, start angles and biases.
+    """Estimated model and s perturbed models of each arm, for a parameter vector theta (p,).
 
-    Parameters and start angles affect the motion; biases are added to the measurements.
+    Theta consists of uncertain parameters and start angles, s entries that affect the motion, and of biases, which are
+    added to the measurements.
 
     Args:
         plant: plant model with method and step.
         uncertain: uncertain parameters of the arm.
-        matrix: (m, 2 d) of the measurements with respect to the state.
-        biased: whether biases of all measurements are fitted.
+        matrix: (m, 2 d) measurement matrix.
+        biased: True for biases of all measurements in theta.
     """
 
     def __init__(
@@ -159,40 +160,40 @@ class PerturbedModels:
         model = self.model = plant.model
         self.models, self.uncertain, self.matrix = InternalModels(plant), uncertain, matrix
         n, count = model.n_joints, len(uncertain.names)
-        self.dynamic, self.size = count + n, count + n + biased * len(matrix)
+        self.dynamic, self.size = count + n, count + n + biased * len(matrix)  # s and p
         self.steps = np.concatenate([uncertain.step, np.full(n, ANGLE_STEP)])
-        self._turns = model.at_rest(np.eye(n))
+        self._rotations = model.at_rest(np.eye(n))  # states after rotation by 1 rad, joint by joint
 
-    def perturb(self, numbers: Array, steps: Array | None = None) -> Array:
-        """Return the numbers (r, 1 + s, p) of all models: the estimate and its perturbations."""
-        result = np.repeat(numbers[:, None], 1 + self.dynamic, axis=1)
+    def perturb(self, theta: Array, steps: Array | None = None) -> Array:
+        """Return the parameter vectors (r, 1 + s, p) of all models: the estimate (r, p) and its perturbations."""
+        result = np.repeat(theta[:, None], 1 + self.dynamic, axis=1)
         each = np.arange(self.dynamic)
         result[:, 1 + each, each] += self.steps if steps is None else steps
         return result
 
-    def initial_states(self, origin: Array, numbers: Array) -> Array:
+    def initial_states(self, origin: Array, theta: Array) -> Array:
         """Return the start states (r, 1 + s, 2 d) of the models.
 
         Args:
-            origin: (r, 2 d) start states with start-angle numbers of 0.
-            numbers: (r, p).
+            origin: (r, 2 d) start states for start angles of 0 in theta.
+            theta: (r, p) parameter vectors.
 
         Returns:
             States (r, 1 + s, 2 d).
         """
-        angles = self.perturb(numbers)[:, :, len(self.uncertain.names) : self.dynamic]
-        return origin[:, None] + (angles[..., None] * self._turns).sum(axis=2)
+        angles = self.perturb(theta)[:, :, len(self.uncertain.names) : self.dynamic]
+        return origin[:, None] + (angles[..., None] * self._rotations).sum(axis=2)
 
-    def parameters(self, numbers: Array) -> dict[str, Array]:
-        """Return the physical parameters, name -> (r, ...), for numbers (r, p)."""
-        return self.uncertain.values(self.model, numbers)
+    def parameters(self, theta: Array) -> dict[str, Array]:
+        """Return the physical parameters, name -> (r, ...) in their units, for parameter vectors (r, p)."""
+        return self.uncertain.values(self.model, theta)
 
     def jacobian(self, states: Array, steps: Array) -> Array:
-        """Return the Jacobian (r, 2 d, s) of the states with respect to the perturbed numbers.
+        """Return the Jacobian (r, 2 d, s) of the states with respect to the perturbed entries of theta.
 
         Args:
-            states: (r, 1 + s, 2 d) of all models.
-            steps: (r, s) perturbations.
+            states: (r, 1 + s, 2 d) states of all models.
+            steps: (r, s) perturbations of theta.
 
         Returns:
             Jacobian (r, 2 d, s).
@@ -206,41 +207,39 @@ class PerturbedModels:
             return read
         return np.concatenate([read, np.repeat(np.eye(len(self.matrix))[None], len(read), axis=0)], axis=2)
 
-    def read(self, states: Array, numbers: Array) -> Array:
-        """Return the measurements (r, m) of states (r, 2 d) for numbers (r, p)."""
+    def read(self, states: Array, theta: Array) -> Array:
+        """Return the predicted measurements (r, m) for states (r, 2 d) and parameter vectors (r, p)."""
         result = row_dots(self.matrix, states[:, None])
-        return result if self.size == self.dynamic else result + numbers[:, self.dynamic :]
+        return result if self.size == self.dynamic else result + theta[:, self.dynamic :]
 
-    def resimulate(
-        self, origin: Array, numbers: Array, torques: Array, readings: Array, weights: Array
-    ) -> _Resimulation:
+    def resimulate(self, origin: Array, theta: Array, torques: Array, readings: Array, weights: Array) -> _Resimulation:
         """Simulate r arms from their start over k control periods and compare them with the measurements.
 
         Args:
-            origin: (r, 2 d), see `initial_states`.
-            numbers: (r, p).
-            torques: (r, k, n) applied in each period, N m.
-            readings: (r, k + 1, m) from the start.
-            weights: (r, k + 1, m) of the squared residuals, 1 / variance; 0 to ignore a measurement.
+            origin: (r, 2 d) start states, see `initial_states`.
+            theta: (r, p) parameter vectors.
+            torques: (r, k, n) torques applied in each period, N m.
+            readings: (r, k + 1, m) measurements from the start.
+            weights: (r, k + 1, m) weights of the squared residuals, 1 / variance; 0 to ignore a measurement.
 
         Returns:
             Final states, information matrix, gradient and cost.
         """
         parts = [slice(first, first + BATCH_ARMS) for first in range(0, len(origin), BATCH_ARMS)]
-        results = [self._resimulate_batch(origin[p], numbers[p], torques[p], readings[p], weights[p]) for p in parts]
+        results = [self._resimulate_batch(origin[p], theta[p], torques[p], readings[p], weights[p]) for p in parts]
         return _Resimulation(*(np.concatenate(each) for each in zip(*results, strict=True)))
 
     def _resimulate_batch(
-        self, origin: Array, numbers: Array, torques: Array, readings: Array, weights: Array
+        self, origin: Array, theta: Array, torques: Array, readings: Array, weights: Array
     ) -> _Resimulation:
         arms, periods, n = torques.shape
-        start = self.initial_states(origin, numbers)
+        start = self.initial_states(origin, theta)
         models = start.shape[1]
         batch, used = self.models("resimulate", arms * models), np.arange(arms * models)
-        flat = self.perturb(numbers).reshape(arms * models, -1)
+        flat = self.perturb(theta).reshape(arms * models, -1)
         batch.vary(used, **self.parameters(flat))
         batch.place(used, start.reshape(arms * models, -1))
-        drives = np.zeros((arms * models, periods, n + 6))
+        drives = np.zeros((arms * models, periods, n + 6))  # torques, tip force, base acceleration
         drives[:, :, :n] = np.repeat(torques, models, axis=0)
         rolled = batch.roll(drives)[0].reshape(arms, models, periods, -1)
         states = np.concatenate([start[:, :, None], rolled], axis=2)
@@ -251,7 +250,7 @@ class PerturbedModels:
             jacobian = np.concatenate([jacobian, biases], axis=3)
         error = readings - read[..., 0]
         if self.size > self.dynamic:
-            error = error - numbers[:, None, self.dynamic :]
+            error = error - theta[:, None, self.dynamic :]
         root = np.sqrt(weights)
         jacobian = (jacobian * root[..., None]).reshape(arms, -1, self.size)
         error = (error * root).reshape(arms, -1)
@@ -260,22 +259,22 @@ class PerturbedModels:
         return _Resimulation(states[:, :, -1].copy(), across @ jacobian, gradient, row_dots(error, error))
 
     def fit(
-        self, origin: Array, numbers: Array, prior: Prior, data: tuple[Array, Array, Array]
+        self, origin: Array, theta: Array, prior: Prior, data: tuple[Array, Array, Array]
     ) -> tuple[Array, _Resimulation]:
-        """Fit the numbers of r arms to all measurements by a few Levenberg-Marquardt iterations.
+        """Fit the parameter vectors of r arms to all measurements by a few Levenberg-Marquardt iterations.
 
         Args:
-            origin: (r, 2 d), see `initial_states`.
-            numbers: (r, p) initial guess.
-            prior: of the numbers.
+            origin: (r, 2 d) start states, see `initial_states`.
+            theta: (r, p) initial guess.
+            prior: prior of theta.
             data: torques, measurements and weights, see `resimulate`.
 
         Returns:
-            Fitted numbers (r, p) and the simulation with them.
+            Fitted parameter vectors (r, p) and the simulation of the arms with these parameters.
         """
         periods, damping = data[0].shape[1], np.full(len(origin), INITIAL_DAMPING)
         precision, running = 1.0 / prior.deviation**2, np.ones(len(origin), dtype=bool)
-        best, result, least = numbers, self.resimulate(origin, numbers, *data), np.full(len(origin), np.inf)
+        best, result, least = theta, self.resimulate(origin, theta, *data), np.full(len(origin), np.inf)
         candidate, simulation = best, result
         for attempt in range(MAX_ITERATIONS):
             cost = simulation.cost + ((prior.mean - candidate) ** 2 * precision).sum(axis=1)
@@ -284,42 +283,44 @@ class PerturbedModels:
             least = np.where(better, cost, least)
             best = np.where(better[:, None], candidate, best)
             result = _Resimulation(*(_select_rows(better, *both) for both in zip(simulation, result, strict=True)))
-            change, fall = levenberg_marquardt_step(result, best, prior, damping)
-            running &= fall >= max(MIN_DECREASE[0], MIN_DECREASE[1] * periods)
+            change, decrease = levenberg_marquardt_step(result, best, prior, damping)
+            running &= decrease >= max(MIN_DECREASE[0], MIN_DECREASE[1] * periods)
             if attempt == MAX_ITERATIONS - 1 or not running.any():
                 break
-            candidate = np.where(running[:, None], prior.clip(best + change), best)  # finished arms stay as they are
+            candidate = np.where(running[:, None], prior.clip(best + change), best)  # finished fits do not change
             simulation = self.resimulate(origin, candidate, *data)
         return best, result
 
 
 def levenberg_marquardt_step(
-    simulation: _Resimulation, numbers: Array, prior: Prior, damping: Array | float = 0.0
+    simulation: _Resimulation, theta: Array, prior: Prior, damping: Array | float = 0.0
 ) -> tuple[Array, Array]:
-    """Return the change (r, p) of numbers (r, p) and the predicted decrease (r,) of the cost with its prior."""
+    """Return a change (r, p) of parameter vectors (r, p) and the predicted decrease (r,) of the cost and its prior."""
     precision = 1.0 / prior.deviation**2
-    whole, each = simulation.information.copy(), np.arange(numbers.shape[1])
-    whole[:, each, each] += precision
-    slope = simulation.gradient + precision * (prior.mean - numbers)
-    damped = whole.copy()
+    posterior, each = simulation.information.copy(), np.arange(theta.shape[1])
+    posterior[:, each, each] += precision
+    gradient = simulation.gradient + precision * (prior.mean - theta)
+    damped = posterior.copy()
     damped[:, each, each] *= 1.0 + np.reshape(damping, (-1, 1))
-    change = solve_scaled(damped, slope)
-    return change, (change * slope).sum(axis=1)
+    change = solve_scaled(damped, gradient)
+    return change, (change * gradient).sum(axis=1)
 
 
 def solve_scaled(matrices: Array, vectors: Array) -> Array:
-    """Return x (r, p) of matrices (r, p, p) x = vectors (r, p), after diagonal scaling; 0 for entries not finite."""
+    """Return the solutions (r, p) of matrices (r, p, p) x = vectors (r, p), after scaling; 0 for non-finite systems."""
     finite: BoolArray = np.logical_and(np.isfinite(matrices).all(axis=(1, 2)), np.isfinite(vectors).all(axis=1))
-    even, scale = _unit_diagonal(np.where(finite[:, None, None], matrices, np.eye(matrices.shape[1])))
-    result: Array = scale * np.linalg.solve(even, (scale * np.where(finite[:, None], vectors, 0.0))[..., None])[..., 0]
+    matrix, scale = _unit_diagonal(np.where(finite[:, None, None], matrices, np.eye(matrices.shape[1])))
+    result: Array = (
+        scale * np.linalg.solve(matrix, (scale * np.where(finite[:, None], vectors, 0.0))[..., None])[..., 0]
+    )
     return result
 
 
 def standard_deviations(information: Array) -> Array:
-    """Return the standard deviations (r, p) for information matrices (r, p, p); infinite for entries not finite."""
+    """Return standard deviations (r, p) for information matrices (r, p, p); infinite for non-finite matrices."""
     finite: BoolArray = np.all(np.isfinite(information), axis=(1, 2))
-    even, scale = _unit_diagonal(np.where(finite[:, None, None], information, np.eye(information.shape[1])))
-    variances = np.diagonal(np.linalg.inv(even), axis1=1, axis2=2)
+    matrix, scale = _unit_diagonal(np.where(finite[:, None, None], information, np.eye(information.shape[1])))
+    variances = np.diagonal(np.linalg.inv(matrix), axis1=1, axis2=2)
     return np.where(finite[:, None], scale * np.sqrt(np.maximum(variances, 0.0)), np.inf)
 
 

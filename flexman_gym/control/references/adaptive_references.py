@@ -1,4 +1,4 @@
-"""References adapted to estimated parameters: slews along straight paths, planned again on the way, and given paths."""
+"""References adapted to estimated parameters: slews along straight paths with replanned timing, and given paths."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -17,25 +17,24 @@ from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.parameters import varied_model
 
-PATH_POINTS = np.linspace(0.0, 1.0, 11)  # path parameters at which deflections are tabulated
+PATH_POINTS = np.linspace(0.0, 1.0, 11)  # path parameters s at which deflections are tabulated
 TYPICAL_ACCELERATION = 0.5  # 1/s^2; second derivative of the path parameter at which deflections are computed
-CANDIDATE_DURATIONS = 0.2 * 1.045 ** np.arange(110)  # s; the last is 24 s
+CANDIDATE_DURATIONS = 0.2 * 1.045 ** np.arange(110)  # s; durations of slews that are tried, up to 24 s
 CHECKED_TIMES = np.linspace(0.0, 1.0, 17)[1:-1]  # fractions of a duration at which torques are checked
-REST = 0  # layers of a table: equilibrium,
-ACCELERATION = 1  # factor of s''
-SPEED_SQUARED = 2  # factor of s'^2
-NEWTON_STEPS = 2  # for the rotation of the end of a path
-MAX_CACHED_PATHS = 1000  # of 20 kB each
-DIFFERENCE_STEP = 0.01  # s; of finite differences for the rates of deflected coordinates
+REST = 0  # index of the layer of a table with the values at equilibrium
+ACCELERATION = 1  # index of the layer with the factors of s''
+SPEED_SQUARED = 2  # index of the layer with the factors of s'^2
+NEWTON_ITERATIONS = 2  # iterations for the corrected end of a path
+MAX_CACHED_PATHS = 1000  # tables of 20 kB each
+DIFFERENCE_STEP = 0.01  # s; step of central differences for the rates of deflected coordinates
 
 
 class _PathTables(NamedTuple):
-    """Deflections and torques at the points of a path, for p payloads, in three layers.
+    """Deflections and torques at the points of a path, for p payloads, in three layers: REST, s'' and s'^2.
 
     Attributes:
-        coordinates: (p, 11, 3, d) departures from the straight path of the motors: at rest, and per unit of s'' and
-            s'^2.
-        torques: (p, 11, 3, n) in the same layers, N m.
+        coordinates: (p, 11, 3, d) deviations of the coordinates from the straight path of the motors.
+        torques: (p, 11, 3, n) motor torques, N m.
     """
 
     coordinates: Array
@@ -46,13 +45,13 @@ class SlewReferences:
     """Slews of b arms: path parameter s from 0 to 1, motor angles, deflected coordinates and torques.
 
     The arm is deflected quasi-statically by inertia and gravity, without vibration. Deflections and torques are
-    rest + a(s) s'' + b(s) s'^2, tabulated for some payloads, interpolated by a parabola between them, and scaled by the
-    estimated stiffness of each arm.
+    rest + a(s) s'' + b(s) s'^2, tabulated for one or three payloads, interpolated by a parabola between the payloads,
+    and scaled by the estimated stiffness of each arm.
 
     Args:
-        model: of the arm.
+        model: model of the arm.
         limits: (n,) torque limits, N m.
-        share: fraction of the limits available to a slew; the rest is left to feedback.
+        torque_fraction: fraction of the limits available to a slew; the remainder is reserved for feedback.
         payloads: kg, one or three, ascending.
 
     Attributes:
@@ -65,8 +64,8 @@ class SlewReferences:
         "_compliance", "_friction", "_adapted_coordinates", "_adapted_torques", "time_scaling", "pace_rate",
     )  # fmt: skip
 
-    def __init__(self, model: Model, limits: Array, share: float, payloads: Sequence[float]) -> None:
-        self.model, self._limits, self._share = model, limits, share
+    def __init__(self, model: Model, limits: Array, torque_fraction: float, payloads: Sequence[float]) -> None:
+        self.model, self._limits, self._torque_fraction = model, limits, torque_fraction
         self._payloads = np.array(payloads, dtype=float)
         self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
         self._compensation = DeflectionCompensation(model)
@@ -74,7 +73,7 @@ class SlewReferences:
         n, d, p = model.n_joints, model.n_dof, len(payloads)
         self.start, self.displacement, self.shift = np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, n))
         self._coordinates, self._torques = np.zeros((0, p, 11, 3, d)), np.zeros((0, p, 11, 3, n))
-        # for the estimated payloads
+        # interpolated to the estimated payloads
         self._adapted_coordinates, self._adapted_torques = np.zeros((0, 11, 3, d)), np.zeros((0, 11, 3, n))
         self.coefficients, self.start_time, self.duration = np.zeros((0, 6)), np.zeros(0), np.zeros(0)
         self._compliance, self._friction = np.zeros((0, d)), np.zeros((0, 2, n))
@@ -83,7 +82,7 @@ class SlewReferences:
         self._flexible = model.constants.motor >= 0
 
     def allocate(self, count: int) -> None:
-        """Allocate memory for a number of arms."""
+        """Allocate memory for `count` arms."""
         for name in self.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), count))
 
@@ -101,12 +100,12 @@ class SlewReferences:
                 self._coordinates[arm, payload], self._torques[arm, payload] = tables
 
     def _tabulate(self, payload: int, start: Array, goal: Array) -> _PathTables:
-        """Return the tables of one arm with one payload."""
+        """Return the tables of a path between motor angles (n,) rad, for the payload with the given index."""
         model, deflection, displacement = self._models[payload], self._deflections[payload], goal - start
         n = model.n_joints
         coordinates, torques = np.zeros((11, 3, model.n_dof)), np.zeros((11, 3, n))
-        for row, place in enumerate(PATH_POINTS):
-            posture = start + place * displacement
+        for row, progress in enumerate(PATH_POINTS):
+            posture = start + progress * displacement
             rest, straight = rest_state(model, posture)[: model.n_dof], model.at_rest(posture[None])[0, : model.n_dof]
             coordinates[row, REST], torques[row, REST] = rest - straight, holding_torques(model, posture)
             links, zero = rest[:n], np.zeros(n)
@@ -126,106 +125,107 @@ class SlewReferences:
         """Adapt the references of the arms (r,) to estimated parameters (b, ...), see `Estimate`."""
         if not len(arms):
             return
-        weights, self._compliance[arms], self._friction[arms] = adaptation_factors(
+        weights, self._compliance[arms], self._friction[arms] = _adaptation_factors(
             self.model, self._payloads, parameters, arms
         )
-        for own, every in ((self._adapted_coordinates, self._coordinates), (self._adapted_torques, self._torques)):
-            own[arms] = (weights[:, :, None, None, None] * every[arms]).sum(axis=1)
+        for adapted, table in ((self._adapted_coordinates, self._coordinates), (self._adapted_torques, self._torques)):
+            adapted[arms] = (weights[:, :, None, None, None] * table[arms]).sum(axis=1)
         if self.model.constants.gravity.any():
             self._correct_goal(arms)
 
     def _correct_goal(self, arms: IntArray) -> None:
-        """Rotate the ends of the paths of the arms (r,) so that the tips rest at the positions of the nominal arm."""
+        """Shift the ends of the paths of the arms (r,) so that the tips come to rest where the nominal arm would."""
         model, d = self.model, self.model.n_dof
         for arm in arms:
             goal = self.start[arm] + self.displacement[arm]
             target = rest_state(model, goal)[:d]
-            for _ in range(NEWTON_STEPS):
-                sagging = self._compliance[arm] * self._adapted_coordinates[arm, -1, REST]
-                place = model.at_rest((goal + self.shift[arm])[None])[0, :d] + sagging
-                self.shift[arm] += self._compensation.turn(target, place)
+            for _ in range(NEWTON_ITERATIONS):
+                sag = self._compliance[arm] * self._adapted_coordinates[arm, -1, REST]
+                deflected = model.at_rest((goal + self.shift[arm])[None])[0, :d] + sag
+                self.shift[arm] += self._compensation.rotation(target, deflected)
 
-    def plan_timing(self, arms: IntArray, now: Array, first: bool) -> None:
-        """Plan the timing of the rest of the slews of the arms (r,), as fast as the torque limits allow.
+    def plan_timing(self, arms: IntArray, times: Array, first: bool) -> None:
+        """Plan the remaining motion of the arms (r,) along their paths, as fast as the torque limits allow.
 
         Args:
-            arms: (r,) after `adapt`.
-            now: (r,) s.
+            arms: (r,) indices of arms whose references have been adapted, see `adapt`.
+            times: (r,) present time of each arm, s.
             first: True for a start at rest at the beginning of the paths; False to continue the current motion.
         """
         if not len(arms):
             return
-        place, speed, change = (np.zeros((3, len(arms))) if first else np.array(self.at(now, arms)))[:, :, None]
-        tried = quintic_coefficients(place, speed, change, CANDIDATE_DURATIONS.astype(float))
-        places, speeds, changes = evaluate_polynomials(tried[:, :, None], CANDIDATE_DURATIONS[:, None] * CHECKED_TIMES)
-        torques = self._interpolate(self._adapted_torques, arms, places, changes, speeds)
+        initial = (np.zeros((3, len(arms))) if first else np.array(self.at(times, arms)))[:, :, None]
+        candidates = quintic_coefficients(initial[0], initial[1], initial[2], CANDIDATE_DURATIONS.astype(float))
+        checked = CANDIDATE_DURATIONS[:, None] * CHECKED_TIMES
+        progress, speeds, accelerations = evaluate_polynomials(candidates[:, :, None], checked)
+        torques = self._interpolate(self._adapted_torques, arms, progress, accelerations, speeds)
         if self._friction[arms].any():
             rates = speeds[..., None] * self.displacement[arms][:, None, None]
             torques += _friction_torques(self.model, self._friction[arms][:, None, None], rates)
-        shares = (np.abs(torques) / self._limits).max(axis=(2, 3))
-        feasible = shares <= self._share
-        chosen = np.where(feasible.any(axis=1), feasible.argmax(axis=1), shares.argmin(axis=1))
-        self.coefficients[arms] = tried[np.arange(len(arms)), chosen]
-        self.start_time[arms], self.duration[arms] = now, CANDIDATE_DURATIONS[chosen]
+        ratios = (np.abs(torques) / self._limits).max(axis=(2, 3))
+        feasible = ratios <= self._torque_fraction
+        chosen = np.where(feasible.any(axis=1), feasible.argmax(axis=1), ratios.argmin(axis=1))
+        self.coefficients[arms] = candidates[np.arange(len(arms)), chosen]
+        self.start_time[arms], self.duration[arms] = times, CANDIDATE_DURATIONS[chosen]
 
-    def _interpolate(self, table: Array, arms: IntArray, places: Array, changes: Array, speeds: Array) -> Array:
-        """Return rest + a s'' + b s'^2 (r, ..., m) from a table (b, 11, 3, m)."""
-        at = np.clip(places, 0.0, 1.0) * (len(PATH_POINTS) - 1)
+    def _interpolate(self, table: Array, arms: IntArray, progress: Array, accelerations: Array, speeds: Array) -> Array:
+        """Return rest + a s'' + b s'^2, (r, ..., m), from a table (b, 11, 3, m) at path parameters (r, ...)."""
+        at = np.clip(progress, 0.0, 1.0) * (len(PATH_POINTS) - 1)
         low = np.minimum(at.astype(np.int64), len(PATH_POINTS) - 2)
-        part, rows = (at - low)[..., None, None], arms.reshape(-1, *(1,) * (places.ndim - 1))
+        part, rows = (at - low)[..., None, None], arms.reshape(-1, *(1,) * (progress.ndim - 1))
         layers = table[rows, low] * (1.0 - part) + table[rows, low + 1] * part
         return (
             layers[..., REST, :]
-            + layers[..., ACCELERATION, :] * changes[..., None]
+            + layers[..., ACCELERATION, :] * accelerations[..., None]
             + layers[..., SPEED_SQUARED, :] * (speeds[..., None] ** 2)
         )
 
-    def at(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
+    def at(self, times: Array, arms: IntArray) -> tuple[Array, Array, Array]:
         """Return path parameters, speeds (1/s) and accelerations (1/s^2) of the arms (r,) at times (r,) s."""
-        passed = now - self.start_time[arms]
-        # a slew that was planned again on its way moved before that time
+        elapsed = times - self.start_time[arms]
+        # a slew with replanned timing was moving before its start time; central differences need these times too
         earliest = np.where(self.coefficients[arms, 1] != 0.0, -DIFFERENCE_STEP * self.time_scaling[arms], 0.0)
-        place, speed, change = evaluate_polynomials(
-            self.coefficients[arms], np.clip(passed, earliest, self.duration[arms])
-        )
-        over = passed >= self.duration[arms]
-        return np.where(over, 1.0, place), np.where(over, 0.0, speed), np.where(over, 0.0, change)
+        clipped = np.clip(elapsed, earliest, self.duration[arms])
+        progress, speed, acceleration = evaluate_polynomials(self.coefficients[arms], clipped)
+        over = elapsed >= self.duration[arms]
+        return np.where(over, 1.0, progress), np.where(over, 0.0, speed), np.where(over, 0.0, acceleration)
 
-    def _scaled_timing(self, now: Array, arms: IntArray) -> tuple[Array, Array, Array]:
-        """Return the result of `at` with the time scaling of the clocks applied."""
-        place, speed, change = self.at(now, arms)
+    def _scaled_timing(self, times: Array, arms: IntArray) -> tuple[Array, Array, Array]:
+        """Return the path parameters and derivatives of `at`, with the time scaling of the clocks applied."""
+        progress, speed, acceleration = self.at(times, arms)
         pace = self.time_scaling[arms]
-        return place, speed * pace, change * pace**2 + speed * self.pace_rate[arms]
+        return progress, speed * pace, acceleration * pace**2 + speed * self.pace_rate[arms]
 
-    def states(self, now: Array, arms: IntArray) -> Array:
+    def states(self, times: Array, arms: IntArray) -> Array:
         """Return the reference states (r, 2 d) of the arms (r,) at times (r,) s."""
         steps = DIFFERENCE_STEP * self.time_scaling[arms]
-        before, here, after = (self._coordinates_at(now + step, arms) for step in (-steps, 0.0, steps))
+        before, here, after = (self._coordinates_at(times + step, arms) for step in (-steps, 0.0, steps))
         return np.concatenate([here, (after - before) / (2.0 * DIFFERENCE_STEP)], axis=1)
 
-    def _coordinates_at(self, now: Array, arms: IntArray) -> Array:
-        place, speed, change = self._scaled_timing(now, arms)
-        result = self._compliance[arms] * self._interpolate(self._adapted_coordinates, arms, place, change, speed)
-        angles = self.start[arms] + place[:, None] * (self.displacement[arms] + self.shift[arms])
+    def _coordinates_at(self, times: Array, arms: IntArray) -> Array:
+        progress, *derivatives = self._scaled_timing(times, arms)
+        deflections = self._interpolate(self._adapted_coordinates, arms, progress, *reversed(derivatives))
+        result = self._compliance[arms] * deflections
+        angles = self.start[arms] + progress[:, None] * (self.displacement[arms] + self.shift[arms])
         result[:, self.model.motor_columns] += angles
         result[:, np.flatnonzero(self._flexible)] += angles[:, self._flexible]
         return result
 
-    def torques(self, now: Array, arms: IntArray) -> Array:
+    def torques(self, times: Array, arms: IntArray) -> Array:
         """Return the feed-forward torques (r, n) of the arms (r,) at times (r,) s, N m."""
-        place, speed, change = self._scaled_timing(now, arms)
+        progress, speed, acceleration = self._scaled_timing(times, arms)
         friction = _friction_torques(self.model, self._friction[arms], speed[:, None] * self.displacement[arms])
-        return self._interpolate(self._adapted_torques, arms, place, change, speed) + friction
+        return self._interpolate(self._adapted_torques, arms, progress, acceleration, speed) + friction
 
 
 def estimated_payloads(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
-    """Return the estimated payloads (r,) of arms (r,), kg; that of the model if there is no estimate."""
+    """Return the estimated payloads (r,) of the arms (r,), kg; the nominal payload if there is no estimate."""
     if "payload_mass" in parameters:
         return parameters["payload_mass"][arms]
     return np.full(len(arms), model.constants.payload_mass[0])
 
 
-def adaptation_factors(
+def _adaptation_factors(
     model: Model, nodes: Array, parameters: Mapping[str, Array], arms: IntArray
 ) -> tuple[Array, Array, Array]:
     """Return the factors by which the references of arms (r,) are adapted to estimated parameters.
@@ -233,12 +233,12 @@ def adaptation_factors(
     Args:
         model: nominal model of the arm.
         nodes: (p,) payloads for which references are tabulated, kg.
-        parameters: name -> (b, ...) estimated physical parameters; the nominal value where a name is missing.
-        arms: (r,).
+        parameters: name -> (b, ...) estimated physical parameters; a missing name stands for the nominal value.
+        arms: (r,) indices.
 
     Returns:
         Weights (r, p) of the Lagrange interpolation between the payloads; ratios (r, d) of the elastic deflections to
-        those of the nominal arm; viscous (N m s/rad) and Coulomb friction (N m) of the motors, (r, 2, n).
+        the deflections of the nominal arm; viscous (N m s/rad) and Coulomb friction (N m) of the motors, (r, 2, n).
     """
     masses = np.clip(estimated_payloads(model, parameters, arms), nodes[0], nodes[-1])
     weights = np.ones((len(arms), len(nodes)))
@@ -267,10 +267,10 @@ def _friction_torques(model: Model, coefficients: Array, rates: Array) -> Array:
 
 
 class PathReferences:
-    """States and torques of b arms along given paths of their motors, planned for some payloads, see `plan_path`.
+    """States and torques of b arms along given paths of their motors, planned for each payload, see `plan_path`.
 
     Args:
-        model: of the arm.
+        model: model of the arm.
         period: control period, s.
         payloads: kg, one or three, ascending.
     """
@@ -280,22 +280,21 @@ class PathReferences:
     def __init__(self, model: Model, period: float, payloads: Sequence[float]) -> None:
         self.model, self._period, self._payloads = model, period, np.array(payloads, dtype=float)
         self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
-        self._plans: dict[
-            int, tuple[Array, Array, Array]
-        ] = {}  # arm -> states of the rigid arm, deflections and torques for each payload
+        # arm -> states of the undeformed arm, and deviations from them and torques for each payload
+        self._plans: dict[int, tuple[Array, Array, Array]] = {}
         self._weights, self._compliance = np.zeros((0, len(payloads))), np.zeros((0, model.n_dof))
         self._friction = np.zeros((0, 2, model.n_joints))
 
     def begin(self, arm: int, path: Array) -> None:
-        """Plan the motion of an arm along a path (T + 1, n) rad of its motors; `adapt` completes it.
+        """Plan the motion of an arm along motor angles (T + 1, n) rad, one row per control period.
 
-        The path has one point per control period.
+        `adapt` must follow before the first call of `at`.
         """
         plans = [plan_path(model, path, self._period) for model in self._models]
         straight = self.model.at_rest(path)
         straight[:, self.model.n_dof :] = np.gradient(straight[:, : self.model.n_dof], self._period, axis=0)
-        departures = np.array([plan.states - straight for plan in plans])
-        self._plans[arm] = straight, departures, np.array([plan.torques for plan in plans])
+        deflections = np.array([plan.states - straight for plan in plans])
+        self._plans[arm] = straight, deflections, np.array([plan.torques for plan in plans])
         for name in self.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), arm + 1))
 
@@ -303,19 +302,19 @@ class PathReferences:
         """Adapt the references of the arms (r,) to estimated parameters (b, ...), see `Estimate`."""
         if not len(arms):
             return
-        self._weights[arms], self._compliance[arms], self._friction[arms] = adaptation_factors(
+        self._weights[arms], self._compliance[arms], self._friction[arms] = _adaptation_factors(
             self.model, self._payloads, parameters, arms
         )
 
-    def at(self, now: Array, arms: IntArray) -> tuple[Array, Array]:
-        """Return the states (r, 2 d) at times (r,) s, and the torques (r, n) of the following period, N m."""
+    def at(self, times: Array, arms: IntArray) -> tuple[Array, Array]:
+        """Return the states (r, 2 d) at times (r,) s, and the torques (r, n) N m during the following period."""
         states, torques = [], []
         rates = self.model.n_dof + self.model.motor_columns
-        for moment, arm in zip((now / self._period).round().astype(int).tolist(), arms.tolist(), strict=True):
-            straight, departures, forward = self._plans[arm]
-            row, weights = min(moment, len(straight) - 1), self._weights[arm, :, None]
-            deflected = (weights * departures[:, row]).sum(axis=0) * np.tile(self._compliance[arm], 2)
-            states.append(straight[row] + deflected)
-            sliding = _friction_torques(self.model, self._friction[arm], states[-1][rates])
-            torques.append((weights * forward[:, min(moment, forward.shape[1] - 1)]).sum(axis=0) + sliding)
+        for period, arm in zip((times / self._period).round().astype(int).tolist(), arms.tolist(), strict=True):
+            straight, deflections, forward = self._plans[arm]
+            row, weights = min(period, len(straight) - 1), self._weights[arm, :, None]
+            deflection = (weights * deflections[:, row]).sum(axis=0) * np.tile(self._compliance[arm], 2)
+            states.append(straight[row] + deflection)
+            friction = _friction_torques(self.model, self._friction[arm], states[-1][rates])
+            torques.append((weights * forward[:, min(period, forward.shape[1] - 1)]).sum(axis=0) + friction)
         return np.array(states), np.array(torques)

@@ -1,4 +1,4 @@
-"""Optimised slews: single shooting for the shortest settling time, tables of torques, and their replay."""
+"""Optimised slews: single shooting for the shortest settling time, tables of torques, and replay of the torques."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -12,49 +12,49 @@ from flexman_gym.common.arrays import Array, IntArray, Vector, pad_rows, row_dot
 from flexman_gym.common.checks import MAX_VALUE_LENGTH, short_path, value_error
 from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.control.controller import EpisodeInfo
-from flexman_gym.control.lqr import LQR, TORQUE_SHARE
+from flexman_gym.control.lqr import FEEDFORWARD_FRACTION, LQR
 from flexman_gym.control.references.trajectories import plan_slew
 from flexman_gym.kernels.layout import OK, TIP
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state, rest_tips
 from flexman_gym.simulation.batch import Batch
 
-KNOT_SPACING = 0.1  # s; between knots of the torques
-TAIL_TIME = 0.2  # s; duration of the torques after the arrival
+KNOT_SPACING = 0.1  # s; time between two knots of the torques
+TAIL_TIME = 0.2  # s; duration of the torques after the arrival of the tip
 SETTLING_TIME = 1.0  # s; duration of control by the LQR after the optimised torques
-MIN_KNOTS = 4  # number of knots
-FIRST_FACTOR = 0.8  # of the duration of a minimum-jerk slew; first trial
-SHORTER_FACTOR = 0.88  # of the duration, after a success
-LONGER_FACTOR = 1.12  # of the duration, after a failure
-DURATION_TOLERANCE = 0.012  # relative; ends the search
-MAX_DURATIONS = 40  # trial durations
-MAX_STEPS = 60  # Gauss-Newton steps for one duration
-MAX_JACOBIANS = 12  # Jacobians for one duration
+MIN_KNOTS = 4  # smallest number of knots
+FIRST_FACTOR = 0.8  # 1; first trial duration, relative to a minimum-jerk slew
+SHORTER_FACTOR = 0.88  # 1; next trial duration after a success, relative to the last
+LONGER_FACTOR = 1.12  # 1; next trial duration after a failure, relative to the last
+DURATION_TOLERANCE = 0.012  # 1; relative difference of failed and successful duration that ends the search
+MAX_DURATIONS = 40  # largest number of trial durations
+MAX_STEPS = 60  # largest number of Gauss-Newton steps for one duration
+MAX_JACOBIANS = 12  # largest number of Jacobians for one duration
 INNER_BAND = 0.6  # fraction of the band; smaller errors have no weight
-SETTLED_BAND = 0.995  # fraction of the band within which the tip has settled
-DAMPING_FACTORS = np.array([0.1, 1.0, 10.0, 100.0])  # tried in each step
-MIN_DAMPING = 1e-6
-MAX_DAMPING = 1e3
-INITIAL_DAMPING = 1e-2
-MAX_COST_RATIO = 0.9  # of a successful step
-BROYDEN_UPDATES = 5  # successful steps with one Jacobian
+SETTLED_BAND = 0.995  # fraction of the band within which the tip counts as settled
+DAMPING_FACTORS = np.array([0.1, 1.0, 10.0, 100.0])  # 1; changes of the damping that are tried in each step
+MIN_DAMPING = 1e-6  # 1; least damping of the Gauss-Newton matrix
+MAX_DAMPING = 1e3  # 1; largest damping
+INITIAL_DAMPING = 1e-2  # 1
+MAX_COST_RATIO = 0.9  # 1; largest ratio of the costs after and before a successful step
+BROYDEN_UPDATES = 5  # number of successful steps with one Jacobian
 TORQUE_STEP = 0.005  # fraction of the torque limits; perturbation for the Jacobian
-RATE_BOUND = 0.97  # fraction of the largest rate, above which rates are penalised
-MAX_RATE = 0.99  # fraction of the largest rate
-RATE_WEIGHT = 50.0  # bands per excess over RATE_BOUND
+RATE_BOUND = 0.97  # fraction of the largest motor rate above which rates are penalised
+MAX_RATE = 0.99  # fraction of the largest motor rate that a solution may reach
+RATE_WEIGHT = 50.0  # bands; penalty of a rate that exceeds RATE_BOUND by the largest rate
 FAILURE_ERROR = 1e3  # bands; error of an arm whose simulation failed
-COST_DIFFERENCE_STEP = 1e-4  # fraction of the torque limits
-TINY = 1e-12  # m
-ROUNDING = 1e-9  # fraction of the torque limits
+COST_DIFFERENCE_STEP = 1e-4  # fraction of the torque limits; perturbation for the Jacobian of the residuals
+MIN_DISTANCE = 1e-12  # m; avoids division by zero
+BOUND_MARGIN = 1e-9  # fraction of the torque limits; keeps bounds apart that rounding would exchange
 
 
 class _SlewTorques(NamedTuple):
-    """Torques over T control periods; afterwards an LQR acts at the goal.
+    """Torques of a slew over T control periods; afterwards an LQR acts at the goal.
 
     Attributes:
-        knots: (K, n) at equal intervals from start to end, N m.
-        periods: T.
-        arrival: control periods after which the tip stays within the band.
+        knots: (K, n) torques at equal intervals from start to end, N m.
+        periods: T, number of control periods.
+        arrival: number of control periods after which the tip stays within the band.
     """
 
     knots: Array
@@ -64,81 +64,83 @@ class _SlewTorques(NamedTuple):
 
 def _interpolate_torques(knots: Array, periods: int) -> Array:
     """Return the torques (..., T, n) in the middles of control periods, linear between knots (..., K, n)."""
-    places = (np.arange(periods) + 0.5) / periods * (knots.shape[-2] - 1)
-    lower = np.minimum(places.astype(int), knots.shape[-2] - 2)
-    part = (places - lower)[:, None]
+    positions = (np.arange(periods) + 0.5) / periods * (knots.shape[-2] - 1)
+    lower = np.minimum(positions.astype(int), knots.shape[-2] - 2)
+    part = (positions - lower)[:, None]
     result: Array = knots[..., lower, :] * (1.0 - part) + knots[..., lower + 1, :] * part
     return result
 
 
-def broyden_update(jacobian: Array, move: Array, change: Array) -> Array:
-    """Return the Jacobian (m, ...) after Broyden's rank-one update.
+def broyden_update(jacobian: Array, step: Array, change: Array) -> Array:
+    """Return the Jacobian (m, ...) after Broyden's rank-one update (Mathematics of Computation 19, 1965, 577).
 
     Args:
-        jacobian: (m, ...) before.
-        move: (m,) step.
-        change: (...) caused by the step.
+        jacobian: (m, ...) Jacobian before the step, a row for each variable.
+        step: (m,) change of the variables.
+        change: (...) change of the function by the step.
 
     Returns:
         Jacobian (m, ...) that maps the step to the change.
     """
-    missed = change - np.tensordot(move, jacobian, 1)
-    result: Array = jacobian + np.multiply.outer(move / (move @ move), missed)
+    error = change - np.tensordot(step, jacobian, 1)
+    result: Array = jacobian + np.multiply.outer(step / (step @ step), error)
     return result
 
 
 class SingleShooting:
     """Time-optimal slew of one arm between two equilibria, by single shooting.
 
-    The torques at all knots are perturbed side by side in a Batch. Damped Gauss-Newton steps within the torque limits
-    bring the tip into the band from an arrival time on, with Broyden's updates of the Jacobian (Mathematics of
-    Computation 19, 1965, 577). The arrival time is reduced, starting from the last solution, until no solution is
-    found.
+    Torques with one perturbed knot each are simulated together in a Batch. Damped Gauss-Newton steps within the torque
+    limits bring the tip into the band from an arrival time on, with Broyden's updates of the Jacobian. The arrival time
+    is reduced, starting from the last solution, until no solution is found.
 
     Args:
-        regulator: LQR at the end; its model, limits and period are those of the arm.
-        arms: function that returns a Batch with a given number of these arms.
-        band: m around the target within which the tip counts as settled.
-        rate: rad/s, largest motor rate.
+        regulator: LQR about the goal, with the model, torque limits and control period of the arm.
+        make_batch: function that returns a Batch with a given number of these arms.
+        band: distance from the target within which the tip counts as settled, m.
+        max_rate: largest motor rate, rad/s.
         start: (n,) initial motor angles, rad.
         goal: (n,) final motor angles, rad.
     """
 
     def __init__(
-        self, regulator: LQR, arms: Callable[[int], Batch], band: float, rate: float, start: Array, goal: Array
+        self,
+        regulator: LQR,
+        make_batch: Callable[[int], Batch],
+        band: float,
+        max_rate: float,
+        start: Array,
+        goal: Array,
     ) -> None:
-        self._max_rate = rate
-        self._regulator, self._make_batch, self._band, self._ends = regulator, arms, band, (start, goal)
+        self._max_rate = max_rate
+        self._regulator, self._make_batch, self._band, self._ends = regulator, make_batch, band, (start, goal)
         self._batches: dict[int, Batch] = {}
         model = regulator.model
         self._start, self._rest = rest_state(model, start), rest_state(model, goal)
         self._holding_torques = np.array([holding_torques(model, posture) for posture in (start, goal)])
         self._gain, self._target = regulator.gain(goal), rest_tips(model, goal[None])[0]
-        self._tail, self._stay = (round(time / regulator.period) for time in (TAIL_TIME, SETTLING_TIME))
+        self._tail, self._settling = (round(time / regulator.period) for time in (TAIL_TIME, SETTLING_TIME))
 
     def search(self) -> _SlewTorques | None:
-        """Return the fastest slew found; None if none settles."""
+        """Return the fastest slew found; None if no slew settles."""
         torques = plan_slew(
-            self._regulator.model, *self._ends, self._regulator.limits, TORQUE_SHARE, self._regulator.period
+            self._regulator.model, *self._ends, self._regulator.limits, FEEDFORWARD_FRACTION, self._regulator.period
         )
-        solution, best, part = (
-            _SlewTorques(torques.torques, len(torques.torques), len(torques.torques)),
-            None,
-            SHORTER_FACTOR,
-        )
+        count = len(torques.torques)
+        solution, best, factor = _SlewTorques(torques.torques, count, count), None, SHORTER_FACTOR
         arrival = max(1, round(FIRST_FACTOR * solution.periods))
         for _ in range(MAX_DURATIONS):
             found = self._solve(self._rescale(solution, arrival), arrival)
             if found is not None:
                 solution = best = found
-                arrival = min(round(part * best.arrival), best.arrival - 1)
+                arrival = min(round(factor * best.arrival), best.arrival - 1)
             elif best is None:
                 arrival = int(np.ceil(LONGER_FACTOR * arrival))
             else:
                 gap = best.arrival - arrival
                 if gap <= max(1.0, DURATION_TOLERANCE * best.arrival):
                     break
-                arrival, part = best.arrival - gap // 2, 0.5 + 0.5 * part
+                arrival, factor = best.arrival - gap // 2, 0.5 + 0.5 * factor
             if arrival < 1:
                 break
         return best
@@ -146,12 +148,13 @@ class SingleShooting:
     def errors(self, knots: Array, periods: int) -> Array:
         """Return the errors (r, T + W, 3 + n) at the ends of control periods for knots (r, K, n).
 
-        These are the position error (3,) of the tip, m, and the motor rates as fractions of the largest.
+        W control periods under the LQR follow the T periods of the slew. An error consists of the position error (3,)
+        of the tip, m, and the motor rates (n,) as fractions of the largest rate.
         """
         limits, n = self._regulator.limits, len(self._regulator.limits)
         batch, rates = self._batch(len(knots)), self._regulator.model.n_dof + self._regulator.model.motor_columns
-        result = np.empty((len(knots), periods + self._stay, 3 + n))
-        drives = np.zeros((len(knots), periods, n + 6))
+        result = np.empty((len(knots), periods + self._settling, 3 + n))
+        drives = np.zeros((len(knots), periods, n + 6))  # motor torques, tip force, base acceleration
         drives[..., :n] = np.clip(_interpolate_torques(knots, periods) / limits, -1.0, 1.0) * limits
         states, read = batch.roll(drives)
         result[:, :periods, :3], result[:, :periods, 3:] = (
@@ -159,7 +162,7 @@ class SingleShooting:
             states[..., rates] / self._max_rate,
         )
         drive = np.zeros((len(knots), n + 6))
-        for period in range(periods, periods + self._stay):
+        for period in range(periods, periods + self._settling):
             torques = self._holding_torques[1] - row_dots(self._gain, (batch.state - self._rest)[:, None])
             drive[:, :n] = np.clip(torques / limits, -1.0, 1.0) * limits
             batch.step(drive)
@@ -175,14 +178,14 @@ class SingleShooting:
         return self._batches[count]
 
     def _rescale(self, solution: _SlewTorques, arrival: int) -> Array:
-        """Return the knots (K, n) of a slew with another arrival time.
+        """Return the knots (K, n) of a slew, rescaled to an arrival time (control periods).
 
         The inertial part of the torques scales with the square of the speed.
         """
         periods, limits, speed = arrival + self._tail, self._regulator.limits, solution.arrival / arrival
         times = np.linspace(0.0, periods, max(MIN_KNOTS, round(periods * self._regulator.period / KNOT_SPACING) + 1))
-        own = np.linspace(0.0, solution.periods, len(solution.knots))
-        torques = np.array([np.interp(speed * times, own, column) for column in solution.knots.T]).T
+        knot_times = np.linspace(0.0, solution.periods, len(solution.knots))
+        torques = np.array([np.interp(speed * times, knot_times, column) for column in solution.knots.T]).T
         holding = self._holding_torques[0] + np.minimum(times / arrival, 1.0)[:, None] * (
             self._holding_torques[1] - self._holding_torques[0]
         )
@@ -190,7 +193,7 @@ class SingleShooting:
 
     def _solve(self, knots: Array, arrival: int) -> _SlewTorques | None:
         """Return the slew whose tip stays within the band from the arrival on; None if the iteration fails."""
-        periods, damping, reused, counted = arrival + self._tail, INITIAL_DAMPING, 0, 1
+        periods, damping, updates, jacobians = arrival + self._tail, INITIAL_DAMPING, 0, 1
         errors, jacobian = self._jacobian(knots, periods)
         for _ in range(MAX_STEPS):
             outside = np.flatnonzero(np.linalg.norm(errors[:, :3], axis=1) > SETTLED_BAND * self._band)
@@ -202,35 +205,37 @@ class SingleShooting:
             best = int(np.argmin(costs[:-1]))
             better = costs[best] < MAX_COST_RATIO * costs[-1]
             if better:
-                move = ((tried[best] - knots) / self._regulator.limits).ravel()
-                jacobian = broyden_update(jacobian, move, candidate_errors[best] - errors)
-                knots, errors, reused = tried[best], candidate_errors[best], reused + 1
+                step = ((tried[best] - knots) / self._regulator.limits).ravel()
+                jacobian = broyden_update(jacobian, step, candidate_errors[best] - errors)
+                knots, errors, updates = tried[best], candidate_errors[best], updates + 1
                 damping = float(np.clip(damping * DAMPING_FACTORS[best], MIN_DAMPING, MAX_DAMPING))
-            elif reused == 0:
+            elif updates == 0:
                 damping *= MAX_DAMPING
-            if reused and (reused == BROYDEN_UPDATES or not better):
+            if updates and (updates == BROYDEN_UPDATES or not better):
                 errors, jacobian = self._jacobian(knots, periods)
-                reused, counted = 0, counted + 1
-            if damping > MAX_DAMPING**2 or counted > MAX_JACOBIANS:
+                updates, jacobians = 0, jacobians + 1
+            if damping > MAX_DAMPING**2 or jacobians > MAX_JACOBIANS:
                 break
         return None
 
     def _jacobian(self, knots: Array, periods: int) -> tuple[Array, Array]:
-        """Return the `errors` of knots and their Jacobian (K n, T + W, 3 + n), per fraction of the limits."""
-        nudges = TORQUE_STEP * self._regulator.limits * np.eye(knots.size).reshape(-1, *knots.shape)
-        errors = self.errors(np.concatenate([knots[None], knots + nudges]), periods)
+        """Return the errors of knots (K, n) and their Jacobian (K n, T + W, 3 + n), per fraction of the limits."""
+        steps = TORQUE_STEP * self._regulator.limits * np.eye(knots.size).reshape(-1, *knots.shape)
+        errors = self.errors(np.concatenate([knots[None], knots + steps]), periods)
         return errors[0], (errors[1:] - errors[0]) / TORQUE_STEP
 
     def _residuals(self, errors: Array, arrival: int) -> Array:
-        """Return the residuals (r, ...) of `errors` (r, T + W, 3 + n), in bands.
+        """Return the residuals (r, ...) of errors (r, T + W, 3 + n), in bands.
 
-        These are the distances beyond the inner band from the arrival on, in every second period, and rates near the
-        limit.
+        The residuals are the tip errors beyond the inner band in every second period from the arrival on, and the
+        motor rates above RATE_BOUND.
         """
         late_errors, rates = errors[:, arrival - 1 :: 2, :3], errors[..., 3:]
         distances = np.linalg.norm(late_errors, axis=2, keepdims=True)
         candidate_errors = (
-            late_errors * np.maximum(0.0, 1.0 - INNER_BAND * self._band / np.maximum(distances, TINY)) / self._band
+            late_errors
+            * np.maximum(0.0, 1.0 - INNER_BAND * self._band / np.maximum(distances, MIN_DISTANCE))
+            / self._band
         )
         fast = RATE_WEIGHT * (rates - np.clip(rates, -RATE_BOUND, RATE_BOUND))
         return np.concatenate([candidate_errors.reshape(len(errors), -1), fast.reshape(len(errors), -1)], axis=1)
@@ -240,14 +245,14 @@ class SingleShooting:
         from scipy.optimize import lsq_linear
 
         limits = self._regulator.limits
-        both = self._residuals(
+        residuals = self._residuals(
             np.concatenate([errors[None], errors + COST_DIFFERENCE_STEP * jacobian]), arrival
         ).reshape(len(jacobian) + 1, -1)
-        slope = (both[1:] - both[0]) / COST_DIFFERENCE_STEP
+        slopes = (residuals[1:] - residuals[0]) / COST_DIFFERENCE_STEP
         # in the eigenvectors of J J^T, so that each damping requires a small problem only
-        squares, axes = np.linalg.eigh(slope @ slope.T)
-        target, place = axes.T @ (slope @ both[0]), (knots / limits).ravel()
-        bounds = -1.0 - ROUNDING - place, 1.0 + ROUNDING - place
+        squares, axes = np.linalg.eigh(slopes @ slopes.T)
+        target, current = axes.T @ (slopes @ residuals[0]), (knots / limits).ravel()
+        bounds = -1.0 - BOUND_MARGIN - current, 1.0 + BOUND_MARGIN - current
         result = []
         for damping in dampings:
             scale = np.sqrt(np.maximum(squares, 0.0) + damping)
@@ -256,11 +261,11 @@ class SingleShooting:
         return np.array(result)
 
 
-SHIPPED_TABLE = Path(__file__).parent / "tables" / "FlexRRR-v0.npz"  # seeds 9000 to 9099
-POSTURE_TOLERANCE = 1e-9  # rad; between equal postures
-ARM_TOLERANCE = 1e-9  # relative; between the numbers of one arm
+SHIPPED_TABLE = Path(__file__).parent / "tables" / "FlexRRR-v0.npz"  # optimised slews of the seeds 9000 to 9099
+POSTURE_TOLERANCE = 1e-9  # rad; largest difference of equal postures
+ARM_TOLERANCE = 1e-9  # 1; largest relative difference of the numbers of equal arms
 COMMAND = "flexman optimise ENVIRONMENT --seeds FIRST COUNT --out FILE"
-ENTRIES = ("about", "arm", "seeds", "ends", "periods", "times", "counts", "knots")
+ENTRIES = ("about", "arm", "seeds", "ends", "periods", "times", "counts", "knots")  # arrays of a file
 
 
 @dataclass
@@ -268,10 +273,10 @@ class SlewTable:
     """Optimised slews of one arm.
 
     Attributes:
-        about: origin of the table: environment, method, model, command and so on, as texts, numbers and lists.
-        arm: numbers that identify the arm, see `arm_fingerprint`.
-        found: seed of an episode -> its start and goal (2, n) rad, its torques (knots, periods, arrival), and the
-            settling time (s) of its replay in the environment; infinite if it did not settle.
+        about: metadata of the table: environment, method, model, command and so on, as texts, numbers and lists.
+        arm: (k,) numbers that identify the arm, see `arm_fingerprint`.
+        found: seed of an episode -> start and goal (2, n) rad, torques of the slew (knots, periods, arrival), and
+            settling time (s) of the replay in the environment; infinite if the tip did not settle.
     """
 
     about: Mapping[str, Any]
@@ -301,7 +306,7 @@ class SlewTable:
         """Return the settling time (s) of the optimised slew of an episode.
 
         Args:
-            seed: of the episode.
+            seed: seed of the episode.
 
         Returns:
             Settling time, s.
@@ -317,19 +322,19 @@ class SlewTable:
         """Check that the table belongs to an arm.
 
         Args:
-            arm: numbers from `arm_fingerprint`.
+            arm: (k,) numbers from `arm_fingerprint`.
 
         Raises:
             ValueError: for another arm.
         """
         if arm.shape != self.arm.shape or not np.allclose(arm, self.arm, rtol=ARM_TOLERANCE, atol=0.0):
-            about = self.about.get("environment")
+            environment = self.about.get("environment")
             raise value_error(
-                "table", about, f"a table of this arm, with its torque limits and control period: {COMMAND}"
+                "table", environment, f"a table of this arm, with its torque limits and control period: {COMMAND}"
             )
 
     def save(self, path: Path) -> None:
-        """Write the table atomically."""
+        """Write the table to a file (npz), atomically."""
         rows = [self.found[seed] for seed in sorted(self.found)]
         partial = path.with_name(f"{path.name}.part")
         with partial.open("wb") as file:
@@ -348,17 +353,17 @@ class SlewTable:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a table; no code in it is executed.
+        """Read a table from a file written by `save`; no code in the file is executed.
 
         Args:
-            path: of the file.
+            path: path of the file.
 
         Returns:
             The table.
 
         Raises:
             FileNotFoundError: if there is no file.
-            ValueError: for any other file.
+            ValueError: for a file without a table of slews.
         """
         try:
             with open_arrays(path, packed=True) as data:
@@ -380,9 +385,10 @@ class SlewTable:
 
 
 def arm_fingerprint(model: Model, limits: Array, period: float) -> Array:
-    """Return numbers that identify an arm, whatever its discretisation.
+    """Return numbers (k,) that identify an arm with limits (n,) N m and a control period (s).
 
-    These are lengths, joint stiffnesses, rotor inertias, payload, gravity, torque limits and the control period.
+    The numbers are lengths, joint stiffnesses, rotor inertias, payload, gravity, torque limits and control period. They
+    do not depend on the discretisation of the links.
     """
     constants = model.constants
     mass = np.atleast_1d(constants.payload_mass).ravel()
@@ -396,7 +402,7 @@ class OptimisedController(LQR):
     The episodes must be known in advance. No feedback controller can be expected to settle as fast.
 
     Args:
-        table: slews of this arm.
+        table: optimised slews of the arm.
         model: see `LQR`.
         torque_limit: see `LQR`.
         period: see `LQR`.

@@ -31,52 +31,52 @@ class _TimingLaw(NamedTuple):
         """Return path parameter, speed (1/s) and acceleration (1/s^2) at times (T,) s; at rest before and after."""
         inside = np.clip(times, 0.0, self.duration)
         phases: IntArray = np.searchsorted(self.begins, inside, side="right") - 1
-        place, speed, acceleration = evaluate_polynomials(self.coefficients[phases], inside - self.begins[phases])
-        return place, speed, np.where(inside == times, acceleration, 0.0)
+        progress, speed, acceleration = evaluate_polynomials(self.coefficients[phases], inside - self.begins[phases])
+        return progress, speed, np.where(inside == times, acceleration, 0.0)
 
 
-def quintic_coefficients(place: Array, speed: Array, change: Array, durations: Array) -> Array:
-    """Return coefficients (..., 6), in ascending powers, of the polynomial that comes to rest at path parameter 1.
+def quintic_coefficients(progress: Array, speed: Array, acceleration: Array, durations: Array) -> Array:
+    """Return coefficients (..., 6), in ascending powers of time, of quintics that come to rest at path parameter 1.
 
-    From rest it is the minimum-jerk motion (Flash and Hogan, Journal of Neuroscience 5, 1985, 1688).
+    A quintic that starts at rest is the minimum-jerk motion (Flash and Hogan, Journal of Neuroscience 5, 1985, 1688).
 
     Args:
-        place: initial path parameter.
-        speed: initial speed, 1/s.
-        change: initial acceleration, 1/s^2.
-        durations: s.
+        progress: (...) initial path parameter.
+        speed: (...) initial speed, 1/s.
+        acceleration: (...) initial acceleration, 1/s^2.
+        durations: (...) s.
 
     Returns:
         Coefficients (..., 6).
     """
-    remaining, squared = 1.0 - place, durations**2
-    cubic = (20.0 * remaining - 12.0 * speed * durations - 3.0 * change * squared) / (2.0 * durations**3)
-    fourth = (-30.0 * remaining + 16.0 * speed * durations + 3.0 * change * squared) / (2.0 * durations**4)
-    fifth = (12.0 * remaining - 6.0 * speed * durations - change * squared) / (2.0 * durations**5)
-    result: Array = np.stack(np.broadcast_arrays(place, speed, 0.5 * change, cubic, fourth, fifth), axis=-1)
+    remaining, squared = 1.0 - progress, durations**2
+    cubic = (20.0 * remaining - 12.0 * speed * durations - 3.0 * acceleration * squared) / (2.0 * durations**3)
+    fourth = (-30.0 * remaining + 16.0 * speed * durations + 3.0 * acceleration * squared) / (2.0 * durations**4)
+    fifth = (12.0 * remaining - 6.0 * speed * durations - acceleration * squared) / (2.0 * durations**5)
+    result: Array = np.stack(np.broadcast_arrays(progress, speed, 0.5 * acceleration, cubic, fourth, fifth), axis=-1)
     return result
 
 
 def evaluate_polynomials(coefficients: Array, times: Array) -> tuple[Array, Array, Array]:
     """Return path parameter, speed (1/s) and acceleration (1/s^2) of polynomials (..., 6) at times (...) s."""
     a, b, c, d, e, f = np.moveaxis(coefficients, -1, 0)
-    place = a + times * (b + times * (c + times * (d + times * (e + times * f))))
+    progress = a + times * (b + times * (c + times * (d + times * (e + times * f))))
     speed = b + times * (2.0 * c + times * (3.0 * d + times * (4.0 * e + times * 5.0 * f)))
-    return place, speed, 2.0 * c + times * (6.0 * d + times * (12.0 * e + times * 20.0 * f))
+    return progress, speed, 2.0 * c + times * (6.0 * d + times * (12.0 * e + times * 20.0 * f))
 
 
 def constant_jerk_law(distance: float, speed: float, acceleration: float, jerk: float | None = None) -> _TimingLaw:
     """Plan the fastest motion from rest to rest over a distance, within limits of its derivatives.
 
-    With a jerk limit this is the double-S law of up to seven phases of constant jerk; without one, the trapezoidal law,
-    whose acceleration jumps (Biagiotti and Melchiorri, Trajectory planning for automatic machines and robots, 2008,
-    sections 3.2 and 3.4).
+    With a jerk limit the motion is the double-S law of up to seven phases of constant jerk; without a jerk limit it is
+    the trapezoidal law, whose acceleration is discontinuous (Biagiotti and Melchiorri, Trajectory planning for
+    automatic machines and robots, 2008, sections 3.2 and 3.4).
 
     Args:
-        distance: 1, along the path.
-        speed: 1/s, largest.
-        acceleration: 1/s^2, largest.
-        jerk: 1/s^3, largest; None for no limit.
+        distance: change of the path parameter.
+        speed: largest speed, 1/s.
+        acceleration: largest acceleration, 1/s^2.
+        jerk: largest jerk, 1/s^3; None for no limit.
 
     Returns:
         Timing law without phases of zero duration.
@@ -84,25 +84,25 @@ def constant_jerk_law(distance: float, speed: float, acceleration: float, jerk: 
     distance, speed = physical("distance", distance), physical("speed", speed, "1/s")
     acceleration = physical("acceleration", acceleration, "1/s^2")
     jerk = np.inf if jerk is None else physical("jerk", jerk, "1/s^3")
-    most = min(acceleration, np.sqrt(speed * jerk))
-    gaining = most / jerk + speed / most  # s; time to reach the speed
-    steady = distance / speed - gaining
-    if steady < 0.0:  # the largest speed is not reached
-        most, steady = min(acceleration, np.cbrt(0.5 * distance * jerk**2)), 0.0
-        gaining = 0.5 * most / jerk + np.sqrt((0.5 * most / jerk) ** 2 + distance / most)
-    ramp = most / jerk
-    full = max(gaining - 2.0 * ramp, 0.0)
-    lasting = np.array([ramp, full, ramp, steady, ramp, full, ramp])
-    first, last = most * np.array([[0, 1, 1, 0, 0, -1, -1], [1, 1, 0, 0, -1, -1, 0]])
-    first, last, lasting = (each[lasting > 0.0] for each in (first, last, lasting))
-    begins, coefficients = np.cumsum(lasting) - lasting, np.zeros((len(lasting), 6))
-    coefficients[:, 2], coefficients[:, 3] = first / 2.0, (last - first) / (6.0 * lasting)
-    for before, after, time in zip(coefficients[:-1], coefficients[1:], lasting[:-1], strict=True):
+    peak = min(acceleration, np.sqrt(speed * jerk))
+    rise_time = peak / jerk + speed / peak  # s; time to reach the largest speed
+    cruise_time = distance / speed - rise_time
+    if cruise_time < 0.0:  # the largest speed is not reached
+        peak, cruise_time = min(acceleration, np.cbrt(0.5 * distance * jerk**2)), 0.0
+        rise_time = 0.5 * peak / jerk + np.sqrt((0.5 * peak / jerk) ** 2 + distance / peak)
+    jerk_time = peak / jerk
+    constant_time = max(rise_time - 2.0 * jerk_time, 0.0)
+    durations = np.array([jerk_time, constant_time, jerk_time, cruise_time, jerk_time, constant_time, jerk_time])
+    first, last = peak * np.array([[0, 1, 1, 0, 0, -1, -1], [1, 1, 0, 0, -1, -1, 0]])
+    first, last, durations = (each[durations > 0.0] for each in (first, last, durations))
+    begins, coefficients = np.cumsum(durations) - durations, np.zeros((len(durations), 6))
+    coefficients[:, 2], coefficients[:, 3] = first / 2.0, (last - first) / (6.0 * durations)
+    for before, after, time in zip(coefficients[:-1], coefficients[1:], durations[:-1], strict=True):
         after[0], after[1], _ = evaluate_polynomials(before, time)
-    return _TimingLaw(begins, coefficients, float(lasting.sum()))
+    return _TimingLaw(begins, coefficients, float(durations.sum()))
 
 
-TIMING_LAWS = {  # of slews from 0 to 1 in a duration of 1, with phases of equal length
+TIMING_LAWS = {  # name -> timing law from 0 to 1 with duration 1; the phases have equal length
     "minimum-jerk": _TimingLaw(np.zeros(1), quintic_coefficients(*np.array([[0.0], [0.0], [0.0], [1.0]])), 1.0),
     "trapezoid": constant_jerk_law(1.0, 1.5, 4.5),
     "double-s": constant_jerk_law(1.0, 1.75, 6.125, 42.875),
@@ -111,30 +111,21 @@ TIMING_LAWS = {  # of slews from 0 to 1 in a duration of 1, with phases of equal
 
 DEFLECTION_PASSES = 3  # fixed-point iterations of the deflection under the inertia of the deflected arm
 SINGULAR_CUTOFF = 0.05  # fraction of the largest singular value of the tip Jacobian; smaller ones are excluded
-SOLVE_INTERVAL = 4  # control periods between two solved points of a path
-REST_POINTS = 6  # solved points at rest before the start of a path
-PATH_SAMPLES = 21  # points of a path at which torques are compared with their limits
-MAX_DURATION = 60.0  # s
-JUMP_MARGIN = 1e-9  # fraction of the duration before a jump of the acceleration
-
-
-class _ReferenceTrajectory(NamedTuple):
-    """Reference trajectory over T control periods, followed by rest.
-
-    Attributes:
-        states: (T + 1, 2 d) at the ends of the periods.
-        torques: (T, n) constant in each period, N m.
-    """
-
-    states: Array
-    torques: Array
+SOLVE_INTERVAL = 4  # control periods between two points of a path at which the deflection is computed
+REST_POINTS = 6  # number of points at rest before the start of a path at which the deflection is computed
+PATH_SAMPLES = 21  # number of points of a path at which torques are compared with their limits
+MAX_DURATION = 60.0  # s; longest slew
+JUMP_MARGIN = 1e-9  # fraction of the duration; distance of a check point before a jump of the acceleration
 
 
 class QuasiStaticDeflection:
     """Quasi-static deflection of a model and its motor torques, for a prescribed joint motion.
 
-    The motion is that of the link sides of the joints. Joint springs and links deflect under its inertial and
-    gravitational loads, without vibration.
+    The prescribed motion is that of the link sides of the joints. Joint springs and links deflect under the inertial
+    and gravitational loads of the motion, without vibration.
+
+    Args:
+        model: model of the arm.
     """
 
     def __init__(self, model: Model) -> None:
@@ -147,69 +138,83 @@ class QuasiStaticDeflection:
         stiffness = np.where(model.constants.motor >= 0, model.constants.joint_stiffness, np.inf)
         self._compliance = 1.0 / stiffness
 
-    def at(self, near: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    def at(self, guess: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Return the deflected coordinates (d,) and the motor torques (n,), N m.
 
         Args:
-            near: (d,) coordinates with the initial deflection of the iteration.
-            motion: angles, rates and accelerations (n,) of the link sides, rad, rad/s and rad/s^2.
+            guess: (d,) coordinates with the initial deflection of the iteration.
+            motion: angles, rates and accelerations of the link sides of the joints, (n,) each, rad, rad/s and rad/s^2.
 
         Returns:
             Coordinates (d,) and torques (n,), N m.
         """
         n, d = self._model.n_joints, self._model.n_dof
-        x, rates, changes = near.copy(), np.zeros(d), np.zeros(d)
+        x, rates, accelerations = guess.copy(), np.zeros(d), np.zeros(d)
         x[:n] = motion[0]
         for columns in (np.arange(n), self._motors):
-            rates[columns], changes[columns] = motion[1], motion[2]
-        rotors = self._model.constants.rotor_inertia * changes[:n]
+            rates[columns], accelerations[columns] = motion[1], motion[2]
+        rotor_torques = self._model.constants.rotor_inertia * accelerations[:n]
         for _ in range(DEFLECTION_PASSES):
-            demand = self._forces(x, rates, changes)
+            forces = self._forces(x, rates, accelerations)
             x = x.copy()
-            x[self._elastic] = -self._inverse @ demand[self._elastic]
-            links = demand[:n] - np.where(self._motors == np.arange(n), rotors, 0.0)
-            x[self._motors] = x[:n] + self._compliance * links
-        return x, links + rotors
+            x[self._elastic] = -self._inverse @ forces[self._elastic]
+            link_torques = forces[:n] - np.where(self._motors == np.arange(n), rotor_torques, 0.0)
+            x[self._motors] = x[:n] + self._compliance * link_torques
+        return x, link_torques + rotor_torques
 
 
 class _JointPath(NamedTuple):
     """Rest-to-rest path of the link sides of the joints, for any duration.
 
     Attributes:
-        bending: quasi-static deflection of the model.
+        deflection: quasi-static deflection of the model.
         ends: (2, d) equilibrium coordinates at start and end.
-        motion: function of fractions (k,) of the duration that returns angles (k, n) rad and their first and second
-            derivatives with respect to the fraction.
-        parts: fractions of the duration at which torques are compared with their limits.
+        motion: function of fractions (k,) of the duration that returns joint angles (k, n) rad and their first and
+            second derivatives with respect to the fraction.
+        check_points: fractions of the duration at which torques are compared with their limits.
     """
 
-    bending: QuasiStaticDeflection
+    deflection: QuasiStaticDeflection
     ends: Array
     motion: Callable[[Array], tuple[Array, Array, Array]]
-    parts: Array
+    check_points: Array
 
-    def at(self, parts: Array, duration: float) -> tuple[Array, Array]:
+    def at(self, fractions: Array, duration: float) -> tuple[Array, Array]:
         """Return deflected coordinates (k, d) and motor torques (k, n) N m at fractions (k,) of a duration (s)."""
-        angles, rates, changes = self.motion(parts)
-        motions = zip(angles, rates / duration, changes / duration**2, strict=True)
-        places, torques = zip(*(self.bending.at(self.ends[0], each) for each in motions), strict=True)
-        return np.array(places), np.array(torques)
+        angles, rates, accelerations = self.motion(fractions)
+        motions = zip(angles, rates / duration, accelerations / duration**2, strict=True)
+        coordinates, torques = zip(*(self.deflection.at(self.ends[0], each) for each in motions), strict=True)
+        return np.array(coordinates), np.array(torques)
 
 
-def slew_path(model: Model, start: Array, goal: Array, law: str = "minimum-jerk") -> _JointPath:
-    """Return the straight path between postures of the motors (n,) rad, with a law from `TIMING_LAWS`."""
-    ends, timing = rest_state(model, np.array([start, goal]))[:, : model.n_dof], TIMING_LAWS[law]
+class _ReferenceTrajectory(NamedTuple):
+    """Reference trajectory over T control periods, followed by rest.
+
+    Attributes:
+        states: (T + 1, 2 d) states at the start and at the end of each period.
+        torques: (T, n) motor torques, constant in each period, N m.
+        path: path of a planned slew or motion through postures; None for a given path.
+    """
+
+    states: Array
+    torques: Array
+    path: _JointPath | None = None
+
+
+def _slew_path(model: Model, start: Array, goal: Array, timing_law: str = "minimum-jerk") -> _JointPath:
+    """Return the straight path between postures of the motors (n,) rad, with a timing law from `TIMING_LAWS`."""
+    ends, timing = rest_state(model, np.array([start, goal]))[:, : model.n_dof], TIMING_LAWS[timing_law]
     first, last = ends[:, : model.n_joints]
 
-    def motion(parts: Array) -> tuple[Array, Array, Array]:
-        place, speed, acceleration = (each[:, None] for each in timing.at(parts))
-        return first + place * (last - first), speed * (last - first), acceleration * (last - first)
+    def motion(fractions: Array) -> tuple[Array, Array, Array]:
+        progress, speed, acceleration = (each[:, None] for each in timing.at(fractions))
+        return first + progress * (last - first), speed * (last - first), acceleration * (last - first)
 
     jumps = timing.begins[1:]
-    return _JointPath(QuasiStaticDeflection(model), ends, motion, _sample_parts(jumps - JUMP_MARGIN, jumps))
+    return _JointPath(QuasiStaticDeflection(model), ends, motion, _check_points(jumps - JUMP_MARGIN, jumps))
 
 
-def via_path(model: Model, postures: Array, count: int) -> _JointPath:
+def _via_path(model: Model, postures: Array, count: int) -> _JointPath:
     """Return the path through postures (m, n) rad of the motors, each at the end of one of `count` control periods.
 
     The path is a cubic spline with two additional knots, so that it starts and ends with zero acceleration (Biagiotti
@@ -224,128 +229,139 @@ def via_path(model: Model, postures: Array, count: int) -> _JointPath:
     rows = np.rint(count * np.append(0.0, np.cumsum(distances)) / distances.sum())
     rows = np.minimum(np.maximum.accumulate(rows - order) + order, count - order[::-1])  # at least a period apart
     times = rows / count
-    more = (2.0 * times[0] + times[1]) / 3.0, (times[-2] + 2.0 * times[-1]) / 3.0
-    knots = np.concatenate([np.zeros(4), more[:1], times[1:-1], more[1:], np.ones(4)])
-    rest = [(1, zero), (2, zero)]
-    spline = make_interp_spline(times, angles, k=3, t=knots, bc_type=(rest, rest))
+    added = (2.0 * times[0] + times[1]) / 3.0, (times[-2] + 2.0 * times[-1]) / 3.0
+    knots = np.concatenate([np.zeros(4), added[:1], times[1:-1], added[1:], np.ones(4)])
+    at_rest = [(1, zero), (2, zero)]  # order and value of derivatives
+    spline = make_interp_spline(times, angles, k=3, t=knots, bc_type=(at_rest, at_rest))
 
-    def motion(parts: Array) -> tuple[Array, Array, Array]:
-        return spline(parts), spline(parts, 1), spline(parts, 2)
+    def motion(fractions: Array) -> tuple[Array, Array, Array]:
+        return spline(fractions), spline(fractions, 1), spline(fractions, 2)
 
-    return _JointPath(QuasiStaticDeflection(model), rests[[0, -1]], motion, _sample_parts(knots[4:-4]))
+    return _JointPath(QuasiStaticDeflection(model), rests[[0, -1]], motion, _check_points(knots[4:-4]))
 
 
-def _sample_parts(*places: Array) -> Array:
-    """Return equidistant fractions of a duration, together with others at which accelerations may be largest."""
-    return np.sort(np.concatenate([np.linspace(0.0, 1.0, PATH_SAMPLES), *places]))
+def _check_points(*fractions: Array) -> Array:
+    """Return equidistant fractions of a duration, sorted together with given fractions of largest acceleration."""
+    return np.sort(np.concatenate([np.linspace(0.0, 1.0, PATH_SAMPLES), *fractions]))
 
 
 def plan_slew(
-    model: Model, start: Array, goal: Array, limits: Array, share: float, period: float, law: str = "minimum-jerk"
+    model: Model,
+    start: Array,
+    goal: Array,
+    limits: Array,
+    torque_fraction: float,
+    period: float,
+    timing_law: str = "minimum-jerk",
 ) -> _ReferenceTrajectory:
-    """Plan the fastest slew with a timing law whose torques stay within a share of the limits.
+    """Plan the fastest slew with a timing law and torques within a fraction of the limits.
 
     Args:
-        model: of the arm.
+        model: model of the arm.
         start: (n,) initial motor angles, rad.
         goal: (n,) final motor angles, rad.
         limits: (n,) torque limits, N m.
-        share: fraction of the limits available to the slew; the rest is left to feedback.
+        torque_fraction: fraction of the limits available to the slew; the remainder is reserved for feedback.
         period: control period, s.
-        law: name in `TIMING_LAWS`.
+        timing_law: name in `TIMING_LAWS`.
 
     Returns:
         Reference trajectory.
 
     Raises:
-        ValueError: for a goal at which holding torques alone exceed the share, and for an unknown law.
+        ValueError: for a goal at which holding torques alone exceed the fraction, and for an unknown timing law.
     """
-    path = slew_path(model, start, goal, one_of("law", law, TIMING_LAWS))
-    slew = _time_optimal(lambda count: path, share * limits, period, 1)
+    path = _slew_path(model, start, goal, one_of("timing_law", timing_law, TIMING_LAWS))
+    slew = _time_optimal(lambda count: path, torque_fraction * limits, period, 1)
     if slew is None:
         raise value_error(
-            "goal", goal.tolist(), f"a posture with holding torques below {share:.0%} of the torque limits"
+            "goal", goal.tolist(), f"a posture with holding torques below {torque_fraction:.0%} of the torque limits"
         )
     return slew
 
 
-def plan_via(model: Model, postures: Array, limits: Array, share: float, period: float) -> _ReferenceTrajectory:
-    """Plan the fastest motion through postures, see `via_path`, whose torques stay within a share of the limits.
+def plan_via(
+    model: Model, postures: Array, limits: Array, torque_fraction: float, period: float
+) -> _ReferenceTrajectory:
+    """Plan the fastest motion along a spline through postures, with torques within a fraction of the limits.
 
-    Postures coincide with ends of control periods, so that the spline changes slightly with the duration; the search
-    may therefore miss a shorter one.
+    Each posture is reached at the end of a control period, so that the spline changes slightly with the duration; the
+    search may therefore miss a shorter motion.
 
     Args:
-        model: of the arm.
-        postures: (m, n) motor angles, rad; at rest at the first and the last.
+        model: model of the arm.
+        postures: (m, n) motor angles, rad; the arm is at rest at the first and at the last posture.
         limits: (n,) torque limits, N m.
-        share: fraction of the limits available to the motion; the rest is left to feedback.
+        torque_fraction: fraction of the limits available to the motion; the remainder is reserved for feedback.
         period: control period, s.
 
     Returns:
         Reference trajectory.
 
     Raises:
-        ValueError: for fewer than two postures, two equal ones in succession, and holding torques beyond the share.
+        ValueError: for fewer than two postures, two equal successive postures, and holding torques above the fraction.
     """
     if len(postures) < 2 or not np.diff(postures, axis=0).any(axis=1).all():
         raise value_error("postures", postures.tolist(), "at least two, no two equal in succession")
-    motion = _time_optimal(lambda count: via_path(model, postures, count), share * limits, period, len(postures) - 1)
+    motion = _time_optimal(
+        lambda count: _via_path(model, postures, count), torque_fraction * limits, period, len(postures) - 1
+    )
     if motion is None:
         raise value_error(
-            "postures", postures.tolist(), f"postures with holding torques below {share:.0%} of the torque limits"
+            "postures",
+            postures.tolist(),
+            f"postures with holding torques below {torque_fraction:.0%} of the torque limits",
         )
     return motion
 
 
 def _time_optimal(
-    paths: Callable[[int], _JointPath], bounds: Array, period: float, fewest: int
+    make_path: Callable[[int], _JointPath], bounds: Array, period: float, fewest: int
 ) -> _ReferenceTrajectory | None:
-    """Return the path in the fewest control periods with torques within bounds (n,) N m; None if there is none.
+    """Return the trajectory with the fewest control periods and torques within bounds (n,) N m; None without solution.
 
-    Torques are the holding torques plus an inertial part proportional to 1 / T^2, so that one duration T predicts the
-    shortest. Deflections change this slightly, and the prediction is repeated there.
+    Torques are the holding torques plus an inertial part proportional to 1 / T^2, so that the torques for one duration
+    T predict the shortest duration. Deflections change this prediction slightly; it is repeated at the new duration.
     """
-    count, short = max(fewest, int(MAX_DURATION / period)), fewest - 1
-    most, path = count, paths(count)
-    rest = path.at(path.parts, np.inf)[1]
-    if (np.abs(rest) >= bounds).any():
+    count, infeasible = max(fewest, int(MAX_DURATION / period)), fewest - 1
+    most, path = count, make_path(count)
+    static = path.at(path.check_points, np.inf)[1]
+    if (np.abs(static) >= bounds).any():
         return None
     while True:
-        inertial = path.at(path.parts, count * period)[1] - rest
-        needed = np.ceil(count * np.sqrt((np.abs(inertial) / (bounds - np.sign(inertial) * rest)).max()))
-        if not needed <= count:  # also for NaN, of an arm that deflects too far
+        inertial = path.at(path.check_points, count * period)[1] - static
+        needed = np.ceil(count * np.sqrt((np.abs(inertial) / (bounds - np.sign(inertial) * static)).max()))
+        if not needed <= count:  # true also for NaN, of an arm with divergent deflection
             if count == most:
                 return None
-            short, count = count, int(min(np.fmax(needed, count + 1), most))
-        elif needed == count or count == short + 1:
+            infeasible, count = count, int(min(np.fmax(needed, count + 1), most))
+        elif needed == count or count == infeasible + 1:
             return _sample_path(path, count, period)
         else:
-            count = int(max(needed, short + 1))
-        path = paths(count)
+            count = int(max(needed, infeasible + 1))
+        path = make_path(count)
 
 
 def _sample_path(path: _JointPath, count: int, period: float) -> _ReferenceTrajectory:
-    """Sample a path over a number of control periods."""
-    places, _ = path.at(np.linspace(0.0, 1.0, count + 1), count * period)
-    places[[0, -1]] = path.ends
-    speeds = np.gradient(places, period, axis=0) if count > 1 else np.zeros_like(places)
-    speeds[[0, -1]] = 0.0
-    return _ReferenceTrajectory(
-        np.hstack([places, speeds]), path.at((np.arange(count) + 0.5) / count, count * period)[1]
-    )
+    """Sample a path over a number of control periods (s); torques are those at the middle of each period."""
+    coordinates, _ = path.at(np.linspace(0.0, 1.0, count + 1), count * period)
+    coordinates[[0, -1]] = path.ends
+    rates = np.gradient(coordinates, period, axis=0) if count > 1 else np.zeros_like(coordinates)
+    rates[[0, -1]] = 0.0
+    torques = path.at((np.arange(count) + 0.5) / count, count * period)[1]
+    return _ReferenceTrajectory(np.hstack([coordinates, rates]), torques, path)
 
 
 def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTrajectory:
     """Plan the motion of a model through postures (T + 1, n) rad of its motors, one per control period (s).
 
-    The tip follows its equilibrium positions at these postures: the joints compensate the deflection due to the motion.
-    One pass only: each further pass would need higher derivatives of the path. The motion is solved for at intervals of
-    a few periods and interpolated by splines.
+    The tip follows its equilibrium positions at these postures: the joints compensate the deflection due to the motion,
+    by one iteration, since each further iteration would need higher derivatives of the path. Deflections are computed
+    at intervals of a few periods and interpolated by splines.
 
     Args:
-        model: of the arm.
-        postures: (T + 1, n) with continuous second derivatives, rad.
+        model: model of the arm.
+        postures: (T + 1, n) motor angles with continuous second derivatives, rad.
         period: control period, s.
 
     Returns:
@@ -353,7 +369,7 @@ def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTraject
     """
     from scipy.interpolate import CubicSpline
 
-    n, bending, give_way = model.n_joints, QuasiStaticDeflection(model), DeflectionCompensation(model)
+    n, deflection, compensation = model.n_joints, QuasiStaticDeflection(model), DeflectionCompensation(model)
     all_times = period * np.arange(len(postures))
     count = max(4, -(-(len(postures) - 1) // SOLVE_INTERVAL) + 1)
     spacing = all_times[-1] / (count - 1)
@@ -363,33 +379,38 @@ def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTraject
     angles = rests[:, :n]
     for last in (False, True):
         motion = [CubicSpline(times, angles).derivative(order)(times) if order else angles for order in range(3)]
-        result = [bending.at(rest, each) for rest, each in zip(rests, zip(*motion, strict=True), strict=True)]
-        places, torques = (np.array(each) for each in zip(*result, strict=True))
+        result = [deflection.at(rest, each) for rest, each in zip(rests, zip(*motion, strict=True), strict=True)]
+        deflected, torques = (np.array(each) for each in zip(*result, strict=True))
         if not last:
-            angles = angles + np.array([give_way.turn(*both) for both in zip(rests, places, strict=True)])
-    spline, middles = CubicSpline(times, places), all_times[:-1] + 0.5 * period
+            angles = angles + np.array([compensation.rotation(*both) for both in zip(rests, deflected, strict=True)])
+    spline, middles = CubicSpline(times, deflected), all_times[:-1] + 0.5 * period
     return _ReferenceTrajectory(
         np.hstack([spline(all_times), spline.derivative()(all_times)]), CubicSpline(times, torques)(middles)
     )
 
 
 class DeflectionCompensation:
-    """Rotation of the joints, motors included, that moves the tip of a deflected model to its equilibrium position."""
+    """Rotation of joints and motors that moves the tip of a deflected arm to its equilibrium position.
+
+    Args:
+        model: model of the arm.
+    """
 
     def __init__(self, model: Model) -> None:
         self._model, self._work, self._row = model, make_work(model.constants), np.zeros(OUTPUTS)
-        self._turns = model.at_rest(np.eye(model.n_joints))[:, : model.n_dof].copy()
+        self._rotations = model.at_rest(np.eye(model.n_joints))[:, : model.n_dof].copy()  # of 1 rad, joint by joint
 
-    def turn(self, rest: Array, place: Array) -> Array:
-        """Return the rotation (n,) rad, to first order, from deflected to equilibrium coordinates (d,) of the tip.
+    def rotation(self, rest: Array, deflected: Array) -> Array:
+        """Return the rotation (n,) rad, to first order, from deflected to equilibrium coordinates, (d,) each.
 
-        Directions with small singular values are excluded, since they would require large rotations.
+        Directions of the tip with small singular values are excluded, since they would require large rotations.
         """
-        target, now = self._seen(rest, self._turns[0])[TIP].copy(), self._seen(place, self._turns[0])[TIP].copy()
-        jacobian = np.array([self._seen(place, turn)[TIP_VELOCITY].copy() for turn in self._turns]).T
-        result: Array = np.linalg.pinv(jacobian, rcond=SINGULAR_CUTOFF) @ (target - now)
+        velocity = self._rotations[0]  # any velocity: positions do not depend on it
+        target, tip = self._outputs(rest, velocity)[TIP].copy(), self._outputs(deflected, velocity)[TIP].copy()
+        jacobian = np.array([self._outputs(deflected, each)[TIP_VELOCITY].copy() for each in self._rotations]).T
+        result: Array = np.linalg.pinv(jacobian, rcond=SINGULAR_CUTOFF) @ (target - tip)
         return result
 
-    def _seen(self, x: Array, v: Array) -> Array:
+    def _outputs(self, x: Array, v: Array) -> Array:
         outputs.compute_outputs(self._model.constants, self._work, x, v, self._row)
         return self._row

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.checks import finite, one_of, physical, positive, sequence, text, value_error, whole_number
-from flexman_gym.control.actions import ActionMode, parse_action_mode
+from flexman_gym.control.actions import ACTIONS, ActionMode
 from flexman_gym.control.agent import MAX_HISTORY
-from flexman_gym.control.base_controllers import BASES, parse_base
+from flexman_gym.control.base_controllers import BASES, parse_kind
 from flexman_gym.control.controller import checked_controller
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.limits import Limits, find_limits
@@ -88,7 +88,7 @@ def _reward_setting(value: object) -> Any:
 def _base_setting(value: Any) -> Any:
     """Return None, a name or a mapping of BASES as it is, or a Controller."""
     if isinstance(value, str | dict):
-        parse_base(value)
+        parse_kind("base", value, BASES)
     elif value is not None:
         return checked_controller("base", value, f"None, one of {', '.join(BASES)}, or ")
     return value
@@ -97,7 +97,7 @@ def _base_setting(value: Any) -> Any:
 def _actions_setting(value: Any) -> Any:
     """Return the name or the mapping of an action mode, or an ActionMode, as it is."""
     if not isinstance(value, ActionMode):
-        parse_action_mode(value)
+        parse_kind("actions", value, ACTIONS)
     return value
 
 
