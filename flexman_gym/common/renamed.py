@@ -18,6 +18,7 @@ MODULES = {
     "flexman_agents.zoo": "flexman_agents.sb3",
     "flexman_gym.control.reference": "flexman_gym.control.references.trajectories",
     "flexman_gym.control.shaper": "flexman_gym.control.input_shaping.shapers",
+    "flexman_gym.draw.style": "flexman_gym.common.plot_style",
     "flexman_gym.envs.description": "flexman_gym.envs.config.configuration",
     "flexman_gym.envs.scales": "flexman_gym.control.normalisation",
     "flexman_gym.envs.setup": "flexman_gym.envs.config.configuration",

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import flag, non_negative, number_array, positive, value_error, vector, whole_number
+from flexman_gym.common.plot_style import rgb, round_up
 from flexman_gym.draw.mesh import (
     CYLINDER,
     RING,
@@ -19,7 +20,6 @@ from flexman_gym.draw.mesh import (
     tube_surfaces,
 )
 from flexman_gym.draw.overlay import Caption, draw_caption, strain_colours
-from flexman_gym.draw.style import rgb, round_up
 from flexman_gym.kernels import raster
 from flexman_gym.model.deformation import curves
 from flexman_gym.model.model import Model, check_model

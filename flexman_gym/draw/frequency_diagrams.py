@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import value_error, vector, whole_number
+from flexman_gym.common.plot_style import DARK, LIGHT, LINK_COLOURS, MIDDLE, new_figure
 from flexman_gym.draw.frames import POINTS, FramePainter, grid
 from flexman_gym.draw.overlay import write_title
-from flexman_gym.draw.style import DARK, LIGHT, LINK_COLOURS, MIDDLE, new_figure
 from flexman_gym.model.deformation import curves
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, check_model

@@ -8,8 +8,8 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import short_path, value_error
+from flexman_gym.common.plot_style import LIGHT, LINK_COLOURS, new_figure
 from flexman_gym.common.time_series import read_csv_rows
-from flexman_gym.draw.style import LIGHT, LINK_COLOURS, new_figure
 
 STEPS_COLUMN = "time/total_timesteps"  # steps of the training
 REWARD_COLUMNS = ("selection/reward", "rollout/ep_rew_mean")  # reward; the first column that a run has is the default

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.draw.style import LINK_COLOURS, rgb
+from flexman_gym.common.plot_style import LINK_COLOURS, rgb
 
 GLYPHS = Path(__file__).parent / "glyphs.npz"  # shapes of letters, written by scripts/glyphs.py
 FONT_SIZES = (10, 12, 14, 18, 24, 32)  # pixels; heights of the letters in GLYPHS

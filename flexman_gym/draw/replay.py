@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
+from flexman_gym.common.plot_style import BLUE, GREEN, ORANGE, RED, SKY, round_up
 from flexman_gym.draw.frames import FLOOR_GAP, FramePainter, camera_direction
 from flexman_gym.draw.mesh import section_outlines
-from flexman_gym.draw.style import BLUE, GREEN, ORANGE, RED, SKY, round_up
 from flexman_gym.model.deformation import curves, link_shapes
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.episode import Episode

@@ -8,7 +8,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.computer import computer_text
-from flexman_gym.draw.style import LIGHT, LINK_COLOURS, MIDDLE, new_figure
+from flexman_gym.common.plot_style import LIGHT, LINK_COLOURS, MIDDLE, new_figure
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.evaluation.agent import BASELINES, LAWLESS_AGENTS
 from flexman_gym.evaluation.agent_info import describe_agent, training_seconds

@@ -6,7 +6,7 @@ the boundary of two intervals.
 
 import math
 import time as clock
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -28,6 +28,7 @@ from flexman_gym.common.checks import (
 )
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
+from flexman_gym.kernels.outputs import tip_accelerations as compute_tip_accelerations
 from flexman_gym.kernels.runge_kutta import state_derivative
 from flexman_gym.model.model import Model, check_model, scene_model
 from flexman_gym.scene.scene import Scene
@@ -39,6 +40,12 @@ from flexman_gym.simulation.integrator import MAX_STEPS, Integrator, find_method
 from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
 from flexman_gym.simulation.parameters import varied_constants
 from flexman_gym.simulation.trajectory import Kinetics, Trajectory, build_trajectory
+
+TIP_ACCELERATIONS = {  # name of a component -> column of `tip_accelerations`
+    f"{name}_{axis}": part.start + i
+    for name, part in (("tip_acceleration", layout.TIP_ACCELERATION), ("specific_force", layout.SPECIFIC_FORCE))
+    for i, axis in enumerate("xyz")
+}
 
 
 class _Interval(NamedTuple):
@@ -206,7 +213,7 @@ def _initial_row(scene: Scene, model: Model) -> Array:
     return np.append(_initial_state(scene, model), [0.0, 0.0])
 
 
-def prescribed_joints(scene: Scene) -> list[int]:
+def _prescribed_joints(scene: Scene) -> list[int]:
     """Return the numbers of the joints with prescribed motion in a scene."""
     return [i for i, motion in enumerate(scene.prescribed or ()) if motion is not None]
 
@@ -228,7 +235,7 @@ def _simulate_plan(scene: Scene, plan: _ScenePlan, constants: dict[str, Any] | N
 
 def _make_integrator(scene: Scene, plan: _ScenePlan, constants: dict[str, Any] | None = None) -> Integrator:
     """Return the integrator of a plan, with some constants of the model replaced."""
-    run = Integrator(plan.model, plan.method, plan.tolerance, prescribed_joints(scene))
+    run = Integrator(plan.model, plan.method, plan.tolerance, _prescribed_joints(scene))
     run.constants = run.constants._replace(**(constants or {}))
     return run
 
@@ -344,8 +351,8 @@ def _check_compatible(name: str, scene: object, first: Scene, built: bool) -> No
     for part in ("arm", "model") if built else ():
         if getattr(scene, part) != getattr(first, part):
             raise value_error(f"{name}.{part}", "different", "that of scenes[0], or a model for all scenes")
-    joints = prescribed_joints(first)
-    if scene.arm.n_joints != first.arm.n_joints or prescribed_joints(scene) != joints:
+    joints = _prescribed_joints(first)
+    if scene.arm.n_joints != first.arm.n_joints or _prescribed_joints(scene) != joints:
         raise value_error(name, "a scene of different joints", f"{first.arm.n_joints} joints, with {joints} prescribed")
 
 
@@ -355,7 +362,7 @@ def _simulate_in_lanes(
     """Simulate scenes, whose drives have their pieces in common, by fixed steps of a linearly implicit method."""
     model, method, count = plan.model, plan.method, len(scenes)
     assert isinstance(method, LinearlyImplicit | IteratedGauss)
-    flags = prescribed_flags(model.n_joints, prescribed_joints(scenes[0]))
+    flags = prescribed_flags(model.n_joints, _prescribed_joints(scenes[0]))
     shared = model.constants._replace(prescribed=flags)
     integrator = LaneIntegrator(shared, method, (plan.interval, plan.substeps), count, threads)
     integrator.vary(np.arange(count), varied)
@@ -403,3 +410,31 @@ def _run_in_lanes(
 def _constants_of(varied: dict[str, Array], scene: int) -> dict[str, Array]:
     """Return the changed constants of one scene."""
     return {name: values[scene] for name, values in varied.items()}
+
+
+def tip_accelerations(scene: Scene, runs: Sequence[Trajectory], model: Model, parameters: Mapping[str, Array]) -> Array:
+    """Return the tip accelerations of simulations of one scene, with the torques just before each output time.
+
+    Args:
+        scene: the scene.
+        runs: b trajectories of the scene.
+        model: model of the arm.
+        parameters: values (b, ...) of the parameters of the trajectories, see `simulate_all`.
+
+    Returns:
+        (b, T, 6) m/s^2, columns as in TIP_ACCELERATIONS, see `Batch.tip_accelerations`; NaN after a failure.
+    """
+    own, size = varied_constants(model, len(runs), parameters), round(scene.duration / scene.output_step) + 1
+    flags = prescribed_flags(model.n_joints, _prescribed_joints(scene))
+    pieces, d = scene.pieces, model.n_dof
+    times = scene.output_step * np.arange(size)
+    drives = np.array([pieces.table(p) for p in range(len(pieces.moments) - 1)])
+    before = np.clip(np.searchsorted(pieces.moments, times - 1e-9 * times[-1]) - 1, 0, len(drives) - 1)
+    applied = drives[before, layout.OFFSET] + drives[before, layout.SLOPE] * times[:, None]
+    result = np.full((len(runs), size, layout.TIP_ACCELERATIONS), np.nan)
+    work = layout.make_work(model.constants)
+    for i, run in enumerate(runs):
+        constants = model.constants._replace(prescribed=flags, **_constants_of(own, i))
+        for state, drive, out in zip(run.states, applied, result[i], strict=False):
+            compute_tip_accelerations(constants, work, state[:d], state[d:], drive, out)
+    return result

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
+from flexman_gym.common.plot_style import rgb
 from flexman_gym.draw.frames import GHOST, GHOST_SHARE, PAYLOAD, TARGET, TIP, FramePainter, arm_frame, grid
 from flexman_gym.draw.mesh import CYLINDER, RING, SPHERE, section_outlines, tube_faces, tube_surfaces
 from flexman_gym.draw.overlay import Caption, strain_colours, write_title
-from flexman_gym.draw.style import rgb
 
 ARM = fm.catalog.paper_rrr()
 MODEL = fm.build_model(ARM, modes=4)
