@@ -18,7 +18,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from flexman_agents.settings import Schedule, Settings
 from flexman_gym.common.checks import is_decimal_integer
-from flexman_gym.common.renamed import deprecated_names, warn_deprecated
+from flexman_gym.common.renamed import MEMBERS, deprecated_members, deprecated_names
 from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.control.agent import Law
 from flexman_gym.evaluation.agent import AgentSpec, split_interface
@@ -102,6 +102,7 @@ CURVE_METRICS = ("settling_time", "vibration", "error", "reward", "settled", "ro
 WARNING_DROP = 0.2  # 1; decrease of the share of settled episodes that causes a warning
 
 
+@deprecated_members(**MEMBERS["TrainingReport"])
 class TrainingReport(NamedTuple):
     """Progress of a training, passed to the hook at the start of each rollout and at the end.
 
@@ -115,12 +116,6 @@ class TrainingReport(NamedTuple):
     steps: int
     metrics: Mapping[str, float]
     save: Callable[[], None]
-
-    @property
-    def figures(self) -> Mapping[str, float]:
-        """Old name of `metrics`."""
-        warn_deprecated("TrainingReport.figures is TrainingReport.metrics now")
-        return self.metrics
 
 
 Hook = Callable[[TrainingReport], bool | None]

@@ -103,7 +103,7 @@ MEMBERS = {
     "Episode": {"of_trajectory": "from_trajectory"},
     "TrainingReport": {"figures": "metrics"},
 }
-"""Class or protocol -> old member -> present member; the class itself accepts the old one."""
+"""Class or protocol -> old member -> present member, see `deprecated_members`; users write classes of the protocols."""
 ARGUMENTS = {
     "diagnose": {"entrant": "agent"}, "evaluate": {"entrant": "agent"},
     "export_policy": {"words": "description", "venue": "environment"}, "record_dataset": {"entrant": "agent"},
@@ -139,7 +139,7 @@ def warn_deprecated(text: str) -> None:
 
 
 def rename_keys(
-    data: Mapping[str, Any], names: Mapping[str, str], warn: bool = True, field: str = ""
+    data: Mapping[str, Any], names: Mapping[str, str], warn: bool = True, field: str = "", nested: bool = True
 ) -> dict[str, Any]:
     """Return a mapping, and the mappings inside it, under the present names of their keys.
 
@@ -148,6 +148,7 @@ def rename_keys(
         names: old name -> present name.
         warn: issue a DeprecationWarning for each old name.
         field: name of the mapping, for messages.
+        nested: rename the keys of the mappings inside it too.
 
     Returns:
         The values by present names.
@@ -161,7 +162,8 @@ def rename_keys(
             raise ValueError(f"{prefix}{name}: {value!r} is not allowed; give {names[name]} only, its present name")
         if name in names and warn:
             warn_deprecated(f"{prefix}{name} is {names[name]} now")
-        result[names.get(name, name)] = rename_keys(value, names, warn, field) if isinstance(value, dict) else value
+        inner = nested and isinstance(value, dict)
+        result[names.get(name, name)] = rename_keys(value, names, warn, field) if inner else value
     return result
 
 
@@ -207,6 +209,35 @@ def deprecated_arguments(**names: str) -> Callable[[Function], Function]:
             return function(*arguments, **keywords)
 
         return cast(Function, call)
+
+    return decorate
+
+
+class _OldMember:
+    """Old member of a class: returns the present member, with a DeprecationWarning."""
+
+    def __init__(self, old: str, present: str) -> None:
+        self._old, self._present = old, present
+
+    def __get__(self, instance: object, kind: type[object]) -> Any:
+        warn_deprecated(f"{kind.__name__}.{self._old} is {kind.__name__}.{self._present} now")
+        return getattr(kind if instance is None else instance, self._present)
+
+
+Class = TypeVar("Class", bound=type[Any])
+
+
+def deprecated_members(**names: str) -> Callable[[Class], Class]:
+    """Return a decorator of a class whose attributes and methods are also found under old names, with a warning.
+
+    Args:
+        names: old name="present name".
+    """
+
+    def decorate(owner: Class) -> Class:
+        for old, present in names.items():
+            setattr(owner, old, _OldMember(old, present))
+        return owner
 
     return decorate
 
