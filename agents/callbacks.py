@@ -174,38 +174,6 @@ class ValueWarmup(BaseCallback):
         return True
 
 
-class Checkpoints(BaseCallback):
-    """Checkpoints at the start of rollouts: periodically, and when the training is to stop, which then ends.
-
-    Args:
-        every: steps between checkpoints; 0 for none.
-        save: function that saves the run.
-        stop_requested: function that returns True when the training is to stop.
-
-    Attributes:
-        stopped: steps after which the training was stopped; None while it continues.
-    """
-
-    def __init__(self, every: int, save: Callable[[], None], stop_requested: Callable[[], bool]) -> None:
-        super().__init__()
-        self._every, self._save, self._stop_requested = every, save, stop_requested
-        self.stopped: int | None = None
-
-    def _on_training_start(self) -> None:
-        self._next = self.num_timesteps + self._every
-
-    def _on_rollout_start(self) -> None:
-        if self._stop_requested():
-            self._save()
-            self.stopped = self.model.num_timesteps
-        elif self._every and self.model.num_timesteps >= self._next:
-            self._next = self.model.num_timesteps + self._every
-            self._save()
-
-    def _on_step(self) -> bool:
-        return self.stopped is None
-
-
 class Evaluation(BaseCallback):
     """Evaluation of the deterministic policy on the selection seeds, periodically and at the end; saves the best one.
 

@@ -63,7 +63,7 @@ def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
             f"a device that PyTorch finds on this computer, such as cpu ({str(error).splitlines()[0]})",
         ) from None
     torch.set_num_threads(1)  # for networks of this size, two threads are many times slower than one
-    chosen = algorithm_arguments(settings)
+    chosen = _algorithm_arguments(settings)
     env = VecNormalize(_make_environments(settings), norm_reward=settings.normalise_reward, gamma=chosen["gamma"])
     model = ALGORITHMS[settings.algo]("MlpPolicy", env, seed=settings.seed, device=device, **chosen)
     if (
@@ -82,7 +82,7 @@ def _make_environments(settings: Settings) -> VecMonitor:
     return VecMonitor(SB3VecEnv(gym.make_vec(described.id, settings.envs, "vector_entry_point", **keywords)))
 
 
-def algorithm_arguments(settings: Settings) -> dict[str, Any]:
+def _algorithm_arguments(settings: Settings) -> dict[str, Any]:
     """Return the keyword arguments of an algorithm: defaults, the hyperparameters of the settings, and schedules."""
     chosen = DEFAULT_HYPERPARAMETERS[settings.algo] | dict(settings.hyperparameters)
     policy = {"net_arch": chosen.pop("net_arch", DEFAULT_NET_ARCH)}
@@ -199,7 +199,7 @@ def zoo_hyperparameters(settings: Settings) -> dict[str, Any]:
     Raises:
         ValueError: for a learning rate that is neither constant nor decreases to zero at the end.
     """
-    chosen = algorithm_arguments(settings)
+    chosen = _algorithm_arguments(settings)
     policy = chosen.pop("policy_kwargs")
     arguments = [f"{name}={_expression(value)}" for name, value in policy.items()]
     chosen["learning_rate"] = _zoo_rate(chosen["learning_rate"])

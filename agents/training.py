@@ -3,7 +3,7 @@
 import random
 import sys
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from flexman_agents.callbacks import (
-    Checkpoints,
     Evaluation,
     Exploration,
     Hook,
@@ -34,15 +33,7 @@ from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings, 
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
-from flexman_gym.common.run_folder import (
-    BEST,
-    NEWEST,
-    SETTINGS,
-    lock_folder,
-    read_npz,
-    read_settings,
-    write_npz,
-)
+from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, lock_folder, read_npz, read_settings, write_npz
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.evaluation.agent import check_settings
 
@@ -96,13 +87,9 @@ def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
     names = ["counts", "last", "optimizers", "episodes", "random", "returns", "seen", "monitor", "environment"]
     _check(data, names + ["entropy", "replay"] * isinstance(model, SAC))
     normaliser, monitor, arms = _layers(model)
-    for part, wanted in (
-        ("counts", _counts(model)),
-        ("last", LAST_FIELDS),
-        ("seen", NORMALISER_FIELDS),
-        ("monitor", MONITOR_FIELDS),
-    ):
-        _check(data[part], wanted, part)
+    parts = {"counts": _counts(model), "last": LAST_FIELDS, "seen": NORMALISER_FIELDS, "monitor": MONITOR_FIELDS}
+    for part, fields in parts.items():
+        _check(data[part], fields, part)
     arms.env.unwrapped.set_state(data["environment"])  # type: ignore[attr-defined]
     for name in _counts(model):
         setattr(model, name, data["counts"][name])
@@ -371,6 +358,38 @@ def _new_run(settings: Settings, folder: Path, device: str) -> "_Run | DAggerRun
     return _Run(make_model(settings, device), settings, folder)
 
 
+class _Checkpoints(BaseCallback):
+    """Checkpoints at the start of rollouts: periodically, and when the training is to stop, which then ends.
+
+    Args:
+        every: steps between checkpoints; 0 for none.
+        save: function that saves the run.
+        stop_requested: function that returns True when the training is to stop.
+
+    Attributes:
+        stopped: steps after which the training was stopped; None while it continues.
+    """
+
+    def __init__(self, every: int, save: Callable[[], None], stop_requested: Callable[[], bool]) -> None:
+        super().__init__()
+        self._every, self._save, self._stop_requested = every, save, stop_requested
+        self.stopped: int | None = None
+
+    def _on_training_start(self) -> None:
+        self._next = self.num_timesteps + self._every
+
+    def _on_rollout_start(self) -> None:
+        if self._stop_requested():
+            self._save()
+            self.stopped = self.model.num_timesteps
+        elif self._every and self.model.num_timesteps >= self._next:
+            self._next = self.model.num_timesteps + self._every
+            self._save()
+
+    def _on_step(self) -> bool:
+        return self.stopped is None
+
+
 class _Run:
     """Training of a model of Stable-Baselines3 in a run folder."""
 
@@ -432,7 +451,7 @@ class _Run:
         with stop_on_interrupt() as stop_requested:
             model.set_logger(open_logger(self.folder, self._before, model.num_timesteps))
             stop = (lambda: stop_requested.is_set() or bool(hook(self._report()))) if hook else stop_requested.is_set
-            checkpoints = Checkpoints(checkpoint_every, self._save, stop)
+            checkpoints = _Checkpoints(checkpoint_every, self._save, stop)
             model.learn(settings.steps - model.num_timesteps, callback=[checkpoints, *callbacks], **keywords)
         model.get_env().close()  # type: ignore[union-attr]
         if checkpoints.stopped is not None and stop_requested.is_set():

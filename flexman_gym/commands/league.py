@@ -62,7 +62,7 @@ def _run(options: argparse.Namespace) -> int:
         if given is not None and given < minimum:
             options.parser.error(f"--{name}: {given} is not allowed; give a whole number >= {minimum}")
     if options.agent:
-        return certify.print_certificate(options.agent, jobs=workers)
+        return certify.COMMAND.run(argparse.Namespace(policy=options.agent, workers=workers))
     agents, folder = options.add or options.agents or AGENTS, options.folder or DEFAULT_FOLDER
     groups = _scenarios(options, LeagueRows.load(folder))
     for episodes, scenarios in groups.items():
@@ -77,17 +77,19 @@ def _run(options: argparse.Namespace) -> int:
 
 def _scenarios(options: argparse.Namespace, results: "LeagueRows") -> dict[int, list[str]]:
     """Return number of episodes -> scenarios with this number."""
+    from flexman_gym.common.checks import one_of
     from flexman_gym.envs.config.named_environments import DEFAULT_ID
     from flexman_gym.evaluation.rollout import TEST_SEEDS
-    from flexman_gym.league.scenarios import PLANT_SCENARIOS, USUAL_SCENARIOS, sweep_scenarios
+    from flexman_gym.league.scenarios import PLANT_SCENARIOS, SWEEPS, USUAL_SCENARIOS
 
     scenarios = options.scenarios or USUAL_SCENARIOS
     episodes = options.episodes or (PHYSICAL_EPISODES if options.physical else len(TEST_SEEDS))
     if options.physical:
         scenarios = PLANT_SCENARIOS
     elif options.sweep:
-        scenarios = [each for id in options.scenarios or [DEFAULT_ID] for sweep in options.sweep
-                     for each in sweep_scenarios(id, sweep)]  # fmt: skip
+        sweeps = {name: SWEEPS[one_of("sweep", name, SWEEPS)].values for name in options.sweep}
+        scenarios = [f"{id}/{name}={value:g}" for id in options.scenarios or [DEFAULT_ID]
+                     for name, values in sweeps.items() for value in values]  # fmt: skip
     elif options.add and not options.scenarios and results.cells:
         last: dict[str, int] = {}
         for cell in results.cells.values():

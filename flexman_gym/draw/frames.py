@@ -16,7 +16,6 @@ from flexman_gym.draw.mesh import (
     SPHERE,
     Mesh,
     section_outlines,
-    tube_faces,
     tube_surfaces,
 )
 from flexman_gym.draw.overlay import Caption, draw_caption, strain_colours
@@ -52,7 +51,7 @@ class _Camera(NamedTuple):
         return self.lens[1:] + self.lens[0] * local[..., :2] * (1.0, -1.0) / local[..., 2:]
 
 
-def camera_direction(model: Model, angles: object = None) -> tuple[float, float, float]:
+def _camera_direction(model: Model, angles: object = None) -> tuple[float, float, float]:
     """Return azimuth and elevation of the camera, degrees, and its zoom.
 
     Args:
@@ -178,6 +177,7 @@ class FramePainter:
     Attributes:
         model: model of the arm.
         size: width and height, pixels.
+        direction: azimuth and elevation of the camera, degrees, and its zoom (1).
         reach: sum of the lengths of the links, m.
         radii: drawn radii of the motors (n,), m.
         scale: strain at the ends of the colour scale; 0 for a rigid arm.
@@ -198,11 +198,10 @@ class FramePainter:
         self.model, self.size = check_model(model), (width, height)
         self.gain, self.overlays = non_negative("gain", gain), flag("overlays", overlays)
         self._shadow = flag("shadow", shadow)
-        self._direction = camera_direction(model, camera)
+        self.direction = _camera_direction(model, camera)
         self.reach = float(model.constants.length.sum())
         self._sections = section_outlines(model, POINTS)
         self.radii = np.clip([1.3 * each.radius for each in self._sections], 0.012 * self.reach, 0.05 * self.reach)
-        self._tubes = tube_faces(model.n_joints, POINTS)
         self._grid = round_up(self.reach / 10)
         self.scale = _strain_scale(model) if model.n_elastic else 0.0
         samples, memory = (height * SUPERSAMPLING, width * SUPERSAMPLING), (height, width)
@@ -239,7 +238,7 @@ class FramePainter:
         places = np.concatenate([np.asarray(points, dtype=float).reshape(-1, 3), np.zeros((1, 3))])
         floor = float(places[:, 2].min()) - FLOOR_GAP * self.reach
         places = np.concatenate([places, [[0.0, 0.0, floor]]])
-        return _fit_camera(places, self._direction, self.size, OVERLAY_MARGINS if self.overlays else MARGINS), floor
+        return _fit_camera(places, self.direction, self.size, OVERLAY_MARGINS if self.overlays else MARGINS), floor
 
     def paint(
         self,
@@ -266,10 +265,10 @@ class FramePainter:
         self._show(shot or self._shown or self.shot())
         assert self._shown is not None
         bent, rigid = (curves(self.model, x, POINTS, gain) for gain in (self.gain, 0.0))
-        points, normals, strain = tube_surfaces(bent, self._sections)
-        links = strain_colours(strain / self.scale) if self.scale else np.tile(rgb("#b8bec8"), (len(points), 1))
+        tubes, strain = tube_surfaces(bent, self._sections)
+        links = strain_colours(strain / self.scale) if self.scale else np.tile(rgb("#b8bec8"), (len(strain), 1))
         parts = self._parts(bent.positions, bent.frames, place)
-        mesh = _join_meshes([Mesh(points, normals, self._tubes), *(part for part, _ in parts)])
+        mesh = _join_meshes([tubes, *(part for part, _ in parts)])
         colours = np.concatenate([links, *(np.tile(rgb(colour), (len(part.points), 1)) for part, colour in parts)])
         self._draw(mesh, colours)
         if trail is not None and len(trail) > 1:
@@ -280,8 +279,8 @@ class FramePainter:
         if self.gain != 1.0:
             true = curves(self.model, x, 2).positions[-1, -1]
             self._line(np.array([true, true + 1e-6]), 3.0, 1.0, TRAIL)
-        canvas, ghost = self._canvas, self._project(tube_surfaces(rigid, self._sections)[0], SUPERSAMPLING)
-        raster.mark_coverage(ghost, self._tubes, canvas.mask, canvas.depth, canvas.box)
+        canvas, ghost = self._canvas, self._project(tube_surfaces(rigid, self._sections)[0].points, SUPERSAMPLING)
+        raster.mark_coverage(ghost, tubes.faces, canvas.mask, canvas.depth, canvas.box)
         raster.resolve(canvas, rgb(GHOST), GHOST_SHARE)
         picture = canvas.picture.copy()
         if self.overlays:

@@ -168,7 +168,7 @@ class _LoopMargins(NamedTuple):
     phase_frequency: float
 
 
-def loop_margins(frequencies: Array, response: _Response) -> _LoopMargins:
+def _loop_margins(frequencies: Array, response: _Response) -> _LoopMargins:
     """Return the margins of a response (f,) at frequencies (f,), Hz, with linear interpolation."""
     gain, gain_frequency, phase, phase_frequency = np.nan, np.nan, np.nan, np.nan
     for i in np.flatnonzero(np.diff(np.sign(response.imag)) != 0):
@@ -203,7 +203,7 @@ def bode_diagram(frequencies: Array, responses: dict[str, _Response], path: str 
     path, figure = Path(path), new_figure((7.6, 6.0), 120.0, layout="constrained")
     gain, phase = figure.subplots(2, 1, sharex=True)
     for (name, response), colour in zip(responses.items(), LINK_COLOURS, strict=False):
-        found, size = loop_margins(frequencies, response), np.abs(response)
+        found, size = _loop_margins(frequencies, response), np.abs(response)
         angle = np.degrees(np.unwrap(np.angle(response)))
         label = f"{name}: gain margin {found.gain:.3g}, phase margin {found.phase:.3g}°".replace("nan°", "none")
         gain.loglog(frequencies, size, color=colour, label=label.replace("nan", "none"))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.plot_style import BLUE, GREEN, ORANGE, RED, SKY, round_up
-from flexman_gym.draw.frames import FLOOR_GAP, FramePainter, camera_direction
+from flexman_gym.draw.frames import FLOOR_GAP, FramePainter
 from flexman_gym.draw.mesh import section_outlines
 from flexman_gym.model.deformation import curves, link_shapes
 from flexman_gym.model.model import Model
@@ -117,7 +117,7 @@ def _view_data(models: Sequence[Model], points: Array, strain: float) -> dict[st
     points = np.concatenate([points[np.isfinite(points).all(axis=1)], np.zeros((1, 3))])
     floor = float(points[:, 2].min()) - FLOOR_GAP * reach
     points = np.concatenate([points, [[0.0, 0.0, floor]]])
-    azimuth, elevation = np.radians(camera_direction(models[0])[:2])
+    azimuth, elevation = np.radians(FramePainter(models[0], (16, 16)).direction[:2])
     towards = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     return {"reach": reach, "points": np.round(points, 6).tolist(), "distance": 3.0 * size, "floor": floor,

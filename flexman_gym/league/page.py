@@ -71,7 +71,7 @@ def _page_text(standings: Standings) -> str:
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
-        recommendation=recommendation(standings),
+        recommendation=_recommendation(standings),
         block=max((cell.end - cell.first for cell in standings.results.cells.values()), default=0),
         summary=summary_rows(standings, standings.scenarios),
         absent=[f"`{each}`" for each in BASELINES if each not in standings.overall],
@@ -87,7 +87,7 @@ def _page_text(standings: Standings) -> str:
     )
 
 
-def recommendation(standings: Standings) -> str:
+def _recommendation(standings: Standings) -> str:
     """Return the recommended agent for an arm with uncertain parameters, its cost, and the scenarios where it fails."""
     if not (agents := standings.realisable(LAB_SCENARIO)):
         return f"No agent that is realisable on hardware was run in `{LAB_SCENARIO}`."

@@ -210,8 +210,3 @@ def _find_environment(name: str) -> Configuration:
     else:
         whole = Configuration.find(name.removesuffix(f"/{NOMINAL}"))
     return whole.without(INTERFACE)
-
-
-def sweep_scenarios(id: str, sweep: str) -> list[str]:
-    """Return the names of the scenarios of a sweep of an environment."""
-    return [f"{id}/{sweep}={value:g}" for value in SWEEPS[one_of("sweep", sweep, SWEEPS)].values]
