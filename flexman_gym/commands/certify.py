@@ -10,12 +10,12 @@ import json
 from flexman_gym.commands import CommandLine
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.evaluation.policy_files import POLICIES
 
-    result.add_argument("policy", help=f"folder of an exported policy, or {', '.join(POLICIES)}")
-    result.set_defaults(workers=1)
+    parser.add_argument("policy", help=f"folder of an exported policy, or {', '.join(POLICIES)}")
+    parser.set_defaults(workers=1)
 
 
 def _run(options: argparse.Namespace) -> int:

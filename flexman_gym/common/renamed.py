@@ -101,6 +101,7 @@ MEMBERS = {
     "View": {"alone": "single", "heavy": "has_gravity", "places": "slices", "reaching": "inverse_kinematics"},
     "Simulator": {"keep": "record"},
     "Episode": {"of_trajectory": "from_trajectory"},
+    "Standings": {"better": "improvement_probability"},
     "TrainingReport": {"figures": "metrics"},
 }
 """Class or protocol -> old member -> present member, see `deprecated_members`; users write classes of the protocols."""

@@ -70,9 +70,9 @@ def test_there_is_no_scale_where_its_ends_are_close_or_missing(tmp_path):
 
 def test_better_is_asked_in_the_same_episode():
     known = standing()
-    assert known.better("lqg", "pd", [NOMINAL, UNKNOWN]) == (1.0, 1.0, 1.0)
-    assert known.better("pd", "lqg", [NOMINAL]) == (0.0, 0.0, 0.0)
-    assert known.better("pd", "lqr", ["nowhere"]) is None
+    assert known.improvement_probability("lqg", "pd", [NOMINAL, UNKNOWN]) == (1.0, 1.0, 1.0)
+    assert known.improvement_probability("pd", "lqg", [NOMINAL]) == (0.0, 0.0, 0.0)
+    assert known.improvement_probability("pd", "lqr", ["nowhere"]) is None
 
 
 def test_an_agent_that_misses_a_scenario_comes_last():
@@ -87,7 +87,7 @@ def test_agents_without_common_episodes_are_not_compared(tmp_path):
     one, two = book({"zero": 100.0, "privileged-lqr": 300.0}), book({"pd": 200.0})
     moved = [row._replace(seed=row.seed + 1000) for row in two.rows.values()]
     known = Standings(LeagueRows([*one.rows.values(), *moved], [*one.cells.values(), *two.cells.values()]))
-    assert known.score("pd", NOMINAL) is None and known.better("pd", "zero", [NOMINAL]) is None
+    assert known.score("pd", NOMINAL) is None and known.improvement_probability("pd", "zero", [NOMINAL]) is None
     assert "| `pd` |" in page_text(known, tmp_path)
 
 
