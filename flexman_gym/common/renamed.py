@@ -114,15 +114,16 @@ ARGUMENTS = {
 """Function -> old argument -> present argument, see `deprecated_arguments`."""
 PARAMETER_KEYS = {"link_stiffness": "link_stiffness_factor"}
 """Old name of a physical parameter in fits, reset options and draws -> present name."""
-LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")  # packages whose frames are no callers of a deprecated name
+# packages that are skipped in the search for the caller of a deprecated name
+LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")
 
 
 def current_methods(text: str, warn: bool = False) -> str:
-    """Replace old names of integration methods in a text, such as a stored row or the name of a scenario.
+    """Replace old names of integration methods in a text, such as an entry of a stored row or the name of a scenario.
 
     Args:
-        text: a name of a method, or a longer text with such names in it.
-        warn: issue a DeprecationWarning for each old name; files of earlier releases are read without.
+        text: name of a method, or a longer text with names of methods.
+        warn: issue a DeprecationWarning for each old name; False for files of earlier releases.
     """
     pattern = rf"\b({'|'.join(METHODS)})\b"
     if warn:
@@ -132,7 +133,7 @@ def current_methods(text: str, warn: bool = False) -> str:
 
 
 def warn_deprecated(text: str) -> None:
-    """Issue a DeprecationWarning at the first caller outside the libraries."""
+    """Issue a DeprecationWarning attributed to the first caller outside LIBRARIES."""
     frame, depth = sys._getframe(1), 2
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in LIBRARIES:
         frame, depth = frame.f_back, depth + 1
@@ -142,14 +143,14 @@ def warn_deprecated(text: str) -> None:
 def rename_keys(
     data: Mapping[str, Any], names: Mapping[str, str], warn: bool = True, field: str = "", nested: bool = True
 ) -> dict[str, Any]:
-    """Return a mapping, and the mappings inside it, under the present names of their keys.
+    """Return a mapping with present names of keys, by default also in inner mappings.
 
     Args:
         data: values by present or old name.
         names: old name -> present name.
         warn: issue a DeprecationWarning for each old name.
         field: name of the mapping, for messages.
-        nested: rename the keys of the mappings inside it too.
+        nested: rename the keys of inner mappings too.
 
     Returns:
         The values by present names.
@@ -169,14 +170,14 @@ def rename_keys(
 
 
 def deprecated_names(module: str, old: str = "") -> Callable[[str], Any]:
-    """Make the `__getattr__` of a module, for old names with a DeprecationWarning.
+    """Return the `__getattr__` of a module, which accepts old names with a DeprecationWarning.
 
     Args:
         module: present module of the names.
         old: old module, for the warning; "" for the present one.
 
     Returns:
-        The function.
+        Function of a name that returns the object with the present name.
     """
 
     def getattribute(name: str) -> Any:
@@ -204,8 +205,8 @@ def deprecated_arguments(**names: str) -> Callable[[Function], Function]:
         @wraps(function)
         def call(*arguments: Any, **keywords: Any) -> Any:
             for old in names.keys() & keywords.keys():
-                said = f"{function.__name__}({old}=...) is deprecated; give {names[old]}=..."
-                warnings.warn(said, DeprecationWarning, stacklevel=2)
+                message = f"{function.__name__}({old}=...) is deprecated; give {names[old]}=..."
+                warnings.warn(message, DeprecationWarning, stacklevel=2)
                 keywords[names[old]] = keywords.pop(old)
             return function(*arguments, **keywords)
 

@@ -12,7 +12,7 @@ from flexman_gym.model.element import find_element
 from flexman_gym.model.model import Model
 
 SIDES = 16  # number of points on the outline of a section
-MIN_RADIUS, MIN_HALF_SIDE = 0.008, 0.0025  # fractions of the reach; least radius of a round link, half side of a strip
+MIN_RADIUS, MIN_HALF_SIDE = 0.008, 0.0025  # fractions of the reach; least radius of a round, half width of a flat link
 ROUND_TOLERANCE = 0.02  # relative difference of the radii of gyration up to which a section is drawn round
 
 
@@ -35,8 +35,8 @@ class Mesh(NamedTuple):
         Args:
             origin: position of its origin (3,), m.
             axis: direction of its z axis (3,), a unit vector.
-            radius: scale of x and y.
-            half: scale of z.
+            radius: scale of x and y, m.
+            half: scale of z, half of the length, m.
 
         Returns:
             The transformed mesh.
@@ -109,7 +109,7 @@ def _section(section: Any, reach: float) -> tuple[Array, Array, Array]:
 
 @cache
 def _tube_faces(links: int, places: int) -> IntArray:
-    """Return the triangles (f, 3) of links with closed ends; vertices are numbered by link, point and side."""
+    """Return the triangles (f, 3) of links with closed ends; the order of the vertices is link, point, side."""
     point = np.arange(links * places * SIDES, dtype=np.int32).reshape(links, places, SIDES)
     after = np.roll(point, -1, axis=2)
     a, b, c, d = (each.ravel() for each in (point[:, :-1], after[:, :-1], after[:, 1:], point[:, 1:]))
