@@ -434,7 +434,7 @@ def tip_accelerations(scene: Scene, runs: Sequence[Trajectory], model: Model, pa
     result = np.full((len(runs), size, layout.TIP_ACCELERATIONS), np.nan)
     work = layout.make_work(model.constants)
     for i, run in enumerate(runs):
-        constants = model.constants._replace(prescribed=flags, **_constants_of(own, i))
+        constants = model.constants._replace(prescribed=flags, **{name: each[i] for name, each in own.items()})
         for state, drive, out in zip(run.states, applied, result[i], strict=False):
             compute_tip_accelerations(constants, work, state[:d], state[d:], drive, out)
     return result
