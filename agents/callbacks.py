@@ -1,4 +1,4 @@
-"""Training callbacks: exploration schedule, checkpoints, evaluation, learning curves and interruption by Ctrl-C."""
+"""Training callbacks: exploration schedule, value warm-up, evaluation, learning curves, interruption by Ctrl-C."""
 
 import csv
 import math
@@ -18,7 +18,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from flexman_agents.settings import Schedule, Settings
 from flexman_gym.common.checks import is_decimal_integer
-from flexman_gym.common.renamed import deprecated_names, warn_deprecated
+from flexman_gym.common.renamed import MEMBERS, deprecated_members, deprecated_names
 from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.control.agent import Law
 from flexman_gym.evaluation.agent import AgentSpec, split_interface
@@ -51,11 +51,11 @@ def stop_on_interrupt() -> Iterator[threading.Event]:
         signal.signal(signal.SIGINT, previous)
 
 
-STEPS_COLUMN = "time/total_timesteps"  # actions of all arms together; name of Stable-Baselines3
+STEPS_COLUMN = "time/total_timesteps"  # environment steps summed over all arms; column of Stable-Baselines3
 
 
 class _Events(TensorBoardOutputFormat):
-    """TensorBoard writer for a folder, which hides events from `steps` on of an earlier process."""
+    """TensorBoard writer for a folder; hides the events that an earlier process wrote from step `steps` on."""
 
     def __init__(self, folder: Path, steps: int) -> None:
         self.writer = SummaryWriter(str(folder), purge_step=steps)
@@ -63,16 +63,16 @@ class _Events(TensorBoardOutputFormat):
 
 
 def open_logger(folder: Path, before: int, steps: int) -> Logger:
-    """Open the learning curves of a run that continues after some steps.
+    """Open the files of the learning curves of a new or resumed run.
 
-    The rows go to progress.csv, or to progress-N.csv with N = `before` + `steps` where that is positive. Rows of this
-    run with more steps than `steps` are removed: they belong to steps that were lost when a process was killed.
-    TensorBoard events of a further run go to a subfolder.
+    The rows go to progress.csv, or to progress-N.csv if N = `before` + `steps` is positive. Rows of this run with more
+    than `steps` steps are removed: they belong to steps that were lost when a process was killed. TensorBoard events
+    of a run that continues a finished run go to a subfolder.
 
     Args:
         folder: folder of the run.
-        before: steps of all earlier runs in the folder.
-        steps: steps of this run so far.
+        before: environment steps of the finished runs in the folder.
+        steps: environment steps of this run so far.
 
     Returns:
         Logger of Stable-Baselines3 for the CSV file and the TensorBoard events.
@@ -80,15 +80,15 @@ def open_logger(folder: Path, before: int, steps: int) -> Logger:
     for path in folder.glob("progress*.csv"):
         first = path.stem.removeprefix("progress").removeprefix("-") or "0"
         if is_decimal_integer(first) and before <= int(first) < before + steps and not path.is_symlink():
-            _cut(path, steps)
+            _remove_later_rows(path, steps)
     path = folder / (f"progress-{before + steps}.csv" if before + steps else "progress.csv")
     path.unlink(missing_ok=True)  # it may be a link to a file outside the folder
     events = folder / f"after-{before}" if before else folder
     return Logger(str(folder), [CSVOutputFormat(str(path)), _Events(events, steps)])
 
 
-def _cut(path: Path, steps: int) -> None:
-    """Remove the rows after the given number of steps from a file."""
+def _remove_later_rows(path: Path, steps: int) -> None:
+    """Remove the rows with more than `steps` environment steps from a CSV file of learning curves."""
     names, *rows = [*read_csv_rows(path)] or [[]]
     if STEPS_COLUMN not in names:
         return
@@ -98,44 +98,40 @@ def _cut(path: Path, steps: int) -> None:
         csv.writer(file, lineterminator="\n").writerows([names, *rows])
 
 
+# metrics of the evaluations that the learning curves contain
 CURVE_METRICS = ("settling_time", "vibration", "error", "reward", "settled", "roughness", "failed")
-WARNING_DROP = 0.2  # 1; decrease of the share of settled episodes that causes a warning
+WARNING_DROP = 0.2  # 1; decrease of the share of settled episodes, relative to the best policy, that causes a warning
 
 
+@deprecated_members(**MEMBERS["TrainingReport"])
 class TrainingReport(NamedTuple):
-    """Progress of a training, passed to the hook at the start of each rollout and at the end.
+    """Progress of a training run, passed to the hook at the start of each rollout and at the end of the training.
 
     Attributes:
-        steps: steps so far, actions of all arms together.
+        steps: environment steps so far, summed over all arms.
         metrics: metrics of the latest evaluation on the selection seeds, by name as in `fm.evaluate`; empty before the
-            first one.
-        save: function that saves the run in its folder, from where `resume` continues it.
+            first evaluation.
+        save: function that saves the run in its folder; `resume` continues from there.
     """
 
     steps: int
     metrics: Mapping[str, float]
     save: Callable[[], None]
 
-    @property
-    def figures(self) -> Mapping[str, float]:
-        """Old name of `metrics`."""
-        warn_deprecated("TrainingReport.figures is TrainingReport.metrics now")
-        return self.metrics
-
 
 Hook = Callable[[TrainingReport], bool | None]
-"""Function called with the progress of a training; the training stops when it returns True."""
+"""Function of the progress of a training; the training stops when the function returns True."""
 
 
 class Exploration(BaseCallback):
-    """Exploration that follows a schedule over the training.
+    """Schedule of the exploration over the training.
 
-    For PPO the schedule sets the logarithm of the standard deviation of the actions, which is then not learned; for SAC
-    it sets the target entropy.
+    For PPO the schedule sets the logarithm of the standard deviation of the actions, which is then not learned. For SAC
+    the schedule sets the target entropy.
 
     Args:
-        schedule: schedule, or a mapping with its start, end and until.
-        steps: steps of the training.
+        schedule: schedule, or a mapping with the attributes of `settings.Schedule`.
+        steps: environment steps of the training.
     """
 
     def __init__(self, schedule: Schedule | Mapping[str, float], steps: int) -> None:
@@ -160,10 +156,10 @@ class Exploration(BaseCallback):
 
 
 class ValueWarmup(BaseCallback):
-    """Warm-up of PPO's value function: the policy is fixed at first, as advantages of an untrained critic are noise.
+    """Warm-up of PPO's value function, with a fixed policy: advantages from an untrained value function are noise.
 
     Args:
-        steps: steps during which only the value function is updated.
+        steps: environment steps during which only the value function is updated.
     """
 
     def __init__(self, steps: int) -> None:
@@ -179,47 +175,15 @@ class ValueWarmup(BaseCallback):
         return True
 
 
-class Checkpoints(BaseCallback):
-    """Checkpoints at the start of rollouts: periodically, and when the training is to stop, which then ends.
-
-    Args:
-        every: steps between checkpoints; 0 for none.
-        save: function that saves the run.
-        stop_requested: function that returns True when the training is to stop.
-
-    Attributes:
-        stopped: steps after which the training was stopped; None while it continues.
-    """
-
-    def __init__(self, every: int, save: Callable[[], None], stop_requested: Callable[[], bool]) -> None:
-        super().__init__()
-        self._every, self._save, self._stop_requested = every, save, stop_requested
-        self.stopped: int | None = None
-
-    def _on_training_start(self) -> None:
-        self._next = self.num_timesteps + self._every
-
-    def _on_rollout_start(self) -> None:
-        if self._stop_requested():
-            self._save()
-            self.stopped = self.model.num_timesteps
-        elif self._every and self.model.num_timesteps >= self._next:
-            self._next = self.model.num_timesteps + self._every
-            self._save()
-
-    def _on_step(self) -> bool:
-        return self.stopped is None
-
-
 class Evaluation(BaseCallback):
-    """Evaluation of the deterministic policy on the selection seeds, periodically and at the end; saves the best one.
+    """Periodic and final evaluation of the deterministic policy on the selection seeds; saves the best policy.
 
-    The best policy is the one with the highest mean reward, which over a hundred episodes is a better criterion than
-    the share of settled episodes. A warning is printed when a policy settles much less often than the best one.
+    The best policy has the highest mean return, the metric "reward"; over a hundred episodes it is a better criterion
+    than the share of settled episodes. A warning is printed when a policy settles much less often than the best policy.
 
     Args:
         settings: settings of the run.
-        law: deterministic policy, observations to actions.
+        law: deterministic policy: function from observations (b, size) to actions (b, n).
         save_best: function that saves the policy as the best one.
 
     Attributes:
@@ -233,12 +197,12 @@ class Evaluation(BaseCallback):
         self._environment, interface = split_interface(settings.environment)
         self._agent = AgentSpec("training", law, interface)
         self._every, self._last, self._save_best = settings.eval_every, settings.steps, save_best
-        self._best = [-math.inf, 0.0]  # mean reward, share of settled episodes
+        self._best = [-math.inf, 0.0]  # mean return, share of settled episodes
         self.latest: Mapping[str, float] = {}
         self.begin()
 
     def begin(self) -> None:
-        """Schedule the next evaluation after `eval_every` steps, and allow the warning again."""
+        """Schedule the next evaluation `eval_every` steps after the start of a run, and re-enable the warning."""
         self._next, self._warned = self._every, False
 
     def _on_step(self) -> bool:

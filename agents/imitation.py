@@ -28,29 +28,30 @@ from flexman_gym.evaluation.agent import AgentSpec, observation_layout, split_in
 from flexman_gym.evaluation.agent_info import TIME_COLUMN
 from flexman_gym.evaluation.rollout import Rollout, rollout, training_seed
 
-BETA = (1.0, 0.5, 0.25)  # 1; share of the arms that the teacher controls in the first iterations, 0 in later ones
-ACTION_SCALE = 10.0  # 1; factor on the labels of the network, as most actions are small compared with 1
-WEIGHT_FLOOR = 0.15  # 1; added to the mean magnitude of the scaled labels, whose inverse square weighs a sample
+BETA = (1.0, 0.5, 0.25)  # 1; share of the arms controlled by the teacher in iterations 0, 1 and 2; later 0
+ACTION_SCALE = 10.0  # 1; factor of the labels of the network, because most actions are much smaller than 1
+WEIGHT_FLOOR = 0.15  # 1; added to the mean magnitude of scaled labels; the weight of a sample is 1 / sum^2
 MAX_WEIGHT = 10.0  # 1; largest weight of a sample relative to the mean weight
-EMA_DECAY = 0.995  # 1; decay per step of the averaged network parameters, which are the policy
+EMA_DECAY = 0.995  # 1; decay per gradient step of the averaged network parameters, which form the policy
 MAX_GRADIENT_NORM = 5.0  # 1; norm to which a gradient is clipped
 
 
 class _StudentMode:
     """Action mode of a student, with a teacher that labels the visited states.
 
-    The agent of the environment observes, keeps the history and repeats actions; `law` is the policy of the student.
+    The agent of the environment reads the sensors, keeps the history and repeats actions; `law` is the policy of the
+    student.
 
     Args:
         network: network of the student.
-        mode: action mode with torques, made with its base controller.
-        strength: share of the torque limit that an action of 1 adds, for all joints or for each one (n,).
+        mode: action mode that adds torques to those of its base controller.
+        strength: torque of an action of 1 as a fraction of the torque limit, for all joints or for each joint (n,).
         teacher: controller designed for the same arm.
 
     Attributes:
-        teacher_acts: (b,) arms that the teacher controls.
-        samples: for each action, the observations (b, size), the labels (b, n) and the active arms (b,); a label is the
-            action that would give the motors the torques of the teacher.
+        teacher_acts: (b,) True for arms controlled by the teacher.
+        samples: for each action, the observations (b, size), the labels (b, n) and the flags of active arms (b,); a
+            label is the action with which the motors would get the torques of the teacher.
     """
 
     def __init__(self, network: Network, mode: ActionMode, strength: float | Array, teacher: Controller) -> None:
@@ -62,7 +63,7 @@ class _StudentMode:
         self.samples: list[tuple[NDArray[np.float32], Array, BoolArray]] = []
 
     def __deepcopy__(self, memo: object) -> "_StudentMode":
-        return self  # a rollout copies its agent; the samples and the designs of the teacher stay in this object
+        return self  # a rollout copies its agent; samples and teacher stay in this object
 
     def law(self, observations: NDArray[np.float32]) -> Array:
         """Return the actions (b, n) of the student for observations (b, size)."""
@@ -80,7 +81,7 @@ class _StudentMode:
         return result
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Return the torques (b, n) of the teacher or the student, as fractions of the limits."""
+        """Return the torques (b, n) of the teacher or the student of each arm, as fractions of the torque limits."""
         teacher = np.clip(self._teacher.act(readings, applied, active), -1.0, 1.0)
         student = self._mode.act(actions, readings, applied, active)
         if self._observations is not None:
@@ -92,7 +93,7 @@ class _StudentMode:
 
 
 def _strength(mode: ActionMode) -> float | Array:
-    """Return the share of the torque limit that an action of 1 adds, for all joints or for each one (n,)."""
+    """Return the torque of an action of 1 as a fraction of the torque limit, for all joints or for each joint (n,)."""
     strength: float | Array | None = getattr(mode, "strength", None)
     if strength is None:
         allowed = "torque, current, or shaping with pace, offset and fading 0: a student learns torques"
@@ -103,60 +104,60 @@ def _strength(mode: ActionMode) -> float | Array:
 class DAgger:
     """DAgger: imitation of a teacher in iterations of episodes, trained on the data of the latest iterations.
 
-    The teacher controls the arms in the first iteration, the student in the later ones, and the teacher labels every
-    visited state (Ross, Gordon and Bagnell, A reduction of imitation learning to no-regret online learning, 2011).
-    Samples are weighted so that those with small labels count as much as those with large ones. The policy is an
-    exponential moving average of the network parameters over the last few hundred gradient steps.
+    The teacher controls all arms in the first iteration and a share BETA in the next ones; afterwards the student
+    controls all arms. The teacher labels every visited state (Ross, Gordon and Bagnell, A reduction of imitation
+    learning to no-regret online learning, 2011). Weights of the samples balance small and large labels. The policy is
+    an exponential moving average of the network parameters over the last few hundred gradient steps.
 
     Args:
         settings: settings of the run, with the algorithm "dagger".
 
     Attributes:
-        steps: steps of the training, actions of all arms together; a whole number of iterations.
+        steps: environment steps of the training, summed over all arms; a whole number of iterations.
     """
 
     def __init__(self, settings: Settings) -> None:
-        chosen = DEFAULT_HYPERPARAMETERS["dagger"] | dict(settings.hyperparameters)
-        for name in chosen:
+        hyperparameters = DEFAULT_HYPERPARAMETERS["dagger"] | dict(settings.hyperparameters)
+        for name in hyperparameters:
             one_of("hyperparameters", name, sorted(DEFAULT_HYPERPARAMETERS["dagger"]))
         torch.set_num_threads(1)
         torch.manual_seed(settings.seed)
-        self._settings, self._chosen, self._described = settings, chosen, settings.environment
+        self._settings, self._hyperparameters, self._environment = settings, hyperparameters, settings.environment
         self._random = np.random.default_rng(settings.seed)
-        described = self._described
+        environment = settings.environment
         widths = [
-            history_length(described.history) * sum(each["size"] for each in observation_layout(described)),
-            *chosen["net_arch"],
+            history_length(environment.history) * sum(each["size"] for each in observation_layout(environment)),
+            *hyperparameters["net_arch"],
         ]
-        pairs, between = pairwise(widths), ACTIVATION_LAYERS[chosen["activation"]]
-        inner = [layer for k, m in pairs for layer in (torch.nn.Linear(k, m), between())]
-        self._layers = torch.nn.Sequential(*inner, torch.nn.Linear(widths[-1], len(described.torque_limit)))
+        pairs, activation = pairwise(widths), ACTIVATION_LAYERS[hyperparameters["activation"]]
+        inner = [layer for inputs, outputs in pairs for layer in (torch.nn.Linear(inputs, outputs), activation())]
+        self._layers = torch.nn.Sequential(*inner, torch.nn.Linear(widths[-1], len(environment.torque_limit)))
         for values in self._layers[-1].parameters():
             torch.nn.init.zeros_(values)
-        self._moments = {"mean": np.zeros(widths[0]), "var": np.ones(widths[0])}
+        self._statistics = {"mean": np.zeros(widths[0]), "var": np.ones(widths[0])}
         self._optimizer = torch.optim.Adam(self._layers.parameters(), fused=True)
-        averaged = get_ema_multi_avg_fn(EMA_DECAY)  # type: ignore[no-untyped-call]
-        self._mean = AveragedModel(self._layers, multi_avg_fn=averaged)
-        model = resolve_fidelity(described).model
-        mode = make_base_and_mode(described, model)[1]
+        average = get_ema_multi_avg_fn(EMA_DECAY)  # type: ignore[no-untyped-call]
+        self._averaged = AveragedModel(self._layers, multi_avg_fn=average)
+        model = resolve_fidelity(environment).model
+        mode = make_base_and_mode(environment, model)[1]
         strength = _strength(mode)  # checked before the teacher, whose design may take long
-        teacher = make_controller(described, chosen["teacher"], model)
+        teacher = make_controller(environment, hyperparameters["teacher"], model)
         self._student = _StudentMode(self._network(), mode, strength, teacher)
-        self._per_iteration = settings.envs * -(-described.max_periods // described.action_repeat)
+        self._per_iteration = settings.envs * -(-environment.max_periods // environment.action_repeat)
         self.steps = self._per_iteration * -(-settings.steps // self._per_iteration)
-        self._iterations: list[list[NDArray[np.float32]]] = []  # of each: observations, labels, weights
+        self._iterations: list[list[NDArray[np.float32]]] = []  # [observations, labels, weights] of each iteration
 
     def learn(self, stop: Callable[[int, Mapping[str, float]], bool]) -> bool:
         """Train to the end of the steps.
 
         Args:
-            stop: function of the steps so far and the metrics of the last iteration, called before each iteration and
-                at the end; it returns True to stop the training.
+            stop: function of the environment steps so far and the metrics of the last iteration, called before each
+                iteration and at the end; the training stops when the function returns True.
 
         Returns:
             False if the training was stopped.
         """
-        iterations, updates = self.steps // self._per_iteration, self._chosen["updates"]
+        iterations, updates = self.steps // self._per_iteration, self._hyperparameters["updates"]
         schedule, metrics = self._settings.schedule("learning_rate"), dict[str, float]()
         for number in range(iterations):
             if stop(number * self._per_iteration, metrics):
@@ -164,81 +165,78 @@ class DAgger:
             metrics = self._collect(number)
             losses = []
             for update in range(updates):
-                rate = (
-                    schedule.at((number + update / updates) / iterations) if schedule else self._chosen["learning_rate"]
-                )
-                self._optimizer.param_groups[0]["lr"] = rate
+                progress, rate = (number + update / updates) / iterations, self._hyperparameters["learning_rate"]
+                self._optimizer.param_groups[0]["lr"] = schedule.at(progress) if schedule else rate
                 losses.append(self._update())
             metrics["train/loss"] = float(np.mean(losses))
         stop(self.steps, metrics)
         return True
 
     def policy(self) -> dict[str, Any]:
-        """Return the policy: layers under their names in PPO, and mean and variance of the observations."""
-        layers = list(self._mean.module.children())
+        """Return the policy: layers under their names in PPO, and mean and variance of the observations (size,)."""
+        layers = list(self._averaged.module.children())
         names = {f"mlp_extractor.policy_net.{place}": layer for place, layer in enumerate(layers[:-1])}
         arrays = {f"{name}.{part}": value.detach().numpy().copy()
                   for name, layer in {**names, "action_net": layers[-1]}.items()
                   for part, value in layer.named_parameters()}  # fmt: skip
         for part in ("weight", "bias"):
             arrays[f"action_net.{part}"] /= ACTION_SCALE
-        return {"policy": arrays, "statistics": dict(self._moments)}
+        return {"policy": arrays, "statistics": dict(self._statistics)}
 
     def _agent(self) -> AgentSpec:
         """Return the student as an agent."""
-        interface = split_interface(self._described)[1]
+        interface = split_interface(self._environment)[1]
         own = {name: value for name, value in interface.items() if name not in ("base", "gains")}
         return AgentSpec("Student", self._student.law, {**own, "actions": self._student})
 
     def _network(self) -> "_FastNetwork":
-        return _FastNetwork("dagger", self._chosen["activation"], *self.policy().values())
+        return _FastNetwork("dagger", self._hyperparameters["activation"], *self.policy().values())
 
     def _collect(self, number: int) -> dict[str, float]:
-        """Run the episodes of an iteration and add their samples; return the metrics."""
-        arms, kept = self._settings.envs, self._chosen["iterations_kept"]
+        """Run the episodes of iteration `number` and add their samples; return the metrics."""
+        arms, kept = self._settings.envs, self._hyperparameters["iterations_kept"]
         self._student.network, self._student.samples = self._network(), []
         self._student.teacher_acts = self._random.random(arms) < (BETA[number] if number < len(BETA) else 0.0)
         first = training_seed(self._settings.seed) + number * arms
-        result = rollout(self._agent(), split_interface(self._described)[0], range(first, first + arms))
+        result = rollout(self._agent(), split_interface(self._environment)[0], range(first, first + arms))
         self._iterations = [*self._iterations, _training_set(self._student.samples, number % 2)][-kept:]
         self._mean_weight = np.mean([weights.mean() for _, _, weights in self._iterations])
         if number == 0:
             observed = self._iterations[0][0]
-            self._moments = {
+            self._statistics = {
                 "mean": observed.mean(axis=0, dtype=np.float64), "var": observed.var(axis=0, dtype=np.float64)
             }  # fmt: skip
         return _rollout_metrics(result)
 
     def _update(self) -> float:
         """Take a gradient step on a batch with equal parts of all iterations; return the loss."""
-        share, rest = divmod(self._chosen["batch_size"], len(self._iterations))
-        chosen = [self._random.integers(len(observed), size=share + (index < rest))
+        size, remainder = divmod(self._hyperparameters["batch_size"], len(self._iterations))
+        chosen = [self._random.integers(len(observed), size=size + (index < remainder))
                   for index, (observed, _, _) in enumerate(self._iterations)]  # fmt: skip
         parts = [[part[rows] for part in data] for data, rows in zip(self._iterations, chosen, strict=True)]
         observed, labels, weights = (np.concatenate(part) for part in zip(*parts, strict=True))
-        scaled = np.clip(
-            (observed - self._moments["mean"]) / np.sqrt(self._moments["var"] + VARIANCE_OFFSET), -MAX_INPUT, MAX_INPUT
-        )
-        counts = torch.as_tensor(np.minimum(weights / self._mean_weight, MAX_WEIGHT).astype(np.float32))
+        deviation = np.sqrt(self._statistics["var"] + VARIANCE_OFFSET)
+        scaled = np.clip((observed - self._statistics["mean"]) / deviation, -MAX_INPUT, MAX_INPUT)
+        weights_tensor = torch.as_tensor(np.minimum(weights / self._mean_weight, MAX_WEIGHT).astype(np.float32))
         errors = self._layers(torch.as_tensor(scaled.astype(np.float32))) - torch.as_tensor(labels)
-        loss = (counts[:, None] * errors**2).mean()
+        loss = (weights_tensor[:, None] * errors**2).mean()
         self._optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self._layers.parameters(), MAX_GRADIENT_NORM)
         self._optimizer.step()
-        self._mean.update_parameters(self._layers)
+        self._averaged.update_parameters(self._layers)
         return float(loss.item())
 
 
 class DAggerRun:
-    """DAgger training in a run folder; its samples are not saved, so that it cannot be resumed."""
+    """DAgger training in a run folder; it cannot be resumed, because the samples are not saved."""
 
     done = 0
 
     def __init__(self, settings: Settings, folder: Path) -> None:
         self._imitation, self._settings, self._folder = DAgger(settings), settings, folder
 
-    def set_state(self, data: dict[str, Any], another: bool) -> None:
+    def set_state(self, data: dict[str, Any], further: bool) -> None:
         """Raise ValueError: a finished imitation cannot be continued."""
         raise value_error("steps", self._settings.steps, f"nothing: the imitation in {self._folder} is finished")
 
@@ -271,19 +269,19 @@ class DAggerRun:
 
 
 class _FastNetwork(Network):
-    """Network whose products are computed by BLAS: faster, but the last digits of a row depend on the other rows."""
+    """Network with matrix products by BLAS: faster, but the last digits of a row depend on the number of rows."""
 
     def product(self, values: Array, weights: Array) -> Array:
         return values @ weights.T
 
 
-def _training_set(samples: list[tuple[NDArray[np.float32], Array, BoolArray]], odd: int) -> list[NDArray[np.float32]]:
-    """Return observations (r, size), scaled labels (r, n) and weights (r,) of every second sample."""
+def _training_set(samples: list[tuple[NDArray[np.float32], Array, BoolArray]], first: int) -> list[NDArray[np.float32]]:
+    """Return observations (r, size), scaled labels (r, n) and weights (r,) of every second sample from `first` on."""
     parts = []
-    for observed, labels, due in samples[odd::2]:
-        scaled = ACTION_SCALE * labels[due]
+    for observed, labels, active in samples[first::2]:
+        scaled = ACTION_SCALE * labels[active]
         weight = 1.0 / (WEIGHT_FLOOR + np.abs(scaled).mean()) ** 2
-        parts.append((observed[due], scaled, np.full(len(scaled), weight)))
+        parts.append((observed[active], scaled, np.full(len(scaled), weight)))
     return [np.concatenate(part).astype(np.float32) for part in zip(*parts, strict=True)]
 
 

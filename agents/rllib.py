@@ -30,10 +30,14 @@ CLIP = 10.0  # 1; largest magnitude of normalised observations and rewards
 
 
 class NormalisationConnector(ConnectorV2):
-    """Running moments of observations and returns: those shared by all runners, and those of this runner since then.
+    """RLlib connector with the running means and variances of observations and returns.
 
     Args:
         size: number of entries of an observation.
+
+    Attributes:
+        shared: statistics of all runners up to the last synchronisation.
+        own: statistics of this runner since then.
     """
 
     def __init__(self, size: int) -> None:
@@ -45,7 +49,7 @@ class NormalisationConnector(ConnectorV2):
         return {"observations": RunningMeanStd((size,)), "returns": RunningMeanStd()}
 
     def merged(self, name: str) -> RunningMeanStd:
-        """Return the shared moments and those of this runner together, of "observations" or "returns"."""
+        """Return the shared and own statistics of "observations" or "returns" together."""
         result = RunningMeanStd(self.own[name].mean.shape)
         result.merge(self.shared[name])
         result.merge(self.own[name])
@@ -56,19 +60,19 @@ class NormalisationConnector(ConnectorV2):
         return batch  # the runner has normalised it
 
     def get_state(self, *parts: Any, **named: Any) -> dict[str, Any]:
-        """Return both kinds of moments as arrays and numbers."""
+        """Return shared and own statistics as arrays and numbers."""
         return {part: {name: each.get_state() for name, each in getattr(self, part).items()}
                 for part in ("shared", "own")}  # fmt: skip
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Set the moments from the result of `get_state` or `merge_states`."""
+        """Set the statistics from the result of `get_state` or `merge_states`."""
         for part, scales in state.items():
             for name, each in scales.items():
                 present = "observations" if name == "seen" else name  # "seen": checkpoints of release 0.2
                 getattr(self, part)[present].set_state(each)
 
     def merge_states(self, states: list[dict[str, Any]]) -> dict[str, Any]:
-        """Return the state of all runners together; the shared moments are counted once."""
+        """Merge the states of all runners; the shared statistics are counted once."""
         result = NormalisationConnector(len(self.own["observations"].mean))
         for part, several in (("shared", states[:1]), ("own", states)):
             for name, scales in result.shared.items():
@@ -96,34 +100,34 @@ class _ArrayEnvRunner(SingleAgentEnvRunner):
         steps = -(-num_timesteps // self.num_envs)
         if self._needs_initial_reset or force_reset:
             self._begin()
-        moments = next(each for each in self._env_to_module if isinstance(each, NormalisationConnector))
-        normalisation, spread = moments.merged("observations"), moments.merged("returns").deviation
+        connector = next(each for each in self._env_to_module if isinstance(each, NormalisationConnector))
+        normalisation, spread = connector.merged("observations"), connector.merged("returns").deviation
         scale = spread if self.config.env_config["normalise_reward"] else 1.0
-        rows: dict[str, list[Any]] = {name: [] for name in ("raw", "acts", "logits", "logp", "rewards", "returns")}
+        rows: dict[str, list[Any]] = {name: [] for name in ("raw", "actions", "logits", "logp", "rewards", "returns")}
         ends: list[tuple[int, int, Any, bool]] = []
         for step in range(1, steps + 1):
             with torch.no_grad():
                 batch = {Columns.OBS: torch.from_numpy(normalisation.apply(self._observed, CLIP))}
                 logits = self.module.forward_exploration(batch)[Columns.ACTION_DIST_INPUTS]
-                chance = self.module.get_exploration_action_dist_cls().from_logits(logits)
-                acts = chance.sample()
-                logp = chance.logp(acts)
+                distribution = self.module.get_exploration_action_dist_cls().from_logits(logits)
+                actions = distribution.sample()
+                logp = distribution.logp(actions)
             rows["raw"].append(self._observed)
-            self._observed, reward, ended, cut, infos = self.env.env.step(acts.clamp(-1.0, 1.0).numpy())
+            self._observed, reward, terminated, truncated, infos = self.env.env.step(actions.clamp(-1.0, 1.0).numpy())
             self._return = self._return * self.config.gamma + reward
             self._score += reward
             self._length += 1
             reward = np.clip(reward / scale, -CLIP, CLIP)
-            for name, each in zip(("acts", "logits", "logp", "rewards", "returns"),
-                                  (acts.numpy(), logits.numpy(), logp.numpy(), reward, self._return.copy()),
+            for name, each in zip(("actions", "logits", "logp", "rewards", "returns"),
+                                  (actions.numpy(), logits.numpy(), logp.numpy(), reward, self._return.copy()),
                                   strict=True):  # fmt: skip
                 rows[name].append(each)
-            for arm in np.flatnonzero(ended | cut).tolist():
-                ends.append((arm, step, normalisation.apply(infos["final_obs"][arm], CLIP), bool(ended[arm])))
+            for arm in np.flatnonzero(terminated | truncated).tolist():
+                ends.append((arm, step, normalisation.apply(infos["final_obs"][arm], CLIP), bool(terminated[arm])))
                 self._log_episode_metrics(int(self._length[arm]), float(self._score[arm]), 0.0)
                 self._return[arm] = self._score[arm] = self._length[arm] = 0
-        moments.own["observations"].add(np.array(rows["raw"]))
-        moments.own["returns"].add(np.array(rows.pop("returns")))
+        connector.own["observations"].add(np.array(rows["raw"]))
+        connector.own["returns"].add(np.array(rows.pop("returns")))
         arrays = {name: np.stack(values, 1) for name, values in rows.items()}
         arrays["obs"] = np.concatenate(
             [normalisation.apply(arrays.pop("raw"), CLIP), normalisation.apply(self._observed, CLIP)[:, None]], 1
@@ -145,7 +149,7 @@ class _ArrayEnvRunner(SingleAgentEnvRunner):
 
         Args:
             arrays: name -> (arms, steps, ...).
-            ends: arm, step, last observation and failure of each end of an episode.
+            ends: (arm, step, last observation, terminated) for each end of an episode.
             steps: number of steps.
 
         Returns:
@@ -153,7 +157,7 @@ class _ArrayEnvRunner(SingleAgentEnvRunner):
         """
         starts, result = np.zeros(self.num_envs, dtype=int), []
         open_ends = [(arm, steps, None, False) for arm in range(self.num_envs)]
-        for arm, stop, last, failed in ends + open_ends:
+        for arm, stop, last, terminated in ends + open_ends:
             part = slice(starts[arm], stop)
             starts[arm], length = stop, stop - starts[arm]
             if length == 0:
@@ -163,10 +167,10 @@ class _ArrayEnvRunner(SingleAgentEnvRunner):
                 observed[-1] = last
             episode = SingleAgentEpisode(
                 self._names[arm], observations=_buffer(observed), infos=_buffer([{}] * (length + 1)), t_started=0,
-                actions=_buffer(arrays["acts"][arm, part]), rewards=_buffer(arrays["rewards"][arm, part]),
+                actions=_buffer(arrays["actions"][arm, part]), rewards=_buffer(arrays["rewards"][arm, part]),
                 extra_model_outputs={Columns.ACTION_DIST_INPUTS: _buffer(arrays["logits"][arm, part]),
                                      Columns.ACTION_LOGP: _buffer(arrays["logp"][arm, part])},
-                terminated=failed, truncated=last is not None and not failed, len_lookback_buffer=0,
+                terminated=terminated, truncated=last is not None and not terminated, len_lookback_buffer=0,
             )  # fmt: skip
             episode.t = length
             result.append(episode)
@@ -180,30 +184,32 @@ class _ArrayEnvRunner(SingleAgentEnvRunner):
 
 
 def _buffer(values: Any) -> Any:
-    """Return the values as the buffer of an episode of RLlib, already in arrays."""
+    """Return the values as a buffer of an RLlib episode, marked as converted to arrays."""
     result = InfiniteLookbackBuffer(data=values, lookback=0)
     result.finalized = not isinstance(values, list)
     return result
 
 
 def _make_environment(context: Any) -> Any:
-    """Return the vector environment of a runner."""
+    """Return the vector environment of an environment runner."""
     torch.set_num_threads(1)
-    described = Configuration.from_plain(context["environment"])
-    return gym.make_vec(described.id, context.get("num_envs", 1), "vector_entry_point", autoreset_mode="SameStep",
-                        infos="at end", **described.keywords())  # fmt: skip
+    environment = Configuration.from_plain(context["environment"])
+    return gym.make_vec(environment.id, context.get("num_envs", 1), "vector_entry_point", autoreset_mode="SameStep",
+                        infos="at end", **environment.keywords())  # fmt: skip
 
 
 CHECKPOINT_FOLDER = "rllib"  # folder of the checkpoints in the run folder
+# hyperparameter of Stable-Baselines3 -> option of RLlib; "" for one that other options of RLlib replace
 RLLIB_NAMES = {"n_steps": "", "batch_size": "minibatch_size", "n_epochs": "num_epochs", "gamma": "gamma",
          "gae_lambda": "lambda_", "clip_range": "clip_param", "ent_coef": "entropy_coeff",
          "vf_coef": "vf_loss_coeff", "max_grad_norm": "grad_clip"}  # fmt: skip
 POLICY_HYPERPARAMETERS = ("net_arch", "activation", "log_std_init", "learning_rate", "ortho_init")
+# prefix of network parameters in RLlib -> in Stable-Baselines3
 SB3_PREFIXES = {"encoder.actor_encoder.net.mlp.": "mlp_extractor.policy_net.", "pi.net.mlp.0.": "action_net."}
 
 
 def ppo_config(settings: Settings, runners: int) -> PPOConfig:
-    """Translate the settings of a run for RLlib.
+    """Convert the settings of a run to a configuration of RLlib.
 
     Args:
         settings: settings of the run; SAC, evaluations, value warm-up and some hyperparameters are not supported.
@@ -249,7 +255,7 @@ def ppo_config(settings: Settings, runners: int) -> PPOConfig:
                      env_to_module_connector=_moments)
         .learners(num_learners=0)
         .training(lr=points, train_batch_size_per_learner=rows, use_kl_loss=False, kl_coeff=0.0, vf_clip_param=1e9,
-                  grad_clip_by="global_norm", **{ours: chosen[name] for name, ours in RLLIB_NAMES.items() if ours})
+                  grad_clip_by="global_norm", **{own: chosen[name] for name, own in RLLIB_NAMES.items() if own})
         .rl_module(model_config=model)
         .reporting(metrics_num_episodes_for_smoothing=settings.envs, min_time_s_per_iteration=None)
         .debugging(seed=settings.seed, log_level="ERROR")
@@ -268,9 +274,9 @@ def train_rllib(settings: Settings, folder: Path, runners: int = 0, every: int =
         settings: settings of the run.
         folder: folder of the run, for settings, policy and checkpoints of RLlib.
         runners: processes that step environments, in addition to the learning process; 0 for none.
-        every: steps between checkpoints.
-        resume: whether to continue from the newest checkpoint. It restores networks, optimiser, normalisation and
-            counts. Episodes and random generators start anew, so that results differ from those of an uninterrupted
+        every: environment steps between checkpoints.
+        resume: whether to continue from the newest checkpoint, which contains networks, optimiser, normalisation and
+            step counts. Episodes and random generators restart, so that results differ from those of an uninterrupted
             run.
 
     Raises:
@@ -291,7 +297,7 @@ def train_rllib(settings: Settings, folder: Path, runners: int = 0, every: int =
 
 
 def _train(algorithm: Any, settings: Settings, place: Path, every: int, done: int) -> None:
-    """Train to the end of the steps, from a checkpoint after `done` of them."""
+    """Train to the end of the steps, from the checkpoint after `done` environment steps."""
     torch.set_num_threads(1)
     exploration = settings.schedule(EXPLORATION_SCHEDULES[0])
     if done:

@@ -38,18 +38,16 @@ from flexman_gym.evaluation.rollout import training_seed
 
 ACTIVATION_LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # name in settings.ACTIVATIONS -> layer
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC}
-DEFAULT_NET_ARCH, DEFAULT_LOG_STD = (
-    [128, 128],
-    {"ppo": -3.0, "sac": -3.0},
-)  # larger noise excites vibrations that last for seconds
+DEFAULT_NET_ARCH = [128, 128]  # units of the hidden layers
+DEFAULT_LOG_STD = {"ppo": -3.0, "sac": -3.0}  # larger noise excites vibrations that last for seconds
 
 
 def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
-    """Make the model of a run and its environments, all seeded.
+    """Make the model of a run and its environments, seeded by the settings.
 
     Args:
         settings: settings of the run.
-        device: device of the networks, as PyTorch names it.
+        device: PyTorch device of the networks, such as "cpu".
 
     Returns:
         New model of Stable-Baselines3.
@@ -57,18 +55,13 @@ def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
     try:
         torch.zeros(1, device=device)
     except (RuntimeError, AssertionError) as error:
-        raise value_error(
-            "device",
-            device,
-            f"a device that PyTorch finds on this computer, such as cpu ({str(error).splitlines()[0]})",
-        ) from None
+        allowed = f"a device that PyTorch finds on this computer, such as cpu ({str(error).splitlines()[0]})"
+        raise value_error("device", device, allowed) from None
     torch.set_num_threads(1)  # for networks of this size, two threads are many times slower than one
-    chosen = algorithm_arguments(settings)
+    chosen = _algorithm_arguments(settings)
     env = VecNormalize(_make_environments(settings), norm_reward=settings.normalise_reward, gamma=chosen["gamma"])
     model = ALGORITHMS[settings.algo]("MlpPolicy", env, seed=settings.seed, device=device, **chosen)
-    if (
-        chosen["policy_kwargs"].get("ortho_init") is False
-    ):  # Stable-Baselines3 then has large initial weights; actions start at zero instead
+    if chosen["policy_kwargs"].get("ortho_init") is False:  # else Stable-Baselines3 starts with large actions, not zero
         for values in model.policy.action_net.parameters():  # type: ignore[union-attr]
             torch.nn.init.zeros_(values)
     env.seed(training_seed(settings.seed))
@@ -76,39 +69,39 @@ def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
 
 
 def _make_environments(settings: Settings) -> VecMonitor:
-    """Return the vector environment of a training, with statistics of its episodes."""
-    described = settings.environment
-    keywords = described.keywords() | {"autoreset_mode": AutoresetMode.SAME_STEP, "infos": "at end"}
-    return VecMonitor(SB3VecEnv(gym.make_vec(described.id, settings.envs, "vector_entry_point", **keywords)))
+    """Return the vector environment of a training, with a monitor of returns and lengths of episodes."""
+    environment = settings.environment
+    keywords = environment.keywords() | {"autoreset_mode": AutoresetMode.SAME_STEP, "infos": "at end"}
+    return VecMonitor(SB3VecEnv(gym.make_vec(environment.id, settings.envs, "vector_entry_point", **keywords)))
 
 
-def algorithm_arguments(settings: Settings) -> dict[str, Any]:
+def _algorithm_arguments(settings: Settings) -> dict[str, Any]:
     """Return the keyword arguments of an algorithm: defaults, the hyperparameters of the settings, and schedules."""
-    chosen = DEFAULT_HYPERPARAMETERS[settings.algo] | dict(settings.hyperparameters)
-    policy = {"net_arch": chosen.pop("net_arch", DEFAULT_NET_ARCH)}
-    policy["log_std_init"] = chosen.pop("log_std_init", DEFAULT_LOG_STD[settings.algo])
-    if "ortho_init" in chosen:
-        policy["ortho_init"] = chosen.pop("ortho_init")
-    if "activation" in chosen:
-        policy["activation_fn"] = ACTIVATION_LAYERS[chosen.pop("activation")]
+    arguments = DEFAULT_HYPERPARAMETERS[settings.algo] | dict(settings.hyperparameters)
+    policy_arguments = {"net_arch": arguments.pop("net_arch", DEFAULT_NET_ARCH)}
+    policy_arguments["log_std_init"] = arguments.pop("log_std_init", DEFAULT_LOG_STD[settings.algo])
+    if "ortho_init" in arguments:
+        policy_arguments["ortho_init"] = arguments.pop("ortho_init")
+    if "activation" in arguments:
+        policy_arguments["activation_fn"] = ACTIVATION_LAYERS[arguments.pop("activation")]
     rate = settings.schedule("learning_rate")
     if rate is not None:
-        chosen["learning_rate"] = rate
-    chosen.setdefault("learning_rate", 2e-4 if settings.algo == "ppo" else 3e-4)
+        arguments["learning_rate"] = rate
+    arguments.setdefault("learning_rate", 2e-4 if settings.algo == "ppo" else 3e-4)
     known = set(signature(ALGORITHMS[settings.algo].__init__).parameters) - {"self", "policy", "env", "policy_kwargs"}
-    for name in chosen:
+    for name in arguments:
         one_of("hyperparameters", name, sorted(known | {"net_arch", "log_std_init", "ortho_init", "activation"}))
     if settings.algo == "ppo":
-        chosen["batch_size"] = min(chosen["batch_size"], chosen["n_steps"] * settings.envs)
-    return chosen | {"policy_kwargs": policy}
+        arguments["batch_size"] = min(arguments["batch_size"], arguments["n_steps"] * settings.envs)
+    return arguments | {"policy_kwargs": policy_arguments}
 
 
 def action_function(model: BaseAlgorithm, statistics: VecNormalize) -> Law:
-    """Return the deterministic policy of a model as a function.
+    """Return the deterministic policy of a model, including the normalisation of observations, as a function.
 
     Args:
         model: model with the policy.
-        statistics: normalisation of its observations.
+        statistics: running mean and variance of its observations.
 
     Returns:
         Function from observations (b, size) to actions (b, n).
@@ -122,7 +115,7 @@ def action_function(model: BaseAlgorithm, statistics: VecNormalize) -> Law:
 
 
 STATISTICS_FILE, BEST_FOLDER = "normalisation.pkl", "best"
-# Class of the policy in a zip -> algorithm; the zip has no name of the algorithm.
+# Class of the policy in a zip -> algorithm; the zip does not name the algorithm.
 POLICY_CLASSES: dict[str, type[BaseAlgorithm]] = {"ActorCriticPolicy": PPO, "SACPolicy": SAC, "TD3Policy": TD3}
 LOADING_ERRORS = (
     ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, RuntimeError, AssertionError, ImportError,
@@ -131,15 +124,15 @@ LOADING_ERRORS = (
 
 
 def load_sb3(path: Path, environment: Configuration | None = None) -> AgentSpec:
-    """Load a policy from files of Stable-Baselines3: a zip written by `save`, or the folder of an early run.
+    """Load a policy from files of Stable-Baselines3: a zip written by `save`, or an early run folder.
 
-    A zip may have its normalisation (VecNormalize) beside it, in a file of the same name with the suffix .pkl. The
-    files are pickles, which can run any code: load files from trusted sources only.
+    The normalisation (VecNormalize) of a zip is read from the file of the same name with the suffix .pkl, if it exists.
+    The files are pickles, which can run any code: load files from trusted sources only.
 
     Args:
         path: zip, or folder with model.zip, normalisation.pkl and settings.json.
-        environment: environment in which the policy of a zip was trained, with the settings of its agent; None for the
-            environment in which it acts.
+        environment: environment in which the policy of a zip was trained, with the settings of its agent; None if it is
+            the environment of the evaluation.
 
     Returns:
         The policy as an agent.
@@ -199,30 +192,30 @@ def zoo_hyperparameters(settings: Settings) -> dict[str, Any]:
     Raises:
         ValueError: for a learning rate that is neither constant nor decreases to zero at the end.
     """
-    chosen = algorithm_arguments(settings)
-    policy = chosen.pop("policy_kwargs")
+    hyperparameters = _algorithm_arguments(settings)
+    policy = hyperparameters.pop("policy_kwargs")
     arguments = [f"{name}={_expression(value)}" for name, value in policy.items()]
-    chosen["learning_rate"] = _zoo_rate(chosen["learning_rate"])
-    described = settings.environment
+    hyperparameters["learning_rate"] = _zoo_rate(hyperparameters["learning_rate"])
+    environment = settings.environment
     result = {
         "n_envs": settings.envs,
         "n_timesteps": settings.steps,
         "policy": "MlpPolicy",
         "normalize": {"norm_obs": True, "norm_reward": settings.normalise_reward},
-        **chosen,
+        **hyperparameters,
         "policy_kwargs": f"dict({', '.join(arguments)})",
-        "env_kwargs": _difference(described.to_plain(), type(described)(described.id).to_plain()),
+        "env_kwargs": _difference(environment.to_plain(), type(environment)(environment.id).to_plain()),
     }
     for name in EXPLORATION_SCHEDULES:
         if name in settings.schedules:
             result["callback"] = {
                 EXPLORATION_CALLBACK: {"schedule": dict(settings.schedules[name]), "steps": settings.steps}
             }
-    return {described.id: result}
+    return {environment.id: result}
 
 
 def write_zoo_files(folder: Path = ZOO_FOLDER) -> None:
-    """Write the recipes of PPO and SAC to files in a folder, in the format of rl_zoo3."""
+    """Write the recipes with PPO or SAC to a folder in the format of rl_zoo3, one file each."""
     folder.mkdir(exist_ok=True)
     for name in RECIPES:
         settings = find_recipe(name)

@@ -22,26 +22,26 @@ from flexman_gym.envs.vector_env import compile_kernels
 
 JOURNAL_FILE, BEST_FILE, STUDY_NAME = "study.log", "best.yaml", "flexman"
 MAX_TRIALS = 100_000
-EVALUATIONS = 10  # evaluations per trial where the recipe has no eval_every
-STARTUP_TRIALS = 4  # trials that run to their end before the median rule prunes any
+EVALUATIONS = 10  # evaluations per trial if the recipe has no eval_every
+STARTUP_TRIALS = 4  # number of first trials that the median rule does not prune
 
 
 def search(
     recipe: Settings, over: Mapping[str, Any], folder: Path, trials: int, workers: Workers | int = 1, seed: int = 0
 ) -> Path:
-    """Search for settings of a recipe with a higher mean reward on the selection seeds, with Optuna.
+    """Search for settings of a recipe with a higher mean return on the selection seeds, with Optuna.
 
-    The TPE sampler proposes values, and the median rule prunes trials by the rewards of their evaluations. A killed
-    search is resumed with its unfinished trials. With one worker it then proposes the same values as without the kill.
+    The TPE sampler proposes values, and the median rule prunes trials by the mean returns of their evaluations. A
+    killed search is resumed with its unfinished trials; with one worker it proposes the values of an uninterrupted one.
 
     Args:
-        recipe: settings common to all trials; trials are compared every `eval_every` steps, or every tenth of the steps
-            where that is 0.
-        over: setting -> its range: a mapping with "low" and "high" (and optionally "log" or "whole", true), or with
-            "choices", a list. A setting is a path such as "hyperparameters.gamma", or given by nested mappings.
+        recipe: settings common to all trials; trials are compared every `eval_every` environment steps, or ten times
+            per training if `eval_every` is 0.
+        over: search space, setting -> its range: a mapping with "low" and "high" (and optionally "log" or "whole",
+            true), or with "choices", a list. A setting is a path such as "hyperparameters.gamma", or nested mappings.
         folder: folder for Optuna's journal, a run folder for each trial, and the best recipe.
-        trials: number of trials, including those in the folder.
-        workers: workers that train; parallel trials are proposed without the results of each other.
+        trials: total number of trials, including those in the folder.
+        workers: workers, each for one trial at a time; parallel trials are proposed without the results of each other.
         seed: seed of the sampler.
 
     Returns:
@@ -110,7 +110,7 @@ def _run_trial(cell: tuple[Settings, str, int]) -> None:
 
 
 def _flatten_ranges(over: Mapping[str, Any], path: str = "") -> dict[str, Any]:
-    """Return path of a setting -> its range, from nested mappings or paths; old names of settings are translated."""
+    """Return path of a setting -> its range, from nested mappings or paths, under present names of settings."""
     result: dict[str, Any] = {}
     for name, given in over.items():
         present = ".".join(rename_keys({part: None}, RUN_SETTINGS).popitem()[0] for part in name.split("."))
@@ -140,7 +140,7 @@ def _change_settings(recipe: Settings, values: Mapping[str, Any]) -> Settings:
 
 
 def _check(path: str, given: Any, recipe: Settings) -> None:
-    """Check that a recipe has a setting and accepts the ends of its range, or all its choices."""
+    """Check that a recipe has the setting `path` and accepts both ends of its range, or all choices."""
     field = f"over.{path}"
     if isinstance(given, dict) and "choices" in given:
         values = sequence(f"{field}.choices", mapping(field, given, ("choices",))["choices"])
@@ -186,12 +186,12 @@ def _keep_best(study: Any, recipe: Settings, folder: Path) -> Path:
 
 
 def _trial(study: Any, number: int) -> Any:
-    """Return a trial of a study, also of one that another process has started."""
+    """Return a trial of a study; another process may have started the trial."""
     return _optuna().trial.Trial(study, study.get_trials(deepcopy=False)[number]._trial_id)
 
 
 def _study(folder: Path) -> Any:
-    """Return the study in a folder, whose journal several processes can write."""
+    """Return the study in a folder; several processes can write to its journal."""
     optuna = _optuna()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     backend = optuna.storages.journal.JournalFileBackend(str(folder / JOURNAL_FILE))

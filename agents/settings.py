@@ -32,21 +32,15 @@ from flexman_gym.envs.config.configuration import Configuration
 ALGORITHMS = ("ppo", "sac", "dagger")
 DEFAULT_ENVS = {"ppo": 64, "sac": 16, "dagger": 128}  # algorithm -> parallel arms
 MAX_ENVS, MAX_STEPS, MAX_SEED, MAX_WIDTH = 4096, 10**10, 2**31, 10**5
-WHOLE_HYPERPARAMETERS = (
-    "n_steps",
-    "batch_size",
-    "n_epochs",
-    "learning_starts",
-    "buffer_size",
-    "updates",
-    "iterations_kept",
-)
-FRACTION_HYPERPARAMETERS = ("gamma", "gae_lambda", "tau")
+WHOLE_HYPERPARAMETERS = (  # whole numbers
+    "n_steps", "batch_size", "n_epochs", "learning_starts", "buffer_size", "updates", "iterations_kept",
+)  # fmt: skip
+FRACTION_HYPERPARAMETERS = ("gamma", "gae_lambda", "tau")  # numbers > 0, at most 1
 ACTIVATIONS = ("tanh", "relu")
-SCHEDULES = {"learning_rate": ALGORITHMS, "log_std": ("ppo",), "target_entropy": ("sac",)}  # schedule -> algorithms
+SCHEDULES = {"learning_rate": ALGORITHMS, "log_std": ("ppo",), "target_entropy": ("sac",)}  # name -> its algorithms
 EXPLORATION_SCHEDULES = ("log_std", "target_entropy")  # for PPO, for SAC
 DEFAULT_HYPERPARAMETERS: dict[str, dict[str, Any]] = {
-    # batches are a large part of a rollout: with small ones the optimiser takes more time than the simulation
+    # large batches: with small batches the optimiser takes more time than the simulation
     "ppo": {"n_steps": 128, "batch_size": 1024, "n_epochs": 5, "gamma": 0.999, "gae_lambda": 0.99},
     "sac": {"batch_size": 256, "gamma": 0.99, "learning_starts": 2000},
     "dagger": {
@@ -82,7 +76,7 @@ class Schedule:
             raise value_error("schedule.until", self.until, "a fraction of the training, > 0 and at most 1")
 
     def at(self, progress: float) -> float:
-        """Return the value at a progress of the training from 0 to 1."""
+        """Return the value at a progress of the training, a fraction from 0 to 1."""
         return self.start + (self.end - self.start) * min(1.0, progress / self.until)
 
     def __call__(self, remaining: float) -> float:
@@ -97,9 +91,9 @@ class Settings:
     Attributes:
         algo: "ppo", "sac", or "dagger" for imitation learning (see `imitation.DAgger`).
         environment: Configuration, or its mapping; `base` and `action_repeat` in it belong to the agent.
-        steps: actions of all arms together; with action_repeat = 5 each action lasts five control periods.
+        steps: environment steps, or actions, summed over all arms; an action lasts `action_repeat` control periods.
         seed: seed of the episodes, the exploration and the initial network parameters.
-        envs: parallel arms; None for 64 with PPO, 16 with SAC and 128 with DAgger.
+        envs: number of parallel arms; None for 64 with PPO, 16 with SAC and 128 with DAgger.
         hyperparameters: hyperparameters under their names in Stable-Baselines3; net_arch, activation, log_std_init and
             ortho_init are passed to the policy. Those of DAgger: teacher, updates (gradient steps per iteration),
             batch_size, iterations_kept (latest iterations in the training set), net_arch, activation, learning_rate.
@@ -107,10 +101,11 @@ class Settings:
             not learned; "target_entropy" of SAC.
         normalise_reward: whether to divide rewards by the running standard deviation of the return; observations are
             always normalised.
-        eval_every: steps between evaluations on the selection seeds, by which the best policy is saved; 0 for none.
-        value_warmup: steps at the beginning during which PPO updates its value function only.
-        base_in_use: base controller beside the trained policy, designed for the arm on which it acts; None for the base
-            of the training.
+        eval_every: environment steps between evaluations on the selection seeds, by which the best policy is saved; 0
+            for none.
+        value_warmup: environment steps at the beginning during which PPO updates only its value function.
+        base_in_use: base controller that replaces the one of the training when the policy is used, designed for the arm
+            on which it is used; None for the base controller of the training.
     """
 
     algo: str = "ppo"
@@ -196,7 +191,7 @@ class Settings:
         """
         record = read_settings(folder)
         try:
-            record = {"base_in_use": None, "value_warmup": 0, **record}  # defaults for runs that are older
+            record = {"base_in_use": None, "value_warmup": 0, **record}  # settings that earlier releases lack
             return cls.from_dict({name: record[name] for name in (each.name for each in fields(cls))})
         except (KeyError, TypeError, ValueError) as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
@@ -244,7 +239,7 @@ def find_recipe(name: str) -> Settings:
     """Return the settings of a recipe, given its name or the path of a file."""
     if name in RECIPES:
         return Settings.recipe(RECIPE_FOLDER / f"{name}.yaml")
-    if not os.path.isfile(name):  # any text, also one that is no path
+    if not os.path.isfile(name):  # False for any text
         raise FileNotFoundError(
             f"recipe: {short_path(name)} is not allowed; give a file, or one of {', '.join(RECIPES)}"
         )
@@ -260,7 +255,7 @@ def write_settings(settings: Settings, folder: Path, done: int) -> None:
     Args:
         settings: settings of the run.
         folder: folder of the run.
-        done: steps so far; until them, a resumed run used the versions recorded earlier.
+        done: environment steps so far, for which the versions recorded earlier were used.
     """
     now = {name: version(name) for name in RECORDED_PACKAGES} | {"python": platform.python_version()}
     path = folder / SETTINGS

@@ -3,7 +3,7 @@
 import random
 import sys
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from flexman_agents.callbacks import (
-    Checkpoints,
     Evaluation,
     Exploration,
     Hook,
@@ -34,19 +33,11 @@ from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings, 
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
-from flexman_gym.common.run_folder import (
-    BEST,
-    NEWEST,
-    SETTINGS,
-    lock_folder,
-    read_npz,
-    read_settings,
-    write_npz,
-)
+from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, lock_folder, read_npz, read_settings, write_npz
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.evaluation.agent import check_settings
 
-# Attributes of Stable-Baselines3 that make up the state of a training.
+# Names of attributes of Stable-Baselines3 models, wrappers and buffers that form the state of a training.
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
 LAST_FIELDS = ("_last_obs", "_last_original_obs", "_last_episode_starts")
 NORMALISER_FIELDS = ("old_obs", "old_reward")
@@ -71,7 +62,7 @@ def _set_policy_state(model: BaseAlgorithm, data: Any) -> None:
 
 
 def _training_state(model: BaseAlgorithm) -> dict[str, Any]:
-    """Return the state of a model at the beginning of a rollout, without its policy."""
+    """Return the state of a training at the beginning of a rollout, without the policy."""
     result: dict[str, Any] = {
         "counts": {name: getattr(model, name) for name in _counts(model)},
         "last": {name: get_state(getattr(model, name)) for name in LAST_FIELDS},
@@ -92,17 +83,13 @@ def _training_state(model: BaseAlgorithm) -> dict[str, Any]:
 
 
 def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
-    """Restore the state of a model with the same settings."""
+    """Restore the state of a training in a model made from the same settings."""
     names = ["counts", "last", "optimizers", "episodes", "random", "returns", "seen", "monitor", "environment"]
     _check(data, names + ["entropy", "replay"] * isinstance(model, SAC))
     normaliser, monitor, arms = _layers(model)
-    for part, wanted in (
-        ("counts", _counts(model)),
-        ("last", LAST_FIELDS),
-        ("seen", NORMALISER_FIELDS),
-        ("monitor", MONITOR_FIELDS),
-    ):
-        _check(data[part], wanted, part)
+    parts = {"counts": _counts(model), "last": LAST_FIELDS, "seen": NORMALISER_FIELDS, "monitor": MONITOR_FIELDS}
+    for part, fields in parts.items():
+        _check(data[part], fields, part)
     arms.env.unwrapped.set_state(data["environment"])  # type: ignore[attr-defined]
     for name in _counts(model):
         setattr(model, name, data["counts"][name])
@@ -162,7 +149,7 @@ def _load_tensors(field: str, like: Any, arrays: Any) -> dict[str, torch.Tensor]
 
 
 def _finite(field: str, old: NDArray[Any], data: Any, least: float = -np.inf) -> Any:
-    """Return data as an array like the old one, checked for finite numbers that are not below the least."""
+    """Return data as an array of the shape and type of `old`, after a check for finite numbers >= `least`."""
     result = set_state(field, old, data)
     if not (np.isfinite(result) & (np.asarray(result) >= least)).all():
         allowed = "finite numbers" if least < 0.0 else "finite numbers >= 0"
@@ -231,8 +218,8 @@ def _random_state() -> dict[str, Any]:
 def _set_random_state(data: dict[str, Any]) -> None:
     version, words, gauss = data["python"]
     random.setstate((version, tuple(words), gauss))
-    kind, keys, position, has, gaussian = data["numpy"]
-    np.random.set_state((kind, keys, int(position), int(has), gaussian))  # noqa: NPY002
+    kind, keys, position, has_gauss, cached = data["numpy"]
+    np.random.set_state((kind, keys, int(position), int(has_gauss), cached))  # noqa: NPY002
     torch.set_rng_state(torch.as_tensor(data["torch"]))
 
 
@@ -247,20 +234,20 @@ def train(
     """Train a policy from scratch and save the run in a folder.
 
     The folder gets settings.json (settings and versions of packages), newest.npz (complete state of the run), best.npz
-    (policy with the best evaluation, where the run is evaluated), and the learning curves in progress.csv and as
+    (policy with the best evaluation, if `eval_every` is set), and the learning curves in progress.csv and as
     TensorBoard events. Imitation ("dagger") saves its policy only, at the end.
 
     Args:
         settings: settings of the run.
         folder: new folder for the run.
-        checkpoint_every: steps between checkpoints; 0 for one at the end only.
+        checkpoint_every: environment steps between checkpoints; 0 for a checkpoint at the end only.
         progress: whether to show a progress bar.
-        device: device of the networks, as PyTorch names it.
-        hook: function called with the progress at the start of each rollout; the run is saved and stops when it returns
-            True.
+        device: PyTorch device of the networks, such as "cpu".
+        hook: function of a `callbacks.TrainingReport`, called at the start of each rollout and at the end; the run is
+            saved and stops when the function returns True.
 
     Returns:
-        The model of Stable-Baselines3; None for an imitation.
+        The model of Stable-Baselines3; None for imitation learning.
 
     Raises:
         ValueError: if the folder holds a run already, or another process trains in it.
@@ -290,25 +277,25 @@ def resume(
 ) -> BaseAlgorithm | None:
     """Resume the run in a folder to the end of its steps, with the same results as a run without interruption.
 
-    A finished run is continued only if `steps` are given: a further run that starts from its policy, optimiser and
-    replay buffer, with schedules from their beginning. Its curves go to progress-N.csv, where N are the steps before.
+    With `steps`, a finished run is followed by a further run, which starts from the policy, optimiser and replay buffer
+    and restarts the schedules. Its learning curves go to progress-N.csv, where N is the number of earlier steps.
 
     Args:
         folder: folder of the run.
-        steps: steps of a further run; None for an unfinished run.
-        checkpoint_every: steps between checkpoints; 0 for one at the end only.
+        steps: environment steps of a further run; None for an unfinished run.
+        checkpoint_every: environment steps between checkpoints; 0 for a checkpoint at the end only.
         progress: whether to show a progress bar.
-        device: device of the networks, as PyTorch names it.
-        eval_every: steps between evaluations; None for those of the run's settings.
+        device: PyTorch device of the networks, such as "cpu".
+        eval_every: environment steps between evaluations; None for the value in the settings of the run.
         hook: as in `train`.
 
     Returns:
-        The model of Stable-Baselines3.
+        The model of Stable-Baselines3; None for imitation learning.
 
     Raises:
         FileNotFoundError: if there is no run in the folder.
-        ValueError: for `steps` of an unfinished run, or None for a finished one; for eval_every = 0 if the run has a
-            best policy, which would never be updated; and as in `train`.
+        ValueError: if `steps` is given for an unfinished run, or missing for a finished run; for eval_every = 0 if the
+            folder has a best policy, which would never be updated; and as in `train`.
         OSError, Interrupted: as in `train`.
     """
     checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MAX_STEPS)
@@ -335,10 +322,10 @@ def resume(
 
 
 def train_or_resume(cell: tuple[Settings, str, Mapping[str, Any]]) -> str:
-    """Train a run, or resume it to its end if the folder has it already; a job for `parallel_map`.
+    """Train a run, or resume it to its end if the folder contains it; a task for `parallel_map`.
 
     Args:
-        cell: settings, folder (str), and a mapping with the keyword arguments of `train` and `resume`.
+        cell: settings, path of the folder, and a mapping with the keyword arguments of `train` and `resume`.
 
     Returns:
         The folder.
@@ -365,10 +352,42 @@ def _check_new_folder(folder: Path) -> None:
 
 
 def _new_run(settings: Settings, folder: Path, device: str) -> "_Run | DAggerRun":
-    """Return a run at its beginning."""
+    """Return a new run."""
     if settings.algo == "dagger":
         return DAggerRun(settings, folder)
     return _Run(make_model(settings, device), settings, folder)
+
+
+class _Checkpoints(BaseCallback):
+    """Checkpoints at the start of rollouts: periodically, and when a stop is requested, which ends the training.
+
+    Args:
+        every: environment steps between checkpoints; 0 for no periodic checkpoints.
+        save: function that saves the run.
+        stop_requested: function that returns True if the training is to stop.
+
+    Attributes:
+        stopped: environment steps after which the training was stopped; None if it was not stopped.
+    """
+
+    def __init__(self, every: int, save: Callable[[], None], stop_requested: Callable[[], bool]) -> None:
+        super().__init__()
+        self._every, self._save, self._stop_requested = every, save, stop_requested
+        self.stopped: int | None = None
+
+    def _on_training_start(self) -> None:
+        self._next = self.num_timesteps + self._every
+
+    def _on_rollout_start(self) -> None:
+        if self._stop_requested():
+            self._save()
+            self.stopped = self.model.num_timesteps
+        elif self._every and self.model.num_timesteps >= self._next:
+            self._next = self.model.num_timesteps + self._every
+            self._save()
+
+    def _on_step(self) -> bool:
+        return self.stopped is None
 
 
 class _Run:
@@ -388,12 +407,12 @@ class _Run:
         """Steps so far, those of earlier runs in the folder included."""
         return self._before + int(self.model.num_timesteps)
 
-    def set_state(self, data: dict[str, Any], another: bool) -> None:
+    def set_state(self, data: dict[str, Any], further: bool) -> None:
         """Restore the saved state.
 
         Args:
             data: content of the file with the state.
-            another: whether a further run starts here, which counts its steps from zero.
+            further: whether the saved run is finished and a further run starts, which counts its steps from zero.
         """
         path = self.folder / NEWEST
         try:
@@ -405,7 +424,7 @@ class _Run:
         except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise ValueError(f"{path}: {reason}") from None
-        if another:
+        if further:
             count = self.model.num_timesteps
             print(
                 f"The run of {count} steps was finished; a further run of {self.settings.steps} steps starts from it.",
@@ -432,7 +451,7 @@ class _Run:
         with stop_on_interrupt() as stop_requested:
             model.set_logger(open_logger(self.folder, self._before, model.num_timesteps))
             stop = (lambda: stop_requested.is_set() or bool(hook(self._report()))) if hook else stop_requested.is_set
-            checkpoints = Checkpoints(checkpoint_every, self._save, stop)
+            checkpoints = _Checkpoints(checkpoint_every, self._save, stop)
             model.learn(settings.steps - model.num_timesteps, callback=[checkpoints, *callbacks], **keywords)
         model.get_env().close()  # type: ignore[union-attr]
         if checkpoints.stopped is not None and stop_requested.is_set():

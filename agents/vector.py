@@ -18,9 +18,9 @@ Infos = dict[str, Any]
 class SB3VecEnv(VecEnv):
     """Vector environment of Gymnasium as a VecEnv of Stable-Baselines3.
 
-    The info of an arm is empty during an episode, which saves time. At the end of the episode it holds the final info
-    of the environment, "terminal_observation" and "TimeLimit.truncated". `reset_infos` stay empty. All arms share one
-    environment: `get_attr` returns its attribute once per arm, and `set_attr` and `env_method` raise ValueError.
+    The info of an arm is empty during an episode, which saves time. At the end of the episode it contains the final
+    info of the environment, "terminal_observation" and "TimeLimit.truncated". `reset_infos` stay empty. All arms share
+    one environment: `get_attr` returns its attribute once per arm, and `set_attr` and `env_method` raise ValueError.
 
     Args:
         env: vector environment made with autoreset_mode="SameStep".

@@ -20,7 +20,7 @@ COMMAND_GROUPS = {  # group -> commands, in the order of the help
     "control": ("tune", "optimise", "resonance"),
     "data": ("record", "replay", "export"),
 }
-MAX_SUMMARY = 65  # characters; length of a summary in the help, on a screen of 80 columns
+MAX_SUMMARY = 65  # characters; longest summary of a command in the help, for a terminal of 80 columns
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -55,9 +55,9 @@ def main(arguments: list[str] | None = None) -> int:
         text = str(error)
         if error.name == "matplotlib":
             text = "plots need Matplotlib: pip install 'flexman_gym[render]'"
-        if "pip install" not in text:  # an error of the library; missing extras are named with their installation
+        if "pip install" not in text:  # an error of the library, no missing optional package
             raise
-        if given[0] == "demo":  # needs both extras
+        if given[0] == "demo":  # the demonstration needs both extras
             text = re.sub(r"flexman_gym\[\w+\]", "flexman_gym[train,render]", text)
         print(text, file=sys.stderr)
     except (ValueError, OSError) as error:  # invalid input; one line
@@ -65,13 +65,13 @@ def main(arguments: list[str] | None = None) -> int:
     return 2
 
 
-def _present_options(given: list[str]) -> list[str]:
-    """Return a command line under the present names of its options, with a DeprecationWarning for each old one."""
-    names, result = OPTIONS.get(given[0], {}) if given else {}, []
-    for word in given:
+def _present_options(arguments: list[str]) -> list[str]:
+    """Return a command line with present names of options, with a DeprecationWarning for each old name."""
+    names, result = OPTIONS.get(arguments[0], {}) if arguments else {}, []
+    for word in arguments:
         name, mark, value = word.partition("=")
         if name in names:
-            warn_deprecated(f"flexman {given[0]}: {name} is {names[name]} now")
+            warn_deprecated(f"flexman {arguments[0]}: {name} is {names[name]} now")
         result.append(names.get(name, name) + mark + value)
     return result
 

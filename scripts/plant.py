@@ -4,6 +4,7 @@ import argparse
 import sys
 
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
+from flexman_gym.common.renamed import warn_deprecated
 from studies.files import folder, write_rows
 from studies.planted.measure import CAUGHT, CHECKOUT, PARTS, SURVIVED, kept, misplaced, planted
 from studies.planted.page import counts, page
@@ -13,13 +14,15 @@ def main() -> int:
     """Plant the chosen errors and write rows and page; return 1 if an error survives."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--part", choices=PARTS, help="part of the library; default: all parts")
-    # name of the option until release 0.3
-    parser.add_argument("--room", dest="part", choices=PARTS, help=argparse.SUPPRESS)
+    parser.add_argument("--room", choices=PARTS, help=argparse.SUPPRESS)  # deprecated name of --part
     parser.add_argument("--only", default="", help="only errors whose description or file contains this text")
     parser.add_argument("--new", action="store_true", help="skip errors that the rows record as caught")
     parser.add_argument("--folder", type=folder, default="docs", help="folder of the page and its rows")
     Workers.arguments(parser)
     options = parser.parse_args()
+    if options.room:
+        warn_deprecated("plant.py: --room is --part now")
+        options.part = options.room
     file = options.folder / "planted.csv"
     rows = kept(file)
     known = {(row.part, row.error) for row in rows.values() if row.outcome == CAUGHT} if options.new else set()

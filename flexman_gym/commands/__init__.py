@@ -23,12 +23,12 @@ class CommandLine(NamedTuple):
 
 
 def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[str, Any]) -> None:
-    """Add arguments that several commands share.
+    """Add common arguments of commands to a parser.
 
     Args:
         parser: parser of the command.
         names: "scene", "agent", "--env", "--episodes", "--seed", "--set" or "--trust".
-        changes: settings of `add_argument` that differ in this command, by the name without dashes.
+        changes: name of an argument without dashes -> keyword arguments of `add_argument` for this command.
     """
     from flexman_gym.envs import NAMED_ENVIRONMENTS
     from flexman_gym.envs.config.configuration import SET_HELP
@@ -53,7 +53,7 @@ def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[st
             "type": int,
             "default": TEST_SEEDS.start,
             "metavar": "N",
-            "help": "seed of the first episode, the others follow (default: %(default)s)",
+            "help": "seed of the first episode; later episodes have the next seeds (default: %(default)s)",
         },
         "--set": {
             "action": "append",
@@ -75,7 +75,8 @@ def load_agent(name: str, trust: bool, environment: "Configuration | None" = Non
     Args:
         name: name of an agent, folder of a run or a policy, or a zip of Stable-Baselines3.
         trust: whether files of Stable-Baselines3 may be read.
-        environment: environment in which the policy of a zip was trained, with the settings of its agent.
+        environment: environment in which the policy of a zip was trained, with the settings of its agent; None for the
+            environment of the evaluation.
 
     Returns:
         The agent.

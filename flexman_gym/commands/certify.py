@@ -5,33 +5,24 @@ the policy fails a scenario.
 """
 
 import argparse
-from typing import TYPE_CHECKING
+import json
 
 from flexman_gym.commands import CommandLine
 
-if TYPE_CHECKING:
-    from flexman_gym.common.parallel import Workers
 
-
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.evaluation.policy_files import POLICIES
 
-    result.add_argument("policy", help=f"folder of an exported policy, or {', '.join(POLICIES)}")
+    parser.add_argument("policy", help=f"folder of an exported policy, or {', '.join(POLICIES)}")
+    parser.set_defaults(workers=1)
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Write the certificate; return 0, or 1 if the policy fails a scenario."""
-    return print_certificate(options.policy)
-
-
-def print_certificate(policy: str, jobs: "Workers | int" = 1) -> int:
-    """Write the certificate of a policy and print its rows; return 0, or 1 if the policy fails a scenario."""
-    import json
-
+    """Write the certificate and print its rows; return 0, or 1 if the policy fails a scenario."""
     from flexman_gym.league.certificate import certify
 
-    path = certify(policy, jobs=jobs, log=lambda line: print(line, flush=True))
+    path = certify(options.policy, jobs=options.workers, log=lambda line: print(line, flush=True))
     fails = json.loads(path.read_bytes())["fails"]
     print(f"{path}: {'not recommended, it fails ' + ', '.join(fails) if fails else 'recommended'}")
     return 1 if fails else 0

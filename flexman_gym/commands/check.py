@@ -10,12 +10,12 @@ from pathlib import Path
 from flexman_gym.commands import CommandLine
 from flexman_gym.commands.compile import KERNEL_KINDS
 
-KERNEL_FUNCTIONS = {"single": "advance_single", "batch": "advance_batch"}
+KERNEL_FUNCTIONS = {"single": "advance_single", "batch": "advance_batch"}  # a kernel of each kind
 PACKAGES = ("gymnasium", "torch", "stable-baselines3")
-TIMED_STEPS = 500
+TIMED_STEPS = 500  # environment steps
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add no arguments."""
 
 
@@ -35,7 +35,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _is_compiled(name: str) -> bool:
-    """Return whether a kernel of this installation is compiled; each installation has its own folder in the cache."""
+    """Return whether a kernel is in the cache of this installation."""
     from flexman_gym.kernels import batch
 
     folder = getattr(batch, name).stats.cache_path

@@ -5,10 +5,10 @@ import argparse
 from flexman_gym.commands import CommandLine, add_options
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    add_options(result, "scene")
-    result.add_argument(
+    add_options(parser, "scene")
+    parser.add_argument(
         "--tolerance", type=float, metavar="M", default=1e-3, help="largest error of the tip, m (default: %(default)s)"
     )
 

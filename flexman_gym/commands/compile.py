@@ -12,16 +12,16 @@ from typing import Any
 
 from flexman_gym.commands import CommandLine
 
-KERNEL_KINDS = {"single": "a single arm", "batch": "a batch of arms"}  # as in kernels/batch.py
+KERNEL_KINDS = {"single": "a single arm", "batch": "a batch of arms"}  # suffixes of the kernels in kernels/batch.py
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    result.add_argument(
+    parser.add_argument(
         "kind",
         nargs="?",
         choices=sorted(KERNEL_KINDS),
-        help="kernels of a single arm or of a batch only; both if left out",
+        help="compile only the kernels of a single arm, or of a batch (default: both)",
     )
 
 
@@ -31,7 +31,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _compile_both() -> int:
-    """Compile both kinds of kernels at once, each in its own process; return 0, or 1 if one fails."""
+    """Compile both kinds of kernels in parallel processes; return 0, or 1 if one process fails."""
     from flexman_gym.kernels import CACHE_FOLDER
 
     print(f"compiling {' and '.join(KERNEL_KINDS.values())}, into {CACHE_FOLDER}", flush=True)
@@ -52,7 +52,7 @@ def _compile_both() -> int:
 
 
 def _compile_kind(kind: str) -> int:
-    """Compile the kernels that the environments of one kind call; return 0."""
+    """Compile the kernels called by environments of one kind; return 0."""
     import gymnasium as gym
 
     import flexman_gym  # noqa: F401  registers the environments

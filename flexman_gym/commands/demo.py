@@ -24,7 +24,7 @@ from flexman_gym.evaluation.rollout import TEST_SEEDS
 from flexman_gym.model import scene_model
 
 OUTPUT_FOLDER = Path("out")
-METHOD, RTOL = "dop853", 1e-7
+METHOD, RTOL = "dop853", 1e-7  # integration method; its relative local error, 1
 CASES = {
     "rr": "rigid links, rigid joints",
     "fr": "flexible links, rigid joints",
@@ -33,7 +33,7 @@ CASES = {
 RECIPE = "ppo_on_pd_minute"
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add no arguments."""
 
 
@@ -75,7 +75,7 @@ def _draw_cases(trajectories: dict[str, fm.Trajectory]) -> None:
 
 
 def _compare() -> None:
-    """Print the metrics of all agents, and draw the first test episode of each."""
+    """Evaluate all agents, print their metrics, and draw the first test episode of each agent."""
     agents = {"PPO on PD": find_agent(str(OUTPUT_FOLDER / "ppo"))}
     agents |= {name: find_agent(name) for name in ("lqr-tracking", "lqr", "pd", "zero")}
     environment = common_environment(list(agents.values()), None)

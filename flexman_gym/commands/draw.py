@@ -15,23 +15,23 @@ if TYPE_CHECKING:
     from flexman_gym.model.model import Model
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    result.add_argument("what", choices=sorted(PLOTS), metavar="plot", help=", ".join(sorted(PLOTS)))
-    result.add_argument("subject", nargs="+", help="environment, arm, file or folder to plot, see above")
-    result.add_argument("--out", type=Path, help="file, or folder for the plots of a league (default: PLOT.png)")
-    result.add_argument(
+    parser.add_argument("what", choices=sorted(PLOTS), metavar="plot", help=", ".join(sorted(PLOTS)))
+    parser.add_argument("subject", nargs="+", help="environment, arm, file or folder to plot, see above")
+    parser.add_argument("--out", type=Path, help="file, or folder for the plots of a league (default: PLOT.png)")
+    parser.add_argument(
         "--angles", type=float, nargs="+", metavar="RAD", help="joint angles, rad (modes, bode; default: zero)"
     )
-    result.add_argument(
+    parser.add_argument(
         "--mode", type=int, metavar="N", default=1, help="number of the mode (map; default: the lowest)"
     )
-    result.add_argument("--count", type=int, metavar="N", default=6, help="number of modes (default: %(default)s)")
-    result.add_argument(
+    parser.add_argument("--count", type=int, metavar="N", default=6, help="number of modes (default: %(default)s)")
+    parser.add_argument(
         "--fastest", type=float, metavar="RAD/S",
-        help="largest joint speed, rad/s (campbell; default: the lowest angular frequency)",
+        help="largest joint rate, rad/s (campbell; default: the lowest natural frequency)",
     )  # fmt: skip
-    result.add_argument("--column", help="column of progress.csv (learning; default: the mean reward)")
+    parser.add_argument("--column", help="column of progress.csv (learning; default: the mean return)")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -91,17 +91,17 @@ def _bode(options: argparse.Namespace, out: Path) -> list[Path]:
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.envs.config.fidelity import resolve_fidelity
 
-    setup = Configuration.find(options.subject[0])
-    model, period, gains = resolve_fidelity(setup).model, setup.control_period, setup.pd_gains
+    environment = Configuration.find(options.subject[0])
+    model, period, gains = resolve_fidelity(environment).model, environment.control_period, environment.pd_gains
     angles = options.angles or [0.0] * model.n_joints
-    places = np.geomspace(0.01, 0.5 / period, 1200)
-    loops = sampled_loops(model, angles, period, setup.max_delay, setup.drive_bandwidth)
+    frequencies = np.geomspace(0.01, 0.5 / period, 1200)
+    loops = sampled_loops(model, angles, period, environment.max_delay, environment.drive_bandwidth)
     stuck = margins(loops, gains["stiffness"], gains["damping"]).stuck
     loop = next(each for each in loops if each.stuck == stuck)
-    responses = open_loop_responses(loop, gains["stiffness"], gains["damping"], places, period)
+    responses = open_loop_responses(loop, gains["stiffness"], gains["damping"], frequencies, period)
     named = {f"motor {i + 1}": response for i, response in enumerate(responses) if i not in stuck}
     title = f"{options.subject[0]}: loops of the PD, each opened at one motor{describe_stuck_motors(stuck)}"
-    return [bode_diagram(places, named, out, title)]
+    return [bode_diagram(frequencies, named, out, title)]
 
 
 def _learning(options: argparse.Namespace, out: Path) -> list[Path]:
@@ -122,11 +122,11 @@ def _league(options: argparse.Namespace, out: Path) -> list[Path]:
     from flexman_gym.league.standings import Standings
 
     folder = Path(options.subject[0])
-    book, place = LeagueRows.load(folder), options.out or folder
-    if place.suffix:
-        raise ValueError(f"--out: {place} is not allowed; give a folder, as a league has several plots")
-    place.mkdir(parents=True, exist_ok=True)
-    paths = draw_charts(Standings(book), place, options.what == "robustness")
+    results, out = LeagueRows.load(folder), options.out or folder
+    if out.suffix:
+        raise ValueError(f"--out: {out} is not allowed; give a folder, as a league has several plots")
+    out.mkdir(parents=True, exist_ok=True)
+    paths = draw_charts(Standings(results), out, options.what == "robustness")
     if not paths:
         allowed = "the folder of a league" + (" with sweeps" if options.what == "robustness" else "")
         raise ValueError(f"subject: {folder} is not allowed; give {allowed}")

@@ -7,12 +7,12 @@ from pathlib import Path
 from flexman_gym.commands import CommandLine, add_options, load_agent
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     add_options(
-        result, "agent", "--env", "--seed", "--trust", seed={"help": "seed of the episode (default: %(default)s)"}
+        parser, "agent", "--env", "--seed", "--trust", seed={"help": "seed of the episode (default: %(default)s)"}
     )
-    result.add_argument(
+    parser.add_argument(
         "--picture",
         type=Path,
         metavar="FILE",

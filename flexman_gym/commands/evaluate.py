@@ -6,10 +6,10 @@ from pathlib import Path
 from flexman_gym.commands import CommandLine, add_options, load_agent
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    add_options(result, "agent", "--episodes", "--seed", "--env", "--set", "--trust", agent={"nargs": "+"})
-    result.add_argument(
+    add_options(parser, "agent", "--episodes", "--seed", "--env", "--set", "--trust", agent={"nargs": "+"})
+    parser.add_argument(
         "--save", type=Path, metavar="FOLDER", help="save each episode in this folder, as a file of arrays"
     )
 

@@ -17,9 +17,9 @@ class _Target(NamedTuple):
     run: Callable[[argparse.Namespace], str]
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of each target."""
-    chosen = result.add_subparsers(dest="target", required=True, metavar="target")
+    chosen = parser.add_subparsers(dest="target", required=True, metavar="target")
     for name, target in TARGETS.items():
         target.arguments(chosen.add_parser(name, help=target.description.rstrip("."), description=target.description))
 
@@ -30,13 +30,13 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _policy_arguments(result: argparse.ArgumentParser) -> None:
-    result.add_argument("run", type=Path, help="folder of a training run")
-    result.add_argument("folder", type=Path, help="new folder, or a name, for a policy of the package")
-    result.add_argument("--description", required=True, metavar="TEXT", help="description of the policy, one sentence")
-    result.add_argument("--recipe", default="", help="name of the recipe of the run")
-    result.add_argument("--env", default="", help="environment for which it is meant (default: that of the training)")
-    result.add_argument("--licence", default="MIT", help="licence of the policy (default: %(default)s)")
+def _policy_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("run", type=Path, help="folder of a training run")
+    parser.add_argument("folder", type=Path, help="new folder, or a name, for a policy of the package")
+    parser.add_argument("--description", required=True, metavar="TEXT", help="description of the policy, one sentence")
+    parser.add_argument("--recipe", default="", help="name of the recipe of the run")
+    parser.add_argument("--env", default="", help="environment of the policy (default: that of the training)")
+    parser.add_argument("--licence", default="MIT", help="licence of the policy (default: %(default)s)")
 
 
 def _policy(options: argparse.Namespace) -> str:
@@ -55,9 +55,9 @@ def _policy(options: argparse.Namespace) -> str:
     return f"{folder} holds the policy: {text}"
 
 
-def _onnx_arguments(result: argparse.ArgumentParser) -> None:
-    result.add_argument("agent", help="name of a policy, or folder of a policy or a run")
-    result.add_argument("path", type=Path, help="file to write")
+def _onnx_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("agent", help="name of a policy, or folder of a policy or a run")
+    parser.add_argument("path", type=Path, help="file to write")
 
 
 def _onnx(options: argparse.Namespace) -> str:
@@ -67,20 +67,20 @@ def _onnx(options: argparse.Namespace) -> str:
     return f"{options.path}: actions within {difference:.1g} of those of {options.agent}"
 
 
-def _mujoco_arguments(result: argparse.ArgumentParser) -> None:
+def _mujoco_arguments(parser: argparse.ArgumentParser) -> None:
     from flexman_gym.envs.config.named_environments import DEFAULT_ID
     from flexman_gym.model.mjcf import PIECES
 
-    result.add_argument("arm", nargs="?", default=DEFAULT_ID, help="environment, named arm, or file of an "
+    parser.add_argument("arm", nargs="?", default=DEFAULT_ID, help="environment, named arm, or file of an "
                         "environment, an arm or a scene (default: %(default)s)")  # fmt: skip
-    result.add_argument(
+    parser.add_argument(
         "--pieces",
         type=int,
         metavar="N",
         default=PIECES,
         help="rigid bodies per section of a link (default: %(default)s)",
     )
-    result.add_argument(
+    parser.add_argument(
         "--out", type=Path, metavar="FILE", default=Path("arm.xml"), help="file to write (default: %(default)s)"
     )
 

@@ -11,14 +11,14 @@ from flexman_gym.common.checks import value_error
 TRAIN_ONLY_OPTIONS = ("algo", "engine", "runners", "device", "eval_every", "checkpoint_every")
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.control.base_controllers import BASES
 
     names = ", ".join(BASES)
-    result.add_argument("teacher", type=yaml.safe_load, help=f"controller to imitate: {names}, or a mapping with kind")
-    train.COMMAND.arguments(result)
-    for action in result._actions:
+    parser.add_argument("teacher", type=yaml.safe_load, help=f"controller to imitate: {names}, or a mapping with kind")
+    train.COMMAND.arguments(parser)
+    for action in parser._actions:
         if action.dest in TRAIN_ONLY_OPTIONS:
             action.help = argparse.SUPPRESS
 

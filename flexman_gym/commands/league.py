@@ -1,6 +1,6 @@
 """Compare agents over many scenarios in a league table.
 
-All agents run the same episodes. Rows, page and charts are written to a folder; rows that it has are not run again.
+All agents run the same episodes. Rows, page and charts are written to a folder; stored rows are not run again.
 """
 
 import argparse
@@ -16,39 +16,43 @@ DEFAULT_FOLDER = Path("out/league")
 PHYSICAL_EPISODES = 10  # episodes per scenario with --physical
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.common.parallel import Workers
     from flexman_gym.evaluation.agent import AGENTS
     from flexman_gym.evaluation.rollout import TEST_SEEDS
     from flexman_gym.league.scenarios import SWEEPS
 
-    result.add_argument(
+    parser.add_argument(
         "--agents", nargs="+", metavar="AGENT", help=f"folders of runs, or {', '.join(AGENTS)} (default: all of these)"
     )
-    result.add_argument(
+    parser.add_argument(
         "--scenarios", nargs="+",
         metavar="SCENARIO", help="environments with a condition or a change, such as FlexRRR-v0/delay=3+given "
         "(default: the usual ones)",
     )  # fmt: skip
-    result.add_argument("--agent", metavar="POLICY", help="write the certificate of a policy, as flexman certify")
-    result.add_argument(
+    parser.add_argument("--agent", metavar="POLICY", help="write the certificate of a policy, as flexman certify")
+    parser.add_argument(
         "--sweep", nargs="+", default=[], metavar="NAME", help=f"run sweeps of {', '.join(SWEEPS)} instead"
     )
-    result.add_argument(
+    parser.add_argument(
         "--physical", action="store_true", help="run plants with other physics instead (default: 10 episodes)"
     )
-    result.add_argument("--episodes", type=int, metavar="N", help=f"episodes per scenario (default: {len(TEST_SEEDS)})")
-    result.add_argument(
-        "--seed", type=int, metavar="N", default=TEST_SEEDS.start, help="seed of the first episode, the others follow"
+    parser.add_argument("--episodes", type=int, metavar="N", help=f"episodes per scenario (default: {len(TEST_SEEDS)})")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        metavar="N",
+        default=TEST_SEEDS.start,
+        help="seed of the first episode; later episodes have the next seeds",
     )
-    Workers.arguments(result)
-    result.add_argument("--folder", type=Path, help=f"folder of rows, page and charts (default: {DEFAULT_FOLDER})")
-    result.add_argument("--add", nargs="+", metavar="AGENT", help="run these agents in the scenarios of the folder")
+    Workers.arguments(parser)
+    parser.add_argument("--folder", type=Path, help=f"folder of rows, page and charts (default: {DEFAULT_FOLDER})")
+    parser.add_argument("--add", nargs="+", metavar="AGENT", help="run these agents in the scenarios of the folder")
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Run the episodes that the folder does not have yet; return the exit status."""
+    """Run the missing episodes of the league and write its page; return the exit status."""
     from flexman_gym.common.markdown import markdown_table
     from flexman_gym.common.parallel import Workers
     from flexman_gym.evaluation.agent import AGENTS
@@ -62,7 +66,7 @@ def _run(options: argparse.Namespace) -> int:
         if given is not None and given < minimum:
             options.parser.error(f"--{name}: {given} is not allowed; give a whole number >= {minimum}")
     if options.agent:
-        return certify.print_certificate(options.agent, jobs=workers)
+        return certify.COMMAND.run(argparse.Namespace(policy=options.agent, workers=workers))
     agents, folder = options.add or options.agents or AGENTS, options.folder or DEFAULT_FOLDER
     groups = _scenarios(options, LeagueRows.load(folder))
     for episodes, scenarios in groups.items():
@@ -76,18 +80,20 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _scenarios(options: argparse.Namespace, results: "LeagueRows") -> dict[int, list[str]]:
-    """Return number of episodes -> scenarios with this number."""
+    """Return number of episodes -> names of the scenarios that run this number of episodes."""
+    from flexman_gym.common.checks import one_of
     from flexman_gym.envs.config.named_environments import DEFAULT_ID
     from flexman_gym.evaluation.rollout import TEST_SEEDS
-    from flexman_gym.league.scenarios import PLANT_SCENARIOS, USUAL_SCENARIOS, sweep_scenarios
+    from flexman_gym.league.scenarios import PLANT_SCENARIOS, SWEEPS, USUAL_SCENARIOS
 
     scenarios = options.scenarios or USUAL_SCENARIOS
     episodes = options.episodes or (PHYSICAL_EPISODES if options.physical else len(TEST_SEEDS))
     if options.physical:
         scenarios = PLANT_SCENARIOS
     elif options.sweep:
-        scenarios = [each for id in options.scenarios or [DEFAULT_ID] for sweep in options.sweep
-                     for each in sweep_scenarios(id, sweep)]  # fmt: skip
+        sweeps = {name: SWEEPS[one_of("sweep", name, SWEEPS)].values for name in options.sweep}
+        scenarios = [f"{id}/{name}={value:g}" for id in options.scenarios or [DEFAULT_ID]
+                     for name, values in sweeps.items() for value in values]  # fmt: skip
     elif options.add and not options.scenarios and results.cells:
         last: dict[str, int] = {}
         for cell in results.cells.values():

@@ -16,9 +16,9 @@ EXAMPLE_FOLDERS = (
 )  # in a wheel, in a checkout
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    result.add_argument("what", nargs="*", metavar="kind", help=f"{', '.join(KINDS)} (default: all)")
+    parser.add_argument("what", nargs="*", metavar="kind", help=f"{', '.join(KINDS)} (default: all)")
 
 
 def _run(options: argparse.Namespace) -> int:

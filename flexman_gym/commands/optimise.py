@@ -8,18 +8,22 @@ import numpy as np
 from flexman_gym.commands import CommandLine
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    result.add_argument("environment", help="id or file of an environment that randomises starts and goals only")
-    result.add_argument("--seeds", type=int, nargs=2, default=(9000, 100), metavar=("FIRST", "COUNT"),
+    parser.add_argument("environment", help="id or file of an environment that randomises starts and goals only")
+    parser.add_argument("--seeds", type=int, nargs=2, default=(9000, 100), metavar=("FIRST", "COUNT"),
                         help="first seed and number of episodes (default: 9000 100)")  # fmt: skip
-    result.add_argument(
-        "--out", type=Path, required=True, metavar="FILE", help="table of slews (.npz); slews that it has are kept"
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="table of slews (.npz); slews in an existing table are kept",
     )
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Print a line for each episode and write the table after it; return 0."""
+    """Print a line for each episode and write the table after each episode; return 0."""
     from flexman_gym.control.references.optimised_slews import SlewTable
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.optimisation import empty_slew_table, optimise_slews

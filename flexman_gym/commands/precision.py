@@ -7,17 +7,17 @@ import numpy as np
 from flexman_gym.commands import CommandLine, add_options
 
 DEFAULT_METHODS = ("rk4", "dopri5", "ros2", "midpoint_2", "midpoint_3", "extrapolated_euler_5")
-HALVINGS = 5
-REFERENCE_METHOD, REFERENCE_RTOL = "dop853", 1e-9
+HALVINGS = 5  # number of times that the step is halved
+REFERENCE_METHOD, REFERENCE_RTOL = "dop853", 1e-9  # method of the reference; its relative local error, 1
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    add_options(result, "scene")
-    result.add_argument(
+    add_options(parser, "scene")
+    parser.add_argument(
         "--method", nargs="+", metavar="METHOD", help="methods, see flexman list methods (default: a selection)"
     )
-    result.add_argument(
+    parser.add_argument(
         "--step",
         type=float,
         default=0.02,

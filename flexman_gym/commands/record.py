@@ -6,24 +6,26 @@ from pathlib import Path
 from flexman_gym.commands import CommandLine, add_options
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.common.parallel import Workers
 
-    result.add_argument("agents", metavar="agent", nargs="+", help="agents as in flexman evaluate; one dataset each")
+    parser.add_argument(
+        "agents", metavar="agent", nargs="+", help="agents, as in flexman evaluate; each gets its own dataset"
+    )
     env = {
         "default": "FlexRRR-v0",
         "help": "environment: an id, an id with a condition, or a file (default: %(default)s)",
     }
     shared = "--env", "--set", "--episodes", "--seed"
-    add_options(result, *shared, env=env, episodes={"default": 100}, seed={"default": 0})
-    result.add_argument(
+    add_options(parser, *shared, env=env, episodes={"default": 100}, seed={"default": 0})
+    parser.add_argument(
         "--name", default="flexman", help="first part of the names NAME/AGENT-v0 (default: %(default)s)"
     )
-    result.add_argument(
+    parser.add_argument(
         "--form", choices=("hdf5", "arrow"), default="hdf5", help="format of the files (default: %(default)s)"
     )
-    Workers.arguments(result)
+    Workers.arguments(parser)
 
 
 def _run(options: argparse.Namespace) -> int:

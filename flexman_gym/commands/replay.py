@@ -1,4 +1,4 @@
-"""Write saved episodes to a web page that plays them side by side."""
+"""Write saved episodes to a web page that replays them side by side."""
 
 import argparse
 from pathlib import Path
@@ -6,14 +6,14 @@ from pathlib import Path
 from flexman_gym.commands import CommandLine
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    result.add_argument("episode", nargs="+", type=Path,
+    parser.add_argument("episode", nargs="+", type=Path,
                         help="file of flexman evaluate --save or flexman simulate --out")  # fmt: skip
-    result.add_argument(
+    parser.add_argument(
         "--out", type=Path, metavar="FILE", default=Path("replay.html"), help="page to write (default: %(default)s)"
     )
-    result.add_argument("--title", default="", help="title of the page")
+    parser.add_argument("--title", default="", help="title of the page")
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -1,7 +1,7 @@
 """Compute the vibrations of an arm and compare input shapers.
 
-Frequencies and damping ratios over postures and payloads, the residual vibration behind each input shaper, and a
-recommendation.
+Prints frequencies and damping ratios over postures and payloads, the residual vibration after a command of each
+input shaper, and a recommendation.
 """
 
 import argparse
@@ -18,34 +18,34 @@ if TYPE_CHECKING:
     from flexman_gym.control.input_shaping.shapers import OperatingPoint, ShaperEvaluation
     from flexman_gym.model.model import Model
 
-DEFAULT_POSTURES = 8  # number of postures
+DEFAULT_POSTURES = 8  # number of postures without --postures
 MAX_ANGLE = 1.2  # rad; largest joint angle of random postures, for an arm without a task
 MAX_FREQUENCY = 25.0  # Hz; highest frequency in the model of an arm without an environment
 MOTOR_STATES = ("held", "free")
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.scene.serialization import ARMS
 
-    result.add_argument(
+    parser.add_argument(
         "arm", help=f"environment as in flexman evaluate, arm ({', '.join(ARMS)}), or file of an arm or a scene"
     )
-    result.add_argument(
+    parser.add_argument(
         "--payload",
         type=float,
         nargs=2,
         metavar=("LOW", "HIGH"),
         help="range of the payload, kg (default: that of the environment)",
     )
-    result.add_argument(
+    parser.add_argument(
         "--postures",
         type=int,
         metavar="N",
         default=DEFAULT_POSTURES,
         help="number of postures, the goals of the first episodes (default: %(default)s)",
     )
-    result.add_argument("--csv", type=Path, metavar="FILE", help="table of all modes and their residual vibrations")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="table of all modes and their residual vibrations")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -107,7 +107,7 @@ def _environment_model(environment: object, count: int) -> "tuple[Model, np.ndar
 
 
 def _mode_lines(cases: "Sequence[OperatingPoint]") -> list[str]:
-    """Return a line for each mode: its frequencies and damping ratios over all cases."""
+    """Return a line for each mode: frequencies (Hz) and damping ratios over all operating points."""
     result = [f"{'mode':<18}{'Hz, lowest':>12}{'median':>10}{'highest':>10}{'damping ratio':>22}{'tip, m/rad':>12}"]
     for motors in MOTOR_STATES:
         found = [getattr(case, motors) for case in cases]
@@ -121,7 +121,7 @@ def _mode_lines(cases: "Sequence[OperatingPoint]") -> list[str]:
 
 
 def _shaper_lines(evaluations: "Sequence[ShaperEvaluation]") -> list[str]:
-    """Return a line for each shaper: delay, tolerated frequency error, residual vibration (median and worst case)."""
+    """Return a line for each shaper: delay, tolerated frequency error, median and largest residual vibration."""
     from flexman_gym.control.input_shaping.shapers import TOLERATED_RESIDUAL
 
     count = evaluations[0].residuals.shape[1]
@@ -132,7 +132,7 @@ def _shaper_lines(evaluations: "Sequence[ShaperEvaluation]") -> list[str]:
     for each in evaluations:
         errors = f"{each.tolerated_errors[0]:+.0%} to {each.tolerated_errors[1]:+.0%}"
         columns = [each.tip, *each.residuals.T]
-        cells = "".join(f"{f'{np.median(left):.1f} / {left.max():.1f}':>16}" for left in columns)
+        cells = "".join(f"{f'{np.median(residual):.1f} / {residual.max():.1f}':>16}" for residual in columns)
         result.append(f"{_shaper_name(each):<20}{each.delay:>10.3g}{errors:>20}{cells}")
     return [
         *result,
@@ -174,7 +174,7 @@ def _recommendation(
 
 
 def _write_table(path: Path, cases: "Sequence[OperatingPoint]", evaluations: "Sequence[ShaperEvaluation]") -> None:
-    """Write a row for each mode of each case; residual vibrations are those with held motors."""
+    """Write a row for each mode of each operating point; residual vibrations are those with held motors."""
     heads = [f"motor_angle_{i + 1}" for i in range(len(cases[0].posture))]
     heads += ["payload", "motors", "mode", "frequency", "damping_ratio", *map(_shaper_name, evaluations)]
     with path.open("w", newline="", encoding="utf-8") as stream:

@@ -6,35 +6,35 @@ from pathlib import Path
 from flexman_gym.commands import CommandLine
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.common.parallel import Workers
 
-    result.add_argument("recipe", help="name of a recipe (flexman list recipes), or file of settings")
-    result.add_argument(
-        "--over", type=Path, required=True, metavar="FILE", help="settings and their ranges (YAML or JSON)"
+    parser.add_argument("recipe", help="name of a recipe (flexman list recipes), or file of settings")
+    parser.add_argument(
+        "--over", type=Path, required=True, metavar="FILE", help="file with settings and their ranges (YAML or JSON)"
     )
-    result.add_argument(
+    parser.add_argument(
         "--trials",
         type=int,
         metavar="N",
         default=20,
-        help="number of trials, earlier ones of the folder included (default: 20)",
+        help="total number of trials, including those in the folder (default: 20)",
     )
-    result.add_argument(
+    parser.add_argument(
         "--seed", type=int, metavar="N", default=0, help="seed of the search; runs use the seed of the recipe"
     )
-    result.add_argument(
+    parser.add_argument(
         "--folder",
         type=Path,
         default=Path("runs/search"),
-        help="folder of the trials; a search in it is resumed (default: %(default)s)",
+        help="folder of the trials; an earlier search in this folder is resumed (default: %(default)s)",
     )
-    Workers.arguments(result)
+    Workers.arguments(parser)
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Search and print the path of the best settings; return 0."""
+    """Run the search and print the path of the best settings; return 0."""
     from flexman_agents.search import search
     from flexman_agents.settings import find_recipe
     from flexman_gym.common import files

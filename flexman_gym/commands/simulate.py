@@ -8,17 +8,17 @@ import numpy as np
 from flexman_gym.commands import CommandLine, add_options
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    add_options(result, "scene")
-    result.add_argument(
+    add_options(parser, "scene")
+    parser.add_argument(
         "--method", default="auto", help="integration method, see flexman list methods (default: %(default)s)"
     )
-    result.add_argument("--step", type=float, metavar="S", help="step, s, for a method with fixed steps")
-    result.add_argument(
+    parser.add_argument("--step", type=float, metavar="S", help="step, s, for a method with fixed steps")
+    parser.add_argument(
         "--rtol", type=float, default=1e-6, help="relative tolerance, for an adaptive method (default: %(default)s)"
     )
-    result.add_argument(
+    parser.add_argument(
         "--out",
         type=Path,
         metavar="FILE",

@@ -13,44 +13,48 @@ from flexman_gym.common.checks import value_error
 if TYPE_CHECKING:
     from flexman_agents.settings import Settings
 
-AGENT_SETTINGS = ("base", "action_repeat", "sensors")  # settings of the agent, on which a recipe relies
+AGENT_SETTINGS = ("base", "action_repeat", "sensors")  # settings of the agent that a recipe depends on
 EXIT_INTERRUPTED = 130  # exit status of a process ended by Ctrl-C, as in a shell
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_agents.settings import ALGORITHMS
     from flexman_gym.common.parallel import Workers
 
-    result.add_argument("recipe", nargs="?", help="recipe (flexman list recipes) or file of settings")
+    parser.add_argument("recipe", nargs="?", help="recipe (flexman list recipes) or file of settings")
     algorithms = f"{', '.join(ALGORITHMS)} (default: that of the recipe, or ppo)"
-    result.add_argument("--algo", choices=ALGORITHMS, metavar="NAME", help=algorithms)
-    add_options(result, "--env", "--set", env={"help": "environment (flexman list environments) or file"})
-    result.add_argument("--steps", type=int, metavar="N", help="actions of all arms together")
-    result.add_argument("--seed", type=int, metavar="N", help="seed of the first run")
-    result.add_argument(
-        "--seeds", type=int, metavar="N", default=1, help="number of runs, one per seed; killed ones are resumed"
+    parser.add_argument("--algo", choices=ALGORITHMS, metavar="NAME", help=algorithms)
+    add_options(parser, "--env", "--set", env={"help": "environment (flexman list environments) or file"})
+    parser.add_argument("--steps", type=int, metavar="N", help="environment steps, summed over all arms")
+    parser.add_argument("--seed", type=int, metavar="N", help="seed of the first run")
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        metavar="N",
+        default=1,
+        help="number of runs, one per seed; runs that were killed are resumed",
     )
-    result.add_argument("--envs", type=int, metavar="N", help="parallel arms")
-    result.add_argument(
+    parser.add_argument("--envs", type=int, metavar="N", help="number of parallel arms")
+    parser.add_argument(
         "--folder", type=Path, default=Path("runs/latest"), help="folder of the run (default: %(default)s)"
     )
-    result.add_argument("--resume", action="store_true", help="resume the run in the folder")
-    result.add_argument(
+    parser.add_argument("--resume", action="store_true", help="resume the run in the folder")
+    parser.add_argument(
         "--checkpoint-every",
         type=int,
         metavar="N",
         default=100_000,
-        help="steps between checkpoints; 0: at the end only",
+        help="environment steps between checkpoints; 0: at the end only",
     )
-    result.add_argument("--eval-every", type=int, metavar="N", help="steps between evaluations; 0: none")
-    result.add_argument("--device", default="cpu", help="device of the networks (default: %(default)s)")
-    result.add_argument(
+    parser.add_argument("--eval-every", type=int, metavar="N", help="environment steps between evaluations; 0: none")
+    parser.add_argument("--device", default="cpu", help="device of the networks (default: %(default)s)")
+    parser.add_argument(
         "--engine", choices=("sb3", "rllib"), default="sb3", help="Stable-Baselines3 (default), or RLlib for PPO"
     )
-    result.add_argument("--runners", type=int, metavar="N", default=0, help="environment processes of RLlib")
-    Workers.arguments(result)
-    result.add_argument("--quiet", action="store_true", help="show no progress bar")
+    parser.add_argument("--runners", type=int, metavar="N", default=0, help="environment processes of RLlib")
+    Workers.arguments(parser)
+    parser.add_argument("--quiet", action="store_true", help="show no progress bar")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -80,7 +84,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _refuse_settings(options: argparse.Namespace) -> None:
-    """Raise ValueError for settings given with --resume, as a run keeps its settings."""
+    """Raise ValueError for settings together with --resume: a resumed run keeps its settings."""
     for name in ("recipe", "algo", "env", "set", "seed", "envs"):
         if getattr(options, name) not in (None, []):
             raise value_error(name, getattr(options, name), "no value with --resume: a run keeps its settings")

@@ -6,14 +6,14 @@ import sys
 from flexman_gym.commands import CommandLine
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.common.parallel import Workers
 
-    result.add_argument("env", help="environment: an id, an id with a condition such as FlexRRR-v0/delay, or a file")
-    result.add_argument("--no-margins", action="store_true", help="also try gains without gain and phase margins")
-    result.add_argument("--seed", type=int, metavar="N", default=0, help="seed of the search (default: %(default)s)")
-    Workers.arguments(result)
+    parser.add_argument("env", help="environment: an id, an id with a condition such as FlexRRR-v0/delay, or a file")
+    parser.add_argument("--no-margins", action="store_true", help="also try gains without gain and phase margins")
+    parser.add_argument("--seed", type=int, metavar="N", default=0, help="seed of the search (default: %(default)s)")
+    Workers.arguments(parser)
 
 
 def _run(options: argparse.Namespace) -> int:

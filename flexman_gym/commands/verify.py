@@ -12,10 +12,10 @@ FULL_TABLE_HINT = (
 )
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    result.add_argument("--quick", action="store_true", help="do not mention the full table")
-    result.add_argument("--json", type=Path, metavar="FILE", help="write the rows to a JSON file")
+    parser.add_argument("--quick", action="store_true", help="print no reference to the full table")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows to a JSON file")
 
 
 def _run(options: argparse.Namespace) -> int:

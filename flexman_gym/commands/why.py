@@ -1,6 +1,7 @@
 """Diagnose why the tip does not settle, and suggest a remedy.
 
-Causes: ringing, limit cycle, offset, transient, noise, failure; with their shares of the error after arrival.
+The causes are ringing, limit cycle, offset, transient, noise and failure; each with its share of the tip error after
+arrival.
 """
 
 import argparse
@@ -16,10 +17,10 @@ if TYPE_CHECKING:
 DEFAULT_EPISODES = 20
 
 
-def _arguments(result: argparse.ArgumentParser) -> None:
+def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     names = "agent", "--episodes", "--seed", "--env", "--set", "--trust"
-    add_options(result, *names, agent={"nargs": "+"}, episodes={"default": DEFAULT_EPISODES})
+    add_options(parser, *names, agent={"nargs": "+"}, episodes={"default": DEFAULT_EPISODES})
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -53,9 +54,9 @@ def _diagnosis_lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
     rms = 1e3 * np.array([each.rms for each in results if not each.failure] or [np.nan])
     shares = {cause: float(np.mean([each.shares[cause] for each in results])) for cause in REMEDIES}
     largest = Counter(each.cause for each in results)
-    left = f"RMS error after arrival {np.median(rms):.3g} mm (to {rms.max():.3g})"
+    error = f"RMS error after arrival {np.median(rms):.3g} mm (to {rms.max():.3g})"
     failed = f"{failures.total()} failed ({', '.join(failures)})"
-    about = [failed] * bool(failures) + [left] * (failures.total() < len(results))
+    about = [failed] * bool(failures) + [error] * (failures.total() < len(results))
     lines = [f"{title}: {len(results)} episodes, {', '.join(about)}"]
     for cause, share in sorted(shares.items(), key=lambda entry: -entry[1]):
         lines.append(

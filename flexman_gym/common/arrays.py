@@ -1,4 +1,4 @@
-"""Array types, and row operations whose bits do not depend on the number of rows."""
+"""Array types, and row operations with results that do not depend on the number of rows, to the bit."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -21,7 +21,7 @@ def pad_rows(values: NDArray[Any], count: int) -> NDArray[Any]:
 
 
 def row_dots(left: NDArray[Any], right: NDArray[Any]) -> Any:
-    """Return the scalar products (...) of rows (..., k), with bits independent of the other rows.
+    """Return the scalar products (...) of rows (..., k), to the bit independent of the number of rows.
 
     `np.vecdot` calls BLAS, whose last digits depend on the memory address of a row.
     """

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 Kind = TypeVar("Kind")
-UNIT_TOLERANCE = 1e-9  # largest error of a unit vector or a rotation matrix
-MIN_SIZE, MAX_SIZE = 1e-30, 1e30  # SI units; range of a physical quantity
-MAX_FIELD_LENGTH = 60  # characters of a field in an error
+UNIT_TOLERANCE = 1e-9  # 1; largest error of the length of a unit vector, and of R R^T of a rotation matrix R
+MIN_SIZE, MAX_SIZE = 1e-30, 1e30  # SI units; range of a physical quantity > 0
+MAX_FIELD_LENGTH = 60  # characters of the name of a field in an error
 MAX_PATH_LENGTH = 160  # characters of a path in an error
-MAX_VALUE_LENGTH = 80  # characters of a value in an error, and therefore entries of a list
-MAX_ENTRIES = 10**6  # of a list
-MIN_SIMILARITY = 0.75  # similarity of two names (difflib) from which on one is probably a misspelling of the other
-MAX_DIGITS = 18  # of a whole number within a name; larger numbers exceed 64 bits
+MAX_VALUE_LENGTH = 80  # characters of a value in an error; no more entries of a list are formatted
+MAX_ENTRIES = 10**6  # entries of a list
+MIN_SIMILARITY = 0.75  # 1; similarity of two names (difflib) above which a name is probably a misspelling
+MAX_DIGITS = 18  # digits of a whole number within a name; larger numbers exceed 64 bits
 RATIO_TOLERANCE = 1e-9  # largest relative difference of a ratio of two times from a whole number
 
 
@@ -45,12 +45,12 @@ def is_decimal_integer(text: str) -> bool:
 
 def value_error(name: str, value: object, allowed: str) -> ValueError:
     """Return a one-line error for a value of a field, with the allowed values."""
-    field = name if name.isprintable() else repr(name)  # it may contain a key of an untrusted file
+    field = name if name.isprintable() else repr(name)  # a name may contain a key of an untrusted file
     return ValueError(f"{field[:MAX_FIELD_LENGTH]}: {short_repr(value)} is not allowed; give {allowed}")
 
 
 def _shortened(value: Any) -> Any:
-    """Return a list, tuple or string without the part cut off in an error; other values are unchanged."""
+    """Return the part of a list, tuple or string that an error shows, and any other value unchanged."""
     if type(value) in (list, tuple):
         return type(value)(_shortened(entry) for entry in value[:MAX_VALUE_LENGTH])
     return value[:MAX_VALUE_LENGTH] if type(value) in (str, bytes) else value
@@ -91,7 +91,7 @@ def non_negative(name: str, value: object, unit: str = "") -> float:
 
 
 def physical(name: str, value: object, unit: str = "", zero: bool = False) -> float:
-    """Return a physical quantity as a float from 1e-30 to 1e30, or 0 if `zero` is true."""
+    """Return a physical quantity as a float from 1e-30 to 1e30; if `zero` is True, 0 is allowed too."""
     number = non_negative(name, value, unit) if zero else positive(name, value, unit)
     if number != 0.0 and not MIN_SIZE <= number <= MAX_SIZE:
         raise value_error(
@@ -101,7 +101,7 @@ def physical(name: str, value: object, unit: str = "", zero: bool = False) -> fl
 
 
 def whole_number(name: str, value: object, low: int, high: int) -> int:
-    """Return a value as an int from `low` to `high`; 2.0 and True are no whole numbers."""
+    """Return a value as an int from `low` to `high`; 2.0 and True are refused."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not low <= int(value) <= high:
         raise value_error(name, value, f"a whole number from {low} to {high}")
     return int(value)
@@ -129,7 +129,7 @@ def whole_ratio(name: str, part: float, total: float, allowed: str, most: int = 
 
 
 def flag(name: str, value: object) -> bool:
-    """Return a value as a bool; 0 and 1 are no booleans."""
+    """Return a value as a bool; 0 and 1 are refused."""
     if not isinstance(value, bool | np.bool_):
         raise value_error(name, value, "true or false")
     return bool(value)
@@ -240,13 +240,13 @@ def rotation(name: str, value: object) -> tuple[tuple[float, ...], ...]:
 
 
 def check_member_names(field: str, value: object, optional: Collection[str], others: Collection[str]) -> None:
-    """Raise a ValueError for a member whose name resembles that of an optional member and would silently be ignored.
+    """Raise a ValueError for a probably misspelt optional member, which would silently be ignored.
 
     Args:
         field: field of the object, for errors.
         value: the object.
         optional: names of optional members.
-        others: further permitted names.
+        others: names of further permitted members.
     """
     for name in sorted({*dir(value)} - {*optional, *others}):
         similar = [] if name.startswith("_") else get_close_matches(name, optional, 1, MIN_SIMILARITY)
@@ -256,7 +256,7 @@ def check_member_names(field: str, value: object, optional: Collection[str], oth
 
 
 def set_fields(instance: object, **values: object) -> None:
-    """Set fields of a frozen dataclass during its construction."""
+    """Set fields of a frozen dataclass in its `__post_init__`."""
     for name, value in values.items():
         object.__setattr__(instance, name, value)
 
@@ -267,7 +267,7 @@ def _in(unit: str) -> str:
 
 @contextmanager
 def check_solvable(what: str) -> Iterator[None]:
-    """Raise a ValueError about the arm if its extreme values prevent the computation of `what` in this block."""
+    """Raise a ValueError about the arm if extreme values of its parameters prevent the computation of `what`."""
     try:
         with np.errstate(divide="raise", over="raise", invalid="raise"):
             yield

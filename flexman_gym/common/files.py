@@ -62,9 +62,7 @@ _Loader.add_constructor("tag:yaml.org,2002:map", lambda loader, node: _Mapping(l
 
 
 def regular_file(path: str | Path, most: int | None = MAX_TEXT_BYTES) -> Path:
-    """Check that a path is a regular file, without opening it.
-
-    Reading a device may never end, and reading a pipe may wait for ever.
+    """Check that a path is a regular file, without opening it: reading a device or a pipe may never end.
 
     Args:
         path: the path.
@@ -75,7 +73,7 @@ def regular_file(path: str | Path, most: int | None = MAX_TEXT_BYTES) -> Path:
 
     Raises:
         FileNotFoundError: if the file does not exist.
-        ValueError: for a directory, a device, a pipe or a larger file; the line does not name the file.
+        ValueError: for a directory, a device, a pipe or a larger file; the message does not name the file.
     """
     try:
         status = os.stat(path)
@@ -94,7 +92,7 @@ def open_arrays(path: str | Path, packed: bool = False) -> Iterator[Any]:
 
     Args:
         path: path of the file.
-        packed: whether its arrays may be compressed, with at most 100 MB after decompression.
+        packed: whether the arrays may be compressed, with at most 100 MB after decompression.
 
     Yields:
         Any: The arrays by name.
@@ -203,7 +201,7 @@ def _tree(path: str, data: Any) -> Any:
 
 
 def write_atomically(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
-    """Write a file atomically: fill a temporary file, flush it to disk and rename it.
+    """Write a file atomically: fill a temporary file, flush it to the disk, and rename it.
 
     Args:
         path: path of the file.
@@ -214,7 +212,7 @@ def write_atomically(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
     """
     temporary = path.with_name(f".{path.name}.part")
     try:
-        temporary.unlink(missing_ok=True)  # left by a killed process, or a link to another file
+        temporary.unlink(missing_ok=True)  # a rest of a killed process, or a link to another file
         with temporary.open("xb") as file:
             fill(file)
             file.flush()
@@ -229,7 +227,7 @@ def write_atomically(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
 
 def existing_file(path: Path) -> Path:
     """Return the path of a file of a training run; raise FileNotFoundError with advice if it does not exist."""
-    if not os.path.isfile(path):  # whatever the name is
+    if not os.path.isfile(path):  # False for any invalid name
         raise FileNotFoundError(f"{short_path(path)}: no such file; give a folder that a training run has written")
     return path
 

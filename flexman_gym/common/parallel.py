@@ -24,11 +24,11 @@ from flexman_gym.common.run_folder import read_npz, write_npz
 Task = Callable[[Any], Any]
 Prepare = Callable[[], object]
 Results = Iterator[tuple[int, Any]]
-MAX_DEATHS = 3  # workers that die in a row, without a finished item in between
-SHARES_PER_JOB = 2  # shares of an array job per simultaneous task; a killed task loses at most one share
-MAX_SHARES = 1000  # tasks of an array job; the default limit of SLURM
+MAX_DEATHS = 3  # number of workers that die in a row, without a finished item in between, before the map fails
+SHARES_PER_JOB = 2  # shares of the items per simultaneous task of an array job; a killed task loses one share
+MAX_SHARES = 1000  # largest number of tasks of an array job, the default limit of SLURM
 TIME_LIMIT = 24 * 60  # min; of a task of an array job unless SBATCH_TIMELIMIT is set
-OBJECT_STORE_BYTES = 200_000_000  # shared memory of a local Ray cluster
+OBJECT_STORE_BYTES = 200_000_000  # bytes of shared memory of a local Ray cluster
 
 
 def _run_serially(task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
@@ -37,7 +37,7 @@ def _run_serially(task: Task, cells: Sequence[Any], prepare: Prepare | None) -> 
 
 
 class _Processes:
-    """Processes on this computer, which end with their parent even if it is killed."""
+    """Executor with processes on this computer, which end with the parent process even if it is killed."""
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
@@ -45,15 +45,15 @@ class _Processes:
     def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
         if prepare is not None:
             prepare()
-        left, deaths, context = dict(enumerate(cells)), 0, multiprocessing.get_context("forkserver")
+        remaining, deaths, context = dict(enumerate(cells)), 0, multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["flexman_gym"])
-        while left:
-            with ProcessPoolExecutor(min(self._jobs, len(left)), context, _end_with_parent) as pool:
-                numbers = {pool.submit(task, cell): number for number, cell in left.items()}
+        while remaining:
+            with ProcessPoolExecutor(min(self._jobs, len(remaining)), context, _end_with_parent) as pool:
+                numbers = {pool.submit(task, cell): number for number, cell in remaining.items()}
                 try:
                     for done in as_completed(numbers):
                         result, deaths = done.result(), 0
-                        del left[numbers[done]]
+                        del remaining[numbers[done]]
                         yield numbers[done], result
                 except BrokenProcessPool:
                     deaths = _count_death(deaths)
@@ -62,7 +62,7 @@ class _Processes:
 
 
 class _RayTasks:
-    """Tasks on a Ray cluster, one per item; a local cluster runs a limited number at once."""
+    """Executor with one task per item on a Ray cluster; a local cluster runs at most `jobs` tasks at once."""
 
     def __init__(self, jobs: int, address: str) -> None:
         self._jobs, self._address = jobs, address
@@ -84,7 +84,7 @@ def ray_cluster(jobs: int, address: str = "local", **variables: str) -> Iterator
     Args:
         jobs: number of simultaneous tasks on a local cluster.
         address: address of a running cluster, or "local".
-        **variables: environment variables of the workers, which then also find the modules importable here.
+        **variables: environment variables of the workers; with any of them, PYTHONPATH is set to that of this process.
 
     Yields:
         Any: The module `ray`.
@@ -116,10 +116,10 @@ def _ray_result(ray: Any, done: Any) -> Any:
 
 
 class _ArrayJob:
-    """Tasks of a SLURM array job, or processes started by submitit, each with a share of the items.
+    """Executor with tasks of a SLURM array job, or processes started by submitit, each with a share of the items.
 
-    Further options of SLURM are read from its environment variables: SBATCH_PARTITION, SBATCH_ACCOUNT,
-    SBATCH_TIMELIMIT. Logs are written to the folder `submitit`, which all nodes must see.
+    Further options are read from environment variables of SLURM: SBATCH_PARTITION, SBATCH_ACCOUNT, SBATCH_TIMELIMIT.
+    Logs are written to the folder `submitit`, which must be on a file system of all nodes.
     """
 
     def __init__(self, jobs: int, cluster: str, logs: str | Path = "submitit", every: float = 0.5) -> None:
@@ -131,15 +131,17 @@ class _ArrayJob:
         executor.update_parameters(name="flexman", timeout_min=TIME_LIMIT, cpus_per_task=1,
                                    slurm_array_parallelism=self._jobs)  # fmt: skip
         shares = min(len(cells), SHARES_PER_JOB * self._jobs, MAX_SHARES)
-        left, deaths = {first: cells[first::shares] for first in range(shares)}, 0
+        remaining, deaths = {first: cells[first::shares] for first in range(shares)}, 0
         running: dict[int, Any] = {}
-        while left:
-            slots = len(left) if self._cluster == "slurm" else self._jobs
-            waiting = [first for first in left if first not in running][: slots - len(running)]
+        while remaining:
+            slots = len(remaining) if self._cluster == "slurm" else self._jobs
+            waiting = [first for first in remaining if first not in running][: slots - len(running)]
             if waiting:
                 os.environ["PYTHONPATH"] = _python_path()
                 with executor.batch():
-                    running |= {first: executor.submit(_run_share, prepare, task, left[first]) for first in waiting}
+                    running |= {
+                        first: executor.submit(_run_share, prepare, task, remaining[first]) for first in waiting
+                    }
             for first in [first for first, job in running.items() if job.done()]:
                 try:
                     results = running.pop(first).result()
@@ -148,13 +150,13 @@ class _ArrayJob:
                     continue
                 if isinstance(results, Exception):
                     raise results
-                deaths, own = 0, left.pop(first)
+                deaths, own = 0, remaining.pop(first)
                 yield from ((first + shares * i, results[i]) for i in range(len(own)))
             time.sleep(self._every)
 
 
 def _run_share(prepare: Prepare | None, task: Task, cells: Sequence[Any]) -> list[Any] | Exception:
-    """Return the results of a share of the items, or the error of one of them, which submitit would convert to text."""
+    """Return the results of a share of the items, or the error of an item, which submitit would convert to text."""
     try:
         return [_run_prepared(prepare, task, cell) for cell in cells]
     except Exception as error:
@@ -255,18 +257,17 @@ def parallel_map_unordered(
 ) -> Iterator[tuple[int, Result]]:
     """Run a function for each item, and yield the results in the order of completion.
 
-    An item whose worker dies is run again; an item whose function fails ends the map with its error. A line on stderr
-    regularly reports the remaining work.
+    The items of a worker that dies are run again; an error of the function ends the map. The remaining work is reported
+    on stderr every 10 s.
 
     Args:
-        task: function of a module; its result depends on the item alone.
-        cells: the items, each of at least a second of work, because transferring an item takes milliseconds.
+        task: function at the top level of a module; the result depends on the item only.
+        cells: the items, each with at least a second of work, because transferring an item takes milliseconds.
         workers: the workers, or a number of local processes.
-        cache: folder for results, from which an interrupted map resumes. The results must then be plain data and
-            arrays, and the `repr` of each item must be unique. None stores nothing.
-        prepare: function of a module to be called before the work starts: once on this computer for local processes,
-            before each item in tasks of Ray and SLURM, which run on other computers, and never for items in this
-            process.
+        cache: folder for results, from which an interrupted map resumes; results must be plain data and arrays, and the
+            `repr` of each item unique. None stores nothing.
+        prepare: function at the top level of a module, called once before local processes start, before each item in
+            tasks of Ray and SLURM, which run on other computers, and never for items in this process.
 
     Yields:
         tuple[int, Result]: Index and result of an item.
@@ -280,14 +281,14 @@ def parallel_map_unordered(
     known = [number for number, file in enumerate(files) if file and file.is_file()]
     for number in known:
         yield number, read_npz(files[number])["result"]  # type: ignore[arg-type]
-    left = sorted({*range(len(cells))} - {*known})
-    progress = Progress("cells", len(left))
-    for place, result in _executor(chosen)(task, [cells[number] for number in left], prepare) if left else ():
-        if file := files[left[place]]:
+    remaining = sorted({*range(len(cells))} - {*known})
+    progress = Progress("cells", len(remaining))
+    for place, result in _executor(chosen)(task, [cells[number] for number in remaining], prepare) if remaining else ():
+        if file := files[remaining[place]]:
             file.parent.mkdir(parents=True, exist_ok=True)
             write_npz(file, {"result": result})
         progress.count()
-        yield left[place], result
+        yield remaining[place], result
 
 
 def parallel_map(
@@ -312,7 +313,7 @@ def _executor(workers: Workers) -> Callable[..., Iterator[tuple[int, Any]]]:
 
 
 def _key(task: Callable[..., Any], cell: object) -> str:
-    """Return a hash of everything that determines a result: task, item, sources and versions."""
+    """Return a hash of all inputs of a result: task, item, sources and package versions."""
     own = sys.modules[task.__module__].__file__ or ""
     parts = (task.__module__, task.__qualname__, repr(cell), _digest(Path(own).parent), computer_text())
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:20]

@@ -4,7 +4,7 @@ import os
 import sys
 from time import monotonic
 
-INTERVAL = 10.0  # s between two lines
+INTERVAL = 10.0  # s; time between two lines
 
 
 class Progress:
@@ -31,6 +31,6 @@ class Progress:
         if self._total is None:
             line = f"{self._done} {self._what} after {elapsed:.0f} s"
         else:
-            left = elapsed / self._done * (self._total - self._done)
-            line = f"{self._done} of {self._total} {self._what}, about {left / 60:.1f} min left"
+            remaining = elapsed / self._done * (self._total - self._done)  # s
+            line = f"{self._done} of {self._total} {self._what}, about {remaining / 60:.1f} min left"
         print(line, file=sys.stderr, flush=True)

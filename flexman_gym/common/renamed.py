@@ -18,6 +18,7 @@ MODULES = {
     "flexman_agents.zoo": "flexman_agents.sb3",
     "flexman_gym.control.reference": "flexman_gym.control.references.trajectories",
     "flexman_gym.control.shaper": "flexman_gym.control.input_shaping.shapers",
+    "flexman_gym.draw.style": "flexman_gym.common.plot_style",
     "flexman_gym.envs.description": "flexman_gym.envs.config.configuration",
     "flexman_gym.envs.scales": "flexman_gym.control.normalisation",
     "flexman_gym.envs.setup": "flexman_gym.envs.config.configuration",
@@ -105,9 +106,10 @@ MEMBERS = {
     "View": {"alone": "single", "heavy": "has_gravity", "places": "slices", "reaching": "inverse_kinematics"},
     "Simulator": {"keep": "record"},
     "Episode": {"of_trajectory": "from_trajectory"},
+    "Standings": {"better": "improvement_probability"},
     "TrainingReport": {"figures": "metrics"},
 }
-"""Class or protocol -> old member -> present member; the class itself accepts the old one."""
+"""Class or protocol -> old member -> present member, see `deprecated_members`; users write classes of the protocols."""
 ARGUMENTS = {
     "assembled_modes": {"highest": "max_frequency", "share": "energy_fraction"},
     "diagnose": {"entrant": "agent"}, "evaluate": {"entrant": "agent"},
@@ -120,15 +122,16 @@ BASE_ARGUMENTS = {"law": "timing_law"}
 """Old argument of a base controller, in configurations and files -> present argument."""
 PARAMETER_KEYS = {"link_stiffness": "link_stiffness_factor"}
 """Old name of a physical parameter in fits, reset options and draws -> present name."""
-LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")  # packages whose frames are no callers of a deprecated name
+# packages that are skipped in the search for the caller of a deprecated name
+LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")
 
 
 def current_methods(text: str, warn: bool = False) -> str:
-    """Replace old names of integration methods in a text, such as a stored row or the name of a scenario.
+    """Replace old names of integration methods in a text, such as an entry of a stored row or the name of a scenario.
 
     Args:
-        text: a name of a method, or a longer text with such names in it.
-        warn: issue a DeprecationWarning for each old name; files of earlier releases are read without.
+        text: name of a method, or a longer text with names of methods.
+        warn: issue a DeprecationWarning for each old name; False for files of earlier releases.
     """
     pattern = rf"\b({'|'.join(METHODS)})\b"
     if warn:
@@ -138,7 +141,7 @@ def current_methods(text: str, warn: bool = False) -> str:
 
 
 def warn_deprecated(text: str) -> None:
-    """Issue a DeprecationWarning at the first caller outside the libraries."""
+    """Issue a DeprecationWarning attributed to the first caller outside LIBRARIES."""
     frame, depth = sys._getframe(1), 2
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in LIBRARIES:
         frame, depth = frame.f_back, depth + 1
@@ -146,15 +149,16 @@ def warn_deprecated(text: str) -> None:
 
 
 def rename_keys(
-    data: Mapping[str, Any], names: Mapping[str, str], warn: bool = True, field: str = ""
+    data: Mapping[str, Any], names: Mapping[str, str], warn: bool = True, field: str = "", nested: bool = True
 ) -> dict[str, Any]:
-    """Return a mapping, and the mappings inside it, under the present names of their keys.
+    """Return a mapping with present names of keys, by default also in inner mappings.
 
     Args:
         data: values by present or old name.
         names: old name -> present name.
         warn: issue a DeprecationWarning for each old name.
         field: name of the mapping, for messages.
+        nested: rename the keys of inner mappings too.
 
     Returns:
         The values by present names.
@@ -168,19 +172,20 @@ def rename_keys(
             raise ValueError(f"{prefix}{name}: {value!r} is not allowed; give {names[name]} only, its present name")
         if name in names and warn:
             warn_deprecated(f"{prefix}{name} is {names[name]} now")
-        result[names.get(name, name)] = rename_keys(value, names, warn, field) if isinstance(value, dict) else value
+        inner = nested and isinstance(value, dict)
+        result[names.get(name, name)] = rename_keys(value, names, warn, field) if inner else value
     return result
 
 
 def deprecated_names(module: str, old: str = "") -> Callable[[str], Any]:
-    """Make the `__getattr__` of a module, for old names with a DeprecationWarning.
+    """Return the `__getattr__` of a module, which accepts old names with a DeprecationWarning.
 
     Args:
         module: present module of the names.
         old: old module, for the warning; "" for the present one.
 
     Returns:
-        The function.
+        Function of a name that returns the object with the present name.
     """
 
     def getattribute(name: str) -> Any:
@@ -209,12 +214,41 @@ def deprecated_arguments(**names: str) -> Callable[[Function], Function]:
         def call(*arguments: Any, **keywords: Any) -> Any:
             name = function.__qualname__.removesuffix(".__init__")
             for old in names.keys() & keywords.keys():
-                said = f"{name}({old}=...) is deprecated; give {names[old]}=..."
-                warnings.warn(said, DeprecationWarning, stacklevel=2)
+                message = f"{name}({old}=...) is deprecated; give {names[old]}=..."
+                warnings.warn(message, DeprecationWarning, stacklevel=2)
                 keywords[names[old]] = keywords.pop(old)
             return function(*arguments, **keywords)
 
         return cast(Function, call)
+
+    return decorate
+
+
+class _OldMember:
+    """Old member of a class: returns the present member, with a DeprecationWarning."""
+
+    def __init__(self, old: str, present: str) -> None:
+        self._old, self._present = old, present
+
+    def __get__(self, instance: object, kind: type[object]) -> Any:
+        warn_deprecated(f"{kind.__name__}.{self._old} is {kind.__name__}.{self._present} now")
+        return getattr(kind if instance is None else instance, self._present)
+
+
+Class = TypeVar("Class", bound=type[Any])
+
+
+def deprecated_members(**names: str) -> Callable[[Class], Class]:
+    """Return a decorator of a class whose attributes and methods are also found under old names, with a warning.
+
+    Args:
+        names: old name="present name".
+    """
+
+    def decorate(owner: Class) -> Class:
+        for old, present in names.items():
+            setattr(owner, old, _OldMember(old, present))
+        return owner
 
     return decorate
 

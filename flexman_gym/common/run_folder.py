@@ -1,4 +1,4 @@
-"""Run folder: settings, states as arrays with plain data, and a lock."""
+"""Run folder of a training: settings, states as arrays and plain data, and a lock."""
 
 import fcntl
 import json
@@ -20,10 +20,13 @@ PLAIN_DATA = "data.json"  # name of the plain data among the arrays of a file
 
 
 def write_npz(path: Path, data: dict[str, Any]) -> None:
-    """Write nested dicts and lists of arrays and plain data to one npz file, as arrays and JSON, atomically."""
+    """Write nested dicts and lists of arrays and plain data atomically to one npz file, as arrays and JSON."""
     arrays: dict[str, np.ndarray] = {}
     text = json.dumps(_split_arrays(data, arrays)).encode()
-    named: dict[str, Any] = {PLAIN_DATA: np.frombuffer(text, dtype=np.uint8), **arrays}  # paths begin with a slash
+    named: dict[str, Any] = {
+        PLAIN_DATA: np.frombuffer(text, dtype=np.uint8),
+        **arrays,
+    }  # array names begin with "/"
     write_atomically(path, lambda file: np.savez(file, allow_pickle=False, **named))
 
 
@@ -117,13 +120,13 @@ def read_settings(folder: Path) -> dict[str, Any]:
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Lock a folder for this process; the lock ends with the process, even if it is killed.
+    """Lock a folder for this process; the lock ends with the process, even if the process is killed.
 
     Args:
         folder: the folder.
 
     Raises:
-        ValueError: if another process trains in the folder, and if the lock is a link; one line.
+        ValueError: if another process trains in the folder, or if the lock file is a link; one line.
         OSError: if the folder is not writable.
     """
     path = folder / LOCK
@@ -151,6 +154,6 @@ def lock_folder(folder: Path) -> Iterator[None]:
 
 
 def _holder(file: Any) -> str:
-    """Return the process id in a lock file, "" for none."""
+    """Return the process id in a lock file; "" for an empty file."""
     file.seek(0)
     return str(file.read(20)).strip()

@@ -35,14 +35,14 @@ def set_state(field: str, old: Any, data: Any) -> Any:
 
     Args:
         field: field, for errors.
-        old: value to be restored.
-        data: state from `get_state`.
+        old: present value.
+        data: state from `get_state`, to be restored.
 
     Returns:
-        `old` itself if it could be written in place, or a new value.
+        `old` itself if the state was written in place, else a new value.
 
     Raises:
-        ValueError: if the data do not fit; one line. What was written before remains written.
+        ValueError: if the data do not fit the value; one line. Parts restored before the error stay restored.
     """
     if isinstance(old, np.ndarray):
         if not isinstance(data, np.ndarray) or data.shape != old.shape or data.dtype != old.dtype:
@@ -74,7 +74,7 @@ def set_state(field: str, old: Any, data: Any) -> Any:
 
 
 def _named_fields(field: str, data: Any, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return the state of an object with the fields `names`, also one with the field names of release 0.2."""
+    """Return the state of an object under its field names; names of release 0.2 are accepted."""
     _check_kind(field, data, dict, "a mapping")
     if set(data) != set(names):
         data = {STATE_FIELDS.get(name, name): each for name, each in data.items()}
@@ -85,14 +85,14 @@ def _named_fields(field: str, data: Any, names: tuple[str, ...]) -> dict[str, An
 
 def _state_fields(value: Any) -> tuple[str, ...]:
     """Return the names of the attributes that form the state of an object."""
-    if isinstance(former := getattr(type(value), "kept", None), tuple):  # of a user's class for version 0.2
+    if isinstance(former := getattr(type(value), "kept", None), tuple):  # in user classes for release 0.2
         warnings.warn(f"{type(value).__name__}.kept is state_fields now", DeprecationWarning, stacklevel=3)
         return former
     return getattr(value, "state_fields", ())
 
 
 def _generator_state(random: np.random.Generator) -> dict[str, Any]:
-    """Return the state of a random generator, and the seed from which it spawns other generators."""
+    """Return the state of a random generator, including the seed for the generators that it spawns."""
     seed: Any = random.bit_generator.seed_seq
     entropy = [int(each) for each in seed.entropy] if np.ndim(seed.entropy) else int(seed.entropy)
     key = [int(each) for each in seed.spawn_key]

@@ -15,7 +15,7 @@ from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import MAX_ENTRIES, one_of, sequence, short_path, value_error
 from flexman_gym.common.files import regular_file
 
-MAX_CSV_BYTES = 200_000_000
+MAX_CSV_BYTES = 200_000_000  # bytes of a CSV file
 MAX_LINE_LENGTH, MAX_HEADER_LENGTH = 100_000, 100  # characters of a line, and of the header of a column
 MAX_NAME_LENGTH = 40  # characters of the name of a file in an error
 DEGREE = math.pi / 180.0
@@ -34,7 +34,7 @@ UNITS: dict[str, tuple[str, float]] = {
 
 
 class TimeSeries(NamedTuple):
-    """Columns over time.
+    """Columns of a CSV file over time.
 
     Attributes:
         path: path of the file.
@@ -47,7 +47,7 @@ class TimeSeries(NamedTuple):
     columns: Mapping[str, tuple[str, NDArray[np.float64]]]
 
     def values(self, units: Sequence[str], names: object = None) -> NDArray[np.float64]:
-        """Return columns (T, c) in any of the given units: the named columns, or all with such a unit for None."""
+        """Return columns (T, c) with one of the given SI units: the columns `names`, or all such columns for None."""
         available = [name for name, (unit, _) in self.columns.items() if unit in units]
         if not available:
             raise value_error(
@@ -121,11 +121,11 @@ def read_csv_rows(path: str | Path) -> Iterator[list[str]]:
 
 
 def write_csv(path: str | Path, columns: Mapping[str, Vector]) -> None:
-    """Write columns of equal length with all digits of their numbers.
+    """Write columns of equal length to a CSV file, with all digits of the numbers.
 
     Args:
         path: path of the file.
-        columns: values by header, such as "time (s)".
+        columns: header, such as "time (s)" -> values (T,).
     """
     table = np.column_stack(list(columns.values()))
     with Path(path).open("w", encoding="utf-8", newline="") as file:

@@ -1,4 +1,4 @@
-"""Frames of an arm, rendered by kernels: camera, painter, and grid of frames."""
+"""Frames of an arm, rendered by compiled kernels: camera, painter, and grid of frames."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import flag, non_negative, number_array, positive, value_error, vector, whole_number
+from flexman_gym.common.plot_style import rgb, round_up
 from flexman_gym.draw.mesh import (
     CYLINDER,
     RING,
@@ -15,22 +16,20 @@ from flexman_gym.draw.mesh import (
     SPHERE,
     Mesh,
     section_outlines,
-    tube_faces,
     tube_surfaces,
 )
 from flexman_gym.draw.overlay import Caption, draw_caption, strain_colours
-from flexman_gym.draw.style import rgb, round_up
 from flexman_gym.kernels import raster
 from flexman_gym.model.deformation import curves
 from flexman_gym.model.model import Model, check_model
 
-AZIMUTH, ELEVATION = -58.0, 24.0  # degrees; direction from the base to the camera: +X to the right, +Y away
-SIDE_ANGLE, LOW_ELEVATION = 28.0, 14.0  # degrees; azimuth from the joint axes, and elevation, for a vertical plane arm
-HIGH_ELEVATION = 48.0  # degrees; elevation for a horizontal plane arm
-PARALLEL_TOLERANCE = 1e-6  # difference of the cosine from 1 up to which axes count as parallel
+AZIMUTH, ELEVATION = -58.0, 24.0  # degrees; direction from the base to the camera; +X points right, +Y away from it
+SIDE_ANGLE, LOW_ELEVATION = 28.0, 14.0  # degrees; azimuth from the joint axes, and elevation; arm in a vertical plane
+HIGH_ELEVATION = 48.0  # degrees; elevation for an arm in a horizontal plane
+PARALLEL_TOLERANCE = 1e-6  # 1; difference of the cosine from 1 up to which axes count as parallel
 HALF_FIELD_OF_VIEW = 15.0  # degrees; from the centre to the upper edge
-DISTANCE_SLACK = 1e-3  # extra distance of the camera as a fraction of the depth
-MIN_CLEARANCE = 0.05  # least distance of the nearest point from the camera as a fraction of the range of depths
+DISTANCE_SLACK = 1e-3  # 1; extra distance of the camera as a fraction of the mean depth of the points
+MIN_CLEARANCE = 0.05  # 1; least distance of the nearest point from the camera, relative to the range of depths
 
 
 class _Camera(NamedTuple):
@@ -39,7 +38,7 @@ class _Camera(NamedTuple):
     Attributes:
         eye: position (3,) in the base frame, m.
         axes: directions right, up and forward as rows (3, 3).
-        lens: focal length, and column and row of the centre (3,), pixels.
+        lens: focal length, column and row of the centre (3,), pixels.
     """
 
     eye: Array
@@ -52,7 +51,7 @@ class _Camera(NamedTuple):
         return self.lens[1:] + self.lens[0] * local[..., :2] * (1.0, -1.0) / local[..., 2:]
 
 
-def camera_direction(model: Model, angles: object = None) -> tuple[float, float, float]:
+def _camera_direction(model: Model, angles: object = None) -> tuple[float, float, float]:
     """Return azimuth and elevation of the camera, degrees, and its zoom.
 
     Args:
@@ -74,29 +73,29 @@ def camera_direction(model: Model, angles: object = None) -> tuple[float, float,
         return AZIMUTH, ELEVATION, 1.0
     if abs(axis[2]) > 0.5:
         return AZIMUTH, HIGH_ELEVATION, 1.0
-    along = np.degrees(np.arctan2(-abs(axis[1]), -abs(axis[0])))  # the side from which +X points to the right
+    along = np.degrees(np.arctan2(-abs(axis[1]), -abs(axis[0])))  # on the side where +X points to the right
     return along + SIDE_ANGLE, LOW_ELEVATION, 1.0
 
 
-def _fit_camera(points: Array, towards: tuple[float, float, float], size: tuple[int, int], clear: Array) -> _Camera:
-    """Return the nearest camera in a direction that has all points in the picture.
+def _fit_camera(points: Array, direction: tuple[float, float, float], size: tuple[int, int], margins: Array) -> _Camera:
+    """Return the nearest camera in a direction whose picture contains all points.
 
     Args:
         points: points (p, 3) in the base frame, m.
-        towards: azimuth and elevation, degrees, and zoom.
+        direction: azimuth and elevation, degrees, and zoom (1).
         size: width and height of the picture, pixels.
-        clear: margins (4,) at the left, right, top and bottom as fractions of the picture.
+        margins: margins (4,) at the left, right, top and bottom as fractions of the picture.
 
     Returns:
         The camera.
     """
-    azimuth, elevation = np.radians(towards[:2])
+    azimuth, elevation = np.radians(direction[:2])
     back = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     axes = np.array([right, np.cross(back, right), -back])
     half = np.tan(np.radians(HALF_FIELD_OF_VIEW)) * np.array([size[0] / size[1], 1.0])
     # Slopes of the rays at the edges.
-    low, high = half * (2.0 * clear[[0, 3]] - 1.0), half * (1.0 - 2.0 * clear[[1, 2]])
+    low, high = half * (2.0 * margins[[0, 3]] - 1.0), half * (1.0 - 2.0 * margins[[1, 2]])
     local = points @ axes.T
     across, depth = local[:, :2], local[:, 2:]
     # low (depth - eye) <= across - eye <= high (depth - eye) for all points: the eye lies between two lines
@@ -104,7 +103,7 @@ def _fit_camera(points: Array, towards: tuple[float, float, float], size: tuple[
     nearest = min(((most - least) / (high - low)).min(), depth.min() - MIN_CLEARANCE * np.ptp(depth) - 1e-9)
     place = nearest - DISTANCE_SLACK * (depth.mean() - nearest)
     eye = np.append((least + high * place + most + low * place) / 2, place)
-    eye[2] += (depth.mean() - place) * (1.0 - 1.0 / towards[2])
+    eye[2] += (depth.mean() - place) * (1.0 - 1.0 / direction[2])
     focal = size[1] / 2 / np.tan(np.radians(HALF_FIELD_OF_VIEW))
     return _Camera(eye @ axes, axes, np.array([focal, size[0] / 2, size[1] / 2]))
 
@@ -119,7 +118,7 @@ def _common_axis(model: Model) -> Array | None:
 
 
 def _reachable_points(model: Model) -> Array:
-    """Return points (p, 3), m, around the workspace of an arm: on a sphere, or on a circle for a plane arm."""
+    """Return points (p, 3), m, on the boundary of the workspace: a sphere, or a circle for parallel joint axes."""
     reach, axis = float(model.constants.length.sum()), _common_axis(model)
     turn = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
     around = np.array([[np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)] for a in turn for b in turn])
@@ -129,19 +128,19 @@ def _reachable_points(model: Model) -> Array:
     return reach * around
 
 
-POINTS = 24  # number of points on the curve of a link
+POINTS = 24  # number of drawn points on the centreline of a link
 SUPERSAMPLING = 2  # samples of a pixel in each direction
 MAX_SIDE = 4096  # pixels; largest width and height
 MARGINS, OVERLAY_MARGINS = (
     np.full(4, 0.06),
     np.array([0.06, 0.06, 0.15, 0.15]),
 )  # fractions of the picture: left, right, top, bottom
-FLOOR_GAP = 0.05  # distance of the floor from the lowest point as a fraction of the reach
-REFERENCE_DEFLECTION = 0.01  # of the length of a link; its strain is the end of the colour scale without torque limits
+FLOOR_GAP = 0.05  # 1; distance of the floor from the lowest point as a fraction of the reach
+REFERENCE_DEFLECTION = 0.01  # 1; deflection/length of a link with the largest strain of the colours, if no torque limit
 GHOST, MOTOR, TIP, TARGET, POST = "#5b6b82", "#334155", "#1e293b", "#e11d48", "#64748b"
 PAYLOAD, TRAIL, PLUMB_LINE = "#8a6d3b", "#6d28d9", "#e58ba0"
-GHOST_SHARE, SHADOW_SHARE, TRAIL_START = 0.42, 0.34, 0.05
-PAYLOAD_DENSITY = 7800.0  # kg/m^3; steel; density of the sphere that is drawn for a payload
+GHOST_SHARE, SHADOW_SHARE, TRAIL_START = 0.42, 0.34, 0.05  # 1; opacity of rigid arm, shadow and oldest path point
+PAYLOAD_DENSITY = 7800.0  # kg/m^3; steel; sets the size of the sphere of a payload
 
 
 class Shot(NamedTuple):
@@ -149,9 +148,9 @@ class Shot(NamedTuple):
 
     Attributes:
         camera: the camera.
-        floor: height of the floor, m.
-        back: samples (s H, s W, 3) of the background.
-        plain: pixels (H, W, 3) of the background.
+        floor: z coordinate of the floor in the base frame, m.
+        back: background (s H, s W, 3), with s x s samples per pixel.
+        plain: background (H, W, 3), pixels.
     """
 
     camera: _Camera
@@ -171,13 +170,14 @@ class FramePainter:
         model: model of the arm.
         size: width and height, pixels.
         camera: azimuth and elevation, degrees, and optionally a zoom; None for a direction chosen from the joint axes.
-        gain: factor of the drawn deflection; the overlay shows it.
+        gain: factor of the drawn deflection; the overlay shows the factor.
         overlays: whether to draw numbers over the picture.
         shadow: whether to draw the shadow; a GIF without it is a third smaller.
 
     Attributes:
         model: model of the arm.
         size: width and height, pixels.
+        direction: azimuth and elevation of the camera, degrees, and its zoom (1).
         reach: sum of the lengths of the links, m.
         radii: drawn radii of the motors (n,), m.
         scale: strain at the ends of the colour scale; 0 for a rigid arm.
@@ -198,11 +198,10 @@ class FramePainter:
         self.model, self.size = check_model(model), (width, height)
         self.gain, self.overlays = non_negative("gain", gain), flag("overlays", overlays)
         self._shadow = flag("shadow", shadow)
-        self._direction = camera_direction(model, camera)
+        self.direction = _camera_direction(model, camera)
         self.reach = float(model.constants.length.sum())
         self._sections = section_outlines(model, POINTS)
         self.radii = np.clip([1.3 * each.radius for each in self._sections], 0.012 * self.reach, 0.05 * self.reach)
-        self._tubes = tube_faces(model.n_joints, POINTS)
         self._grid = round_up(self.reach / 10)
         self.scale = _strain_scale(model) if model.n_elastic else 0.0
         samples, memory = (height * SUPERSAMPLING, width * SUPERSAMPLING), (height, width)
@@ -213,7 +212,7 @@ class FramePainter:
         self._shown: Shot | None = None
 
     def shot(self, points: Array | None = None) -> Shot:
-        """Return a camera that has points and the base in the picture, with its background.
+        """Return a camera whose picture contains points and the base, with the background.
 
         Args:
             points: points (p, 3) in the base frame, m; None for the whole workspace.
@@ -235,11 +234,11 @@ class FramePainter:
         return Shot(camera, floor, back, plain)
 
     def camera(self, points: Array) -> tuple[_Camera, float]:
-        """Return the camera of a `shot` of points (p, 3), m, and the height of the floor, m."""
+        """Return the camera for points (p, 3), m, and the z coordinate of the floor, m; see `shot`."""
         places = np.concatenate([np.asarray(points, dtype=float).reshape(-1, 3), np.zeros((1, 3))])
         floor = float(places[:, 2].min()) - FLOOR_GAP * self.reach
         places = np.concatenate([places, [[0.0, 0.0, floor]]])
-        return _fit_camera(places, self._direction, self.size, OVERLAY_MARGINS if self.overlays else MARGINS), floor
+        return _fit_camera(places, self.direction, self.size, OVERLAY_MARGINS if self.overlays else MARGINS), floor
 
     def paint(
         self,
@@ -266,10 +265,10 @@ class FramePainter:
         self._show(shot or self._shown or self.shot())
         assert self._shown is not None
         bent, rigid = (curves(self.model, x, POINTS, gain) for gain in (self.gain, 0.0))
-        points, normals, strain = tube_surfaces(bent, self._sections)
-        links = strain_colours(strain / self.scale) if self.scale else np.tile(rgb("#b8bec8"), (len(points), 1))
+        tubes, strain = tube_surfaces(bent, self._sections)
+        links = strain_colours(strain / self.scale) if self.scale else np.tile(rgb("#b8bec8"), (len(strain), 1))
         parts = self._parts(bent.positions, bent.frames, place)
-        mesh = _join_meshes([Mesh(points, normals, self._tubes), *(part for part, _ in parts)])
+        mesh = _join_meshes([tubes, *(part for part, _ in parts)])
         colours = np.concatenate([links, *(np.tile(rgb(colour), (len(part.points), 1)) for part, colour in parts)])
         self._draw(mesh, colours)
         if trail is not None and len(trail) > 1:
@@ -280,8 +279,8 @@ class FramePainter:
         if self.gain != 1.0:
             true = curves(self.model, x, 2).positions[-1, -1]
             self._line(np.array([true, true + 1e-6]), 3.0, 1.0, TRAIL)
-        canvas, ghost = self._canvas, self._project(tube_surfaces(rigid, self._sections)[0], SUPERSAMPLING)
-        raster.mark_coverage(ghost, self._tubes, canvas.mask, canvas.depth, canvas.box)
+        canvas, ghost = self._canvas, self._project(tube_surfaces(rigid, self._sections)[0].points, SUPERSAMPLING)
+        raster.mark_coverage(ghost, tubes.faces, canvas.mask, canvas.depth, canvas.box)
         raster.resolve(canvas, rgb(GHOST), GHOST_SHARE)
         picture = canvas.picture.copy()
         if self.overlays:
@@ -289,7 +288,7 @@ class FramePainter:
         return picture
 
     def _show(self, shot: Shot) -> None:
-        """Restore the background where something was drawn, or everywhere if the shot changed."""
+        """Restore the background where the last frame was drawn, or everywhere if the shot changed."""
         canvas = self._canvas
         if shot is not self._shown:
             height, width = canvas.mask.shape
@@ -307,7 +306,7 @@ class FramePainter:
         canvas.box[:] = 1 << 30, -1, 1 << 30, -1
 
     def _project(self, points: Array, samples: int) -> Array:
-        """Return columns, rows and inverse depth (p, 3) of points (p, 3); `samples` is the supersampling."""
+        """Return columns, rows and inverse depths (p, 3) of points (p, 3), m, with `samples` samples per pixel side."""
         assert self._shown is not None
         camera, result = self._shown.camera, np.empty_like(points)
         raster.project(np.ascontiguousarray(points), camera.eye, camera.axes, camera.lens * samples, result)
@@ -328,7 +327,7 @@ class FramePainter:
         raster.draw_triangles(canvas, screen, mesh.points, mesh.normals, colours, mesh.faces, self._shown.camera.eye)
 
     def _line(self, points: Array, radius: float, faintest: float, colour: str) -> None:
-        """Draw a line; its radius is in pixels of a picture with 480 rows."""
+        """Draw a line; the radius is in pixels of a picture with 480 rows."""
         thick = radius * SUPERSAMPLING * max(self.size[1] / 480, 0.5)
         raster.draw_line(self._canvas, self._project(points, SUPERSAMPLING), thick, faintest, rgb(colour))
 
@@ -382,7 +381,7 @@ def grid(frames: Sequence[NDArray[np.uint8]], across: int | None = None) -> NDAr
 
     Args:
         frames: frames (height, width, 3), such as those a vector environment renders.
-        across: number of frames in a row; None for about as many as rows.
+        across: number of frames in a row; None for about as many columns as rows.
 
     Returns:
         Pixels (height, width, 3), uint8.
@@ -400,9 +399,9 @@ def grid(frames: Sequence[NDArray[np.uint8]], across: int | None = None) -> NDAr
 
 
 def _strain_scale(model: Model) -> float:
-    """Return a round strain of the size that the motors cause: that of half the torque limit at the root of its link.
+    """Return a rounded strain for the ends of the colour scale: that at the root of a link under half the torque limit.
 
-    A joint without a torque limit counts with the strain of a tip force that deflects its link by REFERENCE_DEFLECTION.
+    Without a torque limit it is the strain of a tip force that deflects the link by REFERENCE_DEFLECTION.
     """
     result = []
     for link, joint in zip(model.arm.links, model.arm.joints, strict=True):
@@ -410,10 +409,10 @@ def _strain_scale(model: Model) -> float:
         moment = min(section.second_moment_y, section.second_moment_z)
         outline = section.outline
         radius = np.sqrt(3.0 * moment / section.area) if outline is None else min(outline.y, outline.z) / 2
-        bent = 3 * REFERENCE_DEFLECTION / link.length
+        curvature = 3 * REFERENCE_DEFLECTION / link.length  # 1/m
         if joint.torque_limit:
-            bent = 0.5 * joint.torque_limit / (section.youngs_modulus * moment)
-        result.append(float(radius * bent))
+            curvature = 0.5 * joint.torque_limit / (section.youngs_modulus * moment)
+        result.append(float(radius * curvature))
     return round_up(max(result))
 
 

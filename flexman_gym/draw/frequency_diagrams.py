@@ -8,28 +8,28 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import value_error, vector, whole_number
+from flexman_gym.common.plot_style import DARK, LIGHT, LINK_COLOURS, MIDDLE, new_figure
 from flexman_gym.draw.frames import POINTS, FramePainter, grid
 from flexman_gym.draw.overlay import write_title
-from flexman_gym.draw.style import DARK, LIGHT, LINK_COLOURS, MIDDLE, new_figure
 from flexman_gym.model.deformation import curves
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import rest_state
 from flexman_gym.model.vibration import modes, rotating_frequencies
 
-AMPLITUDE = 0.08  # largest displacement in the picture of a mode as a fraction of the reach
+AMPLITUDE = 0.08  # 1; largest displacement in the picture of a mode as a fraction of the reach
 
 
 def draw_mode_shapes(
     model: Model, joint_angles: Vector | None = None, count: int = 6, size: tuple[int, int] = (480, 360)
 ) -> NDArray[np.uint8]:
-    """Draw the lowest modes with held motors, see `fm.modes`, each with the arm at rest, as one picture.
+    """Draw the lowest modes with held motors in one picture, each as the arm at rest plus the mode shape.
 
-    All modes have the same arbitrary amplitude. Colours show the strain, with a scale of its own for each mode.
+    The largest displacement is the same for all modes. Colours show the strain, with a separate scale for each mode.
 
     Args:
         model: model of the arm.
-        joint_angles: angles of the motors (n,), rad; None for zero.
+        joint_angles: motor angles (n,), rad; None for zero. See `fm.modes`.
         count: largest number of modes.
         size: width and height of the picture of one mode, pixels.
 
@@ -37,7 +37,7 @@ def draw_mode_shapes(
         Pictures of the modes in a grid, (height, width, 3).
 
     Raises:
-        ValueError: also for an arm without vibration modes.
+        ValueError: for an arm without vibration modes.
     """
     angles = np.zeros(check_model(model).n_joints) if joint_angles is None else joint_angles
     found, rest = modes(model, angles), rest_state(model, angles)
@@ -62,15 +62,15 @@ def draw_mode_shapes(
     return grid(frames)
 
 
-GRID_POINTS = 41  # number of angles along each axis of the map
+GRID_POINTS = 41  # number of angles along each axis of a frequency map
 EXCITATION_ORDERS = (1, 2, 3)  # multiples of the spin rate that excite a rotating arm
 
 
 def frequency_map(model: Model, path: str | Path, mode: int = 1, span: float = np.pi) -> Path:
     """Plot a natural frequency with held motors over the angles of the last two joints; return the path.
 
-    The other joint angles are zero, and gravity is ignored, as in `fm.frequencies`. For an arm of one joint the plot is
-    a curve.
+    All other joint angles are zero, and gravity is ignored, as in `fm.frequencies`. For an arm with one joint, the plot
+    is a curve.
 
     Args:
         model: model of the arm.
@@ -83,7 +83,7 @@ def frequency_map(model: Model, path: str | Path, mode: int = 1, span: float = n
 
     Raises:
         ImportError: without Matplotlib.
-        ValueError: also for a mode that does not exist.
+        ValueError: for a mode that does not exist, and for a rigid arm.
     """
     n, path, angles = check_model(model).n_joints, Path(path), np.linspace(-span, span, GRID_POINTS)
     number = whole_number("mode", mode, 1, max(model.n_dof - n, 1)) - 1
@@ -168,8 +168,8 @@ class _LoopMargins(NamedTuple):
     phase_frequency: float
 
 
-def loop_margins(frequencies: Array, response: _Response) -> _LoopMargins:
-    """Return the margins of a response (f,) at frequencies (f,), Hz, with linear interpolation."""
+def _loop_margins(frequencies: Array, response: _Response) -> _LoopMargins:
+    """Return the margins of a response (f,) at frequencies (f,), Hz, by linear interpolation."""
     gain, gain_frequency, phase, phase_frequency = np.nan, np.nan, np.nan, np.nan
     for i in np.flatnonzero(np.diff(np.sign(response.imag)) != 0):
         part = response.imag[i] / (response.imag[i] - response.imag[i + 1])
@@ -179,9 +179,9 @@ def loop_margins(frequencies: Array, response: _Response) -> _LoopMargins:
     size = np.abs(response) - 1.0
     for i in np.flatnonzero(np.diff(np.sign(size)) != 0):
         part = size[i] / (size[i] - size[i + 1])
-        left = abs(180.0 - abs(np.degrees(np.angle(response[i] + part * (response[i + 1] - response[i])))))
-        if not left >= phase:
-            phase, phase_frequency = left, frequencies[i] + part * (frequencies[i + 1] - frequencies[i])
+        margin = abs(180.0 - abs(np.degrees(np.angle(response[i] + part * (response[i + 1] - response[i])))))
+        if not margin >= phase:
+            phase, phase_frequency = margin, frequencies[i] + part * (frequencies[i + 1] - frequencies[i])
     return _LoopMargins(*map(float, (gain, gain_frequency, phase, phase_frequency)))
 
 
@@ -190,7 +190,7 @@ def bode_diagram(frequencies: Array, responses: dict[str, _Response], path: str 
 
     Args:
         frequencies: frequencies (f,), Hz, ascending.
-        responses: name of a loop -> its frequency response (f,).
+        responses: name of a loop -> its complex frequency response (f,).
         path: path of the picture.
         title: title of the picture.
 
@@ -203,7 +203,7 @@ def bode_diagram(frequencies: Array, responses: dict[str, _Response], path: str 
     path, figure = Path(path), new_figure((7.6, 6.0), 120.0, layout="constrained")
     gain, phase = figure.subplots(2, 1, sharex=True)
     for (name, response), colour in zip(responses.items(), LINK_COLOURS, strict=False):
-        found, size = loop_margins(frequencies, response), np.abs(response)
+        found, size = _loop_margins(frequencies, response), np.abs(response)
         angle = np.degrees(np.unwrap(np.angle(response)))
         label = f"{name}: gain margin {found.gain:.3g}, phase margin {found.phase:.3g}°".replace("nan°", "none")
         gain.loglog(frequencies, size, color=colour, label=label.replace("nan", "none"))

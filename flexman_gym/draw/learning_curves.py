@@ -8,11 +8,11 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import short_path, value_error
+from flexman_gym.common.plot_style import LIGHT, LINK_COLOURS, new_figure
 from flexman_gym.common.time_series import read_csv_rows
-from flexman_gym.draw.style import LIGHT, LINK_COLOURS, new_figure
 
-STEPS_COLUMN = "time/total_timesteps"  # steps of the training
-REWARD_COLUMNS = ("selection/reward", "rollout/ep_rew_mean")  # reward; the first column that a run has is the default
+STEPS_COLUMN = "time/total_timesteps"  # environment steps of the training
+REWARD_COLUMNS = ("selection/reward", "rollout/ep_rew_mean")  # mean return; the first one in a run is the default
 
 
 def read_progress(folder: str | Path, column: str | None = None) -> tuple[Array, Array, str]:
@@ -20,14 +20,15 @@ def read_progress(folder: str | Path, column: str | None = None) -> tuple[Array,
 
     Args:
         folder: folder of the run.
-        column: name of the column; None for the reward on the selection seeds or, without it, in the training.
+        column: name of the column; None for the mean return on the selection seeds or, if a run was not evaluated,
+            in the training.
 
     Returns:
-        Steps (k,), values (k,), and the name of the column.
+        Environment steps (k,), values (k,), and the name of the column.
 
     Raises:
-        FileNotFoundError: without such files.
-        ValueError: also for an unknown column.
+        FileNotFoundError: without files progress*.csv.
+        ValueError: for an unknown column, and for entries that are no numbers.
     """
     rows: list[dict[str, str]] = []
     for path in sorted(Path(folder).glob("progress*.csv")) if os.path.isdir(folder) else ():
@@ -51,10 +52,10 @@ def read_progress(folder: str | Path, column: str | None = None) -> tuple[Array,
 
 
 def draw_learning_curves(runs: Mapping[str, Sequence[tuple[Array, Array]]], path: str | Path, label: str) -> Path:
-    """Plot the median over seeds of each recipe, with a band from the lowest to the highest seed; return the path.
+    """Plot the median over seeds of each recipe, with a band from the smallest to the largest value; return the path.
 
     Args:
-        runs: name of a recipe -> steps (k,) and values (k,) of each seed.
+        runs: name of a recipe -> environment steps (k,) and values (k,) of each seed.
         path: path of the picture.
         label: label of the values.
 

@@ -1,6 +1,7 @@
 """Triangle meshes of deformed links and of round parts: motors, payload, target."""
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from flexman_gym.model.element import find_element
 from flexman_gym.model.model import Model
 
 SIDES = 16  # number of points on the outline of a section
-MIN_RADIUS, MIN_HALF_SIDE = 0.008, 0.0025  # fractions of the reach; least radius of a round link, half side of a strip
+MIN_RADIUS, MIN_HALF_SIDE = 0.008, 0.0025  # fractions of the reach; least radius of a round, half width of a flat link
 ROUND_TOLERANCE = 0.02  # relative difference of the radii of gyration up to which a section is drawn round
 
 
@@ -34,8 +35,8 @@ class Mesh(NamedTuple):
         Args:
             origin: position of its origin (3,), m.
             axis: direction of its z axis (3,), a unit vector.
-            radius: scale of x and y.
-            half: scale of z.
+            radius: scale of x and y, m.
+            half: scale of z, half of the length, m.
 
         Returns:
             The transformed mesh.
@@ -106,8 +107,9 @@ def _section(section: Any, reach: float) -> tuple[Array, Array, Array]:
     return square * np.maximum(half, MIN_HALF_SIDE * reach), np.concatenate(flat), square * half
 
 
-def tube_faces(links: int, places: int) -> IntArray:
-    """Return the triangles (f, 3) of links with closed ends; vertices are numbered by link, point and side."""
+@cache
+def _tube_faces(links: int, places: int) -> IntArray:
+    """Return the triangles (f, 3) of links with closed ends; the order of the vertices is link, point, side."""
     point = np.arange(links * places * SIDES, dtype=np.int32).reshape(links, places, SIDES)
     after = np.roll(point, -1, axis=2)
     a, b, c, d = (each.ravel() for each in (point[:, :-1], after[:, :-1], after[:, 1:], point[:, 1:]))
@@ -117,15 +119,15 @@ def tube_faces(links: int, places: int) -> IntArray:
     return np.concatenate([sides, root.reshape(-1, 3), tip.reshape(-1, 3)])
 
 
-def tube_surfaces(curves: Curves, sections: Sequence[_SectionOutlines]) -> tuple[Array, Array, Array]:
-    """Return vertices and normals (..., v, 3) of all links, and the axial strain (..., v) at the vertices.
+def tube_surfaces(curves: Curves, sections: Sequence[_SectionOutlines]) -> tuple[Mesh, Array]:
+    """Return the surface of all links at one state, and the axial strain (v,) at its vertices.
 
     Args:
-        curves: curves of the links, (..., n, P).
+        curves: centrelines of the n links at P points each.
         sections: section outlines of each link.
 
     Returns:
-        Vertices (..., v, 3), m, normals (..., v, 3), and axial strains (..., v).
+        Mesh with v vertices, and axial strains (v,), 1.
     """
     points, normals, gauges = (np.array([section[k] for section in sections]) for k in range(3))
     across = curves.frames[..., 1:]
@@ -133,8 +135,7 @@ def tube_surfaces(curves: Curves, sections: Sequence[_SectionOutlines]) -> tuple
     outward = np.einsum("...ipab,ipsb->...ipsa", across, normals)
     stretch, curvature = curves.strains[..., 0, None], curves.curvatures[..., None, :]
     strain = stretch - gauges[..., 0] * curvature[..., 2] + gauges[..., 1] * curvature[..., 1]
-    front = surface.shape[:-4]
-    return surface.reshape(*front, -1, 3), outward.reshape(*front, -1, 3), strain.reshape(*front, -1)
+    return Mesh(surface.reshape(-1, 3), outward.reshape(-1, 3), _tube_faces(*strain.shape[:2])), strain.ravel()
 
 
 def _surface_of_revolution(profile: tuple[tuple[float, float, float, float], ...], sides: int = 24) -> Mesh:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.draw.style import LINK_COLOURS, rgb
+from flexman_gym.common.plot_style import LINK_COLOURS, rgb
 
 GLYPHS = Path(__file__).parent / "glyphs.npz"  # shapes of letters, written by scripts/glyphs.py
 FONT_SIZES = (10, 12, 14, 18, 24, 32)  # pixels; heights of the letters in GLYPHS
@@ -24,7 +24,7 @@ class Caption(NamedTuple):
         title: title of the frame.
         time: time since the reset, s.
         error: distance of the tip from its target, m.
-        reward: reward of the last step.
+        reward: reward of the last environment step.
         torques: commanded motor torques (n,) as fractions of their limits.
     """
 
@@ -74,7 +74,7 @@ def write_title(picture: Picture, text: str) -> None:
 
 
 def _blend(part: Picture, colour: str, share: "NDArray[np.float32] | float") -> None:
-    """Blend a colour into a part of a picture with a weight from 0 to 1."""
+    """Blend a colour into a part of a picture with an opacity from 0 to 1."""
     base = part.astype(np.float32)
     part[:] = (base + np.float32(share) * (rgb(colour).astype(np.float32) - base) + np.float32(0.5)).astype(np.uint8)
 
@@ -146,6 +146,6 @@ def _draw_torque_bars(picture: Picture, torques: Array, place: tuple[int, int], 
 
 
 def strain_colours(share: Array) -> Array:
-    """Return colours (..., 3) between 0 and 255 of strains relative to the scale: blue -1, grey 0, red 1."""
+    """Return colours (..., 3), 0 to 255, of strains relative to the scale: -1 is blue, 0 grey, 1 red."""
     ends = np.where(share[..., None] < 0.0, (47.0, 87.0, 200.0), (192.0, 32.0, 44.0))
     return np.array([205.0, 208.0, 212.0]) + np.clip(np.abs(share), 0.0, 1.0)[..., None] * (ends - (205, 208, 212))

@@ -18,27 +18,27 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
-from flexman_gym.draw.frames import FLOOR_GAP, FramePainter, camera_direction
+from flexman_gym.common.plot_style import BLUE, GREEN, ORANGE, RED, SKY, round_up
+from flexman_gym.draw.frames import FLOOR_GAP, FramePainter
 from flexman_gym.draw.mesh import section_outlines
-from flexman_gym.draw.style import BLUE, GREEN, ORANGE, RED, SKY, round_up
 from flexman_gym.model.deformation import curves, link_shapes
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.episode import Episode
 
 TEMPLATE_FOLDER = Path(__file__).parent
-POINTS = 24  # number of points on the curve of a link
+POINTS = 24  # number of drawn points on the centreline of a link
 COLOURS = (BLUE, RED, GREEN, ORANGE, SKY, "#CC79A7", "#555555", "#8a6d3b")
-VIEW_STATES = 60  # number of states of an episode from which camera and scales are chosen
-QUANTISATION_STEPS = 2**15 - 1  # steps of a reading from the middle of its range to each end, int16
-MISSING_VALUE = -QUANTISATION_STEPS - 1  # step of a reading that is not finite; its curve has a gap there
+VIEW_STATES = 60  # number of states of an episode from which camera and scales are computed
+QUANTISATION_STEPS = 2**15 - 1  # int16; steps of a reading from the middle of its range to each end
+MISSING_VALUE = -QUANTISATION_STEPS - 1  # int16; step of a reading that is not finite, a gap in its curve
 
 
 def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
     """Return an HTML page that replays episodes in a browser without a network connection.
 
     Args:
-        episodes: 1 to 8 episodes, shown side by side; their arms may differ.
-        title: title of the page; "" for the names of environment and agents.
+        episodes: 1 to 8 episodes, shown side by side; the arms may differ.
+        title: title of the page; "" for a title of environment and agents.
 
     Returns:
         HTML.
@@ -64,7 +64,7 @@ def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
 
 
 def _html_page(data: dict[str, Any], title: str, words: str) -> str:
-    """Return the HTML page of plain data, whose texts are escaped.
+    """Return the HTML page of plain data, with escaped texts.
 
     Args:
         data: mapping with "arms", "runs", "stage" and "live".
@@ -107,7 +107,7 @@ def _view_data(models: Sequence[Model], points: Array, strain: float) -> dict[st
 
     Args:
         models: models of the arms.
-        points: points (p, 3), m, that are in the picture.
+        points: points (p, 3), m, in the picture.
         strain: strain at the ends of the colour scale; 0 for rigid arms.
 
     Returns:
@@ -117,7 +117,7 @@ def _view_data(models: Sequence[Model], points: Array, strain: float) -> dict[st
     points = np.concatenate([points[np.isfinite(points).all(axis=1)], np.zeros((1, 3))])
     floor = float(points[:, 2].min()) - FLOOR_GAP * reach
     points = np.concatenate([points, [[0.0, 0.0, floor]]])
-    azimuth, elevation = np.radians(camera_direction(models[0])[:2])
+    azimuth, elevation = np.radians(FramePainter(models[0], (16, 16)).direction[:2])
     towards = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     return {"reach": reach, "points": np.round(points, 6).tolist(), "distance": 3.0 * size, "floor": floor,
@@ -142,12 +142,10 @@ def _episode_data(episode: Episode, colour: str) -> dict[str, Any]:
 
 
 def _reading_data(name: str, values: Array) -> dict[str, Any]:
-    """Return a reading, quantised in its finite range with enough steps for a curve."""
+    """Return a reading (T + 1, k) in plain form, quantised in the range of its finite values."""
     finite = np.isfinite(values)
     low, high = np.where(finite, values, np.inf).min(axis=0), np.where(finite, values, -np.inf).max(axis=0)
-    low, high = (
-        np.where(finite.any(axis=0), (low, high), 0.0) / 2
-    )  # the difference of two large numbers may be infinite
+    low, high = np.where(finite.any(axis=0), (low, high), 0.0) / 2  # halves, as the range itself may overflow
     middle, scale = low + high, np.maximum((high - low) / QUANTISATION_STEPS, 1e-30)
     steps = _encode_array(
         np.where(finite, np.rint((np.where(finite, values, middle) - middle) / scale), MISSING_VALUE), "<i2"
@@ -156,7 +154,7 @@ def _reading_data(name: str, values: Array) -> dict[str, Any]:
 
 
 def _episodes_view(episodes: Sequence[Episode]) -> dict[str, Any]:
-    """Return camera, floor and scale for the motions of some episodes."""
+    """Return camera, floor and scale of the page for several episodes, in plain form."""
     points, largest = [], 0.0
     for episode in episodes:
         some = np.unique(np.linspace(0, len(episode.time) - 1, VIEW_STATES).astype(int))
@@ -168,7 +166,7 @@ def _episodes_view(episodes: Sequence[Episode]) -> dict[str, Any]:
 
 
 def _outermost_points(points: Array) -> Array:
-    """Return the points (p, 3) that are outermost in one of many directions."""
+    """Return those of the points (p, 3) that are outermost in one of 144 directions."""
     finite = points[np.isfinite(points).all(axis=1)]
     turn = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
     directions = np.array([[np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)] for a in turn for b in turn])
@@ -180,7 +178,7 @@ def _percent(strain: float) -> str:
     return f"{1e6 * strain:g} µε" if strain < 1e-3 else f"{1e2 * strain:g} %"
 
 
-QUEUE_SIZE = 200  # rows that a slow browser may lag behind before rows are dropped
+QUEUE_SIZE = 200  # states by which a slow browser may lag behind before states are dropped
 
 
 class LivePage:
@@ -194,7 +192,7 @@ class LivePage:
 
     Attributes:
         address: address of the page.
-        shown, late: number of shown states, and of those shown later than in real time.
+        shown, late: number of shown states, and number of states shown later than in real time.
     """
 
     def __init__(self, model: Model, title: str, period: float, strain: float) -> None:
@@ -214,7 +212,7 @@ class LivePage:
         """Start an episode.
 
         Args:
-            points: points (p, 3), m, that are in the picture.
+            points: points (p, 3), m, in the picture.
         """
         run = {"name": self._title, "colour": BLUE, "note": "", "dt": self._period, "rows": 0, "arm": 0}
         data = {"live": True, "arms": [_arm_data(self._model)], "runs": [run],
@@ -225,7 +223,7 @@ class LivePage:
         self._next = time.perf_counter()
 
     def show(self, coordinates: Array, target: Array, error: float, torques: Array) -> None:
-        """Send the state of the arm and wait until its time.
+        """Send the state of the arm and wait until the time of this state.
 
         Args:
             coordinates: generalised coordinates (d,).

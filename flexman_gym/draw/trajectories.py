@@ -8,14 +8,14 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
-from flexman_gym.draw.style import BLUE, DARK, GREEN, LIGHT, LINK_COLOURS, MIDDLE, ORANGE, RED, SKY, new_figure
+from flexman_gym.common.plot_style import BLUE, DARK, GREEN, LIGHT, LINK_COLOURS, MIDDLE, ORANGE, RED, SKY, new_figure
 from flexman_gym.simulation.trajectory import Trajectory
 
 
 def trajectory_figure(trajectory: Trajectory, path: str | Path | None = None) -> Path | None:
     """Plot tip position, joint and motor angles, joint twists and energy residual of a simulation over time.
 
-    The residual is divided by the energy turnover, as in `Trajectory.energy_alarm`; without a turnover it is in J.
+    The energy residual is divided by the energy turnover (see `Trajectory.energy_alarm`) unless the turnover is 0.
     A simulation that ended early is plotted up to its end, with its status in the title.
 
     Args:
@@ -79,7 +79,7 @@ def _residual(trajectory: Trajectory) -> tuple[Array, str]:
 
 def _plain(axes: Any, time: Array) -> None:
     axes.axhline(0.0, color=MIDDLE, linewidth=0.8, zorder=0)
-    axes.set_xlim(time[0], np.nextafter(time[-1], np.inf))  # a single time needs a width too
+    axes.set_xlim(time[0], np.nextafter(time[-1], np.inf))  # a positive width also for a single time
     axes.grid(color=LIGHT, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     axes.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
@@ -103,7 +103,7 @@ def paper_figures(
 
     Raises:
         ImportError: without Matplotlib.
-        ValueError: for different output times, and for arms without 3 joints.
+        ValueError: for different output times, and for arms with a number of joints other than 3.
     """
     cases = {"flexible links, rigid joints": flexible_links, "flexible links and joints": flexible_both}
     for name, trajectory in (("flexible_links", flexible_links), ("flexible_both", flexible_both)):
@@ -143,7 +143,7 @@ def _all_figures(rigid: Trajectory, cases: dict[str, Trajectory], path: Path) ->
 
 
 def _difference(axes: Any, column: int, rigid: Trajectory, cases: dict[str, Trajectory]) -> None:
-    """Plot the difference of each case to the rigid arm: column 0 to 2 is tip x, y, z, and 3 to 5 the joint angles."""
+    """Plot the difference of each case to the rigid arm: tip x, y, z (columns 0 to 2), joint angles (3 to 5)."""
     axes.axhline(0.0, color=MIDDLE, linewidth=0.8)
     for (label, case), colour, style in zip(cases.items(), (BLUE, RED), ("-", "--"), strict=True):
         rows = min(len(rigid.time), len(case.time))
@@ -165,12 +165,12 @@ def _unit(column: int) -> str:
     return "m" if column < 3 else "rad"
 
 
-COLOURS = (BLUE, RED, ORANGE, GREEN, SKY, MIDDLE)  # one for each agent
+COLOURS = (BLUE, RED, ORANGE, GREEN, SKY, MIDDLE)  # colours of the agents
 MIN_ERROR = 1e-5  # m; lower end of the logarithmic axis of tip errors
 
 
 class _RecordedEpisode(Protocol):
-    """Signals of an episode that are plotted, of an `evaluation.EpisodeRecord` or an `fm.Episode`."""
+    """Plotted signals of an episode: an `evaluation.EpisodeRecord` or an `fm.Episode`."""
 
     @property
     def errors(self) -> Array:

@@ -17,8 +17,8 @@ from flexman_gym.draw.overlay import Caption
 from flexman_gym.model.deformation import curves
 from flexman_gym.simulation.episode import Episode
 
-COLOUR_TOLERANCE = 6  # of 255; largest error of a colour that a pixel of a GIF keeps from the previous frame
-COLOURS, COLOUR_STEP = 64, 4  # number of colours of a GIF; levels of a channel merged for their choice
+COLOUR_TOLERANCE = 6  # levels of 255; largest colour error for which a pixel of a GIF stays as in the previous frame
+COLOURS, COLOUR_STEP = 64, 4  # number of colours of a GIF; levels of a channel merged for their selection
 SUFFIXES = (".mp4", ".gif")
 
 
@@ -100,7 +100,7 @@ def _write_gif(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> 
 
     some = np.concatenate([frame.reshape(-1, 3) for frame in frames[:: max(1, len(frames) // 8)]])
     coarse, counts = np.unique(some // COLOUR_STEP * COLOUR_STEP + COLOUR_STEP // 2, axis=0, return_counts=True)
-    # weighted by the root of their frequency: a large background would leave no colours for small details
+    # weights: root of the frequency of a colour, because a large background would leave no colours for small details
     weighted = np.repeat(coarse, np.ceil(np.sqrt(counts)).astype(int), axis=0)[None].astype(np.uint8)
     palette = Image.fromarray(weighted).quantize(
         COLOURS - 1, Image.Quantize.MEDIANCUT
@@ -110,7 +110,7 @@ def _write_gif(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> 
     shown: list[NDArray[np.uint8]] = []
     for frame in frames:
         now = np.array(Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE))
-        if shown:  # pixels that hardly change stay the same, which needs no bytes
+        if shown:  # pixels that hardly change keep their colour, which saves bytes
             unchanged = np.abs(colours[shown[-1]] - frame).max(axis=2) <= COLOUR_TOLERANCE
             now[unchanged] = shown[-1][unchanged]
         shown.append(now)
@@ -129,7 +129,7 @@ class Window:
         period: time between two frames, s.
 
     Attributes:
-        shown, late: number of shown frames, and of those shown later than in real time.
+        shown, late: number of shown frames, and number of frames shown later than in real time.
     """
 
     def __init__(self, size: tuple[int, int], title: str, period: float) -> None:
@@ -159,20 +159,20 @@ class Window:
             print(f"{self.late} of {self.shown} frames came late", file=sys.stderr)
 
 
-GIF_SIZE, FILM_SIZE = (480, 360), (1280, 720)  # pixels; default width and height of a GIF and of a film
+GIF_SIZE, VIDEO_SIZE = (480, 360), (1280, 720)  # pixels; default width and height of a GIF and of a video
 GIF_SECONDS = 5.0  # s; duration of a GIF
-GIF_RATE, FILM_RATE = 10.0, 50.0  # frames per second
+GIF_RATE, VIDEO_RATE = 10.0, 50.0  # frames per second
 TRAIL_SECONDS = 1.5  # s; duration of the drawn path of the tip
 
 
 def side_by_side(
     episodes: Sequence[Episode], small: bool = False, size: tuple[int, int] | None = None
 ) -> tuple[list[NDArray[np.uint8]], float]:
-    """Return frames of several episodes side by side, with one camera direction and one scale.
+    """Return frames of several episodes side by side, with equal camera directions and scales.
 
     Args:
         episodes: at least one episode.
-        small: whether to make a GIF of 5 s at 10 frames per second, instead of a film of the whole at 50.
+        small: whether to make frames for a GIF of 5 s at 10 frames per second, instead of the whole episodes at 50.
         size: width and height of the picture, pixels; None for 480 x 360 (small) or 1280 x 720.
 
     Returns:
@@ -180,16 +180,16 @@ def side_by_side(
     """
     if not episodes:
         raise value_error("episodes", episodes, "at least one")
-    whole = size or (GIF_SIZE if small else FILM_SIZE)
-    cell, rate = (whole[0] // len(episodes), whole[1]), GIF_RATE if small else FILM_RATE
+    whole = size or (GIF_SIZE if small else VIDEO_SIZE)
+    cell, rate = (whole[0] // len(episodes), whole[1]), GIF_RATE if small else VIDEO_RATE
     end = min(max(float(each.time[-1]) for each in episodes), GIF_SECONDS if small else np.inf)
-    stage = np.concatenate([
-        points for each in episodes
-        for points in (curves(each.model, each.states[:: max(1, len(each.time) // 60)], 4).positions.reshape(-1, 3),
+    points = np.concatenate([
+        part for each in episodes
+        for part in (curves(each.model, each.states[:: max(1, len(each.time) // 60)], 4).positions.reshape(-1, 3),
                        each.targets[np.isfinite(each.targets).all(axis=1)])
     ])  # fmt: skip
     painters = [FramePainter(each.model, cell, shadow=not small) for each in episodes]
-    shots = [painter.shot(stage) for painter in painters]
+    shots = [painter.shot(points) for painter in painters]
     frames = []
     for time in np.arange(0.0, end - 0.5 / rate, 1.0 / rate):
         row = [min(round(time / each.period), len(each.time) - 1) for each in episodes]

@@ -1,6 +1,5 @@
 """Base class of both environments: saving, restoring, copying and pickling of the complete state."""
 
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
+from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
@@ -19,6 +19,7 @@ from flexman_gym.envs.episodes import Episodes
 Observations = NDArray[np.float32]
 
 
+@deprecated_members(**MEMBERS["FlexManEnv, FlexManVectorEnv"])
 class StatefulEnv:
     """Base class of the single and the vector environment: get, set and copy their complete state."""
 
@@ -28,12 +29,6 @@ class StatefulEnv:
     episodes: Episodes
     spec: Any
     _made: dict[str, Any]  # arguments of the constructor
-
-    @property
-    def setup(self) -> Configuration:
-        """Deprecated name of `configuration`."""
-        warnings.warn("setup is deprecated; give configuration", DeprecationWarning, stacklevel=2)
-        return self.configuration
 
     def get_state(self) -> dict[str, Any]:
         """Return the complete state as dicts and lists of arrays and plain data.

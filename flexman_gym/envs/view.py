@@ -1,6 +1,5 @@
 """View: named arrays of the state of many arms, the input of sensors, tasks and limits."""
 
-import warnings
 from collections.abc import Iterable
 from functools import cached_property
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array
+from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.control_period import fill_views, sparse_product
 from flexman_gym.kernels.rigid_arm import inverse_kinematics as solve_inverse_kinematics
@@ -22,16 +22,7 @@ TIP_TOLERANCE, DAMPED_SINGULAR_VALUE = 1e-9, 1e-4
 Number = Any  # (b,), or a number for a single arm; supports arithmetic and the functions of NumPy
 
 
-def _deprecated(old: str, name: str) -> property:
-    """Return the property of a deprecated name of an attribute or a method of a View."""
-
-    def value(view: "View") -> Any:
-        warnings.warn(f"View.{old} is deprecated; give {name}", DeprecationWarning, stacklevel=2)
-        return getattr(view, name)
-
-    return property(value, doc=f"Deprecated name of `{name}`.")
-
-
+@deprecated_members(**MEMBERS["View"])
 class View:
     """State and goals of b arms with n links, as named arrays (b, ...).
 
@@ -79,8 +70,6 @@ class View:
         failed: (b,) True where the last step ended the episode by a limit or a divergence.
     """
 
-    alone, heavy = _deprecated("alone", "single"), _deprecated("heavy", "has_gravity")
-    places, reaching = _deprecated("places", "slices"), _deprecated("reaching", "inverse_kinematics")
     state_fields = ("goal_angles", "goal_rates", "target", "target_velocity", "plan", "effort", "action", "failed")
 
     def __init__(self, batch: Batch) -> None:

@@ -22,7 +22,7 @@ from flexman_gym.control.agent import Law
 from flexman_gym.control.base_controllers import BASES, parse_kind
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.control.network import Network
-from flexman_gym.envs.config.configuration import Configuration, current_name
+from flexman_gym.envs.config.configuration import RENAMED, Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.evaluation.policy_files import ABOUT, POLICIES, policy_folder, read_policy
@@ -307,7 +307,8 @@ def _change(environment: Configuration, changes: Sequence[str]) -> Configuration
     if not changes:
         return environment
     for change in changes:
-        if current_name(change.split("=")[0].split(".")[0], warn=False) in INTERFACE:
+        name = change.split("=")[0].split(".")[0]
+        if RENAMED.get(name, name) in INTERFACE:
             allowed = f"a setting of the environment: {', '.join(INTERFACE)} are those of the training of a policy"
             raise value_error("--set", change, allowed)
     return split_interface(environment.changed(changes))[0]

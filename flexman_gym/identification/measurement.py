@@ -25,16 +25,11 @@ from flexman_gym.common.checks import (
     vector,
 )
 from flexman_gym.common.time_series import TimeSeries, read_time_series
-from flexman_gym.kernels import layout
-from flexman_gym.kernels.outputs import tip_accelerations
 from flexman_gym.model.model import Model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import ConstantTorque, SampledAngles, SampledTorque
-from flexman_gym.simulation.integrator import prescribed_flags
-from flexman_gym.simulation.parameters import varied_constants
-from flexman_gym.simulation.scene_simulation import simulate_all
-from flexman_gym.simulation.trajectory import Trajectory
+from flexman_gym.simulation.scene_simulation import TIP_ACCELERATIONS, simulate_all, tip_accelerations
 
 INTERVAL_TOLERANCE = 1e-3  # 1; largest relative deviation of a sampling interval from the median
 MIN_SAMPLES = 16  # least number of samples of a record
@@ -292,11 +287,6 @@ STACKED = (  # attributes of a trajectory with a row for each time
     "time", "tip", "tip_velocity", "joint_angles", "motor_angles", "energy", "moving_energy", "work", "dissipation",
     "states", "deflection",
 )  # fmt: skip
-TIP_ACCELERATIONS = {  # name of an output -> its column in `kernels.outputs.compute_tip_accelerations`
-    f"{name}_{axis}": part.start + i
-    for name, part in (("tip_acceleration", layout.TIP_ACCELERATION), ("specific_force", layout.SPECIFIC_FORCE))
-    for i, axis in enumerate("xyz")
-}
 
 
 class SimulatedResponse:
@@ -374,7 +364,7 @@ class SimulatedResponse:
         for c, name in enumerate(self.measurement.outputs):
             if name in TIP_ACCELERATIONS:
                 if accelerations is None:
-                    accelerations = self._tip_accelerations(model, runs, parameters)
+                    accelerations = tip_accelerations(self.scene, runs, model, parameters)
                 result[:, c] = accelerations[:, :, TIP_ACCELERATIONS[name]]
             else:
                 if name not in columns:
@@ -385,25 +375,6 @@ class SimulatedResponse:
                 result[good, c] = columns[name].reshape(len(complete), size)
             for each in self.measurement.filters.get(name, ()):
                 result[good, c] = each.applied(result[good, c], period)
-        return result
-
-    def _tip_accelerations(self, model: Model, runs: list[Trajectory], parameters: Mapping[str, Array]) -> Array:
-        """Return the tip accelerations (b, T, TIP_ACCELERATIONS), m/s^2, under the inputs just before each sample."""
-        own, size = varied_constants(model, len(runs), parameters), len(self.measurement.times)
-        prescribed = [i for i, motion in enumerate(self.scene.prescribed or ()) if motion is not None]
-        flags = prescribed_flags(model.n_joints, prescribed)
-        pieces, d = self.scene.pieces, model.n_dof
-        times = self.measurement.period * np.arange(size)
-        middle = 0.5 * (pieces.times[1:] + pieces.times[:-1])
-        drives = np.array([pieces.table(p) for p in range(len(middle))])
-        before = np.clip(np.searchsorted(pieces.times, times - 1e-9 * times[-1]) - 1, 0, len(middle) - 1)
-        applied = drives[before, layout.OFFSET] + drives[before, layout.SLOPE] * times[:, None]
-        result = np.full((len(runs), size, layout.TIP_ACCELERATIONS), np.nan)
-        work = layout.make_work(model.constants)
-        for i, run in enumerate(runs):
-            constants = model.constants._replace(prescribed=flags, **{name: each[i] for name, each in own.items()})
-            for state, drive, out in zip(run.states, applied, result[i], strict=False):
-                tip_accelerations(constants, work, state[:d], state[d:], drive, out)
         return result
 
 

@@ -24,15 +24,18 @@ from flexman_gym.league.scenarios import GIVEN, PLANTS, find_scenario, randomise
 
 FOLDER = Path("out/certificates")  # rows of the scenarios, in a folder for each policy
 MIN_SETTLED, MIN_SETTLED_CHANGED_ARM = 0.95, 0.9  # required share of settled episodes: same arm, changed arm
-MAX_VIBRATION_RATIO = 1.2  # allowed vibration with another simulation relative to that of the training environment
-MAX_VIBRATION_INCREASE = 1e-4  # m; allowed increase of that vibration, if larger
-SEARCH_EPISODES, SEARCH_SEED = 1000, 50_000  # number and first seed of the episodes of the search for the worst
+MAX_VIBRATION_RATIO = 1.2  # 1; largest vibration on another plant relative to that in the environment of the training
+MAX_VIBRATION_INCREASE = 1e-4  # m; increase of the vibration that is always allowed
+SEARCH_EPISODES, SEARCH_SEED = (
+    1000,
+    50_000,
+)  # number and first seed of the episodes searched for the worst ones
 LISTED_EPISODES = 5  # number of the worst episodes in the certificate
 METRIC_NAMES = ("settled", "settling_time", "vibration", "error", "roughness", "failed")
-METHOD = "gauss_2"  # order unlike that of the default method
+METHOD = "gauss_2"  # integration method whose order differs from that of the default method
 OTHER_PLANTS = {"finer": len(TEST_SEEDS), "mujoco": 8}  # plant -> largest number of episodes
 DELAYS, NOISES = (0, 1, 2, 3), (0.001, 0.003)  # control periods; fractions of the ranges of the sensors
-RANGE_EXTENSION = 0.25  # extension beyond a range of the training as a fraction of the range
+RANGE_EXTENSION = 0.25  # 1; extension of a range beyond the range of the training, as a fraction of the range
 
 
 def certify(
@@ -46,8 +49,8 @@ def certify(
     Args:
         name: name of a shipped policy, or folder of an exported one.
         seeds: seeds of the episodes of each scenario.
-        draws: number of episodes of the search for the worst ones.
-        folder: folder of the rows, with a folder for each policy; stored rows are not computed again.
+        draws: number of episodes of the search for the worst episodes.
+        folder: folder of the rows, with a subfolder for each policy; stored rows are not computed again.
         jobs: see `run_league`.
         log: function of one line of text for each scenario.
 
@@ -55,7 +58,7 @@ def certify(
         Path of the certificate.
 
     Raises:
-        ValueError: also for a task without the metric "settling_time".
+        ValueError: for anything other than an exported policy, and for a task without the metric "settling_time".
     """
     path = policy_folder(name)
     if path is None:
@@ -129,18 +132,18 @@ def certificate_row(
     """
     values = _summaries(METRIC_NAMES, rows)
     physics = "@" in scenario or f"/method={METHOD}" in scenario
-    least = MIN_SETTLED if physics or "=" not in scenario else MIN_SETTLED_CHANGED_ARM
-    why = []
+    min_settled = MIN_SETTLED if physics or "=" not in scenario else MIN_SETTLED_CHANGED_ARM
+    reasons = []
     if values["failed"]:
-        why.append("an episode ended at a limit")
-    if not (values["settled"] or 0.0) >= least:
-        why.append(f"less than {least:.0%} settle")
+        reasons.append("an episode ended at a limit")
+    if not (values["settled"] or 0.0) >= min_settled:
+        reasons.append(f"less than {min_settled:.0%} settle")
     if physics:
         before, now = METRICS["vibration"].aggregate(_values("vibration", reference)), values["vibration"]
-        most = max(MAX_VIBRATION_RATIO * before, before + MAX_VIBRATION_INCREASE)
-        if now is None or now > most:
-            why.append(f"the tip moves by more than {1e3 * most:.2g} mm")
-    return {"scenario": scenario, "seeds": [seeds.start, seeds.stop], **values, "fails": ", ".join(why)}
+        limit = max(MAX_VIBRATION_RATIO * before, before + MAX_VIBRATION_INCREASE)
+        if now is None or now > limit:
+            reasons.append(f"the tip moves by more than {1e3 * limit:.2g} mm")
+    return {"scenario": scenario, "seeds": [seeds.start, seeds.stop], **values, "fails": ", ".join(reasons)}
 
 
 def _failed_scenarios(rows: Sequence[dict[str, Any]]) -> list[str]:
@@ -163,16 +166,17 @@ def _run(name: str, scenario: str, seeds: range, folder: Path, jobs: Workers | i
 
 
 def _is_same_motion(one: Configuration, two: Configuration) -> bool:
-    """Return whether the arms have the same motion; settings of the agent, gains and reward may differ."""
+    """Return whether two environments simulate the same motion; agent settings, gains and reward may differ."""
     others = (*INTERFACE, "gains", "reward", "task")
     tasks = [{**plain_task(each.task), "reward": None} for each in (one, two)]
     return one.without(others) == two.without(others) and tasks[0] == tasks[1]
 
 
 def _changes_beyond_training(environment: Configuration, trained: Configuration) -> list[str]:
-    """Return changes of payload and stiffness beyond the ranges of the training.
+    """Return changes of payload and stiffness beyond the ranges of the training, such as "payload=20:25".
 
-    They are the ranges of the conditions or, for parameters randomised in the training, ranges next to these.
+    A parameter that the training randomised gets the range next to that of the training, any other parameter the range
+    of its condition.
     """
     trained_ranges, result = randomised_ranges(trained), []
     for condition in ("payload", "stiffness") if NAMED_ENVIRONMENTS[environment.id].conditions else ():
@@ -195,14 +199,14 @@ def _row_text(row: dict[str, Any]) -> str:
 
 
 def _worst_episodes(rows: Sequence[EpisodeRow]) -> list[dict[str, Any]]:
-    """Return the metrics of the episodes with the lowest reward; a failure lowers the reward by its penalty."""
+    """Return the metrics of the episodes with the lowest return; a failure lowers the return by its penalty."""
     at = VALUES.index("reward")
     worst = sorted(rows, key=lambda row: (row.values[at], row.seed))[:LISTED_EPISODES]
     return [{"seed": row.seed, **_summaries(("reward", *METRIC_NAMES[1:]), [row])} for row in worst]
 
 
 def _summaries(names: Sequence[str], rows: Sequence[EpisodeRow]) -> dict[str, float | None]:
-    """Return means, medians and shares by name; None for an infinite one, which JSON lacks."""
+    """Return the metrics over all rows by name; None for an infinite value, which JSON cannot represent."""
     values = {name: METRICS[name].aggregate(_values(name, rows)) for name in names}
     return {name: float(value) if np.isfinite(value) else None for name, value in values.items()}
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.computer import computer_text
-from flexman_gym.draw.style import LIGHT, LINK_COLOURS, MIDDLE, new_figure
+from flexman_gym.common.plot_style import LIGHT, LINK_COLOURS, MIDDLE, new_figure
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.evaluation.agent import BASELINES, LAWLESS_AGENTS
 from flexman_gym.evaluation.agent_info import describe_agent, training_seconds
@@ -21,19 +21,19 @@ from flexman_gym.simulation.parameters import PARAMETERS
 
 PAGE, CHART = "league.md", "league.png"
 PAYLOAD_SCENARIO = f"{DEFAULT_ID}/payload"
-BREAKDOWN_LEVEL = 0.5  # share of settled episodes, or score for a moving goal, below which an agent fails
-THRESHOLDS = np.linspace(-0.2, 1.4, 81)  # scores of the performance profiles
+BREAKDOWN_LEVEL = 0.5  # 1; share of settled episodes (moving goals: score) below which an agent fails in a scenario
+THRESHOLDS = np.linspace(-0.2, 1.4, 81)  # 1; scores at which performance profiles are evaluated
 TEMPLATE = Path(__file__).parent / "league.md"  # Jinja2
 Section = dict[str, Any]  # values for a part of the template
-MARKS = "osD^vP"  # markers of agents in a chart
-MARKER_SPACING = 0.05  # distance of two agents in a chart as a fraction of the distance of two scenarios
+MARKERS = "osD^vP"  # Matplotlib markers of the agents
+MARKER_SPACING = 0.05  # 1; horizontal distance of the markers of two agents, relative to that of two scenarios
 
 
 class _ScoreCurve(NamedTuple):
-    """Scores of an agent at k abscissae and their intervals, (k,) each; nan for no score."""
+    """Scores of an agent at k abscissae and the ends of their intervals, (k,) each; nan for no score."""
 
-    places: Array
-    middle: Array
+    abscissae: Array
+    scores: Array
     low: Array
     high: Array
 
@@ -71,7 +71,7 @@ def _page_text(standings: Standings) -> str:
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
-        recommendation=recommendation(standings),
+        recommendation=_recommendation(standings),
         block=max((cell.end - cell.first for cell in standings.results.cells.values()), default=0),
         summary=summary_rows(standings, standings.scenarios),
         absent=[f"`{each}`" for each in BASELINES if each not in standings.overall],
@@ -87,7 +87,7 @@ def _page_text(standings: Standings) -> str:
     )
 
 
-def recommendation(standings: Standings) -> str:
+def _recommendation(standings: Standings) -> str:
     """Return the recommended agent for an arm with uncertain parameters, its cost, and the scenarios where it fails."""
     if not (agents := standings.realisable(LAB_SCENARIO)):
         return f"No agent that is realisable on hardware was run in `{LAB_SCENARIO}`."
@@ -100,7 +100,7 @@ def recommendation(standings: Standings) -> str:
         *_breakdown_sentences(standings, best),
     ]
     if others:
-        won = standings.better(best, others[0], [LAB_SCENARIO])
+        won = standings.improvement_probability(best, others[0], [LAB_SCENARIO])
         lines += [f"The second is `{others[0]}`. {_settling_sentence(standings, others[0], LAB_SCENARIO)}"]
         lines += [f"The first has the larger reward in {_share(won)} of the same episodes."] if won else []
     if reference := standings.values(REFERENCE_AGENTS[1], LAB_SCENARIO, "settling_time"):
@@ -141,12 +141,12 @@ def _agent_section(standings: Standings, agent: str) -> Section:
 
 
 def summary_rows(standings: Standings, scenarios: list[str]) -> list[list[str]]:
-    """Return a row for each agent: its name, and its result in each scenario."""
+    """Return a row of a table for each agent: name, and result in each scenario."""
     return [[f"`{each}`", *(_result(standings, each, name) for name in scenarios)] for each in standings.agents]
 
 
 def _result(standings: Standings, agent: str, scenario: str, seeds: frozenset[int] | None = None) -> str:
-    """Return the share of settled episodes and the median settling time, for a moving goal the score; of some seeds."""
+    """Return the share of settled episodes and the median settling time, or the score for a moving goal."""
     if standings.why(agent, scenario):
         return "no row"
     if "settling_time" in {each.name for each in _scenario_metrics(scenario)}:
@@ -175,13 +175,13 @@ def _sweep_label(name: str) -> str:
 
 
 def _comparison(standings: Standings, scenarios: list[str], own: list[str], places: dict[str, str]) -> Section:
-    """Return results in several scenarios.
+    """Return the results of all agents in several scenarios.
 
     Args:
         standings: comparison of the agents.
         scenarios: names of the scenarios.
-        own: scenarios whose agents and episodes are compared.
-        places: description of each scenario in notes.
+        own: scenarios whose agents and episodes are selected for the comparison.
+        places: scenario -> its description in notes.
 
     Returns:
         Number of episodes, rows of the table, and notes.
@@ -215,7 +215,7 @@ def _overall_rows(standings: Standings) -> list[list[str]]:
     """Return a row for each agent with its overall score and cost."""
     count, rows = len(standings.counted), []
     for agent, after in zip(standings.agents, [*standings.agents[1:], ""], strict=True):
-        won = standings.better(agent, after, standings.counted) if after else None
+        won = standings.improvement_probability(agent, after, standings.counted) if after else None
         action, start = standings.cost(agent, standings.scenarios)
         trained = training_seconds(agent)
         rows.append([
@@ -250,7 +250,7 @@ def _scenario_section(standings: Standings, scenario: str) -> Section:
 
 
 def _notes(standings: Standings, scenario: str, times: bool) -> list[str]:
-    """Return notes on missing entries of a scenario, and on agents designed for a wrong arm."""
+    """Return notes on missing entries of a scenario, and on agents designed for the nominal arm."""
     notes = [f"`{each}` has no row: {standings.why(each, scenario)}."
              for each in standings.agents if standings.why(each, scenario)]  # fmt: skip
     if not standings.scale(scenario):
@@ -293,17 +293,17 @@ def draw_charts(standings: Standings, folder: Path, sweeps_only: bool = False) -
         _score_chart(curves, "", folder / CHART, counted, profiles)
         paths.append(folder / CHART)
     for name, values in standings.sweeps.items():
-        scenarios, places = [*values], np.array([*values.values()])
+        scenarios, abscissae = [*values], np.array([*values.values()])
         agents = [each for each in standings.agents if any(standings.score(each, scenario) for scenario in scenarios)]
-        curves = {each: _score_curve(standings, each, scenarios, places) for each in agents}
+        curves = {each: _score_curve(standings, each, scenarios, abscissae) for each in agents}
         paths.append(folder / _chart_name(name))
         _score_chart(curves, _sweep_label(name), paths[-1])
     return paths
 
 
-def _score_curve(standings: Standings, agent: str, scenarios: list[str], places: Array) -> _ScoreCurve:
+def _score_curve(standings: Standings, agent: str, scenarios: list[str], abscissae: Array) -> _ScoreCurve:
     found = np.array([standings.score(agent, scenario) or (np.nan,) * 3 for scenario in scenarios]).reshape(-1, 3)
-    return _ScoreCurve(places, *found.T)
+    return _ScoreCurve(abscissae, *found.T)
 
 
 def _scenario_metrics(scenario: str) -> tuple[Metric, ...]:
@@ -356,11 +356,11 @@ def _score_chart(
     """Draw the scores of agents, with their performance profiles if there are any.
 
     Args:
-        curves: agent -> its scores.
+        curves: agent -> scores.
         label: label of the horizontal axis.
         path: path of the picture.
-        names: names of the abscissae 0, 1 and so on; without them the abscissae are numbers and joined by lines.
-        profiles: agent -> thresholds, and shares of the episodes above them.
+        names: labels of the abscissae 0, 1, ...; without labels the abscissae are numbers, joined by lines.
+        profiles: agent -> performance profile: thresholds, and share of episodes with a score above each threshold.
 
     Raises:
         ImportError: without Matplotlib.
@@ -369,9 +369,9 @@ def _score_chart(
     panels = figure.subplots(1, 2, width_ratios=(2.0, 1.0)) if profiles else [figure.add_subplot()]
     for number, (agent, curve) in enumerate(curves.items()):
         style, shift = _line_style(number), MARKER_SPACING * (number - 0.5 * (len(curves) - 1)) if names else 0.0
-        spread = [curve.middle - curve.low, curve.high - curve.middle]
+        spread = [curve.scores - curve.low, curve.high - curve.scores]
         line = {"linestyle": "none"} if names else {}
-        panels[0].errorbar(curve.places + shift, curve.middle, spread, label=agent, capsize=2, **(style | line))
+        panels[0].errorbar(curve.abscissae + shift, curve.scores, spread, label=agent, capsize=2, **(style | line))
         if profiles and agent in profiles:
             panels[1].plot(*profiles[agent], **(style | {"marker": ""}))
     panels[0].set(ylabel="score: 0 no torque, 1 true state and parameters", xlabel=label)
@@ -384,12 +384,12 @@ def _score_chart(
         axes.spines[["top", "right"]].set_visible(False)
     for level in (0.0, 1.0):
         panels[0].axhline(level, color=MIDDLE, linewidth=0.8)
-    panels[0].set_ylim(bottom=max(-1.0, panels[0].get_ylim()[0]))  # agents that drop the arm are far below
+    panels[0].set_ylim(bottom=max(-1.0, panels[0].get_ylim()[0]))  # failed agents have scores far below
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False)
     figure.savefig(path)
 
 
 def _line_style(number: int) -> dict[str, Any]:
     again, colour = divmod(number, len(LINK_COLOURS))
-    style = {"color": LINK_COLOURS[colour], "marker": MARKS[(colour + again) % len(MARKS)]}
+    style = {"color": LINK_COLOURS[colour], "marker": MARKERS[(colour + again) % len(MARKERS)]}
     return style | {"linestyle": ("-", "--", ":")[again % 3], "linewidth": 1.4, "markersize": 5}

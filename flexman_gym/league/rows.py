@@ -32,16 +32,16 @@ from flexman_gym.league.scenarios import PLANTS, find_scenario
 Kind = TypeVar("Kind")
 PACKAGE = Path(__file__).parents[1]
 ROWS, CELLS = "rows.csv", "cells.csv"
-BLOCK = 25  # episodes simulated side by side in a cell
+BLOCK = 25  # episodes of a cell, which are simulated together as one batch
 TIME_RATIO = "multiple"  # 1; settling time relative to that of the optimised slew
 DAMPING = "damping"  # 1; equivalent damping ratio of the tip's oscillation after its first arrival
 VALUES = (*METRICS, TIME_RATIO, DAMPING)  # columns of the values of a row
-FORMER_METRICS: tuple[str, ...] = ()  # columns of metrics of earlier versions; they are skipped in older rows
-# Code that determines a row in addition to agent, scenario and packages; the texts of pages are not included.
+FORMER_METRICS: tuple[str, ...] = ()  # columns of removed metrics; they are skipped in rows of earlier versions
+# Sources on which the results in a row depend, in addition to agent, scenario and package versions.
 SOURCES = ("common/arrays.py", "kernels", "scene", "model", "simulation", "control", "envs", "metrics",
            *(f"evaluation/{name}.py" for name in ("agent", "metrics", "rollout")), "league/rows.py",
            "league/scenarios.py")  # fmt: skip
-REFERENCE_AGENTS = ("zero", "privileged-lqr")  # their mean rewards are the scores 0 and 1; run in every scenario
+REFERENCE_AGENTS = ("zero", "privileged-lqr")  # their mean returns are the scores 0 and 1; they run in every scenario
 
 
 class EpisodeRow(NamedTuple):
@@ -52,7 +52,7 @@ class EpisodeRow(NamedTuple):
         agent: name of the agent.
         scenario: name of the scenario.
         seed: seed of the episode.
-        values: an entry for each of VALUES; nan for a missing value.
+        values: values of the columns VALUES; nan for a missing value.
     """
 
     key: str
@@ -63,15 +63,15 @@ class EpisodeRow(NamedTuple):
 
 
 class EpisodeBlock(NamedTuple):
-    """Cell of a league: a block of episodes of an agent in a scenario, simulated side by side.
+    """Cell of a league: a block of episodes of one agent in one scenario, simulated together as one batch.
 
     Attributes:
         key: hash of all inputs of the results, see `row_key`.
         agent: name of the agent.
         scenario: name of the scenario.
-        first, end: first seed, and the seed after the last one.
-        action, design: CPU time of an action for one arm and of the start of an episode, microseconds.
-        why: reason for which the cell has no rows, "" if it has rows.
+        first, end: first seed, and last seed + 1.
+        action, design: CPU time of an action for one arm, and of the start of an episode, microseconds.
+        why: reason for which the cell has no rows; "" for a cell with rows.
     """
 
     key: str
@@ -92,8 +92,8 @@ class LeagueRows:
         cells: cells of the rows.
 
     Attributes:
-        rows: results of an episode by scenario, agent and seed.
-        cells: cells by scenario, agent and first seed.
+        rows: (scenario, agent, seed) -> results of the episode.
+        cells: (scenario, agent, first seed) -> cell.
     """
 
     def __init__(self, rows: Iterable[EpisodeRow] = (), cells: Iterable[EpisodeBlock] = ()) -> None:
@@ -124,14 +124,14 @@ class LeagueRows:
         return cls(_read(folder / ROWS, _row, EpisodeRow._fields[:4], (*VALUES, *FORMER_METRICS)), cells)
 
     def save(self, folder: Path) -> None:
-        """Write rows and cells, sorted, so that the files do not depend on the order of the computation."""
+        """Write rows and cells in sorted order, so that the files do not depend on the order of the computation."""
         rows = ([*row[:4], *map(repr, row.values)] for _, row in sorted(self.rows.items()))
         _write(folder / ROWS, (*EpisodeRow._fields[:4], *VALUES), rows)
         cells = (cell for _, cell in sorted(self.cells.items()))
         _write(folder / CELLS, EpisodeBlock._fields, cells)  # after the rows: a cell in the file has its rows
 
     def has(self, cell: EpisodeBlock) -> bool:
-        """Return whether a cell was run or refused with the same key."""
+        """Return whether the results contain the cell with the same key, with rows or a reason for no rows."""
         stored = self.cells.get((cell.scenario, cell.agent, cell.first))
         return stored is not None and stored.key == cell.key and stored.end >= cell.end
 
@@ -148,7 +148,7 @@ def run_league(
     agents: Sequence[str], scenarios: Sequence[str], seeds: range, folder: Path, jobs: Workers | int = 1,
     log: Callable[[str], None] = print,
 ) -> LeagueRows:  # fmt: skip
-    """Run the cells missing in a folder, and write the files of the folder after each cell.
+    """Run the cells that a folder lacks, and write the files of the folder after each cell.
 
     Args:
         agents: names of agents, see `find_agent`.
@@ -163,7 +163,7 @@ def run_league(
 
     Raises:
         FileNotFoundError: for an unknown agent or environment.
-        ValueError: also, before any simulation, for a run whose training included some of the seeds.
+        ValueError: for a run whose training used some of the seeds, before any simulation; and for an unknown scenario.
     """
     for agent in agents:
         check_seeds_unseen(agent, seeds)
@@ -185,7 +185,7 @@ def run_league(
 
 
 def run_block(cell: EpisodeBlock) -> tuple[EpisodeBlock, list[EpisodeRow]]:
-    """Run the episodes of a cell; return the cell with its CPU times, and its rows, or with the reason for no rows."""
+    """Run the episodes of a cell; return its rows and the cell with CPU times, or with the reason for no rows."""
     try:
         scenario, agent = find_scenario(cell.scenario), find_agent(cell.agent)
         lab = _is_lab(cell.scenario) and cell.agent not in REFERENCE_AGENTS
@@ -232,7 +232,7 @@ def _is_text(statement: ast.stmt) -> bool:
 
 
 def row_key(agent: str, scenario: str) -> str:
-    """Return a hash of all inputs of rows: scenario, agent, files of a run, code, and versions of packages."""
+    """Return a hash of all inputs of the results: scenario, agent, files of a run, code and package versions."""
     *both, plant = find_scenario(scenario)
     parts: list[Any] = [*(each.to_plain() for each in both), plant, _code_hash(PACKAGE, SOURCES)]
     parts += [computer_info(("mujoco",) if plant == "mujoco" else ()) | {"processor": ""}, _is_lab(scenario)]
@@ -243,7 +243,7 @@ def row_key(agent: str, scenario: str) -> str:
 
 
 def _is_lab(scenario: str) -> bool:
-    """Return whether agents of a scenario may need only information from measurements of a laboratory."""
+    """Return whether a scenario has the sensors of a laboratory, so that only realisable agents run in it."""
     where, _, change = scenario.partition("@")[0].rpartition("/")
     name = where if "=" in change else scenario.partition("@")[0]
     return policy_folder(name) is None and Configuration.find(name).settings.get("sensors") == "lab"

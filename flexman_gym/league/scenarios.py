@@ -15,8 +15,8 @@ from flexman_gym.simulation.external_simulator import ExternalIntegrator, Extern
 from flexman_gym.simulation.integrator import Integrator, default_step, find_method
 from flexman_gym.simulation.methods import METHODS
 
-METHOD, TOLERANCE = "dop853", (1e-6, 1e-9)  # method with adaptive steps; relative and absolute local error
-ELEMENTS, STEP_DIVISOR = 3, 4  # elements for each section of a link; divisor of the usual step
+METHOD, TOLERANCE = "dop853", (1e-6, 1e-9)  # adaptive integration method; its relative and absolute local error
+ELEMENTS, STEP_DIVISOR = 3, 4  # finite elements for each section of a link; divisor of the usual step
 
 
 def _set_method_plant(batch: Batch) -> None:
@@ -56,7 +56,7 @@ TASKS = ("FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexRRR-Gravity-v0", "FlexPlana
 USUAL_SCENARIOS = (DEFAULT_ID, *(f"{DEFAULT_ID}/{condition}" for condition in CONDITIONS), *TASKS)
 LAB_SCENARIO = f"{DEFAULT_ID}/unknown-lab"  # unknown arm with the sensors of a laboratory
 PLANT_SCENARIOS = [f"{each}@{plant}" for each in (DEFAULT_ID, LAB_SCENARIO) for plant in PLANTS if plant != "usual"]
-GIVEN_NOISE = 0.001  # fraction of the range of each sensor; noise for which controllers are designed in its sweep
+GIVEN_NOISE = 0.001  # fraction of the range of a sensor; noise for which controllers are designed in a noise sweep
 GIVEN = "+given"  # suffix of a scenario whose controllers are designed for the changed environment
 
 
@@ -64,11 +64,11 @@ class _ParameterChange(NamedTuple):
     """Change of an environment in the name of a scenario, such as "delay=3".
 
     Attributes:
-        text: quantity and unit, label of an axis.
+        text: changed quantity and its unit, the label of an axis.
         settings: function from an environment and the text after "=" to the changed settings.
         values: values of a sweep.
-        condition: condition of the changed environment if the name of the scenario has an id alone.
-        background: further settings of this condition, for an id alone.
+        condition: condition of the changed environment if the name of the scenario has an id without a condition.
+        background: further settings of the environment, for an id without a condition.
         always_given: whether controllers are always designed for the changed environment.
     """
 
@@ -165,12 +165,12 @@ class Scenario(NamedTuple):
 def find_scenario(name: str) -> Scenario:
     """Return the scenario of a name: ENVIRONMENT[/CHANGE=VALUE[+given]][@PLANT].
 
-    ENVIRONMENT is an id, an id and a condition, a file, or the name or folder of a policy, which stands for the
-    environment of its training. CHANGE is one of CHANGES, and VALUE a number or, for a randomised parameter, a range
-    "low:high". Controllers are designed for ENVIRONMENT without the change; "+given" has them designed for the changed
-    environment. An id without a condition takes the condition that belongs to CHANGE: "FlexRRR-v0/delay=3" is a change
-    of "FlexRRR-v0/random-delay"; "FlexRRR-v0/nominal/delay=3" is a change of the nominal environment. PLANT is one of
-    PLANTS, the integrators of the simulated arm.
+    ENVIRONMENT is an id, an id and a condition, a file, or the name or folder of a policy for the environment of its
+    training. CHANGE is one of CHANGES; VALUE is a number or, for a randomised parameter, a range "low:high".
+    Controllers are designed for ENVIRONMENT without the change; with "+given" they are designed for the changed
+    environment. For an id without a condition, the condition of CHANGE is used: "FlexRRR-v0/delay=3" is a change of
+    "FlexRRR-v0/random-delay", and "FlexRRR-v0/nominal/delay=3" is a change of the nominal environment. PLANT is one of
+    PLANTS, the simulations of the arm.
 
     Args:
         name: name of the scenario.
@@ -210,8 +210,3 @@ def _find_environment(name: str) -> Configuration:
     else:
         whole = Configuration.find(name.removesuffix(f"/{NOMINAL}"))
     return whole.without(INTERFACE)
-
-
-def sweep_scenarios(id: str, sweep: str) -> list[str]:
-    """Return the names of the scenarios of a sweep of an environment."""
-    return [f"{id}/{sweep}={value:g}" for value in SWEEPS[one_of("sweep", sweep, SWEEPS)].values]

@@ -7,6 +7,7 @@ from functools import cache, cached_property
 import numpy as np
 
 from flexman_gym.common.arrays import Array
+from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.evaluation.agent_info import describe_agent
 from flexman_gym.league.rows import REFERENCE_AGENTS, VALUES, EpisodeRow, LeagueRows
 from flexman_gym.league.scenarios import GIVEN, PLANTS, SWEEPS, USUAL_SCENARIOS, find_scenario
@@ -22,6 +23,7 @@ from flexman_gym.metrics import (
 Interval = tuple[float, float, float]  # estimate, and the ends of its bootstrap interval
 
 
+@deprecated_members(**MEMBERS["Standings"])
 @dataclass(frozen=True)
 class Standings:
     """Comparison of the agents of a league.
@@ -34,7 +36,7 @@ class Standings:
 
     @cached_property
     def scenarios(self) -> list[str]:
-        """Names of the scenarios without those of sweeps and other plants; USUAL_SCENARIOS come first."""
+        """Names of the scenarios that belong to no sweep and no other plant; USUAL_SCENARIOS come first."""
         names = dict.fromkeys(scenario for scenario, _, _ in self.results.cells if not {"=", "@"} & set(scenario))
         return [
             *(each for each in USUAL_SCENARIOS if each in names),
@@ -55,7 +57,7 @@ class Standings:
 
     @cached_property
     def plants(self) -> dict[str, list[str]]:
-        """Scenario run on other plants -> its names on all plants, in the order of PLANTS."""
+        """Scenario that was run on other plants -> its names on all plants, in the order of PLANTS."""
         names = {scenario for scenario, _, _ in self.results.cells}
         checked = dict.fromkeys(scenario.partition("@")[0] for scenario in sorted(names) if "@" in scenario)
         others = [each for each in PLANTS if each != "usual"]
@@ -63,7 +65,7 @@ class Standings:
 
     @cached_property
     def counted(self) -> list[str]:
-        """Scenarios of the overall score: those with a scale, and of two with the same episodes the first."""
+        """Scenarios of the overall score: those with a scale; of scenarios with equal environments only the first."""
         result: dict[str, str] = {}
         for scenario in self.scenarios:
             if self.scale(scenario):
@@ -72,11 +74,11 @@ class Standings:
 
     @cached_property
     def agents(self) -> list[str]:
-        """Agents by overall score, the largest first; agents without rows in some scenario come last."""
+        """Names of the agents in descending order of overall score; agents with missing scenarios come last."""
         return sorted(self.overall, key=lambda each: (len(self.missed(each)) > 0, -self.overall[each][0], each))
 
     def values(self, agent: str, scenario: str, name: str) -> dict[int, float]:
-        """Return one of VALUES for each episode of an agent in a scenario by seed; {} without rows."""
+        """Return seed -> value of the column `name`, for the episodes of an agent in a scenario; {} without rows."""
         at = VALUES.index(name)
         return {row.seed: row.values[at] for row in self._rows.get((scenario, agent), ())}
 
@@ -88,14 +90,14 @@ class Standings:
         return result
 
     def why(self, agent: str, scenario: str) -> str:
-        """Return the reason for which an agent has no rows in a scenario, "" if it has rows."""
+        """Return the reason for which an agent has no rows in a scenario; "" if there are rows."""
         if self.values(agent, scenario, "reward"):
             return ""
         reasons = [cell.why for index, cell in self.results.cells.items() if index[:2] == (scenario, agent)]
         return reasons[0] if reasons else "it was not run there"
 
     def scale(self, scenario: str) -> tuple[float, float] | None:
-        """Return the mean rewards of the scores 0 and 1 in a scenario; None if they are missing or too close."""
+        """Return the mean returns of the scores 0 and 1 in a scenario; None if they are missing or too close."""
         ends = [np.array([*self.values(each, scenario, "reward").values()]) for each in REFERENCE_AGENTS]
         if not all(map(len, ends)):
             return None
@@ -103,7 +105,7 @@ class Standings:
         return None if normalised_scores(ends[0], zero, one, _largest_reward(scenario)) is None else (zero, one)
 
     def scores(self, agents: Sequence[str], scenarios: Sequence[str]) -> Array:
-        """Return the scores (E, N, M) of E agents in N episodes, common to all of them, of M scenarios with a scale."""
+        """Return the scores (E, N, M) of E agents in M scenarios with a scale, for the N episodes common to all."""
         rewards = [[self.values(agent, scenario, "reward") for scenario in scenarios] for agent in agents]
         seeds = sorted(set.intersection(*(set(each) for row in rewards for each in row))) if scenarios else []
         shape = len(agents), len(seeds), len(scenarios)
@@ -116,7 +118,7 @@ class Standings:
         return [scenario for scenario in self.counted if not self.values(agent, scenario, "reward")]
 
     def score(self, agent: str, scenario: str) -> Interval | None:
-        """Return the score of the mean reward of an agent and its interval; None without rows or a scale."""
+        """Return the score of the mean return of an agent and its interval; None without rows or a scale."""
         if not self.scale(scenario) or self.why(agent, scenario):
             return None
         rewards = [self.values(each, scenario, "reward") for each in (agent, *REFERENCE_AGENTS)]
@@ -135,10 +137,10 @@ class Standings:
             result[agent] = float(interquartile_mean(values.ravel())), *stratified_interval(values)
         return result
 
-    def better(self, agent: str, other: str, scenarios: Sequence[str]) -> Interval | None:
-        """Return the probability of a larger reward than another agent in the same episode, and its interval.
+    def improvement_probability(self, agent: str, other: str, scenarios: Sequence[str]) -> Interval | None:
+        """Return the probability of improvement: of a larger return than another agent in the same episode.
 
-        The result is None without common episodes in scenarios with a scale.
+        The result has a bootstrap interval; it is None without common episodes in scenarios with a scale.
         """
         both = [each for each in scenarios if self.scale(each) and not self.why(agent, each) + self.why(other, each)]
         own, others = self.scores([agent, other], both)
@@ -148,7 +150,7 @@ class Standings:
         return float(won.mean()), *stratified_interval(won, mean)
 
     def settled(self, agent: str, scenario: str, seeds: Collection[int] | None = None) -> tuple[float, float]:
-        """Return the share of settled episodes and minus the median settling time (s): the larger pair is better.
+        """Return share of settled episodes and minus the median settling time; the better agent has the larger tuple.
 
         Args:
             agent: name of an agent with rows in the scenario.
@@ -177,5 +179,5 @@ class Standings:
 
 @cache
 def _largest_reward(scenario: str) -> float:
-    """Return the largest possible reward of an episode; that of a control period is at most 1."""
+    """Return the largest possible return of an episode; the reward of a control period is at most 1."""
     return float(find_scenario(scenario).environment.max_periods)

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import platform
-import warnings
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
@@ -15,6 +14,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import short_path
 from flexman_gym.common.files import READ_ERRORS, open_arrays
+from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.common.time_series import write_csv
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import ModelChoice
@@ -26,6 +26,7 @@ METADATA_KEY = "about"  # name of the metadata in a file and of their attribute
 AXES = "xyz"
 
 
+@deprecated_members(**MEMBERS["Episode"])
 @dataclass(frozen=True, eq=False)
 class Episode:
     """Record of T control periods of one arm, or of T + 1 output times of a scene; missing quantities are nan.
@@ -81,12 +82,6 @@ class Episode:
             about=episode_metadata(trajectory.model, name=name, failure=failure),
             **{each: np.full(shape, np.nan) for each, shape in missing.items()},
         )  # fmt: skip
-
-    @classmethod
-    def of_trajectory(cls, trajectory: Trajectory, name: str = "scene") -> Self:
-        """Return `from_trajectory`, its present name, with a DeprecationWarning."""
-        warnings.warn("Episode.of_trajectory is Episode.from_trajectory now", DeprecationWarning, stacklevel=2)
-        return cls.from_trajectory(trajectory, name)
 
     @cached_property
     def model(self) -> Model:

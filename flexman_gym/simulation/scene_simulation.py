@@ -6,7 +6,7 @@ time between two samples; no integration step crosses the boundary of two pieces
 
 import math
 import time as clock
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -28,6 +28,7 @@ from flexman_gym.common.checks import (
 )
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
+from flexman_gym.kernels.outputs import tip_accelerations as compute_tip_accelerations
 from flexman_gym.kernels.runge_kutta import state_derivative
 from flexman_gym.model.model import Model, check_model, scene_model
 from flexman_gym.scene.scene import Scene
@@ -39,6 +40,12 @@ from flexman_gym.simulation.integrator import MAX_STEPS, Integrator, find_method
 from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
 from flexman_gym.simulation.parameters import varied_constants
 from flexman_gym.simulation.trajectory import Kinetics, Trajectory, build_trajectory
+
+TIP_ACCELERATIONS = {  # name of a component -> column of `tip_accelerations`
+    f"{name}_{axis}": part.start + i
+    for name, part in (("tip_acceleration", layout.TIP_ACCELERATION), ("specific_force", layout.SPECIFIC_FORCE))
+    for i, axis in enumerate("xyz")
+}
 
 
 class _Interval(NamedTuple):
@@ -403,3 +410,31 @@ def _run_in_lanes(
 def _constants_of(varied: dict[str, Array], scene: int) -> dict[str, Array]:
     """Return the changed constants of one scene."""
     return {name: values[scene] for name, values in varied.items()}
+
+
+def tip_accelerations(scene: Scene, runs: Sequence[Trajectory], model: Model, parameters: Mapping[str, Array]) -> Array:
+    """Return the tip accelerations of simulations of one scene, with the torques just before each output time.
+
+    Args:
+        scene: the scene.
+        runs: b trajectories of the scene.
+        model: model of the arm.
+        parameters: values (b, ...) of the parameters of the trajectories, see `simulate_all`.
+
+    Returns:
+        (b, T, 6) m/s^2, columns as in TIP_ACCELERATIONS, see `Batch.tip_accelerations`; NaN after a failure.
+    """
+    own, size = varied_constants(model, len(runs), parameters), round(scene.duration / scene.output_step) + 1
+    flags = prescribed_flags(model.n_joints, _prescribed_joints(scene))
+    pieces, d = scene.pieces, model.n_dof
+    times = scene.output_step * np.arange(size)
+    drives = np.array([pieces.table(p) for p in range(len(pieces.times) - 1)])
+    before = np.clip(np.searchsorted(pieces.times, times - 1e-9 * times[-1]) - 1, 0, len(drives) - 1)
+    applied = drives[before, layout.OFFSET] + drives[before, layout.SLOPE] * times[:, None]
+    result = np.full((len(runs), size, layout.TIP_ACCELERATIONS), np.nan)
+    work = layout.make_work(model.constants)
+    for i, run in enumerate(runs):
+        constants = model.constants._replace(prescribed=flags, **{name: each[i] for name, each in own.items()})
+        for state, drive, out in zip(run.states, applied, result[i], strict=False):
+            compute_tip_accelerations(constants, work, state[:d], state[d:], drive, out)
+    return result

@@ -1,12 +1,12 @@
 """Simulator of one arm, one control period after another."""
 
-import warnings
 from collections.abc import Collection
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import check_magnitudes, number_array, value_error, vector
+from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
 from flexman_gym.model.model import Model
@@ -18,6 +18,7 @@ from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 from flexman_gym.simulation.trajectory import ENERGY_ALARM, Trajectory, build_trajectory
 
 
+@deprecated_members(**MEMBERS["Simulator"])
 class Simulator:
     """Simulation of one arm, one control period at a time, under inputs that are constant in each period.
 
@@ -102,11 +103,6 @@ class Simulator:
         """
         self._record = []
         self._append_record()
-
-    def keep(self) -> None:
-        """Call `record`, its present name, with a DeprecationWarning."""
-        warnings.warn("Simulator.keep is Simulator.record now", DeprecationWarning, stacklevel=2)
-        self.record()
 
     def _append_record(self) -> None:
         if self._record is not None:

@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from flexman_gym.draw.style import BLUE, GREEN, ORANGE, RED, SKY
+from flexman_gym.common.plot_style import BLUE, GREEN, ORANGE, RED, SKY
 from flexman_gym.simulation.methods import EXPLICIT, METHODS, Method
 from flexman_gym.simulation.stability import amplification_factors, spectral_radii
 

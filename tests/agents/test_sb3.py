@@ -14,16 +14,18 @@ from torch import nn
 
 from flexman_agents import callbacks
 from flexman_agents.sb3 import (
+    ACTIVATION_LAYERS,
+    DEFAULT_LOG_STD,
+    DEFAULT_NET_ARCH,
     EXPLORATION_CALLBACK,
     ZOO_FOLDER,
     action_function,
-    algorithm_arguments,
     load_sb3,
     make_model,
     write_zoo_files,
     zoo_hyperparameters,
 )
-from flexman_agents.settings import RECIPES, find_recipe
+from flexman_agents.settings import DEFAULT_HYPERPARAMETERS, RECIPES, find_recipe
 from flexman_gym.__main__ import main
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import AgentSpec, find_agent, rollout
@@ -94,9 +96,15 @@ def test_an_entry_makes_the_same_environment_and_the_same_algorithm(name):
     assert (entry.pop("n_envs"), entry.pop("n_timesteps")) == (settings.envs, settings.steps)
     assert entry.pop("normalize") == {"norm_obs": True, "norm_reward": settings.normalise_reward}
     policy = eval(entry.pop("policy_kwargs"), {"nn": nn})
-    chosen = algorithm_arguments(settings)
-    assert policy == chosen.pop("policy_kwargs")
-    exploration, rate = entry.pop("callback", None), chosen.pop("learning_rate")
+    chosen = DEFAULT_HYPERPARAMETERS[settings.algo] | dict(settings.hyperparameters)
+    names = ("net_arch", "log_std_init", "ortho_init", "activation")
+    own = {"net_arch": DEFAULT_NET_ARCH, "log_std_init": DEFAULT_LOG_STD[settings.algo]}
+    own |= {each: chosen.pop(each) for each in names if each in chosen}
+    if "activation" in own:
+        own["activation_fn"] = ACTIVATION_LAYERS[own.pop("activation")]
+    assert policy == own
+    fixed = chosen.pop("learning_rate", None)
+    exploration, rate = entry.pop("callback", None), settings.schedule("learning_rate") or (lambda _: fixed)
     if exploration is not None:
         made = callbacks.Exploration(**exploration[EXPLORATION_CALLBACK])
         assert made._schedule in map(settings.schedule, settings.schedules) and made._steps == settings.steps

@@ -12,7 +12,7 @@ import pytest
 
 from flexman_agents import callbacks
 from flexman_agents.callbacks import Evaluation
-from flexman_agents.sb3 import algorithm_arguments, make_model
+from flexman_agents.sb3 import make_model
 from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, write_npz
@@ -171,11 +171,11 @@ def test_the_best_policy_is_the_one_that_acts(trained, tmp_path):
 
 
 def test_hyperparameters_are_those_of_the_settings_before_the_defaults():
-    chosen = algorithm_arguments(replace(SHORT, hyperparameters={"gamma": 0.9, "activation": "relu", "n_steps": 10}))
-    assert chosen["gamma"] == 0.9 and chosen["gae_lambda"] == 0.99 and chosen["n_steps"] == 10
-    assert chosen["batch_size"] == 20, "not more than two arms give in ten steps"
-    assert chosen["policy_kwargs"]["activation_fn"].__name__ == "ReLU"
-    assert chosen["policy_kwargs"]["net_arch"] == [128, 128] and "activation" not in chosen
+    model = make_model(replace(SHORT, hyperparameters={"gamma": 0.9, "activation": "relu", "n_steps": 10}))
+    assert model.gamma == 0.9 and model.gae_lambda == 0.99 and model.n_steps == 10
+    assert model.batch_size == 20, "not more than two arms give in ten steps"
+    assert model.policy_kwargs["activation_fn"].__name__ == "ReLU"
+    assert model.policy_kwargs["net_arch"] == [128, 128]
 
 
 @pytest.mark.parametrize("normalised", [True, False])

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
+from flexman_gym.common.plot_style import rgb
 from flexman_gym.draw.frames import GHOST, GHOST_SHARE, PAYLOAD, TARGET, TIP, FramePainter, arm_frame, grid
-from flexman_gym.draw.mesh import CYLINDER, RING, SPHERE, section_outlines, tube_faces, tube_surfaces
+from flexman_gym.draw.mesh import CYLINDER, RING, SPHERE, section_outlines, tube_surfaces
 from flexman_gym.draw.overlay import Caption, strain_colours, write_title
-from flexman_gym.draw.style import rgb
 
 ARM = fm.catalog.paper_rrr()
 MODEL = fm.build_model(ARM, modes=4)
@@ -112,7 +112,7 @@ def test_all_points_are_between_the_edges_and_two_of_them_touch(size):
 
 def test_surfaces_are_closed_and_point_outwards():
     straight = fm.curves(ONE, np.zeros(2 * ONE.n_dof), 5)
-    links = (*tube_surfaces(straight, section_outlines(ONE, 5))[:2], tube_faces(1, 5))
+    links, _ = tube_surfaces(straight, section_outlines(ONE, 5))
     for points, normals, faces in (links, CYLINDER, SPHERE, RING):
         a, b, c = (points[faces[:, k]] for k in range(3))
         across = np.cross(b - a, c - a)
@@ -126,14 +126,14 @@ def test_sections_turn_with_the_twist_and_show_the_strain_of_bending():
     """-y v'' + z (-w'') at the true edge of the section, and y turns towards z under a positive moment."""
     sections, link = section_outlines(ONE, 5), fm.catalog.one_link().links[0]
     state = force([0.0, 7.0, 0.0, 0.0, 0.0, 0.0])
-    points, _, strain = tube_surfaces(fm.curves(ONE, state, 5), sections)
+    tubes, strain = tube_surfaces(fm.curves(ONE, state, 5), sections)
     edge = np.abs(sections[0].gauges[..., 0]).max()
     expected = 7.0 * link.length * edge / (link.youngs_modulus * link.second_moment_z)
     root = strain.reshape(5, -1)[0]
     assert root.max() == pytest.approx(expected) and root.min() == pytest.approx(-expected)
-    assert points.reshape(5, -1, 3)[0, root.argmin(), 1] > 0.0, "bent to +y, compressed there"
-    twisted, _, _ = tube_surfaces(fm.curves(ONE, force([0, 0, 0, 30.0, 0, 0]), 5, 20.0), sections)
-    first, last = twisted.reshape(5, -1, 3)[[0, -1], :, 1:]
+    assert tubes.points.reshape(5, -1, 3)[0, root.argmin(), 1] > 0.0, "bent to +y, compressed there"
+    twisted, _ = tube_surfaces(fm.curves(ONE, force([0, 0, 0, 30.0, 0, 0]), 5, 20.0), sections)
+    first, last = twisted.points.reshape(5, -1, 3)[[0, -1], :, 1:]
     assert (first[:, 0] * last[:, 1] - first[:, 1] * last[:, 0] > 0.0).all(), "counter-clockwise about +x"
 
 

@@ -204,11 +204,12 @@ def test_deprecated_attributes_of_environments_and_views_warn():
         (view, "heavy", "has_gravity"),
         (view, "places", "slices"),
     ):
-        with pytest.warns(DeprecationWarning, match=f"{old} is deprecated; give {name}$"):
+        with pytest.warns(DeprecationWarning, match=rf"{type(holder).__name__}\.{old} is .*{name} now$") as caught:
             assert getattr(holder, old) is getattr(holder, name)
-    with pytest.warns(DeprecationWarning, match="give single$"):
+        assert [each.filename for each in caught] == [__file__]
+    with pytest.warns(DeprecationWarning, match="View.alone is View.single now$"):
         assert view.alone() is view.single()
-    with pytest.warns(DeprecationWarning, match="give inverse_kinematics$"):
+    with pytest.warns(DeprecationWarning, match="View.inverse_kinematics now$"):
         assert view.reaching.__func__ is view.inverse_kinematics.__func__
 
 
@@ -227,7 +228,7 @@ def test_a_deprecated_name_means_the_present_one_and_warns_where_a_user_gives_it
         lambda: Configuration.find(str(tmp_path / "own.yaml")),
         lambda: Configuration("FlexOne-v0").changed([f"{old}={value}"]),
     ):
-        with pytest.warns(DeprecationWarning, match=f"^{old} is deprecated; give {name}$") as caught:
+        with pytest.warns(DeprecationWarning, match=f"^{old} is {name} now$") as caught:
             made = make()
         assert made == Configuration("FlexOne-v0", {name: value}) and made.settings == {name: value}
         assert [each.filename for each in caught] == [__file__]

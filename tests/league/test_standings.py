@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flexman_gym.evaluation.agent import BASELINES
-from flexman_gym.league.page import CHART, PAGE, recommendation, write_page
+from flexman_gym.league.page import CHART, PAGE, write_page
 from flexman_gym.league.rows import VALUES, EpisodeBlock, EpisodeRow, LeagueRows
 from flexman_gym.league.scenarios import LAB_SCENARIO
 from flexman_gym.league.standings import Standings
@@ -17,6 +17,11 @@ def page_text(standings, folder):
     """Return the page of the rows of standings."""
     write_page(standings.results, folder)
     return (folder / PAGE).read_text(encoding="utf-8")
+
+
+def recommended(standings, folder):
+    """Return the recommendation of the page."""
+    return page_text(standings, folder).partition("## Choose an agent\n")[2].partition("\n## ")[0].strip()
 
 
 def book(rewards=REWARDS, scenarios=(NOMINAL, UNKNOWN, LAB_SCENARIO), settled=None, count=12, spread=10.0):
@@ -65,9 +70,9 @@ def test_there_is_no_scale_where_its_ends_are_close_or_missing(tmp_path):
 
 def test_better_is_asked_in_the_same_episode():
     known = standing()
-    assert known.better("lqg", "pd", [NOMINAL, UNKNOWN]) == (1.0, 1.0, 1.0)
-    assert known.better("pd", "lqg", [NOMINAL]) == (0.0, 0.0, 0.0)
-    assert known.better("pd", "lqr", ["nowhere"]) is None
+    assert known.improvement_probability("lqg", "pd", [NOMINAL, UNKNOWN]) == (1.0, 1.0, 1.0)
+    assert known.improvement_probability("pd", "lqg", [NOMINAL]) == (0.0, 0.0, 0.0)
+    assert known.improvement_probability("pd", "lqr", ["nowhere"]) is None
 
 
 def test_an_agent_that_misses_a_scenario_comes_last():
@@ -82,24 +87,24 @@ def test_agents_without_common_episodes_are_not_compared(tmp_path):
     one, two = book({"zero": 100.0, "privileged-lqr": 300.0}), book({"pd": 200.0})
     moved = [row._replace(seed=row.seed + 1000) for row in two.rows.values()]
     known = Standings(LeagueRows([*one.rows.values(), *moved], [*one.cells.values(), *two.cells.values()]))
-    assert known.score("pd", NOMINAL) is None and known.better("pd", "zero", [NOMINAL]) is None
+    assert known.score("pd", NOMINAL) is None and known.improvement_probability("pd", "zero", [NOMINAL]) is None
     assert "| `pd` |" in page_text(known, tmp_path)
 
 
-def test_the_one_to_take_settles_most_and_first_and_is_given_no_truth():
+def test_the_one_to_take_settles_most_and_first_and_is_given_no_truth(tmp_path):
     times = {("pd", LAB_SCENARIO): np.inf, ("lqg", LAB_SCENARIO): 4.0, ("lqr", LAB_SCENARIO): 2.0}
     times["lqg", FRICTION] = np.inf
     known = standing(scenarios=(NOMINAL, UNKNOWN, LAB_SCENARIO, FRICTION), settled=times)
     assert known.realisable(LAB_SCENARIO) == ["lqg", "pd"]
-    said = recommendation(known)
+    said = recommended(known, tmp_path)
     assert said.startswith("For an arm with unknown payload, stiffness and delay (`FlexRRR-v0/unknown-lab`), use `lqg`")
     for words in ("settles 100 % of the episodes, half of them within 4.00 s", "needs: model",
                   "An action takes 12 microseconds, and the start of an episode 3 ms", "is `pd`. It settles 0 % of",
                   "true state and parameters is 3.00 s", "fails in `friction`"):  # fmt: skip
         assert words in said, words
     quicker = standing(settled={("pd", LAB_SCENARIO): 2.9})
-    assert quicker.realisable(LAB_SCENARIO) == ["pd", "lqg"] and "fails in none" in recommendation(quicker)
-    assert "No agent that is realisable on hardware" in recommendation(standing(scenarios=(NOMINAL,)))
+    assert quicker.realisable(LAB_SCENARIO) == ["pd", "lqg"] and "fails in none" in recommended(quicker, tmp_path)
+    assert "No agent that is realisable on hardware" in recommended(standing(scenarios=(NOMINAL,)), tmp_path)
 
 
 def test_no_cell_of_the_page_is_empty_without_a_sentence(tmp_path):

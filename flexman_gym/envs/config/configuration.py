@@ -8,7 +8,7 @@ from typing import Any, NoReturn, Self
 
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of, positive, sequence, short_path, text, value_error, vector
-from flexman_gym.common.renamed import current_methods, deprecated_names, warn_deprecated
+from flexman_gym.common.renamed import current_methods, deprecated_names, rename_keys
 from flexman_gym.control.margins import first_order_lag
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.envs.config.named_environments import (
@@ -51,7 +51,7 @@ class Configuration(EnvironmentSettings):
         named, given = NAMED_ENVIRONMENTS[one_of("id", id, NAMED_ENVIRONMENTS)], dict(settings or {})
         if given.pop("condition", NOMINAL) != NOMINAL:
             given = {**condition_settings(id, settings["condition"]), **given}  # type: ignore[index]
-        given = _rename_keys(given, True)
+        given = _present_settings(given, True)
         _refuse_unknown(given)
         if isinstance(given.get("arm"), str) and given["arm"].endswith(SUFFIXES):
             given["arm"] = to_plain(find_arm(given["arm"], folder))
@@ -136,7 +136,7 @@ class Configuration(EnvironmentSettings):
             folder: folder for the relative path of a file with an arm.
             warn: warn of deprecated names, as in files of earlier versions.
         """
-        settings = _rename_keys(data, warn)
+        settings = _present_settings(data, warn)
         return cls(settings.pop("id", DEFAULT_ID), settings, folder)
 
     @classmethod
@@ -250,7 +250,7 @@ class Configuration(EnvironmentSettings):
     @classmethod
     def _from_changes(cls, data: object, changes: Sequence[str], folder: Path = Path(), warn: bool = False) -> Self:
         """Return the configuration of a mapping with changes, checked after the last one."""
-        data = _rename_keys(data, warn)
+        data = _present_settings(data, warn)
         for change in sequence("--set", changes, "texts"):
             name, equals, written = text("--set", change).partition("=")
             if not equals or not all(part.isidentifier() for part in name.split(".")):
@@ -262,7 +262,7 @@ class Configuration(EnvironmentSettings):
                     "--set", change, "a value that is a number, a text, [a, list] or {a: mapping}"
                 ) from None
             first, *rest = name.split(".")
-            first = current_name(first)
+            first = next(iter(rename_keys({first: None}, RENAMED)))
             if name == "condition":  # replaces earlier settings of the same names
                 data |= condition_settings(data["id"], value)
                 continue
@@ -321,23 +321,14 @@ _LINES = (f"        {name}: {each.help}" + f" ({each.unit})" * bool(each.unit) f
 Configuration.__doc__ = "\n".join([f"{Configuration.__doc__}\n    Attributes:", *_LINES])
 
 
-def current_name(name: str, warn: bool = True) -> str:
-    """Return the present name of a setting; warn of a deprecated one at the caller outside the libraries."""
-    if name in RENAMED and warn:
-        warn_deprecated(f"{name} is deprecated; give {RENAMED[name]}")
-    return RENAMED.get(name, name)
-
-
-def _rename_keys(data: object, warn: bool) -> dict[str, Any]:
+def _present_settings(data: object, warn: bool) -> dict[str, Any]:
     """Return a mapping with "id" and settings under their present names."""
     if not isinstance(data, dict):
         raise value_error("environment", data, "a mapping with id and settings")
     for name, value in data.items():
         if text("a key of environment", name) == "name":
             raise value_error(name, value, "it as id")
-        if current_name(name, False) != name and current_name(name, False) in data:
-            raise value_error(name, value, f"{current_name(name, False)} only, its present name")
-    result = {current_name(name, warn): value for name, value in data.items()}
+    result = rename_keys(data, RENAMED, warn, nested=False)
     if isinstance(result.get("method"), str):
         result["method"] = current_methods(result["method"], warn)
     return result
@@ -348,8 +339,9 @@ def _refuse_unknown(settings: Mapping[str, Any], others: Collection[str] = ()) -
     known = {*SETTINGS, *RENAMED, "condition", *others}
     for name, value in settings.items():
         if name not in known:
-            near = current_name(get_close_matches(name, sorted(known), 1, 0.0)[0], False)
-            allowed = f"a setting: the nearest is {near}; all: {' '.join(sorted([*SETTINGS, *others]))}"
+            nearest = get_close_matches(name, sorted(known), 1, 0.0)[0]
+            nearest = RENAMED.get(nearest, nearest)
+            allowed = f"a setting: the nearest is {nearest}; all: {' '.join(sorted([*SETTINGS, *others]))}"
             raise value_error(name, value, HINTS.get(name, allowed))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from flexman_gym.common import files
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.draw.style import BLUE, LIGHT, MIDDLE, ORANGE, RED, new_figure
+from flexman_gym.common.plot_style import BLUE, LIGHT, MIDDLE, ORANGE, RED, new_figure
 from flexman_gym.draw.video import side_by_side, write_video
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import Slew

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.draw.style import BLUE, LIGHT, MIDDLE, new_figure
+from flexman_gym.common.plot_style import BLUE, LIGHT, MIDDLE, new_figure
 from studies.machine.measure import COUPLED, CURRENT, FIT, HALF, MUJOCO, SCORE, SHEET, FitRow
 
 STAGE_1_PICTURE, STAGES_PICTURE = "machine_stage_1.png", "machine_stages.png"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import flexman_gym as fm
 from flexman_gym.common.computer import computer_text
-from flexman_gym.draw.style import BLUE, GREEN, MIDDLE, ORANGE, RED, SKY
+from flexman_gym.common.plot_style import BLUE, GREEN, MIDDLE, ORANGE, RED, SKY
 from studies.markdown import introduced_table
 from studies.methods import BLACK, PINE, PINK, PURPLE
 from studies.peers.measure import PEERS, ROUNDS, decays, of_peers

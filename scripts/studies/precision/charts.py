@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from flexman_gym.draw.style import BLUE, DARK, LIGHT, MIDDLE, ORANGE, RED, SKY, new_figure
+from flexman_gym.common.plot_style import BLUE, DARK, LIGHT, MIDDLE, ORANGE, RED, SKY, new_figure
 from studies.methods import line_styles, methods_of
 from studies.precision.measure import OK, PrecisionRow, pareto_front
 

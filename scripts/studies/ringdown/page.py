@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.draw.style import DARK, LIGHT, MIDDLE, new_figure
+from flexman_gym.common.plot_style import DARK, LIGHT, MIDDLE, new_figure
 from studies.methods import line_styles, methods_of
 from studies.ringdown.measure import IMPULSE, RELEASE, SLEW, UNDAMPED, RingDownRow
 

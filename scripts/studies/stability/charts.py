@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.draw.style import DARK, LIGHT, MIDDLE, RED, SKY, YELLOW, new_figure
+from flexman_gym.common.plot_style import DARK, LIGHT, MIDDLE, RED, SKY, YELLOW, new_figure
 from flexman_gym.simulation.methods import METHODS
 from studies.methods import line_styles, methods_of
 from studies.stability.measure import (

@@ -1,4 +1,4 @@
-"""Style: colours of all plots and pictures, and Matplotlib figures without a window."""
+"""Style of plots: colours of all plots and pictures, and Matplotlib figures without a window."""
 
 from typing import Any
 
