@@ -220,18 +220,7 @@ class MPC:
 
 
 def solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array, low: Array, high: Array) -> Array:
-    """Return x (m,) with least x H x / 2 + g x between low and high, (m,) each; 0, clipped, if the solver fails.
-
-    Args:
-        daqp: solver package.
-        curvature: H, (m, m).
-        gradient: g, (m,).
-        low: (m,) lower bounds.
-        high: (m,) upper bounds.
-
-    Returns:
-        Solution (m,).
-    """
+    """Return x (m,) between low and high with least x H x / 2 + g x, curvature H (m, m), gradient g; 0 on failure."""
     changes, _, status, _ = daqp.solve(curvature, gradient, np.zeros((0, len(gradient))), high, low)
     return np.array(changes) if status > 0 else np.clip(np.zeros(len(gradient)), low, high)
 

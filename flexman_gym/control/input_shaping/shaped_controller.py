@@ -152,16 +152,7 @@ class InputShapedController:
 
 
 class _Command:
-    """Shaped command of one arm over K control periods, and its differences from the goal in readings.
-
-    Args:
-        model: model of the arm.
-        period: control period, s.
-        angles: (K, n) shaped motor angles, rad.
-        rates: (K, n) shaped motor rates, rad/s.
-        goals: (K, n) motor angles of the goal, rad.
-        goal_rates: (K, n) motor rates of the goal, rad/s.
-    """
+    """Shaped command of one arm, angles (K, n) rad and rates, and its differences from the goal, (K, n) each."""
 
     def __init__(
         self, model: Model, period: float, angles: Array, rates: Array, goals: Array, goal_rates: Array
