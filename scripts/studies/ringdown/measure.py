@@ -201,7 +201,7 @@ def percentiles(energy: Array, tip: Array) -> dict[str, float]:
 
 
 # Compared with the default: methods of similar cost or higher accuracy.
-OTHERS = (("gauss_3", PERIOD), ("midpoint_2", PERIOD / 5), ("gauss_2", PERIOD / 2),
+OTHERS = (("midpoint_3", PERIOD / 3), ("gauss_3", PERIOD), ("midpoint_2", PERIOD / 5), ("gauss_2", PERIOD / 2),
           ("gauss_3", PERIOD / 2))  # fmt: skip
 KINDS, EARLY, WITHIN = (RELEASE, BENT, IMPULSE, SLEW), 1.0, 0.02  # s; share of the energy
 
