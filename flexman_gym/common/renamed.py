@@ -83,6 +83,7 @@ STATE_FIELDS = {
     "_looked": "_updated", "_own_coordinates": "_adapted_coordinates", "_own_torques": "_adapted_torques",
     "_pushed": "_filtering", "_residuals": "_detector", "_soft": "_compliance", "_tight": "_holding",
     "ahead": "clock_offset", "begun": "start_time", "lasting": "duration", "pace": "time_scaling",
+    "plan": "episode_parameters",
     "quickening": "pace_rate", "shape": "shaping", "wanted": "action", "way": "displacement",
 }  # fmt: skip
 """Old field of a saved state -> present field."""
@@ -97,11 +98,14 @@ MEMBERS = {
     "ActionMode": {"shown": "observation_sizes", "look": "observe"},
     "Task": {"figures": "metrics"},
     "FlexManEnv, FlexManVectorEnv": {"setup": "configuration"},
-    "View": {"alone": "single", "heavy": "has_gravity", "places": "slices", "reaching": "inverse_kinematics"},
+    "View": {
+        "alone": "single", "heavy": "has_gravity", "places": "slices", "plan": "episode_parameters",
+        "reaching": "inverse_kinematics",
+    },
     "Simulator": {"keep": "record"},
     "Episode": {"of_trajectory": "from_trajectory"},
     "TrainingReport": {"figures": "metrics"},
-}
+}  # fmt: skip
 """Class or protocol -> old member -> present member; the class itself accepts the old one."""
 ARGUMENTS = {
     "diagnose": {"entrant": "agent"}, "evaluate": {"entrant": "agent"},

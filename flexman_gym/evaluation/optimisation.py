@@ -12,6 +12,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.parallel import Workers, parallel_map
+from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.lqr import LQR
 from flexman_gym.control.margins import Margins, SampledLoop, has_margins, margins, sampled_loops
 from flexman_gym.control.pd import PD, stability_limit
@@ -23,7 +24,7 @@ from flexman_gym.control.references.optimised_slews import (
 )
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_controller
+from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.agent import split_interface
 from flexman_gym.evaluation.metrics import METRICS
@@ -161,7 +162,9 @@ def _cell_rewards(cell: tuple[Configuration, Array, int]) -> Array:
     n = gains.shape[1] // 2
     stiffness, damping = np.split(np.repeat(gains, episodes, axis=0), 2, axis=1)
     setup, zeros = environment, [0.0] * n
-    base = make_controller(setup, {"kind": "pd", "stiffness": zeros, "damping": zeros}, resolve_fidelity(setup).model)
+    base = make_base(
+        {"kind": "pd", "stiffness": zeros, "damping": zeros}, make_plant(setup, resolve_fidelity(setup).model)
+    )
     assert isinstance(base, PD)
     base.stiffness, base.damping = stiffness, damping  # (b, n): one row for each arm, which settings cannot give
     rewards = rollout(base, environment, np.tile(np.arange(episodes), len(gains)).tolist()).rewards
@@ -228,7 +231,10 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
 
     draws: list[Array] = []
     tracked = rollout(
-        "lqr-tracking", environment, missing, lambda episodes: _record_start_and_goal(draws, episodes.view.plan)
+        "lqr-tracking",
+        environment,
+        missing,
+        lambda episodes: _record_start_and_goal(draws, episodes.view.episode_parameters),
     )
     for seed, ends, record in zip(missing, draws, tracked.records, strict=True):
         begun = time.process_time()
@@ -241,7 +247,7 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
         yield _SlewResult(seed, reached, SETTLING.evaluate([record]), seconds)
 
 
-def _record_start_and_goal(draws: list[Array], plan: Mapping[str, Array]) -> None:
+def _record_start_and_goal(draws: list[Array], parameters: Mapping[str, Array]) -> None:
     """Append start and goal (2, n), rad, of each of the first episodes."""
     if not draws:
-        draws += list(np.stack([plan["start"], plan["goal_angles"]], axis=1))
+        draws += list(np.stack([parameters["start"], parameters["goal_angles"]], axis=1))

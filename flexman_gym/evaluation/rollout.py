@@ -189,7 +189,7 @@ def rollout(
     episodes.agent.check_law(spec.law)
     venv.reset(seed=numbers)  # type: ignore[arg-type]
     recorder.begin()
-    episodes.watch = recorder.record
+    episodes.callback = recorder.record
     while not recorder.ends.all():  # `venv.step` would reset each arm at the end of its episode
         outputs = np.zeros(size) if spec.law is None else spec.law(episodes.agent.observations.copy())
         commands = np.asarray(outputs, dtype=np.float32)
