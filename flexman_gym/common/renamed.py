@@ -102,6 +102,7 @@ MEMBERS = {
         "alone": "single", "heavy": "has_gravity", "places": "slices", "plan": "episode_parameters",
         "reaching": "inverse_kinematics",
     },
+    "Rollout": {"about": "metadata"},
     "Simulator": {"keep": "record"},
     "Episode": {"of_trajectory": "from_trajectory"},
     "TrainingReport": {"figures": "metrics"},
@@ -109,7 +110,9 @@ MEMBERS = {
 """Class or protocol -> old member -> present member; the class itself accepts the old one."""
 ARGUMENTS = {
     "diagnose": {"entrant": "agent"}, "evaluate": {"entrant": "agent"},
-    "export_policy": {"words": "description", "venue": "environment"}, "record_dataset": {"entrant": "agent"},
+    "export_policy": {"words": "description", "venue": "environment"}, "move_band": {"part": "fraction"},
+    "normalised_scores": {"rewards": "returns", "most": "largest"}, "paired_score": {"rewards": "returns"},
+    "record_dataset": {"entrant": "agent"}, "remaining_energy": {"of": "reference"},
     "resume": {"judge_every": "eval_every"}, "rollout": {"entrant": "agent", "watch": "callback", "moved": "set_plant"},
     "write_onnx": {"entrant": "agent"},
 }  # fmt: skip
