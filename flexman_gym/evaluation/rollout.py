@@ -171,8 +171,8 @@ def rollout(
         set_plant: function that replaces the integrator of the simulated `Batch`, see `league.scenarios.PLANTS`.
 
     Returns:
-        Records of b episodes of at most T control periods, such as tips (b, T + 1, 3) m, errors (b, T + 1) m, torques
-        (b, T, n) N m and actions (b, T, n) as fractions of the torque limits; see `Rollout`.
+        Records of b episodes of at most T control periods: tips (b, T + 1, 3) m, errors (b, T + 1) m, torques
+        (b, T, n) N m, actions (b, T, n) as fractions of the torque limits, the control period (s), and more.
 
     Raises:
         FileNotFoundError: for an unknown agent or environment.
