@@ -69,9 +69,8 @@ class ActiveEffects:
 
     @drawn.setter
     def drawn(self, values: dict[str, NDArray[Any]]) -> None:
-        self._drawn = {
-            PARAMETER_KEYS.get(name, name): each for name, each in values.items()
-        }  # saved states of release 0.2 have old names
+        # saved states of release 0.2 have old names
+        self._drawn = {PARAMETER_KEYS.get(name, name): each for name, each in values.items()}
 
     def _find_hooks(self, hook: str) -> list[Any]:
         """Return the methods of all effects for a hook; for "begin" pairs of the name of the effect and its method."""

@@ -36,13 +36,8 @@ ROUNDING = 1e-6  # largest rounding error of float32 actions near 1
 def validate_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:
     """Return actions as a new array of float64, after a check of their shape and of the range -1 to 1.
 
-    Values beyond the range by less than 1e-6, the rounding of float32, are clipped.
-
-    Args:
-        name: name of the argument in the error message.
-        value: actions.
-        shape: required shape.
-        allowed: allowed values in the error message.
+    Values beyond the range by less than 1e-6, the rounding of float32, are clipped. The error message contains the name
+    of the argument and the allowed values.
     """
     if isinstance(value, np.ndarray) and value.shape == shape and value.dtype.kind == "f":
         actions = value.astype(np.float64, order="C")
@@ -394,7 +389,7 @@ class Episodes:
         The built-in `sum` compensates rounding errors of floats, but not of arrays. The reward of a single arm would
         then differ in the last bit from its reward in a batch.
         """
-        result = reduce(add, self.reward_terms.values(), 0.0)
+        result: Number = reduce(add, self.reward_terms.values(), 0.0)
         return result if isinstance(result, np.ndarray) and result.ndim else np.array([result] * len(self.over))
 
     def info(self) -> dict[str, Any]:
@@ -408,9 +403,7 @@ class Episodes:
             "energy_residual": residual,
             "energy_alarm": energy_alarm(residual, view.energy_turnover, self._energy_alarm),
             "reward_terms": dict(self.reward_terms),
-            **{
-                name: copy(value) for name, value in self.task.info(view).items()
-            },  # a copy, as the arrays of a view change
+            **{name: copy(value) for name, value in self.task.info(view).items()},  # the arrays of a view change
             **{name: copy(getattr(view, name)) for name in self._info_keys},
         }
 

@@ -13,14 +13,10 @@ TRUNCATION = 4.0  # standard deviations; largest magnitude of the noise
 
 
 class RandomStreams:
-    """Random generators for each name and each of b arms, seeded by the name and the seed of the arm.
+    """Random generators for each name and each arm, seeded by the name and the seed of the arm.
 
     Nothing is drawn from the arm's own generator. A further name therefore changes neither the remaining streams nor
     start and goal of an episode.
-
-    Args:
-        names: names of the streams.
-        arms: number of arms b.
     """
 
     state_fields = ("_streams",)

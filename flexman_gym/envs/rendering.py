@@ -68,12 +68,9 @@ class _Renderer:
         view, model = self._episodes.view, self._episodes.batch.model
         period = self._episodes.agent.action_repeat * view.control_period
         if self.screen is None:
-            shown = self._painter
-            self.screen = (
-                Window(shown.size, self._title, period)
-                if _has_display()
-                else LivePage(model, self._title, period, shown.scale)
-            )
+            size, scale = self._painter.size, self._painter.scale
+            window = _has_display()
+            self.screen = Window(size, self._title, period) if window else LivePage(model, self._title, period, scale)
         if isinstance(self.screen, Window):
             return self.screen.show(self.frame(0))
         if self._is_new(0) or self._episodes.batch.time[0] == 0.0:

@@ -7,7 +7,6 @@ from copy import deepcopy
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from gymnasium import Space
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
@@ -41,7 +40,7 @@ class StatefulEnv:
         The state contains the motion, the episode and the parameters of every arm, the state of effects and agent, and
         all random generators. A second environment with the same arguments continues from this state bit for bit.
         """
-        spaces = {name: get_state(_space(self, name)._np_random) for name in self.spaces}
+        spaces = {name: get_state(getattr(self, name)._np_random) for name in self.spaces}
         fields = {name: get_state(getattr(self, name)) for name in self.state_fields}
         return {**fields, **spaces, "episodes": get_state(self.episodes), "agent": get_state(self.episodes.agent)}
 
@@ -71,7 +70,7 @@ class StatefulEnv:
         for name, value in fields.items():
             setattr(self, name, value)
         for name, random in spaces.items():
-            _space(self, name)._np_random = random
+            getattr(self, name)._np_random = random
         return self.episodes.agent.observations.copy()
 
     @contextmanager
@@ -128,9 +127,4 @@ def _restored(kind: type[Any], arguments: dict[str, Any], spec: Any, state: dict
     result = kind(**arguments)
     result.spec = spec
     result.set_state(state)
-    return result
-
-
-def _space(env: object, name: str) -> Space[Any]:
-    result: Space[Any] = getattr(env, name)
     return result

@@ -159,18 +159,12 @@ class View:
 
     @property
     def tip_acceleration(self) -> Array:
-        """Acceleration (b, 3) of the tip in the base frame, m/s^2.
-
-        It is computed at each access, see `Batch.tip_accelerations`.
-        """
+        """Acceleration (b, 3) of the tip in the base frame, m/s^2, computed at each access by `Batch`."""
         return self._accelerations(layout.TIP_ACCELERATION)
 
     @property
     def specific_force(self) -> Array:
-        """Reading (b, 3) of an accelerometer at the tip, m/s^2.
-
-        It is computed at each access, see `Batch.tip_accelerations`.
-        """
+        """Reading (b, 3) of an accelerometer at the tip, m/s^2, computed at each access by `Batch`."""
         return self._accelerations(layout.SPECIFIC_FORCE)
 
     def _accelerations(self, columns: slice) -> Array:
@@ -212,10 +206,7 @@ class View:
 
     def rest_tips(self, postures: Array) -> Array:
         """Return the tip positions (r, 3), m, of the arm at rest under gravity at motor angles (r, n), rad."""
-        model = self._batch.model
-        if not self.has_gravity:
-            return self.rigid_tips(postures)
-        return rest_tips(model, postures)
+        return rest_tips(self._batch.model, postures) if self.has_gravity else self.rigid_tips(postures)
 
     @cached_property
     def first_frequency(self) -> float:

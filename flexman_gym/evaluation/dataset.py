@@ -72,11 +72,7 @@ def _without_agent(environment: Configuration) -> Configuration:
 
 
 def _record_block(task: tuple[str, Configuration, tuple[int, ...]]) -> list[dict[str, Any]]:
-    """Simulate episodes of an agent, then simulate them again from their actions; return data of Minari for each.
-
-    Args:
-        task: name of the agent, environment of the dataset, and seeds of the episodes.
-    """
+    """Simulate episodes (agent, environment, seeds), then again from their actions; return data of Minari for each."""
     agent, bare, seeds = task
     names = [name for name in bare.settings if name not in OBSERVATION_SETTINGS]
     of_agent = Configuration(bare.id, {name: bare.settings[name] for name in names})

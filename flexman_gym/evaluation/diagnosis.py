@@ -224,13 +224,7 @@ def _slow_tone_frequency(errors: Array, period: float) -> float:
 
 
 def _tone_causes(end: _EpisodeEnd, parts: list[Array], shares: Array) -> list[str]:
-    """Return the cause of each tone: ringing, limit cycle or noise.
-
-    Args:
-        end: end of an episode.
-        parts: basis functions of mean and drift, and of each tone.
-        shares: contribution of each tone to the mean square error.
-    """
+    """Return the cause of each tone, ringing, limit cycle or noise, from its basis functions and its share."""
     if not len(shares):
         return []
     actions, torques, rates = (_project(parts, each) for each in (end.actions, end.torques, end.rates))

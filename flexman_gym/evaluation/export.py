@@ -14,13 +14,7 @@ from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.common.run_folder import BEST, NEWEST, read_npz, read_settings
 from flexman_gym.control.network import MAX_INPUT, Network, policy_parameters
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import (
-    check_settings,
-    find_agent,
-    network_agent,
-    observation_layout,
-    split_interface,
-)
+from flexman_gym.evaluation.agent import check_settings, find_agent, network_agent, observation_layout, split_interface
 from flexman_gym.evaluation.agent_info import training_seconds
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.policy_files import CHECK_ROWS, write_policy

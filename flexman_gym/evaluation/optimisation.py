@@ -157,11 +157,7 @@ def gain_returns(environment: Configuration, gains: Array, episodes: int, worker
 
 
 def _cell_returns(cell: tuple[Configuration, Array, int]) -> Array:
-    """Return the mean return (c,) of candidate gains that are evaluated in one rollout.
-
-    Args:
-        cell: environment, gains (c, 2 n) and number of episodes.
-    """
+    """Return the mean returns (c,) in one rollout of environment, candidate gains (c, 2 n) and number of episodes."""
     environment, gains, episodes = cell
     stiffness, damping = np.split(np.repeat(gains, episodes, axis=0), 2, axis=1)
     zeros, model = [0.0] * (gains.shape[1] // 2), resolve_fidelity(environment).model

@@ -207,12 +207,9 @@ def rollout(
 
 
 def _keywords(agent: AgentSpec, bare: Configuration, interface: dict[str, Any]) -> dict[str, Any]:
-    """Return the keyword arguments of `gym.make_vec` for an agent, with copies of its objects.
+    """Return the keyword arguments of `gym.make_vec` for an agent in a bare environment, with copies of its objects.
 
-    Args:
-        agent: the agent.
-        bare: environment without the settings in INTERFACE.
-        interface: these settings, for an agent without an interface.
+    `interface` has the settings of the agent if its specification has none.
     """
     keywords = bare.keywords() | deepcopy(interface if agent.interface is None else agent.interface)
     if agent.environment is not None:
@@ -252,11 +249,7 @@ def _metadata(env: Any, agent: AgentSpec, environment: Configuration) -> dict[st
 
 
 class _Recorder:
-    """Recorder of control periods.
-
-    Attributes:
-        ends: (b,) lengths of the first episodes of the arms in control periods; 0 for a running episode.
-    """
+    """Recorder of control periods; `ends` (b,) has the lengths of the ended episodes, and 0 for a running episode."""
 
     def __init__(self, episodes: Episodes, callback: Callable[[Episodes], None] | None) -> None:
         self._episodes, self._callback = episodes, callback

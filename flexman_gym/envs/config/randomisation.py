@@ -47,11 +47,8 @@ class Randomisation:
             if name not in (_range_names() | {"impulse_gap": ""}):
                 raise value_error("randomisation", name, f"one of {' '.join(_range_names())} impulse_gap")
         self.given = ranges if impulse_gap is None else {**ranges, "impulse_gap": self.impulse_gap}
-        self.ranges = {
-            effect: _range(name, ranges[name])
-            for name, effect in _range_names().items()
-            if ranges.get(name) is not None
-        }
+        given = {name: effect for name, effect in _range_names().items() if ranges.get(name) is not None}
+        self.ranges = {effect: _range(name, ranges[name]) for name, effect in given.items()}
         self.effects = tuple(self.ranges)
 
     def __getattr__(self, name: str) -> Range | None:

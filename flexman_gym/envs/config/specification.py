@@ -48,36 +48,21 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
     )
 
 
-def _make_base_controller(configuration: Configuration, model: Model) -> Controller | None:
-    """Return the base controller of an environment, designed from a model; None for an environment without one.
+def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Controller | None, ActionMode]:
+    """Return base controller (None without one) and action mode of an environment, designed from a model of its arm.
 
     A UserWarning is issued for a PD controller whose sampled loop is unstable with the largest delay.
     """
-    base = configuration.base
-    if not isinstance(base, str | dict):
-        return base
-    result = make_base(base, make_plant(configuration, model))
-    period, delay = configuration.control_period, configuration.max_delay
-    message = result.unstable(model, period, delay) if isinstance(result, PD) else ""
-    if message:
-        warnings.warn(message, stacklevel=2)
-    return result
-
-
-def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Controller | None, ActionMode]:
-    """Return base controller and action mode of the agent of an environment, designed from a model of its arm."""
-    base = _make_base_controller(configuration, model)
-    return base, make_action_mode(configuration.actions, make_plant(configuration, model), base)
+    base, plant = configuration.base, make_plant(configuration, model)
+    if isinstance(base, str | dict):
+        base = make_base(base, plant)
+        if isinstance(base, PD) and (text := base.unstable(model, plant.period, configuration.max_delay)):
+            warnings.warn(text, stacklevel=2)
+    return base, make_action_mode(configuration.actions, plant, base)
 
 
 def _measurement_noise(configuration: Configuration, model: Model, noise: float) -> dict[str, Array]:
-    """Return quantity -> (2, size) measurement range, and standard deviation of the noise of its worst instrument.
-
-    Args:
-        configuration: configuration of the environment.
-        model: model of the arm.
-        noise: standard deviation of sensor_noise as a fraction of the range.
-    """
+    """Return quantity -> (2, size) measurement range, and standard deviation of the noise of its worst instrument."""
     ranges = measurement_ranges(View(Batch(model)), configuration.limits)
     deviations = dict.fromkeys(ranges, noise)
     for sensor in configuration.sensors:

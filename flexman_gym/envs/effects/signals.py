@@ -168,19 +168,15 @@ def _relative_compliance(model: Model, link: int) -> Array:
 
 
 def static_shape(model: Model, link: int) -> Array:
-    """Return the elastic coordinates (k_i, 2) of a link under static tip forces, per metre of tip deflection.
-
-    The columns are for deflections along y and z of the beam frame.
-    """
+    """Return elastic coordinates (k_i, 2) of a link under static tip forces, per metre of deflection along y and z."""
     jacobian, response = _tip_flexibility(model, link)
     return response @ np.linalg.pinv(jacobian.T @ response)
 
 
 def _tip_flexibility(model: Model, link: int) -> tuple[Array, Array]:
-    """Return two arrays (k_i, 2) for the k_i elastic coordinates of a link.
+    """Return the transposed Jacobian of the tip along y and z, and the elastic coordinates per newton of tip force.
 
-    They are the transposed Jacobian of the tip displacement along y and z, and the coordinates per newton of static tip
-    force along y and z.
+    Both arrays have the shape (k_i, 2) for the k_i elastic coordinates of a link.
     """
     constants = model.constants
     start, stop = constants.elastic_start[link : link + 2]

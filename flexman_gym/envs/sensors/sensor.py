@@ -43,10 +43,7 @@ class Sensor(Protocol):
 
 
 DEFAULT_QUANTITIES = ("motion", "tip", "deflection", "deflection_rate")  # `measures` of a sensor without this attribute
-DERIVED = {
-    "tip": ("target_error", "tip_error"),
-    "deflection_rate": ("tip_vibration",),
-}  # measured -> derived ones
+DERIVED = {"tip": ("target_error", "tip_error"), "deflection_rate": ("tip_vibration",)}  # measured -> derived ones
 STRAIN_RANGE = 2.0  # range of root strains / root strain of a link deflected to its limit by a tip force
 ACCELERATION_RANGE = 51.0  # g (500 m/s^2); range of accelerations
 

@@ -228,12 +228,7 @@ class Track:
         return (_Preview(self.preview),) if self.preview else ()
 
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
-        """Draw the path of one episode.
-
-        Returns:
-            "start", motor angles (n,), rad; "path" and "postures", Fourier series of tip (m) and motor angles (rad);
-            and "period", the time of one revolution, s.
-        """
+        """Draw start (n,), rad, Fourier series of path, m, and postures, rad, and period of revolution, s."""
         shape = list(PATH_SHAPES)[random.integers(len(PATH_SHAPES))] if self.path == ANY else self.path
         unit = 1.0 / view.first_frequency if np.isfinite(view.first_frequency) else 1.0
         period = random.uniform(self.period[0], self.period[1]) * unit
