@@ -166,7 +166,7 @@ def _load_run(folder: Path) -> AgentSpec:
 
 
 def _untrusted_file_error(path: object) -> ValueError:
-    allowed = "--trust, if you trust their author: they are pickles, and reading a pickle can execute any code"
+    allowed = "--trust, if you trust their author: they are pickles, which can run any code when they are read"
     return ValueError(f"agent: the files of Stable-Baselines3 in {path} are not read; give {allowed}")
 
 
