@@ -20,10 +20,11 @@ from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.run_folder import NEWEST, write_npz
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.agent import history_length
+from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.control.network import MAX_INPUT, VARIANCE_OFFSET, Network
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_base_and_mode, make_controller
+from flexman_gym.envs.config.specification import make_base_and_mode, make_plant
 from flexman_gym.evaluation.agent import AgentSpec, observation_layout, split_interface
 from flexman_gym.evaluation.agent_info import TIME_COLUMN
 from flexman_gym.evaluation.rollout import Rollout, rollout, training_seed
@@ -141,7 +142,7 @@ class DAgger:
         model = resolve_fidelity(environment).model
         mode = make_base_and_mode(environment, model)[1]
         strength = _strength(mode)  # checked before the teacher, whose design may take long
-        teacher = make_controller(environment, hyperparameters["teacher"], model)
+        teacher = make_base(hyperparameters["teacher"], make_plant(environment, model))
         self._student = _StudentMode(self._network(), mode, strength, teacher)
         self._per_iteration = settings.envs * -(-environment.max_periods // environment.action_repeat)
         self.steps = self._per_iteration * -(-settings.steps // self._per_iteration)

@@ -1,10 +1,12 @@
 """Gymnasium environments for training and testing controllers of flexible robot arms."""
 
 from importlib.metadata import PackageNotFoundError, version
+from typing import Any, NoReturn
 
 from gymnasium.envs.registration import register
 
 from flexman_gym import control, draw, metrics
+from flexman_gym.common.checks import value_error
 from flexman_gym.envs import NAMED_ENVIRONMENTS, Limits, Randomisation, Slew
 from flexman_gym.envs.config.named_environments import CONDITIONS
 from flexman_gym.evaluation import evaluate, rollout, tune
@@ -114,6 +116,12 @@ try:
 except PackageNotFoundError:  # a checkout that is not installed
     __version__ = "0+unknown"
 
+
+def _refuse_condition(name: str, condition: str, **settings: Any) -> NoReturn:
+    """Raise ValueError for an id such as "FlexRRR-v0/delay", which is valid for `rollout` but not for `gym.make`."""
+    raise value_error("id", f"{name}/{condition}", f'gym.make("{name}", condition="{condition}")')
+
+
 for _name in NAMED_ENVIRONMENTS:
     register(
         id=_name,
@@ -124,7 +132,7 @@ for _name in NAMED_ENVIRONMENTS:
     for _condition in CONDITIONS if NAMED_ENVIRONMENTS[_name].conditions else ():
         register(
             id=f"{_name}/{_condition}",
-            entry_point="flexman_gym.envs.config.named_environments:refuse_condition",
-            vector_entry_point="flexman_gym.envs.config.named_environments:refuse_condition",
+            entry_point="flexman_gym:_refuse_condition",
+            vector_entry_point="flexman_gym:_refuse_condition",
             kwargs={"name": _name, "condition": _condition},
         )

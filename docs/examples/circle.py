@@ -15,7 +15,7 @@ class Phase:
         return [Entry("phase", 2, "1", 1.0)]
 
     def read(self, view, out):
-        angle = view.plan["phase"][:, 0] + TURN * view.time
+        angle = view.episode_parameters["phase"][:, 0] + TURN * view.time
         out[:, 0], out[:, 1] = np.cos(angle), np.sin(angle)
 
 
@@ -32,8 +32,8 @@ class Circle:
         phase = random.uniform(0.0, 2.0 * np.pi, 1)
         return {"start": self.posture(self.place(phase, view), view)[0], "phase": phase}
 
-    def goal(self, plan, time, view):
-        target = self.place(plan["phase"][:, 0] + TURN * time, view)
+    def goal(self, parameters, time, view):
+        target = self.place(parameters["phase"][:, 0] + TURN * time, view)
         return Goal(target, self.posture(target, view))
 
     def reward_terms(self, view):

@@ -89,6 +89,7 @@ STATE_FIELDS = {
     "_looked": "_updated", "_own_coordinates": "_adapted_coordinates", "_own_torques": "_adapted_torques",
     "_pushed": "_filtering", "_residuals": "_detector", "_soft": "_compliance", "_tight": "_holding",
     "ahead": "clock_offset", "begun": "start_time", "lasting": "duration", "numbers": "theta", "pace": "time_scaling",
+    "plan": "episode_parameters",
     "quickening": "pace_rate", "shape": "shaping", "wanted": "action", "way": "displacement",
 }  # fmt: skip
 """Old field of a saved state -> present field."""
@@ -103,17 +104,23 @@ MEMBERS = {
     "ActionMode": {"shown": "observation_sizes", "look": "observe"},
     "Task": {"figures": "metrics"},
     "FlexManEnv, FlexManVectorEnv": {"setup": "configuration"},
-    "View": {"alone": "single", "heavy": "has_gravity", "places": "slices", "reaching": "inverse_kinematics"},
+    "View": {
+        "alone": "single", "heavy": "has_gravity", "places": "slices", "plan": "episode_parameters",
+        "reaching": "inverse_kinematics",
+    },
+    "Rollout": {"about": "metadata"},
     "Simulator": {"keep": "record"},
     "Episode": {"of_trajectory": "from_trajectory"},
     "Standings": {"better": "improvement_probability"},
     "TrainingReport": {"figures": "metrics"},
-}
+}  # fmt: skip
 """Class or protocol -> old member -> present member, see `deprecated_members`; users write classes of the protocols."""
 ARGUMENTS = {
     "assembled_modes": {"highest": "max_frequency", "share": "energy_fraction"},
     "diagnose": {"entrant": "agent"}, "evaluate": {"entrant": "agent"},
-    "export_policy": {"words": "description", "venue": "environment"}, "record_dataset": {"entrant": "agent"},
+    "export_policy": {"words": "description", "venue": "environment"}, "move_band": {"part": "fraction"},
+    "normalised_scores": {"rewards": "returns", "most": "largest"}, "paired_score": {"rewards": "returns"},
+    "record_dataset": {"entrant": "agent"}, "remaining_energy": {"of": "reference"},
     "resume": {"judge_every": "eval_every"}, "rollout": {"entrant": "agent", "watch": "callback", "moved": "set_plant"},
     "TrackingLQR": {"law": "timing_law"}, "write_onnx": {"entrant": "agent"},
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Active effects of a randomisation: draws of each episode, and their action on signals and parameters."""
+"""Active effects of a randomisation: the values drawn for each episode, and the changed signals and parameters."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -19,19 +19,19 @@ from flexman_gym.simulation.parameters import LINK, PARAMETERS
 class ActiveEffects:
     """Effects of a randomisation on b arms.
 
-    Each effect has one random stream per arm, seeded by the name of the effect and the seed of the arm's generator,
-    without a draw from that generator. An effect draws once per episode from its stream; random events during the
-    episode use a generator seeded by this draw.
+    Each effect has a separate random generator per arm, its stream, seeded by the name of the effect and the seed of
+    the arm. An effect draws once per episode from its stream; random events during the episode use a generator seeded
+    by this draw. The arm's own generator is not used, so that enabling an effect does not change start and goal.
 
     Args:
         randomisation: enabled effects and their ranges.
-        context: arms and signals of the effects.
+        context: arms and signals changed by the effects.
 
     Attributes:
-        drawn: effect -> values (b, ...) of the present episodes: physical parameters in their units, torque_limit (N
-            m), sensor_noise, delay (control periods) and initial_vibration (b, n, 2), m along y and z of the beam frame
-            of each link. Impulses are drawn during the episode and not included. Each reset makes a new dict of new
-            arrays.
+        drawn: effect -> values (b, ...) drawn for the current episodes: physical parameters in their units,
+            torque_limit (N m), sensor_noise, delay (control periods) and initial_vibration (b, n, 2), m along y and z
+            of the beam frame of each link. Impulses, which are drawn during the episode, are not included. Each reset
+            makes a new dict of new arrays.
 
     Raises:
         ValueError: for an effect that does not apply to the model, or that exceeds the limits.
@@ -64,33 +64,32 @@ class ActiveEffects:
 
     @property
     def drawn(self) -> dict[str, NDArray[Any]]:
-        """Values (b, ...) of the present episodes by the name of the effect, see the class."""
+        """Values (b, ...) drawn for the current episodes, by the name of the effect; see the class."""
         return self._drawn
 
     @drawn.setter
     def drawn(self, values: dict[str, NDArray[Any]]) -> None:
-        self._drawn = {
-            PARAMETER_KEYS.get(name, name): each for name, each in values.items()
-        }  # saved states of release 0.2 have the old names
+        # saved states of release 0.2 have old names
+        self._drawn = {PARAMETER_KEYS.get(name, name): each for name, each in values.items()}
 
     def _find_hooks(self, hook: str) -> list[Any]:
-        """Return the hooks of that name; for `begin` together with the name of the effect."""
+        """Return the methods of all effects for a hook; for "begin" pairs of the name of the effect and its method."""
         result = [(name, getattr(signal, hook)) for name, signal in self._signals.items() if hasattr(signal, hook)]
         return result if hook == "begin" else [method for _, method in result]
 
     def draw(
         self, arms: IntArray, randoms: Sequence[np.random.Generator], given: Mapping[str, Array]
     ) -> dict[str, Array]:
-        """Draw the effects of new episodes of the arms (r,).
+        """Draw the values of all effects for new episodes.
 
         Args:
-            arms: (r,) indices.
-            randoms: generator of each of these arms.
-            given: physical parameters (r, ...) that replace the drawn ones; these are drawn nevertheless, so that the
-                streams stay the same.
+            arms: (r,) indices of the arms.
+            randoms: random generator of each of these arms.
+            given: physical parameters (r, ...) by name that replace drawn values. The values are drawn nevertheless,
+                so that later draws do not change.
 
         Returns:
-            Physical parameters for `Batch.vary`.
+            Physical parameters (r, ...) by name, for `Batch.vary`.
         """
         self.drawn = {name: values.copy() for name, values in self.drawn.items()}
         for row, (arm, random) in enumerate(zip(arms.tolist(), randoms, strict=True)):
@@ -104,7 +103,7 @@ class ActiveEffects:
         return {name: self.drawn[name][arms] for name in PARAMETERS if name in self.drawn} | dict(given)
 
     def _value(self, name: str, arm: int, stream: np.random.Generator) -> Any:
-        """Return the value of an effect drawn for the episode of an arm."""
+        """Draw the value of an effect for an episode of an arm."""
         if name in self._signals:
             return self._signals[name].draw(arm, stream)
         row, model, nominal = PARAMETERS[name], self._batch.model, self._batch.nominal[name]
@@ -113,12 +112,12 @@ class ActiveEffects:
         return np.where(row.fixed(model), nominal, drawn) if nominal.shape else drawn
 
     def drawn_for(self, arm: int) -> dict[str, Any]:
-        """Return the drawn values of one arm as new numbers and arrays."""
+        """Return the drawn values of one arm by the name of the effect, as new numbers and arrays."""
         drawn = {name: values[arm] for name, values in self.drawn.items()}
         return {name: value.item() if value.ndim == 0 else value.copy() for name, value in drawn.items()}
 
     def set_generators(self, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Set the generators of all arms to which the restored streams belong."""
+        """Set the generators of all arms from which the restored streams were made."""
         self._streams.set_generators(randoms)
 
     def change_start(self, arms: IntArray, states: Array) -> None:
@@ -127,15 +126,18 @@ class ActiveEffects:
             change(arms, states)
 
     def motor_actions(self, actions: Array) -> Array:
-        """Return the actions (b, n) that reach the motors."""
+        """Return the torques (b, n) that reach the motors for commanded torques (b, n), as fractions of the limits."""
         for hook in self._hooks["motor_actions"]:
             actions = hook(actions)
         return actions
 
     def disturb(self, forces: Array, accelerations: Array, over: BoolArray) -> None:
-        """Write the forces at the tips (b, 3), N, and the accelerations of the bases (b, 3), m/s^2, in this period.
+        """Write the disturbances of this control period.
 
-        Arms without a running episode are not disturbed.
+        Args:
+            forces: (b, 3) forces at the tips, N; overwritten.
+            accelerations: (b, 3) accelerations of the bases, m/s^2; overwritten.
+            over: (b,) True for arms without a running episode, which are not disturbed.
         """
         for hook, values in (("add_tip_forces", forces), ("add_base_accelerations", accelerations)):
             if self._hooks[hook]:
@@ -149,19 +151,19 @@ class ActiveEffects:
         return bool(self._hooks["measure"])
 
     def measure(self, values: Array, arms: IntArray) -> Array:
-        """Return the measured values (r, size) of the arms (r,)."""
+        """Return the measured values (r, size) of the arms (r,) for true values (r, size)."""
         for measure in self._hooks["measure"]:
             values = measure(values, arms)
         return values
 
 
 def _stream_name(effect: str) -> str:
-    """Return the name that seeds the stream of an effect, without the suffix of factors that version 0.3 added."""
+    """Return the name that seeds the stream of an effect: without the suffix "_factor", which release 0.2 lacked."""
     return effect.removesuffix("_factor")
 
 
 def _check_parameter(name: str, span: tuple[float, float], model: Model) -> None:
-    """Check that the model has the parameter."""
+    """Raise ValueError if the model lacks the parameter or its nominal value is zero."""
     row, field = PARAMETERS[name], f"Randomisation.{range_name(name)}"
     if row.of == LINK and not (np.diff(model.constants.elastic_start) > 0).any():
         raise value_error(field, span, "None: every link of this arm is rigid")

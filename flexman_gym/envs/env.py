@@ -22,32 +22,32 @@ from flexman_gym.simulation.simulator import Simulator
 
 Observation = NDArray[np.float32]
 SINGLE_ARM = np.zeros(1, dtype=np.int64)  # index of the only arm
-MAX_SEED = 2**128 - 1
+MAX_SEED = 2**128 - 1  # largest seed of a reset
 
 
 class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
     """Flexible robot arm that moves its tip to a target and stops it there: `gym.make("FlexRRR-v0")`.
 
     Named environments
-        FlexRRR-v0     spatial arm of the paper, 8.5 m, three links, 50 Hz; described below
+        FlexRRR-v0     spatial arm of the paper, 8.5 m, three links, control rate 50 Hz; described below
         FlexPlanar-v0  two strips, 1 m in total, that lift 0.1 kg in a vertical plane under gravity, 100 Hz
         FlexOne-v0     textbook case: one strip of 0.8 m on one flexible joint, in a horizontal plane, 50 Hz
         FlexQuanser-v0 laboratory arm: two steel strips in a horizontal plane with its motors and sensors, 100 Hz
-        `envs.NAMED_ENVIRONMENTS` has the settings of each. The last three have the distance reward (see `Slew`).
+        `envs.NAMED_ENVIRONMENTS` has the settings of each. The last three have the reward "distance" (see `Slew`).
 
     Arm
-        Three-link arm of the paper, 8.5 m, with flexible links and joints (K 5000 N m/rad), no gravity, 0.5 % modal
-        damping in the links and none in the joints (`arm=catalog.paper_rrr(rotor_inertia=10, torque_limit=400)` is the
-        undamped arm of the paper). The rotors have 10 kg m^2; the 1 kg m^2 of the paper's scene cannot be damped by a
-        motor controller at 50 Hz.
+        Three-link arm of the paper, 8.5 m, with flexible links and joints (stiffness 5000 N m/rad), without gravity.
+        The modal damping ratios of the links are 0.005, and the joints have no damping
+        (`arm=catalog.paper_rrr(rotor_inertia=10, torque_limit=400)` is the undamped arm of the paper). The rotor
+        inertia is 10 kg m^2, because a motor controller at 50 Hz cannot damp an arm with the 1 kg m^2 of the paper.
 
     Actions
-        Box(-1, 1, (n,)): motor torques as fractions of the torque limits (400 N m each), constant during a control
-        period of 20 ms. An action outside the box is an error, except that values beyond it by less than 1e-6 (rounding
-        of float32) are clipped.
+        Box(-1, 1, (n,)): torques of the n motors as fractions of their limits (400 N m each), constant during a control
+        period of 20 ms. An action outside the box raises ValueError; values beyond its bounds by less than 1e-6, the
+        rounding of float32, are clipped.
 
     Observations
-        Box (36,) float32; `env.unwrapped.sensors` has the same as `slices`, `units` and `bound`:
+        Box (36,) float32; `slices`, `units` and `bound` of `env.unwrapped.sensors` hold the columns of this table:
 
         slice                  entries  unit   bound
         motor_angles           0-2      rad    4
@@ -62,41 +62,42 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         tip_velocity           33-35    m/s    40        base frame
 
     Reward
-        In [0, 1] per step, less a penalty for a failure: see `Slew` for the terms; `info["reward_terms"]` has their
-        values.
+        From 0 to 1 per step, minus a penalty after a failure. `Slew` defines the terms of this sum, and
+        `info["reward_terms"]` holds their values.
 
     Start and end
-        `reset(seed=...)` draws start and target. `reset(options={"start": angles, "goal_angles": angles})` sets them,
-        as does "start_tip" and "goal_tip" with positions (3,) of the tip in the base frame, m. Of several postures for
-        a tip position the one with the smallest joint motion is chosen, for a goal from the start and for a start from
-        zero angles. The option "parameters", a dict, sets physical parameters of the arm from this episode on (see
-        `Batch.vary`). An arm starts at rest. Under gravity it starts bent by its weight, and the target is the position
-        of the resting tip at the goal posture.
+        `reset(seed=...)` draws a start posture and a target. The options of `reset` replace them: "start" and
+        "goal_angles", motor angles (n,) in rad, or "start_tip" and "goal_tip", tip positions (3,) in the base frame, m.
+        If several postures reach a tip position, the one with the smallest joint motion is chosen: for a goal relative
+        to the start, for a start relative to zero angles. The option "parameters", a dict, sets physical parameters of
+        the arm from this episode on (see `Batch.vary`). The arm starts at rest, under gravity deformed by its weight.
+        The target is the tip position of the arm at rest at the goal posture.
 
         An episode is truncated after its `horizon`, 10 s. It terminates with the failure penalty if the arm exceeds its
         limits, an observed value exceeds its bound, or the simulation diverges; `info["failure"]` names the cause. The
-        observation is then the last one within the bounds, so that every observation lies in the space.
+        final observation is then the last one within the bounds, so that every observation lies in the space.
 
     Info
-        tip_error (m), tip_vibration (m/s, speed of the tip relative to the rigid arm at the motor angles),
-        elastic_energy (J), energy_residual (J, work of the motors - dissipation - change of energy since the reset, an
-        error of the integration), energy_alarm (True if the residual exceeds the fraction `energy_alarm` of the energy
-        turnover since the reset), reward_terms, status (of the simulation), failure ("" or its cause), tip and target
-        (m), goal_angles (rad, of the motors); with a randomisation also drawn, a dict of the values drawn for the
-        episode (see `ActiveEffects`).
+        tip_error (m, distance of tip and target), tip_vibration (m/s, speed of the tip relative to the tip of a rigid
+        arm with the same motor angles and rates), elastic_energy (J), energy_residual (J, work - dissipation - change
+        of energy since the reset, an error of the integration), energy_alarm (True if the residual exceeds a fraction,
+        the setting `energy_alarm`, of the energy turnover), reward_terms, status (of the simulation: "ok" or the reason
+        of its end), failure ("" or its cause), tip and target (m), goal_angles (rad, of the motors); with a
+        randomisation also drawn, a dict of the values drawn for the episode (see `ActiveEffects`).
 
     Fidelity
-        By default the model has two elements per link and the loaded modes below half the control frequency, 16 of 36
-        coordinates for FlexRRR-v0, and the method "midpoint_corrected_3" at 20/3 ms without numerical damping.
-        The smaller arms have shorter steps. `docs/accuracy.md` compares energy and tip with those of all coordinates.
+        By default the model has two elements per link and the component modes below half the control rate, 16 of 36
+        coordinates for FlexRRR-v0. The integration method is "midpoint_corrected_3", which has no numerical damping,
+        with steps of 20/3 ms; the smaller arms have shorter steps. `docs/accuracy.md` compares the energy and the tip
+        motion of this model with those of the model with all coordinates.
 
-        fidelity="auto" with a tolerance (m) calls `choose_model` for modes, method and step in a slew of 3 s with sine
-        torques (0.5 Hz, `torque_limit`) from a bent posture; `env.unwrapped.choice` is the result. The tolerance holds
-        for that motion, and approximately for similar ones.
+        fidelity="auto" with a tolerance (m) calls `choose_model`, which chooses modes, method and step for a slew of
+        3 s with sine torques (0.5 Hz, amplitude `torque_limit`); `env.unwrapped.choice` is the result. The tolerance
+        is a bound of the tip error in that slew, and approximately in similar motions.
 
     Version history
-        v0: first version. Until 0.1.0 the method was "ros2" at 5 ms, with numerical gain or loss of energy in released
-        vibrations; rewards and observations differ from then on (`method="ros2", step=0.005` restores the old ones).
+        v0: first version. Up to release 0.1.0 the method was "ros2" with steps of 5 ms, which numerically added or
+        removed energy in free vibrations. `method="ros2", step=0.005` restores the rewards and observations of 0.1.0.
 
     Args:
         render_mode: None, "rgb_array", or "human", which shows every step in real time: in a window of pygame, or
@@ -104,10 +105,10 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         render_size: width and height of a frame, pixels.
         render_camera: azimuth and elevation in degrees, and an optional zoom; None chooses them from the joint axes. A
             frame always contains the arm at start and goal, and the target.
-        render_gain: factor on the drawn deflection, printed in the frame.
-        render_overlays: write time, tip error, reward, torques and scales over a frame.
+        render_gain: factor by which frames exaggerate the deflection; it is printed in the frame.
+        render_overlays: True to print time, tip error, reward, torques and scales in each frame.
         **settings: the attributes of `Configuration` (arm, task, limits, fidelity and so on), and "condition", one of
-            `envs.config.named_environments.CONDITIONS`, which changes some settings that are not given.
+            `envs.config.named_environments.CONDITIONS`, which changes the defaults of some settings.
 
     Examples:
         >>> import gymnasium as gym
@@ -132,8 +133,8 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         render_overlays: bool = True,
         **settings: Any,
     ) -> None:
-        self.render_mode, given = render_mode, (render_size, render_camera, render_gain, render_overlays)
-        self._made = dict(zip(RENDER_KEYWORDS, (render_mode, *given), strict=True)) | settings
+        self.render_mode, look = render_mode, (render_size, render_camera, render_gain, render_overlays)
+        self._arguments = dict(zip(RENDER_KEYWORDS, (render_mode, *look), strict=True)) | settings
         configuration = Configuration.from_keywords(settings, RENDER_KEYWORDS)
         model, method, step, self.choice = resolve_fidelity(configuration)
         self.simulator = Simulator(model, method, step, configuration.control_period)
@@ -144,13 +145,13 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         self.observation_space, self.action_space = make_spaces(self.episodes)
         size = len(self.episodes.agent.mode.names)
         self.metadata = FlexManEnv.metadata | {"render_fps": round(1 / self.simulator.control_period)}
-        self._shape = (size,)
-        self._allowed = f"{size} numbers from -1 to 1"
-        self._rendering = make_renderer(render_mode, self.episodes, configuration.id, given)
+        self._action_shape = (size,)
+        self._allowed_actions = f"{size} numbers from -1 to 1"
+        self._rendering = make_renderer(render_mode, self.episodes, configuration.id, look)
 
     @property
     def spec(self) -> EnvSpec | None:
-        """Specification by Gymnasium, with the number of steps after which an episode is truncated."""
+        """EnvSpec of Gymnasium, whose `max_episode_steps` follows from the horizon."""
         return self._spec
 
     @spec.setter
@@ -164,21 +165,21 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         """Start an episode.
 
         Args:
-            seed: seed of the generator; None continues with the present one.
-            options: "start" and "goal_angles", joint angles (n,) in rad, or "start_tip" and "goal_tip", and
-                "parameters"; see the class.
+            seed: seed of the random generator; None continues with the current generator.
+            options: "start" and "goal_angles", motor angles (n,) in rad, or "start_tip" and "goal_tip", tip positions
+                (3,) in m, and "parameters", physical parameters by name; see the class.
 
         Returns:
             Observation and info.
 
         Raises:
-            ValueError: for a seed or options that are not allowed. The result of the next reset is not affected, but
-                the episode may be over.
+            ValueError: for a seed or options that are not allowed. The running episode may then be over; the result of
+                the next reset is not affected.
         """
-        whole = None if seed is None else whole_number("seed", seed, 0, MAX_SEED)
+        checked = None if seed is None else whole_number("seed", seed, 0, MAX_SEED)
         check_parameters(options, self.simulator.batch)
         with self._restored_on_error(options):
-            super().reset(seed=whole)
+            super().reset(seed=checked)
             self.episodes.reset(SINGLE_ARM, [self.np_random], options)
         self._show()
         return self.episodes.agent.observations[0].copy(), self._info()
@@ -187,26 +188,26 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         """Apply an action for `action_repeat` control periods.
 
         Args:
-            action: (k,) values from -1 to 1.
+            action: (k,) values from -1 to 1; by default one for each motor.
 
         Returns:
             Observation, reward, terminated, truncated and info.
 
         Raises:
             ValueError: for an action of the wrong shape or outside the action space.
-            RuntimeError: before a reset and after the end of an episode.
+            RuntimeError: before the first reset, and after the end of an episode.
         """
         episodes = self.episodes
         if episodes.over[0]:
             raise RuntimeError("the episode is over: reset the environment first")
-        values = validate_actions("action", action, self._shape, self._allowed)
+        values = validate_actions("action", action, self._action_shape, self._allowed_actions)
         reward, info = episodes.step(values[None]).item(), self._info()
         self._show()
         observation = episodes.agent.observations[0].copy()
         return observation, reward, bool(episodes.failures), bool(episodes.truncated[0]), info
 
-    def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
-        return [own["_np_random"]]
+    def _generators(self, restored: dict[str, Any]) -> list[np.random.Generator | None]:
+        return [restored["_np_random"]]
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return a frame (height, width, 3) uint8 of the deformed arm and the target."""
@@ -222,14 +223,14 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
             self._rendering.show()
 
     def close(self) -> None:
-        """Close the window or the page."""
+        """Close the window or the web page of render_mode="human"."""
         if self._rendering is not None:
             self._rendering.close()
 
     def _info(self) -> dict[str, Any]:
-        """Return the info of the present state."""
+        """Return the info of the current state."""
         episodes = self.episodes
-        view, info = episodes.present, episodes.info()
+        view, info = episodes.current_view, episodes.info()
         info["status"] = layout.STATUS[episodes.batch.status[0]]
         info["failure"] = episodes.failures.get(0, "")
         info["tip"], info["target"], info["goal_angles"] = view.tip.copy(), view.target.copy(), view.goal_angles.copy()

@@ -1,8 +1,9 @@
-"""Episodes of many arms: actions, motors, limits and rewards, the common part of both environments."""
+"""Episodes of b arms: actions, motors, limits and rewards, used by `FlexManEnv` (b = 1) and `FlexManVectorEnv`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from functools import partial
+from functools import partial, reduce
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,11 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.reset_options import TIP_OPTIONS, inverse_kinematics, parse_reset_options
 from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.envs.effects import EffectContext
-from flexman_gym.envs.limits import limit_violation
 from flexman_gym.envs.measurements import Measurements
 from flexman_gym.envs.sensors import SensorArray, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import MeasuredView
 from flexman_gym.envs.tasks import Task
-from flexman_gym.envs.tasks.rewards import make_reward_terms, sum_terms
+from flexman_gym.envs.tasks.rewards import make_reward_terms
 from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.control_period import all_within, apply_actions, count_episode_periods, flag_violations
@@ -33,9 +33,10 @@ ROUNDING = 1e-6  # largest rounding error of float32 actions near 1
 
 
 def validate_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:
-    """Return actions as a new array of floats, after a check of their shape and of the range -1 to 1.
+    """Return actions as a new array of float64, after a check of their shape and of the range -1 to 1.
 
-    Values beyond the range by less than 1e-6, as float32 may round them, are clipped.
+    Values beyond the range by less than 1e-6, the rounding of float32, are clipped. The error message contains the name
+    of the argument and the allowed values.
     """
     if isinstance(value, np.ndarray) and value.shape == shape and value.dtype.kind == "f":
         actions = value.astype(np.float64, order="C")
@@ -49,20 +50,20 @@ def validate_actions(name: str, value: object, shape: tuple[int, ...], allowed: 
 
 
 class _Motors:
-    """Motors of b arms with n joints, and the disturbances of the arms.
+    """Torques of the motors of b arms with n joints, and the forces and base motions that disturb the arms.
 
     Args:
         limits: (n,) torque limits, N m.
         arms: number of arms b.
-        lag: lag of the drives in one control period, see `control.margins.first_order_lag`; None for none.
+        lag: result of `control.margins.first_order_lag` for one control period; None for motors without a lag.
 
     Attributes:
         limits: (b, n) torque limits, N m; effects may change them.
-        drive: (b, n + 6) input of `Batch.step`, with the following three arrays as views.
-        torques: (b, n) torques of the last control period, N m.
-        forces: (b, 3) forces at the tips in the base frame, N.
-        accelerations: (b, 3) accelerations of the bases in the base frame, m/s^2.
-        reached: (b, n) state of the lag of the drives, as fractions of the limits; 0 at a reset.
+        drive: (b, n + 6) inputs of `Batch.step`: each row holds torques, tip force and base acceleration of an arm.
+        torques: (b, n) torques of the last control period, N m; a view of `drive`.
+        forces: (b, 3) forces at the tips in the base frame, N; a view of `drive`.
+        accelerations: (b, 3) accelerations of the bases in the base frame, m/s^2; a view of `drive`.
+        reached: (b, n) torques that the lagging motors have reached, as fractions of the limits; 0 at a reset.
     """
 
     state_fields = ("limits", "forces", "accelerations", "reached")
@@ -76,9 +77,9 @@ class _Motors:
         self.accelerations = self.drive[:, joints + 3 :]
 
     def lagged(self, actions: Array) -> Array:
-        """Return the mean torques (b, n) of a control period for commands (b, n), both as fractions of the limits.
+        """Return the mean applied torques (b, n) of a control period for commanded torques (b, n).
 
-        Drives with a bandwidth follow a command with a lag; see `control.margins.first_order_lag`.
+        All torques are fractions of the torque limits.
         """
         if self._lag is None:
             return actions
@@ -88,7 +89,9 @@ class _Motors:
 
 
 class Episodes:
-    """b arms with a task, sensors and limits. The motion of an arm is independent of all other arms, bit for bit.
+    """Episodes of b arms with a task, an agent, sensors and limits.
+
+    The motion of an arm does not depend on the other arms, bit for bit.
 
     Args:
         configuration: configuration of the environment.
@@ -99,44 +102,44 @@ class Episodes:
         view: named quantities of the arms.
         task: task of all arms.
         measurements: sensors of the agent and its action mode.
-        agent: observation, history, action repeat, action mode and base, called once per control period.
-        effects: effects of the randomisation and of the task; None for none.
-        failures: arm -> cause, of the last step.
-        over: (b,) True for an arm without a running episode.
+        agent: observations, history, action repeat, action mode and base controller.
+        effects: effects of the randomisation and of the task; None without effects.
+        failures: index of an arm -> cause of its failure in the last step.
+        over: (b,) True for an arm whose episode has ended, or has not begun.
         truncated: (b,) True for an episode that ended after `max_periods` control periods.
         max_periods: control periods after which an episode is truncated.
-        watch: function called after every control period, also within an action repeat; None for none.
+        callback: function called after every control period; None for no function.
     """
 
     state_fields = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "_ages", "_failed")
 
     def __init__(self, configuration: Configuration, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, configuration.task, View(batch)
-        self._reward_terms = make_reward_terms(configuration.task, configuration.reward)
-        self._terms: dict[str, Number] | None = None  # of the present state, computed when needed
-        self._present: View | None = None
+        self._compute_reward_terms = make_reward_terms(configuration.task, configuration.reward)
+        self._reward_terms: dict[str, Number] | None = None  # reward terms of the current state; None until needed
+        self._current_view: View | None = None
         arms = len(batch.rows)
         self._limits = np.concatenate(list(configuration.limits.bounds(self.view).values()))
         self.motors = _Motors(configuration.torque_limit, arms, configuration.lag)
         base, mode = make_base_and_mode(configuration, batch.model)
-        observed, inner = [*configuration.sensors, *configuration.task.sensors], find_sensors(mode.sensors)
-        self.effects = self._effects(configuration, [*observed, *inner])
-        self.measurements = Measurements(self.view, configuration.limits, observed, inner, self.effects)
+        own_sensors, mode_sensors = [*configuration.sensors, *configuration.task.sensors], find_sensors(mode.sensors)
+        self.effects = self._make_effects(configuration, [*own_sensors, *mode_sensors])
+        self.measurements = Measurements(self.view, configuration.limits, own_sensors, mode_sensors, self.effects)
         size = len(self.measurements.sensors.bound)
-        self.agent = Agent(observed, size, mode, base, configuration.history, configuration.action_repeat)
+        self.agent = Agent(own_sensors, size, mode, base, configuration.history, configuration.action_repeat)
         self.agent.allocate(arms, configuration.control_period)
         self._energy_alarm, self._info_keys = configuration.energy_alarm, configuration.info_keys
         for name in configuration.info_keys:
             one_of("info_keys", name, (*self.view.units, "action"))
-        self.max_periods = self._path = configuration.max_periods
-        self.watch: Callable[[], None] | None = None
+        self.max_periods = self._path_periods = configuration.max_periods
+        self.callback: Callable[[], None] | None = None
         self.failures: dict[int, str] = {}
         self.over, self.truncated = np.ones(arms, dtype=bool), np.zeros(arms, dtype=bool)
         self._no_observations, self._no_bounds = np.zeros((arms, 0)), np.zeros(0)
         self._ages, self._violated = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=bool)
         self._all = np.ones(arms, dtype=bool)
 
-    def _effects(self, configuration: Configuration, sensors: Sequence[object]) -> ActiveEffects | None:
+    def _make_effects(self, configuration: Configuration, sensors: Sequence[object]) -> ActiveEffects | None:
         """Return the effects of the randomisation and of the task; None without any."""
         randomisation = configuration.disturbances
         if randomisation is None:
@@ -157,24 +160,24 @@ class Episodes:
         return self.measurements.sensors
 
     def set_state(self, data: object, agent: object, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Set the state of all arms and of the agent from their `get_state`.
+        """Set the state of all arms and of the agent from results of `get_state`.
 
         Args:
             data: state of the arms.
             agent: state of the agent.
-            randoms: generators of the arms, already restored.
+            randoms: restored random generators of the arms.
 
         Raises:
-            ValueError: for the state of other arms; all episodes are then over.
+            ValueError: for the state of different arms; all episodes are then over.
         """
         view = self.view
         if self.effects is not None:
-            self.effects.drawn = get_state(self.effects.drawn)  # a copy, as `info` may hold the present dict
+            self.effects.drawn = get_state(self.effects.drawn)  # a copy: an earlier `info` may hold the old dict
         self.over[:] = True
         set_state("state.episodes", self, data)
-        if view.plan:  # a base computes its plan again, which is not in the state
-            posture = self.task.goal(view.plan, np.zeros(len(self.over)), view).angles
-            self._begin_agent(np.arange(len(self.over)), view.plan, posture)
+        if view.episode_parameters:  # a base controller computes its trajectory again, which is not in the state
+            posture = self.task.goal(view.episode_parameters, np.zeros(len(self.over)), view).angles
+            self._begin_agent(np.arange(len(self.over)), view.episode_parameters, posture)
         set_state("state.agent", self.agent, agent)
         if self.effects is not None:
             self.effects.set_generators(randoms)
@@ -184,7 +187,7 @@ class Episodes:
 
     @property
     def _failed(self) -> dict[str, str]:
-        """Causes of the failures, by the number of the arm as a text."""
+        """Causes of the failures by the index of the arm, as a string."""
         return {str(arm): text for arm, text in self.failures.items()}
 
     @_failed.setter
@@ -198,10 +201,10 @@ class Episodes:
 
         Args:
             arms: (r,) indices of the arms.
-            randoms: generator of each of these arms.
-            options: values of the task's draw, such as "start" and "goal_angles", for all arms or with a leading axis
-                b; positions of the tip in their place, "start_tip" and "goal_tip" (3,), m, see `inverse_kinematics`;
-                and "parameters" of the arms from this episode on, see `Batch.vary`.
+            randoms: random generator of each of these arms.
+            options: values that replace parameters drawn by the task, such as "start" and "goal_angles", for all arms
+                or with a leading axis b; in their place tip positions (3,), m, "start_tip" and "goal_tip"; and
+                "parameters", physical parameters of the arms from this episode on, see `Batch.vary`.
 
         Raises:
             ValueError: for options or a start that are not allowed; the episodes of these arms are then over.
@@ -209,17 +212,19 @@ class Episodes:
         self.over[arms] = True
         drawn = [self.task.draw(random, self.view) for random in randoms]
         for each in drawn:
-            self._check_plan(each)
-        plan = {name: np.array([each[name] for each in drawn]) for name in drawn[0]} if drawn else {}
-        given = parse_reset_options(options, plan, (len(self.over), self.batch.model.n_joints))
-        parameters = {name: values[arms] for name, values in given.pop("parameters", {}).items()}
+            self._check_episode_parameters(each)
+        parameters = {name: np.array([each[name] for each in drawn]) for name in drawn[0]} if drawn else {}
+        given = parse_reset_options(options, parameters, (len(self.over), self.batch.model.n_joints))
+        physical = {name: values[arms] for name, values in given.pop("parameters", {}).items()}
         if self.effects is not None:
-            parameters = self.effects.draw(arms, randoms, parameters)
-        if parameters:
-            self.batch.vary(arms, **parameters)
-        plan = _replace_tip_positions(plan | {name: values[arms] for name, values in given.items()}, self.view)
-        self._set_goal(arms, plan)
-        start = self.view.rest_states(plan["start"])
+            physical = self.effects.draw(arms, randoms, physical)
+        if physical:
+            self.batch.vary(arms, **physical)
+        parameters = _replace_tip_positions(
+            parameters | {name: values[arms] for name, values in given.items()}, self.view
+        )
+        self._set_goal(arms, parameters)
+        start = self.view.rest_states(parameters["start"])
         if self.effects is not None:
             self.effects.change_start(arms, start)
         self.batch.reset(arms, start)
@@ -230,33 +235,35 @@ class Episodes:
         self.clear_cache()
         self.measurements.begin(arms, randoms)
         self._check_start(arms, options)
-        self._begin_agent(arms, plan, self.view.goal_angles[arms])
+        self._begin_agent(arms, parameters, self.view.goal_angles[arms])
         self.failures = {arm: text for arm, text in self.failures.items() if arm not in arms}
         self._observe(np.isin(np.arange(len(self.over)), arms))
         self.over[arms] = False
 
-    def _check_plan(self, plan: object) -> None:
-        """Check that the draw of a task has a start with an angle for each joint."""
+    def _check_episode_parameters(self, parameters: object) -> None:
+        """Check that the parameters drawn by a task contain a start with n motor angles."""
         n = self.batch.model.n_joints
-        if not isinstance(plan, dict) or np.shape(plan.get("start", ())) != (n,):
-            raise value_error("task.draw", plan, f'a dict with "start", {n} joint angles (rad)')
+        if not isinstance(parameters, dict) or np.shape(parameters.get("start", ())) != (n,):
+            raise value_error("task.draw", parameters, f'a dict with "start", {n} motor angles (rad)')
 
-    def _set_goal(self, arms: IntArray, plan: Mapping[str, Array]) -> None:
-        """Store the plans of new episodes and set their goals."""
+    def _set_goal(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
+        """Store the parameters (r, ...) of new episodes of the arms (r,) and set their goals."""
         view = self.view
-        for name, values in plan.items():
-            if name not in view.plan:
-                view.plan[name] = np.zeros((len(self.over), *values.shape[1:]), dtype=values.dtype)
-            view.plan[name][arms] = values
-        view.target[arms], view.goal_angles[arms] = self.task.goal(plan, np.zeros(len(arms)), view)
+        for name, values in parameters.items():
+            if name not in view.episode_parameters:
+                view.episode_parameters[name] = np.zeros((len(self.over), *values.shape[1:]), dtype=values.dtype)
+            view.episode_parameters[name][arms] = values
+        view.target[arms], view.goal_angles[arms] = self.task.goal(parameters, np.zeros(len(arms)), view)
         view.target_velocity[arms] = view.goal_rates[arms] = 0.0
 
-    def _begin_agent(self, arms: IntArray, plan: Mapping[str, Array], posture: Array) -> None:
-        """Start new episodes of the agent for the arms (r,), with plans (r, ...) and first goals (r, n), rad."""
+    def _begin_agent(self, arms: IntArray, parameters: Mapping[str, Array], posture: Array) -> None:
+        """Start episodes of the agent for the arms (r,), with parameters (r, ...) and initial goal postures (r, n)."""
         task, view = self.task, self.view
-        path = partial(_goal_path, task, plan, self._path, view) if task.moves else None
+        path = partial(_goal_path, task, parameters, self._path_periods, view) if task.moves else None
         drawn = {name: values[arms] for name, values in self.effects.drawn.items()} if self.effects else {}
-        self.agent.reset(arms, EpisodeInfo(plan["start"], posture, view.control_period, path, drawn), len(self.over))
+        self.agent.reset(
+            arms, EpisodeInfo(parameters["start"], posture, view.control_period, path, drawn), len(self.over)
+        )
 
     def _check_start(self, arms: IntArray, options: object) -> None:
         """Check that arms are within their limits after a reset."""
@@ -266,14 +273,14 @@ class Episodes:
                 raise value_error(field, value, f"a start and a goal within the limits ({failure})")
 
     def step(self, commands: Array) -> Array:
-        """Move all arms under commands (b, k) until the next ones are due, and return the rewards (b,).
+        """Simulate the arms for one action repeat with actions (b, k) of the agent, and return the rewards (b,).
 
-        A reward is the mean over the control periods in which the arm moved. An arm whose episode ends before the next
-        command keeps its last state. The result of an arm without a running episode is undefined before its reset.
+        The reward is the mean over the control periods in which the arm moved. An arm whose episode ends earlier keeps
+        its last state. The result of an arm without a running episode is undefined.
         """
         self.agent.command = commands
         if self.agent.action_repeat == 1:
-            self._period(self._all)
+            self._advance(self._all)
             self._end_episodes(self._all, last=True)
             self._observe(~self.view.failed if np.count_nonzero(self.view.failed) else self._all)
             return self.rewards()
@@ -281,7 +288,7 @@ class Episodes:
         rewards, count, due = np.zeros(len(commands)), np.zeros(len(commands)), False
         while not due:
             moving = self._all if moving.all() else moving
-            self._period(moving)
+            self._advance(moving)
             due = bool(self.agent.due(moving).any())
             self._end_episodes(moving, due)
             rows = slice(None) if moving is self._all else moving
@@ -292,9 +299,9 @@ class Episodes:
         self._observe(begun & ~self.view.failed)
         return rewards / np.maximum(count, 1.0)
 
-    def _period(self, moving: BoolArray) -> None:
-        """Move the arms in an episode by one control period."""
-        view, motors, everyone = self.view, self.motors, moving is self._all
+    def _advance(self, moving: BoolArray) -> None:
+        """Simulate the arms selected by a mask (b,) for one control period."""
+        view, motors, all_move = self.view, self.motors, moving is self._all
         actions = np.ascontiguousarray(self.agent.act(self._readings(), view.action.copy(), ~self.over))
         arriving = actions
         if self.effects is not None:
@@ -302,17 +309,17 @@ class Episodes:
             self.effects.disturb(motors.forces, motors.accelerations, self.over)
         arriving = motors.lagged(arriving)
         apply_actions(actions, arriving, motors.limits, moving, motors.drive, view.action, view.effort)
-        self.batch.step(motors.drive, None if everyone else moving)
+        self.batch.step(motors.drive, None if all_move else moving)
         if self.task.moves:
             self._move_goals(moving)
         view.read()
         self.clear_cache()
-        self.measurements.sample(None if everyone else np.flatnonzero(moving))
+        self.measurements.sample(None if all_move else np.flatnonzero(moving))
 
     def _end_episodes(self, moving: BoolArray, last: bool) -> None:
-        """End the episodes of moving arms that exceeded their limits or reached the horizon.
+        """End the episodes of moving arms (b,) that exceeded their limits or reached the horizon.
 
-        After the last control period of an action the sensors are read too and compared with their bounds.
+        After the last control period of an action repeat the observations are compared with their bounds as well.
         """
         view = self.view
         if moving is self._all and np.count_nonzero(view.failed):
@@ -324,13 +331,13 @@ class Episodes:
             self._fail(np.flatnonzero(self._violated & moving))
         if count_episode_periods(self._ages, moving, self.max_periods, self.truncated):
             self.over |= self.truncated
-        if self.watch is not None:
-            self.watch()
+        if self.callback is not None:
+            self.callback()
 
     def _move_goals(self, moving: BoolArray) -> None:
-        """Set the goals of the present time and their rates, for the moving arms."""
+        """Set the goals at the current time and their rates, for the moving arms (b,)."""
         view, arms = self.view, slice(None) if moving is self._all else moving
-        goal = self.task.goal(view.plan, self.batch.time, view)
+        goal = self.task.goal(view.episode_parameters, self.batch.time, view)
         view.target_velocity[arms] = (goal.target[arms] - view.target[arms]) / view.control_period
         view.goal_rates[arms] = (goal.angles[arms] - view.goal_angles[arms]) / view.control_period
         view.target[arms], view.goal_angles[arms] = goal.target[arms], goal.angles[arms]
@@ -340,7 +347,7 @@ class Episodes:
         return self.measurements.readings if self.agent.mode.sensors else {}
 
     def _observe(self, arms: BoolArray) -> None:
-        """Update the observations of the arms (b,)."""
+        """Update the observations of the arms selected by a mask (b,)."""
         observed = self.measurements.read()
         readings = self._readings() if self.agent.mode_observes else {}
         self.agent.observe(observed, readings, self.view.action.copy(), arms)
@@ -353,37 +360,41 @@ class Episodes:
         self.view.failed[arms] = self.over[arms] = True
 
     def _violation(self, arm: int) -> str:
-        """Describe the first limit or sensor bound that an arm exceeds; "" for none."""
+        """Describe the first limit or sensor bound exceeded by an arm; "" if it is within all of them."""
         view, sensors = self.view, self.sensors
-        failure = limit_violation(view.motion[arm], self._limits, view.slices, view.units)
-        return failure or limit_violation(sensors.observations[arm], sensors.bound, sensors.slices, sensors.units)
+        failure = _limit_violation(view.motion[arm], self._limits, view.slices, view.units)
+        return failure or _limit_violation(sensors.observations[arm], sensors.bound, sensors.slices, sensors.units)
 
     @property
-    def present(self) -> View:
-        """View of all arms, or of the only one, whose numbers take less time than arrays of one."""
-        if self._present is None:
-            self._present = self.view if len(self.over) > 1 else self.view.single()
-        return self._present
+    def current_view(self) -> View:
+        """View of the arms; of a single arm the view without the axis of the arms, which is faster."""
+        if self._current_view is None:
+            self._current_view = self.view if len(self.over) > 1 else self.view.single()
+        return self._current_view
 
     @property
-    def terms(self) -> dict[str, Number]:
+    def reward_terms(self) -> dict[str, Number]:
         """Reward terms of the last control period, name -> (b,), or a number for one arm."""
-        if self._terms is None:
-            self._terms = self._reward_terms(self.present)
-        return self._terms
+        if self._reward_terms is None:
+            self._reward_terms = self._compute_reward_terms(self.current_view)
+        return self._reward_terms
 
     def clear_cache(self) -> None:
         """Discard quantities derived from the previous state."""
-        self._terms = self._present = None
+        self._reward_terms = self._current_view = None
 
     def rewards(self) -> Array:
-        """Return the rewards (b,) of the last control period."""
-        result = sum_terms(self.terms)
+        """Return the rewards (b,) of the last control period: the sums of the reward terms.
+
+        The built-in `sum` compensates rounding errors of floats, but not of arrays. The reward of a single arm would
+        then differ in the last bit from its reward in a batch.
+        """
+        result: Number = reduce(add, self.reward_terms.values(), 0.0)
         return result if isinstance(result, np.ndarray) and result.ndim else np.array([result] * len(self.over))
 
     def info(self) -> dict[str, Any]:
-        """Return the numbers of the info, with an axis for the arms unless there is only one."""
-        view = self.present
+        """Return the numbers of the info by name, with an axis for the arms unless there is a single arm."""
+        view = self.current_view
         residual = view.energy_residual
         return {
             "tip_error": view.tip_error,
@@ -391,12 +402,27 @@ class Episodes:
             "elastic_energy": view.elastic_energy,
             "energy_residual": residual,
             "energy_alarm": abs(residual) > self._energy_alarm * view.energy_turnover,
-            "reward_terms": dict(self.terms),
-            **{
-                name: copy(value) for name, value in self.task.info(view).items()
-            },  # a copy, as the arrays of a view change
+            "reward_terms": dict(self.reward_terms),
+            **{name: copy(value) for name, value in self.task.info(view).items()},  # the arrays of a view change
             **{name: copy(getattr(view, name)) for name in self._info_keys},
         }
+
+
+def _limit_violation(values: Array, bound: Array, slices: dict[str, slice], units: dict[str, str]) -> str:
+    """Return name, value, unit and bound of the first value beyond its bound as text; "" if there is none.
+
+    Args:
+        values: (size,) values.
+        bound: (size,) largest magnitudes.
+        slices: name of a quantity -> slice of the values.
+        units: name of a quantity -> unit.
+    """
+    inside = np.abs(values) <= bound
+    if inside.all():
+        return ""
+    first = int(np.argmin(inside))
+    name = next(name for name, columns in slices.items() if first < columns.stop)
+    return f"{name} {values[first]:.4g} {units[name]} beyond {bound[first]:.4g}"
 
 
 def make_spaces(episodes: Episodes) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
@@ -406,22 +432,23 @@ def make_spaces(episodes: Episodes) -> tuple[spaces.Space[Any], spaces.Space[Any
     return spaces.Box(-bound, bound, dtype=np.float32), spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
 
 
-def _goal_path(task: Task, plan: Mapping[str, Array], periods: int, view: View) -> Array:
-    """Return the goal postures (r, T + 1, n), rad, over T control periods of episodes with plans (r, ...), by name."""
-    count, times = len(next(iter(plan.values()))), view.control_period * np.arange(periods + 1.0)
-    alike = [{name: np.repeat(each[i : i + 1], len(times), 0) for name, each in plan.items()} for i in range(count)]
-    return np.array([task.goal(each, times, view).angles for each in alike])
+def _goal_path(task: Task, parameters: Mapping[str, Array], periods: int, view: View) -> Array:
+    """Return goal postures (r, T + 1, n), rad, over T control periods of r episodes with parameters (r, ...)."""
+    count, times = len(next(iter(parameters.values()))), view.control_period * np.arange(periods + 1.0)
+    repeated = [{name: np.repeat(values[i : i + 1], len(times), 0) for name, values in parameters.items()}
+                for i in range(count)]  # fmt: skip
+    return np.array([task.goal(each, times, view).angles for each in repeated])
 
 
-def _replace_tip_positions(plan: Mapping[str, Array], view: View) -> dict[str, Array]:
-    """Return plans with postures (r, n), rad, in place of the tip positions (r, 3), m, of TIP_OPTIONS.
+def _replace_tip_positions(parameters: Mapping[str, Array], view: View) -> dict[str, Array]:
+    """Return episode parameters with postures (r, n), rad, in place of tip positions (r, 3), m, see TIP_OPTIONS.
 
-    The search for a goal starts at the start posture, that for a start at zero angles; see `inverse_kinematics`.
+    The inverse kinematics of a goal begins at the start posture, the inverse kinematics of a start at zero angles.
     """
-    result = dict(plan)
+    result = dict(parameters)
     for name, posture in TIP_OPTIONS.items():
-        if name in plan:
-            near = result["start"] if posture != "start" else np.zeros((len(plan[name]), view.n_joints))
+        if name in parameters:
+            near = result["start"] if posture != "start" else np.zeros((len(parameters[name]), view.n_joints))
             pairs = zip(result.pop(name), near, strict=True)
             result[posture] = np.array([inverse_kinematics(f"options[{name!r}]", *pair, view) for pair in pairs])
     return result

@@ -11,18 +11,17 @@ from flexman_gym.envs.view import View
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the motion of an arm; an episode ends when one of them is exceeded.
+    """Limits of the motion of an arm; an episode terminates when one of them is exceeded.
 
-    Beyond the limits the model loses its validity. They are checked on the true state, whatever the agent's sensors
-    are.
+    Beyond the limits the model is not valid. The limits are compared with the true state, not with measurements.
 
     Attributes:
-        angle: of each motor, rad.
-        rate: of each motor and of each joint twist, rad/s.
-        twist: of each joint, motor angle - joint angle, rad.
-        deflection: of the tip of a link, as a fraction of the length of the link.
-        deflection_rate: of the tip of a link, m/s.
-        tip_speed: of the tip along each base axis, m/s.
+        angle: largest magnitude of a motor angle, rad.
+        rate: largest magnitude of a motor rate and of the rate of a joint twist, rad/s.
+        twist: largest magnitude of a joint twist, motor angle - joint angle, rad.
+        deflection: largest deflection of the tip of a link, as a fraction of the length of the link.
+        deflection_rate: largest rate of the deflection of the tip of a link, m/s.
+        tip_speed: largest speed of the tip along each base axis, m/s.
 
     Examples:
         >>> import gymnasium as gym
@@ -42,8 +41,8 @@ class Limits:
         set_fields(self, **{name: positive(f"Limits.{name}", value) for name, value in vars(self).items()})
 
     def bounds(self, view: View) -> dict[str, Array]:
-        """Return the largest magnitude of each entry of `view.motion`, by the name of its part."""
-        sizes = {name: place.stop - place.start for name, place in view.slices.items()}
+        """Return name -> (size,) largest magnitude of each value of a quantity in `view.motion`."""
+        sizes = {name: columns.stop - columns.start for name, columns in view.slices.items()}
         values = {
             "motor_angles": self.angle,
             "motor_rates": self.rate,
@@ -56,25 +55,8 @@ class Limits:
         return {name: np.ones(size) * np.asarray(values[name]) for name, size in sizes.items()}
 
 
-def limit_violation(values: Array, bound: Array, places: dict[str, slice], units: dict[str, str]) -> str:
-    """Describe the first value beyond its bound: name, value, unit and bound; "" if all are within.
-
-    Args:
-        values: (size,) values.
-        bound: (size,) largest magnitudes.
-        places: name -> slice of the values.
-        units: name -> unit.
-    """
-    inside = np.abs(values) <= bound
-    if inside.all():
-        return ""
-    first = int(np.argmin(inside))
-    name = next(name for name, place in places.items() if first < place.stop)
-    return f"{name} {values[first]:.4g} {units[name]} beyond {bound[first]:.4g}"
-
-
 def find_limits(value: object) -> Limits:
-    """Return Limits from a mapping of their values, or a Limits as it is."""
+    """Return Limits from a mapping of its arguments; a Limits object is returned unchanged."""
     if isinstance(value, Limits):
         return value
     names = [each.name for each in fields(Limits)]

@@ -1,4 +1,4 @@
-"""Measurements: readings of the sensors of the agent and of its action mode, for many arms."""
+"""Measurements: readings of the sensors of the agent and of its action mode, for b arms."""
 
 from collections.abc import Sequence
 
@@ -18,12 +18,12 @@ class Measurements:
     Args:
         view: view of the arms.
         limits: limits of the arms.
-        observed: sensors of the agent and of the task.
-        inner: sensors of the action mode and its base controller.
-        effects: disturbances of the measurements; None for none.
+        own_sensors: sensors of the agent and of the task.
+        mode_sensors: sensors of the action mode and its base controller.
+        effects: disturbances of the measurements; None without disturbances.
 
     Attributes:
-        sensors: sensors of the agent; their `observations` have no history.
+        sensors: sensors of the agent; their `observations` are the current ones, without history.
     """
 
     state_fields = ("_measured", "sensors", "_base_sensors")
@@ -32,28 +32,28 @@ class Measurements:
         self,
         view: View,
         limits: Limits,
-        observed: Sequence[object],
-        inner: Sequence[object],
+        own_sensors: Sequence[object],
+        mode_sensors: Sequence[object],
         effects: ActiveEffects | None,
     ) -> None:
         self._effects, self._all = effects, np.arange(len(view.motion))
         self._measured = None
         if effects is not None and effects.measures:
-            self._measured = MeasuredView(view, limits, measured_names([*observed, *inner]))
+            self._measured = MeasuredView(view, limits, measured_names([*own_sensors, *mode_sensors]))
         source = self._measured or view
-        self.sensors = SensorArray(observed, source, limits)  # type: ignore[arg-type]
-        self._base_sensors = SensorArray(inner, source, limits, "base", self.sensors)  # type: ignore[arg-type]
-        self._read, self._base_read = False, False  # True after a reading in this control period
+        self.sensors = SensorArray(own_sensors, source, limits)  # type: ignore[arg-type]
+        self._base_sensors = SensorArray(mode_sensors, source, limits, "base", self.sensors)  # type: ignore[arg-type]
+        self._read, self._base_read = False, False  # True if the sensors were read in this control period
 
     def begin(self, arms: IntArray, randoms: Sequence[np.random.Generator]) -> None:
-        """Start new episodes of the arms (r,), each with its generator, and read them."""
+        """Start new episodes of the arms (r,), each with its random generator, and read all sensors of the agent."""
         self._measure(arms)
         self.sensors.begin(arms, randoms)
         self._base_sensors.begin(arms, randoms)
         self.read()
 
     def sample(self, arms: IntArray | None) -> None:
-        """Sample the arms (r,), None for all, at the end of a control period."""
+        """Sample the arms with the indices (r,), None for all arms, at the end of a control period."""
         arms = self._all if arms is None else arms
         self._measure(arms)
         self.sensors.sample(arms)
@@ -67,7 +67,7 @@ class Measurements:
             self._measured.clip()
 
     def read(self) -> Array:
-        """Return the readings (b, size) of the agent's sensors side by side."""
+        """Return the readings (b, size) of the agent's sensors, concatenated."""
         if not self._read:
             self.sensors.read()
             self._read = True
@@ -75,14 +75,14 @@ class Measurements:
 
     @property
     def readings(self) -> dict[str, Array]:
-        """Readings of the action mode and its base, name -> (b, size)."""
+        """Readings for the action mode and its base controller, name -> (b, size)."""
         if not self._base_read:
             self._base_sensors.read()
             self._base_read = True
         return self._base_sensors.readings
 
     def refresh(self, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Read again after the state and the generators of all arms were replaced."""
+        """Read all sensors again after the state and the random generators of all arms were replaced."""
         if self._measured is not None:
             self._measured.refresh()
         self.sensors.refresh(randoms)

@@ -1,4 +1,4 @@
-"""Random streams: one generator for each purpose and arm, and truncated normal noise drawn in blocks."""
+"""Random streams: separate generators for each effect and sensor of each arm, and truncated normal noise."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,15 +8,15 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
 
-BLOCK_SIZE = 32  # samples per draw of noise
-TRUNCATION = 4.0  # standard deviations; noise beyond it is drawn again
+BLOCK_SIZE = 32  # samples of noise drawn at once
+TRUNCATION = 4.0  # standard deviations; largest magnitude of the noise
 
 
 class RandomStreams:
-    """Generator for each name and each of b arms, seeded by the name and the seed of the arm's own generator.
+    """Random generators for each name and each arm, seeded by the name and the seed of the arm.
 
-    Nothing is drawn from the arm's own generator, so that a further name changes neither the other streams nor the
-    episode.
+    Nothing is drawn from the arm's own generator. A further name therefore changes neither the remaining streams nor
+    start and goal of an episode.
     """
 
     state_fields = ("_streams",)
@@ -26,7 +26,7 @@ class RandomStreams:
         self._streams: dict[str, list[Any]] = {name: [None] * arms for name in names}
 
     def generators(self, arm: int, random: np.random.Generator) -> dict[str, np.random.Generator]:
-        """Return the generators of an arm by name; a new `random` makes new ones."""
+        """Return the generators of an arm by name; they are made again if the arm's own generator is a new object."""
         if self._parents[arm] is not random:
             self._parents[arm] = random
             for name, streams in self._streams.items():
@@ -34,12 +34,12 @@ class RandomStreams:
         return {name: streams[arm] for name, streams in self._streams.items()}
 
     def set_generators(self, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Set the generators of all arms to which the restored streams belong."""
+        """Set the generators of all arms from which the restored streams were made."""
         self._parents = list(randoms)
 
 
 class TruncatedNoise:
-    """Standard normal numbers (size,) per sample for each of b arms; numbers beyond TRUNCATION are drawn again."""
+    """Standard normal numbers (size,) per sample for each of b arms, truncated at TRUNCATION by rejection."""
 
     state_fields = ("_inner", "_block", "_used")
 
@@ -48,7 +48,7 @@ class TruncatedNoise:
         self._block, self._used = np.zeros((arms, BLOCK_SIZE, size)), np.zeros(arms, dtype=np.int64)
 
     def begin(self, arm: int, stream: np.random.Generator) -> None:
-        """Seed the noise of an episode with one draw of a stream."""
+        """Seed the noise of an episode of an arm by one draw from a stream."""
         self._inner[arm], self._used[arm] = np.random.default_rng(stream.integers(2**63)), BLOCK_SIZE
 
     def sample(self, arms: IntArray) -> Array:
@@ -61,15 +61,15 @@ class TruncatedNoise:
 
 
 def _normal(random: np.random.Generator, shape: tuple[int, ...]) -> Array:
-    """Return standard normal numbers within the truncation, by rejection."""
+    """Return standard normal numbers of magnitude up to TRUNCATION, by rejection."""
     values = random.standard_normal(shape)
-    while (beyond := np.abs(values) > TRUNCATION).any():
-        values[beyond] = random.standard_normal(np.count_nonzero(beyond))
+    while (rejected := np.abs(values) > TRUNCATION).any():
+        values[rejected] = random.standard_normal(np.count_nonzero(rejected))
     return values
 
 
 def _stream(parent: np.random.Generator, name: str) -> np.random.Generator:
-    """Return a generator seeded by the seed of another generator and a name."""
+    """Return a generator seeded by the seed of a parent generator and a name."""
     seed: Any = parent.bit_generator.seed_seq
     key = (*seed.spawn_key, crc32(name.encode()))
     return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))

@@ -1,4 +1,4 @@
-"""Rendering: frames of arms during their episodes."""
+"""Rendering of arms during their episodes: frames, a window, or a web page."""
 
 import os
 import sys
@@ -16,12 +16,13 @@ from flexman_gym.model.deformation import curves
 
 RENDER_KEYWORDS = ("render_mode", "render_size", "render_camera", "render_gain", "render_overlays")
 RENDER_MODES = ("human", "rgb_array")
-TRAIL_DURATION = 1.5  # s; drawn part of the path of the tip
-LINK_POINTS, POSTURES, TIMES = 5, 7, 24  # points on each link; postures from start to goal; times of a moving goal
+TRAIL_DURATION = 1.5  # s; length of the drawn trail of the tip
+LINK_POINTS, POSTURES = 5, 7  # points on each link, and postures from start to goal, that a frame must contain
+GOAL_TIMES = 24  # times during an episode at which the position of a moving goal must be in the frame
 
 
 class _Renderer:
-    """Renderer of the arms of an environment, each with a camera that shows its whole task.
+    """Renderer of the arms of an environment; each arm has a camera that shows its start, goal and target.
 
     Args:
         episodes: episodes of the arms.
@@ -29,19 +30,19 @@ class _Renderer:
         look: size, camera, gain and overlays, see `FramePainter`.
 
     Attributes:
-        screen: window or page with the first arm; None before the first frame.
+        screen: window or web page that shows the first arm; None before the first frame.
     """
 
     def __init__(self, episodes: Episodes, title: str, look: tuple[Any, ...]) -> None:
         self._episodes, self._title, self._painter = episodes, title, FramePainter(episodes.batch.model, *look)
         self.screen: Any = None
         arms = len(episodes.over)
-        self._plans: list[object] = [None] * arms
+        self._last_parameters: list[object] = [None] * arms
         self._shots: list[Shot | None] = [None] * arms
         self._trails: list[list[tuple[float, Array]]] = [[] for _ in range(arms)]
 
     def frame(self, arm: int) -> NDArray[np.uint8]:
-        """Return a frame (height, width, 3) uint8 of an arm, its target, error and reward, at the present time."""
+        """Return a frame (height, width, 3) uint8 of an arm with its target, tip error and reward."""
         episodes, view = self._episodes, self._episodes.view
         if self._is_new(arm):
             self._trails[arm], self._shots[arm] = [], self._painter.shot(self.extent(arm))
@@ -54,10 +55,10 @@ class _Renderer:
         return self._painter.paint(view.state[arm], view.target[arm], caption, path, self._shots[arm])
 
     def _is_new(self, arm: int) -> bool:
-        """Return True if a new episode has begun since the last call."""
-        plan = {name: values[arm].tolist() for name, values in self._episodes.view.plan.items()}
-        before, self._plans[arm] = self._plans[arm], plan
-        return plan != before
+        """Return True if a new episode of an arm has begun since the last call."""
+        parameters = {name: values[arm].tolist() for name, values in self._episodes.view.episode_parameters.items()}
+        before, self._last_parameters[arm] = self._last_parameters[arm], parameters
+        return parameters != before
 
     def show(self) -> None:
         """Show the first arm in a window, or on a local web page on a computer without a display."""
@@ -67,12 +68,9 @@ class _Renderer:
         view, model = self._episodes.view, self._episodes.batch.model
         period = self._episodes.agent.action_repeat * view.control_period
         if self.screen is None:
-            shown = self._painter
-            self.screen = (
-                Window(shown.size, self._title, period)
-                if _has_display()
-                else LivePage(model, self._title, period, shown.scale)
-            )
+            size, scale = self._painter.size, self._painter.scale
+            window = _has_display()
+            self.screen = Window(size, self._title, period) if window else LivePage(model, self._title, period, scale)
         if isinstance(self.screen, Window):
             return self.screen.show(self.frame(0))
         if self._is_new(0) or self._episodes.batch.time[0] == 0.0:
@@ -80,17 +78,18 @@ class _Renderer:
         self.screen.show(view.state[0, : model.n_dof], view.target[0], view.tip_error[0], view.action[0])
 
     def close(self) -> None:
-        """Close the window or the page."""
+        """Close the window or the web page."""
         if self.screen is not None:
             self.screen.close()
             self.screen = None
 
     def extent(self, arm: int) -> Array:
-        """Return the points (p, 3), m, that a frame must contain: the arm now, at the start and up to its goals."""
+        """Return the points (p, 3), m, that a frame must contain: arm and targets from the start to the goals."""
         episodes, view, model = self._episodes, self._episodes.view, self._episodes.batch.model
-        times = np.linspace(0.0, episodes.max_periods * view.control_period, TIMES if episodes.task.moves else 1)
-        plan = {name: np.repeat(values[arm : arm + 1], len(times), axis=0) for name, values in view.plan.items()}
-        goal, start = episodes.task.goal(plan, times, view), plan["start"][0]
+        times = np.linspace(0.0, episodes.max_periods * view.control_period, GOAL_TIMES if episodes.task.moves else 1)
+        own = {name: values[arm : arm + 1] for name, values in view.episode_parameters.items()}
+        parameters = {name: np.repeat(values, len(times), axis=0) for name, values in own.items()}
+        goal, start = episodes.task.goal(parameters, times, view), parameters["start"][0]
         postures = start + np.linspace(0.0, 1.0, POSTURES)[:, None] * (goal.angles[0] - start)
         states = [view.state[arm : arm + 1], view.rest_states(np.array([start, goal.angles[-1]]))]
         states += [model.at_rest(np.concatenate([postures, goal.angles]))]
@@ -101,7 +100,7 @@ class _Renderer:
 def make_renderer(
     mode: str | None, episodes: Episodes, title: str, look: tuple[Any, ...], modes: tuple[str, ...] = RENDER_MODES
 ) -> _Renderer | None:
-    """Return the renderer of a render mode; None for none.
+    """Return the renderer for a render mode; None for the render mode None.
 
     Args:
         mode: render mode of Gymnasium.
@@ -117,7 +116,7 @@ def make_renderer(
 
 
 def _has_display() -> bool:
-    """Return whether a window can be opened: it needs pygame and, on Linux, a display."""
+    """Return True if a window can be opened, which needs pygame and, on Linux, a display."""
     from importlib.util import find_spec
 
     shown = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"))

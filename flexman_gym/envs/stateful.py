@@ -1,4 +1,4 @@
-"""Base class of both environments: saving, restoring, copying and pickling of the complete state."""
+"""Base class of `FlexManEnv` and `FlexManVectorEnv`: saving, restoring, copying and pickling of the complete state."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -6,7 +6,6 @@ from copy import deepcopy
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from gymnasium import Space
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
@@ -21,24 +20,24 @@ Observations = NDArray[np.float32]
 
 @deprecated_members(**MEMBERS["FlexManEnv, FlexManVectorEnv"])
 class StatefulEnv:
-    """Base class of the single and the vector environment: get, set and copy their complete state."""
+    """Base class of the single and the vector environment, with methods to get, set and copy the complete state."""
 
     state_fields: ClassVar[tuple[str, ...]]
     spaces: ClassVar[tuple[str, ...]]
     configuration: Configuration
     episodes: Episodes
     spec: Any
-    _made: dict[str, Any]  # arguments of the constructor
+    _arguments: dict[str, Any]  # arguments of the constructor
 
     def get_state(self) -> dict[str, Any]:
-        """Return the complete state as dicts and lists of arrays and plain data.
+        """Return the complete state as dicts and lists of arrays, numbers and strings.
 
-        It contains the motion, the episode and the parameters of every arm, the state of effects and agent, and all
-        random generators. From this state, another environment with the same arguments continues bit for bit.
+        The state contains the motion, the episode and the parameters of every arm, the state of effects and agent, and
+        all random generators. A second environment with the same arguments continues from this state bit for bit.
         """
-        spaces = {name: get_state(_space(self, name)._np_random) for name in self.spaces}
-        own = {name: get_state(getattr(self, name)) for name in self.state_fields}
-        return {**own, **spaces, "episodes": get_state(self.episodes), "agent": get_state(self.episodes.agent)}
+        spaces = {name: get_state(getattr(self, name)._np_random) for name in self.spaces}
+        fields = {name: get_state(getattr(self, name)) for name in self.state_fields}
+        return {**fields, **spaces, "episodes": get_state(self.episodes), "agent": get_state(self.episodes.agent)}
 
     def set_state(self, state: dict[str, Any]) -> Observations:
         """Set the complete state from `get_state` of an environment with the same arguments.
@@ -56,24 +55,25 @@ class StatefulEnv:
         names = {*self.state_fields, *self.spaces, "episodes", "agent"}
         if not isinstance(state, dict) or state.keys() != names:
             result = sorted(map(str, state)) if isinstance(state, dict) else state
-            raise value_error("state", result, f"what get_state gave: {', '.join(sorted(names))}")
-        own = {name: set_state(f"state.{name}", getattr(self, name), state[name]) for name in self.state_fields}
+            raise value_error("state", result, f"a result of get_state: {', '.join(sorted(names))}")
+        fields = {name: set_state(f"state.{name}", getattr(self, name), state[name]) for name in self.state_fields}
         spaces = {name: set_state(f"state.{name}", None, state[name]) for name in self.spaces}
-        for name, random in {**own, **spaces}.items():
+        for name, random in {**fields, **spaces}.items():
             if not isinstance(random, list | int | np.random.Generator | None):
-                raise value_error(f"state.{name}", random, "what get_state gave")
-        self.episodes.set_state(state["episodes"], state["agent"], self._generators(own))
-        for name, value in own.items():
+                raise value_error(f"state.{name}", random, "a result of get_state")
+        self.episodes.set_state(state["episodes"], state["agent"], self._generators(fields))
+        for name, value in fields.items():
             setattr(self, name, value)
         for name, random in spaces.items():
-            _space(self, name)._np_random = random
+            getattr(self, name)._np_random = random
         return self.episodes.agent.observations.copy()
 
     @contextmanager
     def _restored_on_error(self, options: object) -> Iterator[None]:
-        """Restore the state if a reset with options fails; its episodes are over then.
+        """Restore the state if a reset with options fails; the reset episodes remain over.
 
-        Without options the start drawn by the task is not feasible, and the next reset should draw another one.
+        A reset without options fails if the drawn start is not feasible. The state is then not restored, so that the
+        next reset draws a different start.
         """
         before = None if options is None or (isinstance(options, dict) and not options) else self.get_state()
         try:
@@ -86,21 +86,21 @@ class StatefulEnv:
             raise
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        return _restored(type(self), deepcopy(self._made, memo), self.spec, self.get_state())
+        return _restored(type(self), deepcopy(self._arguments, memo), self.spec, self.get_state())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restored, (type(self), self._made, self.spec, self.get_state())  # for pickle
+        return _restored, (type(self), self._arguments, self.spec, self.get_state())  # for pickle
 
     def __copy__(self) -> Self:
         return deepcopy(self)  # also for a shallow copy: two environments never share arms
 
-    def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
-        """Return the generator of each arm among the restored values."""
+    def _generators(self, restored: dict[str, Any]) -> list[np.random.Generator | None]:
+        """Return the random generator of each arm from restored values of `state_fields`."""
         raise NotImplementedError
 
 
 def _renamed(state: Any, command: Array) -> Any:
-    """Return a state of version 0.2, with the observations among the sensors, under the present names."""
+    """Return a state of release 0.2, which stored the observations with the sensors, under the current names."""
     if not isinstance(state, dict) or not all(isinstance(state.get(name), dict) for name in ("acting", "episodes")):
         return state
     episodes, state = dict(state["episodes"]), dict(state)
@@ -117,14 +117,9 @@ def _renamed(state: Any, command: Array) -> Any:
     return state | {"episodes": episodes | {"measurements": sight}, "agent": state.pop("acting") | own}
 
 
-def _restored(kind: type[Any], made: dict[str, Any], spec: Any, state: dict[str, Any]) -> Any:
-    """Return an environment with the arguments and the state of another one."""
-    other = kind(**made)
-    other.spec = spec
-    other.set_state(state)
-    return other
-
-
-def _space(env: object, name: str) -> Space[Any]:
-    result: Space[Any] = getattr(env, name)
+def _restored(kind: type[Any], arguments: dict[str, Any], spec: Any, state: dict[str, Any]) -> Any:
+    """Return an environment of a class with the given arguments, EnvSpec and state."""
+    result = kind(**arguments)
+    result.spec = spec
+    result.set_state(state)
     return result

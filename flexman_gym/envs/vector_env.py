@@ -31,12 +31,12 @@ Infos = dict[str, Any]
 
 
 def _batched(info: Infos) -> Infos:
-    """Return the info of a single arm with an axis for the arms in front of every number and array."""
+    """Return the info of a single arm with a leading axis of length 1 on every number and array."""
     return {key: _batched(value) if isinstance(value, dict) else np.array([value]) for key, value in info.items()}
 
 
 def _with_masks(infos: Infos, mask: BoolArray) -> Infos:
-    """Return the infos with a mask for each key, including those of nested dicts."""
+    """Return the infos with a mask under "_KEY" for each key, also in nested dicts."""
     result = {}
     for key, value in infos.items():
         result[key] = _with_masks(value, mask) if isinstance(value, dict) else value
@@ -45,7 +45,7 @@ def _with_masks(infos: Infos, mask: BoolArray) -> Infos:
 
 
 def _masked(infos: Infos, mask: BoolArray) -> Infos:
-    """Return infos with zeros (None for objects) for the arms outside a mask."""
+    """Return infos in which the arms outside a mask (b,) have zeros (None for objects)."""
     result: Infos = {}
     for key, value in infos.items():
         if isinstance(value, dict):
@@ -57,35 +57,36 @@ def _masked(infos: Infos, mask: BoolArray) -> Infos:
     return result
 
 
-MAX_STEPS = 10**9  # steps of an episode
-INFO_MODES = ("always", "at end")
-MAX_SEED_STRIDE = 10**12
+MAX_STEPS = 10**9  # largest max_episode_steps
+INFO_MODES = ("always", "at end")  # values of the argument infos
+MAX_SEED_STRIDE = 10**12  # largest seed_stride
 OWN_KEYWORDS = ("num_envs", "threads", "max_episode_steps", "autoreset_mode", "infos", "seed_stride", *RENDER_KEYWORDS)
-INDEXED_ATTRIBUTES = ("render", "np_random", "np_random_seed")  # attributes with an entry for each arm
+INDEXED_ATTRIBUTES = ("render", "np_random", "np_random_seed")  # members with an entry for each arm
 
 
 class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
     """Vectorised `FlexManEnv`: `gym.make_vec("FlexRRR-v0", num_envs=64, vectorization_mode="vector_entry_point")`.
 
-    Observations, rewards, terminations, truncations and infos equal those of `gymnasium.vector.SyncVectorEnv` over
-    single environments, bit for bit, with an axis for the arms in front. Infos follow the convention of Gymnasium: an
-    array for each key, and its mask under the key with a leading underscore; several masks of one info may be the same
-    array.
+    Each arm is one sub-environment. Observations, rewards, terminations, truncations and infos equal those of
+    `gymnasium.vector.SyncVectorEnv` over single environments, bit for bit, with a leading axis for the arms. Infos
+    follow the convention of Gymnasium: an array for each key, and its mask under the key with a leading underscore.
+    Several masks may be the same array object.
 
     `reset(seed=...)` takes a list with a seed for each arm, or one seed s; arm i then has the seed s * seed_stride + i.
-    With a stride of at least `num_envs`, environments with the seeds s and s + 1 have no episode in common. The options
-    "start", "goal_angles" and "parameters" apply to all arms, or have a leading axis for each. With
+    With a stride of at least `num_envs`, the seeds s and s + 1 of the vector environment share no seed of an arm. The
+    options "start", "goal_angles" and "parameters" apply to all arms, or have a leading axis for the arms. With
     autoreset_mode="Disabled" the option "reset_mask", (num_envs,) bool, selects the arms to reset.
 
     Args:
         num_envs: number of arms.
-        threads: number of threads, at most one per 32 arms; a second one pays only on an idle core.
+        threads: number of threads, at most one per 32 arms; a second thread is faster only on an idle core.
         max_episode_steps: steps after which an episode is truncated; None for the `horizon`.
         autoreset_mode: an AutoresetMode of Gymnasium, or its value.
-        infos: "always"; or "at end" for infos only of arms whose episode has just ended, with "SameStep" as `final_obs`
-            and `final_info`. All other infos, including those of a reset, are then empty and cost no time.
+        infos: "always"; or "at end" for infos only of arms whose episode has just ended (with autoreset_mode="SameStep"
+            as `final_obs` and `final_info`). All other infos, including those of a reset, are then empty, which saves
+            time.
         seed_stride: factor on a single seed, see above.
-        render_mode: see `FlexManEnv`; one frame per arm, which `draw.grid` combines.
+        render_mode: None or "rgb_array"; `render` returns one frame per arm, which `draw.grid` combines.
         render_size: see `FlexManEnv`.
         render_camera: see `FlexManEnv`.
         render_gain: see `FlexManEnv`.
@@ -116,11 +117,11 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         chosen = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
         self.autoreset_mode = modes[one_of("autoreset_mode", chosen, modes)]
         self.num_envs = whole_number("num_envs", num_envs, 1, MAX_ARMS)
-        self._at_end = one_of("infos", infos, INFO_MODES) == "at end"
-        self._stride = whole_number("seed_stride", seed_stride, 1, MAX_SEED_STRIDE)
-        self.render_mode, look = render_mode, (render_size, render_camera, render_gain, render_overlays)
-        given = num_envs, threads, max_episode_steps, autoreset_mode, infos, seed_stride, render_mode, *look
-        self._made = dict(zip(OWN_KEYWORDS, given, strict=True)) | settings
+        self._infos_at_end = one_of("infos", infos, INFO_MODES) == "at end"
+        self._seed_stride = whole_number("seed_stride", seed_stride, 1, MAX_SEED_STRIDE)
+        self.render_mode, rendering = render_mode, (render_size, render_camera, render_gain, render_overlays)
+        given = num_envs, threads, max_episode_steps, autoreset_mode, infos, seed_stride, render_mode, *rendering
+        self._arguments = dict(zip(OWN_KEYWORDS, given, strict=True)) | settings
         configuration = Configuration.from_keywords(settings, OWN_KEYWORDS)
         model, method, step, self.choice = resolve_fidelity(configuration)
         period = configuration.control_period
@@ -128,7 +129,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         self.configuration, self.task = configuration, configuration.task
         self.torque_limit = np.array(configuration.torque_limit)
         self.episodes = Episodes(configuration, self.batch)
-        self._rendering = make_renderer(render_mode, self.episodes, configuration.id, look, ("rgb_array",))
+        self._rendering = make_renderer(render_mode, self.episodes, configuration.id, rendering, ("rgb_array",))
         if max_episode_steps is not None:
             self.episodes.max_periods = configuration.action_repeat * whole_number(
                 "max_episode_steps", max_episode_steps, 1, MAX_STEPS
@@ -140,12 +141,12 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode, "render_fps": round(1 / period)}
-        self._shape = (num_envs, size)
-        self._allowed = f"{num_envs} rows of {size} numbers from -1 to 1"
+        self._action_shape = (num_envs, size)
+        self._allowed_actions = f"{num_envs} rows of {size} numbers from -1 to 1"
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
         self._seeds = [-1] * num_envs
-        self._ok, self._no_failure = (np.full(num_envs, text, dtype=object) for text in (layout.STATUS[0], ""))
-        self._everyone = np.ones(num_envs, dtype=bool)
+        self._status_ok, self._no_failure = (np.full(num_envs, text, dtype=object) for text in (layout.STATUS[0], ""))
+        self._all_arms = np.ones(num_envs, dtype=bool)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -160,8 +161,8 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
             Observations (num_envs, size) and infos.
 
         Raises:
-            ValueError: for a seed or options that are not allowed. The result of the next reset is not affected, but
-                the episodes of these arms may be over.
+            ValueError: for a seed or options that are not allowed. The running episodes of these arms may then be over;
+                the result of the next reset is not affected.
         """
         seeds = self._each_seed(seed)
         check_parameters(options, self.batch)
@@ -175,41 +176,41 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
                 if seeds[arm] is not None:
                     self._randoms[arm], self._seeds[arm] = seeding.np_random(seeds[arm])
             self._restart(arms, options)
-        infos = {} if self._at_end else self._infos()
+        infos = {} if self._infos_at_end else self._infos()
         return self.episodes.agent.observations.copy(), infos if mask is None else _masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observations, Array, BoolArray, BoolArray, Infos]:
         """Apply actions for `action_repeat` control periods, and reset according to the autoreset mode.
 
         Args:
-            actions: (num_envs, k) values from -1 to 1.
+            actions: (num_envs, k) values from -1 to 1; by default one for each motor of an arm.
 
         Returns:
-            Observations, rewards, terminations, truncations and infos.
+            Observations (num_envs, size), rewards, terminations and truncations (num_envs,), and infos.
 
         Raises:
             ValueError: for actions of the wrong shape or outside the action space.
-            RuntimeError: before a reset and, with autoreset_mode="Disabled", for an arm whose episode is over.
+            RuntimeError: before the first reset; with autoreset_mode="Disabled" also if the episode of an arm is over.
         """
         episodes, over = self.episodes, self.episodes.over
-        values = validate_actions("actions", actions, self._shape, self._allowed)
-        late = np.flatnonzero(over) if np.count_nonzero(over) else None
-        if late is not None and (self.autoreset_mode != AutoresetMode.NEXT_STEP or None in self._randoms):
-            raise RuntimeError(f"the episodes of arms {late.tolist()} are over: reset them first")
+        values = validate_actions("actions", actions, self._action_shape, self._allowed_actions)
+        finished = np.flatnonzero(over) if np.count_nonzero(over) else None
+        if finished is not None and (self.autoreset_mode != AutoresetMode.NEXT_STEP or None in self._randoms):
+            raise RuntimeError(f"the episodes of arms {finished.tolist()} are over: reset them first")
         rewards = episodes.step(values)
-        if late is not None:
-            self._restart(late, None)
-        ending = bool(episodes.failures) or bool(np.count_nonzero(episodes.truncated))
-        infos = self._infos() if ending or not self._at_end else {}
-        if late is not None:
-            rewards[late] = 0.0
+        if finished is not None:
+            self._restart(finished, None)
+        any_ended = bool(episodes.failures) or bool(np.count_nonzero(episodes.truncated))
+        infos = self._infos() if any_ended or not self._infos_at_end else {}
+        if finished is not None:
+            rewards[finished] = 0.0
         truncations = episodes.truncated.copy()
         terminations = np.zeros(self.num_envs, dtype=bool)
-        if ending:
+        if any_ended:
             terminations[list(episodes.failures)] = True
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
-                infos = self._finish(over.copy(), infos)
-            elif self._at_end:
+                infos = self._reset_ended(over.copy(), infos)
+            elif self._infos_at_end:
                 infos = _masked(infos, terminations | truncations)
         return episodes.agent.observations.copy(), rewards, terminations, truncations, infos
 
@@ -221,9 +222,9 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         return tuple(map(self._rendering.frame, range(self.num_envs)))
 
     def call(self, name: str, *args: Any, **named: Any) -> tuple[Any, ...]:
-        """Return the result of a method or the value of an attribute once for each arm, as in SyncVectorEnv.
+        """Return the result of a method or the value of an attribute for each arm, as in SyncVectorEnv.
 
-        Spaces are those of one arm. Values without an entry for each arm are shared by all.
+        Spaces are those of one arm. A value without an entry for each arm is repeated for all arms.
 
         Args:
             name: name of the method or the attribute.
@@ -234,7 +235,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
             One value for each arm.
 
         Raises:
-            ValueError: for "reset", "step" and "close", which apply to all arms at once.
+            ValueError: for "reset", "step" and "close", which act on all arms at once.
             AttributeError: for an unknown name.
         """
         if name in ("reset", "step", "close"):
@@ -246,28 +247,28 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         return tuple(value) if name in INDEXED_ATTRIBUTES and value is not None else (value,) * self.num_envs
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Return an attribute once for each arm, see `call`."""
+        """Return the value of an attribute for each arm, see `call`."""
         return self.call(name)
 
-    def _finish(self, ended: BoolArray, infos: Infos) -> Infos:
-        """Reset the arms that have ended, and return the infos of all arms with the final ones of the ended arms."""
+    def _reset_ended(self, ended: BoolArray, infos: Infos) -> Infos:
+        """Reset the arms whose episodes have ended; return the infos of all arms, with "final_obs" and "final_info"."""
         final = np.full(self.num_envs, None, dtype=object)
         arms = np.flatnonzero(ended)
         for arm in arms:
             final[arm] = self.episodes.agent.observations[arm].copy()
         self._restart(arms, None)
-        both = _masked({"final_obs": final, "final_info": _masked(infos, ended)}, ended)
-        return both if self._at_end else both | self._infos()
+        combined = _masked({"final_obs": final, "final_info": _masked(infos, ended)}, ended)
+        return combined if self._infos_at_end else combined | self._infos()
 
     def _restart(self, arms: IntArray, options: dict[str, Any] | None) -> None:
         randoms = self.np_random
         self.episodes.reset(arms, [randoms[arm] for arm in arms], options)
 
     def _infos(self) -> Infos:
-        """Return the infos of the present states."""
+        """Return the infos of the current states."""
         episodes, view = self.episodes, self.episodes.view
         infos = _batched(episodes.info()) if self.num_envs == 1 else episodes.info()
-        status, failure = self._ok.copy(), self._no_failure.copy()
+        status, failure = self._status_ok.copy(), self._no_failure.copy()
         for arm, text in episodes.failures.items():
             status[arm], failure[arm] = layout.STATUS[self.batch.status[arm]], text
         infos |= {
@@ -278,11 +279,11 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
             infos["drawn"] = episodes.effects.drawn
         if estimates := getattr(episodes.base, "estimates", None):
             infos["estimates"] = {name: values.copy() for name, values in estimates.items()}
-        return _with_masks(infos, self._everyone.copy())
+        return _with_masks(infos, self._all_arms.copy())
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
-        """Generator of each arm, for starts and goals; made with a random seed if missing."""
+        """Random generator of each arm; a missing one is made with a random seed."""
         for arm, random in enumerate(self._randoms):
             if random is None:
                 self._randoms[arm], self._seeds[arm] = seeding.np_random()
@@ -293,15 +294,15 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         """Seed of the generator of each arm."""
         return tuple(self._seeds) if self.np_random else ()
 
-    def _generators(self, own: dict[str, Any]) -> list[np.random.Generator | None]:
-        return list(own["_randoms"])
+    def _generators(self, restored: dict[str, Any]) -> list[np.random.Generator | None]:
+        return list(restored["_randoms"])
 
     def _each_seed(self, seed: object) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
         if isinstance(seed, int | np.integer):
             first = whole_number("seed", seed, 0, MAX_SEED)
-            return [first * self._stride + arm for arm in range(self.num_envs)]
+            return [first * self._seed_stride + arm for arm in range(self.num_envs)]
         if not isinstance(seed, list | tuple | np.ndarray) or len(sequence("seed", seed)) != self.num_envs:
             raise value_error("seed", seed, f"a whole number, or a list of {self.num_envs}")
         return [
@@ -316,7 +317,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
 
 @cache
 def compile_kernels() -> None:
-    """Compile the kernels of the environments; a lock lets only one process on a computer compile while others wait."""
+    """Compile the kernels of the environments, under a lock so that one process compiles while other processes wait."""
     with (Path(CACHE_FOLDER) / "lock").open("w") if CACHE_FOLDER else nullcontext() as lock:
         if lock is not None:
             fcntl.flock(lock, fcntl.LOCK_EX)

@@ -1,4 +1,4 @@
-"""View: named arrays of the state of many arms, the input of sensors, tasks and limits."""
+"""View: named arrays of the state of b arms, the input of sensors, tasks and limits."""
 
 from collections.abc import Iterable
 from functools import cached_property
@@ -17,18 +17,18 @@ from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurement
 from flexman_gym.model.statics import rest_state, rest_tips
 from flexman_gym.simulation.batch import Batch
 
-# inverse kinematics, fractions of the reach: accepted distance; singular values of the Jacobian that are damped
-TIP_TOLERANCE, DAMPED_SINGULAR_VALUE = 1e-9, 1e-4
-Number = Any  # (b,), or a number for a single arm; supports arithmetic and the functions of NumPy
+TIP_TOLERANCE = 1e-9  # fraction of the reach; accepted tip error of the inverse kinematics
+DAMPED_SINGULAR_VALUE = 1e-4  # fraction of the reach; damping of the least squares of the inverse kinematics
+Number = Any  # array (b,), or a number for a single arm; supports arithmetic and the functions of NumPy
 
 
 @deprecated_members(**MEMBERS["View"])
 class View:
     """State and goals of b arms with n links, as named arrays (b, ...).
 
-    `single()` returns a view with the same names without the axis of the arms, and numbers in place of (b,); code with
-    `...` and `axis=-1` works on both. `read` computes all arrays from the present state. The environment writes goals
-    into `goal_angles`, `target` and `plan`, and the results of a step into `action`, `effort` and `failed`.
+    `single()` returns the view of a single arm: its arrays lack the axis of the arms, and arrays (b,) are numbers. Code
+    with `...` and `axis=-1` works on both views. `read` computes all arrays from the current state. The environment
+    writes `goal_angles`, `target` and `episode_parameters`, and after each step `action`, `effort` and `failed`.
 
     Attributes:
         n_joints: number of joints n.
@@ -36,13 +36,13 @@ class View:
         lengths: (n,) lengths of the links, m.
         has_gravity: True for an arm under gravity.
         gauge_radii: (n, 3) distances of the gauges of `root_strains` from the axis of the link, m.
-        control_period: s.
+        control_period: time between two commands, s.
         state: (b, 2 d) generalised coordinates and their rates, in the order of `kernels.layout`.
-        joint_angles: (b, n) rad, on the link side.
-        joint_rates: (b, n) rad/s, on the link side.
-        motor_angles: (b, n) rad; for a rigid joint its joint angle.
-        motor_rates: (b, n) rad/s; for a rigid joint its joint rate.
-        joint_twists: (b, n) motor angle - joint angle, rad.
+        joint_angles: (b, n) angles of the link side of the joints, rad.
+        joint_rates: (b, n) rates of the joint angles, rad/s.
+        motor_angles: (b, n) angles of the rotors after the gears, rad; equal to the joint angles for rigid joints.
+        motor_rates: (b, n) rates of the motor angles, rad/s.
+        joint_twists: (b, n) motor angles - joint angles, rad.
         joint_twist_rates: (b, n) rates of the joint twists, rad/s.
         link_deflections: (b, 2 n) displacement of the tip of each link along y and z of its beam frame, m.
         link_deflection_rates: (b, 2 n) rates of the link deflections, m/s.
@@ -50,27 +50,36 @@ class View:
         tip_velocity: (b, 3) in the base frame, m/s.
         deflection: (b, 3) displacement of the tip from the tip of the rigid arm at the same motor angles, m.
         deflection_rate: (b, 3) rate of the deflection, m/s.
-        motion: (b, 8 n + 3) all quantities with limits side by side: from motor_angles to link_deflection_rates in the
+        motion: (b, 8 n + 3) all quantities with limits, concatenated: from motor_angles to link_deflection_rates in the
             order above, then tip_velocity.
-        slices: name -> slice of `motion`.
-        units: name -> unit of each quantity that an instrument can measure.
+        slices: name of a quantity -> its slice of `motion`.
+        units: name of each quantity that an instrument can measure -> its unit.
         goal_angles: (b, n) goal of the motor angles, rad.
         goal_rates: (b, n) mean rate of the goal angles in the last control period, rad/s.
         target: (b, 3) goal of the tip in the base frame, m.
         target_velocity: (b, 3) mean velocity of the target in the last control period, m/s.
         target_error: (b, 3) target - tip, m.
-        plan: name -> (b, ...) parameters of the episode, defined by the task.
+        episode_parameters: name -> (b, ...) parameters of the episode, drawn by the task, such as start and goal.
         tip_error: (b,) distance of tip and target, m.
-        tip_vibration: (b,) speed of the tip relative to the rigid arm at the motor angles and rates, m/s.
-        elastic_energy: (b,) of links and joints, J.
-        energy_residual: (b,) J, see `Batch`.
-        energy_turnover: (b,) J, see `Batch`.
+        tip_vibration: (b,) speed of the tip relative to the tip of a rigid arm at the same motor angles and rates, m/s.
+        elastic_energy: (b,) elastic energy of links and joints, J.
+        energy_residual: (b,) work - dissipation - change of energy since the reset, J, see `Batch`.
+        energy_turnover: (b,) energy with which the residual is compared, J, see `Batch`.
         action: (b, n) commanded torques of the last control period, as fractions of the torque limits.
-        effort: (b,) mean of the squared actions of the last control period.
-        failed: (b,) True where the last step ended the episode by a limit or a divergence.
+        effort: (b,) mean square over the n actions of the last control period.
+        failed: (b,) True if the arm exceeded a limit or its simulation diverged in the last step.
     """
 
-    state_fields = ("goal_angles", "goal_rates", "target", "target_velocity", "plan", "effort", "action", "failed")
+    state_fields = (
+        "goal_angles",
+        "goal_rates",
+        "target",
+        "target_velocity",
+        "episode_parameters",
+        "effort",
+        "action",
+        "failed",
+    )
 
     def __init__(self, batch: Batch) -> None:
         model, constants, arms = batch.model, batch.model.constants, len(batch.rows)
@@ -80,9 +89,9 @@ class View:
         self.lengths, self.reach = constants.length, float(constants.length.sum())
         self.has_gravity = bool(constants.gravity.any())
         self.gauge_radii = gauge_radii(model)
-        self._readings = LinearMeasurements(model)
+        self._measurements = LinearMeasurements(model)
         end = 8 * self.n_joints
-        self.slices = self._readings.columns | {"tip_velocity": slice(end, end + 3)}
+        self.slices = self._measurements.columns | {"tip_velocity": slice(end, end + 3)}
         self.units = MEASUREMENT_UNITS | {
             "joint_angles": "rad", "joint_rates": "rad/s", "tip": "m", "tip_velocity": "m/s", "deflection": "m",
             "deflection_rate": "m/s", "tip_acceleration": "m/s^2", "specific_force": "m/s^2",
@@ -90,7 +99,7 @@ class View:
         self._allocate(arms)
 
     def _allocate(self, arms: int) -> None:
-        """Allocate the arrays filled by `read` and name their parts; outputs of the batch are views of its memory."""
+        """Allocate the arrays filled by `read`, and set attributes to their parts or to parts of the batch's arrays."""
         n, outputs = self.n_joints, self._batch.outputs
         self.motion = np.zeros((arms, self.slices["tip_velocity"].stop))
         parts = {name: self.motion[:, columns] for name, columns in self.slices.items()}
@@ -101,10 +110,13 @@ class View:
         self.joint_angles, self.joint_rates = self.state[:, :n], self.state[:, d : d + n]
         self.tip, self.tip_velocity = outputs[:, layout.TIP], outputs[:, layout.TIP_VELOCITY]
         self.deflection, self.deflection_rate = outputs[:, layout.DEFLECTION], outputs[:, layout.DEFLECTION_RATE]
-        self.goal_angles, self.target, self.plan = np.zeros((arms, n)), np.zeros((arms, 3)), dict[str, Array]()
+        self.goal_angles, self.target, self.episode_parameters = (
+            np.zeros((arms, n)),
+            np.zeros((arms, 3)),
+            dict[str, Array](),
+        )
         self.goal_rates, self.target_velocity = np.zeros((arms, n)), np.zeros((arms, 3))
-        # target error and deflection rate, whose lengths are tip_error and tip_vibration
-        self._vectors = np.zeros((arms, 2, 3))
+        self._vectors = np.zeros((arms, 2, 3))  # target error and deflection rate of each arm
         self.target_error = self._vectors[:, 0]
         self._numbers = np.zeros((5, arms))
         self._name(self._numbers)
@@ -113,40 +125,34 @@ class View:
         self.failed: Number = np.zeros(arms, dtype=bool)
 
     def read(self) -> None:
-        """Compute all quantities of the present states for the present goals."""
+        """Compute all quantities from the current states and goals."""
         batch = self._batch
         self._numbers = np.empty((5, len(self.motion)))
         fill_views(
-            batch.rows, batch.outputs, batch.start_energy, batch.energy_turnover, self.target, self._readings.motion,
-            self.motion, self._vectors, self._numbers,
+            batch.rows, batch.outputs, batch.start_energy, batch.energy_turnover, self.target,
+            self._measurements.motion, self.motion, self._vectors, self._numbers,
         )  # fmt: skip
         self._name(self._numbers)
 
     def _name(self, numbers: Iterable[Number]) -> None:
-        """Set the attributes of the numbers that `fill_views` writes side by side."""
+        """Set attributes to the rows of the array (5, b) filled by `fill_views`."""
         (self.tip_error, self.tip_vibration, self.elastic_energy, self.energy_residual, self.energy_turnover) = numbers
 
     @property
     def root_strains(self) -> Array:
-        """Strains (b, 3 n) at the root of each link, computed at each access; see `model.deformation.root_gauges`."""
+        """Strains (b, 3 n), m/m, at the root of each link, computed at each access; see `deformation.root_gauges`."""
         result = np.zeros((len(self._batch.rows), 3 * self.n_joints))
-        sparse_product(self._batch.rows, *self._readings.strains, result)
+        sparse_product(self._batch.rows, *self._measurements.strains, result)
         return result if self.motion.ndim > 1 else result[0]
 
     @property
     def tip_acceleration(self) -> Array:
-        """Acceleration (b, 3) of the tip in the base frame, m/s^2.
-
-        It is computed at each access, see `Batch.tip_accelerations`.
-        """
+        """Acceleration (b, 3) of the tip in the base frame, m/s^2, computed at each access by `Batch`."""
         return self._accelerations(layout.TIP_ACCELERATION)
 
     @property
     def specific_force(self) -> Array:
-        """Reading (b, 3) of an accelerometer at the tip, m/s^2.
-
-        It is computed at each access, see `Batch.tip_accelerations`.
-        """
+        """Reading (b, 3) of an accelerometer at the tip, m/s^2, computed at each access by `Batch`."""
         return self._accelerations(layout.SPECIFIC_FORCE)
 
     def _accelerations(self, columns: slice) -> Array:
@@ -160,11 +166,11 @@ class View:
         return time if self.motion.ndim > 1 else time.item()
 
     def rest_states(self, postures: Array) -> Array:
-        """Return the equilibrium states (r, 2 d) at motor angles (r, n) rad, with links and joints bent by gravity."""
+        """Return the equilibrium states (r, 2 d) of the arm at rest under gravity at motor angles (r, n), rad."""
         return rest_state(self._batch.model, postures)
 
     def rigid_tips(self, postures: Array) -> Array:
-        """Return the tips (r, 3) of the undeformed arm at joint angles (r, n) rad, in the base frame, m."""
+        """Return the tip positions (r, 3), m, of the undeformed arm at joint angles (r, n), rad, in the base frame."""
         return self._batch.rigid_tips(self._batch.model.at_rest(postures))
 
     def inverse_kinematics(self, tips: Array, near: Array) -> tuple[Array, float]:
@@ -172,10 +178,10 @@ class View:
 
         Args:
             tips: (r, 3) positions of the tip in the base frame, m.
-            near: (n,) motor angles from which the search starts, rad.
+            near: (n,) initial motor angles of the iteration, rad.
 
         Returns:
-            Motor angles (r, n), rad, and the largest remaining distance, m.
+            Motor angles (r, n), rad, and the largest distance of a tip from its given position, m.
         """
         constants, n = self._batch.model.constants, self.n_joints
         result, x = np.repeat(near[None], len(tips), axis=0), np.zeros(self._batch.model.n_dof)
@@ -187,11 +193,8 @@ class View:
         return result, distance
 
     def rest_tips(self, postures: Array) -> Array:
-        """Return the tips (r, 3) of the arm at rest at motor angles (r, n) rad, bent by gravity, base frame, m."""
-        model = self._batch.model
-        if not self.has_gravity:
-            return self.rigid_tips(postures)
-        return rest_tips(model, postures)
+        """Return the tip positions (r, 3), m, of the arm at rest under gravity at motor angles (r, n), rad."""
+        return rest_tips(self._batch.model, postures) if self.has_gravity else self.rigid_tips(postures)
 
     @cached_property
     def first_frequency(self) -> float:
@@ -206,14 +209,14 @@ class View:
             ValueError: if there is more than one arm.
         """
         one = self._one or self._make_single()
-        if len(one.plan) != len(self.plan):
-            one.plan = {name: values[0, ...] for name, values in self.plan.items()}
+        if len(one.episode_parameters) != len(self.episode_parameters):
+            one.episode_parameters = {name: values[0, ...] for name, values in self.episode_parameters.items()}
         one._name(self._numbers[:, 0].tolist())
         one.effort, one.failed = self.effort.item(), self.failed.item()
         return one
 
     def refresh(self) -> None:
-        """Compute all quantities after the stored state was replaced."""
+        """Compute all quantities again after the state of the batch was replaced."""
         self._one = None
         self.read()
 
@@ -224,5 +227,5 @@ class View:
         self._one = one = object.__new__(View)
         for name, value in vars(self).items():
             setattr(one, name, value[0] if isinstance(value, np.ndarray) and value.ndim > 1 else value)
-        one.plan = {}
+        one.episode_parameters = {}
         return one

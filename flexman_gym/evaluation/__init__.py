@@ -1,4 +1,4 @@
-"""Evaluation of one agent: rollouts, metrics of their episodes, tables, and tuning of controllers."""
+"""Evaluation of an agent: rollouts, metrics of their episodes, tables, and tuning of controllers."""
 
 from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.evaluation.agent import BASELINES, AgentSpec, find_agent

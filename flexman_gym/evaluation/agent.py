@@ -1,4 +1,4 @@
-"""Agents to be evaluated: baselines by name, shipped policies, runs from disk, controllers and predictors."""
+"""Agents to be evaluated: baselines, shipped policies, training runs, controllers, and objects with `predict`."""
 
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -25,26 +25,26 @@ from flexman_gym.control.network import Network
 from flexman_gym.envs.config.configuration import RENAMED, Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_base_and_mode
-from flexman_gym.evaluation.policy_files import ABOUT, POLICIES, policy_folder, read_policy
+from flexman_gym.evaluation.policy_files import METADATA, POLICIES, policy_folder, read_policy
 
-INTERFACE = ("base", "action_repeat", "sensors", "history", "actions")  # settings of the agent, not of the plant
-LAWLESS_AGENTS = {"zero": "no torque at all", "random": "random torques"}  # agents without controller: description
-BASELINES = (*BASES, *LAWLESS_AGENTS)
-"""Names of the agents without training."""
+INTERFACE = ("base", "action_repeat", "sensors", "history", "actions")  # settings that belong to the agent
+SIMPLE_AGENTS = {"zero": "no torque at all", "random": "random torques"}  # agents without controller -> description
+BASELINES = (*BASES, *SIMPLE_AGENTS)
+"""Names of the agents that need no training."""
 AGENTS = (*BASELINES, *POLICIES)  # names of all agents: baselines and shipped policies
 
 
 @dataclass(frozen=True)
 class AgentSpec:
-    """Specification of an agent: name, law, and the settings from which an environment makes its `control.Agent`.
+    """Specification of an agent: name, policy function, and the settings of an environment that belong to the agent.
 
     Attributes:
         name: name in tables.
-        law: function from observations (b, size) to commands (b, k) between -1 and 1; None for zero commands, so that
-            the base controller acts alone.
-        interface: base controller and its gains, action_repeat, sensors, history and actions; None for those of the
+        law: policy function from observations (b, size) to actions (b, k) between -1 and 1; None for zero actions, so
+            that only the base controller acts.
+        interface: settings in INTERFACE and the gains of the base controller, by name; None for those of the
             environment in which the agent acts.
-        environment: environment of the training; None for a baseline, which acts in any environment.
+        environment: environment of the training, without these settings; None for an agent without training.
     """
 
     name: str
@@ -57,11 +57,8 @@ def find_agent(agent: object) -> AgentSpec:
     """Return the specification of an agent.
 
     Args:
-        agent: a name in BASELINES or POLICIES, a mapping as the keyword `base` takes it, the folder of a training run
-            or of an exported policy, a Controller, or an object with a method `predict`, see `predictor_agent`.
-
-    Returns:
-        The specification, with the settings from which an environment makes the agent.
+        agent: a name in BASELINES or POLICIES, a mapping as for the setting `base`, the folder of a training run or of
+            an exported policy, a Controller, or an object with a method `predict`, see `predictor_agent`.
 
     Raises:
         FileNotFoundError: for an unknown name or folder.
@@ -85,26 +82,26 @@ def find_agent(agent: object) -> AgentSpec:
         return AgentSpec(name, None, {"base": _RandomTorques()})
     if name.endswith(".zip"):
         raise _untrusted_file_error(name)
-    if not os.path.isdir(name):  # False for any text; Path.is_dir raises for some
+    if not os.path.isdir(name):  # unlike Path.is_dir it accepts any string
         allowed = f"the folder of a training run, or one of {', '.join(AGENTS)}"
         raise FileNotFoundError(f"agent: {short_path(name)} is not allowed; give {allowed}")
     return _load_run(Path(name))
 
 
 def _load_policy(folder: Path) -> AgentSpec:
-    """Load an exported policy without running code of its files; check that its sensors have the same readings now."""
-    about, network = read_policy(folder)
+    """Load an exported policy without executing code; check that its sensors still have the readings of the export."""
+    metadata, network = read_policy(folder)
     try:
-        environment = Configuration.from_plain(about["environment"])
-        if observation_layout(environment) != about["observation"]:
-            raise value_error("observation", about["observation"], "the names, units and sizes of its sensors here")
-        return network_agent(folder.name, network, environment, about["recipe"]["settings"].get("base_in_use"))
+        environment = Configuration.from_plain(metadata["environment"])
+        if observation_layout(environment) != metadata["observation"]:
+            raise value_error("observation", metadata["observation"], "the names, units and sizes of its sensors here")
+        return network_agent(folder.name, network, environment, metadata["recipe"]["settings"].get("base_in_use"))
     except ValueError as error:
-        raise ValueError(f"{short_path(folder / ABOUT)}: {error}") from None
+        raise ValueError(f"{short_path(folder / METADATA)}: {error}") from None
 
 
 def observation_layout(environment: Configuration) -> list[dict[str, Any]]:
-    """Return name, unit and size of each part of the observation of an environment, in order and without history."""
+    """Return name, unit and size of each entry of the observation of an environment, in order and without history."""
     venv = gym.make_vec(environment.id, 1, "vector_entry_point", **environment.keywords())
     episodes: Any = venv.unwrapped.episodes  # type: ignore[attr-defined]
     venv.close()
@@ -115,29 +112,27 @@ def observation_layout(environment: Configuration) -> list[dict[str, Any]]:
 
 
 def predictor_agent(model: Any, environment: Configuration | None = None) -> AgentSpec:
-    """Return the agent of an object whose method `predict` maps observations (b, size) to actions (b, n).
+    """Return the specification of an object whose method `predict` maps observations (b, size) to actions (b, n).
 
-    A model of Stable-Baselines3 has the environment of its training, and the statistics of its `VecNormalize` if it has
-    one. The observations of any other object are those of the environment in which it acts.
+    For a model of Stable-Baselines3, the environment of the training is that of the model, and observations are
+    normalised by its `VecNormalize`, if any. For any other object the observations are those of the environment in
+    which it acts. Actions are clipped to [-1, 1].
 
     Args:
-        model: the object; `predict` may also return a tuple with the actions first.
-        environment: environment of the training, for a model without one.
-
-    Returns:
-        The specification; its law clips the actions to -1 and 1.
+        model: the object; `predict` may also return a tuple whose first entry is the actions.
+        environment: environment of the training, for a model without an environment.
     """
     normaliser = getattr(model, "get_vec_normalize_env", lambda: None)()
     venv = getattr(model, "get_env", lambda: None)()
     if environment is None and venv is not None:
         environment = venv.get_attr("configuration")[0]
-    moved, interface = (None, None) if environment is None else split_interface(environment)
+    bare, interface = (None, None) if environment is None else split_interface(environment)
 
     options = {"deterministic": True}
     try:
         signature(model.predict).bind(None, **options)
     except TypeError:
-        options = {}  # `predict` of another library may lack the argument
+        options = {}  # a `predict` without the argument `deterministic`
 
     def law(observations: NDArray[np.float32]) -> NDArray[np.floating]:
         inputs = observations if normaliser is None else normaliser.normalize_obs(observations)
@@ -145,11 +140,11 @@ def predictor_agent(model: Any, environment: Configuration | None = None) -> Age
         actions = np.asarray(outputs[0] if isinstance(outputs, tuple) else outputs, dtype=np.float32)
         return np.clip(actions, -1, 1).reshape(len(observations), -1)
 
-    return AgentSpec(type(model).__name__, law, interface, moved)
+    return AgentSpec(type(model).__name__, law, interface, bare)
 
 
 def _load_run(folder: Path) -> AgentSpec:
-    """Load the best policy of a run, or the newest where there is no best one, without running code of its files."""
+    """Load the best policy of a training run, by default the newest, without executing code of its files."""
     if is_sb3_folder(folder):
         raise _untrusted_file_error(folder)
     settings = read_settings(folder)
@@ -171,26 +166,23 @@ def _load_run(folder: Path) -> AgentSpec:
 
 
 def _untrusted_file_error(path: object) -> ValueError:
-    allowed = "--trust, if you trust whoever made them: they are pickles, which run any code when they are read"
+    allowed = "--trust, if you trust their author: they are pickles, which can run any code when they are read"
     return ValueError(f"agent: the files of Stable-Baselines3 in {path} are not read; give {allowed}")
 
 
 def network_agent(name: str, network: Law, environment: Configuration, base_in_use: object = None) -> AgentSpec:
-    """Return the agent of a network.
+    """Return the specification of an agent whose policy function is a network.
 
     Args:
         name: name of the agent.
-        network: law of the agent, from observations to actions.
+        network: policy function, from observations to actions.
         environment: environment of the training, with the settings of the agent. Base controller and action mode are
-            designed for the training environment, also for evaluations in other environments.
-        base_in_use: base controller that replaces the one of the training; it is designed for the environment of the
-            evaluation.
-
-    Returns:
-        The specification.
+            designed for this environment, even if the agent is evaluated in a different one.
+        base_in_use: base controller that replaces that of the training; it is designed for the environment of the
+            evaluation. None for the base controller of the training.
     """
-    moved, interface = split_interface(environment)
-    agent = AgentSpec(name, network, interface, moved)
+    bare, interface = split_interface(environment)
+    agent = AgentSpec(name, network, interface, bare)
     if base_in_use is None:
         return _design_for(agent, environment)
     parse_kind("base", base_in_use, BASES)
@@ -199,10 +191,10 @@ def network_agent(name: str, network: Law, environment: Configuration, base_in_u
 
 
 def split_interface(environment: Configuration) -> tuple[Configuration, dict[str, Any]]:
-    """Split an environment into the environment without an agent and the settings of the agent, see INTERFACE.
+    """Split a configuration into an environment without the settings in INTERFACE, and these settings by name.
 
-    The gains of a PD controller are in both: those of a policy's training belong to the policy, and the environment
-    has the baseline "pd" too.
+    The gains of a PD controller are in both results: a policy needs those of its training, and the environment needs
+    them for the baseline "pd".
     """
     interface = {name: value for name, value in environment.settings.items() if name in INTERFACE}
     if environment.base == "pd":
@@ -211,21 +203,26 @@ def split_interface(environment: Configuration) -> tuple[Configuration, dict[str
 
 
 def _design_for(agent: AgentSpec, environment: Configuration) -> AgentSpec:
-    """Return an agent whose base controller and action mode are designed for one environment, wherever it acts.
+    """Return an agent with base controller and action mode as objects, designed for a given environment.
 
-    Without this, a controller given by its name is designed for the environment in which it acts, with the delay,
-    noise, friction and ranges there. A controller or action mode given as an object stays as it is.
+    A controller given by its name would be designed for the environment in which the agent acts, with the delay, noise,
+    friction and ranges there. Controllers and action modes that are objects are not changed.
     """
     if agent.interface is None:
         return agent
-    whole = environment.replace(**agent.interface)
-    base, mode = make_base_and_mode(whole, resolve_fidelity(whole).model)
-    others = {name: value for name, value in agent.interface.items() if name != "gains"}
-    return replace(agent, interface={**others, "base": base, "actions": mode})
+    design = environment.replace(**agent.interface)
+    base, mode = make_base_and_mode(design, resolve_fidelity(design).model)
+    settings = {name: value for name, value in agent.interface.items() if name != "gains"}
+    return replace(agent, interface={**settings, "base": base, "actions": mode})
 
 
 class _TimedMode:
-    """Action mode with its base controller, and the CPU time (s) of its calls and of the law of its agent."""
+    """Action mode that measures the CPU time of its calls and of the policy function of its agent.
+
+    Attributes:
+        action_seconds: CPU time of all actions, s.
+        start_seconds: CPU time of all starts of episodes, s.
+    """
 
     def __init__(self, mode: ActionMode) -> None:
         self.mode, self.action_seconds, self.start_seconds = mode, 0.0, 0.0
@@ -233,12 +230,12 @@ class _TimedMode:
         self.observation_sizes = getattr(mode, "observation_sizes", {})
 
     def __deepcopy__(self, memo: object) -> Self:
-        return self  # a rollout copies the mode; the times are read from this object
+        return self  # a rollout copies action modes, but the times are needed in this object
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        begun = process_time()
+        start = process_time()
         self.mode.reset(arms, episode, count)
-        self.start_seconds += process_time() - begun
+        self.start_seconds += process_time() - start
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         return self.timed(self.mode.act)(actions, readings, applied, active)
@@ -247,59 +244,57 @@ class _TimedMode:
         return self.timed(self.mode.observe)(readings, applied, active)  # type: ignore[attr-defined]
 
     def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function whose CPU time counts as time of the actions."""
+        """Return a function whose CPU time is added to `action_seconds`."""
 
         def call(*arguments: Any) -> Any:
-            begun = process_time()
+            start = process_time()
             result = function(*arguments)
-            self.action_seconds += process_time() - begun
+            self.action_seconds += process_time() - start
             return result
 
         return call
 
 
 def timed_agent(agent: AgentSpec, environment: Configuration) -> tuple[AgentSpec, _TimedMode | None]:
-    """Return an agent designed for an environment, and the clock of its CPU time; None for "zero".
+    """Return an agent designed for an environment, and the action mode that measures its CPU time.
 
-    The clock has `action_seconds` of all actions and `start_seconds` of all starts of episodes.
+    The second result is None for an agent that computes nothing, such as "zero".
     """
     if agent.interface is None or (agent.law is None and "base" not in agent.interface):
         return agent, None
     designed = _design_for(agent, environment)
     assert designed.interface is not None
-    clock = _TimedMode(designed.interface["actions"])
-    law: Law | None = clock.timed(designed.law) if designed.law else None
-    return replace(designed, law=law, interface={**designed.interface, "base": None, "actions": clock}), clock
+    mode = _TimedMode(designed.interface["actions"])
+    law: Law | None = mode.timed(designed.law) if designed.law else None
+    return replace(designed, law=law, interface={**designed.interface, "base": None, "actions": mode}), mode
 
 
 def common_environment(
     agents: Sequence[AgentSpec], named: Configuration | None = None, changes: Sequence[str] = ()
 ) -> Configuration:
-    """Return the environment, without settings of an agent, in which several agents are evaluated.
+    """Return the environment in which agents are compared, without the settings in INTERFACE.
 
-    The gains of its PD controller, a baseline, are those of the first agent whose training had a PD controller.
+    The baseline "pd" has the gains of the first agent whose training had a PD controller.
 
     Args:
-        agents: the agents.
-        named: environment chosen by the user; None for the environment of the trained agents.
+        agents: agents to be compared.
+        named: environment selected by the user; None for the environment of the training of the agents.
         changes: changes "name=value" of settings of the environment, see `Configuration.changed`.
 
-    Returns:
-        The environment without settings of an agent.
-
     Raises:
-        ValueError: for agents of different environments when none is named, and for a change of a setting of the agent.
+        ValueError: if no environment is named and the agents were trained in different ones, and for a change of a
+            setting in INTERFACE.
     """
     return _change(split_interface(named)[0] if named is not None else _training_environment(agents), changes)
 
 
 def _training_environment(agents: Sequence[AgentSpec]) -> Configuration:
     trained = [(each.name, each.environment, each.environment.to_plain()) for each in agents if each.environment]
-    for name, _, whole in trained:
-        if {**whole, "gains": None} != {**trained[0][2], "gains": None}:
+    for name, _, plain in trained:
+        if {**plain, "gains": None} != {**trained[0][2], "gains": None}:
             allowed = "policies of one environment, or name one with --env: "
             raise value_error("agent", name, f"{allowed}{trained[0][0]} was trained in another environment")
-    with_gains = [environment for _, environment, whole in trained if whole.get("gains")]
+    with_gains = [environment for _, environment, plain in trained if plain.get("gains")]
     return next(iter([*with_gains, *(environment for _, environment, _ in trained)]), Configuration())
 
 
@@ -309,13 +304,13 @@ def _change(environment: Configuration, changes: Sequence[str]) -> Configuration
     for change in changes:
         name = change.split("=")[0].split(".")[0]
         if RENAMED.get(name, name) in INTERFACE:
-            allowed = f"a setting of the environment: {', '.join(INTERFACE)} are those of the training of a policy"
+            allowed = f"a setting of the environment: {', '.join(INTERFACE)} belong to the agent"
             raise value_error("--set", change, allowed)
     return split_interface(environment.changed(changes))[0]
 
 
 class _RandomTorques:
-    """Controller with independent uniform torques."""
+    """Controller with independent random torques, uniform between the torque limits."""
 
     sensors = ()
 
@@ -330,22 +325,22 @@ class _RandomTorques:
         return self._random.uniform(-1.0, 1.0, applied.shape).astype(np.float32).astype(np.float64)
 
 
-SB3_MODEL = "model.zip"  # file of a model of Stable-Baselines3
-CHANGEABLE_SETTINGS = ("steps", "eval_every")  # settings that a resumed run may change
+SB3_MODEL = "model.zip"  # name of the model file in a folder of Stable-Baselines3
+CHANGEABLE_SETTINGS = ("steps", "eval_every")  # settings of a run that may change when it is resumed
 
 
 def is_sb3_folder(folder: Path) -> bool:
-    """Return whether a folder has a model file of Stable-Baselines3 and no run of this library."""
+    """Return True if a folder contains a model of Stable-Baselines3 and no training run of this library."""
     return (folder / SB3_MODEL).is_file() and not any((folder / name).is_file() for name in (BEST, NEWEST))
 
 
 def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
-    """Raise ValueError where the settings of a run differ from those stored with its arrays.
+    """Raise ValueError if the settings of a run differ from those stored together with its network.
 
     Args:
-        path: path of the file of arrays.
-        data: content of that file.
-        settings: present settings of the run.
+        path: path of the file with the arrays of the network.
+        data: content of this file.
+        settings: current settings of the run.
     """
     stored = data.get("settings") if isinstance(data, dict) else None
     if not isinstance(stored, dict):
@@ -359,7 +354,7 @@ def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
 
 
 def _is_equal(setting: object, stored: object) -> bool:
-    """Return whether a setting equals the stored one, which may be an array in a forged file."""
+    """Return True if a setting equals the stored one; False for stored data without a truth value, such as arrays."""
     try:
         return bool(setting == stored)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Information on an agent: description, required information, training time, and seeds of its training."""
+"""Information on an agent: description, required information, training time, and the seeds used for training."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,11 +12,11 @@ from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.control.base_controllers import BASES
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import plain_sensors
-from flexman_gym.evaluation.agent import BASELINES, LAWLESS_AGENTS
+from flexman_gym.evaluation.agent import BASELINES, SIMPLE_AGENTS
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, training_seed
 
-ORACLE_INFORMATION = ("true state", "true parameters", "its episodes")  # not available on hardware
+ORACLE_INFORMATION = ("true state", "true parameters", "its episodes")  # information not available on hardware
 TRUE_SENSORS = ("full", "fine", "state")  # sensors that read the true state
 TIME_COLUMN = "time/time_elapsed"  # column of the training time (s) in the curves of Stable-Baselines3
 
@@ -26,9 +26,9 @@ class _AgentInfo:
     """Description of an agent.
 
     Attributes:
-        description: kind of the agent, in a few words.
-        tuning: method and cost of its tuning or training.
-        information: information needed in addition to the measurements of its motors.
+        description: kind of the agent, such as the algorithm of its training.
+        tuning: method and duration of the tuning or training.
+        information: required information in addition to motor angles and rates.
     """
 
     description: str
@@ -37,7 +37,7 @@ class _AgentInfo:
 
     @property
     def realisable(self) -> bool:
-        """Whether the agent could act on hardware: it needs no ORACLE_INFORMATION."""
+        """True if the agent could act on hardware, because it requires no ORACLE_INFORMATION."""
         return not set(self.information) & set(ORACLE_INFORMATION)
 
 
@@ -45,18 +45,15 @@ def describe_agent(agent: str) -> _AgentInfo:
     """Return the description of an agent given by its name or its folder.
 
     Args:
-        agent: name of an agent, or folder of a run or a policy.
-
-    Returns:
-        Description, tuning, and required information.
+        agent: name of an agent, or folder of a training run or a policy.
 
     Raises:
-        FileNotFoundError: for a folder without a run.
+        FileNotFoundError: for a folder without a training run or policy.
     """
     if agent in BASES:
         return _AgentInfo(BASES[agent].description, BASES[agent].tuning, BASES[agent].information)
-    if agent in LAWLESS_AGENTS:
-        return _AgentInfo(LAWLESS_AGENTS[agent], "none", ())
+    if agent in SIMPLE_AGENTS:
+        return _AgentInfo(SIMPLE_AGENTS[agent], "none", ())
     settings, seconds = _settings(agent), training_seconds(agent)
     environment = Configuration.from_plain(settings.get("environment"))
     base = settings.get("base_in_use") or environment.base  # a base in use replaces the base of the training
@@ -71,15 +68,15 @@ def describe_agent(agent: str) -> _AgentInfo:
 
 
 def training_seconds(agent: str) -> float | None:
-    """Return the training time (s) of a policy, or of a run from its curves; None without curves."""
+    """Return the training time, s, of a policy or a training run; None for a run without learning curves."""
     if folder := policy_folder(agent):
-        return float(read_policy(folder).about["training_seconds"])
+        return float(read_policy(folder).metadata["training_seconds"])
     result = None
     for path in () if agent in BASELINES else sorted(Path(agent).glob("progress*.csv")):
         names, *rows = [*read_csv_rows(path)] or [[]]
-        at = names.index(TIME_COLUMN) if TIME_COLUMN in names else len(names)
+        column = names.index(TIME_COLUMN) if TIME_COLUMN in names else len(names)
         try:
-            times = [float(row[at]) for row in rows if row[at:] and row[at]]
+            times = [float(row[column]) for row in rows if row[column:] and row[column]]
         except ValueError:
             raise ValueError(f"{short_path(path)}: {TIME_COLUMN} is not a number in each row") from None
         result = (result or 0.0) + max(times, default=0.0)
@@ -87,7 +84,7 @@ def training_seconds(agent: str) -> float | None:
 
 
 def check_seeds_unseen(agent: str, seeds: Sequence[int]) -> None:
-    """Raise ValueError if a run was trained or selected on episodes of some seeds, according to its settings."""
+    """Raise ValueError if the training or selection of a policy used one of the given seeds, see its settings."""
     if agent in BASELINES:
         return
     settings = _settings(agent)
@@ -104,7 +101,7 @@ def check_seeds_unseen(agent: str, seeds: Sequence[int]) -> None:
 
 def _settings(agent: str) -> dict[str, Any]:
     if folder := policy_folder(agent):
-        about = read_policy(folder).about
-        settings = rename_keys(about["recipe"]["settings"], RUN_SETTINGS, warn=False)
-        return {**settings, "environment": about["environment"]}
+        metadata = read_policy(folder).metadata
+        settings = rename_keys(metadata["recipe"]["settings"], RUN_SETTINGS, warn=False)
+        return {**settings, "environment": metadata["environment"]}
     return read_settings(Path(agent))

@@ -1,4 +1,4 @@
-"""Datasets for offline learning: episodes of an agent in Minari's format, reproducible to the bit."""
+"""Datasets for offline reinforcement learning: episodes of an agent in the format of Minari."""
 
 import warnings
 from collections.abc import Iterator, Sequence
@@ -13,8 +13,8 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.rollout import rollout
 
-BLOCK = 50  # episodes simulated side by side
-OBSERVATION_SETTINGS = ("sensors", "history")  # settings of an agent in the environment of a dataset
+BLOCK = 50  # number of episodes simulated together
+OBSERVATION_SETTINGS = ("sensors", "history")  # settings of the environment that determine the observations
 
 
 @deprecated_arguments(**ARGUMENTS["record_dataset"])
@@ -22,18 +22,18 @@ def record_dataset(
     agent: str, environment: str | Configuration, seeds: Sequence[int], name: str, form: str = "hdf5",
     workers: Workers | int = 1,
 ) -> Any:  # fmt: skip
-    """Record episodes of an agent as a new dataset in Minari's folder; return the MinariDataset.
+    """Record episodes of an agent as a new dataset in the folder of Minari.
 
     The environment of the dataset has neither base controller nor action repeat: its actions are the commanded torques
-    of each control period, as float32, whichever agent they came from. The environment that `recover_environment` of
-    the dataset returns has the same observations and rewards under these actions, to the bit.
+    of each control period, as float32, for any agent. The method `recover_environment` of the dataset returns an
+    environment in which these actions reproduce observations and rewards bit for bit.
 
     Args:
         agent: see `rollout`.
         environment: see `rollout`; its sensors and history determine the observations.
-        seeds: one for each episode.
+        seeds: seed of each episode.
         name: name of the dataset, such as "flexrrr/pd-v0".
-        form: "hdf5" or "arrow".
+        form: file format, "hdf5" or "arrow".
         workers: processes or cluster for the simulations, see `Workers`, or a number of processes.
 
     Returns:
@@ -42,7 +42,7 @@ def record_dataset(
     Raises:
         ImportError: without Minari.
         FileNotFoundError: for an unknown agent or environment.
-        ValueError: also for the name of an existing dataset.
+        ValueError: for arguments that are not allowed, such as the name of an existing dataset.
     """
     try:
         import minari
@@ -51,13 +51,13 @@ def record_dataset(
         raise ImportError("datasets need Minari: pip install 'flexman_gym[scale]'") from None
     bare = _without_agent(Configuration.find(environment))
     single = gym.make(bare.id, **bare.settings)
-    cells = [(agent, bare, tuple(seeds[i : i + BLOCK])) for i in range(0, len(seeds), BLOCK)]
-    blocks = parallel_map(_record_block, cells, workers, prepare=compile_kernels)
+    tasks = [(agent, bare, tuple(seeds[i : i + BLOCK])) for i in range(0, len(seeds), BLOCK)]
+    blocks = parallel_map(_record_block, tasks, workers, prepare=compile_kernels)
     buffers = [
         EpisodeBuffer(id=number, **each) for number, each in enumerate(each for block in blocks for each in block)
     ]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # about the author and the page, which the user may add
+        warnings.simplefilter("ignore", UserWarning)  # Minari warns of a missing author and a missing web page
         return minari.create_dataset_from_buffers(
             name, buffers, env=single, eval_env=single, algorithm_name=agent, data_format=form,
             description=f"{agent} on {bare.id}, seeds {seeds[0]} to {seeds[-1]}", requirements=["flexman_gym"],
@@ -65,25 +65,25 @@ def record_dataset(
 
 
 def _without_agent(environment: Configuration) -> Configuration:
-    """Return an environment without base controller, action repeat and action mode, as plain data without files."""
-    whole = environment.to_plain()
+    """Return an environment without base controller, action repeat and action mode, whose settings are plain data."""
+    plain = environment.to_plain()
     names = (name for name in environment.settings if name not in ("base", "gains", "action_repeat", "actions"))
-    return Configuration(environment.id, {name: whole[name] for name in names})
+    return Configuration(environment.id, {name: plain[name] for name in names})
 
 
-def _record_block(cell: tuple[str, Configuration, tuple[int, ...]]) -> list[dict[str, Any]]:
-    """Simulate episodes of an agent, then once more with their actions alone; return the data of Minari for each."""
-    agent, bare, seeds = cell
+def _record_block(task: tuple[str, Configuration, tuple[int, ...]]) -> list[dict[str, Any]]:
+    """Simulate episodes (agent, environment, seeds), then again from their actions; return data of Minari for each."""
+    agent, bare, seeds = task
     names = [name for name in bare.settings if name not in OBSERVATION_SETTINGS]
-    moved = Configuration(bare.id, {name: bare.settings[name] for name in names})
-    actions = np.nan_to_num(rollout(agent, moved, seeds).actions).astype(np.float32)
+    of_agent = Configuration(bare.id, {name: bare.settings[name] for name in names})
+    actions = np.nan_to_num(rollout(agent, of_agent, seeds).actions).astype(np.float32)
     venv = gym.make_vec(bare.id, len(seeds), "vector_entry_point", autoreset_mode="Disabled", infos="at end",
                         **bare.keywords())  # fmt: skip
     observations, _ = venv.reset(seed=list(seeds))  # type: ignore[arg-type]
     over, observed, results = np.zeros(len(seeds), dtype=bool), [observations], []
     for action in actions.swapaxes(0, 1):
         if over.any():
-            venv.reset(options={"reset_mask": over})  # the data of these episodes are cut off below
+            venv.reset(options={"reset_mask": over})  # later data of these arms are discarded below
         observations, *rest, _ = venv.step(action)
         over = rest[1] | rest[2]
         observed.append(observations)
@@ -97,12 +97,12 @@ def _record_block(cell: tuple[str, Configuration, tuple[int, ...]]) -> list[dict
 def _split_episodes(
     seeds: Sequence[int], observed: Any, actions: Any, results: Sequence[Any]
 ) -> Iterator[dict[str, Any]]:
-    """Yield the data of each episode up to its end."""
+    """Yield the data of each episode, from arrays (T, b, ...) of b arms, up to its end."""
     rewards, terminations, truncations = results
     for arm, seed in enumerate(seeds):
         ends = np.flatnonzero((terminations | truncations)[:, arm])
         end = int(ends[0]) + 1 if len(ends) else len(rewards)
-        truncations[end - 1, arm] |= not len(ends)  # rounding to float32 may delay a failure beyond the recorded end
+        truncations[end - 1, arm] |= not len(ends)  # actions rounded to float32 may cause a failure later, or none
         yield {"seed": seed, "observations": observed[: end + 1, arm], "actions": actions[arm, :end],
                "rewards": rewards[:end, arm].tolist(), "terminations": terminations[:end, arm].tolist(),
                "truncations": truncations[:end, arm].tolist()}  # fmt: skip

@@ -1,4 +1,4 @@
-"""Diagnosis of the tip error after arrival: shares of ringing, limit cycle, offset, transient and noise."""
+"""Diagnosis of the remaining tip error at the end of an episode: ringing, limit cycle, offset, transient, noise."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,24 +15,23 @@ from flexman_gym.envs.episodes import Episodes
 from flexman_gym.evaluation.agent import AgentSpec
 from flexman_gym.evaluation.rollout import Rollout, rollout
 
-WINDOW = 3.0  # s; length of the analysed end of an episode
-MIN_MODE_PERIODS = 2.0  # periods of the slowest mode; the window is longer where it would hold fewer
-MAX_WINDOW_SHARE = 0.5  # largest share of an episode that the window covers, unless WINDOW is longer
+WINDOW = 3.0  # s; default length of the window, the analysed end of an episode
+MIN_MODE_PERIODS = 2.0  # periods of the slowest mode; smallest length of the window
+MAX_WINDOW_SHARE = 0.5  # fraction of an episode; largest length of the window, if longer than WINDOW
 MIN_SAMPLES = 32  # control periods in the window; with fewer no tone is fitted
-MAX_TONES = 4  # number of fitted tones
-MIN_TONE_SHARE = 0.1  # share of the motion without offset and drift that a tone explains at least
-MIN_FED_SHARE = 0.5  # share of the dissipated energy that the motors supply in a limit cycle at least
-MIN_PERIODIC_SHARE = 0.5  # share of the variance of the actions in the tones of the tip; with less the cause is noise
-SLOW_FREQUENCY_RATIO = 0.5  # of the slowest mode; a slower tone of fewer than MIN_CYCLES cycles is a transient
-MIN_CYCLES = 1.9  # cycles in the window from which on a slow tone is a vibration
-MIN_SLOW_TONE_SHARE = 0.5  # share of the motion in MAX_WINDOW_SHARE for which a slow tone lengthens the window
-MAX_TRANSIENT_RATIO = 0.25  # RMS of the slow motion relative to the mean; above it the mean is no offset
-# Frequency of a tone relative to the mode after which it is named; motors that yield lower the frequency.
-MODE_FREQUENCY_RATIOS = (0.5, 1.2)
+MAX_TONES = 4  # largest number of fitted tones
+MIN_TONE_SHARE = 0.1  # smallest contribution of a tone to the mean square error without offset and drift
+MIN_FED_SHARE = 0.5  # smallest energy supplied by the motors in a limit cycle, as a fraction of the dissipated energy
+MIN_PERIODIC_SHARE = 0.5  # smallest fraction of the variance of the actions at the tones of the tip; below it is noise
+SLOW_FREQUENCY_RATIO = 0.5  # fraction of the lowest frequency of the modes, below which a tone is slow
+MIN_CYCLES = 1.9  # cycles in the window; a slow tone with fewer cycles is a transient
+MIN_SLOW_TONE_SHARE = 0.5  # smallest contribution to the mean square for which a slow tone lengthens the window
+MAX_TRANSIENT_RATIO = 0.25  # RMS of the transient / mean error, above which the mean error is part of the transient
+MODE_FREQUENCY_RATIOS = (0.5, 1.2)  # range of frequency of a tone / frequency of its mode; compliant motors lower it
 MIN_TONE_CYCLES = 0.75  # cycles of a tone in the window; slower motion is a drift
-ZERO_ACTION = 1e-12  # mean square of the actions below which nothing acts
-NEGLIGIBLE_RATIO = 0.05  # RMS error relative to the band of settled tips below which no remedy is needed
-ZERO_PADDING = 8  # points of the spectrum for each frequency that the window resolves
+ZERO_ACTION = 1e-12  # mean square of the actions; smaller actions are regarded as zero
+NEGLIGIBLE_RATIO = 0.05  # RMS error / band of settled tips, below which the error needs no remedy
+ZERO_PADDING = 8  # length of the zero-padded signal of a spectrum / length of the signal
 
 RINGING, CYCLE, OFFSET, NOISE = "ringing", "limit cycle", "offset", "noise"
 TRANSIENT, FAILED = "transient", "failed"
@@ -50,14 +49,14 @@ class _EpisodeEnd(NamedTuple):
     """Signals of the last T control periods of an episode.
 
     Attributes:
-        errors: position of the tip minus its target (T, 3) at the end of each period, m.
-        actions: commanded motor torques (T, n) as fractions of the torque limits.
-        torques: applied motor torques (T, n), N m.
-        rates: mean motor rates in each period (T, n), rad/s.
-        loss: energy dissipated since the start (T,), J.
+        errors: (T, 3) position of the tip minus its target at the end of each period, m.
+        actions: (T, n) commanded motor torques as fractions of the torque limits.
+        torques: (T, n) applied motor torques, N m.
+        rates: (T, n) mean motor rates in each period, rad/s.
+        loss: (T,) energy dissipated since the start, J.
         period: control period, s.
         band: distance from the target within which a tip counts as settled, m.
-        failure: reason for which the episode ended early, "" for none.
+        failure: cause of a failure, which terminated the episode; "" without a failure.
     """
 
     errors: Array
@@ -74,12 +73,15 @@ class _EpisodeEnd(NamedTuple):
 class Diagnosis:
     """Causes of the remaining tip error of an episode.
 
+    A tone is a sinusoidal component of the error, whose amplitude changes linearly with time.
+
     Attributes:
-        rms: root mean square of the error in the analysed window, m.
-        negligible: whether the error is too small for a remedy, compared with the band of settled tips.
-        shares: cause -> its share of the mean square error; the shares sum to 1.
-        tones: (frequency in Hz, share, cause, name of the mode or "") of each tone, the largest first.
-        failure: reason for which the episode ended early, then the only cause; "" for none.
+        rms: root mean square of the tip error in the window at the end of the episode, m.
+        negligible: True if the error is too small for a remedy, compared with the band of settled tips.
+        shares: cause -> fraction of the mean square error; the fractions sum to 1.
+        tones: frequency (Hz), fraction of the mean square error, cause, and name of the mode or "" of each tone, the
+            largest tone first.
+        failure: cause of a failure, which is then the only cause of the error; "" without a failure.
     """
 
     rms: float
@@ -90,7 +92,7 @@ class Diagnosis:
 
     @property
     def cause(self) -> str:
-        """Cause with the largest share."""
+        """Cause of the largest fraction of the mean square error."""
         return max(self.shares, key=lambda name: self.shares[name])
 
 
@@ -100,8 +102,8 @@ def diagnose(
 ) -> list[Diagnosis]:
     """Diagnose the remaining tip error of one episode for each seed; arguments and errors are those of `rollout`.
 
-    A second simulation of the same episodes without sensor noise separates noise from the other causes: in a record of
-    a few seconds, slow noise looks like an offset or a slow vibration.
+    In a few seconds slow noise cannot be distinguished from an offset or a slow vibration. With sensor noise, the same
+    episodes are therefore simulated a second time without noise.
     """
     found = [split_error(*each) for each in episode_ends(agent, environment, seeds)]
     quiet = _without_noise(Configuration.find(environment))
@@ -111,24 +113,19 @@ def diagnose(
 
 
 def _without_noise(environment: Configuration) -> Configuration | None:
-    """Return the environment with "sensor_noise" 0; None if it is 0 already."""
-    own = environment.randomisation
-    drawn = dict(own.given) if own else {}
-    if not np.any(drawn.get("sensor_noise", 0.0)):
+    """Return the environment without "sensor_noise"; None for an environment without noise."""
+    ranges = dict(environment.randomisation.given) if environment.randomisation else {}
+    if not np.any(ranges.get("sensor_noise", 0.0)):
         return None
-    quiet = {**drawn, "sensor_noise": [0.0, 0.0]}
-    return environment.replace(randomisation=quiet)
+    return environment.replace(randomisation={**ranges, "sensor_noise": [0.0, 0.0]})
 
 
 def _attribute_noise(found: Diagnosis, quiet: Diagnosis) -> Diagnosis:
-    """Attribute the additional error with noise to noise, and scale the shares of the other causes.
+    """Return the diagnosis of an episode in which the additional error with noise is attributed to noise.
 
     Args:
         found: diagnosis of the episode with noise.
-        quiet: diagnosis of the same episode without noise.
-
-    Returns:
-        The diagnosis with noise as one of the causes.
+        quiet: diagnosis of the same episode without noise, whose fractions are scaled.
     """
     if found.failure or quiet.failure:
         return found
@@ -143,7 +140,7 @@ def _attribute_noise(found: Diagnosis, quiet: Diagnosis) -> Diagnosis:
 def episode_ends(
     agent: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int]
 ) -> list[tuple[_EpisodeEnd, dict[str, float]]]:
-    """Return the end of one episode for each seed, and the frequency (Hz) of each mode at its goal by name.
+    """Return for each seed the end of an episode, and mode -> frequency (Hz) at the goal posture.
 
     Arguments and errors are those of `rollout`.
     """
@@ -156,19 +153,17 @@ def split_error(end: _EpisodeEnd, modes: Mapping[str, float]) -> Diagnosis:
     """Split the mean square of the tip error into offset, transient, tones and noise, with the cause of each tone.
 
     - The offset is the mean error.
-    - A transient is a linear drift, or a tone slower than all modes with fewer than two cycles in the window. The mean
-      counts as a part of a large transient, since the motion has not ended.
-    - A tone is a sinusoid whose amplitude changes linearly, as in a decaying vibration.
-    - Noise is the rest. A tone is noise too if the actions have other frequencies. If the actions follow the tone and
-      the motors supply the dissipated energy, it is a limit cycle; otherwise ringing.
+    - A transient is a linear drift, or a tone slower than all modes with fewer than two cycles in the window. If the
+      transient is large, the mean error is a part of it, since the motion has not ended.
+    - A tone is a sinusoid whose amplitude changes linearly, as in a decaying vibration. Its cause is a limit cycle if
+      the actions contain its frequency and the motors supply the dissipated energy. Its cause is noise if the actions
+      are large at frequencies of no tone. Otherwise its cause is ringing.
+    - The remaining error is noise.
     - A failed episode has the failure as its only cause.
 
     Args:
-        end: end of an episode; below MIN_SAMPLES control periods no tone is fitted.
-        modes: frequency (Hz) of each mode by name.
-
-    Returns:
-        The shares of the causes, and the tones.
+        end: end of an episode; with fewer than MIN_SAMPLES control periods no tone is fitted.
+        modes: name of a mode -> frequency, Hz.
     """
     errors, count = end.errors, len(end.errors)
     rms = float(np.sqrt(_power(errors) / count))
@@ -176,9 +171,9 @@ def split_error(end: _EpisodeEnd, modes: Mapping[str, float]) -> Diagnosis:
         return Diagnosis(rms, False, dict.fromkeys(REMEDIES, 0.0) | {FAILED: 1.0}, (), end.failure)
     parts, frequencies = _fit_tones(errors, end.period)
     coordinates = _project(parts, errors)
-    whole = max(_power(errors), np.finfo(float).tiny)
-    mean, drift = _power(coordinates[0][:1]) / whole, _power(coordinates[0][1:]) / whole
-    shares = np.array([_power(each) for each in coordinates[1:]]) / whole
+    total = max(_power(errors), np.finfo(float).tiny)
+    mean, drift = _power(coordinates[0][:1]) / total, _power(coordinates[0][1:]) / total
+    shares = np.array([_power(each) for each in coordinates[1:]]) / total
     slow = min(SLOW_FREQUENCY_RATIO * min(modes.values(), default=0.0), MIN_CYCLES / (count * end.period))
     causes = [
         TRANSIENT if frequency < slow else cause
@@ -200,11 +195,8 @@ def _fit_tones(errors: Array, period: float) -> tuple[list[Array], list[float]]:
     """Return basis functions of mean and drift (T, 2) and of each tone (T, 4), and the frequencies (Hz) of the tones.
 
     Args:
-        errors: errors (T, 3), m.
+        errors: (T, 3) m.
         period: sampling period, s.
-
-    Returns:
-        Basis functions, and frequencies (Hz).
     """
     count = len(errors)
     parts = [np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)], axis=1)]
@@ -220,19 +212,19 @@ def _fit_tones(errors: Array, period: float) -> tuple[list[Array], list[float]]:
 
 
 def _slow_tone_frequency(errors: Array, period: float) -> float:
-    """Return the frequency (Hz) of a tone of two or more cycles with most of the motion; infinite for none."""
+    """Return the frequency, Hz, of a tone of MIN_CYCLES or more that dominates the errors (T, 3), else infinity."""
     count = len(errors)
     if count < MIN_SAMPLES:
         return np.inf
-    level = [np.ones((count, 1))]
-    frequency = _strongest_frequency(level, errors, period)
-    level_power, tone_power = (_power(each) for each in _project([*level, _tone(frequency, count, period)], errors))
-    long = frequency * count * period >= MIN_CYCLES
-    return frequency if long and tone_power > MIN_SLOW_TONE_SHARE * (_power(errors) - level_power) else np.inf
+    mean = [np.ones((count, 1))]
+    frequency = _strongest_frequency(mean, errors, period)
+    mean_power, tone_power = (_power(each) for each in _project([*mean, _tone(frequency, count, period)], errors))
+    periodic = frequency * count * period >= MIN_CYCLES
+    return frequency if periodic and tone_power > MIN_SLOW_TONE_SHARE * (_power(errors) - mean_power) else np.inf
 
 
 def _tone_causes(end: _EpisodeEnd, parts: list[Array], shares: Array) -> list[str]:
-    """Return the cause of each tone: ringing, limit cycle or noise."""
+    """Return the cause of each tone, ringing, limit cycle or noise, from its basis functions and its share."""
     if not len(shares):
         return []
     actions, torques, rates = (_project(parts, each) for each in (end.actions, end.torques, end.rates))
@@ -240,58 +232,58 @@ def _tone_causes(end: _EpisodeEnd, parts: list[Array], shares: Array) -> list[st
     if commanded > ZERO_ACTION * len(end.actions) and _power(*actions[1:]) < MIN_PERIODIC_SHARE * commanded:
         return [NOISE] * len(shares)
     time = end.period * np.arange(len(end.loss))
-    lost = float(np.polyfit(time, end.loss, 1)[0]) * len(time)
-    limits = MIN_FED_SHARE * max(lost, 0.0) * shares / max(float(shares.sum()), np.finfo(float).tiny)
-    fed = [float(np.sum(torque * rate)) for torque, rate in zip(torques[1:], rates[1:], strict=True)]
-    return [CYCLE if each > limit else RINGING for each, limit in zip(fed, limits.tolist(), strict=True)]
+    dissipated = float(np.polyfit(time, end.loss, 1)[0]) * len(time)  # W, a sum over the periods as `supplied`
+    limits = MIN_FED_SHARE * max(dissipated, 0.0) * shares / max(float(shares.sum()), np.finfo(float).tiny)
+    supplied = [float(np.sum(torque * rate)) for torque, rate in zip(torques[1:], rates[1:], strict=True)]
+    return [CYCLE if each > limit else RINGING for each, limit in zip(supplied, limits.tolist(), strict=True)]
 
 
 def _strongest_frequency(parts: list[Array], errors: Array, period: float) -> float:
-    """Return the frequency (Hz) of the strongest tone in the errors (T, 3) beyond the basis functions."""
+    """Return the frequency, Hz, of the strongest tone in the part of errors (T, 3) orthogonal to basis functions."""
     from scipy.optimize import minimize_scalar
 
     count, width = len(errors), 1.0 / (len(errors) * period)
     basis = np.linalg.qr(np.hstack(parts))[0]
     window = np.sin(np.pi * (np.arange(count) + 0.5) / count)[:, None] ** 2
-    left = window * (errors - basis @ (basis.T @ errors))
-    power = np.sum(np.abs(np.fft.rfft(left, ZERO_PADDING * count, axis=0)) ** 2, axis=1)
+    remainder = window * (errors - basis @ (basis.T @ errors))
+    power = np.sum(np.abs(np.fft.rfft(remainder, ZERO_PADDING * count, axis=0)) ** 2, axis=1)
     grid = np.fft.rfftfreq(ZERO_PADDING * count, period)
     power[grid < MIN_TONE_CYCLES * width] = 0.0
     best = grid[power.argmax()]
 
-    def unexplained(frequency: float) -> float:
+    def negative_power(frequency: float) -> float:
         return -_power(_project([*parts, _tone(frequency, count, period)], errors)[-1])
 
     bounds = (best - 0.25 * width, min(best + 0.25 * width, 0.5 / period))
-    return float(minimize_scalar(unexplained, bounds=bounds, method="bounded").x)
+    return float(minimize_scalar(negative_power, bounds=bounds, method="bounded").x)
 
 
 def _tone(frequency: float, count: int, period: float) -> Array:
-    """Return cosine and sine, and both multiplied by a linear function of time, (count, 4)."""
-    phase, line = 2.0 * np.pi * frequency * period * np.arange(count), np.linspace(-1.0, 1.0, count)
-    return np.stack([np.cos(phase), np.sin(phase), line * np.cos(phase), line * np.sin(phase)], axis=1)
+    """Return the basis functions (count, 4) of a tone: cosine and sine, without and with a factor linear in time."""
+    phase, ramp = 2.0 * np.pi * frequency * period * np.arange(count), np.linspace(-1.0, 1.0, count)
+    return np.stack([np.cos(phase), np.sin(phase), ramp * np.cos(phase), ramp * np.sin(phase)], axis=1)
 
 
 def _project(parts: list[Array], values: Array) -> list[Array]:
-    """Return the coordinates of values (T, k) along each of the parts (T, m), orthogonalised one after the other."""
+    """Return the coordinates of values (T, k) in an orthonormal basis of the parts (T, m), one array for each part."""
     basis = np.linalg.qr(np.hstack(parts))[0]
     return np.split(basis.T @ values, np.cumsum([part.shape[1] for part in parts])[:-1])
 
 
 def _power(*values: Array) -> float:
-    """Return the sum of squares."""
+    """Return the sum of the squares of all values."""
     return float(sum(np.sum(each**2) for each in values))
 
 
 def _nearest_mode(frequency: float, modes: Mapping[str, float]) -> str:
-    """Return the name of the mode nearest in frequency; "" if none is within MODE_FREQUENCY_RATIOS."""
+    """Return the name of the mode nearest to a frequency, Hz; "" if no mode is within MODE_FREQUENCY_RATIOS."""
     low, high = MODE_FREQUENCY_RATIOS
     near = {name: mode for name, mode in modes.items() if low <= frequency / mode <= high}
     return min(near, key=lambda name: abs(np.log(near[name] / frequency)), default="")
 
 
 class _EndRecorder:
-    """Record of targets, goals, torques, motor angles and losses in each control period, which a Rollout lacks."""
+    """Recorder of targets, motor angles, torques and dissipated energy in each control period."""
 
     def __init__(self) -> None:
         self._rows: list[tuple[Array, ...]] = []
@@ -305,7 +297,7 @@ class _EndRecorder:
         self._rows.append(tuple(each.copy() for each in now))
 
     def episode_end(self, result: Rollout, arm: int) -> tuple[_EpisodeEnd, dict[str, float]]:
-        """Return the end of the episode of an arm, and the frequency (Hz) of each mode at its goal by name."""
+        """Return the end of the episode of an arm, and mode -> frequency (Hz) at its goal posture."""
         modes = {
             f"mode {number + 1}, motors {'held' if held else 'free'}": float(frequency)
             for held in (True, False)

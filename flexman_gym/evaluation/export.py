@@ -1,4 +1,4 @@
-"""Export of the policy of a training run: arrays and JSON for NumPy, or an ONNX graph."""
+"""Export of the policy of a training run: arrays with metadata, or an ONNX graph."""
 
 import subprocess
 from pathlib import Path
@@ -14,32 +14,26 @@ from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.common.run_folder import BEST, NEWEST, read_npz, read_settings
 from flexman_gym.control.network import MAX_INPUT, Network, policy_parameters
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import (
-    check_settings,
-    find_agent,
-    network_agent,
-    observation_layout,
-    split_interface,
-)
+from flexman_gym.evaluation.agent import check_settings, find_agent, network_agent, observation_layout, split_interface
 from flexman_gym.evaluation.agent_info import training_seconds
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.policy_files import CHECK_ROWS, write_policy
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, TEST_SEEDS, rollout
 
 DEFAULT_LICENCE = "MIT"
-CHECK_SEEDS = SELECTION_SEEDS[:16]  # episodes of the observations stored as a check of the network
+CHECK_SEEDS = SELECTION_SEEDS[:16]  # seeds of the episodes whose observations are stored as a check of the network
 
 
 @deprecated_arguments(**ARGUMENTS["export_policy"])
 def export_policy(
     run: Path, folder: Path, description: str, recipe: str, environment: str = "", licence: str = DEFAULT_LICENCE
 ) -> dict[str, float]:
-    """Export the best policy of a run; return its metrics in the test episodes.
+    """Export the best policy of a training run and evaluate it in the test episodes.
 
     Args:
         run: folder of the run.
         folder: new folder of the policy.
-        description: one sentence.
+        description: description of the policy, one sentence.
         recipe: name or file of the settings of the training.
         environment: id, id and condition, or file of the environment for which the policy is recommended; "" for the
             environment of the training. The settings of the agent, such as sensors and base controller, do not change.
@@ -50,6 +44,7 @@ def export_policy(
 
     Raises:
         FileNotFoundError: if a file of the run is missing.
+        ValueError: for an existing folder, and for a run whose settings were changed.
     """
     if folder.exists():
         raise value_error("folder", str(folder), "a new one")
@@ -62,7 +57,7 @@ def export_policy(
     arrays = layers | {f"statistics.{name}": np.asarray(data["statistics"][name]) for name in ("mean", "var")}
     network = Network(settings["algo"], settings["hyperparameters"].get("activation"), layers, data["statistics"])
     observations = _check_observations(network, target, settings.get("base_in_use"))
-    about = {
+    metadata = {
         "words": description,
         "licence": licence,
         "commit": _commit(),
@@ -74,25 +69,25 @@ def export_policy(
         "league": {},
     }
     arrays |= {"check.observations": observations, "check.actions": network(observations)}
-    write_policy(folder, about, arrays)
+    write_policy(folder, metadata, arrays)
     policy = find_agent(str(folder))
     assert policy.environment is not None
     metrics = evaluate(policy, policy.environment, TEST_SEEDS)
     row = {name: value if np.isfinite(value) else None for name, value in metrics.items()}
-    about["league"] = {"environment": environment or target.id, "seeds": [TEST_SEEDS.start, TEST_SEEDS.stop], **row}
-    write_policy(folder, about, arrays)
+    metadata["league"] = {"environment": environment or target.id, "seeds": [TEST_SEEDS.start, TEST_SEEDS.stop], **row}
+    write_policy(folder, metadata, arrays)
     return metrics
 
 
 def _target_environment(trained: Configuration, name: str) -> Configuration:
-    """Return an environment by its name, with the settings of the trained agent; "" for the trained environment."""
+    """Return an environment by its name, with the settings of the trained agent; for "" the trained environment."""
     if not name:
         return trained
     return split_interface(Configuration.find(name))[0].replace(**split_interface(trained)[1])
 
 
 class _RecordedNetwork:
-    """Network with a record of its inputs."""
+    """Network that records its inputs."""
 
     def __init__(self, network: Network) -> None:
         self.network, self.size, self.joints = network, network.size, network.joints
@@ -104,7 +99,7 @@ class _RecordedNetwork:
 
 
 def _check_observations(network: Network, environment: Configuration, base_in_use: object) -> NDArray[np.float32]:
-    """Return observations (CHECK_ROWS, size) at equal distances from the first to the last of the CHECK_SEEDS."""
+    """Return CHECK_ROWS observations (CHECK_ROWS, size) at equal intervals of the episodes of CHECK_SEEDS."""
     recorded = _RecordedNetwork(network)
     policy = network_agent("", recorded, environment, base_in_use)
     rollout(policy, split_interface(environment)[0], CHECK_SEEDS)
@@ -114,33 +109,35 @@ def _check_observations(network: Network, environment: Configuration, base_in_us
 
 
 def _commit() -> str:
-    """Return the commit of the checkout of this library, "" for an installed package."""
+    """Return the git commit of this library; "" outside a git repository."""
     done = subprocess.run(["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True)
     return done.stdout.strip() if done.returncode == 0 else ""
 
 
-OPSET, IR_VERSION = 13, 8  # versions of the ONNX operators and of the file format; old ones, for old runtimes
-ONNX_TOLERANCE, ONNX_ROWS = 1e-4, 64  # largest difference of an action in float32; number of compared observations
+OPSET, IR_VERSION = 13, 8  # versions of the ONNX operators and of the file format, supported by old runtimes
+ONNX_TOLERANCE = 1e-4  # 1; largest difference of an action in float32
+ONNX_ROWS = 64  # number of observations for which actions are compared
 
 
 @deprecated_arguments(**ARGUMENTS["write_onnx"])
 def write_onnx(agent: str, path: Path) -> float:
-    """Write the network of a policy with its normalisation; return the largest difference from its actions in NumPy.
+    """Write the network of a policy, with its normalisation of observations, as an ONNX graph.
 
-    The input "observation" (b, size) has the readings of the sensors, with history; the output "action" (b, n) is the
-    output of the network, without the base controller. Both are float32.
+    The input "observation" (b, size) float32 contains the readings of the sensors, with history. The output "action"
+    (b, n) float32 is the output of the network, without the base controller.
 
     Args:
-        agent: name of a policy, or folder of a policy or a run.
+        agent: name of a policy, or folder of a policy or a training run.
         path: path of the file.
 
     Returns:
-        Largest difference of an action on random observations.
+        Largest difference of an action of the graph from that of the policy, on random observations.
 
     Raises:
         ImportError: without the extra [onnx].
         FileNotFoundError: for an unknown agent.
-        ValueError: also for an agent without a network, and for a graph with other actions.
+        ValueError: for an agent without a network, for a policy with a base controller, and for a graph whose actions
+            differ from those of the policy.
     """
     try:
         import onnx
@@ -170,7 +167,7 @@ def write_onnx(agent: str, path: Path) -> float:
 
 
 def _onnx_model(network: Network, onnx: Any) -> Any:
-    """Return the ONNX model of a network: normalisation, clipping, layers, and clipping or tanh of the output."""
+    """Return the ONNX model of a network: normalisation and clipping of the input, layers, clipping or tanh."""
     numbers: dict[str, NDArray[Any]] = {
         "mean": network.mean, "scale": network.scale, "most": np.array(MAX_INPUT), "least": np.array(-MAX_INPUT),
         "one": np.array(1.0), "minus_one": np.array(-1.0),

@@ -1,4 +1,4 @@
-"""Metrics of episodes: one number each, their mean, median or share over episodes, and a table of agents."""
+"""Metrics of episodes, their aggregates over episodes (mean, median or share), and a table of agents."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -37,13 +37,13 @@ class Metric:
     Attributes:
         name: key in METRICS.
         header: header of its column in a table.
-        unit: unit of the number, "" for none.
-        better: "high" or "low".
+        unit: unit of the number, "" for a number without a unit.
+        better: "high" or "low", the better values.
         function: function from the record of an episode to the number.
-        statistic: aggregate over episodes: "mean", "median" (tables add its interval) or "share" (a mean from
-            0 to 1, which tables show in percent).
+        statistic: aggregate over episodes: "mean", "median" (with a bootstrap interval in tables) or "share" (a mean
+            between 0 and 1, in percent in tables).
         scale: factor from the unit to the unit of the table.
-        for_all_tasks: whether the metric applies to every task, or only to tasks whose `metrics` list it.
+        for_all_tasks: True if the metric applies to every task; False if only to tasks whose `metrics` contain it.
     """
 
     name: str
@@ -56,15 +56,15 @@ class Metric:
     for_all_tasks: bool = True
 
     def evaluate(self, records: Sequence[EpisodeRecord]) -> float:
-        """Return the mean or median over episodes; the median of an even number is the upper of the middle two."""
+        """Return the aggregate over episodes; the median of an even number is the upper of the middle two."""
         return self.aggregate(self.values(records))
 
     def aggregate(self, values: Array) -> float:
-        """Return the mean or median of the numbers (b,) of b episodes, see `evaluate`."""
+        """Return the aggregate, mean or median, of the numbers (b,) of b episodes; see `evaluate`."""
         return upper_median(values) if self.statistic == MEDIAN else float(np.mean(values))
 
     def values(self, records: Sequence[EpisodeRecord]) -> Array:
-        """Return the number of each episode, (b,)."""
+        """Return the number of each of b episodes, (b,)."""
         return np.array([self.function(record) for record in records])
 
     def interval(self, records: Sequence[EpisodeRecord]) -> tuple[float, float, float]:
@@ -94,18 +94,18 @@ METRICS = {metric.name: metric for metric in (
     Metric("effort", "effort", "", "low", lambda record: effort(record.actions), MEAN),
     Metric("failed", "failed", "", "low", lambda record: float(record.failure != ""), SHARE),
 )}  # fmt: skip
-"""Metrics of `evaluate`: name -> `Metric`."""
-DEFAULT_TASK_METRICS = ("settling_time", "error")  # metrics of a task without a list of its own
+"""Metrics of `evaluate`: name -> `Metric`. "reward" is the return, the sum of the rewards of an episode."""
+DEFAULT_TASK_METRICS = ("settling_time", "error")  # metrics of a task without the attribute `metrics`
 
 
 def task_metrics(task: Any) -> tuple[Metric, ...]:
-    """Return the metrics of a task: those for all tasks, and those listed in its attribute `metrics`."""
+    """Return the metrics of a task: the general ones, and those named in its attribute `metrics`."""
     names = getattr(task, "metrics", DEFAULT_TASK_METRICS)
     if hasattr(task, "figures") and not hasattr(task, "metrics"):
         warnings.warn("task.figures is deprecated; give metrics", DeprecationWarning, stacklevel=2)
         names = task.figures
-    own = [one_of("task.metrics", name, METRICS) for name in names]
-    return tuple(metric for name, metric in METRICS.items() if metric.for_all_tasks or name in own)
+    checked = [one_of("task.metrics", name, METRICS) for name in names]
+    return tuple(metric for name, metric in METRICS.items() if metric.for_all_tasks or name in checked)
 
 
 @deprecated_arguments(**ARGUMENTS["evaluate"])
@@ -114,7 +114,8 @@ def evaluate(
 ) -> dict[str, float]:
     """Simulate one episode for each seed and return all metrics of METRICS over these episodes.
 
-    The metric "vibration" is the peak-to-peak motion of the tip in the last 3 s (m); `tip_vibration` in `info` is a
+    The metric "reward" is the return, the undiscounted sum of the rewards of the control periods of an episode. The
+    metric "vibration" is the peak-to-peak motion of the tip in the last 3 s (m), whereas `tip_vibration` in `info` is a
     speed (m/s). The metric "effort" is the mean square of the commanded torques as fractions of their limits.
 
     Args:
@@ -123,8 +124,8 @@ def evaluate(
         seeds: seeds of the episodes; a number n <= 100 stands for the first n test seeds.
 
     Returns:
-        Metric by name: reward, settled (share of episodes), settling_time (s), vibration (m), error (m), rms_error (m),
-        roughness, effort and failed (share of episodes).
+        Metrics by name. Means: reward, roughness and effort; medians: settling_time (s), vibration (m), error (m) and
+        rms_error (m); shares of the episodes: settled and failed.
 
     Raises:
         FileNotFoundError: for an unknown agent or environment.
@@ -141,16 +142,18 @@ def evaluate(
 
 
 def optimised_settling_times(environment: Configuration) -> dict[int, float]:
-    """Return settling times (s) of optimised slews by seed; {} if the shipped table is of another environment."""
+    """Return the settling times, s, of optimised slews by seed; {} for an environment without a table of slews."""
     table = SlewTable.load(SHIPPED_TABLE)
-    same = table.about.get("environment") == environment.to_plain()
-    return {seed: table.settling_time(seed) for seed in table.found} if same else {}
+    if table.about.get("environment") != environment.to_plain():
+        return {}
+    return {seed: table.settling_time(seed) for seed in table.found}
 
 
 def equivalent_damping(record: EpisodeRecord) -> float:
-    """Return the damping ratio of the tip's oscillation, after its first arrival, along the axis of largest motion.
+    """Return the damping ratio of the oscillation of the tip after its first arrival in the band.
 
-    It is infinite without an oscillation, and 0 if the tip never comes within the band.
+    The oscillation is that along the base axis of the largest motion. The ratio is infinite without an oscillation, and
+    0 if the episode failed or the tip never arrived.
     """
     inside = np.flatnonzero(record.errors <= record.band)
     if record.failure or not len(inside) or len(record.tips) - inside[0] < 3:
@@ -160,15 +163,15 @@ def equivalent_damping(record: EpisodeRecord) -> float:
     return np.inf if np.isnan(ratio) else ratio
 
 
-MAX_NAME_LENGTH = 100  # letters of a name in the table
+MAX_NAME_LENGTH = 100  # characters of a name in the table
 CAPTION = "medians with 95 % bootstrap intervals; shares, reward, roughness and effort are means"
 
 
 def metrics_table(results: Mapping[str, Sequence[EpisodeRecord]], environment: Configuration) -> str:
-    """Return a table of text with the metrics of the task, one row for each agent.
+    """Return a table, as text, with the metrics of the task and one row for each agent.
 
     Args:
-        results: name of an agent -> records of its episodes; all agents have the same episodes.
+        results: name of an agent -> records of its episodes; the seeds are the same for all agents.
         environment: environment of the episodes.
 
     Returns:
@@ -205,6 +208,6 @@ def _shorten(name: str) -> str:
 
 
 def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
-    """Return a line of the table, the first cell aligned to the left and the rest to the right."""
-    others = [f"{cell:>{width}}" for cell, width in zip(cells[1:], widths[1:], strict=True)]
-    return "  ".join([f"{cells[0]:<{widths[0]}}", *others]).rstrip()
+    """Return a line of the table, with the first cell aligned to the left and the rest to the right."""
+    numbers = [f"{cell:>{width}}" for cell, width in zip(cells[1:], widths[1:], strict=True)]
+    return "  ".join([f"{cells[0]:<{widths[0]}}", *numbers]).rstrip()

@@ -18,57 +18,57 @@ from flexman_gym.common.renamed import CERTIFICATE_KEYS, current_methods
 from flexman_gym.control.network import Network, policy_parameters
 
 FOLDER = Path(__file__).parents[1] / "policies"
-ABOUT, ARRAYS, CERTIFICATE = "policy.json", "policy.safetensors", "certificate.json"
-POLICIES = tuple(sorted(path.parent.name for path in FOLDER.glob(f"*/{ABOUT}")))
+METADATA, ARRAYS, CERTIFICATE = "policy.json", "policy.safetensors", "certificate.json"
+POLICIES = tuple(sorted(path.parent.name for path in FOLDER.glob(f"*/{METADATA}")))
 FORMAT = "flexman_gym policy 1"
-DTYPES = ("float32", "float64")  # of arrays
+DTYPES = ("float32", "float64")  # allowed types of arrays
 MAX_BYTES = 10**6  # bytes; largest size of a file
 KEYS = (
     "format", "words", "licence", "commit", "versions", "recipe", "training_seconds", "environment",
     "environment_hash", "settings_hash", "observation", "league", "arrays_hash",
 )  # fmt: skip
 STATISTICS, CHECKS = ("statistics.mean", "statistics.var"), ("check.observations", "check.actions")
-REQUIRED_KEYS = (("arrays_hash", str), ("fails", list), ("rows", list))  # required keys and their types
+REQUIRED_KEYS = (("arrays_hash", str), ("fails", list), ("rows", list))  # keys of a certificate and their types
 CHECK_ROWS = 64  # number of observations stored with their actions as a check of the network
-CHECK_TOLERANCE = 1e-9  # largest difference of an action from the stored one
+CHECK_TOLERANCE = 1e-9  # 1; largest difference of an action from the stored action
 
 
 class _ExportedPolicy(NamedTuple):
-    """Exported policy: its description, with the entries KEYS, and its network."""
+    """Exported policy: metadata with the entries KEYS, and network."""
 
-    about: dict[str, Any]
+    metadata: dict[str, Any]
     network: Network
 
 
 def policy_folder(name: str) -> Path | None:
-    """Return the folder of a shipped policy by its name, or the folder of an exported policy; else None."""
+    """Return the folder of a shipped policy by its name, or of an exported policy by its path; None for other texts."""
     if name in POLICIES:
         return FOLDER / name
-    return Path(name) if os.path.isfile(Path(name) / ABOUT) else None
+    return Path(name) if os.path.isfile(Path(name) / METADATA) else None
 
 
 def read_policy(folder: Path) -> _ExportedPolicy:
-    """Read an exported policy without running code of its files.
+    """Read an exported policy without executing code of its files.
 
     Args:
         folder: folder of the policy.
 
     Returns:
-        Description and network.
+        Metadata and network.
 
     Raises:
         FileNotFoundError: if a file is missing.
-        ValueError: for a too large or broken file, for wrong hashes of arrays, environment or settings, and for a
-            network whose actions differ from the stored ones.
+        ValueError: for a file that is too large or damaged, for wrong hashes of arrays, environment or settings, and
+            for a network whose actions differ from the stored ones.
     """
-    path = existing_file(folder / ABOUT)
+    path = existing_file(folder / METADATA)
     try:
-        about = _check_description(_read_bytes(path))
+        metadata = _parse_metadata(_read_bytes(path))
         path = existing_file(folder / ARRAYS)
         content = _read_bytes(path)
-        if hashlib.sha256(content).hexdigest() != about["arrays_hash"]:
-            raise value_error("arrays_hash", about["arrays_hash"], "that of the arrays: one of them was changed")
-        return _ExportedPolicy(about, _check_network(about, _read_tensors(content)))
+        if hashlib.sha256(content).hexdigest() != metadata["arrays_hash"]:
+            raise value_error("arrays_hash", metadata["arrays_hash"], "that of the arrays: one of them was changed")
+        return _ExportedPolicy(metadata, _check_network(metadata, _read_tensors(content)))
     except FileNotFoundError:
         raise
     except READ_ERRORS as error:
@@ -76,46 +76,46 @@ def read_policy(folder: Path) -> _ExportedPolicy:
         raise ValueError(f"{short_path(path)}: this is no exported policy ({reason})") from None
 
 
-def write_policy(folder: Path, about: Mapping[str, Any], arrays: dict[str, NDArray[np.floating]]) -> None:
-    """Write a policy with its format and hashes, and check it by reading.
+def write_policy(folder: Path, metadata: Mapping[str, Any], arrays: dict[str, NDArray[np.floating]]) -> None:
+    """Write a policy with its format and hashes, and read it as a check.
 
     Args:
         folder: folder of the policy; it is created if it does not exist.
-        about: description with the entries KEYS, without format and hashes.
-        arrays: layers, statistics and check of the network by name.
+        metadata: metadata with the entries KEYS, except format and hashes.
+        arrays: layers and normalisation of the network, and observations and actions as a check, by name.
 
     Raises:
         OSError: if the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     _write_tensors(folder / ARRAYS, arrays)
-    own = {
+    computed = {
         "format": FORMAT,
-        "environment_hash": _json_hash(about["environment"]),
-        "settings_hash": _json_hash(about["recipe"]["settings"]),
+        "environment_hash": _json_hash(metadata["environment"]),
+        "settings_hash": _json_hash(metadata["recipe"]["settings"]),
         "arrays_hash": hashlib.sha256((folder / ARRAYS).read_bytes()).hexdigest(),
     }
-    whole = {name: own.get(name, about.get(name)) for name in KEYS}
-    write_atomically(folder / ABOUT, lambda file: file.write((json.dumps(whole, indent=1) + "\n").encode()))
+    complete = {name: computed.get(name, metadata.get(name)) for name in KEYS}
+    write_atomically(folder / METADATA, lambda file: file.write((json.dumps(complete, indent=1) + "\n").encode()))
     read_policy(folder)
 
 
 def _json_hash(data: object) -> str:
-    """Return the SHA-256 of plain data; the order of keys does not change it."""
+    """Return the SHA-256 of plain data, independent of the order of keys."""
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
 def read_certificate(folder: Path) -> dict[str, Any] | None:
-    """Return the certificate in the folder of a policy; None without one, or if it is of other arrays.
+    """Return the certificate in the folder of a policy; None if it is missing, or belongs to different arrays.
 
     Args:
         folder: folder of the policy.
 
     Returns:
-        The certificate with the present names of its keys, or None.
+        The certificate under the current names of its keys, or None.
 
     Raises:
-        ValueError: for a broken file, and for one without arrays_hash, fails and rows.
+        ValueError: for a damaged file, and for a file without arrays_hash, fails and rows.
     """
     path = folder / CERTIFICATE
     if not path.is_file():
@@ -132,43 +132,43 @@ def read_certificate(folder: Path) -> dict[str, Any] | None:
     for row in result["rows"]:
         row["scenario"] = current_methods(row["scenario"])
     result["fails"] = [current_methods(str(each)) for each in result["fails"]]
-    return result if result["arrays_hash"] == _parse_json(_read_bytes(folder / ABOUT)).get("arrays_hash") else None
+    return result if result["arrays_hash"] == _parse_json(_read_bytes(folder / METADATA)).get("arrays_hash") else None
 
 
 def _present_keys(data: Any) -> Any:
-    """Return a mapping with the keys of CERTIFICATE_KEYS replaced by the present ones; other data unchanged."""
+    """Return a mapping under the current names of its keys, see CERTIFICATE_KEYS; data of other types unchanged."""
     return {CERTIFICATE_KEYS.get(name, name): value for name, value in data.items()} if isinstance(data, dict) else data
 
 
 def describe_policy(name: str) -> str:
-    """Return the description of a shipped policy and whether its certificate recommends it, as text."""
-    about, certificate = _parse_json(_read_bytes(FOLDER / name / ABOUT)), read_certificate(FOLDER / name)
+    """Return the description of a shipped policy and the result of its certificate, as text."""
+    metadata, certificate = _parse_json(_read_bytes(FOLDER / name / METADATA)), read_certificate(FOLDER / name)
     if certificate is None:
-        return f"{about['words']} It has no certificate."
+        return f"{metadata['words']} It has no certificate."
     fails = ", ".join(map(str, certificate["fails"]))
-    return f"{about['words']} {f'Not recommended: it fails {fails}.' if fails else 'Recommended.'}"
+    return f"{metadata['words']} {f'Not recommended: it fails {fails}.' if fails else 'Recommended.'}"
 
 
 def _read_bytes(path: Path) -> bytes:
     return regular_file(path, MAX_BYTES).read_bytes()
 
 
-def _check_description(content: bytes) -> dict[str, Any]:
-    """Return the description of a policy; check its keys, its format, and the hashes of environment and settings."""
-    about = _parse_json(content)
-    if not isinstance(about, dict) or set(about) != set(KEYS):
-        raise value_error("keys", sorted(about) if isinstance(about, dict) else about, ", ".join(KEYS))
-    if about["format"] != FORMAT:
-        raise value_error("format", about["format"], FORMAT)
-    for name, data in (("environment", about["environment"]), ("settings", about["recipe"]["settings"])):
-        if _json_hash(data) != about[f"{name}_hash"]:
+def _parse_metadata(content: bytes) -> dict[str, Any]:
+    """Return the metadata of a policy after a check of keys, format, and hashes of environment and settings."""
+    metadata = _parse_json(content)
+    if not isinstance(metadata, dict) or set(metadata) != set(KEYS):
+        raise value_error("keys", sorted(metadata) if isinstance(metadata, dict) else metadata, ", ".join(KEYS))
+    if metadata["format"] != FORMAT:
+        raise value_error("format", metadata["format"], FORMAT)
+    for name, data in (("environment", metadata["environment"]), ("settings", metadata["recipe"]["settings"])):
+        if _json_hash(data) != metadata[f"{name}_hash"]:
             raise value_error(name, "data with another hash", f"the {name} of the export")
-    return about
+    return metadata
 
 
-def _check_network(about: dict[str, Any], arrays: dict[str, NDArray[np.floating]]) -> Network:
-    """Return the network of arrays, and compare its actions with the stored ones."""
-    settings = about["recipe"]["settings"]
+def _check_network(metadata: dict[str, Any], arrays: dict[str, NDArray[np.floating]]) -> Network:
+    """Return the network with the given arrays after a comparison of its actions with the stored actions."""
+    settings = metadata["recipe"]["settings"]
     algo, activation = settings["algo"], settings["hyperparameters"].get("activation")
     layers = policy_parameters(algo, arrays)
     if unknown := arrays.keys() ^ {*layers, *STATISTICS, *CHECKS}:
@@ -187,10 +187,10 @@ def _check_network(about: dict[str, Any], arrays: dict[str, NDArray[np.floating]
 
 
 def _parse_json(text: bytes) -> Any:
-    """Return the content of a JSON text.
+    """Return the data of a JSON text.
 
     Raises:
-        ValueError: for a syntax error, a repeated key, NaN and an infinite number; one line.
+        ValueError: for a syntax error, a repeated key, NaN and infinity; one line.
     """
     try:
         return json.loads(text.decode("utf-8"), object_pairs_hook=_unique_keys, parse_constant=_refuse_constant)
@@ -210,7 +210,7 @@ def _refuse_constant(text: str) -> Any:
 
 
 def _write_tensors(path: Path, arrays: Mapping[str, NDArray[np.floating]]) -> None:
-    """Write arrays of float32 or float64 to a file in the format of safetensors, atomically.
+    """Write arrays of float32 or float64 atomically to a file in the format of safetensors.
 
     Raises:
         OSError: if the file cannot be written.
@@ -221,10 +221,10 @@ def _write_tensors(path: Path, arrays: Mapping[str, NDArray[np.floating]]) -> No
 
 
 def _read_tensors(content: bytes) -> dict[str, NDArray[np.floating]]:
-    """Return the arrays in the content of a file of safetensors.
+    """Return the arrays in the content of a file in the format of safetensors.
 
     Raises:
-        ValueError: for a damaged header, arrays of another type, and bytes that belong to no array; one line.
+        ValueError: for a damaged header, arrays of a type not in DTYPES, and bytes that belong to no array; one line.
     """
     if len(content) > MAX_BYTES:
         raise value_error("file", f"{len(content)} bytes", f"at most {MAX_BYTES}")

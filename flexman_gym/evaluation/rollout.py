@@ -1,4 +1,4 @@
-"""Rollout: episodes of one agent side by side, recorded in every control period, and their seeds."""
+"""Rollout: simulation of episodes of one agent, recorded in every control period, and the seeds of episodes."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +14,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.progress import Progress
-from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
+from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments, warn_deprecated
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes, validate_actions
@@ -23,9 +23,9 @@ from flexman_gym.metrics import BAND
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.episode import Episode, episode_metadata
 
-SELECTION_SEEDS = range(5000, 5100)  # seeds of the episodes by which the best policy of a run is selected
-TEST_SEEDS = range(9000, 9100)  # seeds of the test episodes, of `flexman evaluate`; nothing is selected by them
-TRAINING_SEEDS_STRIDE = 1_000_000  # the first episode of arm i in a run of seed s has the seed STRIDE (s + 1) + i
+SELECTION_SEEDS = range(5000, 5100)  # seeds of the episodes by which the best policy of a training run is selected
+TEST_SEEDS = range(9000, 9100)  # seeds of the test episodes of `flexman evaluate`, which are not used for selection
+TRAINING_SEEDS_STRIDE = 1_000_000  # arm i of a training run with seed s starts with the seed STRIDE (s + 1) + i
 
 
 def training_seed(seed: int) -> int:
@@ -34,7 +34,7 @@ def training_seed(seed: int) -> int:
 
 
 def _episode_seeds(seeds: Sequence[int] | int) -> list[int]:
-    """Return a list of seeds, for a whole number n the first n test seeds."""
+    """Return a list of seeds; for a whole number n the first n test seeds."""
     given: Any = seeds
     if isinstance(given, Integral):
         return list(TEST_SEEDS[: whole_number("seeds", given, 1, len(TEST_SEEDS))])
@@ -45,7 +45,7 @@ def _episode_seeds(seeds: Sequence[int] | int) -> list[int]:
 
 
 INSTANT_ARRAYS = ("tips", "errors", "states", "targets", "readings")  # recorded at the reset and after each period
-PERIOD_ARRAYS = ("actions", "torques", "rewards")  # recorded for each control period
+PERIOD_ARRAYS = ("actions", "torques", "rewards")  # recorded once per control period
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +53,11 @@ class EpisodeRecord:
     """Record of an episode of T control periods, from which metrics are computed.
 
     Attributes:
-        tips: positions of the tip (T + 1, 3) in the base frame from the reset on, m.
-        errors: distances of the tip from its target (T + 1,), m.
-        actions: commanded motor torques (T, n) as fractions of the torque limits.
-        rewards: rewards (T,).
-        failure: reason for which the episode ended early, "" for none.
+        tips: (T + 1, 3) positions of the tip in the base frame, from the reset on, m.
+        errors: (T + 1,) distances of the tip from its target, m.
+        actions: (T, n) commanded motor torques as fractions of the torque limits.
+        rewards: (T,) rewards of the control periods.
+        failure: cause of a failure, which terminated the episode; "" without a failure.
         period: control period, s.
         band: distance from the target within which a tip counts as settled, m.
     """
@@ -73,22 +73,22 @@ class EpisodeRecord:
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """Records of b episodes as arrays, with nan after the end of each episode.
+    """Records of b episodes as arrays, with NaN after the end of each episode.
 
     Attributes:
-        tips: positions of the tip (b, T + 1, 3), m; the longest episode has T control periods.
-        errors: distances of the tip from its target (b, T + 1), m.
-        actions: commanded motor torques (b, T, n) as fractions of the torque limits.
-        rewards: rewards (b, T).
-        lengths: number of control periods of each episode (b,).
-        failures: reasons for which the episodes ended early (b,), "" for none.
+        tips: (b, T + 1, 3) positions of the tip, m; the longest episode has T control periods.
+        errors: (b, T + 1) distances of the tip from its target, m.
+        actions: (b, T, n) commanded motor torques as fractions of the torque limits.
+        rewards: (b, T) rewards of the control periods.
+        lengths: (b,) numbers of control periods of the episodes.
+        failures: b causes of failures, which terminated the episodes; "" without a failure.
         period: control period, s.
         band: distance from the target within which a tip counts as settled, m.
-        states: states (b, T + 1, 2 d).
-        targets: targets of the tip (b, T + 1, 3), m.
-        torques: applied motor torques (b, T, n), after delay and other effects, N m.
-        readings: latest readings of the agent's sensors (b, T + 1, size).
-        about: common metadata of the episodes, their "seeds", and the "slices" of the readings by sensor.
+        states: (b, T + 1, 2 d) generalised coordinates and their rates, in the order of `kernels.layout`.
+        targets: (b, T + 1, 3) targets of the tip, m.
+        torques: (b, T, n) applied motor torques, after delay and other effects, N m.
+        readings: (b, T + 1, size) readings of the agent's sensors.
+        metadata: common metadata of the episodes, their "seeds", and the "slices" of the readings by entry.
     """
 
     tips: Array
@@ -103,21 +103,21 @@ class Rollout:
     targets: Array
     torques: Array
     readings: Array
-    about: dict[str, Any]
+    metadata: dict[str, Any]
 
     def episode(self, number: int) -> Episode:
-        """Return one episode up to its end; `number` counts from 0."""
+        """Return the episode with an index from 0 to b - 1, up to its end."""
         end = int(self.lengths[number])
-        own = {name: getattr(self, name)[number, : end + 1] for name in ("states", "tips", "targets", "errors")}
-        own |= {name: getattr(self, name)[number, :end] for name in ("actions", "torques", "rewards")}
-        about = {name: value for name, value in self.about.items() if name not in ("seeds", "slices")}
-        about |= {"seed": self.about["seeds"][number], "failure": self.failures[number], "band": self.band}
-        slices = {name: slice(*ends) for name, ends in self.about["slices"].items()}
-        readings = {name: self.readings[number, : end + 1, place] for name, place in slices.items()}
-        return Episode(self.period * np.arange(end + 1.0), **own, readings=readings, about=about)
+        arrays = {name: getattr(self, name)[number, : end + 1] for name in ("states", "tips", "targets", "errors")}
+        arrays |= {name: getattr(self, name)[number, :end] for name in ("actions", "torques", "rewards")}
+        metadata = {name: value for name, value in self.metadata.items() if name not in ("seeds", "slices")}
+        metadata |= {"seed": self.metadata["seeds"][number], "failure": self.failures[number], "band": self.band}
+        slices = {name: slice(*ends) for name, ends in self.metadata["slices"].items()}
+        readings = {name: self.readings[number, : end + 1, columns] for name, columns in slices.items()}
+        return Episode(self.period * np.arange(end + 1.0), **arrays, readings=readings, about=metadata)
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write each episode to a file NAME-SEED.npz, which `fm.Episode.load` reads; return the paths.
+        """Write each episode to a file NAME-SEED.npz, which `fm.Episode.load` reads.
 
         Args:
             folder: folder of the files; it is created if it does not exist.
@@ -128,8 +128,15 @@ class Rollout:
         Raises:
             OSError: if a file cannot be written.
         """
-        name = re.sub(r"[^\w.-]+", "-", self.about["name"]).strip("-.") or "episode"
-        return [self.episode(i).save(Path(folder) / f"{name}-{seed}.npz") for i, seed in enumerate(self.about["seeds"])]
+        name = re.sub(r"[^\w.-]+", "-", self.metadata["name"]).strip("-.") or "episode"
+        paths = [Path(folder) / f"{name}-{seed}.npz" for seed in self.metadata["seeds"]]
+        return [self.episode(i).save(path) for i, path in enumerate(paths)]
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Deprecated name of `metadata`."""
+        warn_deprecated("Rollout.about is Rollout.metadata now")
+        return self.metadata
 
     @property
     def records(self) -> list[EpisodeRecord]:
@@ -151,21 +158,21 @@ def rollout(
     callback: Callable[[Episodes], None] | None = None,
     set_plant: Callable[[Batch], None] | None = None,
 ) -> Rollout:
-    """Simulate one episode for each seed, all side by side, and record every control period.
+    """Simulate one episode for each seed, all episodes together, and record every control period.
 
-    The agent brings its sensors, history, base controller, action mode and action repeat; the environment provides
-    arm, task, effects and limits. A law is evaluated on the same observations as in its training.
+    Sensors, history, base controller, action mode and action repeat are those of the agent; arm, task, effects and
+    limits are those of the environment. A policy has the same observations as in its training.
 
     Args:
         agent: name of a baseline or a shipped policy, folder of a run, Controller, or another object of `find_agent`.
         environment: id, id and condition such as "FlexRRR-v0/delay", path of a file, or Configuration.
         seeds: seeds of the episodes; a number n <= 100 stands for the first n test seeds, 9000 to 9000 + n - 1.
-        callback: function called with the episodes after the reset and after every control period.
-        set_plant: function to replace the integrator of the arms, see `league.scenarios.PLANTS`.
+        callback: function of the simulated `envs.episodes.Episodes`, called after the reset and every control period.
+        set_plant: function that replaces the integrator of the simulated `Batch`, see `league.scenarios.PLANTS`.
 
     Returns:
-        b episodes of at most T control periods: tips (b, T + 1, 3) m, errors (b, T + 1) m, torques (b, T, n) N m,
-        actions (b, T, n) as fractions of the torque limits, the control period (s), and more.
+        Records of b episodes of at most T control periods: tips (b, T + 1, 3) m, errors (b, T + 1) m, torques
+        (b, T, n) N m, actions (b, T, n) as fractions of the torque limits, the control period (s), and more.
 
     Raises:
         FileNotFoundError: for an unknown agent or environment.
@@ -179,36 +186,39 @@ def rollout(
         True
     """
     spec, environment = find_agent(agent), Configuration.find(environment)
-    numbers, (moved, own) = _episode_seeds(seeds), split_interface(environment)
+    seeds, (bare, interface) = _episode_seeds(seeds), split_interface(environment)
     _check_joint_count(spec, environment)
-    venv = gym.make_vec(environment.id, len(numbers), "vector_entry_point", **_keywords(spec, moved, own))
+    venv = gym.make_vec(environment.id, len(seeds), "vector_entry_point", **_keywords(spec, bare, interface))
     episodes, size = venv.unwrapped.episodes, venv.action_space.shape or ()  # type: ignore[attr-defined]
     if set_plant is not None:
         set_plant(episodes.batch)
     recorder = _Recorder(episodes, callback)
     episodes.agent.check_law(spec.law)
-    venv.reset(seed=numbers)  # type: ignore[arg-type]
+    venv.reset(seed=seeds)  # type: ignore[arg-type]
     recorder.begin()
-    episodes.watch = recorder.record
-    while not recorder.ends.all():  # `venv.step` would reset each arm at the end of its episode
+    episodes.callback = recorder.record
+    while not recorder.ends.all():  # `venv.step` would reset an arm after the end of its episode
         outputs = np.zeros(size) if spec.law is None else spec.law(episodes.agent.observations.copy())
         commands = np.asarray(outputs, dtype=np.float32)
         episodes.step(validate_actions("actions", commands, size, "a number from -1 to 1 for each motor of each arm"))
-    about = _metadata(venv.unwrapped, spec, environment) | {"seeds": [int(seed) for seed in numbers]}
+    metadata = _metadata(venv.unwrapped, spec, environment) | {"seeds": [int(seed) for seed in seeds]}
     venv.close()
-    return recorder.rollout(about)
+    return recorder.rollout(metadata)
 
 
-def _keywords(agent: AgentSpec, moved: Configuration, own: dict[str, Any]) -> dict[str, Any]:
-    """Return the keywords of the environment of an agent, with copies of its parts, which may be in use elsewhere."""
-    keywords = moved.keywords() | deepcopy(own if agent.interface is None else agent.interface)
+def _keywords(agent: AgentSpec, bare: Configuration, interface: dict[str, Any]) -> dict[str, Any]:
+    """Return the keyword arguments of `gym.make_vec` for an agent in a bare environment, with copies of its objects.
+
+    `interface` has the settings of the agent if its specification has none.
+    """
+    keywords = bare.keywords() | deepcopy(interface if agent.interface is None else agent.interface)
     if agent.environment is not None:
-        keywords["task"] = _ObservedTask(moved.task, agent.environment.task.sensors)
+        keywords["task"] = _ObservedTask(bare.task, agent.environment.task.sensors)
     return keywords
 
 
 class _ObservedTask:
-    """Task with the sensors of the task of a policy's training."""
+    """Task of an environment, with the sensors of the task on which a policy was trained."""
 
     def __init__(self, task: object, sensors: Sequence[object]) -> None:
         self._task, self.sensors = task, sensors
@@ -218,7 +228,7 @@ class _ObservedTask:
 
 
 def _check_joint_count(agent: AgentSpec, environment: Configuration) -> None:
-    """Raise ValueError for a policy trained on an arm with another number of joints."""
+    """Raise ValueError if a policy was trained on an arm with a different number of joints."""
     if agent.environment is None:
         return
     own, count = agent.environment.arm.n_joints, environment.arm.n_joints
@@ -228,18 +238,18 @@ def _check_joint_count(agent: AgentSpec, environment: Configuration) -> None:
 
 
 def _metadata(env: Any, agent: AgentSpec, environment: Configuration) -> dict[str, Any]:
-    """Return the common plain metadata of the episodes of an agent in an environment."""
+    """Return the metadata of all episodes of an agent in an environment, as plain data."""
     sensors = env.episodes.sensors
     settings = {"environment": split_interface(environment)[0].to_plain(strict=False), "interface": agent.interface}
     return episode_metadata(
         env.batch.model, settings, name=agent.name, environment=environment.id, units=dict(sensors.units),
-        slices={name: [place.start, place.stop] for name, place in sensors.slices.items()},
+        slices={name: [columns.start, columns.stop] for name, columns in sensors.slices.items()},
         torque_limits=env.torque_limit.tolist(),
     )  # fmt: skip
 
 
 class _Recorder:
-    """Record of the control periods of the arms, and the ends of their first episodes; later episodes do not count."""
+    """Recorder of control periods; `ends` (b,) has the lengths of the ended episodes, and 0 for a running episode."""
 
     def __init__(self, episodes: Episodes, callback: Callable[[Episodes], None] | None) -> None:
         self._episodes, self._callback = episodes, callback
@@ -262,9 +272,9 @@ class _Recorder:
             self.ends[arm], self._failures[arm] = len(self._rows["actions"]), episodes.failures.get(arm, "")
 
     def _instant(self) -> dict[str, Array]:
-        """Return an entry for each of INSTANT_ARRAYS."""
-        view, state = self._episodes.view, 2 * self._episodes.batch.model.n_dof
-        return {"tips": view.tip.copy(), "errors": view.tip_error.copy(), "states": view.state[:, :state].copy(),
+        """Return the current values of INSTANT_ARRAYS by name."""
+        view, size = self._episodes.view, 2 * self._episodes.batch.model.n_dof
+        return {"tips": view.tip.copy(), "errors": view.tip_error.copy(), "states": view.state[:, :size].copy(),
                 "targets": view.target.copy(), "readings": self._episodes.sensors.observations.copy()}  # fmt: skip
 
     def _append(self, now: Mapping[str, Array]) -> None:
@@ -273,12 +283,12 @@ class _Recorder:
         if self._callback is not None:
             self._callback(self._episodes)
 
-    def rollout(self, about: dict[str, Any]) -> Rollout:
-        """Return the record, with nan after the end of each episode."""
+    def rollout(self, metadata: dict[str, Any]) -> Rollout:
+        """Return the records, with NaN after the end of each episode."""
         arrays = {name: np.array(rows).swapaxes(0, 1).copy() for name, rows in self._rows.items()}
         for name, values in arrays.items():
             for arm, end in enumerate(self.ends):
                 values[arm, end + (name in INSTANT_ARRAYS) :] = np.nan
         view = self._episodes.view
         return Rollout(**arrays, lengths=self.ends, failures=tuple(self._failures), period=view.control_period,
-                       band=BAND * view.reach, about=about)  # fmt: skip
+                       band=BAND * view.reach, metadata=metadata)  # fmt: skip

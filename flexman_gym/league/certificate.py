@@ -63,7 +63,7 @@ def certify(
     path = policy_folder(name)
     if path is None:
         raise value_error("name", name, "an exported policy, by its name or folder")
-    about, environment = read_policy(path).about, _environment_name(name)
+    about, environment = read_policy(path).metadata, _environment_name(name)
     task = find_scenario(environment).environment.task
     if "settling_time" not in {metric.name for metric in task_metrics(task)}:
         raise value_error("name", name, "a policy for a task with the metric settling_time")
@@ -89,7 +89,7 @@ def certify(
 
 def certificate_scenarios(name: str) -> list[str]:
     """Return the names of the scenarios of a policy: its environment, other simulations of it, and changed arms."""
-    about, where = read_policy(policy_folder(name) or Path(name)).about, _environment_name(name)
+    about, where = read_policy(policy_folder(name) or Path(name)).metadata, _environment_name(name)
     environment = find_scenario(where).environment
     trained = Configuration.from_plain(about["recipe"]["settings"]["environment"])
     changes = _changes_beyond_training(environment, trained)
@@ -107,7 +107,7 @@ def _environment_name(name: str) -> str:
 
     Gains of a PD controller and the reward may differ: a policy has its own gains, and nothing is trained here.
     """
-    agent, about = find_agent(name), read_policy(policy_folder(name) or Path(name)).about
+    agent, about = find_agent(name), read_policy(policy_folder(name) or Path(name)).metadata
     assert agent.environment is not None
     named = about["league"].get("environment", agent.environment.id)
     same = named.partition("/")[0] in NAMED_ENVIRONMENTS and _is_same_motion(

@@ -10,7 +10,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.plot_style import LIGHT, LINK_COLOURS, MIDDLE, new_figure
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
-from flexman_gym.evaluation.agent import BASELINES, LAWLESS_AGENTS
+from flexman_gym.evaluation.agent import BASELINES, SIMPLE_AGENTS
 from flexman_gym.evaluation.agent_info import describe_agent, training_seconds
 from flexman_gym.evaluation.metrics import MEAN, MEDIAN, Metric, optimised_settling_times, task_metrics
 from flexman_gym.league.rows import DAMPING, REFERENCE_AGENTS, TIME_RATIO, LeagueRows
@@ -134,7 +134,7 @@ def _breakdown_sentences(standings: Standings, agent: str) -> list[str]:
 
 def _agent_section(standings: Standings, agent: str) -> Section:
     info = describe_agent(agent)
-    costs = [] if agent in LAWLESS_AGENTS else [_cost_sentence(standings, agent, standings.scenarios)]
+    costs = [] if agent in SIMPLE_AGENTS else [_cost_sentence(standings, agent, standings.scenarios)]
     notes = [*costs, *_breakdown_sentences(standings, agent)]
     return {"agent": agent, "description": info.description, "needs": _needs(agent), "tuning": info.tuning,
             "notes": notes}  # fmt: skip
@@ -337,7 +337,7 @@ def _share(numbers: Interval) -> str:
 
 
 def _needs(agent: str) -> str:
-    return ", ".join(describe_agent(agent).information) or ("nothing" if agent in LAWLESS_AGENTS else "its motors")
+    return ", ".join(describe_agent(agent).information) or ("nothing" if agent in SIMPLE_AGENTS else "its motors")
 
 
 def _short_name(scenario: str) -> str:

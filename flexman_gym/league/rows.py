@@ -25,7 +25,7 @@ from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.agent import BASELINES, find_agent, timed_agent
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent
 from flexman_gym.evaluation.metrics import METRICS, equivalent_damping, optimised_settling_times
-from flexman_gym.evaluation.policy_files import ABOUT, ARRAYS, policy_folder
+from flexman_gym.evaluation.policy_files import ARRAYS, METADATA, policy_folder
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.league.scenarios import PLANTS, find_scenario
 
@@ -237,7 +237,7 @@ def row_key(agent: str, scenario: str) -> str:
     parts: list[Any] = [*(each.to_plain() for each in both), plant, _code_hash(PACKAGE, SOURCES)]
     parts += [computer_info(("mujoco",) if plant == "mujoco" else ()) | {"processor": ""}, _is_lab(scenario)]
     folder = policy_folder(agent) or Path(agent)
-    files = [] if agent in BASELINES else [folder / name for name in (SETTINGS, BEST, NEWEST, ABOUT, ARRAYS)]
+    files = [] if agent in BASELINES else [folder / name for name in (SETTINGS, BEST, NEWEST, METADATA, ARRAYS)]
     hashes = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.is_file()] or [agent]
     return hashlib.sha256(json.dumps([parts, hashes], sort_keys=True).encode()).hexdigest()[:16]
 

@@ -206,7 +206,7 @@ def find_scenario(name: str) -> Scenario:
 def _find_environment(name: str) -> Configuration:
     """Return the environment of a policy, an id, an id and a condition, or a file, without settings of the agent."""
     if folder := policy_folder(name):
-        whole = Configuration.from_plain(read_policy(folder).about["environment"])
+        whole = Configuration.from_plain(read_policy(folder).metadata["environment"])
     else:
         whole = Configuration.find(name.removesuffix(f"/{NOMINAL}"))
     return whole.without(INTERFACE)

@@ -1,7 +1,8 @@
-"""Metrics of slews from plain arrays sampled at equal intervals, and statistics over many episodes.
+"""Metrics of motions from arrays sampled at equal intervals, and statistics over episodes.
 
-Signals describe settling, vibration, deflection and control effort of one run. Time starts at the first sample, which
-is the state after the reset. Errors are distances between tip and target.
+The metrics describe settling, vibration, deflection and control effort of one motion. The first sample is the state
+after the reset, at time zero. Errors are distances between tip and target. Actions are commanded torques as fractions
+of the torque limits.
 """
 
 from flexman_gym.common.renamed import deprecated_names

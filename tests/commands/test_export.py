@@ -40,7 +40,7 @@ def test_a_run_becomes_a_policy_that_reaches_the_same(run, tmp_path, capsys):
         "none",
     ]
     assert main(words) == 0 and "holds the policy: settled " in capsys.readouterr().out
-    about = read_policy(tmp_path / "a").about
+    about = read_policy(tmp_path / "a").metadata
     one, other = find_agent(str(run)), find_agent(str(tmp_path / "a"))
     assert one.environment.to_plain() == other.environment.to_plain()
     figures = evaluate(one, one.environment, range(9000, 9100))
@@ -70,7 +70,7 @@ def test_it_may_be_for_another_environment_with_what_acts_as_it_was(run, tmp_pat
         str(tmp_path / "heavy.yaml"),
     ]
     assert main(words) == 0
-    about = read_policy(tmp_path / "a").about
+    about = read_policy(tmp_path / "a").metadata
     assert (about["environment"]["horizon"], about["environment"]["action_repeat"]) == (0.4, 3)
     assert about["recipe"]["settings"]["environment"]["horizon"] == 0.6
 

@@ -6,8 +6,9 @@ import pytest
 from flexman_gym.common.arrays import pad_rows
 from flexman_gym.control.actions import ACTIONS, TorqueMode
 from flexman_gym.control.agent import Agent
+from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.network import Network
-from flexman_gym.envs.config.specification import make_controller, make_plant
+from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
@@ -76,13 +77,13 @@ def test_a_policy_acts_in_its_mode_wherever_it_plays(winding):
     random = np.random.default_rng(0)
     layers = {"action_net.weight": random.normal(size=(1, 6)), "action_net.bias": np.ones(1)}
     network = Network("ppo", None, layers, {"mean": np.zeros(6), "var": np.ones(6)})
-    base = make_controller(beside.configuration, "pd", beside.batch.model)
+    base = make_base("pd", make_plant(beside.configuration, beside.batch.model))
     mode = Winding(make_plant(beside.configuration, beside.batch.model), base, 0.02)
     policy = Agent(beside.configuration.sensors, 6, mode, base, action_repeat=2, law=network)
     alone = FlexManVectorEnv(3, **SETTINGS, base=policy)
     asked, played = [], []
-    beside.episodes.watch = lambda: asked.append(beside.episodes.view.action.copy())
-    alone.episodes.watch = lambda: played.append(alone.episodes.view.action.copy())
+    beside.episodes.callback = lambda: asked.append(beside.episodes.view.action.copy())
+    alone.episodes.callback = lambda: played.append(alone.episodes.view.action.copy())
     seen = beside.reset(seed=3)[0]
     alone.reset(seed=3)
     for _ in range(5):

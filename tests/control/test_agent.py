@@ -5,9 +5,10 @@ import pytest
 
 from flexman_gym.control import PD, Agent
 from flexman_gym.control.actions import TorqueMode
+from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.network import Network
-from flexman_gym.envs.config.specification import make_controller
+from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import ServoErrors, find_sensors
 from flexman_gym.envs.vector_env import FlexManVectorEnv
@@ -34,13 +35,13 @@ def test_it_acts_as_an_agent_that_sees_and_holds_as_it_does(sensors, history, ba
     beside = FlexManVectorEnv(3, **SETTINGS, sensors=sensors, history=history, action_repeat=4, base=base)
     size = beside.single_observation_space.shape[0]
     acting = network(size)
-    controller = make_controller(beside.configuration, base, beside.batch.model) if base else None
+    controller = make_base(base, make_plant(beside.configuration, beside.batch.model)) if base else None
     observed, mode = find_sensors(sensors), TorqueMode(2, controller)
     policy = Agent(observed, len(beside.sensors.bound), mode, controller, beside.configuration.history, 4, acting)
     alone = FlexManVectorEnv(3, **SETTINGS, base=policy)
     seen, asked, played = beside.reset(seed=3)[0], [], []
-    beside.episodes.watch = lambda: asked.append(beside.episodes.view.action.copy())
-    alone.episodes.watch = lambda: played.append(alone.episodes.view.action.copy())
+    beside.episodes.callback = lambda: asked.append(beside.episodes.view.action.copy())
+    alone.episodes.callback = lambda: played.append(alone.episodes.view.action.copy())
     alone.reset(seed=3)
     for _ in range(6):
         seen, *_ = beside.step(acting(seen).astype(np.float32))

@@ -8,9 +8,10 @@ from hypothesis import strategies as st
 
 import flexman_gym  # noqa: F401  registers the environments
 from flexman_gym.control import PD, Controller, EpisodeInfo
+from flexman_gym.control.base_controllers import make_base
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_controller
+from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.sensors import SENSORS
 from flexman_gym.model import holding_torques
 
@@ -92,7 +93,7 @@ def test_pd_with_gravity_holds_an_arm_at_rest_where_it_is():
     held = np.array([holding_torques(arms.batch.model, posture) for posture in postures])
     assert arms.episodes.view.action == pytest.approx(held / arms.torque_limit, abs=1e-6)
     still = {"angle_errors": np.zeros(2), "motor_rates": np.zeros(2)}
-    alone = make_controller(arms.configuration, "pd", arms.batch.model)
+    alone = make_base("pd", make_plant(arms.configuration, arms.batch.model))
     alone.reset(np.array([0]), EpisodeInfo(postures[1:2], postures[1:2], 0.02), 1)
     assert alone.act(still) == pytest.approx(held[1] / arms.torque_limit, abs=1e-6)
     arms.episodes.base.gravity_model = None

@@ -30,7 +30,7 @@ BASES = ({"kind": "privileged-lqr", "doubt": True}, "adaptive-lqr")
 def played(env, act, periods, seed=3):
     """What motors were asked for in control periods of an environment, and what was seen."""
     asked, seen = [], [env.reset(seed=seed)[0]]
-    env.episodes.watch = lambda: asked.append(env.episodes.view.action.copy())
+    env.episodes.callback = lambda: asked.append(env.episodes.view.action.copy())
     while len(asked) < periods:
         seen.append(env.step(act(seen[-1]).astype(np.float32))[0])
     return np.array(asked), np.array(seen)

@@ -7,7 +7,8 @@ from gymnasium.vector import AutoresetMode
 
 import flexman_gym as fm
 from flexman_gym.control import PD
-from flexman_gym.envs.config.specification import make_controller
+from flexman_gym.control.base_controllers import make_base
+from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import FullState
 from flexman_gym.envs.vector_env import FlexManVectorEnv
@@ -236,7 +237,7 @@ def test_a_base_sees_the_moment_and_learns_of_every_episode():
     _, info = env.reset(seed=1)
     ((arms, start, posture),) = base.resets
     assert arms.tolist() == [0] and np.array_equal(posture[0], info["goal_angles"])
-    assert np.array_equal(start[0], env.episodes.view.plan["start"][0])
+    assert np.array_equal(start[0], env.episodes.view.episode_parameters["start"][0])
     env.step(np.ones(3))
     assert np.array_equal(base.readings[0]["motor_angles"][0], start[0])
     assert (base.readings[1]["motor_rates"] > 0).all(), "the second period starts where the first ended"
@@ -267,7 +268,7 @@ def test_base_and_action_add_up_and_saturate(asked, given, sum_):
 def test_a_base_by_name_is_the_controller_itself():
     """With a zero action, the same bits as its own object as a base; the effort is what both ask for."""
     named, own = FlexManEnv(base="pd"), FlexManEnv()
-    pd = make_controller(own.configuration, "pd", own.simulator.model)
+    pd = make_base("pd", make_plant(own.configuration, own.simulator.model))
     own = FlexManEnv(base=pd)
     assert isinstance(named.episodes.base, PD)
     for env in (named, own):

@@ -56,7 +56,7 @@ def test_a_controller_is_told_whose_episode_goes_on():
     base, over = Listener(), []
     env = FlexManVectorEnv(8, base=base, action_repeat=4, limits=fm.Limits(rate=1.5))
     env.reset(seed=1)
-    env.episodes.watch = lambda: over.append(env.episodes.over.copy())
+    env.episodes.callback = lambda: over.append(env.episodes.over.copy())
     for _ in range(30):
         expected, first = [~env.episodes.over], len(base.told)
         env.step(-np.linspace(0.0, 0.7, 8)[:, None] * np.ones(3))

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
+from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.pd import PD, stability_limit
 from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import CONDITION_FOLDER, CONDITIONS
 from flexman_gym.envs.config.randomisation import Randomisation
-from flexman_gym.envs.config.specification import make_controller
+from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.model.state_space import discretize
 
 from oracles.assertions import refusal
@@ -68,7 +69,7 @@ def test_the_pd_is_stable_wherever_a_condition_leads(name, condition):
     description = Configuration.find(f"{name}/{condition}")
     setup = description
     model = gym.make(description.id, **description.keywords()).unwrapped.simulator.model
-    controller, drawn = make_controller(setup, "pd", model), setup.disturbances
+    controller, drawn = make_base("pd", make_plant(setup, model)), setup.disturbances
     delays = range(int(drawn.delay[0]), int(drawn.delay[1]) + 1) if drawn and drawn.delay else (0,)
     random = np.random.default_rng(0)
     reach = sum(getattr(setup.task, part, 0.0) for part in ("start", "slew", "middle"))

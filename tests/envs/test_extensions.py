@@ -10,9 +10,10 @@ from gymnasium.utils.env_checker import check_env
 import flexman_gym as fm
 from flexman_gym.common import files
 from flexman_gym.control import Controller
+from flexman_gym.control.base_controllers import make_base
 from flexman_gym.envs import FlexManEnv, FlexManVectorEnv
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-from flexman_gym.envs.config.specification import make_controller
+from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.sensors import Entry
 from flexman_gym.envs.tasks import Goal, Hold
@@ -28,7 +29,7 @@ class Bearing:
 
     def read(self, view, out):
         out[:, :3] = view.target / view.reach
-        out[:, 3] = view.plan["pace"][:, 0]
+        out[:, 3] = view.episode_parameters["pace"][:, 0]
 
 
 class Follow:
@@ -136,7 +137,7 @@ def test_a_goal_that_moves_is_where_the_task_says_at_every_observation():
     for step in range(1, 30):
         observation, _, _, _, info = env.step(np.zeros(3))
         view = env.episodes.view
-        goal = task.goal(view.plan, np.array([0.02 * step]), view)
+        goal = task.goal(view.episode_parameters, np.array([0.02 * step]), view)
         assert info["target"] == pytest.approx(goal.target[0]) and info["goal_angles"] == pytest.approx(goal.angles[0])
         assert observation[env.sensors.slices["target"]] == pytest.approx(goal.target[0] / 8.5, rel=1e-6)
         assert info["height"] == info["tip"][2] / 8.5
@@ -179,7 +180,7 @@ def test_a_task_that_says_no_start_is_refused_in_one_line(plan):
 
     with pytest.raises(ValueError) as error:
         FlexManEnv(task=Lost()).reset(seed=0)
-    allowed = 'a dict with "start", 3 joint angles (rad)'
+    allowed = 'a dict with "start", 3 motor angles (rad)'
     assert str(error.value) == f"task.draw: {plan!r} is not allowed; give {allowed}"
 
 
@@ -207,7 +208,7 @@ def test_a_named_environment_is_one_entry(monkeypatch):
     observation, _ = env.reset(seed=0)
     assert env.torque_limit.tolist() == [3.0, 1.0] and env.simulator.control_period == 0.01
     readings = {name: observation[place] for name, place in env.sensors.slices.items()}
-    assert make_controller(env.configuration, "pd", env.simulator.model).act(readings).shape == (2,)
+    assert make_base("pd", make_plant(env.configuration, env.simulator.model)).act(readings).shape == (2,)
 
 
 def test_a_named_environment_is_a_file_that_may_extend_another(tmp_path):

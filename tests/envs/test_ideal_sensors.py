@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 import flexman_gym as fm
 from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.envs.limits import limit_violation
 from flexman_gym.envs.sensors import FullState, SensorArray
 from flexman_gym.envs.view import View
 from flexman_gym.simulation.batch import Batch
@@ -145,10 +144,20 @@ def test_a_batch_reads_what_its_rows_read():
 
 
 def test_an_observation_on_its_bound_is_inside_and_the_next_number_is_not():
-    sensors = sensors_for(modes=2)
+    class Preset(FullState):
+        shown = 0.0
+
+        def read(self, view, out):
+            out[:] = Preset.shown
+
+    env = FlexManEnv(sensors=Preset(), modes=2)
+    sensors = env.sensors
 
     def said(values):
-        return limit_violation(values, sensors.bound, sensors.slices, sensors.units)
+        Preset.shown = 0.0
+        env.reset(seed=0)
+        Preset.shown = values
+        return env.step(np.zeros(3))[4]["failure"]
 
     assert said(sensors.bound) == said(-sensors.bound) == ""
     for name, part in sensors.slices.items():

@@ -6,7 +6,7 @@ import pytest
 
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.envs.tasks.rewards import sum_terms
+from flexman_gym.envs.tasks import Slew
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
 from oracles.assertions import refusal
@@ -51,8 +51,17 @@ def test_a_file_holds_weights_and_no_function():
 
 def test_the_sum_of_terms_rounds_for_one_arm_as_for_many():
     """The built-in sum of floats is compensated from Python 3.12 on: it would be 2 for one arm, and 0 for many."""
-    terms = {"a": 1.0, "b": 1e100, "c": 1.0, "d": -1e100}
-    assert sum_terms(terms) == sum_terms({name: np.full(2, each) for name, each in terms.items()})[0] == 0.0
+
+    class Steep(Slew):
+        def reward_terms(self, view):
+            return {
+                name: each + 0.0 * view.effort for name, each in zip("abcd", (1.0, 1e100, 1.0, -1e100), strict=True)
+            }
+
+    one, two = FlexManEnv(task=Steep()), FlexManVectorEnv(2, task=Steep())
+    for env in (one, two):
+        env.reset(seed=1)
+    assert one.step(ACTIONS[0])[1] == two.step(ACTIONS[:2])[1][0] == 0.0
 
 
 @pytest.mark.parametrize("wrong", [{"tip_error": "1"}, {"tip_error": np.inf}, {1: 1.0}, 3.0, "distance"])

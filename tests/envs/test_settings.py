@@ -68,7 +68,7 @@ def test_an_arm_may_be_named_wherever_one_is_taken(tmp_path):
     [
         ({"gravity": (0.0, 0.0, -9.81)}, "gravity belongs to it: arm=fm.Arm(..., gravity="),
         ({"max_steps": 500}, "horizon, the time in s after which"),
-        ({"frame_skip": 4}, "action_repeat, the control periods for which"),
+        ({"frame_skip": 4}, "action_repeat, the number of control periods for which"),
         ({"payload": 1.0}, "arm=fm.Arm(..., payload=fm.Payload(0.5))"),
         ({"dt": 0.01}, "control_period, the time in s between two actions"),
         ({"control_periods": 0.01}, "a setting: the nearest is control_period"),

@@ -164,7 +164,7 @@ def test_the_state_of_another_environment_is_refused_in_one_line(settings, line)
 @pytest.mark.parametrize("state", [None, [], {}, {"episodes": {}}, 3.0])
 def test_something_else_than_a_state_is_refused_in_one_line(state):
     line = refusal(begun(makers({})[0], 1).unwrapped.set_state, state)
-    assert line.startswith("state: ") and "give what get_state gave: _np_random" in line
+    assert line.startswith("state: ") and "give a result of get_state: _np_random" in line
 
 
 def test_a_broken_generator_is_refused_in_one_line():

@@ -10,7 +10,7 @@ import flexman_gym as fm
 from flexman_gym.control.references.trajectories import plan_path
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.tasks import Track
-from flexman_gym.envs.tasks.track import PATH_SHAPES, RAMP_FRACTION, evaluate_series, path_phase
+from flexman_gym.envs.tasks.track import PATH_SHAPES, RAMP_FRACTION
 from flexman_gym.metrics import rms
 
 from oracles.assertions import refusal
@@ -30,15 +30,18 @@ def series(values, phases):
 
 @QUICK
 @given(seed=st.integers(0, 10**6), harmonics=st.integers(1, 9))
-def test_series_are_sums_of_waves(seed, harmonics):
+def test_goals_are_sums_of_waves(seed, harmonics):
     random = np.random.default_rng(seed)
-    values, phases = random.normal(size=(3, 2, 2 * harmonics + 1)), random.uniform(-30.0, 30.0, (3, 5))
-    result = evaluate_series(values, phases)
-    for row in range(3):
-        assert result[row] == pytest.approx(series(values[row], phases[row]), abs=1e-12 * harmonics * 10)
-        assert np.array_equal(evaluate_series(values[row : row + 1], phases[row : row + 1])[0], result[row]), (
-            "its own bits"
-        )
+    path, postures = (random.normal(size=(4, size, 2 * harmonics + 1)) for size in (3, 2))
+    parameters = {"path": path, "postures": postures, "period": random.uniform(1.0, 5.0, 4)}
+    time, ramp = random.uniform(0.0, 20.0, 4), RAMP_FRACTION * parameters["period"]
+    phases = 2.0 * np.pi / parameters["period"] * (time - ramp * np.tanh(time / ramp))
+    result = Track().goal(parameters, time, None)
+    for row in range(4):
+        one = Track().goal({name: each[row : row + 1] for name, each in parameters.items()}, time[row : row + 1], None)
+        for values, whole, alone in ((path, result.target, one.target), (postures, result.angles, one.angles)):
+            assert whole[row] == pytest.approx(series(values[row], phases[row : row + 1])[0], abs=1e-11 * harmonics)
+            assert np.array_equal(alone[0], whole[row]), "its own bits"
 
 
 @pytest.mark.parametrize("shape", PATH_SHAPES)
@@ -55,9 +58,12 @@ def test_shapes_are_what_they_are_called(shape):
 
 
 def test_a_target_starts_from_rest_and_comes_to_an_even_speed():
-    time, period = np.linspace(0.0, 20.0, 20001), np.full(20001, 4.0)
-    rate = np.gradient(path_phase(time, period), time)
-    assert path_phase(np.zeros(1), np.ones(1))[0] == 0.0 and abs(rate[0]) < 1e-4
+    time, circle = np.linspace(0.0, 20.0, 20001), np.zeros((20001, 3, 3))
+    circle[:, 0, 1] = circle[:, 1, 2] = 1.0
+    x, y, _ = Track().goal({"path": circle, "postures": circle, "period": np.full(20001, 4.0)}, time, None).target.T
+    phase = np.unwrap(np.arctan2(y, x))
+    rate = np.gradient(phase, time)
+    assert phase[0] == 0.0 and abs(rate[0]) < 1e-4
     assert (np.diff(rate) > -1e-9).all() and rate[-1] == pytest.approx(np.pi / 2.0, rel=1e-6)
     assert rate[time > 2.0 * RAMP_FRACTION * 4.0].min() > 0.9 * np.pi / 2.0
 
@@ -70,22 +76,22 @@ def test_the_posture_of_a_moment_holds_the_tip_on_the_path(name, path):
     view, task = env.episodes.view, env.task
     for seed in range(5):
         env.reset(seed=seed)
-        plan = {key: np.repeat(values, 40, axis=0) for key, values in view.plan.items()}
+        plan = {key: np.repeat(values, 40, axis=0) for key, values in view.episode_parameters.items()}
         goal = task.goal(plan, np.linspace(0.0, 3.0 * plan["period"][0], 40), view)
         far = np.linalg.norm(view.rest_tips(goal.angles) - goal.target, axis=1).max()
         assert far < (1e-3 if view.has_gravity else 1e-4) * view.reach
-        first = env.episodes.view.plan["start"][0]
+        first = env.episodes.view.episode_parameters["start"][0]
         assert first == pytest.approx(goal.angles[0], abs=1e-12)
         spread = np.ptp(goal.target, axis=0).max()
         assert 0.05 * view.reach < spread <= 2.5 * task.size * view.reach
-    assert env.episodes.view.plan["period"][0] * view.first_frequency == pytest.approx(3.75, abs=1.25)
+    assert env.episodes.view.episode_parameters["period"][0] * view.first_frequency == pytest.approx(3.75, abs=1.25)
 
 
 def test_a_path_of_a_plane_arm_stays_in_its_plane():
     env = FlexManEnv(name="FlexPlanar-Track-v0", task=Track(path="smooth"))
     for seed in range(5):
         env.reset(seed=seed)
-        plan = env.episodes.view.plan
+        plan = env.episodes.view.episode_parameters
         assert np.abs(plan["path"][0, 1]).max() < 1e-9, "x and z only"
 
 
@@ -127,7 +133,9 @@ def test_a_plan_that_follows_a_path_keeps_the_tip_of_the_bent_arm_on_it():
     env.reset(seed=3)
     view, model = env.episodes.view, env.simulator.model
     times = 0.02 * np.arange(401.0)
-    goal = env.task.goal({key: np.repeat(values, 401, axis=0) for key, values in view.plan.items()}, times, view)
+    goal = env.task.goal(
+        {key: np.repeat(values, 401, axis=0) for key, values in view.episode_parameters.items()}, times, view
+    )
     slew = plan_path(model, goal.angles, 0.02)
     d = model.n_dof
     simulator = fm.Simulator(model, control_period=0.02)

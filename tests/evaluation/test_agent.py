@@ -294,7 +294,7 @@ FLAWED = {"kind": "lab", "noise": 0.01, "bias": 0.01, "dropped": 0.2}
 def asked(env, act, steps):
     """Torques (b, T, n) of the control periods of so many steps, parts of the limits."""
     rows, seen = [], env.reset(seed=[0, 1])[0]
-    env.episodes.watch = lambda: rows.append(env.episodes.view.action.copy())
+    env.episodes.callback = lambda: rows.append(env.episodes.view.action.copy())
     for _ in range(steps):
         seen = env.step(act(seen).astype(np.float32))[0]
     return np.array(rows).swapaxes(0, 1)

@@ -9,7 +9,7 @@ import pytest
 from safetensors.numpy import load
 
 from flexman_gym.evaluation import policy_files
-from flexman_gym.evaluation.policy_files import ABOUT, MAX_BYTES, POLICIES, policy_folder, read_policy, write_policy
+from flexman_gym.evaluation.policy_files import MAX_BYTES, METADATA, POLICIES, policy_folder, read_policy, write_policy
 
 from oracles.assertions import refusal
 
@@ -31,8 +31,8 @@ def policy_with(folder, content):
     """Write the first shipped policy with another content of its arrays, and their hash, to a folder."""
     shutil.copytree(SHIPPED, folder, dirs_exist_ok=True)
     (folder / policy_files.ARRAYS).write_bytes(content)
-    about = json.loads((folder / ABOUT).read_text()) | {"arrays_hash": hashlib.sha256(content).hexdigest()}
-    (folder / ABOUT).write_text(json.dumps(about))
+    about = json.loads((folder / METADATA).read_text()) | {"arrays_hash": hashlib.sha256(content).hexdigest()}
+    (folder / METADATA).write_text(json.dumps(about))
     return folder
 
 
@@ -92,7 +92,7 @@ def test_shipped_policies_are_written_with_the_same_bytes(name, tmp_path):
     """Whatever the order of the numbers of their arrays in memory; arrays of other numbers are not written."""
     content = (policy_folder(name) / policy_files.ARRAYS).read_bytes()
     arrays = {key: np.asfortranarray(array) for key, array in load(content).items()}
-    about = json.loads((policy_folder(name) / ABOUT).read_text())
+    about = json.loads((policy_folder(name) / METADATA).read_text())
     for wrong in (np.zeros(2, dtype=int), np.array(["a"]), np.zeros(2, dtype=np.float16)):
         assert refusal(write_policy, tmp_path / "a", about, arrays | {"x": wrong}).startswith("x.dtype: ")
     assert not (tmp_path / "a" / policy_files.ARRAYS).exists()
@@ -111,5 +111,5 @@ def test_shipped_policies_are_written_with_the_same_bytes(name, tmp_path):
     ],
 )
 def test_broken_json_is_refused(text, said, tmp_path):
-    (tmp_path / ABOUT).write_bytes(text)
+    (tmp_path / METADATA).write_bytes(text)
     assert said in refusal(read_policy, tmp_path)

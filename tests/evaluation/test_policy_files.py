@@ -17,9 +17,9 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import find_agent, policy_files, rollout
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent, training_seconds
 from flexman_gym.evaluation.policy_files import (
-    ABOUT,
     ARRAYS,
     MAX_BYTES,
+    METADATA,
     POLICIES,
     policy_folder,
     read_certificate,
@@ -42,9 +42,9 @@ def folder(tmp_path):
 
 def changed(folder, change):
     """Changes what is said of a policy."""
-    about = json.loads((folder / ABOUT).read_text())
+    about = json.loads((folder / METADATA).read_text())
     change(about)
-    (folder / ABOUT).write_text(json.dumps(about))
+    (folder / METADATA).write_text(json.dumps(about))
 
 
 def hash_of(data):
@@ -128,7 +128,7 @@ def test_sensors_in_another_order_are_refused_by_their_names(folder):
         about["environment_hash"] = hash_of(about["environment"])
 
     changed(folder, swap)
-    assert refusal(find_agent, folder).startswith(f"{folder / ABOUT}: observation: ")
+    assert refusal(find_agent, folder).startswith(f"{folder / METADATA}: observation: ")
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ def test_arrays_of_another_policy_are_refused(folder, change, said):
 
 
 def test_other_keys_forms_and_sizes_are_refused(folder):
-    whole = (folder / ABOUT).read_text()
+    whole = (folder / METADATA).read_text()
     for change, said in (
         (lambda about: about.__setitem__("code", "import os"), "keys: "),
         (lambda about: about.pop("licence"), "keys: "),
@@ -160,12 +160,12 @@ def test_other_keys_forms_and_sizes_are_refused(folder):
         (lambda about: about["recipe"]["settings"].__setitem__("base_in_use", "lqg"), "settings: "),
         (lambda about: about.__setitem__("recipe", None), "this is no exported policy"),
     ):
-        (folder / ABOUT).write_text(whole)
+        (folder / METADATA).write_text(whole)
         changed(folder, change)
         assert said in refusal(read_policy, folder)
-    (folder / ABOUT).write_text(whole + " " * MAX_BYTES)
+    (folder / METADATA).write_text(whole + " " * MAX_BYTES)
     assert f"at most {MAX_BYTES}" in refusal(read_policy, folder)
-    (folder / ABOUT).write_text(whole)
+    (folder / METADATA).write_text(whole)
     (folder / ARRAYS).unlink()
     with pytest.raises(FileNotFoundError, match="no such file"):
         read_policy(folder)
@@ -179,7 +179,7 @@ class Bomb:
 
 
 def test_nothing_in_it_runs(folder):
-    for name in (ABOUT, ARRAYS):
+    for name in (METADATA, ARRAYS):
         kept = (folder / name).read_bytes()
         (folder / name).write_bytes(pickle.dumps(Bomb()))
         assert "this is no exported policy" in refusal(read_policy, folder)
@@ -210,7 +210,7 @@ def test_a_policy_needs_no_training_library(folder):
 
 @pytest.mark.parametrize("name", POLICIES)
 def test_a_policy_of_the_package_is_small_and_says_what_it_is(name):
-    folder, about = policy_folder(name), read_policy(policy_folder(name)).about
+    folder, about = policy_folder(name), read_policy(policy_folder(name)).metadata
     assert sum(path.stat().st_size for path in folder.iterdir()) < 1e6
     assert about["licence"] == "MIT" and len(about["commit"]) == 40 and about["words"].endswith(".")
     league = about["league"]
@@ -222,7 +222,7 @@ def test_a_policy_of_the_package_is_small_and_says_what_it_is(name):
 @pytest.mark.parametrize("name", POLICIES)
 def test_a_policy_of_the_package_reaches_its_row_again(name):
     """A policy beside an observer takes longer, and plays some of the episodes."""
-    policy, about = find_agent(name), read_policy(policy_folder(name)).about
+    policy, about = find_agent(name), read_policy(policy_folder(name)).metadata
     row, quick = about["league"], about["environment"].get("base") == "pd"
     figures = fm.evaluate(name, policy.environment, range(9000, 9100 if quick else 9004))
     assert figures["failed"] == 0.0 and figures["settled"] > 0.7
@@ -233,7 +233,7 @@ def test_a_policy_of_the_package_reaches_its_row_again(name):
 
 @pytest.mark.parametrize("name", POLICIES)
 def test_the_page_of_policies_has_the_row(name):
-    about, said = read_policy(policy_folder(name)).about, read_certificate(policy_folder(name))
+    about, said = read_policy(policy_folder(name)).metadata, read_certificate(policy_folder(name))
     row = about["league"]
     changes = (each.removeprefix(row["environment"]).removeprefix("/nominal").lstrip("/") for each in said["fails"])
     fails = ", ".join(f"`{each}`" for each in changes) or "nothing"

@@ -18,11 +18,11 @@ SHORT = Configuration("FlexOne-v0", {"horizon": 0.2})
 
 def test_a_number_of_episodes_is_that_of_the_first_test_seeds():
     """Those of `flexman evaluate --episodes`."""
-    assert fm.rollout("pd", SHORT, 3).about["seeds"] == list(TEST_SEEDS[:3])
+    assert fm.rollout("pd", SHORT, 3).metadata["seeds"] == list(TEST_SEEDS[:3])
     assert (
         fm.evaluate("pd", SHORT, 3) == fm.evaluate("pd", SHORT, TEST_SEEDS[:3]) == fm.evaluate("pd", SHORT, np.int64(3))
     )
-    assert fm.rollout("pd", SHORT, np.arange(2)).about["seeds"] == [0, 1]
+    assert fm.rollout("pd", SHORT, np.arange(2)).metadata["seeds"] == [0, 1]
 
 
 @pytest.mark.parametrize("wrong", [0, -1, True, 2.0, None, "10", []])

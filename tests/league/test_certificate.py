@@ -14,7 +14,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.evaluation import METRICS, policy_files
 from flexman_gym.evaluation.agent import find_agent, timed_agent
-from flexman_gym.evaluation.policy_files import ABOUT, CERTIFICATE, FOLDER, POLICIES, read_certificate, write_policy
+from flexman_gym.evaluation.policy_files import CERTIFICATE, FOLDER, METADATA, POLICIES, read_certificate, write_policy
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.league import certificate, rows, scenarios
 from flexman_gym.league.certificate import METRIC_NAMES, certificate_row, certificate_scenarios, certify
@@ -86,7 +86,7 @@ def test_rows_of_a_certificate_are_kept_and_a_refused_cell_says_why(folder, tmp_
 
 
 def test_a_policy_without_failures_is_recommended_and_another_has_no_certificate_of_it(folder):
-    about = json.loads((folder / ABOUT).read_text())
+    about = json.loads((folder / METADATA).read_text())
     empty = {"arrays_hash": about["arrays_hash"], "fails": [], "rows": []}
     (folder / CERTIFICATE).write_text(json.dumps(empty))
     assert policy_files.describe_policy("still") == "Made up. Recommended."
@@ -95,7 +95,7 @@ def test_a_policy_without_failures_is_recommended_and_another_has_no_certificate
 
 
 def test_a_certificate_of_version_0_2_is_read(folder):
-    about = json.loads((folder / ABOUT).read_text())
+    about = json.loads((folder / METADATA).read_text())
     old = {"arrays_hash": about["arrays_hash"], "fails": ["finer"], "trials": [{"name": "finer", "settled": 1.0}]}
     (folder / CERTIFICATE).write_text(json.dumps(old))
     assert read_certificate(folder)["rows"] == [{"scenario": "finer", "settled": 1.0}]
@@ -104,7 +104,7 @@ def test_a_certificate_of_version_0_2_is_read(folder):
 
 @pytest.mark.parametrize("row", [{}, 3, {"scenario": 3}, {"settled": 1.0}])
 def test_a_certificate_with_a_row_of_no_scenario_is_refused_in_one_line(folder, row):
-    about = json.loads((folder / ABOUT).read_text())
+    about = json.loads((folder / METADATA).read_text())
     (folder / CERTIFICATE).write_text(json.dumps({"arrays_hash": about["arrays_hash"], "fails": [], "rows": [row]}))
     assert "this is no certificate (give rows that are mappings with a scenario)" in refusal(read_certificate, folder)
 

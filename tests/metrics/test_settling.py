@@ -140,7 +140,7 @@ def test_bands_of_a_move_are_parts_of_its_distance():
         (lambda: attained_distances(np.full((2, 3), np.nan), 0.1), "tips: array([[nan, nan, nan], [nan, nan, nan]]) "),
         (lambda: attained_distances(np.zeros((2, 3)), 0.0), "period: 0.0 is not allowed; give a finite number > 0 (s)"),
         (lambda: move_band(np.zeros(9), 0.01), "errors[0]: 0.0 is not allowed; give a finite number > 0 (m)"),
-        (lambda: move_band(np.ones(9), 5.0), "part: 5.0 is not allowed; give a number > 0 and < 1"),
+        (lambda: move_band(np.ones(9), 5.0), "fraction: 5.0 is not allowed; give a number > 0 and < 1"),
         (lambda: final_error(np.zeros(9), 0.0), "period: 0.0 is not allowed; give a finite number > 0 (s)"),
     ],
 )

@@ -142,7 +142,7 @@ def test_ends_that_are_too_close_are_no_scale():
     assert normalised_scores(rewards, 100.0, 124.9, 500.0) is None
     assert normalised_scores(rewards, 100.0, 125.0, 500.0).tolist() == [0.0]
     assert normalised_scores(rewards, 300.0, 100.0, 500.0) is None, "who knows all is worse than who does nothing"
-    assert refusal(normalised_scores, rewards, 0.0, 1.0, 0.0).startswith("most: 0.0 is not allowed")
+    assert refusal(normalised_scores, rewards, 0.0, 1.0, 0.0).startswith("largest: 0.0 is not allowed")
     assert refusal(normalised_scores, rewards, 0.0, np.inf, 1.0).startswith("one: inf is not allowed")
 
 

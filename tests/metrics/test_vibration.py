@@ -122,7 +122,7 @@ def test_what_does_not_vibrate_has_no_damping_ratio(signal):
 
 def test_the_energy_left_is_the_part_of_the_largest_or_of_the_first():
     energies = np.array([2.0, 8.0, 0.5, 1.0])
-    assert remaining_energy(energies) == 1 / 8 and remaining_energy(energies, of="first") == 1 / 2
+    assert remaining_energy(energies) == 1 / 8 and remaining_energy(energies, reference="first") == 1 / 2
     assert remaining_energy(np.array([3.0])) == 1.0 and remaining_energy(np.array([1.0, 0.0])) == 0.0
 
 
@@ -161,7 +161,7 @@ NINE = np.zeros((9, 3))
             lambda: remaining_energy(np.array([1.0, -1.0])),
             "energies: array([ 1., -1.]) is not allowed; give numbers >= 0",
         ),
-        (lambda: remaining_energy(np.ones(3), "last"), "of: 'last' is not allowed; give one of largest, first"),
+        (lambda: remaining_energy(np.ones(3), "last"), "reference: 'last' is not allowed; give one of largest, first"),
     ],
 )
 def test_bad_arrays_and_times_are_refused_in_one_line(call, line):

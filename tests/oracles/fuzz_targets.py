@@ -310,7 +310,7 @@ TARGETS = {
     ),
     "overshoot": Target(metrics.overshoot, {"errors": np.abs(WAVE), "band": 0.5}, ("band",), open_to=True),
     "attained_distances": Target(metrics.attained_distances, {"tips": TIPS, "period": 0.02}, ("tips", "period")),
-    "band_of_move": Target(metrics.move_band, {"errors": 1.0 - WAVE / 2.0, "part": 0.05}, ("part",)),
+    "band_of_move": Target(metrics.move_band, {"errors": 1.0 - WAVE / 2.0, "fraction": 0.05}, ("fraction",)),
     "final_error": Target(metrics.final_error, {"errors": np.abs(WAVE), "period": 0.02}, ("period",), open_to=True),
     "rms": Target(metrics.rms, {"values": TIPS}, ("values",)),
     "squared_acceleration": Target(metrics.squared_acceleration, {"accelerations": TIPS, "period": 0.02},
@@ -322,7 +322,9 @@ TARGETS = {
         ("tips", "unshaped", "period", "end"),
     ),
     "damping_ratio": Target(metrics.damping_ratio, {"signal": WAVE}, ("signal",), open_to=True),
-    "energy_left": Target(metrics.remaining_energy, {"energies": np.abs(WAVE) + 1e-3, "of": "largest"}, ("energies",)),
+    "energy_left": Target(
+        metrics.remaining_energy, {"energies": np.abs(WAVE) + 1e-3, "reference": "largest"}, ("energies",)
+    ),
     "effort": Target(metrics.effort, {"actions": TIPS}, open_to=True),
     "power_above": Target(metrics.high_frequency_power, {"actions": TIPS, "period": 0.02, "frequency": 5.0},
                           ("actions", "period", "frequency")),

@@ -24,7 +24,7 @@ from flexman_gym.draw.learning_curves import read_progress
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.agent_info import training_seconds
-from flexman_gym.evaluation.policy_files import ABOUT, ARRAYS, CERTIFICATE, read_policy
+from flexman_gym.evaluation.policy_files import ARRAYS, CERTIFICATE, METADATA, read_policy
 from flexman_gym.evaluation.policy_files import read_certificate as read_certificate
 from flexman_gym.league.rows import LeagueRows
 from flexman_gym.simulation.episode import Episode
@@ -44,7 +44,7 @@ READERS = {  # name of the file -> what reads it, of its path
     "scales.npz": RunningMeanStd.load,
     "newest.npz": read_npz,
     "settings.json": lambda path: find_agent(str(path.parent)),
-    ABOUT: lambda path: read_policy(path.parent),
+    METADATA: lambda path: read_policy(path.parent),
     ARRAYS: lambda path: read_policy(with_about(path.parent)),
     CERTIFICATE: lambda path: read_certificate(with_about(path.parent)),
     "cells.csv": lambda path: LeagueRows.load(with_rows(path.parent)),
@@ -56,7 +56,7 @@ READERS = {  # name of the file -> what reads it, of its path
 
 def with_about(folder):
     """Create a folder with given policy metadata."""
-    (folder / ABOUT).write_bytes(shipped.files()[ABOUT])
+    (folder / METADATA).write_bytes(shipped.files()[METADATA])
     return folder
 
 
@@ -130,7 +130,7 @@ CONTENTS = {  # reader and what is wrong -> a content
     (CERTIFICATE, "a list"): lambda: b"[]",
     (CERTIFICATE, "no certificate"): lambda: SECRET.encode() + b"\n",
     (ARRAYS, "a header without end"): lambda: struct.pack("<Q", 2**62) + b"{}",
-    (ABOUT, "nested"): lambda: NESTED,
+    (METADATA, "nested"): lambda: NESTED,
     ("rows.csv", "empty"): lambda: b"",
     ("rows.csv", "no table"): lambda: SECRET.encode() + b"\n",
     ("rows.csv", "a first line without end"): lambda: b"key," * 1_000_000,

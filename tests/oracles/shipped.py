@@ -16,7 +16,7 @@ from flexman_gym.control.agent import history_length
 from flexman_gym.control.network import Network
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import find_agent, observation_layout
-from flexman_gym.evaluation.policy_files import ABOUT, ARRAYS, CHECK_ROWS, write_policy
+from flexman_gym.evaluation.policy_files import ARRAYS, CHECK_ROWS, METADATA, write_policy
 
 from oracles.mutants import bent, mangled
 
@@ -61,7 +61,7 @@ def files():
     """Return the files of the policy."""
     with tempfile.TemporaryDirectory() as folder:
         write_policy(Path(folder), *made_up())
-        return {name: (Path(folder) / name).read_bytes() for name in (ABOUT, ARRAYS)}
+        return {name: (Path(folder) / name).read_bytes() for name in (METADATA, ARRAYS)}
 
 
 @cache
@@ -81,11 +81,11 @@ def acting(folder, contents):
 
 def mutant(random):
     """Return the files with bytes of one of them changed, or with its JSON (of arrays: the header) modified."""
-    name = (ABOUT, ARRAYS)[random.integers(2)]
+    name = (METADATA, ARRAYS)[random.integers(2)]
     content = files()[name]
     if random.integers(2) == 0:
         wrong = mangled(random, content)
-    elif name == ABOUT:
+    elif name == METADATA:
         wrong = json.dumps(bent(random, json.loads(content))).encode()
     else:
         start = 8 + int.from_bytes(content[:8], "little")

@@ -24,9 +24,9 @@ from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import warn_unusual_units
 from flexman_gym.scene.serialization import SUFFIXES, find_arm, to_plain
 
-PARTS = ("arm", "task", "limits")  # settings of a named environment that a change "arm.payload.mass=0.5" can enter
-MAX_PERIODS = 10**9  # control periods of an episode
-RENAMED = {old: name for name, setting in SETTINGS.items() for old in setting.deprecated}
+NESTED_SETTINGS = ("arm", "task", "limits")  # settings with fields, such as arm.payload.mass
+MAX_PERIODS = 10**9  # control periods; longest episode
+RENAMED = {old: name for name, setting in SETTINGS.items() for old in setting.deprecated}  # old name -> current name
 HINTS = {foreign: hint for setting in SETTINGS.values() for foreign, hint in setting.foreign.items()}
 SET_HELP = f"environment setting: {', '.join(SETTINGS)}; arm.payload.mass=0.5 changes a part"
 
@@ -34,14 +34,14 @@ SET_HELP = f"environment setting: {', '.join(SETTINGS)}; arm.payload.mass=0.5 ch
 class Configuration(EnvironmentSettings):
     """Configuration of an environment: an id and settings, checked at construction.
 
-    A setting that is not given has its default, or the value of the named environment. Settings may be plain data
-    (texts, numbers, booleans, lists, mappings) or objects; a file holds plain data only. The setting "condition" names
-    a condition of the environment, which changes settings that are not given.
+    A missing setting has the value of the named environment, or its default. Settings may be objects or plain data
+    (strings, numbers, booleans, lists, mappings); a file contains plain data only. The setting "condition" names a
+    condition of the environment, which supplies values for missing settings.
 
     Args:
         id: id of a named environment.
         settings: name -> value, as in `gym.make`.
-        folder: folder for the relative path of a file with an arm.
+        folder: folder to which the path of a file with an arm is relative.
     """
 
     id: str
@@ -76,7 +76,7 @@ class Configuration(EnvironmentSettings):
         return f"Configuration({self.id!r}, {self._given!r})"
 
     def _check_together(self) -> None:
-        """Check the settings that depend on others, and store what follows from them."""
+        """Check the settings whose allowed values depend on other settings, and store torque limits and gains."""
         vars(self)["torque_limit"] = self._torque_limits()
         if not 0.5 <= self.horizon / self.control_period <= MAX_PERIODS:
             allowed = f"1 to {MAX_PERIODS} control periods of {self.control_period} s"
@@ -96,36 +96,36 @@ class Configuration(EnvironmentSettings):
         positive("tolerance", self.tolerance, 'm, for fidelity="auto"')
 
     def _torque_limits(self) -> tuple[float, ...]:
-        """Return the given torque limits, else those of the joints, N m."""
+        """Return the setting torque_limit, by default the torque limits of the joints, N m."""
         given: Any = self.torque_limit
-        arm, own = self.arm, [joint.torque_limit for joint in self.arm.joints]
+        arm, of_joints = self.arm, [joint.torque_limit for joint in self.arm.joints]
         if given is not None:
             return torque_limits("torque_limit", given, arm.n_joints)
-        if None in own:
+        if None in of_joints:
             allowed = "one number (N m), or one for each joint: the joints of this arm have no torque_limit"
             raise value_error("torque_limit", None, allowed)
-        return torque_limits("torque_limit", own, arm.n_joints)
+        return torque_limits("torque_limit", of_joints, arm.n_joints)
 
     @classmethod
     def from_keywords(cls, keywords: Mapping[str, Any], others: Collection[str] = ()) -> "Configuration":
         """Return the configuration for keyword arguments of `gym.make` and `gym.make_vec`.
 
         Args:
-            keywords: settings; "name", the id of a named environment; and "configuration", a Configuration whose
-                settings the others change.
-            others: names of further keyword arguments of an environment, for the error message.
+            keywords: settings; "name", the id of a named environment; and "configuration", a Configuration in which the
+                settings replace those of the same names.
+            others: names of keyword arguments of the environment that are no settings, for the error message.
         """
         given = dict(keywords)
-        whole = given.pop("configuration", None)
-        if whole is not None and not isinstance(whole, Configuration):
-            raise value_error("configuration", whole, "a Configuration")
-        id = one_of("name", given.pop("name", whole.id if whole else DEFAULT_ID), NAMED_ENVIRONMENTS)
+        original = given.pop("configuration", None)
+        if original is not None and not isinstance(original, Configuration):
+            raise value_error("configuration", original, "a Configuration")
+        id = one_of("name", given.pop("name", original.id if original else DEFAULT_ID), NAMED_ENVIRONMENTS)
         _refuse_unknown(given, ("condition", *others))
-        if whole is None:
+        if original is None:
             return cls(id, given)
-        if whole.id != id:
-            raise value_error("configuration", whole.id, f"one of {id}")
-        return whole.replace(**given)
+        if original.id != id:
+            raise value_error("configuration", original.id, f"one of {id}")
+        return original.replace(**given)
 
     @classmethod
     def from_plain(cls, data: object, folder: Path = Path(), warn: bool = False) -> Self:
@@ -133,8 +133,8 @@ class Configuration(EnvironmentSettings):
 
         Args:
             data: the mapping.
-            folder: folder for the relative path of a file with an arm.
-            warn: warn of deprecated names, as in files of earlier versions.
+            folder: folder to which the path of a file with an arm is relative.
+            warn: True to issue a DeprecationWarning for each deprecated name.
         """
         settings = _present_settings(data, warn)
         return cls(settings.pop("id", DEFAULT_ID), settings, folder)
@@ -145,11 +145,11 @@ class Configuration(EnvironmentSettings):
 
         Args:
             path: path of the file.
-            changes: "name=value", see `changed`.
+            changes: changes "name=value" of settings, see `changed`.
 
         Raises:
             FileNotFoundError: if the file does not exist.
-            ValueError: one line with file, field, value and the allowed values.
+            ValueError: for a setting that is not allowed; one line with file, field, value and the allowed values.
         """
         try:
             return cls._from_changes(files.read_data(Path(path)), changes, Path(path).parent, warn=True)
@@ -158,11 +158,11 @@ class Configuration(EnvironmentSettings):
 
     @classmethod
     def find(cls, name: "str | Configuration", changes: Sequence[str] = ()) -> "Configuration":
-        """Return a named environment, one under a condition such as "FlexRRR-v0/unknown", or that of a file.
+        """Return the configuration of a named environment, with or without a condition, or of a file.
 
         Args:
-            name: an id, an id and a condition, the path of a file, or a Configuration.
-            changes: "name=value", see `changed`.
+            name: an id, an id and a condition such as "FlexRRR-v0/unknown", the path of a file, or a Configuration.
+            changes: changes "name=value" of settings, see `changed`.
 
         Raises:
             FileNotFoundError: if the name is neither an id nor the path of a file.
@@ -173,39 +173,39 @@ class Configuration(EnvironmentSettings):
         if id in NAMED_ENVIRONMENTS and (slash or name in NAMED_ENVIRONMENTS):
             settings = condition_settings(id, condition) if slash else {}
             return cls._from_changes({"id": id, **settings}, changes)
-        if not os.path.exists(name):  # any string, also one that is no valid path
+        if not os.path.exists(name):  # unlike Path.exists it accepts any string
             allowed = f"one, or one of {', '.join(sorted(NAMED_ENVIRONMENTS))}"
             raise FileNotFoundError(f"{short_path(name)}: there is no such file; give {allowed}")
         return cls.load(name, changes)
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Copy of the given settings; those of a condition replace its name."""
+        """Copy of the settings given to the constructor; a condition is replaced by the settings it changes."""
         return dict(self._given)
 
     def keywords(self) -> dict[str, Any]:
-        """Return keyword arguments of `gym.make` and `gym.make_vec` that need no second check of the settings."""
+        """Return keyword arguments of `gym.make` and `gym.make_vec`, whose settings are not checked a second time."""
         return {"configuration": self}
 
     def replace(self, **changes: Any) -> "Configuration":
-        """Return a configuration with settings changed; the same object without changes."""
+        """Return a configuration with changed settings; without changes the same object."""
         return type(self)(self.id, {**self._given, **changes}) if changes else self
 
     def without(self, names: Collection[str]) -> "Configuration":
-        """Return a configuration without the settings of these names."""
+        """Return a configuration in which the settings of these names have their defaults."""
         kept = {name: value for name, value in self._given.items() if name not in names}
         return self if len(kept) == len(self._given) else type(self)(self.id, kept)
 
     def to_plain(self, strict: bool = True) -> dict[str, Any]:
-        """Return the mapping from which `from_plain` makes the same environment on any computer and in later versions.
+        """Return plain data from which `from_plain` makes the same environment on any computer and in later releases.
 
-        It contains the whole arm in place of a name or a file, and the gains of base="pd".
+        The mapping contains the data of the arm in place of a name or a file, and the gains of base="pd".
 
         Args:
-            strict: refuse an object without a plain form; else keep the object.
+            strict: True to raise ValueError for an object without a plain form; False to return the object itself.
 
         Raises:
-            ValueError: for a task, sensors, a controller or a function of the user, which a file cannot hold.
+            ValueError: for a task, sensor, controller or function defined by the user, which a file cannot contain.
         """
         plain = {name: self._plain(name, value, strict) for name, value in self._given.items()}
         if self.base == "pd":
@@ -213,7 +213,7 @@ class Configuration(EnvironmentSettings):
         return {"id": self.id, **plain, "arm": to_plain(self.arm)}
 
     def _plain(self, name: str, value: Any, strict: bool) -> Any:
-        """Return the plain form of a setting that was given as a value."""
+        """Return the plain form of the given value of a setting."""
         if _is_plain(value):
             return value
         stored, form = getattr(self, name), SETTINGS[name].plain
@@ -227,7 +227,7 @@ class Configuration(EnvironmentSettings):
             return value
 
     def save(self, path: str | Path) -> None:
-        """Write the whole environment to a .json, .yaml or .yml file, from which `load` makes an equal one.
+        """Write the configuration to a .json, .yaml or .yml file, from which `load` makes an equal configuration.
 
         The commands accept such a file: `flexman train --env FILE`.
 
@@ -235,21 +235,21 @@ class Configuration(EnvironmentSettings):
             path: path of the file.
 
         Raises:
-            ValueError: for any other suffix, and for an object without a plain form.
+            ValueError: for a path with a different suffix, and for an object without a plain form.
         """
         files.write_data(Path(path), _lists(self.to_plain()))
 
     def changed(self, changes: Sequence[str]) -> "Configuration":
         """Return a configuration with changes "name=value".
 
-        Values are written as in a YAML file. A name with dots addresses a field of a mapping, of the arm, of the task
-        or of the limits; the other fields stay unchanged.
+        Values have the syntax of YAML. A name with dots, such as "arm.payload.mass=0.5", changes one field of the arm,
+        the task, the limits or a mapping.
         """
         return self._from_changes({"id": self.id, **self._given}, changes) if changes else self
 
     @classmethod
     def _from_changes(cls, data: object, changes: Sequence[str], folder: Path = Path(), warn: bool = False) -> Self:
-        """Return the configuration of a mapping with changes, checked after the last one."""
+        """Return the configuration of a mapping with changes "name=value", checked after the last change."""
         data = _present_settings(data, warn)
         for change in sequence("--set", changes, "texts"):
             name, equals, written = text("--set", change).partition("=")
@@ -263,10 +263,10 @@ class Configuration(EnvironmentSettings):
                 ) from None
             first, *rest = name.split(".")
             first = next(iter(rename_keys({first: None}, RENAMED)))
-            if name == "condition":  # replaces earlier settings of the same names
+            if name == "condition":  # its settings replace earlier ones of the same names
                 data |= condition_settings(data["id"], value)
                 continue
-            if rest and first in PARTS:
+            if rest and first in NESTED_SETTINGS:
                 named, form = NAMED_ENVIRONMENTS[one_of("id", data["id"], NAMED_ENVIRONMENTS)], SETTINGS[first]
                 given = find_arm(data["arm"], folder) if first == "arm" and first in data else data.get(first)
                 assert form.plain is not None
@@ -276,21 +276,21 @@ class Configuration(EnvironmentSettings):
 
     @property
     def disturbances(self) -> Randomisation | None:
-        """Randomisation together with the disturbances of the task, which the randomisation overrides."""
-        task, own = dict(getattr(self.task, "disturbances", {})), self.randomisation
-        if not task:
-            return own
-        return Randomisation(**task | (own.given if own else {}))
+        """Union of the randomisation and the disturbances of the task; ranges of the randomisation take precedence."""
+        of_task, given = dict(getattr(self.task, "disturbances", {})), self.randomisation
+        if not of_task:
+            return given
+        return Randomisation(**of_task | (given.given if given else {}))
 
     @property
     def max_delay(self) -> int:
-        """Largest delay of the torques, control periods."""
+        """Largest delay of the commanded torques, control periods."""
         delay = self.disturbances.delay if self.disturbances else None
         return int(delay[1]) if delay else 0
 
     @property
     def lag(self) -> tuple[float, float] | None:
-        """Lag of the drives in one control period, see `control.margins.first_order_lag`; None for none."""
+        """Result of `control.margins.first_order_lag` for one control period; None without drive_bandwidth."""
         return None if self.drive_bandwidth is None else first_order_lag(self.control_period, self.drive_bandwidth)
 
     @property
@@ -300,10 +300,10 @@ class Configuration(EnvironmentSettings):
 
     @property
     def pd_gains(self) -> Gains:
-        """The `gains`, or those tuned for the arm of the named environment.
+        """PD gains by name: the setting gains, by default the gains tuned for the arm of the named environment.
 
         Raises:
-            ValueError: for an arm with other links or motors; payload and friction may differ.
+            ValueError: without the setting, for an arm with links or motors unlike those of the named environment.
         """
         named, gains = NAMED_ENVIRONMENTS[self.id], self.gains
         if gains is None:
@@ -335,7 +335,7 @@ def _present_settings(data: object, warn: bool) -> dict[str, Any]:
 
 
 def _refuse_unknown(settings: Mapping[str, Any], others: Collection[str] = ()) -> None:
-    """Refuse an unknown setting, with its name here, or the nearest one."""
+    """Raise ValueError for an unknown setting, with the name of that setting in this library, or the nearest name."""
     known = {*SETTINGS, *RENAMED, "condition", *others}
     for name, value in settings.items():
         if name not in known:
@@ -346,7 +346,7 @@ def _refuse_unknown(settings: Mapping[str, Any], others: Collection[str] = ()) -
 
 
 def _is_plain(value: object) -> bool:
-    """Return True for texts, numbers, booleans, None, and lists and mappings of these."""
+    """Return True for plain data: strings, numbers, booleans, None, and lists and mappings of these."""
     if isinstance(value, dict):
         return all(map(_is_plain, value.values()))
     if isinstance(value, list | tuple):
@@ -362,7 +362,7 @@ def _lists(value: Any) -> Any:
 
 
 def _set_entry(data: dict[str, Any], path: list[str], value: object) -> None:
-    """Write a value into nested mappings; any other value on the path becomes a mapping."""
+    """Write a value into nested mappings; a value on the path that is no mapping is replaced by a mapping."""
     for part in path[:-1]:
         inner = data.get(part)
         data[part] = data = dict(inner) if isinstance(inner, dict) else {}
@@ -370,7 +370,7 @@ def _set_entry(data: dict[str, Any], path: list[str], value: object) -> None:
 
 
 def _tuned_parts(arm: Arm) -> tuple[object, ...]:
-    """Return the parts of an arm for which gains of a PD are tuned."""
+    """Return the properties of an arm on which tuned PD gains depend."""
     return arm.links, [(joint.axis, joint.rotor_inertia, joint.stiffness) for joint in arm.joints]
 
 

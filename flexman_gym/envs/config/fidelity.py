@@ -1,4 +1,4 @@
-"""Fidelity of an environment: model, method and step, as configured or chosen for a tolerance."""
+"""Fidelity of an environment: model, integration method and step, as configured or chosen for a tolerance."""
 
 from typing import NamedTuple
 
@@ -12,11 +12,12 @@ from flexman_gym.scene.signals import SineTorque
 from flexman_gym.simulation.integrator import default_step
 from flexman_gym.simulation.methods import Method
 
-_SLEW_DURATION, _SLEW_START = 3.0, 0.4  # s and rad; motion for which the model is chosen
+SLEW_DURATION = 3.0  # s; duration of the slew for which fidelity="auto" chooses the model
+SLEW_START = 0.4  # rad; magnitude of the joint angles at its start, with alternating signs
 
 
-class Fidelity(NamedTuple):
-    """Model of an environment, integration method, step (s), and the Choice of fidelity="auto", else None."""
+class _Fidelity(NamedTuple):
+    """Model of an environment, integration method, step (s), and result of fidelity="auto", else None."""
 
     model: Model
     method: str | Method
@@ -24,11 +25,11 @@ class Fidelity(NamedTuple):
     choice: Choice | None
 
 
-def resolve_fidelity(configuration: Configuration) -> Fidelity:
-    """Build the model of a configuration, or choose it with `choose_model`."""
+def resolve_fidelity(configuration: Configuration) -> _Fidelity:
+    """Return model, integration method and step of a configuration; for fidelity="auto" by `choose_model`."""
     if configuration.fidelity == "auto":
         choice = _choose_fidelity(configuration)
-        return Fidelity(choice.model, choice.method, choice.step, choice)
+        return _Fidelity(choice.model, choice.method, choice.step, choice)
     modes = configuration.modes
     if isinstance(modes, str):
         modes = assembled_modes(configuration.arm, configuration.elements, 0.5 / configuration.control_period)
@@ -37,11 +38,11 @@ def resolve_fidelity(configuration: Configuration) -> Fidelity:
     step = configuration.step
     if step is None:
         step = default_step(configuration.control_period, NAMED_ENVIRONMENTS[configuration.id].longest_step)
-    return Fidelity(model, configuration.method, step, None)
+    return _Fidelity(model, configuration.method, step, None)
 
 
 def _choose_fidelity(configuration: Configuration) -> Choice:
-    """Choose a model for a slew: sine torques with the limits as amplitudes, from the middle of the range of motion."""
+    """Choose a model for a slew with sine torques of 0.5 Hz, whose amplitudes are the torque limits."""
     n, period = configuration.arm.n_joints, configuration.control_period
     scene = Scene(
         configuration.arm,
@@ -49,8 +50,8 @@ def _choose_fidelity(configuration: Configuration) -> Choice:
             True, 2, spinning_rotors=configuration.spinning_rotors, rotary_inertia=configuration.rotary_inertia
         ),
         SineTorque(configuration.torque_limit, [0.5] * n, [0.0] * n),
-        Initial([_SLEW_START * (-1.0) ** i for i in range(n)], [0.0] * n),
-        duration=max(1, round(_SLEW_DURATION / period)) * period,
+        Initial([SLEW_START * (-1.0) ** i for i in range(n)], [0.0] * n),
+        duration=max(1, round(SLEW_DURATION / period)) * period,
         output_step=period,
     )
     return choose_model(scene, positive("tolerance", configuration.tolerance, "m"), longest_step=period)

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, NoReturn, Self
+from typing import Any, Self
 
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of, value_error
@@ -11,9 +11,9 @@ from flexman_gym.envs.tasks import Slew, Task, find_task, plain_task
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.serialization import find_arm, to_plain
 
-ENVIRONMENT_FOLDER = Path(__file__).parents[1] / "named"  # ID.yaml: default settings of a named environment
-CONDITION_FOLDER = Path(__file__).parents[1] / "conditions"  # arm/condition.yaml: changes of settings
-NOMINAL = "nominal"  # condition without changes
+ENVIRONMENT_FOLDER = Path(__file__).parents[1] / "named"  # files ID.yaml: default settings of a named environment
+CONDITION_FOLDER = Path(__file__).parents[1] / "conditions"  # files ARM/CONDITION.yaml: changed settings
+NOMINAL = "nominal"  # name of the condition without changes
 CONDITIONS = (NOMINAL, *sorted({path.stem for path in CONDITION_FOLDER.glob("*/*.yaml")}))
 Gains = dict[str, tuple[float, ...]]
 
@@ -23,16 +23,16 @@ class _NamedEnvironment:
     """Default settings of a named environment.
 
     Attributes:
-        arm: arm; its joints have torque limits.
-        pd: gains of the PD controller tuned for it by `flexman tune ID`: stiffness (N m/rad) and damping (N m s/rad),
-            one for each joint. The sampled loop has a gain margin of 2 and a phase margin of 30 degrees.
+        arm: robot arm whose joints have torque limits.
+        pd: gains of the PD controller tuned for the arm by `flexman tune ID`: stiffness (N m/rad) and damping
+            (N m s/rad), one for each joint. Its sampled loop has a gain margin of 2 and a phase margin of 30 degrees.
         task: see `Configuration`.
         sensors: see `Configuration`.
         limits: see `Configuration`.
-        control_period: s.
+        control_period: time between two commands to the motors, s.
         horizon: time after which an episode is truncated, s.
-        longest_step: of the default method, s; no energy alarm occurs with it under random torques.
-        conditions: name of the folder of its conditions; "" for none.
+        longest_step: longest step of the default method, s; random torques then cause no energy alarm.
+        conditions: name of the folder with the conditions of the environment; "" for an environment without conditions.
     """
 
     arm: Arm
@@ -47,16 +47,16 @@ class _NamedEnvironment:
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Return the named environment of a YAML file with these attributes in plain form.
+        """Return the named environment of a YAML file with the attributes of this class as plain data.
 
-        The arm is a name or a mapping as for `Configuration`, where lists at "joints" set fields of its joints. The key
-        "extends" names another environment, whose file has the attributes that are missing here.
+        The arm is a name or a mapping as for `Configuration`; in addition, lists at its key "joints" set fields of the
+        joints. The key "extends" names a second environment in the same folder, which supplies missing attributes.
 
         Args:
-            path: path of the file; those of other environments are in the same folder.
+            path: path of the file.
 
         Raises:
-            ValueError: one line with file, field, value and the allowed values.
+            ValueError: for data that are not allowed; one line with file, field, value and the allowed values.
         """
         try:
             data = mapping("environment", _read(path), [each.name for each in fields(cls)])
@@ -78,14 +78,14 @@ class _NamedEnvironment:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """Return the content of the file of a named environment, with that of the environment it extends."""
+    """Return the data of the file of a named environment, merged with those of the environment it extends."""
     data = files.read_data(path)
     parent = data.pop("extends", None)
     return data if parent is None else _read(path.with_name(f"{parent}.yaml")) | data
 
 
 def _arm(value: Any) -> Arm:
-    """Return the arm of a name or a mapping, with the values of fields at "joints" for each of its joints."""
+    """Return the arm of a name or a mapping; lists at the key "joints" set fields of its joints."""
     if not isinstance(value, dict) or "joints" not in value:
         return find_arm(value)
     arm = find_arm({name: each for name, each in value.items() if name != "joints"})
@@ -93,9 +93,9 @@ def _arm(value: Any) -> Arm:
 
 
 def _merged(old: object, change: object) -> object:
-    """Return a value with a change.
+    """Return plain data with a change.
 
-    Mappings are merged. If the value is a list of mappings, each of them receives its entry of a list of numbers.
+    Mappings are merged. In a list of mappings, a list of values in the change sets a field of each of the mappings.
     """
     if isinstance(old, dict) and isinstance(change, dict):
         return {**old, **{name: _merged(old.get(name, {}), each) for name, each in change.items()}}
@@ -122,11 +122,11 @@ NAMED_ENVIRONMENTS = {
     )
 }
 """Named environments: id -> default settings; each id has a file in ENVIRONMENT_FOLDER."""
-DEFAULT_ID = "FlexRRR-v0"
+DEFAULT_ID = "FlexRRR-v0"  # environment of a configuration without an id
 
 
 def condition_settings(id: str, condition: object) -> dict[str, Any]:
-    """Return the settings of a named environment under one of its conditions; {} for the nominal one.
+    """Return the settings changed by a condition of a named environment; {} for the condition "nominal".
 
     Args:
         id: id of the environment.
@@ -145,17 +145,3 @@ def condition_settings(id: str, condition: object) -> dict[str, Any]:
         return {}
     changes = files.read_data(folder / f"{condition}.yaml")
     return {name: _merged(named.plain(name), change) for name, change in changes.items()}
-
-
-def refuse_condition(name: str, condition: str, **settings: Any) -> NoReturn:
-    """Refuse an id followed by a condition, a form for `rollout` and the commands but not for Gymnasium.
-
-    Args:
-        name: id of the environment.
-        condition: name of the condition.
-        **settings: keyword arguments of `gym.make`.
-
-    Raises:
-        ValueError: always; it names the keyword of `gym.make` and `gym.make_vec` to use.
-    """
-    raise value_error("id", f"{name}/{condition}", f'gym.make("{name}", condition="{condition}")')

@@ -10,24 +10,25 @@ DEFAULT_IMPULSE_GAP = 2.0  # s; mean time between two impulses or changes of loa
 
 
 class Randomisation:
-    """Ranges (low, high) from which every episode draws uniformly; None disables an effect.
+    """Domain randomisation: ranges (low, high) from which every episode draws uniformly; None disables a range.
 
-    Each effect has its own random generator, seeded by its name and the seed of the environment, so that enabling one
-    changes neither the draws of the others nor start and goal. The draws of an episode do not depend on earlier
-    episodes.
+    Each parameter and each effect has a separate random generator, seeded by its name and the seed of the environment,
+    so that enabling one of them changes neither the other draws nor start and goal. The draws of an episode do not
+    depend on earlier episodes.
 
     Args:
-        impulse_gap: mean time between two impulses, or two changes of load, s; at least a control period. None for 2.
-        **ranges: of the physical parameters in `simulation.parameters.PARAMETERS`: payload_mass (kg), joint_damping
-            (N m s/rad) and, as factors > 0 on the nominal values, one for each joint or link, joint_stiffness_factor,
-            rotor_inertia_factor, viscous_friction_factor, coulomb_friction_factor and link_stiffness_factor; and of the
-            effects in `envs.effects.SIGNALS`: torque_limit_factor, sensor_noise (fractions of the ranges), delay (whole
-            control periods), initial_vibration (m), tip_impulse (N s), tip_load (N) and base_sway (m/s^2).
+        impulse_gap: mean time between two impulses, or two changes of load, s; at least a control period. None for 2 s.
+        **ranges: name -> (low, high). Physical parameters of `simulation.parameters.PARAMETERS`: payload_mass (kg),
+            joint_damping (N m s/rad) and factors > 0 on the nominal values, one for each joint or link,
+            joint_stiffness_factor, rotor_inertia_factor, viscous_friction_factor, coulomb_friction_factor and
+            link_stiffness_factor. Effects of `envs.effects.SIGNALS`: torque_limit_factor, sensor_noise (standard
+            deviation as a fraction of the measurement range), delay (whole control periods), initial_vibration (m),
+            tip_impulse (N s), tip_load (N) and base_sway (m/s^2).
 
     Attributes:
-        effects: names of the enabled parameters and signals, in the order of the tables.
-        ranges: name -> (low, high) of each of them; each range is also an attribute, None if disabled.
-        given: given arguments, by name.
+        effects: names of the enabled parameters and effects, in the order of PARAMETERS and SIGNALS.
+        ranges: name of an enabled parameter or effect -> (low, high). Each range is also an attribute, None by default.
+        given: arguments of the constructor by name.
 
     Examples:
         >>> import gymnasium as gym
@@ -46,11 +47,8 @@ class Randomisation:
             if name not in (_range_names() | {"impulse_gap": ""}):
                 raise value_error("randomisation", name, f"one of {' '.join(_range_names())} impulse_gap")
         self.given = ranges if impulse_gap is None else {**ranges, "impulse_gap": self.impulse_gap}
-        self.ranges = {
-            effect: _range(name, ranges[name])
-            for name, effect in _range_names().items()
-            if ranges.get(name) is not None
-        }
+        given = {name: effect for name, effect in _range_names().items() if ranges.get(name) is not None}
+        self.ranges = {effect: _range(name, ranges[name]) for name, effect in given.items()}
         self.effects = tuple(self.ranges)
 
     def __getattr__(self, name: str) -> Range | None:
@@ -85,11 +83,11 @@ def _range(name: str, value: object) -> Range:
 
 
 def _range_names() -> dict[str, str]:
-    """Return the effect for each name of a range."""
+    """Return name of a range -> name of its parameter or effect."""
     return {range_name(name): name for name in (*PARAMETERS, *SIGNALS)}
 
 
 def range_name(effect: str) -> str:
-    """Return the name of the range of an effect: NAME_factor for factors on the nominal value."""
+    """Return the name of the range of a parameter or effect: NAME_factor for factors on the nominal value."""
     entry = PARAMETERS[effect] if effect in PARAMETERS else SIGNALS[effect]
     return f"{effect.removesuffix('_factor')}_factor" if getattr(entry, "factor", False) else effect

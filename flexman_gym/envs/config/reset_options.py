@@ -12,49 +12,44 @@ from flexman_gym.envs.view import View
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import PARAMETERS
 
-TIP_OPTIONS = {
-    "start_tip": "start",
-    "goal_tip": "goal_angles",
-}  # option with a tip position -> posture in its place
-STARTS, MAX_ITERATIONS = 24, 20  # start postures of the search; corrections for the sag under gravity
-TOLERANCE = 1e-8  # accepted distance of the tip, fraction of the reach
+TIP_OPTIONS = {"start_tip": "start", "goal_tip": "goal_angles"}  # option with a tip position -> option it replaces
+INITIAL_POSTURES = 24  # number of initial postures of the inverse kinematics, in addition to the given one
+MAX_ITERATIONS = 20  # largest number of corrections for the sag under gravity
+TOLERANCE = 1e-8  # fraction of the reach; accepted tip error
 
 
-def inverse_kinematics(field: str, place: Array, near: Array, view: View) -> Array:
-    """Return motor angles (n,), rad, at which the tip rests at a position (3,) in the base frame, m.
+def inverse_kinematics(field: str, position: Array, near: Array, view: View) -> Array:
+    """Return motor angles (n,), rad, at which the tip of the arm at rest has a position (3,) in the base frame, m.
 
-    Newton's method starts from `near` and from 24 fixed postures. Of several solutions the closest to `near` (least sum
-    of squared angle differences) is rechanges.
+    Newton's method begins at `near` and at 24 fixed postures. Of several solutions the one with the smallest sum of
+    squared angle differences from `near` is returned.
 
     Args:
         field: name of the field in the error message.
-        place: (3,) position of the tip, m.
-        near: (n,) rad.
-        view: view of the arm, bent by its nominal weight.
-
-    Returns:
-        The motor angles.
+        position: (3,) position of the tip, m.
+        near: (n,) motor angles, rad.
+        view: view of the arm; under gravity the arm is deformed by its nominal weight.
 
     Raises:
-        ValueError: if no start leads to a solution.
+        ValueError: if no initial posture leads to a solution.
     """
-    starts = near + np.random.default_rng(0).uniform(-np.pi, np.pi, (STARTS, len(near)))
-    found = [angles for start in (near, *starts) if (angles := _solve(place, start, view)) is not None]
+    starts = near + np.random.default_rng(0).uniform(-np.pi, np.pi, (INITIAL_POSTURES, len(near)))
+    found = [angles for start in (near, *starts) if (angles := _solve(position, start, view)) is not None]
     if not found:
         span = f"{view.reach:.4g} m of links"
-        raise value_error(field, place.tolist(), f"a position of the tip (m, base frame) within reach of {span}")
+        raise value_error(field, position.tolist(), f"a position of the tip (m, base frame) within reach of {span}")
     changes = np.array(found) - near
     changes -= 2.0 * np.pi * np.round(changes / (2.0 * np.pi))
     result: Array = near + changes[np.argmin((changes**2).sum(axis=1))]
     return result
 
 
-def _solve(place: Array, start: Array, view: View) -> Array | None:
-    """Return the solution found from a start; None if there is none."""
-    angles, goal = start, place
+def _solve(position: Array, start: Array, view: View) -> Array | None:
+    """Return the motor angles (n,) found from an initial posture (n,); None if the iteration does not converge."""
+    angles, goal = start, position
     for _ in range(MAX_ITERATIONS):
         (angles,), _ = view.inverse_kinematics(goal[None], angles)
-        error = place - view.rest_tips(angles[None])[0] if np.isfinite(angles).all() else np.full(3, np.inf)
+        error = position - view.rest_tips(angles[None])[0] if np.isfinite(angles).all() else np.full(3, np.inf)
         if not np.linalg.norm(error) > TOLERANCE * view.reach:
             return angles
         if not np.isfinite(error).all():
@@ -64,16 +59,16 @@ def _solve(place: Array, start: Array, view: View) -> Array | None:
 
 
 def parse_reset_options(
-    options: Mapping[str, Any] | None, plan: Mapping[str, Array], size: tuple[int, int]
+    options: Mapping[str, Any] | None, parameters: Mapping[str, Array], size: tuple[int, int]
 ) -> dict[str, Any]:
-    """Return the options with a leading axis for the arms.
+    """Return the options of a reset by name, with a leading axis for the b arms.
 
     Args:
         options: options of a reset.
-        plan: drawn plans by name, whose entries the options may replace.
-        size: (b, n) number of arms and joints.
+        parameters: name -> (b, ...) drawn episode parameters, which the options may replace.
+        size: (b, n) numbers of arms and joints.
     """
-    names = [*plan, *(name for name, posture in TIP_OPTIONS.items() if posture in plan), "parameters"]
+    names = [*parameters, *(name for name, posture in TIP_OPTIONS.items() if posture in parameters), "parameters"]
     if options is not None and not isinstance(options, dict):
         raise value_error("options", options, f"a dict with {', '.join(names[:-1])} or {names[-1]}")
     given: dict[str, Any] = {}
@@ -82,9 +77,9 @@ def parse_reset_options(
         if one_of("options", name, names) == "parameters":
             given[name] = _parameters(field, value, size)
         else:
-            if TIP_OPTIONS.get(name) in given or name in [TIP_OPTIONS.get(other) for other in given]:
+            if TIP_OPTIONS.get(name) in given or name in [TIP_OPTIONS.get(earlier) for earlier in given]:
                 raise value_error(field, value, "either a posture or a position of the tip")
-            shape = (3,) if name in TIP_OPTIONS else plan[name].shape[1:]
+            shape = (3,) if name in TIP_OPTIONS else parameters[name].shape[1:]
             given[name] = _each(
                 field, value, shape, size[0], "m" if name in TIP_OPTIONS else "rad" * (shape == size[1:])
             )
@@ -92,7 +87,7 @@ def parse_reset_options(
 
 
 def check_parameters(options: object, batch: Batch) -> None:
-    """Check parameters in the options before a reset changes anything."""
+    """Raise ValueError for physical parameters in the options that are not allowed, before a reset changes the arms."""
     if isinstance(options, dict) and "parameters" in options:
         field, arms, model = "options['parameters']", len(batch.rows), batch.model
         for name, values in _parameters(field, options["parameters"], (arms, model.n_joints)).items():
@@ -100,7 +95,7 @@ def check_parameters(options: object, batch: Batch) -> None:
 
 
 def _each(field: str, value: object, shape: tuple[int, ...], arms: int, unit: str) -> Array:
-    """Return numbers (b, ...) of all arms from those of one arm, or of each."""
+    """Return numbers (b, ...) of all arms from numbers (...) for all arms, or (b, ...) for each arm."""
     if len(shape) != 1:
         return _numbers(field, value, (arms, *shape))
     entries = sequence(field, value, "numbers")
@@ -113,7 +108,7 @@ def _each(field: str, value: object, shape: tuple[int, ...], arms: int, unit: st
 
 
 def _parameters(field: str, value: object, size: tuple[int, int]) -> dict[str, Array]:
-    """Return the parameters of all arms by name."""
+    """Return name -> (b, ...) physical parameters of all arms."""
     if not isinstance(value, dict):
         raise value_error(field, value, f"a dict with some of {', '.join(PARAMETERS)}")
     given = {}
@@ -124,7 +119,7 @@ def _parameters(field: str, value: object, size: tuple[int, int]) -> dict[str, A
 
 
 def _numbers(field: str, value: object, shape: tuple[int, ...]) -> Array:
-    """Return numbers of a shape, broadcast from those of one arm."""
+    """Return numbers broadcast to a shape (b, ...)."""
     allowed = f"numbers of the shape {shape}, or {shape[1:]}"
     try:
         listed = value if isinstance(value, numbers.Real | np.ndarray) else sequence(field, value)  # limits its length

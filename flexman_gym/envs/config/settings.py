@@ -23,8 +23,8 @@ from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 from flexman_gym.simulation.trajectory import ENERGY_ALARM
 
 CHOSEN = ("elements", "modes", "method", "step", "stiffening")  # settings chosen by fidelity="auto"
-MIN_PERIOD, MAX_PERIOD = 1e-9, 100.0  # s; control period
-MAX_REPEATS = 1000  # control periods of an action
+MIN_PERIOD, MAX_PERIOD = 1e-9, 100.0  # s; range of the control period
+MAX_REPEATS = 1000  # largest action_repeat
 
 
 @dataclass(frozen=True)
@@ -32,14 +32,14 @@ class _Setting:
     """Declaration of one setting.
 
     Attributes:
-        help: meaning; tables show the first sentence.
-        check: function of the given value that returns the stored value or raises a ValueError.
-        default: value of a setting that is not given; None if the named environment defines it.
-        unit: SI unit; "" for none.
-        named: True if the named environment has the value for None.
-        plain: function that returns the plain form of a stored object; None if the stored value is plain.
-        deprecated: deprecated names.
-        foreign: name in other libraries -> hint in the error message.
+        help: description; tables show its first sentence.
+        check: function that returns the stored value for a given value, or raises ValueError.
+        default: value of a missing setting; None if the named environment defines it.
+        unit: SI unit; "" for a setting without a unit.
+        named: True if None stands for the value of the named environment.
+        plain: function that returns the plain data of a stored object; None if the stored value is plain data.
+        deprecated: deprecated names of the setting.
+        foreign: name of this setting in other libraries -> hint in the error message.
     """
 
     help: str
@@ -53,22 +53,22 @@ class _Setting:
 
 
 def _setting(*arguments: Any, **columns: Any) -> Any:
-    """Return a declaration; the annotation of the class attribute is the type of the stored value."""
+    """Return a _Setting; the result type Any allows to annotate a class attribute with the type of the stored value."""
     return _Setting(*arguments, **columns)
 
 
 def _as_given(value: Any) -> Any:
-    """Return a value unchanged; its check depends on other settings."""
+    """Return a value unchanged; `Configuration` checks it together with other settings."""
     return value
 
 
 def _tuples(value: Any) -> Any:
-    """Return lists as tuples, at every level."""
+    """Return a value with all lists, also nested ones, replaced by tuples."""
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 def _control_period_setting(value: object) -> float:
-    """Return a control period, s."""
+    """Return a control period, s, after a check."""
     period = positive("control_period", value, "s")
     if not MIN_PERIOD <= period <= MAX_PERIOD:
         raise value_error("control_period", value, f"a number from {MIN_PERIOD:g} to {MAX_PERIOD:g} (s)")
@@ -77,7 +77,7 @@ def _control_period_setting(value: object) -> float:
 
 
 def _reward_setting(value: object) -> Any:
-    """Return the weights of reward terms, a reward function, or None."""
+    """Return the weights of reward terms, a reward function, or None, after a check."""
     if isinstance(value, dict):
         return {text("a key of reward", name): finite(f"reward.{name}", each) for name, each in value.items()}
     if value is not None and not callable(value):
@@ -86,7 +86,7 @@ def _reward_setting(value: object) -> Any:
 
 
 def _base_setting(value: Any) -> Any:
-    """Return None, a name or a mapping of BASES as it is, or a Controller."""
+    """Return a name or a mapping of BASES, a Controller, or None, after a check."""
     if isinstance(value, str | dict):
         parse_kind("base", value, BASES)
     elif value is not None:
@@ -95,24 +95,24 @@ def _base_setting(value: Any) -> Any:
 
 
 def _actions_setting(value: Any) -> Any:
-    """Return the name or the mapping of an action mode, or an ActionMode, as it is."""
+    """Return the name or the mapping of an action mode, or an ActionMode, after a check."""
     if not isinstance(value, ActionMode):
         parse_kind("actions", value, ACTIONS)
     return value
 
 
 def _bandwidth_setting(value: object) -> float | None:
-    """Return a bandwidth, Hz, or None."""
+    """Return a bandwidth, Hz, or None, after a check."""
     return None if value is None else physical("drive_bandwidth", value, "Hz")
 
 
 def _info_keys_setting(value: object) -> tuple[str, ...]:
-    """Return names of quantities of a view."""
+    """Return names of quantities as a tuple."""
     return tuple(text(f"info_keys[{i}]", each) for i, each in enumerate(sequence("info_keys", value, "names")))
 
 
 def _find_randomisation(value: object) -> Randomisation | None:
-    """Return a Randomisation from a dict of its arguments, a Randomisation as it is, or None."""
+    """Return a Randomisation from a dict of its arguments; a Randomisation and None are returned unchanged."""
     if isinstance(value, dict):
         return Randomisation(**{text("a key of randomisation", name): each for name, each in value.items()})
     if value is not None and not isinstance(value, Randomisation):
@@ -121,7 +121,7 @@ def _find_randomisation(value: object) -> Randomisation | None:
 
 
 def _parse_history(value: object) -> int | tuple[float, ...]:
-    """Return a number of observations, or time constants (s) of averages as a tuple."""
+    """Return a number of observations, or a tuple of time constants (s) of averages."""
     if not isinstance(value, list | tuple) and not (isinstance(value, np.ndarray) and value.ndim):
         return whole_number("history", value, 1, MAX_HISTORY)
     times = sequence("history", value, "times (s)")
@@ -154,8 +154,8 @@ class EnvironmentSettings:
         _reward_setting,
     )
     sensors: tuple[object, ...] = _setting(
-        "Sensors of the agent. A name, a mapping with a name at 'kind' and flaws (noise, bias, quantisation, delay, "
-        "every, dropped), a Sensor object, or a list of these; envs.sensors has the names.",
+        "Sensors of the agent. A name in envs.sensors.SENSOR_NAMES, a mapping with a name at 'kind' and flaws (noise, "
+        "bias, quantisation, delay, every, dropped), a Sensor object, or a list of these.",
         find_sensors, named=True, plain=plain_sensors, foreign={"obs_type": "sensors", "observation": "sensors"},
     )
     history: int | tuple[float, ...] = _setting(
@@ -164,11 +164,11 @@ class EnvironmentSettings:
         _parse_history, 1,
     )
     limits: Limits = _setting(
-        "Limits of the motion, beyond which an episode ends. A Limits object, or a mapping of its arguments.",
+        "Limits of the motion, beyond which an episode terminates. A Limits object, or a mapping of its arguments.",
         find_limits, named=True, plain=asdict,
     )
     torque_limit: tuple[float, ...] = _setting(
-        "Torque limits of the motors. One number, or one for each joint; None takes those of the joints of the arm.",
+        "Torque limits of the motors. One number, or one for each joint; None for those in the joints of the arm.",
         _as_given, unit="N m",
     )
     control_period: float = _setting(
@@ -188,59 +188,61 @@ class EnvironmentSettings:
         _base_setting,
     )
     gains: Any = _setting(
-        "Gains of base='pd'. A mapping with stiffness (N m/rad) and damping (N m s/rad), a number for each joint; None "
-        "takes the gains tuned for the named environment, an error for an arm with other links or motors.",
+        "Gains of base='pd'. A mapping with stiffness (N m/rad) and damping (N m s/rad), a number for each joint. None "
+        "stands for the gains tuned for the named environment; an arm with different links or motors needs gains.",
         _as_given,
     )
     actions: Any = _setting(
-        "Meaning of an action. A name in control.actions.ACTIONS: 'torque' as a fraction of the torque limits, "
-        "'current' of the motors, 'position' or 'velocity' of servos, 'shaping' of the reference of the base; or a "
-        "mapping with a name at 'kind' and its arguments. A servo runs in every control period: with "
-        "control_period=0.002 and action_repeat=10 at 500 Hz under an agent at 50 Hz.",
+        "Meaning of an action. A name in control.actions.ACTIONS: 'torque', motor torques as fractions of the torque "
+        "limits; 'current', motor currents; 'position' or 'velocity', references of servos; 'shaping', changes of the "
+        "reference of the base controller; or a mapping with a name at 'kind' and its arguments. A servo acts in every "
+        "control period: with control_period=0.002 and action_repeat=10 at 500 Hz, below an agent at 50 Hz.",
         _actions_setting, "torque",
     )
     drive_bandwidth: float | None = _setting(
-        "Bandwidth of the drives, a first-order lag between command and torque. None for no lag.",
+        "Bandwidth of the drives, a first-order lag between commanded and applied torque. None for no lag.",
         _bandwidth_setting, unit="Hz",
     )
     action_repeat: int = _setting(
-        "Control periods for which the action of the agent is kept. One step of the environment spans them: its reward "
-        "is their mean, its info that of the last one; an episode may end before the last one.",
+        "Number of control periods for which an action of the agent is held. A step of the environment simulates them, "
+        "returns the mean of their rewards and the info of the last one, and stops early if the episode ends.",
         partial(whole_number, "action_repeat", low=1, high=MAX_REPEATS), 1, deprecated=("hold",),
-        foreign={"frame_skip": "action_repeat, the control periods for which an action is kept"},
+        foreign={"frame_skip": "action_repeat, the number of control periods for which an action is held"},
     )
     fidelity: str = _setting(
-        f"Choice of the model. 'auto' chooses {', '.join(CHOSEN)} for a tolerance; 'default' takes them as given.",
+        f"Selection of the model. 'auto' chooses {', '.join(CHOSEN)} for a tolerance; 'default' uses these settings.",
         partial(one_of, "fidelity", allowed=("default", "auto")), "default",
     )
     tolerance: float | None = _setting(
-        "Largest error of the tip in a slew, for fidelity='auto'.", _as_given, unit="m",
+        "Largest tip error of the model in a slew, for fidelity='auto'.", _as_given, unit="m",
     )
-    elements: int | tuple[int, ...] = _setting("Elements of each link, see build_model.", _tuples, 2)
+    elements: int | tuple[int, ...] = _setting("Number of beam elements of each link, see build_model.", _tuples, 2)
     modes: int | tuple[int | tuple[int, ...], ...] | str | None = _setting(
-        "Modes of each link, see build_model. 'assembled': those of assembled_modes below half the control rate.",
+        "Component modes of each link, see build_model. 'assembled': those that vibrations of the arm below half the "
+        "control rate need, see assembled_modes.",
         _tuples, "assembled",
     )
     method: str | Method = _setting("Integration method, a name in METHODS or a Method.", _as_given, DEFAULT_METHOD)
     step: float | None = _setting(
-        "Step of the integration method. None takes the longest one that divides the control period, up to the longest "
+        "Step of the integration method. None stands for the longest divisor of the control period up to the longest "
         "step of the named environment.",
         _as_given, unit="s",
     )
-    stiffening: bool = _setting("Foreshortening of bent links, see build_model.", _as_given, False)
+    stiffening: bool = _setting("Foreshortening of deformed links, see build_model.", _as_given, False)
     spinning_rotors: bool = _setting("Rotation of rotors with their links, see ModelChoice.", _as_given, False)
-    rotary_inertia: bool = _setting("Rotary inertia of the sections of links, see ModelChoice.", _as_given, True)
+    rotary_inertia: bool = _setting("Rotary inertia of the cross-sections, see ModelChoice.", _as_given, True)
     info_keys: tuple[str, ...] = _setting(
-        "Additional quantities in info. Names in View.units; 'action' is the command to the motors.",
+        "Additional quantities in info. Names in View.units, or 'action' for the commanded torques.",
         _info_keys_setting, (), deprecated=("tell",),
     )
     energy_alarm: float = _setting(
-        "Energy residual that raises the alarm, as a fraction of the energy turnover. The turnover is the largest of "
-        "kinetic + elastic energy, work and dissipation.",
+        "Energy residual above which info['energy_alarm'] is True, as a fraction of the energy turnover. The turnover "
+        "is the largest of kinetic + elastic energy, work and dissipation since the reset.",
         partial(positive, "energy_alarm"), ENERGY_ALARM,
     )
     randomisation: Randomisation | None = _setting(
-        "Ranges of parameters and disturbances, drawn in each episode. A Randomisation, or a mapping of its arguments.",
+        "Ranges from which each episode draws parameters and disturbances. A Randomisation, or a mapping of its "
+        "arguments.",
         _find_randomisation, plain=lambda value: {name: getattr(value, name) for name in value.given}, foreign={
             "delay": 'randomisation={"delay": (1, 1)}, the smallest and the largest delay of the torques in control '
             "periods",
@@ -254,4 +256,4 @@ class EnvironmentSettings:
 SETTINGS: dict[str, _Setting] = {
     name: each for name, each in vars(EnvironmentSettings).items() if isinstance(each, _Setting)
 }
-"""Declared settings of an environment: name -> _Setting."""
+"""Settings of an environment: name -> declaration."""

@@ -25,58 +25,44 @@ ROUNDING = 12.0**-0.5  # standard deviation of a rounding error, as a fraction o
 
 
 def make_plant(configuration: Configuration, model: Model) -> Plant:
-    """Return the specification for controller design of an environment.
+    """Return the specification of an environment for the design of a controller.
 
     Args:
         configuration: configuration of the environment.
-        model: model of the design.
+        model: model from which the controller is designed.
     """
-    drawn = configuration.disturbances.ranges if configuration.disturbances else {}
-    fewest, most = drawn.get("delay", (0, 0))
+    ranges = configuration.disturbances.ranges if configuration.disturbances else {}
+    fewest, most = ranges.get("delay", (0, 0))
     longest_step = NAMED_ENVIRONMENTS[configuration.id].longest_step
     return Plant(
         model,
         configuration.torque_limit,
         configuration.control_period,
         lambda: configuration.pd_gains,
-        {range_name(name): span for name, span in drawn.items() if name in PARAMETERS},
+        {range_name(name): span for name, span in ranges.items() if name in PARAMETERS},
         (int(fewest), int(most)),
         (configuration.method, configuration.step or default_step(configuration.control_period, longest_step)),
-        float(drawn.get("tip_load", (0.0, 0.0))[1]),
-        lambda: _measured(configuration, model, drawn.get("sensor_noise", (0.0, 0.0))[1]),
+        float(ranges.get("tip_load", (0.0, 0.0))[1]),
+        lambda: _measurement_noise(configuration, model, ranges.get("sensor_noise", (0.0, 0.0))[1]),
         configuration.drive_bandwidth,
     )
 
 
-def make_controller(configuration: Configuration, base: object, model: Model) -> Controller:
-    """Return the controller of a name in BASES, or of a mapping with arguments, for a model of the arm."""
-    return make_base(base, make_plant(configuration, model))
-
-
-def _make_base_controller(configuration: Configuration, model: Model) -> Controller | None:
-    """Return the base controller of an environment for its model; None without one.
-
-    A PD controller that sampling and delay make unstable causes a UserWarning.
-    """
-    base = configuration.base
-    if not isinstance(base, str | dict):
-        return base
-    result = make_controller(configuration, base, model)
-    period, delay = configuration.control_period, configuration.max_delay
-    message = result.unstable(model, period, delay) if isinstance(result, PD) else ""
-    if message:
-        warnings.warn(message, stacklevel=2)
-    return result
-
-
 def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Controller | None, ActionMode]:
-    """Return base controller and action mode of the agent of an environment, designed for a model of its arm."""
-    base = _make_base_controller(configuration, model)
-    return base, make_action_mode(configuration.actions, make_plant(configuration, model), base)
+    """Return base controller (None without one) and action mode of an environment, designed from a model of its arm.
+
+    A UserWarning is issued for a PD controller whose sampled loop is unstable with the largest delay.
+    """
+    base, plant = configuration.base, make_plant(configuration, model)
+    if isinstance(base, str | dict):
+        base = make_base(base, plant)
+        if isinstance(base, PD) and (text := base.unstable(model, plant.period, configuration.max_delay)):
+            warnings.warn(text, stacklevel=2)
+    return base, make_action_mode(configuration.actions, plant, base)
 
 
-def _measured(configuration: Configuration, model: Model, noise: float) -> dict[str, Array]:
-    """Return range and standard deviation (2, size) of each measured quantity, of the worst instrument."""
+def _measurement_noise(configuration: Configuration, model: Model, noise: float) -> dict[str, Array]:
+    """Return quantity -> (2, size) measurement range, and standard deviation of the noise of its worst instrument."""
     ranges = measurement_ranges(View(Batch(model)), configuration.limits)
     deviations = dict.fromkeys(ranges, noise)
     for sensor in configuration.sensors:

@@ -10,18 +10,18 @@ from flexman_gym.envs.limits import Limits
 from flexman_gym.simulation.batch import Batch
 
 Range = tuple[float, float]
-"""Least and largest value of a draw."""
+"""Range (low, high) of a uniform draw."""
 
 
 @dataclass(frozen=True, eq=False)
 class EffectContext:
-    """Arms and signals on which effects act.
+    """Arms and signals of an environment, given to the constructor of each effect.
 
     Attributes:
         batch: simulated arms.
         limits: limits of their motion.
-        bound: (size,) range of each measured quantity.
-        torque_limits: (b, n) present torque limits, N m; effects may overwrite them.
+        bound: (size,) largest magnitude of each measured quantity.
+        torque_limits: (b, n) torque limits of the current episodes, N m; effects may overwrite them.
         nominal: (n,) torque limits without effects, N m.
         impulse_gap: mean time between two impulses or two changes of load, s.
     """
@@ -35,7 +35,7 @@ class EffectContext:
 
 
 HOOKS = ("begin", "change_start", "motor_actions", "add_tip_forces", "add_base_accelerations", "measure")
-"""Optional methods of an effect, in the order of a control period."""
+"""Optional methods of an effect, in the order of their calls."""
 
 
 class Effect(Protocol):
@@ -43,21 +43,23 @@ class Effect(Protocol):
 
     With an attribute `factor = True` the effect draws factors on a nominal value, and its range is named "..._factor".
 
-    Hooks; a misspelt name is refused:
-        begin(arms, drawn): starts new episodes of the arms (r,), with the drawn values (b, ...) of all arms.
-        change_start(arms, states): changes the initial states (r, 2 d) in place.
-        motor_actions(actions): returns the actions (b, n) that reach the motors.
-        add_tip_forces(forces, over): adds forces (b, 3), N, at the tips of arms in an episode.
-        add_base_accelerations(accelerations, over): adds accelerations (b, 3), m/s^2, of their bases.
-        measure(values, arms): returns the measured values (r, size) of the arms (r,), before any quantity is derived
-            from them.
+    Hooks; a misspelt name raises ValueError:
+        begin(arms, drawn): start new episodes of the arms (r,), with the drawn values (b, ...) of all arms.
+        change_start(arms, states): change the initial states (r, 2 d) in place.
+        motor_actions(actions): return the torques (b, n) that reach the motors, as fractions of the limits, for
+            commanded torques (b, n).
+        add_tip_forces(forces, over): add forces (b, 3), N, at the tips; `over` (b,) is True for arms without a running
+            episode.
+        add_base_accelerations(accelerations, over): add accelerations (b, 3), m/s^2, of the bases.
+        measure(values, arms): return the measured values (r, size) of the arms (r,) for true values (r, size); errors
+            and other derived quantities are computed from the result.
     """
 
     def __init__(self, context: EffectContext, span: Range) -> None: ...
 
     @staticmethod
     def checked(field: str, value: object) -> float:
-        """Return one end of the range after a check."""
+        """Return one end of the range after a check; `field` is its name in the error message."""
         ...
 
     @property
@@ -66,7 +68,7 @@ class Effect(Protocol):
         ...
 
     def draw(self, arm: int, stream: np.random.Generator) -> Any:
-        """Return the value of an episode of an arm.
+        """Draw the value for an episode of an arm.
 
         An effect draws once from its stream; a generator seeded by this draw supplies all further random numbers.
         """

@@ -1,4 +1,4 @@
-"""Effects on signals: torque limits, noise, delay, initial vibration, impulses, loads and base motion."""
+"""Effects on signals: torque limits, sensor noise, delay, initial vibration, tip impulses, tip loads, base motion."""
 
 from typing import Any, ClassVar
 
@@ -27,7 +27,7 @@ class _TorqueLimit:
         return positive(field, value)
 
     def draw(self, arm: int, stream: np.random.Generator) -> Array:
-        """Return the torque limits (n,), N m."""
+        """Draw the torque limits (n,), N m."""
         return stream.uniform(*self._span, self.shape) * self._context.nominal
 
     def begin(self, arms: IntArray, drawn: Array) -> None:
@@ -38,9 +38,9 @@ class _TorqueLimit:
 class _SensorNoise:
     """Normal noise on each measured quantity in each control period; its standard deviation is a fraction of the range.
 
-    Numbers beyond 4 standard deviations are drawn again, and measurements saturate at the range. Goals are not measured
-    and have no noise. Derived quantities, such as errors and nearness, are computed from the noisy measurements, and
-    all sensors and the base controller share them. Limits are checked without noise.
+    The noise is truncated at 4 standard deviations, and measurements saturate at the range. Goals have no noise. All
+    sensors and the base controller read the same noisy measurements, from which errors and other derived quantities are
+    computed. Limits are compared with the true state.
     """
 
     kind: ClassVar[type] = float
@@ -61,7 +61,7 @@ class _SensorNoise:
         return part
 
     def draw(self, arm: int, stream: np.random.Generator) -> float:
-        """Return the standard deviation as a fraction of the range."""
+        """Draw the standard deviation as a fraction of the range."""
         self._noise.begin(arm, stream)
         return stream.uniform(*self._span)
 
@@ -74,11 +74,11 @@ class _SensorNoise:
         return values + self._noise.sample(arms) * self._deviation[arms] * self._bound
 
 
-MAX_DELAY = 1000  # control periods; limits the memory of the buffer
+MAX_DELAY = 1000  # control periods; largest delay, which bounds the memory of its buffer
 
 
 class _Delay:
-    """Delay of the torques in whole control periods; the torques are zero until the first command arrives."""
+    """Delay of the commanded torques, a whole number of control periods; torques are zero until the first arrives."""
 
     kind: ClassVar[type] = int
     state_fields = ("_past", "_late", "_now")
@@ -96,7 +96,7 @@ class _Delay:
         return whole_number(field, value, 0, MAX_DELAY)
 
     def draw(self, arm: int, stream: np.random.Generator) -> int:
-        """Return the delay in control periods."""
+        """Draw the delay in control periods."""
         low, high = map(int, self._span)
         return int(stream.integers(low, high + 1))
 
@@ -106,7 +106,7 @@ class _Delay:
         self._past[:, arms] = 0.0
 
     def motor_actions(self, actions: Array) -> Array:
-        """Store the actions (b, n) and return the delayed ones."""
+        """Store commanded torques (b, n), fractions of the limits, and return the delayed torques (b, n)."""
         depth = len(self._past)
         self._now = (self._now + 1) % depth
         self._past[self._now] = actions
@@ -114,11 +114,11 @@ class _Delay:
 
 
 class _InitialVibration:
-    """Static deflection, m, of the tip of each flexible link at the start, from which the arm is released.
+    """Static deflection, m, of the tip of each flexible link at the start of an episode, from which it is released.
 
-    A force of random direction across the beam bends the link. Its magnitude is the one that causes the drawn
-    deflection in the most compliant direction of the link. The deflection in a stiffer direction is therefore smaller,
-    and it is zero in a direction without elastic coordinates.
+    The deflection is that under a tip force of random direction across the beam. The force would cause the drawn
+    deflection in the most compliant direction of the link; in stiffer directions it causes a smaller deflection, and in
+    a direction without elastic coordinates none.
     """
 
     kind: ClassVar[type] = float
@@ -142,7 +142,7 @@ class _InitialVibration:
         return non_negative(field, value)
 
     def draw(self, arm: int, stream: np.random.Generator) -> Array:
-        """Return the deflections (n, 2), m, along y and z of the beam frame of each link."""
+        """Draw the deflections (n, 2), m, along y and z of the beam frame of each link."""
         n = len(self._flexible)
         size, angle = stream.uniform(*self._span, n), stream.uniform(0.0, 2.0 * np.pi, n)
         forces = (self._flexible * size * np.array([np.cos(angle), np.sin(angle)])).T
@@ -160,7 +160,7 @@ class _InitialVibration:
 
 
 def _relative_compliance(model: Model, link: int) -> Array:
-    """Return the compliance (2, 2) of the tip of a link along y and z, relative to its largest value."""
+    """Return the compliance matrix (2, 2) of the tip of a link along y and z, divided by its spectral norm."""
     jacobian, response = _tip_flexibility(model, link)
     compliance = jacobian.T @ response
     largest = np.linalg.norm(compliance, 2)
@@ -168,15 +168,15 @@ def _relative_compliance(model: Model, link: int) -> Array:
 
 
 def static_shape(model: Model, link: int) -> Array:
-    """Return the coordinates (k_i, 2) of a link under a static tip force, per metre of deflection along y and z."""
+    """Return elastic coordinates (k_i, 2) of a link under static tip forces, per metre of deflection along y and z."""
     jacobian, response = _tip_flexibility(model, link)
     return response @ np.linalg.pinv(jacobian.T @ response)
 
 
 def _tip_flexibility(model: Model, link: int) -> tuple[Array, Array]:
-    """Return the Jacobian of the tip displacement along y and z, and the response of the coordinates to tip forces.
+    """Return the transposed Jacobian of the tip along y and z, and the elastic coordinates per newton of tip force.
 
-    Both arrays have the shape (k_i, 2).
+    Both arrays have the shape (k_i, 2) for the k_i elastic coordinates of a link.
     """
     constants = model.constants
     start, stop = constants.elastic_start[link : link + 2]
@@ -187,7 +187,7 @@ def _tip_flexibility(model: Model, link: int) -> tuple[Array, Array]:
 
 
 class _TipImpulse:
-    """Impulses, N s, of random directions at random times; each is a force at the tip during one control period."""
+    """Impulses, N s, at random times; each is a force at the tip, of random direction, during one control period."""
 
     kind: ClassVar[type] = float
     state_fields = ("_inner", "_wait")
@@ -210,7 +210,7 @@ class _TipImpulse:
         self._wait[arm] = self._gap(arm)
 
     def add_tip_forces(self, forces: Array, over: BoolArray) -> None:
-        """Add the forces of this period; arms without a running episode wait."""
+        """Add the forces of this control period; impulses of arms without a running episode are postponed."""
         self._wait -= 1
         for arm in np.flatnonzero((self._wait <= 0) & ~over).tolist():
             inner = self._inner[arm]
@@ -224,7 +224,7 @@ class _TipImpulse:
 
 
 class _TipLoad:
-    """Forces, N, at the tip with random directions; each is constant until the next change at a random time.
+    """Force, N, at the tip with a random direction, constant until it changes at random times.
 
     The first force acts from the start of the episode. The mean time between two changes is `impulse_gap`.
     """
@@ -234,7 +234,7 @@ class _TipLoad:
     shape = None
 
     def __init__(self, context: EffectContext, span: Range) -> None:
-        self._share, self._span = context.batch.control_period / context.impulse_gap, span
+        self._probability, self._span = context.batch.control_period / context.impulse_gap, span
         arms = len(context.batch.rows)
         self._inner: list[Any] = [None] * arms
         self._wait, self._forces = np.zeros(arms, dtype=np.int64), np.zeros((arms, 3))
@@ -249,25 +249,25 @@ class _TipLoad:
         self._inner[arm], self._wait[arm] = np.random.default_rng(stream.integers(2**63)), 0
 
     def add_tip_forces(self, forces: Array, over: BoolArray) -> None:
-        """Add the loads, after the changes due in this period."""
+        """Change the loads that are due, and add all loads."""
         for arm in np.flatnonzero((self._wait <= 0) & ~over).tolist():
             inner = self._inner[arm]
             size, direction = inner.uniform(*self._span), inner.normal(size=3)
             self._forces[arm] = size * direction / np.sqrt(direction @ direction)
-            self._wait[arm] = inner.geometric(self._share)
+            self._wait[arm] = inner.geometric(self._probability)
         self._wait -= 1
         forces += self._forces * ~over[:, None]
 
 
-MIN_FREQUENCY_RATIO, MAX_FREQUENCY_RATIO = 0.3, 3.0  # of the base motion and the first mode with locked motors
-RIGID_FREQUENCY = 1.0  # Hz; replaces the frequency of the first mode of a rigid arm
+MIN_FREQUENCY_RATIO, MAX_FREQUENCY_RATIO = 0.3, 3.0  # frequency of the base motion / first frequency, motors locked
+RIGID_FREQUENCY = 1.0  # Hz; used in place of the first natural frequency for a rigid arm
 
 
 class _BaseSway:
-    """Amplitude, m/s^2, of a sinusoidal acceleration of the base with random direction, frequency and phase.
+    """Sinusoidal acceleration of the base, m/s^2, with random amplitude, direction, frequency and phase.
 
-    The frequency is 0.3 to 3 times that of the first mode of the arm at zero angles with locked motors, drawn uniformly
-    on a logarithmic scale.
+    The frequency is 0.3 to 3 times the first natural frequency of the arm at zero angles with locked motors, drawn
+    uniformly on a logarithmic scale.
     """
 
     kind: ClassVar[type] = float
@@ -286,7 +286,7 @@ class _BaseSway:
         return non_negative(field, value)
 
     def draw(self, arm: int, stream: np.random.Generator) -> float:
-        """Return the amplitude, and draw direction, frequency and phase."""
+        """Draw direction, frequency and phase, and return the drawn amplitude."""
         inner = np.random.default_rng(stream.integers(2**63))
         direction, amplitude = inner.normal(size=3), float(inner.uniform(*self._span))
         frequency = self._first * np.exp(inner.uniform(np.log(MIN_FREQUENCY_RATIO), np.log(MAX_FREQUENCY_RATIO)))
@@ -299,7 +299,7 @@ class _BaseSway:
         self._sway[arms, :3] *= drawn[arms][:, None]
 
     def add_base_accelerations(self, accelerations: Array, over: BoolArray) -> None:
-        """Add the accelerations at the midpoint of this period."""
+        """Add the accelerations at the midpoint of this control period."""
         time = self._batch.time + 0.5 * self._batch.control_period
         size = np.sin(2.0 * np.pi * self._sway[:, 3] * time + self._sway[:, 4])
         accelerations += self._sway[:, :3] * (size * ~over)[:, None]

@@ -31,7 +31,7 @@ SENSORS: dict[str, Callable[[], Sensor]] = {
     "command": GoalCommand,
     "action": LastAction,
 }
-"""Named sensors: name -> function that returns one."""
+"""Named sensors: name -> function that returns a new sensor."""
 SENSOR_SETS = {"lab": ("motor_encoders", "joint_encoders", "strain", "command")}
 """Sets of sensors: name -> names in `SENSORS`."""
 SENSOR_NAMES = (*SENSORS, *SENSOR_SETS)
@@ -39,63 +39,63 @@ SENSOR_NAMES = (*SENSORS, *SENSOR_SETS)
 
 
 def find_sensors(value: object) -> tuple[object, ...]:
-    """Return the sensors for a name, a mapping, a Sensor, or a list of these.
+    """Return the sensors specified by a name, a mapping, a Sensor, or a list of these.
 
-    A mapping has a name at "kind" and flaws, see `Flaws`. The flaws of a set apply to all sensors in it that measure.
+    A mapping has the name of a sensor or of a set at "kind", and flaws, see `Flaws`. The flaws of a set apply to those
+    of its sensors that measure.
     """
     parts = value if isinstance(value, tuple | list) else (value,)
-    return tuple(sensor for part in parts for sensor in _found(part))
+    return tuple(sensor for part in parts for sensor in _find_part(part))
 
 
-def _found(part: object) -> tuple[object, ...]:
-    """Return the sensors of one name, mapping or object."""
+def _find_part(part: object) -> tuple[object, ...]:
+    """Return the sensors specified by one name or mapping, or a sensor object itself."""
     if isinstance(part, Mapping):
         if "kind" not in part:
             raise value_error("sensors", dict(part), "a mapping with the name of a sensor at kind, and its flaws")
         flaws = mapping("sensors", {name: value for name, value in part.items() if name != "kind"}, FLAWS)
         kind = text("sensors.kind", part["kind"])
-        result = [_flawed(sensor, flaws, kind in SENSOR_SETS) for sensor in _named(kind)]
-        return tuple(result)
-    return _named(part) if isinstance(part, str) else (part,)
+        return tuple(_with_flaws(sensor, flaws, kind in SENSOR_SETS) for sensor in _find_named(kind))
+    return _find_named(part) if isinstance(part, str) else (part,)
 
 
-def _named(name: str) -> tuple[Sensor, ...]:
-    """Return the sensors of a name of a sensor or a set."""
+def _find_named(name: str) -> tuple[Sensor, ...]:
+    """Return the sensor of a name, or the sensors of the name of a set."""
     one_of("sensors", name, SENSOR_NAMES)
     return tuple(SENSORS[each]() for each in SENSOR_SETS.get(name, (name,)))
 
 
-def _flawed(sensor: Any, flaws: Mapping[str, Any], of_set: bool) -> Sensor:
-    """Return the sensor with flaws, which override its own."""
+def _with_flaws(sensor: Any, flaws: Mapping[str, Any], in_set: bool) -> Sensor:
+    """Return a sensor with flaws, which override flaws of the same names; in a set only sensors that measure."""
     if isinstance(sensor, Instrument):
         return Instrument(sensor.sensor, **{**sensor.settings(), **flaws})
-    if not flaws or (of_set and getattr(sensor, "measures", True) == ()):
+    if not flaws or (in_set and getattr(sensor, "measures", True) == ()):
         return sensor
     return Instrument(sensor, **flaws)
 
 
 def plain_sensors(parts: tuple[object, ...]) -> list[Any]:
-    """Return the names and mappings from which `find_sensors` makes the same sensors.
+    """Return sensors as plain data: names and mappings from which `find_sensors` makes equal sensors.
 
     Args:
         parts: sensors.
 
     Raises:
-        ValueError: for a sensor of the user's own class.
+        ValueError: for a sensor of a class defined by the user.
     """
     return [_plain(part) for part in parts]
 
 
 def _plain(part: object) -> Any:
-    """Return the name or the mapping of a sensor."""
+    """Return the name of a sensor, or its mapping with a name at "kind" and flaws."""
     for name, make in SENSORS.items():
-        known: Any = make()
-        if known == part:
+        named: Any = make()
+        if named == part:
             return name
-        perfect, own = (known.sensor, known.flaws) if isinstance(known, Instrument) else (known, Flaws())
-        if isinstance(part, Instrument) and perfect == part.sensor:
-            both = {each: getattr(part.flaws, each) for each in FLAWS}
-            return {"kind": name, **{each: value for each, value in both.items() if value != getattr(own, each)}}
+        ideal, defaults = (named.sensor, named.flaws) if isinstance(named, Instrument) else (named, Flaws())
+        if isinstance(part, Instrument) and ideal == part.sensor:
+            flaws = {each: getattr(part.flaws, each) for each in FLAWS}
+            return {"kind": name, **{each: value for each, value in flaws.items() if value != getattr(defaults, each)}}
     raise value_error("sensors", part, "a sensor with a name; a file cannot hold an object of the user")
 
 

@@ -1,4 +1,4 @@
-"""Ideal sensors: measured quantities, full state, fine scale, servo errors, model state, command and action."""
+"""Ideal sensors: measured quantities, full state, scaled state, servo errors, model state, goal and last action."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,10 +18,10 @@ from flexman_gym.kernels.layout import LARGEST_STATE
 
 @dataclass(frozen=True)
 class Quantities:
-    """Measured quantities of the view side by side, such as ("motor_angles", "motor_rates").
+    """Measured quantities of the view, concatenated, such as ("motor_angles", "motor_rates").
 
-    A quantity with a limit is measured up to it. The other quantities saturate at their range: tip and root strains at
-    values that an arm within its limits hardly reaches, accelerations at 500 m/s^2.
+    The range of a quantity with a limit ends at this limit. Quantities without a limit saturate at their range: tip and
+    root strains at values that an arm within its limits hardly reaches, accelerations at 500 m/s^2.
 
     Attributes:
         names: names in `View.units`.
@@ -45,33 +45,33 @@ class Quantities:
             one_of("Quantities.names", name, view.units)
         bounds = [ranges[name] for name in self.names]
         ends = np.cumsum([0, *map(len, bounds)]).tolist()
-        places = [slice(*both) for both in pairwise(ends)]
-        # a quantity with a limit needs no clipping: beyond it the episode is over
+        columns = [slice(*pair) for pair in pairwise(ends)]
+        # a quantity with a limit is not clipped, because beyond its limit the episode terminates
         clipped = [None if name in view.slices else bound for name, bound in zip(self.names, bounds, strict=True)]
-        set_fields(self, _plan=list(zip(self.names, places, clipped, strict=True)))
+        set_fields(self, _columns=list(zip(self.names, columns, clipped, strict=True)))
         return [Entry(name, len(each), view.units[name], each) for name, each in zip(self.names, bounds, strict=True)]
 
     def read(self, view: View, out: Array) -> None:
         """Write the quantities into out (b, size)."""
-        for name, place, bound in self._plan:  # type: ignore[attr-defined]
+        for name, columns, bound in self._columns:  # type: ignore[attr-defined]
             if bound is None:
-                out[:, place] = getattr(view, name)
+                out[:, columns] = getattr(view, name)
             else:
-                np.maximum(getattr(view, name), -bound, out=out[:, place])
-                np.minimum(out[:, place], bound, out=out[:, place])
+                np.maximum(getattr(view, name), -bound, out=out[:, columns])
+                np.minimum(out[:, columns], bound, out=out[:, columns])
 
 
-NEAR = 0.1 / 8.5  # fraction of the reach; tip error at half of the largest nearness
+NEAR = 0.1 / 8.5  # fraction of the reach; tip error at which the nearness has the length 1/2
 
 
 @dataclass
 class FullState:
-    """Full mechanical state in physical quantities; its size does not depend on the fidelity of the model.
+    """Full mechanical state as physical quantities; its size does not depend on the fidelity of the model.
 
     For n joints: motor angles and rates, joint twists and their rates, deflections of the links and their rates, then
-    the goal: angle errors, the tip error as a vector and its nearness, and the velocity of the tip. `FlexManEnv` lists
-    units and bounds. The nearness is error / (NEAR reach + |error|): it resolves millimetres even after a normalisation
-    by the metres of a slew.
+    the goal: angle errors, target error, target nearness and tip velocity. `FlexManEnv` lists units and bounds. The
+    nearness is e / (NEAR reach + |e|) with the target error e (3,). It resolves millimetres even if observations are
+    normalised by their standard deviation, which is metres in a slew.
     """
 
     measures: ClassVar[tuple[str, ...]] = ("motion", "tip")
@@ -96,18 +96,18 @@ class FullState:
         )  # fmt: skip
 
 
-# Scales: fractions of the limits for motors and joints; fractions of the reach (and reaches per second) for the rest.
+# Scales of FineScale: fractions of the limits of motors and joints; fractions of the reach, or of the reach per second.
 ANGLE, RATE, TWIST, DEFLECTION, LENGTH, SPEED = 1 / 400, 1 / 500, 1 / 250, 1 / 2125, 1 / 425, 1 / 170
 
 
 @dataclass
 class FineScale:
-    """arcsinh(quantity / scale): linear below the scale and logarithmic above, so that a network resolves both ranges.
+    """State as arcsinh(quantity / scale), linear for values below the scale and logarithmic for larger values.
 
-    For n joints: motor rates, joint twists and their rates, deflections of the links and their rates, angle errors, the
-    tip error as a vector and the velocity of the tip. For `FlexRRR-v0` the scales are 0.02 rad/s, 0.004 rad, 0.02
-    rad/s, 0.004 m, 0.02 m/s, 0.01 rad, 0.02 m and 0.05 m/s; for other environments they follow from the limits and the
-    reach of the arm.
+    The logarithm lets a network resolve small and large values. For n joints: motor rates, joint twists and their
+    rates, deflections of the links and their rates, angle errors, target error and tip velocity. For `FlexRRR-v0` their
+    scales are 0.02 rad/s, 0.004 rad, 0.02 rad/s, 0.004 m, 0.02 m/s, 0.01 rad, 0.02 m and 0.05 m/s; in general they
+    follow from the limits and the reach of the arm.
     """
 
     measures: ClassVar[tuple[str, ...]] = ("motion", "tip")
@@ -124,7 +124,7 @@ class FineScale:
         self._scales = np.concatenate([np.full(len(largest[name]), scale) for name, scale in _scales(view, limits)])
         fine = np.arcsinh(np.concatenate(list(largest.values())) / self._scales)
         ends = np.cumsum([0, *map(len, largest.values())])
-        # margin for the rounding of a quantity at its bound
+        # the factor leaves a margin for rounding of a quantity at its bound
         return [
             Entry(f"fine_{name}", len(bound), "1", 1.0000001 * fine[first : first + len(bound)])
             for (name, bound), first in zip(largest.items(), ends, strict=False)
@@ -141,7 +141,7 @@ class FineScale:
 
 
 def _scales(view: View, limits: Limits) -> list[tuple[str, float]]:
-    """Return names and scales in the order of the entries."""
+    """Return pairs of name and scale in the order of the entries."""
     reach = view.reach
     return [
         ("motor_rates", RATE * limits.rate),
@@ -157,12 +157,12 @@ def _scales(view: View, limits: Limits) -> list[tuple[str, float]]:
 
 @dataclass
 class ServoErrors:
-    """Angle errors (goal - angle) and rates of the motors, and the rates of a moving goal."""
+    """Servo errors: goal angles - motor angles, motor rates, and the rates of a moving goal."""
 
     measures: ClassVar[tuple[str, ...]] = ("motor_angles", "motor_rates")
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
-        """Return the entries of errors and rates."""
+        """Return the entries of the angle errors, the motor rates and the goal rates."""
         return [
             Entry("angle_errors", view.n_joints, "rad", 2 * limits.angle),
             Entry("motor_rates", view.n_joints, "rad/s", limits.rate),
@@ -170,7 +170,7 @@ class ServoErrors:
         ]
 
     def read(self, view: View, out: Array) -> None:
-        """Write errors and rates into out (b, 3 n)."""
+        """Write angle errors, motor rates and goal rates into out (b, 3 n)."""
         n = view.n_joints
         np.subtract(view.goal_angles, view.motor_angles, out=out[:, :n])
         out[:, n : 2 * n], out[:, 2 * n :] = view.motor_rates, view.goal_rates
@@ -193,9 +193,9 @@ class ModelState:
 
 @dataclass
 class GoalCommand:
-    """Present goal: angles and rates of the motors, target of the tip in the base frame and its velocity.
+    """Current goal: motor angles and rates, and position and velocity of the target in the base frame.
 
-    A task with a path may add future positions, see `Track`.
+    A task may add further sensors of its goal, such as the preview of `Track`.
     """
 
     measures: ClassVar[tuple[str, ...]] = ()
@@ -218,10 +218,10 @@ class GoalCommand:
 
 @dataclass
 class LastAction:
-    """Commanded torques of the last control period as fractions of the torque limits; 0 at first.
+    """Commanded torques of the last control period as fractions of the torque limits; 0 at the start of an episode.
 
-    They are the sum of agent and base after clipping. Delay, friction and other effects between the command and the
-    torque of a motor are not included.
+    They are the clipped sum of the torques of agent and base controller, before delay, lag and torque limits of the
+    motors.
     """
 
     measures: ClassVar[tuple[str, ...]] = ()

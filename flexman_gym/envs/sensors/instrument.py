@@ -1,4 +1,4 @@
-"""Instrument: a sensor with flaws that act on the measured quantities before any quantity is derived from them."""
+"""Instrument: a sensor with noise, bias, quantisation, delay, slow sampling or dropped samples."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -13,22 +13,21 @@ from flexman_gym.envs.random_streams import TruncatedNoise
 from flexman_gym.envs.sensors.sensor import DEFAULT_QUANTITIES, Entry, MeasuredView, Sensor
 from flexman_gym.envs.view import View
 
-MIN_QUANTISATION = 1e-12  # fraction of the range
-MAX_PERIODS = 1000  # control periods of a delay or between two samples
+MIN_QUANTISATION = 1e-12  # fraction of the range; smallest quantisation step
+MAX_PERIODS = 1000  # control periods; largest delay, and longest time between two samples
 
 
 @dataclass(frozen=True, eq=False)
 class Flaws:
-    """Flaws of an instrument. Fractions refer to the range of each quantity.
+    """Flaws of an instrument; fractions are fractions of the measurement range of each quantity.
 
     Attributes:
-        noise: standard deviation of normal noise on each sample, a fraction; numbers beyond 4 standard deviations are
-            drawn again.
-        bias: largest bias of each quantity, a fraction; drawn uniformly once per episode.
-        quantisation: smallest difference of two readings, a fraction.
-        delay: control periods until a sample arrives; before that the first sample is read.
+        noise: standard deviation of the normal noise on each sample, a fraction; truncated at 4 standard deviations.
+        bias: largest magnitude of the bias, a fraction; the bias is drawn uniformly once per episode.
+        quantisation: quantisation step, a fraction.
+        delay: control periods until a sample arrives; before the first arrival the first sample is read.
         every: control periods between two samples.
-        dropped: probability that a sample is lost and the previous one is read.
+        dropped: probability of losing a sample, in whose place the previous sample is read.
     """
 
     noise: float = 0.0
@@ -61,15 +60,15 @@ FLAWS = tuple(each.name for each in fields(Flaws))
 class Instrument:
     """Sensor with flaws: `Instrument(FullState(), noise=0.001, delay=1)`.
 
-    The flaws act on the quantities in the sensor's `measures`; without this attribute on motion, tip and deflection.
-    Several readings in one control period are equal.
+    The flaws act on the quantities named in the sensor's attribute `measures`, by default motion, tip and deflection,
+    before errors and other quantities are derived from them. Repeated readings in one control period are equal.
 
     Args:
-        sensor: a Sensor.
-        **flaws: see `Flaws`.
+        sensor: sensor without flaws.
+        **flaws: arguments of `Flaws`.
 
     Raises:
-        ValueError: for an unknown flaw, and for a sensor without measured quantities.
+        ValueError: for flaws that are not allowed, and for a sensor without measured quantities.
     """
 
     state_fields = ("measured", "_held", "_late", "_bias", "_ages", "_noise")
@@ -94,7 +93,7 @@ class Instrument:
         return type(self)(self.sensor, **self.settings())
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
-        """Return the entries of the sensor and allocate the stored samples."""
+        """Return the entries of the sensor without flaws, and allocate the stored samples."""
         arms, flaws = len(view.motion), self.flaws
         self.measured = MeasuredView(view, limits, self.measures)
         size = len(self.measured.bound)
@@ -104,7 +103,7 @@ class Instrument:
         return self.sensor.entries(self.measured, limits)  # type: ignore[arg-type]
 
     def begin(self, arm: int, stream: np.random.Generator) -> None:
-        """Start an episode of an arm with two draws of its stream."""
+        """Start an episode of an arm, with two draws from its random stream."""
         self._noise.begin(arm, stream)
         inner = np.random.default_rng(stream.integers(2**63))
         bound = self.measured.bound
@@ -112,7 +111,7 @@ class Instrument:
         self._ages[arm] = 0
 
     def sample(self, arms: IntArray) -> None:
-        """Sample the arms (r,), once per control period and once at the start of an episode."""
+        """Sample the arms with the indices (r,): once at the start of an episode and once per control period."""
         if not len(arms):
             return
         measured, flaws = self.measured, self.flaws
@@ -135,7 +134,7 @@ class Instrument:
         measured.clip()
 
     def _delayed(self, at: Any, first: Array) -> Array:
-        """Return the samples (r, size) that arrive now, and store those of this period."""
+        """Return the samples (r, size) that arrive in this control period, and store the new samples."""
         late, held = self._late, self._held[at]
         if not self.flaws.delay:
             return held
@@ -147,16 +146,16 @@ class Instrument:
         return result
 
     def read(self, view: View, out: Array) -> None:
-        """Write the readings of the sensor, from the measured quantities, into out (b, size)."""
+        """Write the readings, computed by the sensor from the measured quantities, into out (b, size)."""
         self.sensor.read(self.measured, out)  # type: ignore[arg-type]
 
     def refresh(self) -> None:
-        """Derive quantities again after the stored state was replaced."""
+        """Derive quantities again after the state was replaced."""
         self.measured.refresh()
 
 
 def _uniform(normal: Array) -> Array:
-    """Map standard normal numbers to uniform ones in [0, 1] by their distribution function."""
+    """Map standard normal numbers to uniform numbers in [0, 1] by the normal distribution function."""
     from scipy.special import ndtr
 
     result: Array = ndtr(normal)

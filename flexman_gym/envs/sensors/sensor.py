@@ -1,4 +1,4 @@
-"""Sensor protocol, and the view of measured quantities with their ranges."""
+"""Sensor protocol, and the view of quantities measured by instruments."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -11,7 +11,7 @@ from flexman_gym.envs.view import View
 
 
 class Entry(NamedTuple):
-    """Named part of an observation: number of values, unit, and largest magnitude (one number, or one per value)."""
+    """Part of an observation: name, number of values, unit, and largest magnitude (a number, or one per value)."""
 
     name: str
     size: int
@@ -23,46 +23,45 @@ class Entry(NamedTuple):
 class Sensor(Protocol):
     """Protocol of a sensor; a class with these two methods needs no base class.
 
-    A sensor reads only the view and stores nothing about an arm. Its reading of one arm must not depend on the other
-    arms, to the last bit (no matrix products over the arms). An environment copies the sensor and calls `entries`
-    first.
+    A sensor is a function of the view, without state. Its reading of an arm must not depend on other arms, to the last
+    bit (no matrix products over the arms). An environment copies the sensor and first calls `entries`.
 
-    Noise and other flaws act on the measured quantities before the sensor derives others from them. The optional
-    attribute `measures` names these quantities: () for none; without it motion, tip and deflection.
+    The optional attribute `measures` names the measured quantities, on which noise and other flaws act before the
+    sensor derives further quantities from them: () if nothing is measured, by default motion, tip and deflection.
     """
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
-        """Return the entries in order.
+        """Return the entries in the order of the readings.
 
         While an arm is within its limits, no reading may exceed the bound of its entry.
         """
         ...
 
     def read(self, view: View, out: Array) -> None:
-        """Write the readings into out (b, size), the entries side by side."""
+        """Write the readings, in the order of the entries, into out (b, size)."""
         ...
 
 
-DEFAULT_QUANTITIES = ("motion", "tip", "deflection", "deflection_rate")  # measured by a sensor without `measures`
-DERIVED = {"tip": ("target_error", "tip_error"), "deflection_rate": ("tip_vibration",)}
-STRAIN_RANGE = 2.0  # ratio to the root strain of a link bent to its limit by a tip force
-ACCELERATION_RANGE = 51.0  # g; 500 m/s^2
+DEFAULT_QUANTITIES = ("motion", "tip", "deflection", "deflection_rate")  # `measures` of a sensor without this attribute
+DERIVED = {"tip": ("target_error", "tip_error"), "deflection_rate": ("tip_vibration",)}  # measured -> derived ones
+STRAIN_RANGE = 2.0  # range of root strains / root strain of a link deflected to its limit by a tip force
+ACCELERATION_RANGE = 51.0  # g (500 m/s^2); range of accelerations
 
 
 class MeasuredView:
-    """View of measured quantities, with the attributes of a View; sensors can read either.
+    """View of measured quantities with the attributes of a View, so that sensors can read both kinds of views.
 
-    Measured quantities may differ from the true ones within their ranges. Errors of tip and angles are derived from the
-    measured quantities, so that a sensor contains no more information than the instruments.
+    Tip error and tip vibration are derived from the measured quantities, so that a sensor contains no more information
+    than the instruments.
 
     Args:
         view: view of the true quantities.
         limits: limits of the arm.
-        names: measured quantities.
+        names: names of the measured quantities.
 
     Attributes:
-        values: (b, size) measured quantities side by side; an instrument overwrites them, then calls `clip`.
-        bound: (size,) largest measured magnitude of each.
+        values: (b, size) measured quantities, concatenated; an instrument overwrites them, then calls `clip`.
+        bound: (size,) largest magnitude of each value, the end of its measurement range.
     """
 
     state_fields = ("values",)
@@ -91,25 +90,21 @@ class MeasuredView:
         return getattr(self.__dict__["_view"], name)
 
     def copy_true(self, arms: IntArray | slice) -> None:
-        """Copy the true quantities of some arms."""
+        """Copy the true quantities of arms, given by their indices or a slice."""
         for name, part in self._parts:
             part[arms] = getattr(self._view, name)[arms]
 
     def clip(self) -> None:
-        """Clip the values to their ranges and derive other quantities from them."""
+        """Clip the values to their ranges, and derive tip error and tip vibration from them."""
         np.maximum(self.values, -self.bound, out=self.values)
         np.minimum(self.values, self.bound, out=self.values)
-        self.derive()
+        self.refresh()
 
-    def derive(self) -> None:
-        """Derive errors and vibration from the measured quantities, for the present goals."""
+    def refresh(self) -> None:
+        """Derive tip error and tip vibration from the values, for the current goals."""
         for name, derive in self._derive.items():
             if name in self._names:
                 derive()
-
-    def refresh(self) -> None:
-        """Derive quantities again after the values were replaced."""
-        self.derive()
 
     def _errors(self) -> None:
         self.target_error = self._view.target - self.tip
@@ -120,7 +115,7 @@ class MeasuredView:
 
 
 def measurement_ranges(view: View, limits: Limits) -> dict[str, Array]:
-    """Return the largest measured magnitude of each quantity, by name; its limit where it has one."""
+    """Return quantity -> (size,) end of its measurement range, which is its limit for a quantity with a limit."""
     limited, n = limits.bounds(view), view.n_joints
     strain = STRAIN_RANGE * 3.0 * limits.deflection * view.gauge_radii / view.lengths[:, None]
     return {

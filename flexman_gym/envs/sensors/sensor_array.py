@@ -1,4 +1,4 @@
-"""Sensor array: several sensors side by side, which form an observation."""
+"""Sensor array: sensors whose concatenated readings form an observation."""
 
 from collections.abc import Sequence
 from copy import copy
@@ -16,26 +16,27 @@ from flexman_gym.envs.view import View
 
 
 class SensorArray:
-    """Sensors side by side.
+    """Sensors of b arms, whose readings are concatenated.
 
     Args:
-        parts: Sensors, which are copied.
-        view: a View, or the view of its measured quantities.
+        parts: sensors; the array contains copies of them.
+        view: a View, or a MeasuredView.
         limits: limits of the arm.
         label: name that seeds the random streams of the instruments.
-        agent_sensors: sensors of the agent. Ideal sensors here read the quantities measured by an instrument here or,
-            if there is none, by the agent's sensors; of two entries with the same name the first counts.
+        agent_sensors: for the sensors of an action mode the sensor array of the agent. An ideal sensor then reads a
+            quantity as measured by an instrument of this array, else as measured by the agent's sensors, and entries
+            may have equal names, of which the first is used.
 
     Attributes:
-        slices: name -> slice of the observation.
-        units: name -> unit.
+        slices: name of an entry -> its slice of the observation.
+        units: name of an entry -> its unit.
         bound: (size,) largest magnitude of each value.
-        observations: (b, size) last readings; the next reading overwrites them.
-        readings: name -> (b, ...) its part of the observations.
-        shared: view in which each quantity is the one measured by the first of the sensors.
+        observations: (b, size) last readings, overwritten by the next reading.
+        readings: name of an entry -> (b, ...) its part of the observations.
+        shared: view in which each quantity is that measured by the first of the sensors.
 
     Raises:
-        ValueError: for an object that is not a sensor, and for two entries with the same name.
+        ValueError: for an object that is not a sensor; without agent_sensors also for two entries with equal names.
     """
 
     state_fields = ("_instruments", "_streams")
@@ -50,33 +51,31 @@ class SensorArray:
     ) -> None:
         self.slices: dict[str, slice] = {}
         self.units: dict[str, str] = {}
-        self._instruments: list[Instrument] = []
-        places: list[tuple[Sensor, slice]] = []
+        columns: list[slice] = []
         bounds, end = [np.zeros(0)], 0
-        copies = [_copy_sensor(part) for part in parts]
-        seen: Any = view
-        if agent_sensors:
-            seen = _SharedView(agent_sensors.shared, [own for own in copies if isinstance(own, Instrument)])
-        for own in copies:
+        sensors = [_copy_sensor(part) for part in parts]
+        self._instruments = [each for each in sensors if isinstance(each, Instrument)]
+        source: Any = _SharedView(agent_sensors.shared, self._instruments) if agent_sensors else view
+        for sensor in sensors:
             first = end
-            for name, size, unit, bound in own.entries(view if isinstance(own, Instrument) else seen, limits):
+            for name, size, unit, bound in sensor.entries(view if isinstance(sensor, Instrument) else source, limits):
                 if name in self.slices and not agent_sensors:
                     raise value_error("sensors", name, "each entry once: two sensors have it")
                 if name not in self.slices:
                     self.slices[name], self.units[name] = slice(end, end + size), unit
                 end += size
                 bounds.append(np.ones(size) * np.asarray(bound))
-            places.append((own, slice(first, end)))
-            self._instruments += [own] if isinstance(own, Instrument) else []
+            columns.append(slice(first, end))
         self.bound: Array = np.concatenate(bounds)
         self.observations = np.zeros((len(view.motion), end))
-        self.readings = {name: self.observations[:, place] for name, place in self.slices.items()}
-        self.shared: Any = _SharedView(view, [own for own, _ in places])
-        self._view, self._outs = seen, [(part, self.observations[:, place]) for part, place in places]
+        self.readings = {name: self.observations[:, part] for name, part in self.slices.items()}
+        self.shared: Any = _SharedView(view, sensors)
+        outputs = [self.observations[:, part] for part in columns]
+        self._view, self._sensors = source, list(zip(sensors, outputs, strict=True))
         self._streams = RandomStreams([f"{label}.{i}" for i in range(len(self._instruments))], len(view.motion))
 
     def begin(self, arms: IntArray, randoms: Sequence[np.random.Generator]) -> None:
-        """Start new episodes of the arms (r,), each with the generator of its environment, and sample them."""
+        """Start new episodes of the arms (r,), each with its random generator, and sample the arms."""
         for arm, random in zip(arms.tolist(), randoms, strict=True):
             streams = self._streams.generators(arm, random).values()
             for instrument, stream in zip(self._instruments, streams, strict=True):
@@ -84,17 +83,17 @@ class SensorArray:
         self.sample(arms)
 
     def sample(self, arms: IntArray) -> None:
-        """Sample the arms (r,), once per control period."""
+        """Sample the arms with the indices (r,), once per control period."""
         for instrument in self._instruments:
             instrument.sample(arms)
 
     def read(self) -> None:
-        """Read the present samples of all arms."""
-        for part, out in self._outs:
-            part.read(self._view, out)
+        """Write the current readings of all arms into `observations`."""
+        for sensor, output in self._sensors:
+            sensor.read(self._view, output)
 
     def refresh(self, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Read again after the stored state and the generators of all arms were replaced."""
+        """Read again after the state and the random generators of all arms were replaced."""
         self._streams.set_generators(randoms)
         for instrument in self._instruments:
             instrument.refresh()
@@ -102,7 +101,7 @@ class SensorArray:
 
 
 def _copy_sensor(part: object) -> Any:
-    """Return a copy of a sensor after a check."""
+    """Return a copy of a sensor after a check of its members."""
     if not isinstance(part, Sensor):
         raise value_error("sensors", part, "a Sensor: an object with the methods entries and read")
     check_member_names("sensors", part, ("measures",), ("measured",))
@@ -110,9 +109,9 @@ def _copy_sensor(part: object) -> Any:
 
 
 class _SharedView:
-    """View in which each measured quantity comes from the first instrument that measures it.
+    """View in which each quantity is that measured by the first of some sensors.
 
-    All others come from the true view.
+    A quantity measured by an ideal sensor, or by no sensor, is that of a given view.
     """
 
     def __init__(self, view: View, parts: Sequence[object]) -> None:
@@ -128,11 +127,11 @@ class _SharedView:
 
 
 def measured_names(parts: Sequence[object]) -> list[str]:
-    """Return the names of all measured quantities of sensors."""
+    """Return the names of all quantities measured by sensors."""
     return [name for part in parts for name in getattr(part, "measures", DEFAULT_QUANTITIES)]
 
 
 def _with_derived(names: Sequence[str], view: View) -> list[str]:
-    """Return names of quantities together with those derived from them."""
+    """Return names of measured quantities and of the quantities derived from them."""
     derived = [each for name in names for each in DERIVED.get(name, ())]
     return [*names, *derived, *(view.slices if "motion" in names else ())]

@@ -1,4 +1,4 @@
-"""Tasks: start, goal, reward and observed goal of an episode."""
+"""Tasks: start, goal, reward and sensors of the goal."""
 
 from dataclasses import asdict, fields
 from typing import Any
@@ -14,7 +14,7 @@ TASKS: dict[str, type[Any]] = {"slew": Slew, "track": Track, "hold": Hold}
 
 
 def find_task(value: object) -> Task:
-    """Return a task from its name, a mapping with its name at "kind" and its arguments, or a Task object."""
+    """Return the task specified by its name, by a mapping with its name at "kind" and its arguments, or an object."""
     if isinstance(value, str):
         value = {"kind": value}
     if isinstance(value, dict) and "kind" in value:
@@ -29,13 +29,13 @@ def find_task(value: object) -> Task:
 
 
 def plain_task(task: Any) -> dict[str, Any]:
-    """Return the mapping of a task from which `find_task` makes an equal one.
+    """Return a task as plain data: a mapping from which `find_task` makes an equal task.
 
     Args:
-        task: the task.
+        task: a task of this library.
 
     Raises:
-        ValueError: for a task of the user's own class.
+        ValueError: for a task of a class defined by the user.
     """
     for name, kind in TASKS.items():
         if type(task) is kind:

@@ -10,7 +10,7 @@ from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import non_negative, positive, set_fields, vector
 from flexman_gym.envs.sensors.sensor import Sensor
 from flexman_gym.envs.tasks.rewards import distance_reward
-from flexman_gym.envs.tasks.task import MOVING_METRICS, Goal
+from flexman_gym.envs.tasks.task import TRACKING_METRICS, Goal
 from flexman_gym.envs.view import Number, View
 
 
@@ -32,8 +32,8 @@ class Hold:
     Reward
         At most 1 per control period, the sum of these terms:
             distance       1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2) with tip error e, speed v of
-                           the tip, n = R / 425 and f = R / 1.7 for a reach R (20 mm and 5 m for 8.5 m)
-            failure        -failure_penalty when the step ended the episode by a limit or a divergence
+                           the tip, n = R / 425 and f = R / 1.7 for a reach R (20 mm and 5 m for R = 8.5 m)
+            failure        -failure_penalty if the arm exceeded a limit or its simulation diverged, else 0
 
     Start
         At rest, at motor angles drawn uniformly from [-start, start]. The target is the initial position of the tip.
@@ -43,20 +43,20 @@ class Hold:
         Truncated after the horizon of the environment; terminated by a failure.
 
     Arguments
-        Each disturbance is drawn uniformly from its range (low, high); a randomisation of the environment may change or
-        disable each of them by its name.
+        Magnitudes of disturbances are drawn uniformly from ranges (low, high). The ranges tip_impulse, tip_load and
+        base_sway of the setting randomisation override those of the task; None disables a disturbance.
 
     Version history
         v0: first version.
 
     Attributes:
         start: largest initial motor angle, rad.
-        impulse: range of the impulses, N s; each is a force of one control period.
-        load: range of the load, N.
-        sway: range of the amplitude of the base acceleration, m/s^2; its frequency is 0.3 to 3 times that of the first
-            mode of the arm.
-        gap: mean time between two impulses and between two changes of the load, s.
-        failure_penalty: reward lost by a failure, >= 0.
+        impulse: range of the impulses at the tip, N s; each is a force during one control period.
+        load: range of the changing force at the tip, N.
+        sway: range of the amplitude of the base acceleration, m/s^2; its frequency is 0.3 to 3 times the first natural
+            frequency of the arm with locked motors.
+        gap: mean time between two impulses, and between two changes of the load, s.
+        failure_penalty: penalty subtracted from the reward after a failure, >= 0.
     """
 
     start: float = 0.8
@@ -67,7 +67,7 @@ class Hold:
     failure_penalty: float = 10.0
     sensors: ClassVar[tuple[Sensor, ...]] = ()
     moves: ClassVar[bool] = False
-    metrics: ClassVar[tuple[str, ...]] = MOVING_METRICS
+    metrics: ClassVar[tuple[str, ...]] = TRACKING_METRICS
 
     def __post_init__(self) -> None:
         set_fields(
@@ -87,12 +87,12 @@ class Hold:
         }  # fmt: skip
 
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
-        """Draw the initial motor angles (n,), rad, of one episode."""
+        """Draw the start of one episode, motor angles (n,) in rad."""
         return {"start": random.uniform(-self.start, self.start, view.n_joints)}
 
-    def goal(self, plan: Mapping[str, Array], time: Array, view: View) -> Goal:
-        """Return the initial position of the tip as the goal."""
-        return Goal(view.rest_tips(plan["start"]), plan["start"])
+    def goal(self, parameters: Mapping[str, Array], time: Array, view: View) -> Goal:
+        """Return the initial positions of the tips and the initial motor angles as goals."""
+        return Goal(view.rest_tips(parameters["start"]), parameters["start"])
 
     def reward_terms(self, view: View) -> dict[str, Number]:
         """Return the terms of the reward, see the class."""
@@ -102,5 +102,5 @@ class Hold:
         }
 
     def info(self, view: View) -> dict[str, Number]:
-        """Return no entries of its own."""
+        """Return no additional entries."""
         return {}

@@ -1,8 +1,6 @@
-"""Rewards: distance reward, and the reward terms of a task with weights or a user's function."""
+"""Rewards: the distance reward, and reward terms with weights or a reward function of the user."""
 
-from collections.abc import Callable, Mapping
-from functools import reduce
-from operator import add
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,32 +9,34 @@ from flexman_gym.common.arrays import Array, row_dots
 from flexman_gym.common.checks import mapping, short_repr
 from flexman_gym.envs.view import Number, View
 
-# fractions of the reach; distances of reward near 1 and of 0, and time (s) by which a velocity counts as a distance
-NEAR, FAR, LOOK_AHEAD = 1.0 / 425.0, 1.0 / 1.7, 0.1
+NEAR, FAR = 1.0 / 425.0, 1.0 / 1.7  # fractions of the reach; n and f of `distance_reward`
+LOOK_AHEAD = 0.1  # s; weight of the velocity relative to the tip error in `distance_reward`
 
 
 def distance_reward(view: View, velocity: Array) -> Number:
-    """Return a logarithmic reward of the tip error and a velocity.
+    """Return the distance reward, a logarithm of the tip error and a velocity.
 
     The reward is 1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2) with the tip error e, the magnitude v of the
-    velocity, n = R / 425 and f = R / 1.7 for a reach R (20 mm and 5 m for 8.5 m). It is 1 at rest on the target, 0 at
-    the distance f and negative beyond, and increases from metres down to millimetres.
+    velocity, n = R / 425 and f = R / 1.7 for a reach R (20 mm and 5 m for R = 8.5 m). It is 1 at rest on the target, 0
+    at rest at the distance f, and negative for larger distances. It changes noticeably at errors of metres and of
+    millimetres.
 
     Args:
         view: view of the arms.
-        velocity: (..., 3) m/s, of the tip, or relative to a moving target.
+        velocity: (..., 3) velocity of the tip, for a moving target relative to the target, m/s.
     """
-    near, far, moving = NEAR * view.reach, FAR * view.reach, LOOK_AHEAD * velocity
-    square = view.tip_error * view.tip_error + row_dots(moving, moving)
+    near, far, displacement = NEAR * view.reach, FAR * view.reach, LOOK_AHEAD * velocity
+    square = view.tip_error * view.tip_error + row_dots(displacement, displacement)
     return 1.0 - np.log1p(square / near**2) / np.log1p((far / near) ** 2)
 
 
 def make_reward_terms(task: Any, reward: Any) -> Callable[[View], dict[str, Number]]:
-    """Return the function that computes the reward terms of a View.
+    """Return the function that computes the reward terms of a View by name.
 
     Args:
-        task: task with terms of its own.
-        reward: None; weights of terms; or a function of a View, whose result is the only term, "own".
+        task: task with the method `reward_terms`.
+        reward: None for the terms of the task, a mapping of weights of these terms, or a function of a View; the result
+            of the function is the only term and has the name "own".
     """
     if reward is None:
         terms: Callable[[View], dict[str, Number]] = task.reward_terms
@@ -50,15 +50,6 @@ def make_reward_terms(task: Any, reward: Any) -> Callable[[View], dict[str, Numb
         return {name: reward.get(name, 1.0) * each for name, each in terms.items()}
 
     return weighted
-
-
-def sum_terms(terms: Mapping[str, Number]) -> Number:
-    """Return the sum of the terms in their order.
-
-    The built-in `sum` compensates the rounding of floats from Python 3.12 on, but not that of arrays: the reward of a
-    single arm would then differ in the last bit from that of the same arm among others.
-    """
-    return reduce(add, terms.values(), 0.0)
 
 
 def _call_reward(reward: Callable[[View], Number], view: View) -> Number:

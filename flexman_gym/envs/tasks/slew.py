@@ -13,15 +13,11 @@ from flexman_gym.envs.tasks.rewards import distance_reward
 from flexman_gym.envs.tasks.task import Goal
 from flexman_gym.envs.view import Number, View
 
-BELL_WIDTHS = (
-    2.0 / 8.5,
-    0.4 / 8.5,
-    0.08 / 8.5,
-)  # fractions of the reach; widths of the three bell curves of the tip error
-# exponential reward: term -> weight, and length as a fraction of the reach
-CLOSENESS = {"far": (0.1, 0.6 / 8.5), "near": (0.25, 0.15 / 8.5), "at_goal": (0.65, 0.03 / 8.5)}
-SLEW_SEED, MAX_SLEWS = 8_500, 100_000  # seed and largest number of the pairs of start and goal
-VIBRATION_SCALE = 0.3 / 8.5  # reaches per second; tip vibration at half of its reward
+BELL_WIDTHS = (2.0 / 8.5, 0.4 / 8.5, 0.08 / 8.5)  # fractions of the reach; widths w of the reward "bells"
+# reward "exponential": term -> weight, and length l as a fraction of the reach
+EXPONENTIAL_TERMS = {"far": (0.1, 0.6 / 8.5), "near": (0.25, 0.15 / 8.5), "at_goal": (0.65, 0.03 / 8.5)}
+PAIRS_SEED, MAX_PAIRS = 8_500, 100_000  # seed of the pairs of start and goal, and their largest number
+VIBRATION_SCALE = 0.3 / 8.5  # fraction of the reach per second; tip vibration at which its reward term is halved
 
 
 @dataclass(frozen=True)
@@ -38,27 +34,27 @@ class Slew:
         Those of the sensors of the environment; the task adds none.
 
     Reward
-        Per control period in [0, 1], less a penalty for a failure. R is the reach of the arm; values in brackets are
-        for 8.5 m. The sum of these terms:
-            tip_error      0.7 times the mean over the widths w of 1 / (1 + (tip error / w)^2); w is R times 0.24, 0.047
-                           and 0.0094 (2, 0.4 and 0.08 m)
+        The reward of a control period is the sum of the following terms: from 0 to 1, minus a penalty after a failure.
+        R is the reach of the arm, e the tip error and v the speed of the tip; values in brackets are for R = 8.5 m.
+            tip_error      0.7 times the mean of 1 / (1 + (e / w)^2) over three widths w, which are 0.24 R, 0.047 R and
+                           0.0094 R (2, 0.4 and 0.08 m)
             tip_vibration  0.2 / (1 + (tip vibration / (0.035 R / s))^2)  (0.3 m/s)
-            effort         0.1 (1 - mean of the squared actions)
-            failure        -failure_penalty when the step ended the episode by a limit or a divergence
-        With reward="distance" a single term replaces tip_error, tip_vibration and effort. It increases from metres down
-        to millimetres of the tip error e and depends on the speed v of the tip:
+            effort         0.1 (1 - mean square of the commanded torques as fractions of their limits)
+            failure        -failure_penalty if the arm exceeded a limit or its simulation diverged, else 0
+        With reward="distance" one term replaces tip_error, tip_vibration and effort. It changes noticeably at errors of
+        metres and of millimetres:
             distance       1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2), n = R / 425 (20 mm), f = R / 1.7
                            (5 m)
-        It is 1 at rest on the target, 0 at a distance f and negative beyond.
-        With reward="exponential" the reward is the sum, in [0, 1], of weights times exp(-e / l) for three lengths l. It
-        suits policies that shape the motion of a controller with a stop of its own:
-            far, near, at_goal    0.1, 0.25 and 0.65 for l = R times 0.071, 0.018 and 0.0035 (0.6, 0.15 and 0.03 m)
+        It is 1 at rest on the target, 0 at rest at the distance f, and negative for larger distances.
+        With reward="exponential" three terms replace them, weights times exp(-e / l) for three lengths l. This reward
+        suits policies for reference shaping, where the base controller stops the arm:
+            far, near, at_goal    weights 0.1, 0.25 and 0.65; l = 0.071 R, 0.018 R and 0.0035 R (0.6, 0.15 and 0.03 m)
 
     Start
-        At rest at motor angles drawn uniformly from [-start, start], deformed only by gravity. The target is the
-        position of the resting tip at a goal posture drawn uniformly within +-slew of the start, so it can always be
-        reached. The options "start" and "goal_angles" of a reset set both postures; "start_tip" and "goal_tip" set them
-        by positions of the tip, see `FlexManEnv`.
+        At rest at motor angles drawn uniformly from [-start, start], deformed only by gravity. The goal posture differs
+        from the start by angles drawn uniformly from [-slew, slew]. The target is the tip position of the arm at rest
+        at the goal posture and can therefore always be reached. The options "start" and "goal_angles" of a reset set
+        both postures; "start_tip" and "goal_tip" set them by tip positions, see `FlexManEnv`.
 
     End
         Truncated after the horizon of the environment; terminated by a failure.
@@ -72,10 +68,10 @@ class Slew:
     Attributes:
         start: largest initial motor angle, rad.
         slew: largest change of a motor angle from the start to the goal, rad.
-        failure_penalty: reward lost by a failure, >= 0.
-        reward: "bells", "distance" or "exponential".
+        failure_penalty: penalty subtracted from the reward after a failure, >= 0.
+        reward: "bells" (tip_error, tip_vibration and effort), "distance" or "exponential".
         pairs: number of different pairs of start and goal, from which each episode draws one; 0 for no restriction.
-            Controllers with planning cache the plans of known pairs, so few pairs speed up training.
+            Base controllers store the reference trajectories of known pairs, so that few pairs speed up training.
 
     Examples:
         >>> import gymnasium as gym
@@ -100,19 +96,19 @@ class Slew:
             slew=positive("Slew.slew", self.slew, "rad"),
             failure_penalty=non_negative("Slew.failure_penalty", self.failure_penalty),
             reward=one_of("Slew.reward", self.reward, ("bells", "distance", "exponential")),
-            pairs=whole_number("Slew.pairs", self.pairs, 0, MAX_SLEWS),
+            pairs=whole_number("Slew.pairs", self.pairs, 0, MAX_PAIRS),
         )
 
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
         """Draw the start and goal postures (n,), rad, of one episode."""
         if self.pairs:
-            random = np.random.default_rng([SLEW_SEED, int(random.integers(self.pairs))])
+            random = np.random.default_rng([PAIRS_SEED, int(random.integers(self.pairs))])
         start = random.uniform(-self.start, self.start, view.n_joints)
         return {"start": start, "goal_angles": start + random.uniform(-self.slew, self.slew, view.n_joints)}
 
-    def goal(self, plan: Mapping[str, Array], time: Array, view: View) -> Goal:
-        """Return the goal posture, and the position of the resting tip there."""
-        return Goal(view.rest_tips(plan["goal_angles"]), plan["goal_angles"])
+    def goal(self, parameters: Mapping[str, Array], time: Array, view: View) -> Goal:
+        """Return the goal postures, and the tip positions of the arm at rest at them."""
+        return Goal(view.rest_tips(parameters["goal_angles"]), parameters["goal_angles"])
 
     def reward_terms(self, view: View) -> dict[str, Number]:
         """Return the terms of the reward, see the class."""
@@ -121,21 +117,18 @@ class Slew:
             return {"distance": distance_reward(view, view.tip_velocity), "failure": failure}
         if self.reward == "exponential":
             terms = {name: weight * np.exp(-view.tip_error / (length * view.reach))
-                     for name, (weight, length) in CLOSENESS.items()}  # fmt: skip
+                     for name, (weight, length) in EXPONENTIAL_TERMS.items()}  # fmt: skip
             return {**terms, "failure": failure}
-        square, vibration, scale = (
-            view.tip_error * view.tip_error,
-            view.tip_vibration,
-            (VIBRATION_SCALE * view.reach) ** 2,
-        )
-        near = [width**2 / (width**2 + square) for width in (part * view.reach for part in BELL_WIDTHS)]
+        square, vibration = view.tip_error * view.tip_error, view.tip_vibration
+        scale = (VIBRATION_SCALE * view.reach) ** 2
+        bells = [width**2 / (width**2 + square) for width in (part * view.reach for part in BELL_WIDTHS)]
         return {
-            "tip_error": 0.7 / 3.0 * (near[0] + near[1] + near[2]),
+            "tip_error": 0.7 / 3.0 * (bells[0] + bells[1] + bells[2]),
             "tip_vibration": 0.2 * scale / (scale + vibration * vibration),
             "effort": 0.1 * (1.0 - view.effort),
             "failure": failure,
         }
 
     def info(self, view: View) -> dict[str, Number]:
-        """Return no entries of its own."""
+        """Return no additional entries."""
         return {}

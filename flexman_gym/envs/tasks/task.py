@@ -1,4 +1,4 @@
-"""Task protocol: start, goal, observed goal and reward of an episode."""
+"""Task protocol: start, goal, reward and sensors of the goal."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -11,11 +11,11 @@ from flexman_gym.envs.view import Number, View
 
 TASK_MEMBERS = ("sensors", "moves", "draw", "goal", "reward_terms", "info")
 OPTIONAL_TASK_MEMBERS = ("metrics", "disturbances")
-MOVING_METRICS = ("rms_error",)  # metrics of tasks with a moving goal or a goal at the start
+TRACKING_METRICS = ("rms_error",)  # metrics of tasks whose target moves, or is at the start of the tip
 
 
 class Goal(NamedTuple):
-    """Goals of r arms: target of the tip (r, 3) in the base frame, m, and motor angles (r, n), rad."""
+    """Goals of r arms: targets of the tips (r, 3) in the base frame, m, and goals of the motor angles (r, n), rad."""
 
     target: Array
     angles: Array
@@ -25,16 +25,16 @@ class Goal(NamedTuple):
 class Task(Protocol):
     """Protocol of a task; a class with these members needs no base class.
 
-    A task stores nothing about an arm: the parameters of an episode are in its plan. Its results for one arm must not
-    depend on the other arms, to the last bit. Lengths should be fractions of `view.reach`, so that the task suits arms
-    of any size.
+    A task has no state: `draw` returns the parameters of an episode, and the environment stores them. The results for
+    an arm must not depend on other arms, to the last bit. Lengths should be fractions of `view.reach`, so that the task
+    suits arms of any size.
 
-    Two further attributes are optional: `metrics`, the names of the `evaluation.METRICS` reported for the task in
-    addition to the general ones (default: those of a slew), and `disturbances`, a dict of arguments of `Randomisation`.
-    Misspelt names are refused.
+    Two further attributes are optional. `metrics` names the metrics in `evaluation.METRICS` reported for the task in
+    addition to the general metrics; the default is the settling time and the final error. `disturbances` is a dict of
+    arguments of `Randomisation`. Misspelt names raise ValueError.
 
     Attributes:
-        sensors: sensors of the goal, added to those of the environment; () for none.
+        sensors: sensors of the goal, added to those of the environment; () for no sensors.
         moves: True if the goal changes during an episode; `goal` is then called in every control period.
     """
 
@@ -49,24 +49,30 @@ class Task(Protocol):
         ...
 
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
-        """Draw the plan of one episode.
+        """Draw the parameters of one episode.
 
         Args:
-            random: generator of the episode.
+            random: random generator of the arm.
             view: view of the arms, for constants such as the reach.
 
         Returns:
-            "start", joint angles (n,) in rad, and any further arrays needed by `goal`. `reset(options=...)` may set
-            each entry by its name, for all arms or with a leading axis for each.
+            Parameters by name: "start", motor angles (n,) in rad, and any further arrays needed by `goal`. The options
+            of `reset` may replace each of them.
         """
         ...
 
-    def goal(self, plan: Mapping[str, Array], time: Array, view: View) -> Goal:
-        """Return the goals of episodes with plans (r, ...), by name, at times (r,) s after their start."""
+    def goal(self, parameters: Mapping[str, Array], time: Array, view: View) -> Goal:
+        """Return the goals of r episodes.
+
+        Args:
+            parameters: name -> (r, ...) parameters of the episodes, from `draw`.
+            time: (r,) times since the starts of the episodes, s.
+            view: view of the arms, for constants such as the reach.
+        """
         ...
 
     def reward_terms(self, view: View) -> dict[str, Number]:
-        """Return the named terms of the reward of the last step; their sum is the reward.
+        """Return the terms of the reward of the last control period by name; the reward is their sum.
 
         Args:
             view: view of all arms, or of a single arm without the axis of the arms; use `...`, `axis=-1` and the
@@ -75,5 +81,5 @@ class Task(Protocol):
         ...
 
     def info(self, view: View) -> dict[str, Number]:
-        """Return the task's own entries of `info`; {} for none."""
+        """Return additional entries of `info`; {} for no entries."""
         ...

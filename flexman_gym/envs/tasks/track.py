@@ -11,34 +11,35 @@ from flexman_gym.common.checks import non_negative, one_of, positive, sequence, 
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors.sensor import Entry, Sensor
 from flexman_gym.envs.tasks.rewards import distance_reward
-from flexman_gym.envs.tasks.task import MOVING_METRICS, Goal
+from flexman_gym.envs.tasks.task import TRACKING_METRICS, Goal
 from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels.control_period import fourier_series
 
-HARMONICS, POSTURE_HARMONICS = 3, 12  # Fourier series of the path, and of the motor angles
-COLLOCATION_POINTS = 28  # points of the path with inverse kinematics
-SAG_STRIDE = 4  # distance of the points at which the sag is computed
-RAMP_FRACTION = 0.25  # time constant of the start of the target, fraction of the period
+HARMONICS, POSTURE_HARMONICS = 3, 12  # numbers of harmonics of the Fourier series of the path and the motor angles
+COLLOCATION_POINTS = 28  # points of the path at which the motor angles are computed
+SAG_STRIDE = 4  # the sag under gravity is computed at every SAG_STRIDE-th of these points
+RAMP_FRACTION = 0.25  # fraction of the period; time constant of the acceleration of the target
 COLLOCATION_PHASES = 2.0 * np.pi * np.arange(COLLOCATION_POINTS)[None] / COLLOCATION_POINTS
-TRIES, CENTRES = 20, 8  # draws of a path; centres per draw
-STEP, ACCURACY = 1e-7, 1e-7  # rad, of finite differences; accepted tip error, fraction of the reach
-MIN_SINGULAR_VALUE = 0.1  # reaches per radian; a path avoids directions of smaller tip motion
+TRIES, CENTRES = 20, 8  # largest number of sets of centres drawn for a path; centres in a set
+STEP = 1e-7  # rad; step of the finite differences
+ACCURACY = 1e-7  # fraction of the reach; accepted error of the inverse kinematics
+MIN_SINGULAR_VALUE = 0.1  # fraction of the reach per radian; a path has no directions with less tip motion
 MAX_ANGLE = 2.5  # rad; largest motor angle on a path
 
 
-def path_phase(time: Array, period: Array) -> Array:
-    """Return the phase on the path (rad) at times (s).
+def _path_phase(time: Array, period: Array) -> Array:
+    """Return the phase on the path, rad, at times, s, for periods of revolution, s.
 
-    The rate is zero at first and constant after a fraction of the period (s).
+    The rate of the phase increases from zero to 2 pi / period with the time constant RAMP_FRACTION period.
     """
     ramp = RAMP_FRACTION * period
     return 2.0 * np.pi / period * (time - ramp * np.tanh(time / ramp))
 
 
-def evaluate_series(series: Array, phases: Array) -> Array:
+def _evaluate_series(series: Array, phases: Array) -> Array:
     """Return the values (r, p, size) of Fourier series (r, size, 2 h + 1) at phases (r, p), rad.
 
-    A series holds the mean, then the factors of cosine and sine of each harmonic.
+    The coefficients of a series with h harmonics are the mean, then those of cosine and sine of each harmonic.
     """
     result = np.zeros((*phases.shape, series.shape[1]))
     fourier_series(series, phases, result)
@@ -46,25 +47,28 @@ def evaluate_series(series: Array, phases: Array) -> Array:
 
 
 def _circle(random: np.random.Generator, size: float) -> Array:
-    """Return the series (3, 2 h + 1) of a circle with a radius (m) in the plane of the first two axes."""
+    """Return the Fourier series (3, 2 h + 1) of a circle of radius `size`, m, in the plane of the first two axes."""
     result = np.zeros((3, 2 * HARMONICS + 1))
     result[0, 1] = result[1, 2] = size
     return result
 
 
 def _lemniscate(random: np.random.Generator, size: float) -> Array:
-    """Return the series of a lemniscate of Gerono, a figure of eight of length 2 size (m)."""
+    """Return the Fourier series (3, 2 h + 1) of a lemniscate of Gerono, a figure of eight of length 2 `size`, m."""
     result = np.zeros((3, 2 * HARMONICS + 1))
     result[0, 1], result[1, 4] = size, 0.5 * size
     return result
 
 
 def _smooth(random: np.random.Generator, size: float) -> Array:
-    """Return a random series with harmonics weighted by 1 / k^2, scaled to a largest distance (m) from its mean."""
+    """Return a random Fourier series (3, 2 h + 1) with the largest distance `size`, m, from its mean.
+
+    The amplitude of harmonic k is weighted by 1 / k^2.
+    """
     result = np.zeros((3, 2 * HARMONICS + 1))
     weights = np.repeat(np.arange(1, HARMONICS + 1), 2) ** 2
     result[:, 1:] = random.standard_normal((3, 2 * HARMONICS)) / weights
-    points = evaluate_series(result[None], COLLOCATION_PHASES)[0]
+    points = _evaluate_series(result[None], COLLOCATION_PHASES)[0]
     return result * size / np.sqrt(np.vecdot(points, points).max())
 
 
@@ -75,34 +79,36 @@ PATH_SHAPES: dict[str, Callable[[np.random.Generator, float], Array]] = {
 }
 
 
-def _draw_path(shape: str, size: float, reach: float, random: np.random.Generator, view: View) -> tuple[Array, Array]:
+def _draw_path(
+    shape: str, size: float, max_angle: float, random: np.random.Generator, view: View
+) -> tuple[Array, Array]:
     """Draw a path that the arm can follow, and the motor angles along it.
 
-    Centres are drawn until the tip can move in at least two directions there and all postures are found. Under gravity
-    the path includes the sag of the arm.
+    Postures of the centre are drawn until the tip can move there in at least two directions and the inverse kinematics
+    converges on the whole path. Under gravity the path includes the sag of the arm.
 
     Args:
         shape: a name in PATH_SHAPES.
         size: largest distance from the centre, m.
-        reach: largest motor angle at the centre of the path, rad.
-        random: generator of the episode.
+        max_angle: largest motor angle at the centre of the path, rad.
+        random: random generator of the arm.
         view: view of the arm.
 
     Returns:
-        Series (3, 2 h + 1) of the tip in the base frame, m, and (n, 2 h + 1) of the motor angles, rad.
+        Fourier series (3, 2 h + 1) of the tip in the base frame, m, and (n, 2 h + 1) of the motor angles, rad.
 
     Raises:
-        ValueError: if the tip of this arm cannot follow a path of that size in two directions.
+        ValueError: if the tip of this arm cannot follow a path of this size in two directions.
     """
     for _ in range(TRIES):
-        centres = random.uniform(-reach, reach, (CENTRES, view.n_joints))
+        centres = random.uniform(-max_angle, max_angle, (CENTRES, view.n_joints))
         tips, jacobians = _jacobians(view, centres)
         directions, gains, _ = np.linalg.svd(jacobians, full_matrices=False)
-        counts = np.count_nonzero(gains >= MIN_SINGULAR_VALUE * view.reach, axis=1)
-        for i in np.flatnonzero(counts >= 2):
-            curve = _frame(random, directions[i], counts[i]).T @ PATH_SHAPES[shape](random, size)
+        ranks = np.count_nonzero(gains >= MIN_SINGULAR_VALUE * view.reach, axis=1)
+        for i in np.flatnonzero(ranks >= 2):
+            curve = _frame(random, directions[i], ranks[i]).T @ PATH_SHAPES[shape](random, size)
             curve[:, 0] += tips[i]
-            postures, error = view.inverse_kinematics(evaluate_series(curve[None], COLLOCATION_PHASES)[0], centres[i])
+            postures, error = view.inverse_kinematics(_evaluate_series(curve[None], COLLOCATION_PHASES)[0], centres[i])
             if error <= ACCURACY * view.reach and np.abs(postures).max() <= MAX_ANGLE:
                 if view.has_gravity:
                     points = postures[::SAG_STRIDE]
@@ -112,9 +118,9 @@ def _draw_path(shape: str, size: float, reach: float, random: np.random.Generato
 
 
 def _frame(random: np.random.Generator, directions: Array, count: int) -> Array:
-    """Return the axes (3, 3), as rows, of a random frame in the first `count` directions (2 or 3) of (3, n).
+    """Return the axes (3, 3), as rows, of a random frame spanned by the first 2 or 3 columns of directions (3, n).
 
-    A missing third axis is zero.
+    For 2 columns the third axis is zero.
     """
     if count == 3:
         result: Array = np.linalg.qr(random.standard_normal((3, 3)))[0]
@@ -125,7 +131,7 @@ def _frame(random: np.random.Generator, directions: Array, count: int) -> Array:
 
 
 def _jacobians(view: View, postures: Array) -> tuple[Array, Array]:
-    """Return the tips (r, 3) of the rigid arm at postures (r, n), and their Jacobians (r, 3, n) by differences."""
+    """Return tip positions (r, 3), m, of the rigid arm at postures (r, n), rad, and Jacobians (r, 3, n), m/rad."""
     steps = np.vstack([np.zeros(view.n_joints), STEP * np.eye(view.n_joints)])
     tips = view.rigid_tips((postures[:, None] + steps).reshape(-1, view.n_joints))
     tips = tips.reshape(len(postures), len(steps), 3)
@@ -133,7 +139,7 @@ def _jacobians(view: View, postures: Array) -> tuple[Array, Array]:
 
 
 def _series(values: Array, harmonics: int) -> Array:
-    """Return the Fourier series (n, 2 harmonics + 1) of values (r, n) at equal intervals of a period."""
+    """Return the Fourier series (n, 2 harmonics + 1) of values (r, n) at r equal intervals of a period."""
     parts = np.fft.rfft(values, axis=0)[: harmonics + 1].T / len(values)
     result = np.zeros((values.shape[1], 2 * harmonics + 1))
     result[:, 0] = parts[:, 0].real
@@ -141,7 +147,7 @@ def _series(values: Array, harmonics: int) -> Array:
     return result
 
 
-ANY = "any"
+ANY = "any"  # value of `Track.path` for a shape drawn in each episode
 
 
 @dataclass(frozen=True)
@@ -151,7 +157,7 @@ class Track:
     Description
         A target moves along a closed path, a circle, a lemniscate (a figure of eight) or a random smooth curve, fast
         enough to excite the first mode of the arm. The tip should stay on the target. The target starts from rest and
-        reaches its full speed after about half a period.
+        reaches its full speed after about half a revolution.
 
     Actions
         As in every environment: motor torques as fractions of the torque limits.
@@ -160,19 +166,19 @@ class Track:
         Those of the sensors of the environment. With a preview the task adds an entry:
 
         slice    entries     unit  bound
-        preview  3 per time  m     (1 + deflection limit) of the reach   future positions of the target, base frame
+        preview  3 per time  m     (1 + deflection limit) * reach   future positions of the target, base frame
 
     Reward
         At most 1 per control period, the sum of these terms:
             distance       1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2) with tip error e, speed v of
                            the tip relative to the target, n = R / 425 and f = R / 1.7 for a reach R (20 mm and 5 m for
-                           8.5 m)
-            failure        -failure_penalty when the step ended the episode by a limit or a divergence
+                           R = 8.5 m)
+            failure        -failure_penalty if the arm exceeded a limit or its simulation diverged, else 0
 
     Start
         At rest at the first point of the path. The centre of the path is the position of the tip at motor angles drawn
-        uniformly from [-middle, middle]. The path lies in a random plane, or in space, spanned by the directions in
-        which the tip can move there.
+        uniformly from [-middle, middle]. The orientation of the path is random, within the plane or the space in which
+        the tip can move at its centre.
 
     End
         Truncated after the horizon of the environment; terminated by a failure.
@@ -184,13 +190,13 @@ class Track:
         v0: first version.
 
     Attributes:
-        path: "circle", "lemniscate", "smooth", or "any" of them, drawn for each episode.
+        path: "circle", "lemniscate", "smooth", or "any" for one of these drawn in each episode.
         size: largest distance of the path from its centre, as a fraction of the reach.
         period: range (low, high) from which the time of one revolution is drawn uniformly, in periods of the first mode
             of the arm with locked motors; in seconds for a rigid arm.
-        preview: look-ahead times (s) of the observed target; () for none.
+        preview: look-ahead times of the observed positions of the target, s; () for no observation of the path.
         middle: largest motor angle at the centre of the path, rad.
-        failure_penalty: reward lost by a failure, >= 0.
+        failure_penalty: penalty subtracted from the reward after a failure, >= 0.
     """
 
     path: str = ANY
@@ -200,7 +206,7 @@ class Track:
     middle: float = 0.8
     failure_penalty: float = 10.0
     moves: ClassVar[bool] = True
-    metrics: ClassVar[tuple[str, ...]] = MOVING_METRICS
+    metrics: ClassVar[tuple[str, ...]] = TRACKING_METRICS
 
     def __post_init__(self) -> None:
         times = sequence("Track.preview", self.preview, "times (s)")
@@ -218,22 +224,24 @@ class Track:
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
-        """Sensor with a preview of the path, or None."""
+        """Sensor of future positions of the target; () without `preview`."""
         return (_Preview(self.preview),) if self.preview else ()
 
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
-        """Draw the path of one episode: tip (m), motor angles (rad), time of one revolution (s), and start (rad)."""
+        """Draw start (n,), rad, Fourier series of path, m, and postures, rad, and period of revolution, s."""
         shape = list(PATH_SHAPES)[random.integers(len(PATH_SHAPES))] if self.path == ANY else self.path
-        mode = 1.0 / view.first_frequency if np.isfinite(view.first_frequency) else 1.0
-        period = random.uniform(self.period[0], self.period[1]) * mode
+        unit = 1.0 / view.first_frequency if np.isfinite(view.first_frequency) else 1.0
+        period = random.uniform(self.period[0], self.period[1]) * unit
         path, postures = _draw_path(shape, self.size * view.reach, self.middle, random, view)
-        start = evaluate_series(postures[None], np.zeros((1, 1)))[0, 0]
+        start = _evaluate_series(postures[None], np.zeros((1, 1)))[0, 0]
         return {"start": start, "path": path, "postures": postures, "period": np.array(period)}
 
-    def goal(self, plan: Mapping[str, Array], time: Array, view: View) -> Goal:
-        """Return the position of the target on its path, and the posture for it."""
-        phases = path_phase(time, plan["period"])[:, None]
-        return Goal(evaluate_series(plan["path"], phases)[:, 0], evaluate_series(plan["postures"], phases)[:, 0])
+    def goal(self, parameters: Mapping[str, Array], time: Array, view: View) -> Goal:
+        """Return the positions of the target on its paths, and the motor angles for them."""
+        phases = _path_phase(time, parameters["period"])[:, None]
+        return Goal(
+            _evaluate_series(parameters["path"], phases)[:, 0], _evaluate_series(parameters["postures"], phases)[:, 0]
+        )
 
     def reward_terms(self, view: View) -> dict[str, Number]:
         """Return the terms of the reward, see the class."""
@@ -248,7 +256,7 @@ class Track:
 
 
 class _Preview:
-    """Sensor of the future positions of the target of `Track`, at look-ahead times (s)."""
+    """Sensor of future positions of the target of `Track`, at look-ahead times, s."""
 
     measures: ClassVar[tuple[str, ...]] = ()
 
@@ -261,5 +269,5 @@ class _Preview:
 
     def read(self, view: View, out: Array) -> None:
         """Write the future positions into out (b, 3 times), m."""
-        phases = path_phase(view.time[:, None] + self._times, view.plan["period"][:, None])
-        out[:] = evaluate_series(view.plan["path"], phases).reshape(len(out), -1)
+        phases = _path_phase(view.time[:, None] + self._times, view.episode_parameters["period"][:, None])
+        out[:] = _evaluate_series(view.episode_parameters["path"], phases).reshape(len(out), -1)

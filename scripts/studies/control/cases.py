@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from flexman_gym.control.base_controllers import make_base
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_controller
+from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.metrics import METRICS
@@ -105,7 +106,7 @@ def run_case(case: ControlCase, episodes: int, seed: int) -> ControlRow:
     for name, change in case.changes.items():
         settings[name] = settings[name] | change if name == "randomisation" else change
     environment, setup = Configuration(known.id, settings), known
-    base = make_controller(setup, case.agent, resolve_fidelity(setup).model) if case.unmodelled else case.agent
+    base = make_base(case.agent, make_plant(setup, resolve_fidelity(setup).model)) if case.unmodelled else case.agent
     sensors = {"sensors": {"kind": "lab", **case.sensor_errors}} if case.sensor_errors else {}
     found = find_agent(base)
     agent = replace(found, name=case.name, interface={**(found.interface or {}), **sensors})
