@@ -151,23 +151,6 @@ def test_gymnasiums_wrappers_take_it(wrapper):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        ({"num_envs": 0}, "num_envs: 0 is not allowed; give a whole number from 1"),
-        ({"autoreset_mode": "later"}, "autoreset_mode: 'later' is not allowed; give one of NextStep, SameStep"),
-        ({"max_episode_steps": 0}, "max_episode_steps: 0 is not allowed; give a whole number from 1"),
-        ({"threads": 0}, "threads: 0 is not allowed; give a whole number from 1"),
-        ({"render_mode": "human"}, "render_mode: 'human' is not allowed; give one of rgb_array"),
-        ({"torque_limit": -1.0}, "torque_limit: -1.0 is not allowed; give a finite number > 0"),
-    ],
-)  # fmt: skip
-def test_bad_arguments_are_refused_in_one_line(arguments, line):
-    with pytest.raises(ValueError) as error:
-        FlexManVectorEnv(**arguments)
-    assert str(error.value).startswith(line) and "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
     "bad", [np.zeros(3), np.zeros((3, 3)), np.full((2, 3), 1.001), np.full((2, 3), np.nan), [["up"] * 3] * 2, None]
 )
 def test_bad_actions_are_refused_in_one_line_and_change_nothing(bad):
