@@ -193,28 +193,6 @@ def test_the_rigid_limit_is_pinocchio(sample):
     assert close(fm.acceleration(sample.model, np.r_[x, v], torque), expected)
 
 
-@pytest.mark.parametrize(
-    ("call", "field"),
-    [
-        (lambda model: fm.acceleration(model, np.zeros(3), [0.0]), "state"),
-        (lambda model: fm.acceleration(model, [0.0, np.nan], [0.0]), "state[1]"),
-        (lambda model: fm.acceleration(model, [0.0, 0.0], [0.0, 1.0]), "torque"),
-        (lambda model: fm.acceleration(model, [0.0, 0.0], [np.inf]), "torque[0]"),
-        (lambda model: fm.acceleration(model, [0.0, 0.0], 1.0), "torque"),
-        (lambda model: fm.mass_matrix(model, "rest"), "state"),
-        (lambda model: fm.mass_matrix(model, np.zeros((2, 1))), "state[0]"),
-        (lambda model: fm.frequencies(model, [0.0, 0.0]), "joint_angles"),
-        (lambda model: fm.frequencies(model, [None]), "joint_angles[0]"),
-    ],
-)
-def test_bad_input_is_refused_in_one_line(call, field):
-    model = fm.build_model(fm.catalog.one_link(), flexible_links=False)
-    with pytest.raises(ValueError) as error:
-        call(model)
-    line = str(error.value)
-    assert line.startswith(f"{field}: ") and " is not allowed; give " in line and "\n" not in line
-
-
 def test_a_sample_is_what_it_says():
     """Check of the helper: the tip of a bent link turns by the amplitude."""
     sample = Sample(fm.catalog.one_link(), (2,), None, (True,), False, 0.05, 1)

@@ -180,8 +180,3 @@ def test_a_scene_turns_it_off():
     assert scene_model(off).choice == off.model
     result = fm.mass_matrix(scene_model(off), np.zeros(6)) - fm.mass_matrix(scene_model(scene), np.zeros(6))
     assert (np.diag(result) < 0.0).all()
-
-
-def test_a_switch_is_true_or_false():
-    with pytest.raises(ValueError, match=r"^ModelChoice.rotary_inertia: 0 is not allowed; give true or false$"):
-        fm.build_model(fm.catalog.one_link(), rotary_inertia=0)

@@ -120,10 +120,7 @@ def test_the_vertical_arm_sags_by_some_seven_centimetres():
     assert (np.abs(fm.holding_torques(model, [0.0, 0.0])) < 0.7 * np.array(limits)).all()
 
 
-def test_wrong_angles_and_arms_that_are_too_soft_are_refused_in_one_line():
-    model = cantilever(0.3)
-    assert refusal(fm.rest_state, model, [0.0, 1.0]).startswith("motor_angles: [0.0, 1.0] is not allowed; give 1 numb")
-    assert refusal(fm.holding_torques, model, [np.nan]).startswith("motor_angles[0]: nan is not allowed; give a finite")
+def test_an_arm_that_is_too_soft_for_its_weight_is_refused_in_one_line():
     rng = np.random.default_rng(0)
     soft = fm.Arm([random_link(rng)], [replace(random_joint(rng, True), stiffness=1.0)], gravity=(0.0, 0.0, -9.81))
     line = refusal(fm.rest_state, fm.build_model(soft, 1), [0.3])
