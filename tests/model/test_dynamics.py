@@ -280,9 +280,6 @@ def test_frequencies_are_those_of_the_dense_mass_matrix_and_stiffness(sample):
     assert np.allclose(result[sample.model.n_joints :], expected, rtol=1e-4, atol=1e-5 * expected.max(initial=0.0))
 
 
-# Bad input
-
-
 @pytest.mark.parametrize("lock_joints", [False, True])
 def test_many_postures_have_the_frequencies_of_each(lock_joints):
     model = fm.build_model(fm.catalog.paper_rrr(), elements=1)

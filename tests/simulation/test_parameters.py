@@ -10,7 +10,6 @@ from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import varied_model
 
-from oracles.assertions import refusal
 from oracles.random_inputs import drives, states_of
 
 ARM = replace(
@@ -60,14 +59,6 @@ def test_the_factor_of_a_link_was_called_a_stiffness():
         old = varied_model(model, link_stiffness=[0.8, 1.3, 0.9])
     own = varied_model(model, link_stiffness_factor=[0.8, 1.3, 0.9])
     assert np.array_equal(old.constants.stiffness, own.constants.stiffness)
-
-
-def test_a_varied_model_refuses_what_a_batch_refuses():
-    model = fm.build_model(ARM, modes=1)
-    assert refusal(lambda: varied_model(model, mass=1.0)).startswith("parameters: 'mass' is not allowed; give one of")
-    assert refusal(lambda: varied_model(model, payload_mass=-1.0)).startswith(
-        "payload_mass: array([-1.]) is not allowed"
-    )
 
 
 @pytest.mark.parametrize("method", METHODS)
