@@ -12,7 +12,7 @@ from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import FullState
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
-from oracles.assertions import same
+from oracles.assertions import same_side_by_side
 from oracles.random_inputs import EVERYTHING, actions
 
 MODES = tuple(AutoresetMode)
@@ -103,20 +103,7 @@ def test_it_is_many_single_environments_bit_for_bit(hold, mode, settings):
     settings = {"action_repeat": hold, "limits": TIGHT, "horizon": 0.5, **settings}
     ours = gym.make_vec("FlexRRR-v0", 3, "vector_entry_point", autoreset_mode=mode, **settings)
     theirs = gym.make_vec("FlexRRR-v0", 3, "sync", vector_kwargs={"autoreset_mode": mode}, **settings)
-    for actual, expected in zip(ours.reset(seed=5), theirs.reset(seed=5), strict=True):
-        same(actual, expected, "reset")
-    terminated = truncated = 0
-    for step, action in enumerate(actions(3, 200)):
-        result = ours.step(action)
-        for actual, expected in zip(result, theirs.step(action), strict=True):
-            same(actual, expected, f"step {step}")
-        terminated, truncated = terminated + result[2].sum(), truncated + result[3].sum()
-        ended = result[2] | result[3]
-        if mode == AutoresetMode.DISABLED and ended.any():
-            both = (env.reset(options={"reset_mask": ended.copy()}) for env in (ours, theirs))
-            for actual, expected in zip(*both, strict=True):
-                same(actual, expected, f"{step} reset")
-    assert terminated and truncated, "both ways to end were seen"
+    assert all(same_side_by_side(ours, theirs, actions(3, 200))), "both ways to end were seen"
 
 
 def test_what_the_motors_of_an_arm_that_is_over_were_asked_for_stays():
@@ -142,16 +129,8 @@ def test_every_base_gives_the_same_bits_to_one_arm_and_to_many(base, name):
     settings = {"base": base, "action_repeat": 2, "horizon": 0.08 if name == "FlexPlanar-v0" else 0.16}  # 4 steps
     arms = gym.make_vec(name, 2, "vector_entry_point", autoreset_mode="SameStep", **settings)
     singles = gym.make_vec(name, 2, "sync", vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP}, **settings)
-    for actual, expected in zip(arms.reset(seed=2), singles.reset(seed=2), strict=True):
-        same(actual, expected, "reset")
-    random, ends = np.random.default_rng(0), 0
-    for step in range(7):
-        action = random.uniform(-0.3, 0.3, arms.action_space.shape).astype(np.float32)
-        result = arms.step(action)
-        for actual, expected in zip(result, singles.step(action), strict=True):
-            same(actual, expected, f"step {step}")
-        ends += np.sum(result[2] | result[3])
-    assert ends >= 2, "new episodes of the base were seen"
+    given = np.random.default_rng(0).uniform(-0.3, 0.3, (7, *arms.action_space.shape)).astype(np.float32)
+    assert sum(same_side_by_side(arms, singles, given, 2)) >= 2, "new episodes of the base were seen"
 
 
 @pytest.mark.parametrize("mode", MODES)

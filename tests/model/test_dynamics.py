@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
-from flexman_gym.kernels import inverse, layout, outputs
+from flexman_gym.kernels import inverse, layout
 
-from oracles.chains import QUICK, Sample, pinocchio_model, samples, slender_link
+from oracles.chains import QUICK, Sample, observed, pinocchio_model, samples, slender_link
 from oracles.ritz import beam_eigenvalues
 
 PRECISION = 1e-9  # relative
@@ -19,13 +19,6 @@ PRECISION = 1e-9  # relative
 def close(actual, expected, precision=PRECISION):
     """Return whether two arrays agree relative to the largest entry."""
     return np.abs(actual - expected).max(initial=0.0) <= precision * np.abs(expected).max(initial=0.0)
-
-
-def observed(model, x, v):
-    """The output row (OUTPUTS,) at coordinates and speeds."""
-    out = np.zeros(layout.OUTPUTS)
-    outputs.compute_outputs(model.constants, layout.make_work(model.constants), x, v, out)
-    return out
 
 
 def slope(function, x, v):

@@ -13,14 +13,10 @@ import flexman_gym as fm
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
 
+from oracles.chains import laden_rrr
 from oracles.random_inputs import drives, states_of
 
-ARM = replace(
-    fm.catalog.paper_rrr(rotor_inertia=10.0, link1_area="corrected"),
-    payload=fm.Payload(3.0, inertia=np.diag([0.2, 0.3, 0.4]).tolist(), offset=(0.1, 0.0, 0.2)),
-    gravity=(0.0, 0.0, -9.81),
-    stiffness_proportional_damping=1e-4,
-)
+ARM = laden_rrr()
 FACTORS = st.tuples(*3 * [st.floats(0.5, 2.0)])
 FEW = settings(deadline=None, derandomize=True, max_examples=10)
 METHODS = ("ros2", "extrapolated_euler_3", "generalised_alpha", "rk4", "dop853")

@@ -10,14 +10,10 @@ from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import varied_model
 
+from oracles.chains import laden_rrr
 from oracles.random_inputs import drives, states_of
 
-ARM = replace(
-    fm.catalog.paper_rrr(rotor_inertia=10.0, link1_area="corrected"),
-    payload=fm.Payload(3.0, inertia=np.diag([0.2, 0.3, 0.4]).tolist(), offset=(0.1, 0.0, 0.2)),
-    gravity=(0.0, 0.0, -9.81),
-    stiffness_proportional_damping=1e-4,
-)
+ARM = laden_rrr()
 METHODS = ("ros2", "midpoint_3", "generalised_alpha", "rk4", "dop853")
 
 
