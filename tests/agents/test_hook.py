@@ -9,16 +9,11 @@ pytest.importorskip("stable_baselines3")
 from flexman_agents.callbacks import TrainingReport
 from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train, train_or_resume
-from flexman_gym.common.run_folder import BEST, NEWEST, read_npz
+from flexman_gym.common.run_folder import BEST, read_npz
 
-from oracles.runs import RUNS
+from oracles.runs import RUNS, bits
 
 SETTINGS = RUNS["ppo"]  # 160 steps, 24 a rollout, evaluated after 72, 144 and at the end
-
-
-def bits(folder):
-    """The policy of a run."""
-    return {name: values.tobytes() for name, values in read_npz(folder / NEWEST)["policy"].items()}
 
 
 def test_a_hook_is_told_steps_and_figures_where_rollouts_begin_and_at_the_end(tmp_path):

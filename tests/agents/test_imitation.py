@@ -22,6 +22,7 @@ from flexman_gym.evaluation.export import export_policy
 from flexman_gym.evaluation.rollout import rollout, training_seed
 
 from oracles.assertions import refusal
+from oracles.runs import bits
 
 STIFFNESS, DAMPING = 0.05, 0.02  # N m/rad, N m s/rad, soft enough for torques within the limit
 TEACHER = {"kind": "pd", "stiffness": [STIFFNESS], "damping": [DAMPING]}
@@ -30,11 +31,6 @@ SHORT = Settings(
     "dagger", ENVIRONMENT, 3 * 4 * 40, seed=3, envs=4,
     hyperparameters={"teacher": TEACHER, "net_arch": [6], "updates": 5, "batch_size": 32},
 )  # fmt: skip
-
-
-def bits(folder):
-    """The policy of a run."""
-    return {name: values.tobytes() for name, values in read_npz(folder / NEWEST)["policy"].items()}
 
 
 @pytest.mark.parametrize("base", [None, {"kind": "pd", "stiffness": [0.5 * STIFFNESS], "damping": [0.5 * DAMPING]}])

@@ -15,10 +15,10 @@ from flexman_agents.search import BEST_FILE, search
 from flexman_agents.settings import find_recipe
 from flexman_agents.training import train
 from flexman_gym.__main__ import main
-from flexman_gym.common.run_folder import NEWEST, read_npz
+from flexman_gym.common.run_folder import NEWEST
 
 from oracles.assertions import refusal
-from oracles.runs import RUNS
+from oracles.runs import RUNS, bits
 
 RECIPE = replace(RUNS["ppo"], eval_every=48, schedules={}, environment={
     "id": "FlexOne-v0", "base": "pd", "action_repeat": 5, "horizon": 0.3})  # fmt: skip
@@ -28,11 +28,6 @@ OVER = {
     "hyperparameters.n_epochs": {"low": 1, "high": 3, "whole": True},
     "hyperparameters.batch_size": {"choices": [12, 24]},
 }
-
-
-def bits(folder):
-    """The policy of a run."""
-    return {name: values.tobytes() for name, values in read_npz(folder / NEWEST)["policy"].items()}
 
 
 def trials(folder):

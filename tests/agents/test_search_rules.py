@@ -56,6 +56,23 @@ def optuna(monkeypatch):
     ))  # fmt: skip
 
 
+def searched(monkeypatch, folder, recipe=RECIPE, over=OVER, trials=1, workers=1, seed=0, **replaced):
+    """Return the cells of a search whose trials are all worth 1, with functions of the search replaced."""
+    study, cells = Study(), []
+
+    def spread(run, given, workers, prepare):
+        cells.extend(given)
+        for *_, number in given:
+            study.tell(number, 1.0)
+        return iter([None] * len(given))
+
+    given = {"_study": lambda folder: study, "_keep_best": lambda study, recipe, folder: folder}
+    for name, function in {**given, "parallel_map_unordered": spread, **replaced}.items():
+        monkeypatch.setattr(module, name, function)
+    search(recipe, over, folder, trials, workers=workers, seed=seed)
+    return cells
+
+
 def ran(monkeypatch, tmp_path, study, rewards):
     """What a study was told of a trial that earns these rewards, one after the other, and how many were waited for."""
     steps, seen = RECIPE.steps // len(rewards), []
@@ -110,37 +127,17 @@ def test_an_evaluation_is_reported_once(optuna, monkeypatch, tmp_path):
 
 @pytest.mark.parametrize(("asked", "every"), [(0, RECIPE.steps // 10), (48, 48)])
 def test_trials_are_compared_ten_times_where_the_recipe_does_not_say(asked, every, optuna, monkeypatch, tmp_path):
-    study, cells = Study(), []
-
-    def spread(run, given, workers, prepare):
-        cells.extend(given)
-        study.tell(given[0][-1], 1.0)
-        return iter([None])
-
-    monkeypatch.setattr(module, "_study", lambda folder: study)
-    monkeypatch.setattr(module, "_proposed", lambda study, number, over: {"hyperparameters.gamma": 0.7})
-    monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
-    monkeypatch.setattr(module, "parallel_map_unordered", spread)
-    search(replace(RECIPE, eval_every=asked), OVER, tmp_path, 1)
-    ((settings, _, number),) = cells
+    proposed = lambda study, number, over: {"hyperparameters.gamma": 0.7}  # noqa: E731
+    ((settings, _, number),) = searched(monkeypatch, tmp_path, replace(RECIPE, eval_every=asked), _proposed=proposed)
     assert (settings.eval_every, settings.hyperparameters["gamma"], number) == (every, 0.7, 0)
 
 
 def test_every_trial_is_proposed_by_a_seed_of_its_own(optuna, monkeypatch, tmp_path):
     """As often as it was asked for, though several are at work at once; else the first ones would be alike."""
-    study, seeds = Study(), []
-
-    def spread(run, cells, workers, prepare):
-        for *_, number in cells:
-            study.tell(number, 1.0)
-        return iter([None] * len(cells))
-
-    monkeypatch.setattr(module, "_study", lambda folder: study)
-    monkeypatch.setattr(module, "_proposed", lambda study, number, over: seeds.append(study.sampler) or {})
-    monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
-    monkeypatch.setattr(module, "parallel_map_unordered", spread)
-    search(RECIPE, OVER, tmp_path, 3, workers=2, seed=7)
-    assert len(study.trials) == 3 and list(dict.fromkeys(seeds)) == [7, 8, 9]
+    seeds = []
+    proposed = lambda study, number, over: seeds.append(study.sampler) or {}  # noqa: E731
+    cells = searched(monkeypatch, tmp_path, trials=3, workers=2, seed=7, _proposed=proposed)
+    assert len(cells) == 3 and list(dict.fromkeys(seeds)) == [7, 8, 9]
 
 
 def test_the_best_trial_becomes_a_recipe(optuna, monkeypatch, tmp_path):
@@ -160,35 +157,24 @@ def test_the_best_trial_becomes_a_recipe(optuna, monkeypatch, tmp_path):
 
 
 def test_whole_numbers_choices_and_logarithms_are_asked_for(optuna, monkeypatch, tmp_path):
-    study, asked, cells = Study(), [], []
+    asked = []
     names = ("suggest_int", "suggest_float", "suggest_categorical")
     values = dict(zip(names, (3, 0.5, 4), strict=True))
     trial = SimpleNamespace(
         **{name: lambda *given, name=name, **more: asked.append((name, *given, *more.values())) or values[name]
            for name in names}
     )  # fmt: skip
-
-    def spread(run, given, workers, prepare):
-        cells.extend(given)
-        study.tell(0, 1.0)
-        return iter([None])
-
-    monkeypatch.setattr(module, "_study", lambda folder: study)
-    monkeypatch.setattr(module, "_trial", lambda study, number: trial)
-    monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
-    monkeypatch.setattr(module, "parallel_map_unordered", spread)
     over = {
         "hyperparameters.n_epochs": {"low": 1, "high": 3, "whole": True},
         "hyperparameters.gamma": {"low": 0.1, "high": 0.9, "log": True},
         "envs": {"choices": [2, 4]},
     }
-    search(RECIPE, over, tmp_path, 1)
+    ((settings, _, _),) = searched(monkeypatch, tmp_path, over=over, _trial=lambda study, number: trial)
     assert set(map(str, asked)) == {
         "('suggest_int', 'hyperparameters.n_epochs', 1, 3, False)",
         "('suggest_float', 'hyperparameters.gamma', 0.1, 0.9, True)",
         "('suggest_categorical', 'envs', [2, 4])",
     }
-    ((settings, _, _),) = cells
     chosen = settings.hyperparameters
     assert (chosen["n_epochs"], chosen["gamma"], settings.envs) == (3, 0.5, 4)
 
@@ -202,11 +188,8 @@ def test_ends_between_which_nothing_lies_are_refused(ends, tmp_path):
 
 
 def test_a_setting_is_a_path_of_the_names_above_it(optuna, monkeypatch, tmp_path):
-    study, ranges = Study(), []
-    monkeypatch.setattr(module, "_study", lambda folder: study)
-    monkeypatch.setattr(module, "_proposed", lambda study, number, over: ranges.append(over) or {})
-    monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
-    monkeypatch.setattr(module, "parallel_map_unordered", lambda run, cells, *_, **__: [study.tell(cells[0][-1], 1.0)])
+    ranges = []
+    proposed = lambda study, number, over: ranges.append(over) or {}  # noqa: E731
     over = {"hyperparameters": {"gamma": {"low": 0.5, "high": 0.9}}, "envs": {"choices": [2, 3]}}
-    search(RECIPE, over, tmp_path, 1)
+    searched(monkeypatch, tmp_path, over=over, _proposed=proposed)
     assert ranges[0] == {"hyperparameters.gamma": {"low": 0.5, "high": 0.9}, "envs": {"choices": [2, 3]}}

@@ -14,6 +14,7 @@ from flexman_gym.envs.sensors import ServoErrors, find_sensors
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
 from oracles.assertions import refusal
+from oracles.random_inputs import asked_after_a_state
 
 SETTINGS = {"name": "FlexPlanar-v0", "horizon": 0.3}
 
@@ -68,18 +69,7 @@ def test_a_state_holds_what_a_policy_remembers():
     """In the middle of a held action, with a history."""
     policies = [Agent(find_sensors("full"), 18, TorqueMode(2), None, 3, 4, network(54)) for _ in range(2)]
     one, other = (FlexManEnv(**SETTINGS, base=policy) for policy in policies)
-    still, asked = np.zeros(2, dtype=np.float32), []
-    one.reset(seed=1)
-    for _ in range(6):
-        one.step(still)
-    other.reset(seed=2)
-    other.set_state(one.get_state())
-    for env in (one, other):
-        rows = []
-        for _ in range(7):
-            env.step(still)
-            rows.append(env.episodes.view.action.copy())
-        asked.append(rows)
+    asked = asked_after_a_state(one, other, 6, 7)
     assert np.array_equal(*asked) and np.abs(asked).max() > 0.0
 
 

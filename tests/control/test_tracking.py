@@ -19,8 +19,9 @@ from flexman_gym.evaluation import rollout
 from flexman_gym.metrics import settling_time
 from flexman_gym.simulation.parameters import varied_model
 
-from oracles.assertions import refusal, same
+from oracles.assertions import refusal, same_side_by_side
 from oracles.observed_arms import POSTURES, SMALL, World, plant, small_plant
+from oracles.random_inputs import asked_after_a_state
 
 UNKNOWN = {"payload_mass": (0.0, 0.2), "joint_stiffness_factor": (0.7, 1.3), "link_stiffness_factor": (0.7, 1.3)}
 LAB = {**UNKNOWN, "delay": (0, 2), "sensor_noise": (0.001, 0.001)}
@@ -153,15 +154,8 @@ def test_one_arm_gets_the_same_bits_alone_and_among_others(which):
     name = settings.pop("name", "FlexPlanar-v0")
     arms = gym.make_vec(name, 3, "vector_entry_point", autoreset_mode="SameStep", **settings)
     singles = gym.make_vec(name, 3, "sync", vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP}, **settings)
-    for actual, expected in zip(arms.reset(seed=2), singles.reset(seed=2), strict=True):
-        same(actual, expected, "reset")
-    zero, ends = np.zeros(arms.action_space.shape, dtype=np.float32), 0
-    for period in range(40):
-        result = arms.step(zero)
-        for actual, expected in zip(result, singles.step(zero), strict=True):
-            same(actual, expected, f"period {period}")
-        ends += np.sum(result[2] | result[3])
-    assert ends >= 3, "new episodes were seen"
+    still = np.zeros((40, *arms.action_space.shape), dtype=np.float32)
+    assert sum(same_side_by_side(arms, singles, still, 2)) >= 3, "new episodes were seen"
 
 
 @pytest.mark.parametrize("which", SETTINGS)
@@ -296,22 +290,7 @@ def test_a_name_with_arguments_makes_it():
 
 def test_a_state_holds_what_it_remembers():
     """In the middle of a slew, with torques on their way."""
-    settings = {
-        "name": "FlexPlanar-v0",
-        "base": "lqg",
-        "randomisation": {"delay": (1, 1), "sensor_noise": (1e-3, 1e-3)},
-    }
-    one, other = FlexManEnv(**settings), FlexManEnv(**settings)
-    still, asked = np.zeros(2, dtype=np.float32), []
-    one.reset(seed=1)
-    for _ in range(23):
-        one.step(still)
-    other.reset(seed=2)
-    other.set_state(one.get_state())
-    for env in (one, other):
-        rows = []
-        for _ in range(20):
-            env.step(still)
-            rows.append(env.episodes.view.action.copy())
-        asked.append(rows)
+    noise = {"delay": (1, 1), "sensor_noise": (1e-3, 1e-3)}
+    one, other = (FlexManEnv(name="FlexPlanar-v0", base="lqg", randomisation=noise) for _ in range(2))
+    asked = asked_after_a_state(one, other, 23, 20)
     assert np.array_equal(*asked) and np.abs(asked).max() > 0.1

@@ -92,13 +92,6 @@ def test_a_page_runs_and_prints_what_it_says(page, checkout):
     assert all(path.name in ("docs", "scripts", "runs") or path.stem.startswith("my_") for path in checkout.iterdir())
 
 
-def test_an_arm_from_a_data_sheet_takes_at_most_forty_lines_of_the_readers_own():
-    code = [
-        line for language, text in blocks("tutorials/data_sheet") if language == "python" for line in text.splitlines()
-    ]
-    assert len([line for line in code if line.strip()]) <= 40
-
-
 def test_the_readme_runs(checkout):
     pytest.importorskip("moviepy")
     names = {"__name__": "page"}

@@ -8,7 +8,6 @@ pytest.importorskip("matplotlib")
 from matplotlib.cbook import STEP_LOOKUP_MAP
 from matplotlib.image import imread
 
-from flexman_gym.draw import trajectories
 from flexman_gym.draw.trajectories import draw_episodes
 from flexman_gym.evaluation import EpisodeRecord
 
@@ -40,28 +39,18 @@ def test_no_error_at_all_can_be_drawn(tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 5_000
 
 
-@pytest.fixture
-def axes(monkeypatch):
-    """The axes of the figure that is drawn."""
-    made, new_figure = [], trajectories.new_figure
-    monkeypatch.setattr(
-        trajectories, "new_figure", lambda *given, **named: made.append(new_figure(*given, **named)) or made[-1]
-    )
-    return lambda: made[-1].axes
-
-
-def test_a_torque_is_drawn_over_the_period_in_which_it_acts(axes, tmp_path):
+def test_a_torque_is_drawn_over_the_period_in_which_it_acts(drawn, tmp_path):
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2))
     made = EpisodeRecord(np.zeros((51, 3)), np.ones(51), actions, np.zeros(50), "", 0.02, 0.02)
     draw_episodes({"a": made}, tmp_path / "a.png")
     middles = 0.02 * (np.arange(50) + 0.5)
     for motor in range(2):
-        curve = axes()[1 + motor].get_lines()[0]
+        curve = drawn[-1].axes[1 + motor].get_lines()[0]
         result = np.interp(middles, *STEP_LOOKUP_MAP[curve.get_drawstyle()](*curve.get_data()))
         assert result[1:] == pytest.approx(actions[1:, motor]), "the first has no width"
 
 
-def test_the_line_of_the_band_is_at_the_band_and_says_so(axes, tmp_path):
+def test_the_line_of_the_band_is_at_the_band_and_says_so(drawn, tmp_path):
     draw_episodes({"a": record(1.0, 0.5)}, tmp_path / "a.png")
-    (line,) = (line for line in axes()[0].get_lines() if line.get_linestyle() == "--")
-    assert set(line.get_ydata()) == {0.005} and [text.get_text() for text in axes()[0].texts] == ["5 mm"]
+    (line,) = (line for line in drawn[-1].axes[0].get_lines() if line.get_linestyle() == "--")
+    assert set(line.get_ydata()) == {0.005} and [text.get_text() for text in drawn[-1].axes[0].texts] == ["5 mm"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.draw import paper_figures, trajectories
+from flexman_gym.draw import paper_figures
 
 
 @pytest.fixture(scope="module")
@@ -14,19 +14,6 @@ def cases():
     """The paper's cases for a tenth of a second."""
     scenes = [replace(fm.catalog.paper_scene(name), duration=0.1, output_step=0.02) for name in ("rr", "fr", "ff")]
     return [fm.simulate(scene, method="ros2", step=1e-3) for scene in scenes]
-
-
-@pytest.fixture
-def drawn(monkeypatch):
-    """The Matplotlib figures that are made from now on."""
-    made, new_figure = [], trajectories.new_figure
-
-    def kept(*given, **named):
-        made.append(new_figure(*given, **named))
-        return made[-1]
-
-    monkeypatch.setattr(trajectories, "new_figure", kept)
-    return made
 
 
 def test_every_curve_is_the_flexible_arm_less_the_rigid_one(cases, drawn, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.image import imread
 
 import flexman_gym as fm
-from flexman_gym.draw import trajectories, trajectory_figure
+from flexman_gym.draw import trajectory_figure
 from flexman_gym.draw.trajectories import paper_figures
 from flexman_gym.scene import catalog
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
@@ -41,17 +41,9 @@ def test_another_trajectory_gives_another_picture_and_one_without_motion_can_be_
     assert all(not np.array_equal(pictures[0], other) for other in pictures[2:])
 
 
-@pytest.fixture
-def drawn(monkeypatch):
-    """The axes of a figure, made from now on, by the label on their left."""
-    made, new_figure = [], trajectories.new_figure
-
-    def kept(*given, **named):
-        made.append(new_figure(*given, **named))
-        return made[-1]
-
-    monkeypatch.setattr(trajectories, "new_figure", kept)
-    return lambda: {axes.get_ylabel(): axes for axes in made[-1].axes}
+def labelled(figure):
+    """The axes of a figure by the label on their left."""
+    return {axes.get_ylabel(): axes for axes in figure.axes}
 
 
 def curves(axes):
@@ -64,7 +56,7 @@ def test_the_axes_show_what_is_written_on_them(drawn, tmp_path):
     arm, still = fm.catalog.planar_2r(joint_stiffness=50.0), fm.Initial((0.0, 0.0), (0.0, 0.0))
     whole = fm.simulate(fm.Scene(arm, CHOICE, fm.ConstantTorque((5.0, 5.0)), still, 0.1, 0.01))
     trajectory_figure(whole, tmp_path / "a.png")
-    axes = drawn()
+    axes = labelled(drawn[-1])
     assert np.array_equal(curves(axes["tip (m)"]), whole.tip)
     assert np.array_equal(curves(axes["angle (rad)"]), np.hstack([whole.joint_angles, whole.motor_angles]))
     twists = curves(axes["motor - joint (rad)"])
@@ -82,7 +74,7 @@ def test_the_residual_is_a_part_of_what_was_turned_over_or_in_joules_where_nothi
         (replace(still, work=np.linspace(0.0, 3.0, 11), moving_energy=np.zeros(11)), "of the turnover", 3.0),
     ):
         trajectory_figure(trajectory, tmp_path / "a.png")
-        result = curves(drawn()[f"energy residual\n({unit})"])[:, 0]
+        result = curves(labelled(drawn[-1])[f"energy residual\n({unit})"])[:, 0]
         assert result == pytest.approx(trajectory.energy_residual / whole, rel=1e-12, abs=0.0)
     assert moved.energy_turnover[-1] > 0.0 == still.energy_turnover[-1] and result[-1] == pytest.approx(1.0)
 
@@ -106,7 +98,7 @@ def test_the_title_says_when_a_solution_ended(drawn, tmp_path):
     whole = run()
     parts = {name: value[:5] for name, value in vars(whole).items() if isinstance(value, np.ndarray)}
     trajectory_figure(replace(whole, **parts, status="diverged"), tmp_path / "a.png")
-    assert drawn()["tip (m)"].figure.get_suptitle() == "diverged after 0.04 s"
+    assert labelled(drawn[-1])["tip (m)"].figure.get_suptitle() == "diverged after 0.04 s"
 
 
 def test_without_a_path_the_figure_is_shown(monkeypatch):

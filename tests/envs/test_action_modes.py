@@ -17,7 +17,7 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
-from oracles.assertions import refusal, same
+from oracles.assertions import same
 
 RRR = NAMED_ENVIRONMENTS["FlexRRR-v0"].arm
 GEARED = replace(RRR, joints=[replace(joint, motor=fm.Motor(100.0, 1.0, 1e-3, 4.0)) for joint in RRR.joints])
@@ -163,32 +163,6 @@ def test_currents_are_torques_by_gear_torque_constant_and_efficiency():
         asked = [min(0.5 * 2.0 * 0.02 * 50.0 * 0.9, limit or 9.0), -0.5 * 0.05 * 20.0]
         assert env.episodes.motors.torques[0] == pytest.approx(asked)
         assert env.episodes.agent.mode.names == ("current_1", "current_2")
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        (
-            {"actions": "current"},
-            "actions: 'current' is not allowed; give current for an arm with a motor",
-        ),
-        ({"actions": "position", "base": "pd"}, "base: <flexman_gym.control.pd.PD object at "),
-        (
-            {"actions": {"kind": "position", "range": [1.0, 2.0]}},
-            "actions.range: [1.0, 2.0] is not allowed; give 3 numbers",
-        ),
-        ({"actions": {"kind": "velocity", "range": 0.0}}, "actions.range[0]: 0.0 is not allowed"),
-        ({"actions": {"kind": "velocity", "stiffness": [1.0]}}, "PD.damping: "),
-        (
-            {"actions": {"kind": "velocity", "gain": 1.0}},
-            "actions: 'gain' is not allowed; give one of stiffness, damping, range",
-        ),
-        ({"drive_bandwidth": 0.0}, "drive_bandwidth: 0.0 is not allowed; give a finite number > 0 (Hz)"),
-        ({"actions": "force"}, "actions: 'force' is not allowed; give one of torque, current, velocity, position"),
-    ],
-)
-def test_what_no_servo_can_do_is_refused_in_one_line(settings, said):
-    assert refusal(lambda: FlexManEnv(**settings)).startswith(said)
 
 
 def test_drives_begin_at_rest_in_every_episode():

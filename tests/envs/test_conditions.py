@@ -18,8 +18,6 @@ from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.model.state_space import discretize
 
-from oracles.assertions import refusal
-
 pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y")  # of the paper's printed area
 IDS = [name for name, named in NAMED_ENVIRONMENTS.items() if named.conditions]
 FOLDERS = {"rrr": "FlexRRR-v0", "planar": "FlexPlanar-v0", "gravity": "FlexRRR-Gravity-v0"}
@@ -144,17 +142,6 @@ def test_all_files_are_there_and_no_others():
         assert {path.stem for path in (CONDITION_FOLDER / folder).iterdir()} == {*CONDITIONS} - {"nominal"}
 
 
-@pytest.mark.parametrize(
-    ("name", "line"),
-    [
-        ("FlexRRR-v0/X", "condition: 'X' is not allowed; give one of nominal, delay, friction, payload, random-delay"),
-        ("FlexOne-v0/unknown", "condition: 'FlexOne-v0/unknown' is not allowed; give one for FlexRRR-v0, "),
-    ],
-)
-def test_what_there_is_not_is_refused_in_one_line(name, line):
-    assert refusal(Configuration.find, name).startswith(line)
-
-
 @pytest.mark.parametrize("condition", CONDITIONS)
 def test_a_condition_is_a_keyword_too_and_what_is_given_beside_it_goes_before(condition):
     expected = Configuration.find(f"FlexPlanar-v0/{condition}")
@@ -207,11 +194,7 @@ def test_a_pd_says_when_sampling_and_delay_make_it_unstable():
         gym.make("FlexRRR-v0", base="pd", randomisation={"delay": (0, 2)})
 
 
-def test_gains_of_ones_own_suit_any_arm_and_are_checked():
+def test_gains_of_ones_own_suit_any_arm():
     gains = {"stiffness": (5.0, 2.0), "damping": (1.0, 0.5)}
     env = gym.make("FlexRRR-v0", arm=fm.catalog.vertical_2r(), torque_limit=(12.0, 4.0), base="pd", gains=gains)
     assert env.unwrapped.episodes.base.stiffness.tolist() == [5.0, 2.0]
-    with pytest.raises(ValueError, match=r"^gains: 3 is not allowed; give a mapping with some of stiffness, damping"):
-        gym.make("FlexRRR-v0", base="pd", gains=3)
-    with pytest.raises(ValueError, match=r"^gains: .* is not allowed; give a mapping with stiffness \(N m/rad\) and"):
-        gym.make("FlexRRR-v0", base="pd", gains={"stiffness": (5.0, 2.0, 1.0)})

@@ -147,36 +147,6 @@ def test_changes_may_be_whole_only_together():
 # What is wrong
 
 
-@pytest.mark.parametrize(
-    ("data", "line"),
-    [
-        ([1], "environment: [1] is not allowed; give a mapping with id and settings"),
-        ({"id": "CartPole-v1"}, "id: 'CartPole-v1' is not allowed; give one of FlexRRR-v0"),
-        ({"id": 3}, "id: 3 is not allowed; give one of FlexRRR-v0"),
-        ({"name": "FlexOne-v0"}, "name: 'FlexOne-v0' is not allowed; give it as id"),
-        ({"randomization": {}}, "randomization: {} is not allowed; give a setting: the nearest is randomisation"),
-        ({"randomisation": {"mass": [0, 1]}}, "randomisation: 'mass' is not allowed; give one of payload_mass"),
-        ({"limits": 3}, "limits: 3 is not allowed; give a mapping with some of angle, rate, twist"),
-        ({"limits": {"speed": 3}}, "limits: 'speed' is not allowed; give one of angle, rate, twist"),
-        ({"limits": {"rate": -1}}, "Limits.rate: -1 is not allowed; give a finite number > 0"),
-        ({"task": 3}, "task: 3 is not allowed; give one of slew, track, hold, a mapping with"),
-        ({"task": "reach"}, "task: 'reach' is not allowed; give one of slew, track"),
-        ({"task": {"kind": "slew", "goal": 1}}, "task: 'goal' is not allowed; give one of start, slew"),
-        ({"arm": "puma"}, "arm: 'puma' is not allowed; give one of de_luca_siciliano, flexarm_rome"),
-        ({"arm": 3}, "arm: 3 is not allowed; give an Arm, a mapping, a file"),
-        ({"arm": {"catalog": "paper_rrr", "payload": {"mas": 1}}}, "arm.payload.mas: 1 is not allowed; give only the"),
-        ({"arm": {"catalog": "vertical_2r", "color": 1}}, "arm: "),
-        ({"sensors": ["nose"]}, "sensors: 'nose' is not allowed; give one of full, fine, servo, state"),
-        ({"action_repeat": "5"}, "action_repeat: '5' is not allowed; give a whole number from 1 to 1000"),
-    ],
-)
-def test_what_is_wrong_is_named_in_one_line(tmp_path, data, line):
-    assert refusal(Configuration.from_plain, data).startswith(line)
-    files.write_data(tmp_path / "own.json", data)
-    said = line if isinstance(data, dict) else "this is no mapping; give names with their values"
-    assert refusal(Configuration.load, tmp_path / "own.json").startswith(f"{tmp_path / 'own.json'}: {said}")
-
-
 @pytest.mark.parametrize("change", ["horizon", "=3", "a.=3", "a b=3", "arm.links.0.length=3", "step={", "step=&a 3"])
 def test_a_change_that_is_none_is_shown(change):
     assert refusal(Configuration().changed, [change]).startswith(f"--set: {change!r} is not allowed; give ")

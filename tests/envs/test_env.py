@@ -295,32 +295,6 @@ def test_rendering_without_a_mode_warns_and_gives_nothing():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "field", "allowed"),
-    [
-        ({"method": "euler"}, "method", "one of semi_implicit_euler, rk4"),
-        ({"step": 0.003}, "step", "divides the control period, 0.02 s"),
-        ({"step": 0.05}, "step", "divides the control period, 0.02 s"),
-        ({"step": 0.0}, "step", "a finite number > 0 (s)"),
-        ({"control_period": 0.0}, "control_period", "a finite number > 0"),
-        ({"torque_limit": -1.0}, "torque_limit", "a finite number > 0"),
-        ({"modes": 13}, "modes[0]", "at most 12"),
-        ({"modes": (4, 4)}, "modes", "one value, or 3"),
-        ({"elements": 0}, "ModelChoice.elements", "a whole number from 1"),
-        ({"task": "slow"}, "task", "one of slew"),
-        ({"task": {"reward": "bells"}}, "task", "one of slew, track, hold, a mapping with that at kind"),
-        ({"task": 5}, "task", "a task"),
-        ({"limits": 4.0}, "limits", "Limits"),
-        ({"arm": 3}, "arm", "an Arm"),
-        ({"render_mode": "ansi"}, "render_mode", "one of human, rgb_array"),
-    ],
-)
-def test_a_bad_argument_is_refused_in_one_line(arguments, field, allowed):
-    with pytest.raises(ValueError) as error:
-        FlexManEnv(**arguments)
-    refused(error, field, next(iter(arguments.values())), allowed)
-
-
-@pytest.mark.parametrize(
     "action",
     [[0.0, 0.0], [[0.0, 0.0, 0.0]], [np.nan, 0.0, 0.0], [0.0, 1.001, 0.0], [0.0, -np.inf, 0.0], ["up"] * 3, None],
 )

@@ -260,27 +260,6 @@ def test_a_signal_effect_is_one_entry(monkeypatch):
     assert biased.observation_space == plain.observation_space
 
 
-@pytest.mark.parametrize(
-    ("settings", "line"),
-    [
-        ({"task": Encoders()}, "task: <"),
-        ({"task": Follow}, "task: <class"),
-        ({"sensors": 3}, "sensors: 3 is not allowed; give a Sensor: an object with the methods entries and read"),
-        ({"sensors": "lidar"}, "sensors: 'lidar' is not allowed; give one of full"),
-        ({"sensors": ("full", "full")}, "sensors: 'motor_angles' is not allowed; give each entry once"),
-        ({"name": "FlexRRR"}, "name: 'FlexRRR' is not allowed; give one of FlexRRR-v0"),
-        ({"arm": fm.catalog.planar_2r()}, "torque_limit: None is not allowed; give one number (N m), or one for each"),
-        ({"torque_limit": (400.0, 400.0)}, "torque_limit: (400.0, 400.0) is not allowed; give 3 numbers (N m)"),
-        ({"torque_limit": (400.0, -1.0, 400.0)}, "torque_limit[1]: -1.0 is not allowed; give a finite number > 0"),
-    ],
-)
-def test_what_does_not_fit_is_refused_in_one_line(settings, line):
-    for make in (FlexManEnv, lambda **kw: FlexManVectorEnv(2, **kw)):
-        with pytest.raises(ValueError) as error:
-            make(**settings)
-        assert str(error.value).startswith(line) and "\n" not in str(error.value)
-
-
 def test_torque_limits_are_those_of_the_joints_unless_told_otherwise():
     joints = [fm.Joint((0.0, 0.0, 1.0), 0.1, torque_limit=limit) for limit in (5.0, 2.0)]
     arm = fm.Arm(fm.catalog.planar_2r().links, joints)

@@ -9,10 +9,7 @@ import flexman_gym as fm
 from flexman_gym.control.pd import PD
 from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.envs.tasks import Hold
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-
-from oracles.assertions import refusal
 
 
 def drives(env, steps):
@@ -95,27 +92,6 @@ def test_the_energy_of_disturbances_is_in_the_ledger():
         for _ in range(100):
             info = env.step(np.zeros(3))[4]
         assert env.simulator.energy > 0.3 and abs(info["energy_residual"]) < 0.01 * env.simulator.energy, effect
-
-
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        ({"start": -1.0}, "Hold.start: -1.0 is not allowed; give a finite number >= 0 (rad)"),
-        ({"gap": 0.0}, "Hold.gap: 0.0 is not allowed; give a finite number > 0 (s)"),
-        ({"impulse": 3.0}, "Hold.impulse: 3.0 is not allowed; give a list of"),
-        ({"load": (1.0,)}, "Hold.load: (1.0,) is not allowed; give 2 numbers (N)"),
-        ({"failure_penalty": -1.0}, "Hold.failure_penalty: -1.0 is not allowed; give a finite number >= 0"),
-    ],
-)
-def test_wrong_arguments_are_refused_in_one_line(arguments, line):
-    assert refusal(lambda: Hold(**arguments)).startswith(line)
-
-
-def test_disturbances_out_of_order_are_refused_when_the_environment_is_made():
-    line = refusal(lambda: FlexManEnv(task=Hold(load=(2.0, 1.0))))
-    assert line.startswith(
-        "Randomisation.tip_load: (2.0, 1.0) is not allowed; give a range (low, high) with low <= high"
-    )
 
 
 # Gravity

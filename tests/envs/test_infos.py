@@ -87,17 +87,3 @@ def test_call_gives_what_gymnasiums_own_gives():
         ours.get_attr("rewarding")
     with pytest.raises(ValueError, match=r"^call: 'reset' is not allowed; give a method that an arm has alone"):
         ours.call("reset", seed=3)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        ({"infos": "never"}, "infos: 'never' is not allowed; give one of always, at end"),
-        ({"seed_stride": 0}, "seed_stride: 0 is not allowed; give a whole number from 1"),
-        ({"info_keys": ["torque"]}, "info_keys: 'torque' is not allowed; give one of motor_angles"),
-    ],
-)
-def test_what_is_not_known_is_refused(arguments, line):
-    with pytest.raises(ValueError) as error:
-        FlexManVectorEnv(2, **arguments)
-    assert str(error.value).startswith(line) and "\n" not in str(error.value)

@@ -10,14 +10,12 @@ from gymnasium.utils.env_checker import check_env
 
 import flexman_gym as fm
 from flexman_gym.envs import NAMED_ENVIRONMENTS
-from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.settings import SETTINGS as DECLARED
-from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.rendering import RENDER_KEYWORDS
-from flexman_gym.envs.vector_env import OWN_KEYWORDS, FlexManVectorEnv
+from flexman_gym.envs.vector_env import OWN_KEYWORDS
 from flexman_gym.metrics import settling_time
 
-from oracles.assertions import refusal, same_alone_and_among_others
+from oracles.assertions import same_alone_and_among_others
 
 IDS = sorted(NAMED_ENVIRONMENTS)
 NEW = ("FlexPlanar-v0", "FlexOne-v0")
@@ -142,40 +140,6 @@ def test_gym_make_and_gym_make_vec_take_the_same_keywords():
     for _ in range(2):
         one, two = single.step(np.full(2, 0.3)), many.step(np.full((2, 2), 0.3))
         assert np.array_equal(one[0], two[0][0]) and one[1] == two[1][0] and one[3] == two[3][0]
-
-
-@pytest.mark.parametrize("make", [FlexManEnv, FlexManVectorEnv])
-@pytest.mark.parametrize(
-    ("wrong", "near"),
-    [("randomization", "randomisation"), ("control_freq", "control_period"), ("stifening", "stif"),
-     ("renderer", "render_"), ("task_", "task"), ("torque_limits", "torque_limit")],
-)  # fmt: skip
-def test_an_unknown_keyword_is_refused_with_the_nearest_known_one(make, wrong, near):
-    with pytest.raises(ValueError) as error:
-        make(**{wrong: 1})
-    line = str(error.value)
-    assert line.startswith(f"{wrong}: 1 is not allowed; give a setting: the nearest is {near}")
-    assert "\n" not in line and all(name in line for name in DECLARED)
-
-
-def test_a_name_that_there_is_not_is_refused_in_one_line():
-    line = refusal(lambda: Configuration.from_keywords({"name": "FlexTwo-v0"}))
-    assert line == f"name: 'FlexTwo-v0' is not allowed; give one of {', '.join(NAMED_ENVIRONMENTS)}"
-
-
-@pytest.mark.parametrize(
-    ("settings", "line"),
-    [
-        ({"horizon": -1.0}, "horizon: -1.0 is not allowed; give a finite number > 0 (s)"),
-        ({"horizon": 0.001}, "horizon: 0.001 is not allowed; give 1 to 1000000000 control periods of 0.02 s"),
-        ({"control_period": 0}, "control_period: 0 is not allowed; give a finite number > 0 (s)"),
-        ({"randomisation": 3}, "randomisation: 3 is not allowed; give a Randomisation, or a dict of its arguments"),
-        ({"arm": fm.catalog.planar_2r()}, "torque_limit: None is not allowed; give one number (N m), or one for each"),
-        ({"task": fm.Slew}, "task: <class 'flexman_gym.envs.tasks.slew.Slew'> is not allowed; give one of slew"),
-    ],
-)
-def test_bad_settings_are_refused_in_one_line(settings, line):
-    assert refusal(lambda: Configuration.from_keywords(settings)).startswith(line)
 
 
 # Neither easy nor fragile

@@ -251,37 +251,3 @@ def test_nothing_is_drawn_where_nothing_is_asked():
     assert fm.Randomisation().effects == ()
     assert "drawn" not in FlexManEnv().reset(seed=0)[1]
     assert FlexManEnv(randomisation=fm.Randomisation()).reset(seed=0)[1]["drawn"] == {}
-
-
-@pytest.mark.parametrize(
-    ("fields", "line"),
-    [
-        ({"payload_mass": 3.0}, "Randomisation.payload_mass: 3.0 is not allowed; give a list of numbers"),
-        ({"payload_mass": (3.0, 1.0)}, "Randomisation.payload_mass: (3.0, 1.0) is not allowed; give a range (low"),
-        ({"payload_mass": (-1.0, 1.0)}, "Randomisation.payload_mass: -1.0 is not allowed; give a finite number >= 0"),
-        ({"link_stiffness_factor": (0.0, 1.0)}, "Randomisation.link_stiffness_factor: 0.0 is not allowed"),
-        ({"sensor_noise": (0.0, np.inf)}, "Randomisation.sensor_noise[1]: inf is not allowed; give a finite number"),
-        ({"delay": (0, 1.5)}, "Randomisation.delay: 1.5 is not allowed; give a whole number from 0"),
-        ({"sensor_noise": (0.0, 1e300)}, "Randomisation.sensor_noise: 1e+300 is not allowed; give a fraction"),
-        ({"impulse_gap": 0.0}, "Randomisation.impulse_gap: 0.0 is not allowed; give a finite number > 0"),
-        ({"impulse_gap": 0.01}, "Randomisation.impulse_gap: 0.01 is not allowed; give at least the control period"),
-        ({"initial_vibration": (0.0, 9.0)}, "Randomisation.initial_vibration: (0.0, 9.0) is not allowed; give at most"),
-        ({"mass": (0.0, 9.0)}, "randomisation: 'mass' is not allowed; give one of payload_mass joint_stiffness_fact"),
-    ],
-)  # fmt: skip
-def test_bad_ranges_are_refused_in_one_line(fields, line):
-    with pytest.raises(ValueError) as error:
-        FlexManEnv(randomisation=fields)
-    assert str(error.value).startswith(line) and "\n" not in str(error.value)
-
-
-def test_effects_that_a_rigid_arm_has_no_room_for_are_refused():
-    with pytest.raises(ValueError, match=r"^randomisation: 3 is not allowed; give a Randomisation, or a dict"):
-        FlexManEnv(randomisation=3)
-    arm = fm.catalog.one_link(joint_stiffness=None)
-    for effects in ({"joint_stiffness_factor": (0.9, 1.1)}, {"joint_damping": (0.0, 1.0)}):
-        with pytest.raises(ValueError, match=r"give None: every joint of this arm is rigid$"):
-            FlexManEnv(arm=arm, torque_limit=0.5, randomisation=effects)
-    for effects in ({"link_stiffness_factor": (0.9, 1.1)}, {"initial_vibration": (0.0, 1e-3)}):
-        with pytest.raises(ValueError, match=r"give None: every link of this arm is rigid$"):
-            FlexManEnv(modes=0, randomisation=effects)

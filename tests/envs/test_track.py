@@ -170,25 +170,6 @@ def test_nothing_a_pd_and_an_lqr_are_apart(name):
     assert result[2] <= result[1] / 2.0 and result[1] <= result[0] / 2.0, result
 
 
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        ({"path": "spiral"}, "Track.path: 'spiral' is not allowed; give one of circle, lemniscate, smooth, any"),
-        ({"size": 0.0}, "Track.size: 0.0 is not allowed; give a finite number > 0 (of the reach)"),
-        (
-            {"period": (3.0, 2.0)},
-            "Track.period: (3.0, 2.0) is not allowed; give a range (low, high) with 0 < low <= high",
-        ),
-        ({"period": 3.0}, "Track.period: 3.0 is not allowed; give a list of"),
-        ({"preview": (0.0,)}, "Track.preview[0]: 0.0 is not allowed; give a finite number > 0 (s)"),
-        ({"middle": -1.0}, "Track.middle: -1.0 is not allowed; give a finite number > 0 (rad)"),
-        ({"failure_penalty": -1.0}, "Track.failure_penalty: -1.0 is not allowed; give a finite number >= 0"),
-    ],
-)
-def test_wrong_arguments_are_refused_in_one_line(arguments, line):
-    assert refusal(lambda: Track(**arguments)).startswith(line)
-
-
 def test_a_path_that_an_arm_cannot_follow_is_refused_in_one_line():
     for settings_ in ({"name": "FlexOne-v0", "task": Track()}, {"name": "FlexPlanar-v0", "task": Track(size=2.0)}):
         line = refusal(lambda settings_=settings_: FlexManEnv(**settings_).reset(seed=0))

@@ -12,7 +12,7 @@ from flexman_gym.fidelity.mesh_search import MAX_RUNS, MeshSearch, large_rotatio
 from flexman_gym.model.model import scene_model
 
 from oracles.assertions import refusal
-from oracles.chains import random_joint, random_link
+from oracles.chains import random_scene
 
 pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
 
@@ -22,19 +22,10 @@ def opened(scene):
     return replace(scene, model=replace(scene.model, elements=None))
 
 
-def chain(seed, links):
-    """A random chain with springs and dampers in its joints, under sine torques, its mesh open."""
-    rng = np.random.default_rng(seed)
-    arm = fm.Arm([random_link(rng) for _ in range(links)], [random_joint(rng, True) for _ in range(links)])
-    torque = fm.SineTorque(rng.uniform(5.0, 20.0, links), rng.uniform(0.5, 2.0, links), [0.0] * links)
-    start = fm.Initial([0.0] * links, [0.0] * links)
-    return fm.Scene(arm, fm.ModelChoice(True, None), torque, start, 0.4, 0.02)
-
-
 SCENES = {
     "paper ff": lambda: opened(replace(fm.catalog.paper_scene("ff"), duration=0.5)),
     "paper fr": lambda: opened(replace(fm.catalog.paper_scene("fr"), duration=0.5)),
-    "two links": lambda: chain(3, 2),
+    "two links": lambda: random_scene(3, 2, None, 0.4),
 }
 
 
@@ -94,7 +85,7 @@ def test_rigid_links_need_no_mesh():
 
 
 def test_an_arm_of_many_links_costs_no_more_runs():
-    assert fm.choose_model(chain(1, 4), 2e-3).runs <= MAX_RUNS
+    assert fm.choose_model(random_scene(1, 4, None, 0.4), 2e-3).runs <= MAX_RUNS
 
 
 @pytest.mark.parametrize("suffix", ["json", "yaml"])

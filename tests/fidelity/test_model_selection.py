@@ -14,20 +14,11 @@ from flexman_gym.model.dynamics import stiffness_matrix
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.stability import NEGLIGIBLE_GROWTH, remaining_amplitude, spectral_radii, stability_limit
 
-from oracles.chains import random_joint, random_link
+from oracles.chains import random_scene
 from oracles.files import REFERENCE
 
 pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")
 FIXED = [name for name, method in METHODS.items() if not method.adaptive]
-
-
-def chain(seed, links):
-    """A random chain with springs and dampers in its joints, under sine torques."""
-    rng = np.random.default_rng(seed)
-    arm = fm.Arm([random_link(rng) for _ in range(links)], [random_joint(rng, True) for _ in range(links)])
-    torque = fm.SineTorque(rng.uniform(5.0, 20.0, links), rng.uniform(0.5, 2.0, links), [0.0] * links)
-    start = fm.Initial([0.0] * links, [0.0] * links)
-    return fm.Scene(arm, fm.ModelChoice(True, 1), torque, start, 0.6, 0.02)
 
 
 def one_link():
@@ -41,7 +32,7 @@ SCENES = {
     "paper ff": lambda: replace(fm.catalog.paper_scene("ff"), duration=0.5),
     "paper fr": lambda: replace(fm.catalog.paper_scene("fr"), duration=0.5),
     "gravity and payload": lambda: replace(fm.Scene.load(REFERENCE / "gravity_payload_ff.json"), duration=0.5),
-    "two links": lambda: chain(3, 2),
+    "two links": lambda: random_scene(3, 2, 1, 0.6),
     "one link": one_link,
 }
 

@@ -150,23 +150,3 @@ def test_modes_of_an_assembled_arm_come_down_to_those_of_the_full_model():
         assert (result <= last * (1 + 1e-6)).all() and (result >= full * (1 - 1e-6)).all()
         last = result
     assert last == pytest.approx(full, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("options", "field"),
-    [
-        ({"modes": 13}, "modes[0]"),
-        ({"modes": (4, 4, 13)}, "modes[2]"),
-        ({"modes": (4, (0, 12), 3)}, "modes[1]"),
-        ({"modes": (4, 4)}, "modes"),
-        ({"elements": (2, 2, 2, 2)}, "elements"),
-        ({"elements": 0}, "ModelChoice.elements"),
-        ({"flexible_links": (True,)}, "flexible_links"),
-        ({"flexible_joints": 1}, "ModelChoice.flexible_joints"),
-    ],
-)
-def test_a_model_that_cannot_be_is_refused_in_one_line(options, field):
-    with pytest.raises(ValueError) as error:
-        fm.build_model(fm.catalog.paper_rrr(), **options)
-    line = str(error.value)
-    assert line.startswith(f"{field}: ") and " is not allowed; give " in line and "\n" not in line

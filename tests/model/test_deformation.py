@@ -83,29 +83,6 @@ def test_a_rigid_link_has_no_strain(flexibility):
     assert fm.strain(model, [0.3, 0.4], 0, 1.0, 0.01, 0.01) == 0.0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "field"),
-    [
-        (([0.0], 0, 1.0), "state"),
-        (([0.0, np.nan], 0, 1.0), "state[1]"),
-        (([0.0, 0.0], 1, 1.0), "link"),
-        (([0.0, 0.0], -1, 1.0), "link"),
-        (([0.0, 0.0], 0.0, 1.0), "link"),
-        (([0.0, 0.0], 0, -0.1), "position"),
-        (([0.0, 0.0], 0, 2.1), "position"),
-        (([0.0, 0.0], 0, None), "position"),
-        (([0.0, 0.0], 0, 1.0, "top"), "y"),
-        (([0.0, 0.0], 0, 1.0, 0.0, np.inf), "z"),
-    ],
-)
-def test_bad_input_of_strain_is_refused_in_one_line(arguments, field):
-    model = fm.build_model(fm.catalog.one_link(), flexible_links=False)
-    with pytest.raises(ValueError) as error:
-        fm.strain(model, *arguments)
-    line = str(error.value)
-    assert line.startswith(f"{field}: ") and " is not allowed; give " in line and "\n" not in line
-
-
 ONE = fm.catalog.one_link()
 CURVED_LINK = ONE.links[0]
 POINTS = 7
@@ -235,19 +212,3 @@ def test_rotations_are_those_of_vectors_of_any_length():
         model = fm.build_model(fm.Arm([CURVED_LINK], [joint]), flexible_links=False)
         result = fm.curves(model, fm.rest_state(model, [angle]), 2).frames[0, -1]
         assert np.allclose(result, Rotation.from_rotvec(angle * np.array(joint.axis)).as_matrix(), rtol=0.0, atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "field"),
-    [
-        (([0.0], 5), "states"),
-        (([np.nan] * 26, 5), "states"),
-        (([0.0] * 26, 1), "points"),
-        (([0.0] * 26, 5, -1), "gain"),
-    ],
-)
-def test_bad_input_of_curves_is_refused_in_one_line(arguments, field):
-    model = fm.build_model(ONE)
-    with pytest.raises(ValueError) as error:
-        fm.curves(model, *arguments)
-    assert str(error.value).startswith(f"{field}: ") and "\n" not in str(error.value)

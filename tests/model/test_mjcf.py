@@ -11,8 +11,6 @@ import flexman_gym as fm
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.model.mjcf import rigid_pieces, to_mjcf
 
-from oracles.assertions import refusal
-
 TURN = tuple(map(tuple, Rotation.from_rotvec((0.3, -0.8, 0.4)).as_matrix()))
 THIN = fm.Link(0.4, 1e-4, 3e-10, 5e-9, 1e-9, 7e10, 2.6e10, 2700.0)
 STEPPED = fm.NonUniformLink((replace(THIN, length=0.3, area=1.5e-4, second_moment_y=9e-10), THIN), TURN)
@@ -136,8 +134,3 @@ def test_the_usual_step_is_stable_and_no_shorter_than_it_must_be(mujoco, name):
     data.qvel[0] = 0.3
     mujoco.mj_step(model, data, 200)
     assert data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number == 0
-
-
-def test_what_is_no_arm_is_refused():
-    assert "give an Arm" in refusal(to_mjcf, "paper_rrr")
-    assert "give a whole number from 0 to 64" in refusal(to_mjcf, ODD, 65)

@@ -166,22 +166,3 @@ def test_solvers_of_python_control_work_on_the_scaled_form(control):
     assert np.linalg.eigvals(scaled.A - scaled.B @ gain).real.max() < 0.0
     sampled = scaled.discrete(0.01, 0.005).to_control()
     assert sampled.dt == 0.01 and control.dlqr(sampled, np.eye(2 * D + N), np.eye(N))[2].size == 2 * D + N
-
-
-def test_refusals_name_what_is_allowed():
-    small = LINEAR.reduced(50.0)
-    for make, line in (
-        (lambda: fm.linearize(MODEL, outputs=["tips"]), "outputs[0]: 'tips' is not allowed; give one of motor_angles"),
-        (
-            lambda: fm.linearize(MODEL, inputs=["torque"]),
-            "inputs[0]: 'torque' is not allowed; give one of motor_torques",
-        ),
-        (lambda: fm.linearize(MODEL, inputs=[]), "inputs: [] is not allowed; give at least one of motor_torques"),
-        (lambda: small.scaled(), "model: 'a changed model' is not allowed; give the model returned by linearize"),
-        (lambda: small.discrete(0.0), "period: 0.0 is not allowed"),
-        (lambda: small.discrete(0.1, -1.0), "delay: -1.0 is not allowed"),
-        (lambda: small.discrete(0.1).discrete(0.1), "period: 0.1 is not allowed; give a continuous model"),
-        (lambda: small.frequency_response([-1.0]), "frequencies[0]: -1.0 is not allowed"),
-        (lambda: LINEAR.reduced(0.0), "frequency: 0.0 is not allowed"),
-    ):
-        assert refusal(make).startswith(line), line

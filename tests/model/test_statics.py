@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 import flexman_gym as fm
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.kernels import layout, outputs
+from flexman_gym.kernels import layout
 from flexman_gym.model.statics import rest_tips
 
 from oracles.assertions import refusal
-from oracles.chains import QUICK, Sample, random_joint, random_link, samples
+from oracles.chains import QUICK, Sample, observed, random_joint, random_link, samples
 
 WEIGHT = 9.81
 
@@ -23,14 +23,6 @@ def cantilever(load, elements=3, gravity=(0.0, -WEIGHT, 0.0), stiffness=None):
     link = fm.Link(1.5, 4e-4, 1e-7, 5e-9, 2e-8, youngs_modulus=70e9, shear_modulus=26e9, density=2700.0)
     joint = fm.Joint((0.0, 0.0, 1.0), 0.1, stiffness)
     return fm.build_model(fm.Arm([link], [joint], fm.Payload(load) if load else None, gravity), elements)
-
-
-def observed(model, state):
-    """The output row of the kernels at a state."""
-    row = np.zeros(layout.OUTPUTS)
-    x, v = np.split(state, 2)
-    outputs.compute_outputs(model.constants, layout.make_work(model.constants), x, v, row)
-    return row
 
 
 @settings(QUICK, max_examples=25)
@@ -59,7 +51,7 @@ def test_a_cantilever_sags_by_the_formulas_of_its_load_and_of_its_own_weight(loa
     length, rigidity = link.length, link.youngs_modulus * link.second_moment_z
     weight, spread = load * WEIGHT, link.density * link.area * WEIGHT
     sag = weight * length**3 / (3 * rigidity) + spread * length**4 / (8 * rigidity)
-    tip = observed(model, fm.rest_state(model, [0.0]))[layout.TIP]
+    tip = observed(model, *np.split(fm.rest_state(model, [0.0]), 2))[layout.TIP]
     assert tip == pytest.approx([length, -sag, 0.0], rel=1e-3, abs=1e-9)
     moment = weight * length + spread * length**2 / 2
     assert fm.holding_torques(model, [0.0]) == pytest.approx([moment], rel=1e-3)
@@ -72,7 +64,9 @@ def test_a_small_sag_is_the_formula_to_nine_digits():
     rigidity, length = link.youngs_modulus * link.second_moment_z, link.length
     sag = 0.3 * length**3 / (3 * rigidity) + link.density * link.area * length**4 / (8 * rigidity)
     expected = -1e-6 * WEIGHT * sag
-    assert observed(model, fm.rest_state(model, [0.0]))[layout.TIP][1] == pytest.approx(expected, rel=1e-9)
+    assert observed(model, *np.split(fm.rest_state(model, [0.0]), 2))[layout.TIP][1] == pytest.approx(
+        expected, rel=1e-9
+    )
 
 
 @settings(deadline=None)
@@ -100,7 +94,7 @@ def test_without_gravity_an_arm_rests_undeformed_and_needs_no_torques(sample, se
 
 def test_a_vertical_column_bends_nowhere():
     model = cantilever(0.3, gravity=(0.0, -WEIGHT, 0.0))
-    tip = observed(model, fm.rest_state(model, [np.pi / 2]))[layout.TIP]
+    tip = observed(model, *np.split(fm.rest_state(model, [np.pi / 2]), 2))[layout.TIP]
     assert tip[0] == pytest.approx(0.0, abs=1e-9) and tip[1] == pytest.approx(1.5, abs=1e-5)
     assert fm.holding_torques(model, [np.pi / 2]) == pytest.approx([0.0], abs=1e-9)
 
@@ -108,7 +102,7 @@ def test_a_vertical_column_bends_nowhere():
 def test_tips_at_rest_are_those_of_the_states_at_rest():
     model = cantilever(0.2, stiffness=500.0)
     postures = np.array([[-1.0], [0.0], [0.7]])
-    expected = [observed(model, fm.rest_state(model, posture))[layout.TIP] for posture in postures]
+    expected = [observed(model, *np.split(fm.rest_state(model, posture), 2))[layout.TIP] for posture in postures]
     assert np.array_equal(rest_tips(model, postures), expected)
 
 
@@ -120,10 +114,7 @@ def test_the_vertical_arm_sags_by_some_seven_centimetres():
     assert (np.abs(fm.holding_torques(model, [0.0, 0.0])) < 0.7 * np.array(limits)).all()
 
 
-def test_wrong_angles_and_arms_that_are_too_soft_are_refused_in_one_line():
-    model = cantilever(0.3)
-    assert refusal(fm.rest_state, model, [0.0, 1.0]).startswith("motor_angles: [0.0, 1.0] is not allowed; give 1 numb")
-    assert refusal(fm.holding_torques, model, [np.nan]).startswith("motor_angles[0]: nan is not allowed; give a finite")
+def test_an_arm_that_is_too_soft_for_its_weight_is_refused_in_one_line():
     rng = np.random.default_rng(0)
     soft = fm.Arm([random_link(rng)], [replace(random_joint(rng, True), stiffness=1.0)], gravity=(0.0, 0.0, -9.81))
     line = refusal(fm.rest_state, fm.build_model(soft, 1), [0.3])

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 
 import flexman_gym as fm
-from flexman_gym.kernels import inverse, layout, outputs
+from flexman_gym.kernels import inverse, layout
 from flexman_gym.model.model import scene_model
 
-from oracles.chains import QUICK, samples
+from oracles.chains import QUICK, observed, samples
 from oracles.files import REFERENCE
 
 
@@ -23,13 +23,6 @@ def stiffened(sample):
     return fm.build_model(
         sample.arm, choice.elements, choice.modes, choice.flexible_links, choice.flexible_joints, stiffening=True
     )
-
-
-def observed(model, x, v):
-    """The output row (OUTPUTS,) at coordinates and speeds."""
-    out = np.zeros(layout.OUTPUTS)
-    outputs.compute_outputs(model.constants, layout.make_work(model.constants), x, v, out)
-    return out
 
 
 def test_a_link_spun_past_its_first_bending_frequency_follows_the_reference():

@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode
 
 from flexman_gym.common.checks import short_repr
 
@@ -34,6 +35,27 @@ def same_alone_and_among_others(name, steps=60, **settings):
         action = ours.action_space.sample()
         for result, expected in zip(ours.step(action), theirs.step(action), strict=True):
             same(result, expected, f"step {step}")
+
+
+def same_side_by_side(ours, theirs, actions, seed=5):
+    """Assert that an environment of many arms equals single ones bit by bit; return the number of ends of each kind.
+
+    Where episodes do not begin again by themselves, those that ended are reset.
+    """
+    for actual, expected in zip(ours.reset(seed=seed), theirs.reset(seed=seed), strict=True):
+        same(actual, expected, "reset")
+    terminated = truncated = 0
+    for step, action in enumerate(actions):
+        result = ours.step(action)
+        for actual, expected in zip(result, theirs.step(action), strict=True):
+            same(actual, expected, f"step {step}")
+        terminated, truncated = terminated + result[2].sum(), truncated + result[3].sum()
+        ended = result[2] | result[3]
+        if ours.metadata["autoreset_mode"] == AutoresetMode.DISABLED and ended.any():
+            both = (env.reset(options={"reset_mask": ended.copy()}) for env in (ours, theirs))
+            for actual, expected in zip(*both, strict=True):
+                same(actual, expected, f"{step} reset")
+    return terminated, truncated
 
 
 def refusal(action, *arguments) -> str:

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
 from flexman_gym import Arm, Joint, Link, Model, Payload, build_model
+from flexman_gym.kernels import layout, outputs
 
 from oracles.coordinates import agreed, agreed_modes, loaded_link, outboard_masses, own_damping, own_stations
 from oracles.dense import Chain, LinkModel
@@ -257,3 +258,26 @@ def affected(draw, held=True):
     sample = draw(samples(stiffening=None))
     joints = st.sets(st.integers(0, sample.model.n_joints - 1))
     return Affected(sample, draw(st.booleans()), tuple(draw(joints)) if held else ())
+
+
+def random_scene(seed, links, elements, duration):
+    """Return a scene of a random chain with springs and dampers in its joints, under sine torques."""
+    rng = np.random.default_rng(seed)
+    arm = fm.Arm([random_link(rng) for _ in range(links)], [random_joint(rng, True) for _ in range(links)])
+    torque = fm.SineTorque(rng.uniform(5.0, 20.0, links), rng.uniform(0.5, 2.0, links), [0.0] * links)
+    start = fm.Initial([0.0] * links, [0.0] * links)
+    return fm.Scene(arm, fm.ModelChoice(True, elements), torque, start, duration, 0.02)
+
+
+def observed(model, x, v):
+    """Return the output row (OUTPUTS,) of the kernels at coordinates and speeds."""
+    out = np.zeros(layout.OUTPUTS)
+    outputs.compute_outputs(model.constants, layout.make_work(model.constants), x, v, out)
+    return out
+
+
+def laden_rrr(weight=9.81):
+    """Return the arm of the paper with heavier rotors, a body off its tip, gravity and damped links."""
+    payload = fm.Payload(3.0, inertia=np.diag([0.2, 0.3, 0.4]).tolist(), offset=(0.1, 0.0, 0.2))
+    arm = fm.catalog.paper_rrr(rotor_inertia=10.0, link1_area="corrected")
+    return replace(arm, payload=payload, gravity=(0.0, 0.0, -weight), stiffness_proportional_damping=1e-4)

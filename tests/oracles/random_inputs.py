@@ -32,6 +32,23 @@ ALL_PARTS = ("motor_encoders", "joint_encoders", "strain", "accelerometer", "tip
 FLAWED = {"kind": "lab", "noise": 0.002, "bias": 0.001, "quantisation": 1e-4, "delay": 1, "every": 2, "dropped": 0.2}
 
 
+def asked_after_a_state(one, other, before, after):
+    """Return the torques asked for by an environment with two motors, and by another that was given its state."""
+    still, asked = np.zeros(2, dtype=np.float32), []
+    one.reset(seed=1)
+    for _ in range(before):
+        one.step(still)
+    other.reset(seed=2)
+    other.set_state(one.get_state())
+    for env in (one, other):
+        rows = []
+        for _ in range(after):
+            env.step(still)
+            rows.append(env.episodes.view.action.copy())
+        asked.append(rows)
+    return asked
+
+
 def actions(arms, steps, seed=0):
     """Yield small random torques, sometimes at the motor limits."""
     random = np.random.default_rng(seed)

@@ -1,6 +1,7 @@
 """Settings of training runs that take a second and use every stored quantity."""
 
 from flexman_agents.settings import Settings
+from flexman_gym.common.run_folder import NEWEST, read_npz
 
 ENVIRONMENT = {
     "id": "FlexOne-v0", "base": "pd", "action_repeat": 3, "sensors": ["full", "fine"], "horizon": 0.6,
@@ -23,3 +24,8 @@ RUNS = {
         eval_every=60,
     ),
 }  # fmt: skip
+
+
+def bits(folder):
+    """Return the arrays of the policy of a run as bytes."""
+    return {name: values.tobytes() for name, values in read_npz(folder / NEWEST)["policy"].items()}

@@ -349,15 +349,11 @@ def test_bytes_directories_and_missing_files_are_refused(tmp_path):
     assert "give one of .json, .yaml, .yml" in refusal(SCENE.save, tmp_path / "scene.toml")
 
 
-def test_yaml_has_no_numbers_or_words_but_those_of_json(tmp_path):
+def test_yaml_has_the_numbers_and_words_of_json_alone(tmp_path):
     path, text = tmp_path / "scene.yaml", yaml.dump(SCENE.to_dict())
     for written in ("1:30", "0x10", "0o17", "010", "1_0", "yes", ".inf", ".nan", "2026-01-01"):
         path.write_text(text.replace("duration: 1.5", f"duration: {written}"))
         assert f"duration: '{written}' is not allowed" in refusal(Scene.load, path)
-
-
-def test_yaml_reads_exponents_as_json_does(tmp_path):
-    path, text = tmp_path / "scene.yaml", yaml.dump(SCENE.to_dict())
     for written in ("15e-1", "1.5e0", "0.15e+1"):
         path.write_text(text.replace("duration: 1.5", f"duration: {written}"))
         assert Scene.load(path) == SCENE, written

@@ -192,60 +192,6 @@ def test_a_scene_keeps_its_drive_in_a_file(tmp_path):
     assert "prescribed" not in SCENE.to_dict()
 
 
-@pytest.mark.parametrize(
-    ("change", "field", "allowed"),
-    [
-        ({"prescribed": [WOBBLE, None, None]}, "Scene.torque of joint 0: 400.0", "0 (N m)"),
-        ({"prescribed": [None]}, "Scene.prescribed: [None]", "3 of Signal, SampledSignal, SampledAngles or None"),
-        ({"prescribed": [1.0, None, None]}, "Scene.prescribed", "3 of Signal, SampledSignal, SampledAngles or None"),
-        ({"tip_force": [WOBBLE]}, "Scene.tip_force", "three of Signal"),
-        ({"base_acceleration": 9.81}, "Scene.base_acceleration: 9.81", "three of Signal"),
-    ],
-)
-def test_a_scene_refuses_a_drive_that_cannot_be(change, field, allowed):
-    with pytest.raises(ValueError) as error:
-        replace(SCENE, **change)
-    assert str(error.value).startswith(field) and allowed in str(error.value) and "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "field"),
-    [
-        (([1.0, 0.0, 0.0],), "torque[0]: 1.0"),
-        (([0.0] * 3, [0.0, 1.0, 0.0]), "acceleration[1]: 1.0"),
-        (([0.0] * 3, [0.0, np.nan, 0.0]), "acceleration"),
-        (([0.0] * 3, None, [1.0]), "tip_force: [1.0]"),
-        (([0.0] * 3, None, None, "up"), "base_acceleration: 'up'"),
-    ],
-)
-def test_the_simulator_refuses_a_drive_that_cannot_be(arguments, field):
-    simulator = fm.Simulator(MODELS["rigid joints"], prescribed=[0])
-    with pytest.raises(ValueError, match="is not allowed; give") as error:
-        simulator.step(*arguments)
-    assert str(error.value).startswith(field)
-    assert simulator.time == 0.0 and simulator.step([0.0, 1.0, 0.0]) == "ok"
-
-
-@pytest.mark.parametrize(
-    ("numbers", "field"),
-    [
-        ({"offset": np.inf}, "Signal.offset"),
-        ({"frequency_hz": -1.0}, "Signal.frequency_hz"),
-        ({"start": -1.0}, "Signal.start"),
-        ({"start": 2.0, "stop": 2.0}, "Signal.stop"),
-    ],
-)
-def test_a_signal_refuses_numbers_outside_their_range(numbers, field):
-    with pytest.raises(ValueError, match="is not allowed; give") as error:
-        fm.Signal(**numbers)
-    assert str(error.value).startswith(field)
-
-
-def test_a_joint_that_is_not_there_cannot_be_prescribed():
-    with pytest.raises(ValueError, match="prescribed: 3 is not allowed"):
-        fm.Simulator(MODELS["rigid joints"], prescribed=[3])
-
-
 def test_a_disturbance_lasts_its_control_period():
     """A period after it without one is that of an arm at the same state that never had any."""
     shaken, calm = (fm.Simulator(fm.build_model(fm.catalog.paper_rrr(), 1)) for _ in range(2))

@@ -162,12 +162,3 @@ def test_inverse_dynamics_of_flexible_joints_refuses_friction_by_name():
     model = fm.build_model(replace(arm, joints=joints), flexible_links=False)
     with pytest.raises(ValueError, match=r"model.arm.joints\[0\].coulomb_friction: 9.0 is not allowed"):
         fm.inverse_dynamics(model, *np.zeros((5, 3)))
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "allowed"),
-    [("viscous_friction", -1.0, ">= 0"), ("coulomb_friction", -1.0, ">= 0"), ("coulomb_rate", 0.0, "> 0")],
-)
-def test_friction_that_gives_energy_is_refused(field, value, allowed):
-    with pytest.raises(ValueError, match=f"Joint.{field}: {value} is not allowed; give a finite number {allowed}"):
-        fm.Joint((0.0, 0.0, 1.0), 1.0, **{field: value})

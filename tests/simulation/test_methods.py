@@ -158,8 +158,6 @@ def test_an_order_takes_as_many_iterations_of_the_midpoint_rule():
     for order, iterations in ((2, 1), (3, 4)):
         with pytest.raises(ValueError, match=f"^wrong: is not of order {order}"):
             IteratedGauss("wrong", order, "", iterations)
-    with pytest.raises(ValueError, match=r"^wrong.iterations: 0 is not allowed; give a whole number from 1 to 1000"):
-        IteratedGauss("wrong", 1, "", 0)
 
 
 def test_an_order_takes_as_many_iterations_of_two_stages():
@@ -168,8 +166,6 @@ def test_an_order_takes_as_many_iterations_of_two_stages():
     for order, iterations in ((3, 1), (4, 2), (5, 9)):
         with pytest.raises(ValueError, match=f"^wrong: is not of order {order}"):
             IteratedGauss("wrong", order, "", iterations, 2)
-    with pytest.raises(ValueError, match=r"^wrong.stages: 3 is not allowed; give a whole number from 1 to 2"):
-        IteratedGauss("wrong", 1, "", 1, 3)
 
 
 @pytest.mark.parametrize("angle", [0.1, 1.0, 3.5, 30.0, 1e4])
@@ -219,8 +215,6 @@ def test_generalised_alpha_has_its_spectral_radius_at_infinite_frequency(radius)
 
 def test_a_method_may_be_given_itself():
     assert error(generalised_alpha(0.2), step=DURATION / 4096) < 1e-3
-    with pytest.raises(ValueError, match=r"^generalised_alpha.radius: 1.5 is not allowed; give a number from 0 to 1"):
-        generalised_alpha(1.5)
 
 
 @pytest.mark.parametrize("name", ["implicit_midpoint", "generalised_alpha"])

@@ -12,15 +12,11 @@ from flexman_gym.kernels.layout import SPECIFIC_FORCE, TIP, TIP_ACCELERATION
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
 
+from oracles.chains import laden_rrr
 from oracles.random_inputs import drives, states_of
 
 G = 9.81
-ARM = replace(
-    fm.catalog.paper_rrr(rotor_inertia=10.0, link1_area="corrected"),
-    payload=fm.Payload(3.0, inertia=np.diag([0.2, 0.3, 0.4]).tolist(), offset=(0.1, 0.0, 0.2)),
-    gravity=(0.0, 0.0, -G),
-    stiffness_proportional_damping=1e-4,
-)
+ARM = laden_rrr(G)
 METHODS = ("midpoint_3", "ros2", "generalised_alpha", "rk4", "dop853")
 
 

@@ -41,13 +41,6 @@ def test_a_method_that_eats_vibration_raises_it_when_the_loss_passes_the_level()
     assert result.energy_alarm(2.0 * lost.max()) is None
 
 
-def test_the_level_is_a_positive_number():
-    with pytest.raises(ValueError, match="level: 0 is not allowed"):
-        fm.simulate(replace(SCENE, duration=0.1)).energy_alarm(0)
-    with pytest.raises(ValueError, match=r"energy_alarm: -1\.0 is not allowed"):
-        FlexManEnv(energy_alarm=-1.0)
-
-
 def test_the_environment_raises_it_too():
     alarms = {}
     for step, level in ((0.005, 0.01), (0.02, 1e-4)):

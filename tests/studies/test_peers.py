@@ -18,17 +18,6 @@ ROW = PrecisionRow("paper_ff", "2 elements a link", "ros2", 1e-3, None, 0.02, 0.
 
 
 @pytest.fixture(scope="module")
-def mujoco():
-    return pytest.importorskip("mujoco")
-
-
-@pytest.fixture(scope="module")
-def mujoco_peer(mujoco):
-    """Return the module of the MuJoCo models."""
-    return importlib.import_module("studies.peers.mujoco")
-
-
-@pytest.fixture(scope="module")
 def exudyn_peer():
     """Return the module of the Exudyn models."""
     try:

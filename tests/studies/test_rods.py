@@ -15,17 +15,6 @@ ARM, SCENE = fm.catalog.paper_rrr(), fm.catalog.paper_scene("ff")
 
 
 @pytest.fixture(scope="module")
-def mujoco():
-    return pytest.importorskip("mujoco", minversion="4")
-
-
-@pytest.fixture(scope="module")
-def mujoco_peer(mujoco):
-    """Return the module of the MuJoCo models."""
-    return importlib.import_module("studies.peers.mujoco")
-
-
-@pytest.fixture(scope="module")
 def rods(mujoco_peer):
     """Return the module of the MuJoCo rods."""
     return importlib.import_module("studies.peers.rods")

@@ -31,12 +31,6 @@ def test_the_fast_rows_pass(rows):
     assert all(row.source for row in rows)
 
 
-def test_a_wrong_expected_value_fails(rows):
-    judged = [row for row in rows if row.tolerance is not None]
-    wrong = [replace(row, expected=(row.expected + 1.0) * (1.0 + 2.0 * row.tolerance)) for row in judged]
-    assert {row.verdict for row in wrong} == {"fail"}
-
-
 def test_a_printed_value_is_met_to_half_its_last_digit():
     for value, verdict in ((4.549, "pass"), (4.451, "pass"), (4.56, "fail"), (4.44, "fail")):
         assert printed_row("a frequency, Hz", "a book", "4.5", value).verdict == verdict
