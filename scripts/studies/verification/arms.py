@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import brentq
 
-from flexman_gym.common.arrays import Array
+from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.kernels import inverse, layout
 from flexman_gym.model.beam import build_beam
 from flexman_gym.model.dynamics import acceleration, frequencies, mass_matrix, stiffness_matrix
@@ -221,7 +221,7 @@ def _paper_links(link1_area: str = "printed") -> list[Link]:
     return [link.sections[0] for link in catalog.paper_rrr(link1_area).links]
 
 
-def _jacobian(model: Model, state: Array, columns: Array, step: float = 1e-5) -> Array:
+def _jacobian(model: Model, state: Array, columns: IntArray, step: float = 1e-5) -> Array:
     """Return the Jacobian of the accelerations of some coordinates by the same coordinates (central differences)."""
     derivatives = []
     for column in columns:
