@@ -244,7 +244,7 @@ def named_arm(name: str) -> Callable[..., Arm]:
     Returns:
         The function; it raises a ValueError for values that Joint or Arm does not accept.
     """
-    data = files.read_data(ARM_FOLDER / f"{name}.yaml")
+    data = files.read_data(ARM_FOLDER / f"{name}.yaml", of_package=True)
     arm, options, values = _arm_from_plain(data["arm"]), data.get("options", {}), data.get("values", {})
     defaults = {option: _default(arm, name, field, values.get(option)) for option, field in options.items()}
     kind = Parameter.POSITIONAL_OR_KEYWORD

@@ -79,7 +79,7 @@ class _NamedEnvironment:
 
 def _read(path: Path) -> dict[str, Any]:
     """Return the data of the file of a named environment, merged with those of the environment it extends."""
-    data = files.read_data(path)
+    data = files.read_data(path, of_package=True)
     parent = data.pop("extends", None)
     return data if parent is None else _read(path.with_name(f"{parent}.yaml")) | data
 
@@ -143,5 +143,5 @@ def condition_settings(id: str, condition: object) -> dict[str, Any]:
     own = sorted(path.stem for path in folder.glob("*.yaml"))
     if one_of("condition", condition, (NOMINAL, *own)) == NOMINAL:
         return {}
-    changes = files.read_data(folder / f"{condition}.yaml")
+    changes = files.read_data(folder / f"{condition}.yaml", of_package=True)
     return {name: _merged(named.plain(name), change) for name, change in changes.items()}
