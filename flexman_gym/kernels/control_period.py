@@ -190,6 +190,41 @@ def count_episode_periods(periods, active, horizon, truncated):
     return count
 
 
+BELLS, DISTANCE, EXPONENTIAL = 0, 1, 2  # kinds of rewards
+REWARD_TERMS = 3  # largest number of terms of a kind
+
+
+@kernel
+def reward_terms(kind, parameters, errors, vibrations, efforts, velocities, out):
+    """Set out (REWARD_TERMS, b) to the terms of a reward of b arms; see `Slew` for the formulas.
+
+    Args:
+        kind: BELLS; DISTANCE, which sets the first term only; or EXPONENTIAL.
+        parameters: BELLS: squared widths of the three curves, m^2, and squared vibration scale, m^2/s^2. DISTANCE:
+            squared distance of a reward near 1, m^2, the logarithm of the range, and the look-ahead time, s.
+            EXPONENTIAL: three weights and three lengths, m.
+        errors: (b,) tip errors, m.
+        vibrations: (b,) m/s; used by BELLS.
+        efforts: (b,) mean squares of the actions; used by BELLS.
+        velocities: (b, 3) of the tip, m/s; used by DISTANCE.
+        out: overwritten.
+    """
+    p = parameters
+    for b in range(len(errors)):
+        square = errors[b] * errors[b]
+        if kind == DISTANCE:
+            x, y, z = p[2] * velocities[b, 0], p[2] * velocities[b, 1], p[2] * velocities[b, 2]
+            out[0, b] = 1.0 - math.log1p((square + (x * x + y * y + z * z)) / p[0]) / p[1]
+        elif kind == EXPONENTIAL:
+            for j in range(3):
+                out[j, b] = p[j] * math.exp(-errors[b] / p[3 + j])
+        else:
+            near = p[0] / (p[0] + square) + p[1] / (p[1] + square) + p[2] / (p[2] + square)
+            out[0, b] = 0.7 / 3.0 * near
+            out[1, b] = 0.2 * p[3] / (p[3] + vibrations[b] * vibrations[b])
+            out[2, b] = 0.1 * (1.0 - efforts[b])
+
+
 @kernel
 def fourier_series(series, phases, out):
     """Set out (r, p, s) to Fourier series at phases (r, p), rad.

@@ -1,18 +1,31 @@
-"""Rewards: distance reward, and the reward terms of a task with weights or a user's function."""
+"""Rewards: compiled reward terms, and the reward terms of a task with weights or a user's function."""
 
+import math
 from collections.abc import Callable, Mapping
-from functools import reduce
+from functools import cache, reduce
 from operator import add
 from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, row_dots
+from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import mapping, short_repr
 from flexman_gym.envs.view import Number, View
+from flexman_gym.kernels import control_period as kernels
 
 # fractions of the reach; distances of reward near 1 and of 0, and time (s) by which a velocity counts as a distance
 NEAR, FAR, LOOK_AHEAD = 1.0 / 425.0, 1.0 / 1.7, 0.1
+BELL_WIDTHS = (2.0 / 8.5, 0.4 / 8.5, 0.08 / 8.5)  # fractions of the reach; widths of the bell curves of the tip error
+# exponential reward: term -> weight, and length as a fraction of the reach
+CLOSENESS = {"far": (0.1, 0.6 / 8.5), "near": (0.25, 0.15 / 8.5), "at_goal": (0.65, 0.03 / 8.5)}
+VIBRATION_SCALE = 0.3 / 8.5  # reaches per second; tip vibration at half of its reward
+
+REWARDS = {
+    "bells": (kernels.BELLS, ("tip_error", "tip_vibration", "effort")),
+    "distance": (kernels.DISTANCE, ("distance",)),
+    "exponential": (kernels.EXPONENTIAL, tuple(CLOSENESS)),
+}
+"""Compiled rewards: name -> kind in `kernels.control_period`, names of the terms."""
 
 
 def distance_reward(view: View, velocity: Array) -> Number:
@@ -26,9 +39,43 @@ def distance_reward(view: View, velocity: Array) -> Number:
         view: view of the arms.
         velocity: (..., 3) m/s, of the tip, or relative to a moving target.
     """
-    near, far, moving = NEAR * view.reach, FAR * view.reach, LOOK_AHEAD * velocity
-    square = view.tip_error * view.tip_error + row_dots(moving, moving)
-    return 1.0 - np.log1p(square / near**2) / np.log1p((far / near) ** 2)
+    result: Number = compiled_terms("distance", view, velocity)["distance"]
+    return result
+
+
+def compiled_terms(reward: str, view: View, velocity: Array | None = None) -> dict[str, Number]:
+    """Return the terms of a reward in REWARDS, name -> (...), as numbers for a single arm.
+
+    All arms take them from one kernel, as the last digit of NumPy's logarithms depends on the processor.
+
+    Args:
+        reward: key of REWARDS.
+        view: view of the arms.
+        velocity: (..., 3) m/s, as in `distance_reward`; None for a reward that does not depend on it.
+    """
+    kind, names = REWARDS[reward]
+    errors = np.array(view.tip_error, dtype=float, ndmin=1)
+    vibrations, efforts, velocities = errors, errors, np.zeros((1, 3))
+    if kind == kernels.BELLS:
+        vibrations, efforts = (np.array(each, dtype=float, ndmin=1) for each in (view.tip_vibration, view.effort))
+    if velocity is not None:
+        velocities = np.array(velocity, dtype=float, ndmin=2)
+    out = np.empty((kernels.REWARD_TERMS, len(errors)))
+    kernels.reward_terms(kind, reward_parameters(reward, view.reach), errors, vibrations, efforts, velocities, out)
+    return dict(zip(names, out if np.ndim(view.tip_error) else out[:, 0].tolist(), strict=False))
+
+
+@cache
+def reward_parameters(reward: str, reach: float) -> Array:
+    """Return the parameters of a reward in REWARDS for `kernels.control_period.reward_terms`, for a reach (m)."""
+    near, far = NEAR * reach, FAR * reach
+    return {
+        "bells": np.array([*((part * reach) ** 2 for part in BELL_WIDTHS), (VIBRATION_SCALE * reach) ** 2]),
+        "distance": np.array([near**2, math.log1p((far / near) ** 2), LOOK_AHEAD]),
+        "exponential": np.array(
+            [*(weight for weight, _ in CLOSENESS.values()), *(length * reach for _, length in CLOSENESS.values())]
+        ),
+    }[reward]
 
 
 def make_reward_terms(task: Any, reward: Any) -> Callable[[View], dict[str, Number]]:
