@@ -199,8 +199,11 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         episodes = self.episodes
         if episodes.over[0]:
             raise RuntimeError("the episode is over: reset the environment first")
-        values = validate_actions("action", action, self._shape, self._allowed)
-        reward, info = episodes.step(values[None]).item(), self._info()
+        reward = episodes.step_single(action)
+        if reward is None:
+            values = validate_actions("action", action, self._shape, self._allowed)
+            reward = episodes.step(values[None]).item()
+        info = self._info()
         self._show()
         observation = episodes.agent.observations[0].copy()
         return observation, reward, bool(episodes.failures), bool(episodes.truncated[0]), info

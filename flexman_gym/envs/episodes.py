@@ -14,6 +14,7 @@ from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import Controller, EpisodeInfo
 from flexman_gym.envs.active_effects import ActiveEffects
+from flexman_gym.envs.compiled_period import CompiledPeriod, compiled_reward, is_compiled
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.reset_options import TIP_OPTIONS, inverse_kinematics, parse_reset_options
 from flexman_gym.envs.config.specification import make_base_and_mode
@@ -26,7 +27,14 @@ from flexman_gym.envs.tasks import Task
 from flexman_gym.envs.tasks.rewards import make_reward_terms, sum_terms
 from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels import layout
-from flexman_gym.kernels.control_period import all_within, apply_actions, count_episode_periods, flag_violations
+from flexman_gym.kernels.control_period import (
+    FAILED,
+    NOT_DONE,
+    all_within,
+    apply_actions,
+    count_episode_periods,
+    flag_violations,
+)
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.trajectory import energy_alarm
 
@@ -136,6 +144,17 @@ class Episodes:
         self._no_observations, self._no_bounds = np.zeros((arms, 0)), np.zeros(0)
         self._ages, self._violated = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=bool)
         self._all = np.ones(arms, dtype=bool)
+        self._compiled = self._compile_period(configuration, observed)
+
+    def _compile_period(self, configuration: Configuration, observed: list[object]) -> CompiledPeriod | None:
+        """Return the compiled control period of a single arm; None where Python takes part in a period."""
+        acts = self.effects is not None and self.effects.acts
+        if len(self.over) > 1 or acts or not is_compiled(configuration, observed, self.agent.mode):
+            return None
+        motors, ends = (self.motors.limits, self.motors.drive), (self._limits, self._violated, self._ages)
+        reward = compiled_reward(configuration)
+        result = CompiledPeriod(reward, self.batch, self.view, self.sensors, self.agent, motors, ends)
+        return result if result.arguments else None
 
     def _effects(self, configuration: Configuration, sensors: Sequence[object]) -> ActiveEffects | None:
         """Return the effects of the randomisation and of the task; None without any."""
@@ -292,6 +311,28 @@ class Episodes:
             due |= not np.count_nonzero(moving)
         self._observe(begun & ~self.view.failed)
         return rewards / np.maximum(count, 1.0)
+
+    def step_single(self, action: object) -> float | None:
+        """Apply the action of the only arm in one call of a kernel, if Python takes no part in a control period.
+
+        Returns:
+            The reward, equal to that of `step` to the bit; None if nothing was done and `step` must be called.
+        """
+        period = self._compiled
+        if period is None or self.watch is not None or not period.set_action(action):
+            return None
+        result = self.batch.step_period(period.arguments)
+        if result == NOT_DONE:
+            return None
+        self.agent.command = period.command
+        self.clear_cache()
+        if result == FAILED:
+            self._fail(np.flatnonzero(self._violated))
+        else:
+            self._terms = period.terms()
+        if self._ages[0] >= self.max_periods:
+            self.truncated[:] = self.over[:] = True
+        return float(sum_terms(self.terms))
 
     def _period(self, moving: BoolArray) -> None:
         """Move the arms in an episode by one control period."""
