@@ -46,14 +46,15 @@ class CompiledPeriod:
         ends: tuple[Array, BoolArray, IntArray],
     ) -> None:
         n, (limits, violated, ages) = view.n_joints, ends
-        kind, self._names = REWARDS[reward or "distance"]
-        self._action, self.command, self._terms = np.zeros((1, n)), np.zeros((1, n)), np.zeros((REWARD_TERMS, 1))
+        kind, names = REWARDS[reward or "distance"]
+        self._action, self.command, terms = np.zeros((1, n)), np.zeros((1, n)), np.zeros((REWARD_TERMS + 1, 1))
+        self._terms, self._names = terms[: len(names) + 1, 0], (*names, "failure")  # the last one stays 0
         self._given, self._shape = reward is not None, (n,)
         own: dict[str, Any] = {
             "action": self._action, "command": self.command, "torque_limits": motors[0], "drive": motors[1],
             "active": np.ones(1, dtype=bool), "readings": sensors.observations, "bound": sensors.bound,
             "observations": agent.observations, "nearness_offset": np.array([NEAR * view.reach]), "limits": limits,
-            "violated": violated, "ages": ages, "reward": np.array([kind]), "reward_terms": self._terms,
+            "violated": violated, "ages": ages, "reward": np.array([kind]), "reward_terms": terms,
             "reward_parameters": reward_parameters(reward or "distance", view.reach),
         }  # fmt: skip
         self._arrays = Period(**own, **view.period_arrays(), **batch.period_arrays())  # kept alive for the kernel
@@ -70,7 +71,7 @@ class CompiledPeriod:
         """Return the reward terms of a period without a failure; None if they are computed from the view."""
         if not self._given:
             return None
-        return {**dict(zip(self._names, self._terms[:, 0].tolist(), strict=False)), "failure": 0.0}
+        return dict(zip(self._names, self._terms.tolist(), strict=True))
 
 
 def compiled_reward(configuration: Configuration) -> str | None:

@@ -426,18 +426,19 @@ class Episodes:
         """Return the numbers of the info, with an axis for the arms unless there is only one."""
         view = self.present
         residual = view.energy_residual
-        return {
+        info = {
             "tip_error": view.tip_error,
             "tip_vibration": view.tip_vibration,
             "elastic_energy": view.elastic_energy,
             "energy_residual": residual,
             "energy_alarm": energy_alarm(residual, view.energy_turnover, self._energy_alarm),
             "reward_terms": dict(self.terms),
-            **{
-                name: copy(value) for name, value in self.task.info(view).items()
-            },  # a copy, as the arrays of a view change
-            **{name: copy(getattr(view, name)) for name in self._info_keys},
         }
+        for name, value in self.task.info(view).items():
+            info[name] = copy(value)  # as the arrays of a view change
+        for name in self._info_keys:
+            info[name] = copy(getattr(view, name))
+        return info
 
 
 def make_spaces(episodes: Episodes) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
