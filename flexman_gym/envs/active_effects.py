@@ -146,6 +146,11 @@ class ActiveEffects:
                     add(values, over)
 
     @property
+    def acts(self) -> bool:
+        """True if an effect changes signals during an episode; False if all of them only set parameters and start."""
+        return any(self._hooks[hook] for hook in HOOKS if hook not in ("begin", "change_start"))
+
+    @property
     def measures(self) -> bool:
         """True if an effect changes measurements."""
         return bool(self._hooks["measure"])

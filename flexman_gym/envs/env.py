@@ -200,8 +200,11 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         episodes = self.episodes
         if episodes.over[0]:
             raise RuntimeError("the episode is over: reset the environment first")
-        values = validate_actions("action", action, self._action_shape, self._allowed_actions)
-        reward, info = episodes.step(values[None]).item(), self._info()
+        reward = episodes.step_single(action)
+        if reward is None:
+            values = validate_actions("action", action, self._action_shape, self._allowed_actions)
+            reward = episodes.step(values[None]).item()
+        info = self._info()
         self._show()
         observation = episodes.agent.observations[0].copy()
         return observation, reward, bool(episodes.failures), bool(episodes.truncated[0]), info

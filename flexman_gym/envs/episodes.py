@@ -15,6 +15,7 @@ from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import Controller, EpisodeInfo
 from flexman_gym.envs.active_effects import ActiveEffects
+from flexman_gym.envs.compiled_period import CompiledPeriod, compiled_reward, is_compiled
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.reset_options import TIP_OPTIONS, inverse_kinematics, parse_reset_options
 from flexman_gym.envs.config.specification import make_base_and_mode
@@ -26,7 +27,14 @@ from flexman_gym.envs.tasks import Task
 from flexman_gym.envs.tasks.rewards import make_reward_terms
 from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels import layout
-from flexman_gym.kernels.control_period import all_within, apply_actions, count_episode_periods, flag_violations
+from flexman_gym.kernels.control_period import (
+    FAILED,
+    NOT_DONE,
+    all_within,
+    apply_actions,
+    count_episode_periods,
+    flag_violations,
+)  # fmt: skip
 from flexman_gym.simulation.batch import Batch
 
 ROUNDING = 1e-6  # largest rounding error of float32 actions near 1
@@ -138,6 +146,17 @@ class Episodes:
         self._no_observations, self._no_bounds = np.zeros((arms, 0)), np.zeros(0)
         self._ages, self._violated = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=bool)
         self._all = np.ones(arms, dtype=bool)
+        self._compiled = self._compile_period(configuration, own_sensors)
+
+    def _compile_period(self, configuration: Configuration, sensors: list[object]) -> CompiledPeriod | None:
+        """Return the compiled control period of a single arm; None where Python takes part in a period."""
+        acts = self.effects is not None and self.effects.acts
+        if len(self.over) > 1 or acts or not is_compiled(configuration, sensors, self.agent.mode):
+            return None
+        motors, ends = (self.motors.limits, self.motors.drive), (self._limits, self._violated, self._ages)
+        reward = compiled_reward(configuration)
+        result = CompiledPeriod(reward, self.batch, self.view, self.sensors, self.agent, motors, ends)
+        return result if result.arguments else None
 
     def _make_effects(self, configuration: Configuration, sensors: Sequence[object]) -> ActiveEffects | None:
         """Return the effects of the randomisation and of the task; None without any."""
@@ -299,6 +318,28 @@ class Episodes:
         self._observe(begun & ~self.view.failed)
         return rewards / np.maximum(count, 1.0)
 
+    def step_single(self, action: object) -> float | None:
+        """Apply the action of the only arm in one call of a kernel, if Python takes no part in a control period.
+
+        Returns:
+            The reward, equal to that of `step` to the bit; None if nothing was done and `step` must be called.
+        """
+        period = self._compiled
+        if period is None or self.callback is not None or not period.set_action(action):
+            return None
+        result = self.batch.step_period(period.arguments)
+        if result == NOT_DONE:
+            return None
+        self.agent.command = period.command
+        self.clear_cache()
+        if result == FAILED:
+            self._fail(np.flatnonzero(self._violated))
+        else:
+            self._reward_terms = period.terms()
+        if self._ages[0] >= self.max_periods:
+            self.truncated[:] = self.over[:] = True
+        return float(self._total_reward())
+
     def _advance(self, moving: BoolArray) -> None:
         """Simulate the arms selected by a mask (b,) for one control period."""
         view, motors, all_move = self.view, self.motors, moving is self._all
@@ -383,29 +424,36 @@ class Episodes:
         """Discard quantities derived from the previous state."""
         self._reward_terms = self._current_view = None
 
-    def rewards(self) -> Array:
-        """Return the rewards (b,) of the last control period: the sums of the reward terms.
+    def _total_reward(self) -> Number:
+        """Return the sum of the reward terms, (b,) or a number for one arm.
 
         The built-in `sum` compensates rounding errors of floats, but not of arrays. The reward of a single arm would
         then differ in the last bit from its reward in a batch.
         """
-        result: Number = reduce(add, self.reward_terms.values(), 0.0)
+        return reduce(add, self.reward_terms.values(), 0.0)
+
+    def rewards(self) -> Array:
+        """Return the rewards (b,) of the last control period."""
+        result = self._total_reward()
         return result if isinstance(result, np.ndarray) and result.ndim else np.array([result] * len(self.over))
 
     def info(self) -> dict[str, Any]:
         """Return the numbers of the info by name, with an axis for the arms unless there is a single arm."""
         view = self.current_view
         residual = view.energy_residual
-        return {
+        info = {
             "tip_error": view.tip_error,
             "tip_vibration": view.tip_vibration,
             "elastic_energy": view.elastic_energy,
             "energy_residual": residual,
             "energy_alarm": abs(residual) > self._energy_alarm * view.energy_turnover,
             "reward_terms": dict(self.reward_terms),
-            **{name: copy(value) for name, value in self.task.info(view).items()},  # the arrays of a view change
-            **{name: copy(getattr(view, name)) for name in self._info_keys},
         }
+        for name, value in self.task.info(view).items():
+            info[name] = copy(value)  # as the arrays of a view change
+        for name in self._info_keys:
+            info[name] = copy(getattr(view, name))
+        return info
 
 
 def _limit_violation(values: Array, bound: Array, slices: dict[str, slice], units: dict[str, str]) -> str:

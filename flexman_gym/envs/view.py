@@ -116,8 +116,8 @@ class View:
             dict[str, Array](),
         )
         self.goal_rates, self.target_velocity = np.zeros((arms, n)), np.zeros((arms, 3))
-        self._vectors = np.zeros((arms, 2, 3))  # target error and deflection rate of each arm
-        self.target_error = self._vectors[:, 0]
+        self._vectors = np.zeros((arms, 6))  # target error and deflection rate of each arm
+        self.target_error = self._vectors[:, :3]
         self._numbers = np.zeros((5, arms))
         self._name(self._numbers)
         self.effort: Number = np.zeros(arms)
@@ -127,12 +127,24 @@ class View:
     def read(self) -> None:
         """Compute all quantities from the current states and goals."""
         batch = self._batch
-        self._numbers = np.empty((5, len(self.motion)))
+        if len(self.motion) > 1:  # the info of several arms holds the last ones
+            self._numbers = np.empty((5, len(self.motion)))
         fill_views(
             batch.rows, batch.outputs, batch.start_energy, batch.energy_turnover, self.target,
             self._measurements.motion, self.motion, self._vectors, self._numbers,
         )  # fmt: skip
         self._name(self._numbers)
+
+    def period_arrays(self) -> dict[str, Any]:
+        """Return the arrays of a single arm by their names in `kernels.layout.Period`."""
+        start, source, value = self._measurements.motion
+        return {
+            "requested": self.action, "efforts": self.effort, "target": self.target, "reading_start": start,
+            "reading_source": source, "reading_value": value, "motion": self.motion, "vectors": self._vectors,
+            "scalars": self._numbers, "motor_angles": self.motor_angles, "tip_velocity": self.tip_velocity,
+            "goal_angles": self.goal_angles, "target_error": self.target_error, "tip_error": self._numbers[0],
+            "tip_vibration": self._numbers[1],
+        }  # fmt: skip
 
     def _name(self, numbers: Iterable[Number]) -> None:
         """Set attributes to the rows of the array (5, b) filled by `fill_views`."""

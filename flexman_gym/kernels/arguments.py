@@ -11,8 +11,9 @@ with zero to allow that; without the comparison an arm is simulated 1.3 to 1.4 t
 import math
 import operator
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
+import numba
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
@@ -33,7 +34,7 @@ from numba.extending import (
 from numba.np import arrayobj
 
 from flexman_gym.kernels.lanes import ARMS, NUMBER, SEQUENCES, Lanes
-from flexman_gym.kernels.layout import ARMS_PER_GROUP, Array, Constants, IntArray, PerArm, Work
+from flexman_gym.kernels.layout import ARMS_PER_GROUP, Array, Constants, IntArray, PerArm, Period, Work
 
 
 class _ArrayField(types.Array):
@@ -82,7 +83,7 @@ BYTE_POINTER = ir.IntType(8).as_pointer()
 class _StructPointer(types.Type):
     """Numba type of a `Constants` or `Work` with fields of given types; `whole` is the type of the named tuple."""
 
-    def __init__(self, kinds: list[_ArrayField], parts: type) -> None:
+    def __init__(self, kinds: list[types.Array], parts: type) -> None:
         self.whole = types.NamedTuple(kinds, parts)  # type: ignore[attr-defined]
         super().__init__(name=f"Parts({self.whole.name})")
 
@@ -166,10 +167,10 @@ def aligned_zeros(shape: tuple[int, ...], lanes: int = ARMS_PER_GROUP) -> Array:
 
 
 def address_table(arrays: NamedTuple, element: types.Type) -> IntArray:
-    """Return the addresses and shapes of all arrays of a `Constants` or `Work`.
+    """Return the addresses and shapes of all arrays of a `Constants`, `Work` or `Period`.
 
     Args:
-        arrays: the `Constants` or `Work`; its arrays must stay alive.
+        arrays: the named tuple; its arrays must stay alive.
         element: type of the elements: NUMBER, or ARMS or SEQUENCES, whose arrays have one more axis for the lanes.
 
     Returns:
@@ -183,6 +184,8 @@ def address_table(arrays: NamedTuple, element: types.Type) -> IntArray:
         kind, shape = _kind(type(arrays), name, element), values.shape
         if not values.flags.c_contiguous or len(shape) != kind.ndim + isinstance(kind.dtype, Lanes):
             raise TypeError(f"{name} is not a contiguous array with {kind.ndim} axes")
+        if values.dtype != _scalar(type(arrays), name):
+            raise TypeError(f"{name} is an array of {values.dtype}")
         columns = shape[1] if kind.ndim == 2 else 0
         if columns != (_columns(type(arrays), name) or columns):
             raise TypeError(f"{name} has {columns} columns")
@@ -195,15 +198,24 @@ def _address(values: Array) -> int:
 
 
 @cache
-def _kind(parts: type, name: str, element: types.Type) -> _ArrayField:
+def _kind(parts: type, name: str, element: types.Type) -> types.Array:
     """Return the type of a field in the kernels; constants shared by all lanes are read-only, see `lanes`."""
     annotation = parts.__annotations__[name]
     dimensions = 1 if annotation is PerArm or not hasattr(annotation, "__metadata__") else 2
+    if parts is Period:  # its arrays are arguments of kernels that Python calls too
+        return types.Array(numba.from_dtype(np.dtype(_scalar(parts, name))), dimensions, "C")
     if annotation is IntArray:
         return _ArrayField(types.int64, dimensions, readonly=True)
     if parts is Work or element == NUMBER or (element == ARMS and name in PER_ARM):
         return _ArrayField(element, dimensions)
     return _ArrayField(NUMBER, dimensions, readonly=True)
+
+
+def _scalar(parts: type, name: str) -> Any:
+    """Return the scalar type of a field."""
+    annotation = parts.__annotations__[name]
+    array = get_args(annotation)[0] if hasattr(annotation, "__metadata__") else annotation
+    return get_args(get_args(array)[1])[0]
 
 
 @cache
@@ -213,7 +225,7 @@ def _columns(parts: type, name: str) -> int:
     return 0 if annotation is PerArm else getattr(annotation, "__metadata__", (0,))[0]
 
 
-def _view(context: Any, builder: Any, kind: _ArrayField, address: tuple[Any, int], columns: int) -> Any:
+def _view(context: Any, builder: Any, kind: types.Array, address: tuple[Any, int], columns: int) -> Any:
     """Return the array given by a row of an address table; `address` is the table and the index of the row."""
     table, row = address
 
@@ -254,3 +266,4 @@ def _reader(parts: type, element: types.Type) -> Any:
 constants_of_arms, work_of_arms = _reader(Constants, ARMS), _reader(Work, ARMS)
 constants_of_one, work_of_one = _reader(Constants, NUMBER), _reader(Work, NUMBER)
 constants_of_sequences, work_of_sequences = _reader(Constants, SEQUENCES), _reader(Work, SEQUENCES)
+period_of_one = _reader(Period, NUMBER)

@@ -8,6 +8,7 @@ call passes tables of addresses instead of arrays, which saves microseconds.
 
 from flexman_gym.kernels.arguments import constants_of_arms, constants_of_one, work_of_arms, work_of_one
 from flexman_gym.kernels.compile import inner, released
+from flexman_gym.kernels.control_period import NOT_DONE, finish_period, start_period
 from flexman_gym.kernels.implicit import fixed_newton_step
 from flexman_gym.kernels.lanes import extract_lane, insert_lane
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, DIVERGED, LARGEST_STATE, OK
@@ -78,8 +79,27 @@ def advance_batch(tables, work_table, method, drives, steps, rows, out, status, 
 
 
 @released
-def advance_single(table, work_table, method, drives, steps, rows, out, status, trail):
-    """Integrate a single arm; arguments as in `advance_batch`, but the address table (fields, 3) of its constants."""
+def advance_single(tables, method, drives, steps, rows, out, status, trail):
+    """Advance a single arm, alone or as a control period of an environment.
+
+    Args:
+        tables: (fields, 3) addresses of its constants, of the work space, and of the `Period` of an environment; the
+            last is empty without an environment.
+        method: as in `advance_batch`, like the other arguments.
+        drives: (1, T, n + 6); one period in an environment, whose action sets it.
+        steps: length (s) and number of the steps in a period.
+        rows: (1, 2 d + 2), overwritten.
+        out: (1, OUTPUTS), overwritten.
+        status: (1,).
+        trail: rows and outputs after each valid period.
+
+    Returns:
+        NOT_DONE for an action that is not allowed, without an effect; otherwise that of
+        `control_period.finish_period`, or 0 without an environment.
+    """
+    table, work_table, period = tables
+    if len(period) > 0 and not start_period(period):
+        return NOT_DONE
     work = work_of_one(work_table)
     copy(rows[0], work.row)
     for t in range(drives.shape[1]):
@@ -91,6 +111,9 @@ def advance_single(table, work_table, method, drives, steps, rows, out, status, 
                 copy(work.row, rows[0])
                 copy(work.outputs, out[0])
                 _record_period(trail, 0, t, rows, out)
+    if len(period) > 0:
+        return finish_period(period, rows, out, status)
+    return 0
 
 
 @inner

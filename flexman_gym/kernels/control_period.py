@@ -6,7 +6,8 @@ is the number of coordinates, n that of joints; rows, outputs and drives are tho
 
 import math
 
-from flexman_gym.kernels.compile import kernel
+from flexman_gym.kernels.arguments import period_of_one
+from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.lanes import fma
 from flexman_gym.kernels.layout import (
     DEFLECTION_RATE_COLUMN,
@@ -46,7 +47,7 @@ def fill_views(rows, outputs, energies, turnover, targets, readings, motion, vec
         targets: (b, 3) target positions, base frame, m.
         readings: arguments start, source and value of `sparse_product`, which computes sensor readings from rows.
         motion: (b, m) set to the readings, followed by the tip velocity (m/s).
-        vectors: (b, 2, 3) set to target - tip (m) and the deflection rate (m/s).
+        vectors: (b, 6) set to target - tip (m) and the deflection rate (m/s).
         scalars: (5, b) set to the lengths of these two vectors, elastic energy, energy residual and turnover (J).
     """
     sparse_product(rows, readings[0], readings[1], readings[2], motion)
@@ -54,10 +55,10 @@ def fill_views(rows, outputs, energies, turnover, targets, readings, motion, vec
     for b in range(len(rows)):
         for j in range(3):
             motion[b, last + j] = outputs[b, TIP_VELOCITY_COLUMN + j]
-            vectors[b, 0, j] = targets[b, j] - outputs[b, TIP_COLUMN + j]
-            vectors[b, 1, j] = outputs[b, DEFLECTION_RATE_COLUMN + j]
+            vectors[b, j] = targets[b, j] - outputs[b, TIP_COLUMN + j]
+            vectors[b, 3 + j] = outputs[b, DEFLECTION_RATE_COLUMN + j]
         for i in range(2):
-            x, y, z = vectors[b, i, 0], vectors[b, i, 1], vectors[b, i, 2]
+            x, y, z = vectors[b, 3 * i], vectors[b, 3 * i + 1], vectors[b, 3 * i + 2]
             scalars[i, b] = math.sqrt(x * x + y * y + z * z)
         scalars[2, b], scalars[4, b] = outputs[b, LINK_ENERGY] + outputs[b, JOINT_ENERGY], turnover[b]
     energy_residuals(rows, outputs, energies, scalars[3])
@@ -191,6 +192,89 @@ def count_episode_periods(periods, active, horizon, truncated):
         truncated[b] = periods[b] >= horizon
         count += truncated[b]
     return count
+
+
+BELLS, DISTANCE, EXPONENTIAL = 0, 1, 2  # kinds of rewards
+REWARD_TERMS = 3  # largest number of terms of a kind
+
+
+@kernel
+def reward_terms(kind, parameters, errors, vibrations, efforts, velocities, out):
+    """Set out (REWARD_TERMS, b) to the terms of a reward of b arms; see `Slew` for the formulas.
+
+    Args:
+        kind: BELLS; DISTANCE, which sets the first term only; or EXPONENTIAL.
+        parameters: BELLS: squared widths of the three curves, m^2, and squared vibration scale, m^2/s^2. DISTANCE:
+            squared distance of a reward near 1, m^2, the logarithm of the range, and the look-ahead time, s.
+            EXPONENTIAL: three weights and three lengths, m.
+        errors: (b,) tip errors, m.
+        vibrations: (b,) m/s; used by BELLS.
+        efforts: (b,) mean squares of the actions; used by BELLS.
+        velocities: (b, 3) of the tip, m/s; used by DISTANCE.
+        out: overwritten.
+    """
+    p = parameters
+    for b in range(len(errors)):
+        square = errors[b] * errors[b]
+        if kind == DISTANCE:
+            x, y, z = p[2] * velocities[b, 0], p[2] * velocities[b, 1], p[2] * velocities[b, 2]
+            out[0, b] = 1.0 - math.log1p((square + (x * x + y * y + z * z)) / p[0]) / p[1]
+        elif kind == EXPONENTIAL:
+            for j in range(3):
+                out[j, b] = p[j] * math.exp(-errors[b] / p[3 + j])
+        else:
+            near = p[0] / (p[0] + square) + p[1] / (p[1] + square) + p[2] / (p[2] + square)
+            out[0, b] = 0.7 / 3.0 * near
+            out[1, b] = 0.2 * p[3] / (p[3] + vibrations[b] * vibrations[b])
+            out[2, b] = 0.1 * (1.0 - efforts[b])
+
+
+NOT_DONE, FAILED = -1, 0  # results of a compiled control period
+
+
+@inner
+def start_period(table):
+    """Apply the action of a `Period`, and return True; return False for an action beyond -1 to 1, with no effect.
+
+    The table (fields, 3) holds the addresses of a `Period`.
+    """
+    p = period_of_one(table)
+    if not all_within(p.action[0], 1.0):
+        return False
+    copy(p.action[0], p.command[0])
+    apply_actions(p.command, p.command, p.torque_limits, p.active, p.drive, p.requested, p.efforts)
+    return True
+
+
+@inner
+def finish_period(table, rows, outputs, status):
+    """Compute view, observations, flags and reward of a `Period` after the motion of its arm.
+
+    Args:
+        table: (fields, 3) addresses of the `Period`.
+        rows: (1, 2 d + 2) state and ledger.
+        outputs: (1, OUTPUTS).
+        status: (1,).
+
+    Returns:
+        FAILED, without a new observation and reward; otherwise the number of control periods of the episode.
+    """
+    p = period_of_one(table)
+    close_period(rows, outputs, status, p.drive, p.periods, p.last_drive, p.turnover)
+    matrix = p.reading_start, p.reading_source, p.reading_value
+    fill_views(rows, outputs, p.start_energy, p.turnover, p.target, matrix, p.motion, p.vectors, p.scalars)
+    full_observation(
+        p.motion, p.motor_angles, p.tip_velocity, p.goal_angles, p.target_error, p.tip_error, p.nearness_offset[0],
+        p.readings,
+    )  # fmt: skip
+    p.ages[0] += 1
+    if flag_violations(p.motion, p.limits, p.readings, p.bound, status, p.violated) > 0:
+        return FAILED
+    for j in range(len(p.bound)):
+        p.observations[0, j] = p.readings[0, j]
+    kind, errors = p.reward[0], p.tip_error
+    reward_terms(kind, p.reward_parameters, errors, p.tip_vibration, p.efforts, p.tip_velocity, p.reward_terms)
+    return p.ages[0]
 
 
 @kernel

@@ -52,6 +52,8 @@ Rows = Annotated[NDArray[np.float64], 0]
 Vectors = Annotated[NDArray[np.float64], 3]
 SixVectors = Annotated[NDArray[np.float64], 6]
 IntArray = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+SingleRows = Annotated[NDArray[np.float32], 0]
 PerArm = Annotated[NDArray[np.float64], "per arm"]  # one axis; arms of a batch may differ in these constants
 
 OK, DIVERGED, NOT_CONVERGED = 0, 1, 2  # status of an integration; index into STATUS
@@ -257,6 +259,54 @@ def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = 
         "outputs": (OUTPUTS,), "next_step": (1,), "progress": (3,), "drive_table": (7, n + 6),
     }  # fmt: skip
     return Work(**{name: zeros(shape) for name, shape in shapes.items()})
+
+
+class Period(NamedTuple):
+    """Arrays of an environment with a single arm (b = 1) that change in a control period or decide it.
+
+    They are those of the batch, the view, the sensors and the agent; see `control_period.finish_period`.
+    """
+
+    # action
+    action: Rows  # (1, n) requested by the agent
+    command: Rows  # (1, n) set to the action
+    torque_limits: Rows  # (1, n) N m
+    active: Flags  # (1,) True
+    drive: Rows  # (1, n + 6)
+    requested: Rows  # (1, n) commanded torques as fractions of the limits
+    efforts: Array  # (1,) mean square of these
+    # batch
+    periods: Array  # (1,) control periods since the reset
+    last_drive: Rows  # (1, n + 6)
+    turnover: Array  # (1,) J
+    # view
+    start_energy: Array  # (1,) J
+    target: Rows  # (1, 3) m
+    reading_start: IntArray  # sparse matrix of the readings, see `control_period.sparse_product`
+    reading_source: IntArray
+    reading_value: Array
+    motion: Rows  # (1, m)
+    vectors: Rows  # (1, 6)
+    scalars: Rows  # (5, 1)
+    # sensors and agent
+    motor_angles: Rows  # (1, n) rad
+    tip_velocity: Rows  # (1, 3) m/s
+    goal_angles: Rows  # (1, n) rad
+    target_error: Rows  # (1, 3) m
+    tip_error: Array  # (1,) m
+    tip_vibration: Array  # (1,) m/s
+    nearness_offset: Array  # (1,) m
+    readings: Rows  # (1, s)
+    observations: SingleRows  # (1, s)
+    # end of an episode
+    limits: Array  # (m,)
+    bound: Array  # (s,)
+    violated: Flags  # (1,)
+    ages: IntArray  # (1,) control periods of the episode
+    # reward
+    reward: IntArray  # (1,) kind
+    reward_parameters: Array
+    reward_terms: Rows  # (REWARD_TERMS, 1)
 
 
 class Tableau(NamedTuple):

@@ -161,7 +161,7 @@ class LinearMeasurements:
 def _entries(rows: Array) -> tuple[IntArray, IntArray, Array]:
     """Return row starts, column indices and values of the non-zero entries of a matrix, for `sparse_product`."""
     start: IntArray = np.append(0, np.cumsum(np.count_nonzero(rows, axis=1)))
-    source: IntArray = np.nonzero(rows)[1]
+    source: IntArray = np.ascontiguousarray(np.nonzero(rows)[1])
     return start, source, rows[rows != 0.0]
 
 

@@ -1,14 +1,15 @@
 """Batch: arms of one model, simulated together."""
 
 from collections.abc import Callable, Collection
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray
 from flexman_gym.common.checks import check_magnitudes, positive, value_error, whole_number, whole_ratio
 from flexman_gym.kernels import layout, outputs
-from flexman_gym.kernels.control_period import close_period
+from flexman_gym.kernels.batch import advance_single
+from flexman_gym.kernels.control_period import NOT_DONE, close_period
 from flexman_gym.kernels.rigid_arm import rigid_tips
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.simulation.batch_integrators import BatchIntegrator, LaneIntegrator, SequentialIntegrator
@@ -91,6 +92,7 @@ class Batch:
         self._bound = tolerance, joints
         period = self.control_period, self.substeps
         self._mover: BatchIntegrator
+        self._bound_mover: BatchIntegrator | None = None  # of `bind_period`
         if isinstance(self.method, LinearlyImplicit | IteratedGauss) and tolerance is None:
             constants = model.constants._replace(prescribed=prescribed_flags(n, joints))
             self._mover = LaneIntegrator(constants, self.method, period, count, threads)
@@ -158,6 +160,41 @@ class Batch:
             self.status[moving] = status[moving]
         self._known = False
         close_period(self.rows, self.outputs, status, drive, self._periods, self._drive, self.energy_turnover)
+
+    def period_arrays(self) -> dict[str, Any]:
+        """Return the arrays that `step` changes by their names in `kernels.layout.Period`."""
+        return {
+            "periods": self._periods, "last_drive": self._drive, "turnover": self.energy_turnover,
+            "start_energy": self.start_energy,
+        }  # fmt: skip
+
+    def bind_period(self, drive: Array, period: layout.Period) -> tuple[Any, ...] | None:
+        """Return the arguments of `step_period` for the only arm of an environment, or None where it is not possible.
+
+        Args:
+            drive: (1, n + 6) as in `step`.
+            period: arrays of the environment, among them the drive and `period_arrays`; they must stay alive.
+        """
+        if not isinstance(self._mover, LaneIntegrator):
+            return None
+        self._bound_mover = self._mover
+        return self._mover.single_arguments(drive, self.rows, self.outputs, self.status, period)
+
+    def step_period(self, arguments: tuple[Any, ...]) -> int:
+        """Apply the action of the only arm of an environment for a control period.
+
+        Args:
+            arguments: result of `bind_period`.
+
+        Returns:
+            NOT_DONE for an action that is not allowed and after `replace_integrator`, without an effect; otherwise the
+            result of `kernels.control_period.finish_period`.
+        """
+        if self._mover is not self._bound_mover:
+            return NOT_DONE
+        self._known = False
+        result: int = advance_single(*arguments)
+        return result
 
     def roll(self, drives: Array) -> tuple[Array, Array]:
         """Integrate all arms whose status is OK over T control periods, with Python's global interpreter lock released.

@@ -19,7 +19,7 @@ from flexman_gym.kernels import batch as kernels
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.arguments import PER_ARM, address_table, aligned_zeros
 from flexman_gym.kernels.lanes import ARMS, NUMBER
-from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants, IntArray, Tableau, TimeGrid, make_work
+from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants, IntArray, Period, Tableau, TimeGrid, make_work
 from flexman_gym.kernels.outputs import tip_accelerations
 from flexman_gym.kernels.thread_sync import spin_wait
 from flexman_gym.scene.signals import signal_table
@@ -208,6 +208,7 @@ def _own_constants(constants: Constants) -> dict[str, Any]:
     return {name: getattr(constants, name).copy() for name in PER_ARM}
 
 
+NO_PERIOD = np.zeros((0, 3), dtype=np.int64)  # addresses of no environment
 GROUPS_PER_THREAD = 4  # least number of groups of arms per thread; passing a task costs as much as one or two groups
 
 
@@ -289,6 +290,19 @@ class LaneIntegrator(BatchIntegrator):
     def integrate(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
         """Integrate the arms whose status is OK over one control period."""
         self._integrate_period(drives, self._substeps, rows, outputs, status)
+
+    def single_arguments(
+        self, drives: Array, rows: Array, outputs: Array, status: IntArray, period: Period
+    ) -> tuple[Any, ...] | None:
+        """Return the arguments of `kernels.batch.advance_single` for a control period of an environment.
+
+        None for several arms, and for a control period of more steps than a call of a kernel may have.
+        """
+        if not self._single or self._substeps > self._max_steps:
+            return None
+        tables = self._tables[0], self._work_tables[0], address_table(period, NUMBER)
+        span = self._step, self._substeps
+        return tables, self._method, drives[:, None], span, rows, outputs, status, self._no_record
 
     def integrate_periods(
         self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, record: PeriodRecord
@@ -395,10 +409,10 @@ class LaneIntegrator(BatchIntegrator):
         rows, outputs, status = moved
         recorded = record or self._no_record
         if self._single:
-            given = self._tables[0], self._work_tables[0], self._method, drives
+            tables = self._tables[0], self._work_tables[0], NO_PERIOD
             for part in parts:
                 if status[0] == layout.OK:
-                    kernels.advance_single(*given, (self._step, part), *moved, recorded)
+                    kernels.advance_single(tables, self._method, drives, (self._step, part), *moved, recorded)
             return
 
         def run_groups(groups: slice, work: IntArray) -> Iterator[None]:

@@ -1,16 +1,30 @@
-"""Rewards: the distance reward, and reward terms with weights or a reward function of the user."""
+"""Rewards: compiled reward terms, and the reward terms of a task with weights or a user's function."""
 
+import math
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, row_dots
+from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import mapping, short_repr
 from flexman_gym.envs.view import Number, View
+from flexman_gym.kernels import control_period as kernels
 
 NEAR, FAR = 1.0 / 425.0, 1.0 / 1.7  # fractions of the reach; n and f of `distance_reward`
 LOOK_AHEAD = 0.1  # s; weight of the velocity relative to the tip error in `distance_reward`
+BELL_WIDTHS = (2.0 / 8.5, 0.4 / 8.5, 0.08 / 8.5)  # fractions of the reach; widths w of the reward "bells"
+# reward "exponential": term -> weight, and length l as a fraction of the reach
+EXPONENTIAL_TERMS = {"far": (0.1, 0.6 / 8.5), "near": (0.25, 0.15 / 8.5), "at_goal": (0.65, 0.03 / 8.5)}
+VIBRATION_SCALE = 0.3 / 8.5  # fraction of the reach per second; tip vibration at which its reward term is halved
+
+REWARDS = {
+    "bells": (kernels.BELLS, ("tip_error", "tip_vibration", "effort")),
+    "distance": (kernels.DISTANCE, ("distance",)),
+    "exponential": (kernels.EXPONENTIAL, tuple(EXPONENTIAL_TERMS)),
+}
+"""Compiled rewards: name -> kind in `kernels.control_period`, names of the terms."""
 
 
 def distance_reward(view: View, velocity: Array) -> Number:
@@ -25,9 +39,42 @@ def distance_reward(view: View, velocity: Array) -> Number:
         view: view of the arms.
         velocity: (..., 3) velocity of the tip, for a moving target relative to the target, m/s.
     """
-    near, far, displacement = NEAR * view.reach, FAR * view.reach, LOOK_AHEAD * velocity
-    square = view.tip_error * view.tip_error + row_dots(displacement, displacement)
-    return 1.0 - np.log1p(square / near**2) / np.log1p((far / near) ** 2)
+    result: Number = compiled_terms("distance", view, velocity)["distance"]
+    return result
+
+
+def compiled_terms(reward: str, view: View, velocity: Array | None = None) -> dict[str, Number]:
+    """Return the terms of a reward in REWARDS, name -> (...), as numbers for a single arm.
+
+    All arms take them from one kernel, as the last digit of NumPy's logarithms depends on the processor.
+
+    Args:
+        reward: key of REWARDS.
+        view: view of the arms.
+        velocity: (..., 3) m/s, as in `distance_reward`; None for a reward that does not depend on it.
+    """
+    kind, names = REWARDS[reward]
+    errors = np.array(view.tip_error, dtype=float, ndmin=1)
+    vibrations, efforts, velocities = errors, errors, np.zeros((1, 3))
+    if kind == kernels.BELLS:
+        vibrations, efforts = (np.array(each, dtype=float, ndmin=1) for each in (view.tip_vibration, view.effort))
+    if velocity is not None:
+        velocities = np.array(velocity, dtype=float, ndmin=2)
+    out = np.empty((kernels.REWARD_TERMS, len(errors)))
+    kernels.reward_terms(kind, reward_parameters(reward, view.reach), errors, vibrations, efforts, velocities, out)
+    return dict(zip(names, out if np.ndim(view.tip_error) else out[:, 0].tolist(), strict=False))
+
+
+@cache
+def reward_parameters(reward: str, reach: float) -> Array:
+    """Return the parameters of a reward in REWARDS for `kernels.control_period.reward_terms`, for a reach (m)."""
+    near, far = NEAR * reach, FAR * reach
+    weights, lengths = zip(*EXPONENTIAL_TERMS.values(), strict=True)
+    return {
+        "bells": np.array([*((part * reach) ** 2 for part in BELL_WIDTHS), (VIBRATION_SCALE * reach) ** 2]),
+        "distance": np.array([near**2, math.log1p((far / near) ** 2), LOOK_AHEAD]),
+        "exponential": np.array([*weights, *(length * reach for length in lengths)]),
+    }[reward]
 
 
 def make_reward_terms(task: Any, reward: Any) -> Callable[[View], dict[str, Number]]:

@@ -9,15 +9,11 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import non_negative, one_of, positive, set_fields, whole_number
 from flexman_gym.envs.sensors.sensor import Sensor
-from flexman_gym.envs.tasks.rewards import distance_reward
+from flexman_gym.envs.tasks.rewards import compiled_terms
 from flexman_gym.envs.tasks.task import Goal
 from flexman_gym.envs.view import Number, View
 
-BELL_WIDTHS = (2.0 / 8.5, 0.4 / 8.5, 0.08 / 8.5)  # fractions of the reach; widths w of the reward "bells"
-# reward "exponential": term -> weight, and length l as a fraction of the reach
-EXPONENTIAL_TERMS = {"far": (0.1, 0.6 / 8.5), "near": (0.25, 0.15 / 8.5), "at_goal": (0.65, 0.03 / 8.5)}
 PAIRS_SEED, MAX_PAIRS = 8_500, 100_000  # seed of the pairs of start and goal, and their largest number
-VIBRATION_SCALE = 0.3 / 8.5  # fraction of the reach per second; tip vibration at which its reward term is halved
 
 
 @dataclass(frozen=True)
@@ -112,22 +108,9 @@ class Slew:
 
     def reward_terms(self, view: View) -> dict[str, Number]:
         """Return the terms of the reward, see the class."""
+        velocity = view.tip_velocity if self.reward == "distance" else None
         failure = 0.0 - self.failure_penalty * view.failed
-        if self.reward == "distance":
-            return {"distance": distance_reward(view, view.tip_velocity), "failure": failure}
-        if self.reward == "exponential":
-            terms = {name: weight * np.exp(-view.tip_error / (length * view.reach))
-                     for name, (weight, length) in EXPONENTIAL_TERMS.items()}  # fmt: skip
-            return {**terms, "failure": failure}
-        square, vibration = view.tip_error * view.tip_error, view.tip_vibration
-        scale = (VIBRATION_SCALE * view.reach) ** 2
-        bells = [width**2 / (width**2 + square) for width in (part * view.reach for part in BELL_WIDTHS)]
-        return {
-            "tip_error": 0.7 / 3.0 * (bells[0] + bells[1] + bells[2]),
-            "tip_vibration": 0.2 * scale / (scale + vibration * vibration),
-            "effort": 0.1 * (1.0 - view.effort),
-            "failure": failure,
-        }
+        return {**compiled_terms(self.reward, view, velocity), "failure": failure}
 
     def info(self, view: View) -> dict[str, Number]:
         """Return no additional entries."""

@@ -1,0 +1,105 @@
+"""Control period of an environment with a single arm in one call of a kernel."""
+
+from typing import Any
+
+import numpy as np
+
+from flexman_gym.common.arrays import Array, BoolArray, IntArray
+from flexman_gym.control.actions import TorqueMode
+from flexman_gym.control.agent import Agent
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.sensors import FullState, SensorArray
+from flexman_gym.envs.sensors.ideal import NEAR
+from flexman_gym.envs.tasks import Hold, Slew
+from flexman_gym.envs.tasks.rewards import REWARDS, reward_parameters
+from flexman_gym.envs.view import Number, View
+from flexman_gym.kernels.control_period import REWARD_TERMS
+from flexman_gym.kernels.layout import Period
+from flexman_gym.simulation.batch import Batch
+
+
+class CompiledPeriod:
+    """Arrays of a single arm that a kernel changes in a control period, see `Batch.step_period`.
+
+    Args:
+        reward: key of REWARDS; None if the terms are computed from the view.
+        batch: batch of the arm.
+        view: view of the arm.
+        sensors: sensors of the agent, the full state.
+        agent: agent without a base.
+        motors: torque limits (1, n), N m, and drive (1, n + 6).
+        ends: limits of the motion (m,), flag of their violation (1,), and number of periods of the episode (1,).
+
+    Attributes:
+        command: (1, n) last action.
+        arguments: arguments of `Batch.step_period`; () if the batch has no kernel of a single arm.
+    """
+
+    def __init__(
+        self,
+        reward: str | None,
+        batch: Batch,
+        view: View,
+        sensors: SensorArray,
+        agent: Agent,
+        motors: tuple[Array, Array],
+        ends: tuple[Array, BoolArray, IntArray],
+    ) -> None:
+        n, (limits, violated, ages) = view.n_joints, ends
+        kind, names = REWARDS[reward or "distance"]
+        self._action, self.command, terms = np.zeros((1, n)), np.zeros((1, n)), np.zeros((REWARD_TERMS + 1, 1))
+        self._terms, self._names = terms[: len(names) + 1, 0], (*names, "failure")  # the last one stays 0
+        self._given, self._shape = reward is not None, (n,)
+        own: dict[str, Any] = {
+            "action": self._action, "command": self.command, "torque_limits": motors[0], "drive": motors[1],
+            "active": np.ones(1, dtype=bool), "readings": sensors.observations, "bound": sensors.bound,
+            "observations": agent.observations, "nearness_offset": np.array([NEAR * view.reach]), "limits": limits,
+            "violated": violated, "ages": ages, "reward": np.array([kind]), "reward_terms": terms,
+            "reward_parameters": reward_parameters(reward or "distance", view.reach),
+        }  # fmt: skip
+        self._arrays = Period(**own, **view.period_arrays(), **batch.period_arrays())  # kept alive for the kernel
+        self.arguments = batch.bind_period(motors[1], self._arrays) or ()
+
+    def set_action(self, action: object) -> bool:
+        """Set the action of the next period; return False for an object other than an array (n,) of floats."""
+        if not isinstance(action, np.ndarray) or action.shape != self._shape or action.dtype.kind != "f":
+            return False
+        self._action[0] = action
+        return True
+
+    def terms(self) -> dict[str, Number] | None:
+        """Return the reward terms of a period without a failure; None if they are computed from the view."""
+        if not self._given:
+            return None
+        return dict(zip(self._names, self._terms.tolist(), strict=True))
+
+
+def compiled_reward(configuration: Configuration) -> str | None:
+    """Return the key in REWARDS of the reward of an environment; None for another reward."""
+    task = configuration.task
+    if configuration.reward is not None or type(task) not in (Slew, Hold):
+        return None
+    return getattr(task, "reward", "distance")
+
+
+def is_compiled(configuration: Configuration, sensors: list[object], mode: Any) -> bool:
+    """Return whether the settings of an environment leave nothing to Python in a control period.
+
+    That needs actions that are torques without base and lag, the full state as the only sensor, no history, an action
+    for each control period, and a goal at rest.
+
+    Args:
+        configuration: configuration of the environment.
+        sensors: sensors of the agent and of the task.
+        mode: action mode.
+    """
+    return (
+        type(mode) is TorqueMode
+        and not isinstance(mode.strength, np.ndarray)
+        and configuration.base is None
+        and configuration.lag is None
+        and [type(each) for each in sensors] == [FullState]
+        and configuration.history == 1
+        and configuration.action_repeat == 1
+        and not configuration.task.moves
+    )
