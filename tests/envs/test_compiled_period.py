@@ -201,7 +201,7 @@ def test_a_watched_episode_is_watched():
     env = FlexManEnv(**PLANAR)
     env.reset(seed=0)
     seen = []
-    env.episodes.watch = lambda: seen.append(env.episodes.view.action.copy())
+    env.episodes.callback = lambda: seen.append(env.episodes.view.action.copy())
     env.step(np.full(2, 0.1))
     assert len(seen) == 1
 
