@@ -26,15 +26,8 @@ from flexman_gym.envs.sensors.sensor import MeasuredView
 from flexman_gym.envs.tasks import Task
 from flexman_gym.envs.tasks.rewards import make_reward_terms
 from flexman_gym.envs.view import Number, View
+from flexman_gym.kernels import control_period as kernels
 from flexman_gym.kernels import layout
-from flexman_gym.kernels.control_period import (
-    FAILED,
-    NOT_DONE,
-    all_within,
-    apply_actions,
-    count_episode_periods,
-    flag_violations,
-)  # fmt: skip
 from flexman_gym.simulation.batch import Batch
 
 ROUNDING = 1e-6  # largest rounding error of float32 actions near 1
@@ -50,7 +43,7 @@ def validate_actions(name: str, value: object, shape: tuple[int, ...], allowed: 
         actions = value.astype(np.float64, order="C")
     else:
         actions = number_array(name, value, shape, allowed).astype(np.float64, order="C")
-    if all_within(actions.ravel(), 1.0):
+    if kernels.all_within(actions.ravel(), 1.0):
         return actions
     if np.count_nonzero(np.abs(actions) < 1.0 + ROUNDING) == actions.size:
         return np.clip(actions, -1.0, 1.0)
@@ -328,11 +321,11 @@ class Episodes:
         if period is None or self.callback is not None or not period.set_action(action):
             return None
         result = self.batch.step_period(period.arguments)
-        if result == NOT_DONE:
+        if result == kernels.NOT_DONE:
             return None
         self.agent.command = period.command
         self.clear_cache()
-        if result == FAILED:
+        if result == kernels.FAILED:
             self._fail(np.flatnonzero(self._violated))
         else:
             self._reward_terms = period.terms()
@@ -349,7 +342,7 @@ class Episodes:
             arriving = np.ascontiguousarray(self.effects.motor_actions(actions))
             self.effects.disturb(motors.forces, motors.accelerations, self.over)
         arriving = motors.lagged(arriving)
-        apply_actions(actions, arriving, motors.limits, moving, motors.drive, view.action, view.effort)
+        kernels.apply_actions(actions, arriving, motors.limits, moving, motors.drive, view.action, view.effort)
         self.batch.step(motors.drive, None if all_move else moving)
         if self.task.moves:
             self._move_goals(moving)
@@ -368,9 +361,9 @@ class Episodes:
         observations, bound = self._no_observations, self._no_bounds
         if last:
             observations, bound = self.measurements.read(), self.sensors.bound
-        if flag_violations(view.motion, self._limits, observations, bound, self.batch.status, self._violated):
+        if kernels.flag_violations(view.motion, self._limits, observations, bound, self.batch.status, self._violated):
             self._fail(np.flatnonzero(self._violated & moving))
-        if count_episode_periods(self._ages, moving, self.max_periods, self.truncated):
+        if kernels.count_episode_periods(self._ages, moving, self.max_periods, self.truncated):
             self.over |= self.truncated
         if self.callback is not None:
             self.callback()
