@@ -65,7 +65,7 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
     Args:
         arm: the arm.
         beams: its links in reduced coordinates, base to tip.
-        modal: packed damping matrices of the links by modal damping ratios.
+        modal: packed damping matrices of the links by modal damping ratios; rounded zeros are set to zero in place.
         choice: modelling assumptions.
     """
     payload = arm.payload or Payload(0.0)
@@ -79,8 +79,7 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
     end = np.zeros(LANES)  # the kernels read groups of LANES numbers, the last one beyond the last row
     pairs = list(zip(parts, beams, strict=True))
     stiffness = _pack([*[beam.stiffness for beam in beams], end], 1)
-    damping = arm.stiffness_proportional_damping * stiffness + modal
-    coupled = _remove_rounded_couplings(sizes, stiffness, damping)
+    coupled = _remove_rounded_couplings(sizes, stiffness, modal)
     return layout.Constants(
         elastic_start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
         square_start=np.concatenate([[0], np.cumsum(sizes**2)]).astype(np.int64),
@@ -106,7 +105,7 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
         tip_linear_start=_first_moving(beams, False),
         elastic_mass=_pack([*[part.elastic - _axial_mass(beam, choice.stiffening) for part, beam in pairs], end], 1),
         stiffness=stiffness,
-        damping=damping,
+        damping=arm.stiffness_proportional_damping * stiffness + modal,
         coupled=coupled,
         **_station_constants(beams, choice.stiffening),
         tip_translation=_pack([beam.tip_translation.T for beam in beams], 3),
