@@ -33,7 +33,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         default=1,
-        help="number of runs, one per seed; runs that were killed are resumed",
+        help="number of runs, one per seed; killed runs are resumed",
     )
     parser.add_argument("--envs", type=int, metavar="N", help="number of parallel arms")
     parser.add_argument(

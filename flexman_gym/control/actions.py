@@ -146,7 +146,8 @@ class _ReferenceShapingMode:
         self.sensors: tuple[object, ...] = tuple(base.sensors)
         self._quantities = LinearMeasurements(plant.model)
         self._ranges = np.concatenate([plant.measured()[name][0] for name in self._quantities.columns])
-        sizes = {"estimate": 8 * n, "tracking_errors": 8 * n, "angle_errors": 2 * n, "reference": 2 * n, "path": 3 * n}
+        # the names are stored in files of policies
+        sizes = {"estimate": 8 * n, "departures": 8 * n, "angle_errors": 2 * n, "reference": 2 * n, "way": 3 * n}
         sizes |= {"clock": 6, "offsets": 2 * n, "applied": n, "action": len(self.names)}
         sizes |= {"parameters": 1 + 2 * n, "deviations": 1 + 2 * n}
         self.observation_sizes: Mapping[str, int] = sizes
@@ -198,10 +199,10 @@ class _ReferenceShapingMode:
         clock = [progress, speed, acceleration, remaining, slews.time_scaling[arms], end_time]
         return {
             "estimate": self._read(states),
-            "tracking_errors": deviations,
+            "departures": deviations,
             "angle_errors": np.concatenate([errors, np.arcsinh(errors / ANGLE_SCALE)], axis=1),
             "reference": np.concatenate([reference[:, motors], reference[:, d + motors]], axis=1),
-            "path": np.concatenate(path, axis=1),
+            "way": np.concatenate(path, axis=1),
             "clock": np.stack(clock, axis=1),
             "offsets": self._shaping.offsets[arms].reshape(len(arms), 2 * self.joints),
             "applied": applied[arms],

@@ -216,7 +216,7 @@ def test_an_arm_that_rests_at_the_end_of_its_slew_has_no_errors(lifting):
     zero = np.zeros(3, dtype=np.int64)
     here = Estimate(np.zeros((3, 2 * d)), zero, {})
     shown = mode._parts(here._replace(states=law.reference(here, arms)), np.zeros((3, 2)), arms)
-    for name in ("angle_errors", "tracking_errors", "path"):
+    for name in ("angle_errors", "departures", "way"):
         assert np.abs(shown[name]).max() < 1e-12, name
     assert (shown["clock"][:, [0, 3]] == [1.0, 0.0]).all() and np.abs(law.slews.shift).max(axis=1).min() > 1e-4
 
@@ -234,7 +234,7 @@ def test_what_is_shown_of_an_arm_on_its_way(lifting):
     reference, now = law.reference(here, arms), law.clock(here, arms)
     shown = mode._parts(here._replace(states=reference + off), np.zeros((3, 2)), arms)
     ranges = np.concatenate([each[0] for each in (mode._plant.measured()[name] for name in mode._quantities.columns)])
-    assert np.sinh(shown["tracking_errors"]) * DEVIATION_SCALE * ranges == pytest.approx(mode._read(off), abs=1e-12)
+    assert np.sinh(shown["departures"]) * DEVIATION_SCALE * ranges == pytest.approx(mode._read(off), abs=1e-12)
     assert shown["estimate"] == pytest.approx(mode._read(reference + off))
     motors, h = model.motor_columns, 1e-4
     ahead, behind = (law._reference(now + shift, arms)[0][:, motors] for shift in (h, -h))

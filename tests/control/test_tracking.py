@@ -249,7 +249,7 @@ def test_a_constant_torque_is_taken_away():
     for disturbed in (False, True):
         given = plant()
         world, lqg = World(given), make_base({"kind": "lqg", "disturbed": disturbed}, given)
-        world.goals, world.offset = POSTURES + 0.1, np.array([0.4, -0.1])
+        world.goals, world.offset = POSTURES + 0.1, np.array([0.2, -0.05])
         world.begin(lqg)
         for _ in range(500):
             world.step(lqg.act(world.readings(), world.last, np.ones(3, dtype=bool)))

@@ -67,8 +67,8 @@ REFUSED = {  # by whom: arguments, beginning of the message, and a part of what 
     simulate: [
         ({"method": "euler"}, "method: ", "dop853, ros2"),
         ({"method": None}, "method: ", "rk4"),
-        ({"method": "rk4"}, "step: ", "takes fixed steps"),
-        ({"method": "implicit_midpoint"}, "step: ", "takes fixed steps"),
+        ({"method": "rk4"}, "step: ", "has fixed steps only"),
+        ({"method": "implicit_midpoint"}, "step: ", "has fixed steps only"),
         ({"method": "rk4", "step": 0.003}, "step: ", "divides"),
         ({"method": "rk4", "step": 0.015}, "step: ", "multiple"),
         ({"method": "rk4", "step": 0.03}, "step: ", "divides the duration"),
@@ -86,7 +86,7 @@ REFUSED = {  # by whom: arguments, beginning of the message, and a part of what 
     simulator: [
         ({"model": ARM}, "model: ", "build_model"),
         ({"method": "auto"}, "method: ", "ros2"),
-        ({"method": "rk4", "step": None}, "step: ", "takes fixed steps"),
+        ({"method": "rk4", "step": None}, "step: ", "has fixed steps only"),
         ({"step": 0.006}, "step: ", "divides the control period"),
         ({"step": 0.04}, "step: ", "divides the control period"),
         ({"step": 0.0}, "step: ", "> 0 (s)"),
