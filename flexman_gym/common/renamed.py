@@ -129,8 +129,15 @@ BASE_ARGUMENTS = {"law": "timing_law"}
 """Old argument of a base controller, in configurations and files -> present argument."""
 PARAMETER_KEYS = {"link_stiffness": "link_stiffness_factor"}
 """Old name of a physical parameter in fits, reset options and draws -> present name."""
+FORMER_DEFAULT_METHOD = "midpoint_3"  # of environments in run folders and policies of 0.2 that name no method
 # packages that are skipped in the search for the caller of a deprecated name
 LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")
+
+
+def complete_environment(data: object) -> None:
+    """Add the method to the environment of a run folder or a policy that names none, as written by release 0.2."""
+    if isinstance(data, dict):
+        data.setdefault("method", FORMER_DEFAULT_METHOD)
 
 
 def current_methods(text: str, warn: bool = False) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from flexman_gym.common.checks import short_path
 from flexman_gym.common.files import READ_ERRORS, existing_file, open_arrays, regular_file, write_atomically
-from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
+from flexman_gym.common.renamed import RUN_SETTINGS, complete_environment, rename_keys
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
 PLAIN_DATA = "data.json"  # name of the plain data among the arrays of a file
@@ -115,6 +115,7 @@ def read_settings(folder: Path) -> dict[str, Any]:
         result = None
     if not isinstance(result, dict):
         raise ValueError(f"{place}: this is no mapping in JSON; give the settings of a training run")
+    complete_environment(result.get("environment"))
     return rename_keys(result, RUN_SETTINGS, warn=False)
 
 

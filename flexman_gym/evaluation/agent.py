@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import short_path, value_error
 from flexman_gym.common.files import existing_file
-from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
+from flexman_gym.common.renamed import RUN_SETTINGS, complete_environment, rename_keys
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, read_settings
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.agent import Law
@@ -345,6 +345,7 @@ def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
     stored = data.get("settings") if isinstance(data, dict) else None
     if not isinstance(stored, dict):
         raise ValueError(f"{path}: this is no file of a training run (it has no settings)")
+    complete_environment(stored.get("environment"))
     stored = rename_keys(stored, RUN_SETTINGS, warn=False)
     names = stored.keys() - set(CHANGEABLE_SETTINGS)
     changed = [name for name in names if not _is_equal(settings.get(name), stored.get(name))]

@@ -14,7 +14,7 @@ from safetensors.numpy import load, save
 
 from flexman_gym.common.checks import one_of, short_path, short_repr, value_error
 from flexman_gym.common.files import READ_ERRORS, existing_file, regular_file, write_atomically
-from flexman_gym.common.renamed import CERTIFICATE_KEYS, current_methods
+from flexman_gym.common.renamed import CERTIFICATE_KEYS, complete_environment, current_methods
 from flexman_gym.control.network import Network, policy_parameters
 
 FOLDER = Path(__file__).parents[1] / "policies"
@@ -163,6 +163,7 @@ def _parse_metadata(content: bytes) -> dict[str, Any]:
     for name, data in (("environment", metadata["environment"]), ("settings", metadata["recipe"]["settings"])):
         if _json_hash(data) != metadata[f"{name}_hash"]:
             raise value_error(name, "data with another hash", f"the {name} of the export")
+    complete_environment(metadata["environment"])
     return metadata
 
 

@@ -105,7 +105,8 @@ def certificate_scenarios(name: str) -> list[str]:
 def _environment_name(name: str) -> str:
     """Return the named environment for which a policy was exported; the policy itself for any other environment.
 
-    Gains of a PD controller and the reward may differ: a policy has its own gains, and nothing is trained here.
+    Gains of a PD controller, the reward and the method may differ: a policy has its own gains, nothing is trained here,
+    and a named environment has the default method of this release.
     """
     agent, about = find_agent(name), read_policy(policy_folder(name) or Path(name)).metadata
     assert agent.environment is not None
@@ -166,8 +167,8 @@ def _run(name: str, scenario: str, seeds: range, folder: Path, jobs: Workers | i
 
 
 def _is_same_motion(one: Configuration, two: Configuration) -> bool:
-    """Return whether two environments simulate the same motion; agent settings, gains and reward may differ."""
-    others = (*INTERFACE, "gains", "reward", "task")
+    """Return whether two environments simulate the same motion; agent, gains, reward and method may differ."""
+    others = (*INTERFACE, "gains", "reward", "task", "method")
     tasks = [{**plain_task(each.task), "reward": None} for each in (one, two)]
     return one.without(others) == two.without(others) and tasks[0] == tasks[1]
 

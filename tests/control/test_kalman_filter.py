@@ -260,7 +260,11 @@ def test_what_the_tip_may_be_pushed_by_is_reckoned_with():
 
 
 def test_innovations_on_the_simulator_are_as_large_as_they_should_be():
-    """Moving arms pushed by the forces that it reckons with: sums of squares within the 99 % bounds of chi-square."""
+    """Moving arms pushed by the forces of its process noise: normalised innovations have a mean square of 1.
+
+    With seeds 0 to 5 and each method it is 0.968 to 0.984, as the filter is slightly conservative; its standard
+    deviation is 0.009.
+    """
     given, count, random = plant(delay=(1, 1)), 60, np.random.default_rng(4)
     world, kalman, slopes = (
         World(given, random.uniform(-1.0, 1.0, (count, 2))),
@@ -288,7 +292,7 @@ def test_innovations_on_the_simulator_are_as_large_as_they_should_be():
         total += (error[:, None] @ np.linalg.solve(spread, error[..., None])).sum()
         kalman.estimate(world.readings(), world.last, np.ones(count, dtype=bool))
     degrees = 30 * count * len(read.ranges)
-    assert chi2.ppf(0.005, degrees) < total < chi2.ppf(0.995, degrees)
+    assert total / degrees == pytest.approx(1.0, abs=0.04)
 
 
 def corrections(kalman, world, errors):

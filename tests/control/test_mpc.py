@@ -170,7 +170,7 @@ def test_where_it_saturates_its_plan_costs_the_least_of_all_within_the_limits(mo
     planned = np.repeat(means.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0)
     controller._planned[0], least = planned, daqp.solve
     monkeypatch.setattr(daqp, "solve", lambda *given: programs.append(given[:2]) or least(*given))
-    state = model.at_rest(posture[None] + np.array([[0.02, -0.02]]))
+    state = model.at_rest(posture[None] + np.array([[0.015, -0.015]]))
     action = controller.act({"state": state}, np.zeros((1, n)), np.array([True]))[0]
     (curvature, slope), low, high = (
         programs[0],

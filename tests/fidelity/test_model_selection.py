@@ -201,13 +201,15 @@ def test_the_default_environment_keeps_an_undamped_vibration_for_10_s(number):
     simulator, model = env.simulator, env.simulator.model
     squares, shapes = eigh(stiffness_matrix(model), fm.mass_matrix(model, np.zeros(2 * model.n_dof)))
     simulator.reset(state=[*(1e-3 * shapes[:, 3 + number]), *np.zeros(model.n_dof)])
-    before = simulator.energy
+    energies = []
     for _ in range(500):
         assert simulator.step(np.zeros(3)) == "ok"
-    kept = np.sqrt(simulator.energy / before)
+        energies.append(simulator.energy)
+    kept = np.sqrt(np.mean(energies[250:]) / np.mean(energies[:250]))  # the energy of the corrected rule wavers
     frequency = np.sqrt(squares[3 + number]) / (2 * np.pi)
     assert kept == pytest.approx(remaining_amplitude(simulator.method, 0.02 / simulator.substeps, frequency), abs=1e-3)
-    assert kept == pytest.approx(1.0, abs=1e-6)
+    assert kept == pytest.approx(1.0, abs=1e-4)
+    assert np.ptp(energies) <= 1.05 * (2 * np.pi * frequency * 0.02 / simulator.substeps) ** 2 / 6 * np.max(energies)
 
 
 def test_an_environment_chooses_its_fidelity():

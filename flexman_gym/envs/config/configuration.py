@@ -199,7 +199,8 @@ class Configuration(EnvironmentSettings):
     def to_plain(self, strict: bool = True) -> dict[str, Any]:
         """Return plain data from which `from_plain` makes the same environment on any computer and in later releases.
 
-        The mapping contains the data of the arm in place of a name or a file, and the gains of base="pd".
+        The mapping contains the data of the arm in place of a name or a file, the gains of base="pd", and the method,
+        whose default may change with a release.
 
         Args:
             strict: True to raise ValueError for an object without a plain form; False to return the object itself.
@@ -210,6 +211,7 @@ class Configuration(EnvironmentSettings):
         plain = {name: self._plain(name, value, strict) for name, value in self._given.items()}
         if self.base == "pd":
             plain["gains"] = {name: list(numbers) for name, numbers in self.gains.items()}
+        plain.setdefault("method", self._plain("method", self.method, strict))
         return {"id": self.id, **plain, "arm": to_plain(self.arm)}
 
     def _plain(self, name: str, value: Any, strict: bool) -> Any:
