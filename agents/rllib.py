@@ -26,7 +26,7 @@ from flexman_gym.control.normalisation import RunningMeanStd
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.rollout import training_seed
 
-CLIP = 10.0  # 1; largest magnitude of normalised observations and rewards
+CLIP = 10.0  # dimensionless; largest magnitude of normalised observations and rewards
 
 
 class NormalisationConnector(ConnectorV2):

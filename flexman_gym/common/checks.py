@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Kind = TypeVar("Kind")
-UNIT_TOLERANCE = 1e-9  # 1; largest error of the length of a unit vector, and of R R^T of a rotation matrix R
+UNIT_TOLERANCE = 1e-9  # dimensionless; largest error of the length of a unit vector, and of R R^T of a rotation R
 MIN_SIZE, MAX_SIZE = 1e-30, 1e30  # SI units; range of a physical quantity > 0
 MAX_FIELD_LENGTH = 60  # characters of the name of a field in an error
 MAX_PATH_LENGTH = 160  # characters of a path in an error
 MAX_VALUE_LENGTH = 80  # characters of a value in an error; no more entries of a list are formatted
 MAX_ENTRIES = 10**6  # entries of a list
-MIN_SIMILARITY = 0.75  # 1; similarity of two names (difflib) above which a name is probably a misspelling
+MIN_SIMILARITY = 0.75  # dimensionless; similarity of two names (difflib) above which a name is probably a misspelling
 MAX_DIGITS = 18  # digits of a whole number within a name; larger numbers exceed 64 bits
 RATIO_TOLERANCE = 1e-9  # largest relative difference of a ratio of two times from a whole number
 

@@ -19,7 +19,7 @@ from flexman_gym.control.reference_shaping import ReferenceShaping, ShapingLimit
 from flexman_gym.control.tracking import OutputFeedback
 from flexman_gym.model.linearization import LinearMeasurements
 
-UNSTABLE_RADIUS = 1.0 + 1e-6  # 1; spectral radius of an unstable loop; undamped uncontrollable modes have 1
+UNSTABLE_RADIUS = 1.0 + 1e-6  # dimensionless; spectral radius of an unstable loop; undamped uncontrollable modes have 1
 
 
 class _ServoMode:

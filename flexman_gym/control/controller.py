@@ -27,7 +27,7 @@ class Plant(NamedTuple):
         gains: function that returns PD gains tuned for the arm: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,)
             each.
         unknown: uncertain parameters: name -> range (low, high), with the names and units of a randomisation, see
-            `simulation.parameters.UNCERTAIN`: "payload_mass" (kg), "joint_stiffness_factor" (1), and so on.
+            `simulation.parameters.UNCERTAIN`: "payload_mass" (kg), "joint_stiffness_factor" (relative), and so on.
         delay: smallest and largest delay of the torques, whole control periods.
         integration: integration method and step (s) of simulations.
         tip_force: magnitude of unmeasured forces on the tip, N.

@@ -64,7 +64,8 @@ class View:
         tip_vibration: (b,) speed of the tip relative to the tip of a rigid arm at the same motor angles and rates, m/s.
         elastic_energy: (b,) elastic energy of links and joints, J.
         energy_residual: (b,) work - dissipation - change of energy since the reset, J, see `Batch`.
-        energy_turnover: (b,) energy with which the residual is compared, J, see `Batch`.
+        energy_turnover: (b,) largest of kinetic + elastic energy, |work| and |dissipation| since the reset, J: the
+            scale for `energy_residual`.
         action: (b, n) commanded torques of the last control period, as fractions of the torque limits.
         effort: (b,) mean square over the n actions of the last control period.
         failed: (b,) True if the arm exceeded a limit or its simulation diverged in the last step.

@@ -115,7 +115,7 @@ def _commit() -> str:
 
 
 OPSET, IR_VERSION = 13, 8  # versions of the ONNX operators and of the file format, supported by old runtimes
-ONNX_TOLERANCE = 1e-4  # 1; largest difference of an action in float32
+ONNX_TOLERANCE = 1e-4  # dimensionless; largest difference of an action in float32
 ONNX_ROWS = 64  # number of observations for which actions are compared
 
 

@@ -34,8 +34,8 @@ from flexman_gym.simulation.batch import Batch
 MIN_MARGINS = Margins(2.0, 30.0)  # 1, degrees; smallest gain margin and phase margin of candidate gains
 POSTURES = 4  # number of goal postures at which the margins are checked
 STIFFNESS_RANGE = (0.01, 25.0)  # torque limits per radian; range of the drawn stiffness
-MIN_DAMPING_SHARE = 0.05  # 1; smallest drawn damping as a fraction of the largest
-LOCAL_DEVIATIONS = np.geomspace(0.5, 0.1, 8)  # 1; standard deviation of log(gains) in each round around the best gains
+MIN_DAMPING_SHARE = 0.05  # dimensionless; smallest drawn damping as a fraction of the largest
+LOCAL_DEVIATIONS = np.geomspace(0.5, 0.1, 8)  # standard deviation of log(gains) in each round around the best gains
 CELL = 15  # number of candidates evaluated in one rollout
 DRAWS = 1000  # largest number of draws for each candidate
 
@@ -48,7 +48,7 @@ class TunedGains:
         stiffness: (n,) N m/rad.
         damping: (n,) N m s/rad.
         reward: mean return, the sum of the rewards of an episode.
-        margins: gain margin (1) and phase margin (degrees).
+        margins: gain margin (dimensionless) and phase margin (degrees).
     """
 
     stiffness: tuple[float, ...]

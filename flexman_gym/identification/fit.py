@@ -18,15 +18,15 @@ from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.serialization import to_plain
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters
 
-MAX_RELATIVE_DEVIATION = 0.5  # 1; relative standard deviation above which a parameter is undetermined
-MIN_COMPONENT = 0.3  # 1; least component of an eigenvector of the covariance for a parameter that belongs to it
-SPIKE_FACTOR = 10.0  # 1; size of a spike relative to the robust standard deviation of the residual
-MIN_CORRELATION = 0.7  # 1; least correlation of measured and computed output for a check of unit and sign
-MAX_SCORE = 0.995  # 1; R2 above which no missing filter is suspected
+MAX_RELATIVE_DEVIATION = 0.5  # relative standard deviation above which a parameter is not practically identifiable
+MIN_COMPONENT = 0.3  # least component of a unit eigenvector of the covariance by which a parameter takes part in it
+SPIKE_FACTOR = 10.0  # dimensionless; size of a spike relative to the robust standard deviation of the residual
+MIN_CORRELATION = 0.7  # dimensionless; least correlation of measured and computed output for a check of unit and sign
+MAX_SCORE = 0.995  # dimensionless; R2 above which no missing filter is suspected
 UNIT_SCALES = {"rad": {57.29578: "deg", 1e3: "mrad"}, "m": {1e3: "mm", 1e2: "cm"}, "m/s^2": {1.0 / 9.80665: "g"},
                "1": {1e6: "um/m", 1e2: "percent"}}  # fmt: skip
-MAX_SCALE = 4.0  # 1; ratio of measured to computed output above which a wrong unit is suspected
-FILTER_RESIDUAL = 0.5  # 1; a filter is reported as missing if it reduces the squared residuals below this fraction
+MAX_SCALE = 4.0  # dimensionless; ratio of measured to computed output above which a wrong unit is suspected
+FILTER_RESIDUAL = 0.5  # a filter is reported as missing if it reduces the squared residuals below this fraction
 
 
 def _find_undetermined(free: FreeParameters, values: Array, covariance: Array) -> tuple[tuple[str, ...], str]:
@@ -195,11 +195,11 @@ def _draw(found: "Fit", file: Path) -> None:
     figure.savefig(file)
 
 
-MIN_SCORE = 0.9  # 1; R2 below which a fit is poor and other starts are tried
+MIN_SCORE = 0.9  # dimensionless; R2 below which a fit is poor and other starts are tried
 MAX_DEVIATIONS = 3.0  # standard deviations of a frequency residual beyond which a fit is poor
-SPREAD = 1.0  # 1; largest change of the logarithm of a parameter in other starts
+SPREAD = 1.0  # dimensionless; largest change of the logarithm of a parameter in other starts
 MAX_STARTS = 3  # number of starts with the smallest misfit from which the problem is solved
-WEAK_PRIOR = 1e-8  # 1; relative weight of a prior that keeps the covariance finite
+WEAK_PRIOR = 1e-8  # dimensionless; relative weight of a prior that keeps the covariance finite
 
 
 @dataclass(frozen=True, eq=False)

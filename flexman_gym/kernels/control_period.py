@@ -40,7 +40,7 @@ def fill_views(rows, outputs, energies, turnover, targets, readings, motion, vec
     """Compute the quantities of an `envs.view.View` of b arms.
 
     Args:
-        rows: (b, 2 d + 2) states and energy ledgers.
+        rows: (b, 2 d + 2) states (2 d), each followed by work and dissipation, J (the energy ledger).
         outputs: (b, OUTPUTS) output rows.
         energies: (b,) total energy at the reset, J.
         turnover: (b,) energy turnover, J, see `update_energy_turnover`.

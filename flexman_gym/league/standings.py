@@ -158,7 +158,7 @@ class Standings:
             seeds: seeds of the episodes; None for all.
 
         Returns:
-            Share of settled episodes (1), and minus the median settling time (s).
+            Share of settled episodes (from 0 to 1), and minus the median settling time (s).
         """
         values = self.values(agent, scenario, "settling_time")
         times = np.sort([time for seed, time in values.items() if seeds is None or seed in seeds])

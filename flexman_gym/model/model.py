@@ -20,8 +20,8 @@ from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import MAX_ELEMENTS, ModelChoice, Scene
 from flexman_gym.scene.serialization import ArmLike, find_arm
 
-UNCOUPLED = 1e-8  # 1; entry of K or C / geometric mean of its diagonal entries, below which it is a rounded zero
-NEGLIGIBLE = 1e-14  # 1; mass integral / geometric mean for its two coordinates, below which it is a rounded zero
+UNCOUPLED = 1e-8  # entry of K or C / geometric mean of its diagonal entries, below which it is a rounded zero
+NEGLIGIBLE = 1e-14  # mass integral / geometric mean for its two coordinates, below which it is a rounded zero
 MIN_FREQUENCY, MAX_FREQUENCY = 0.01, 1e4  # Hz; usual range of the first natural frequency of a link
 
 

@@ -144,7 +144,7 @@ class BatchIntegrator(Protocol):
 class SequentialIntegrator(BatchIntegrator):
     """Batch integrator with an `Integrator` for each arm, which integrates one arm after the other.
 
-    `period` is the control period (s) and the number of steps in it.
+    `period` = (control period in s, number of steps in it).
     """
 
     state_fields = ("own",)
@@ -216,7 +216,7 @@ class LaneIntegrator(BatchIntegrator):
     """Batch integrator by fixed steps of a linearly implicit method; the ARMS_PER_GROUP arms of a group are SIMD lanes.
 
     A single arm without foreshortening is integrated by faster kernels of one arm, with equal results to the bit.
-    `period` is the control period or output interval (s) and the number of steps in it.
+    `period` = (control period or output interval in s, number of steps in it).
     """
 
     state_fields = ("own",)

@@ -16,8 +16,8 @@ from flexman_gym.simulation.stability import NEGLIGIBLE_GROWTH, stability_limit
 
 LARGE_RATE = 100.0  # rad/s; bound of joint and motor rates
 LARGE_TWIST = 1.0  # rad; bound of joint twists
-LARGE_DEFLECTION = 0.25  # 1; bound of the deflection of a link relative to its length
-STIFFENING_DEFLECTION = 0.1  # 1; deflection relative to the length of the link above which foreshortening matters
+LARGE_DEFLECTION = 0.25  # dimensionless; bound of the deflection of a link relative to its length
+STIFFENING_DEFLECTION = 0.1  # deflection / length of the link, above which foreshortening matters
 OUTPUTS_PER_INTERVAL = 50  # outputs of the second simulation if the method chooses its steps
 
 
@@ -40,7 +40,7 @@ def explain_failure(
         model: the model.
         drive: (7, n + 6) drive table of `kernels.layout`.
         grid: time of the last valid state (s), step (s), and number of remaining steps.
-        state: (2 d + 2,) last valid state and energy ledger.
+        state: (2 d + 2,) last valid state (2 d), then work and dissipation, J.
         status: "diverged", "not converged" or "ok".
 
     Returns:

@@ -16,7 +16,7 @@ from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurement
 from flexman_gym.model.loads import FrameMotion, part_energies, section_forces
 from flexman_gym.model.model import Model
 
-ENERGY_ALARM = 0.01  # 1; fraction of the energy turnover above which the energy residual is too large
+ENERGY_ALARM = 0.01  # dimensionless; fraction of the energy turnover above which the energy residual is too large
 
 
 def _energy_turnover(moving_energy: Array | float, work: Array | float, dissipation: Array | float) -> Array:

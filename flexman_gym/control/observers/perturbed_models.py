@@ -24,7 +24,7 @@ class UncertainParameters:
     Args:
         model: model of the arm.
         ranges: name -> (low, high), with names as in `simulation.parameters.UNCERTAIN`: in the unit of the parameter,
-            or as factors (1) of the nominal value, for each joint or link.
+            or as factors of the nominal value, for each joint or link.
 
     Attributes:
         names: (p,) name of the physical parameter of each entry.
@@ -86,10 +86,10 @@ class UncertainParameters:
 
 ANGLE_STEP = 1e-3  # rad; perturbation of a start angle
 BATCH_ARMS = 32  # number of arms whose models are simulated together; limits the memory
-DIAGONAL_OFFSET = 1e-12  # 1; added to the unit diagonal of a scaled matrix against rounding
+DIAGONAL_OFFSET = 1e-12  # dimensionless; added to the unit diagonal of a scaled matrix against rounding
 MAX_ITERATIONS = 4  # Levenberg-Marquardt iterations of a fit
-MIN_DECREASE = (2.0, 0.02)  # 1; predicted decrease of the cost, in all and per period, below which a fit ends
-INITIAL_DAMPING = 1e-3  # 1; damping of the first Levenberg-Marquardt step
+MIN_DECREASE = (2.0, 0.02)  # dimensionless; predicted decrease of the cost, total and per period, that ends a fit
+INITIAL_DAMPING = 1e-3  # dimensionless; damping of the first Levenberg-Marquardt step
 
 
 class Prior(NamedTuple):

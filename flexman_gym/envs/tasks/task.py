@@ -1,4 +1,4 @@
-"""Task protocol: start, goal, reward and sensors of the goal."""
+"""Task protocol: start, goal, reward and sensors that observe the goal."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -34,7 +34,7 @@ class Task(Protocol):
     arguments of `Randomisation`. Misspelt names raise ValueError.
 
     Attributes:
-        sensors: sensors of the goal, added to those of the environment; () for no sensors.
+        sensors: sensors that observe the goal, added to those of the environment; () for no sensors.
         moves: True if the goal changes during an episode; `goal` is then called in every control period.
     """
 
