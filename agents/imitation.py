@@ -210,7 +210,7 @@ class DAgger:
         return _rollout_metrics(result)
 
     def _update(self) -> float:
-        """Take a gradient step on a batch with equal parts of all iterations; return the loss."""
+        """Take a gradient step on a batch with equally many samples from each iteration; return the loss."""
         size, remainder = divmod(self._hyperparameters["batch_size"], len(self._iterations))
         chosen = [self._random.integers(len(observed), size=size + (index < remainder))
                   for index, (observed, _, _) in enumerate(self._iterations)]  # fmt: skip

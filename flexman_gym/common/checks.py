@@ -1,4 +1,4 @@
-"""Checks of arguments: each returns the value in its stored form or raises a ValueError of one line."""
+"""Checks of arguments: each returns the value in its stored form or raises a ValueError, whose message is one line."""
 
 import math
 import numbers
@@ -136,14 +136,14 @@ def flag(name: str, value: object) -> bool:
 
 
 def text(name: str, value: object) -> str:
-    """Return a string unchanged."""
+    """Check that a value is a string, and return it."""
     if not isinstance(value, str):
         raise value_error(name, value, "a string")
     return value
 
 
 def one_of(name: str, value: object, allowed: Collection[str]) -> str:
-    """Return one of the `allowed` strings unchanged."""
+    """Check that a value is one of the `allowed` strings, and return it."""
     if not isinstance(value, str) or value not in allowed:
         raise value_error(name, value, "one of " + ", ".join(allowed))
     return value

@@ -144,7 +144,7 @@ PAYLOAD_DENSITY = 7800.0  # kg/m^3; steel; sets the size of the sphere of a payl
 
 
 class Shot(NamedTuple):
-    """Camera and background of a frame.
+    """View of a scene for its frames: a fixed camera, and the background as seen from it.
 
     Attributes:
         camera: the camera.

@@ -1,4 +1,4 @@
-"""Forward dynamics by the articulated-body algorithm: solves Eq. 40-46 of the paper in O(n) operations for n links.
+"""Forward dynamics by the articulated-body algorithm: solves Eq. 40-46 of the paper (see `layout`) in O(n) operations.
 
 From the tip to the base, the elastic coordinates and then the joint of each link are eliminated, which leaves an
 articulated-body inertia (6, 6) at the tip of the inboard link (Featherstone's algorithm with elastic coordinates). With

@@ -319,7 +319,7 @@ def add_weighted_rows(typing_context, total, factors, rows, j, stride):
 
 @intrinsic
 def add_products(typing_context, total, a, b):
-    """Return total + a b; for neighbours, a number: total plus the products of all lanes, one after the other."""
+    """Return total + a b; for NEIGHBOURS, a number: `total` plus the products of all lanes, one after the other."""
     kind = _common_type(a, b)
     result = NUMBER if kind == NEIGHBOURS else _common_type(total, a, b)
 

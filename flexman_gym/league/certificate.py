@@ -1,4 +1,4 @@
-"""Certificate of a policy: a league of one agent under other physics, parameters, delays and noise, with a verdict."""
+"""Certificate: robustness report of one policy under changed physics, parameters, delays and noise, with a verdict."""
 
 import json
 from collections.abc import Callable, Sequence

@@ -45,7 +45,7 @@ class Standings:
 
     @cached_property
     def sweeps(self) -> dict[str, dict[str, float]]:
-        """Sweep, such as "FlexRRR-v0/payload" -> value by the name of its scenario, in ascending order."""
+        """Sweep, such as "FlexRRR-v0/payload" -> value by the name of its scenario, sorted by the value."""
         result: dict[str, dict[str, float]] = {}
         for scenario in dict.fromkeys(scenario for scenario, _, _ in self.results.cells):
             name, equals, value = scenario.removesuffix(GIVEN).partition("=")

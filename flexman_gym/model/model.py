@@ -314,7 +314,7 @@ class Model:
 
     @property
     def n_motors(self) -> int:
-        """Number m of flexible joints; each adds a motor coordinate."""
+        """Number m of motor coordinates, one for each flexible joint."""
         return int((self.constants.motor >= 0).sum())
 
     @property

@@ -33,7 +33,9 @@ class _Quantity(NamedTuple):
 def explain_failure(
     integrator: Integrator, model: Model, drive: Array, grid: tuple[float, float, int], state: Array, status: str
 ) -> str:
-    """Return the quantity that first exceeds its bound, and remedies; integrates again from the last valid state.
+    """Return sentences with the quantity that first exceeds its bound and with remedies.
+
+    The last interval is integrated again from the last valid state.
 
     Args:
         integrator: the integrator of the arm.
@@ -60,7 +62,7 @@ def explain_failure(
 
 
 def explain_energy(model: Model, integrator: Integrator, step: float, time: float, states: Array) -> str:
-    """Return the coordinate with the largest vibration energy up to an energy alarm, and remedies.
+    """Return sentences with the coordinate of the largest vibration energy up to an energy alarm and with remedies.
 
     Args:
         model: the model.
@@ -143,7 +145,7 @@ def _advice(model: Model, integrator: Integrator, step: float, states: Array) ->
 
 
 def _first_excess(model: Model, states: Array) -> tuple[_Quantity, int]:
-    """Return the quantity that first exceeds its bound, and its row; without one, the relatively largest one."""
+    """Return the quantity that first exceeds its bound, and its row; if none does, the relatively largest quantity."""
     result = list(_quantities(model, states))
     sizes = np.array([np.abs(each.values) / each.largest for each in result])
     sizes = np.nan_to_num(sizes, nan=np.inf, posinf=np.inf)

@@ -128,7 +128,7 @@ class Integrator:
 
     Attributes:
         constants: constants of the model, with flags of the motors with prescribed motion.
-        work: work space of the kernels.
+        work: work space: scratch arrays of the kernels.
         method: the method.
         tolerance: (rtol, atol) of adaptive steps; zeros for fixed steps.
     """

@@ -75,7 +75,7 @@ class UncertainParameters:
         return result
 
     def deviations(self, deviations: Array) -> dict[str, Array]:
-        """Return standard deviations of physical parameters, NAME_deviation -> (r,) or (r, entries), from (r, p)."""
+        """Convert standard deviations (r, p) of theta to a mapping NAME_deviation -> (r,) or (r, entries), SI units."""
         result = {}
         for name in dict.fromkeys(self.names):
             columns = np.flatnonzero(np.array(self.names) == name)
@@ -121,7 +121,7 @@ class _Resimulation(NamedTuple):
     """Result of a simulation of r arms from their start, compared with the measurements.
 
     Attributes:
-        states: (r, 1 + s, 2 d) final states of all models.
+        states: (r, 1 + s, 2 d) final states of the estimated model and the s perturbed models of each arm.
         information: (r, p, p) information matrix of the measurements for theta, the Gauss-Newton matrix.
         gradient: (r, p) half the negative gradient of the cost.
         cost: (r,) sum of squared residuals, in standard deviations.
@@ -175,7 +175,7 @@ class PerturbedModels:
         """Return the start states (r, 1 + s, 2 d) of the models.
 
         Args:
-            origin: (r, 2 d) start states for start angles of 0 in theta.
+            origin: (r, 2 d) start states to which the rotation by the start angles in theta is added.
             theta: (r, p) parameter vectors.
 
         Returns:

@@ -11,7 +11,7 @@ from flexman_gym.envs.view import Number, View
 
 TASK_MEMBERS = ("sensors", "moves", "draw", "goal", "reward_terms", "info")
 OPTIONAL_TASK_MEMBERS = ("metrics", "disturbances")
-TRACKING_METRICS = ("rms_error",)  # metrics of tasks whose target moves, or is at the start of the tip
+TRACKING_METRICS = ("rms_error",)  # metrics of tasks whose target moves, or equals the initial tip position
 
 
 class Goal(NamedTuple):
@@ -40,7 +40,7 @@ class Task(Protocol):
 
     @property
     def sensors(self) -> Sequence[Sensor]:
-        """Sensors of the goal, added to those of the environment."""
+        """Sensors that observe the goal, added to those of the environment."""
         ...
 
     @property
@@ -75,8 +75,8 @@ class Task(Protocol):
         """Return the terms of the reward of the last control period by name; the reward is their sum.
 
         Args:
-            view: view of all arms, or of a single arm without the axis of the arms; use `...`, `axis=-1` and the
-                functions of NumPy.
+            view: view of all arms, or of a single arm without the axis of the arms; index with `...` and
+                `axis=-1`, so that the same expression of NumPy serves both.
         """
         ...
 
