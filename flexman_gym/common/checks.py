@@ -267,7 +267,10 @@ def _in(unit: str) -> str:
 
 @contextmanager
 def check_solvable(what: str) -> Iterator[None]:
-    """Raise a ValueError about the arm if extreme values of its parameters prevent the computation of `what`."""
+    """Context manager: convert floating-point errors in its block to a ValueError about the parameters of the arm.
+
+    `what` names the computed quantity.
+    """
     try:
         with np.errstate(divide="raise", over="raise", invalid="raise"):
             yield

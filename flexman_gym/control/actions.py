@@ -51,7 +51,7 @@ class _ServoMode:
         self._max_error = np.where(zero, np.inf, gains.torque_limit / np.where(zero, 1.0, gains.stiffness))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,) with the reference at their joint angles."""
+        """Start new episodes of the arms (r,) of `count` in all with the reference at their joint angles."""
         self._reference = pad_rows(self._reference, count)
         self._reference[arms] = episode.start
 
@@ -275,7 +275,7 @@ class ActionMode(Protocol):
         ...
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms with the indices (r,), also in the base controller."""
+        """Start new episodes of the arms with the indices (r,) of `count` in all, also in the base controller."""
         ...
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
@@ -311,7 +311,7 @@ class TorqueMode:
         self.sensors: tuple[object, ...] = tuple(base.sensors) if base else ()
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,)."""
+        """Start new episodes of the arms (r,) of `count` in all."""
         if self._base:
             self._base.reset(arms, episode, count)
 

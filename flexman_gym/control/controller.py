@@ -198,5 +198,5 @@ class _FormerController:
         return getattr(self.inner, "estimates", {})
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,)."""
+        """Start new episodes of the arms (r,) of `count` in all."""
         self.inner.reset(arms, episode)

@@ -262,7 +262,7 @@ class LQR:
         return lqr_gain(linear, self.model.motor_columns, self.limits, weights or self.weights, self.period)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Compute gains and equilibria for new episodes of the arms (r,)."""
+        """Compute gains and equilibria for new episodes of the arms (r,) of `count` in all."""
         self._gains, self._rest, self._holding_torques = (
             pad_rows(values, count) for values in (self._gains, self._rest, self._holding_torques)
         )
@@ -336,7 +336,7 @@ class TrackingLQR(LQR):
         self._now = np.zeros(0, dtype=np.int64)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Plan the slews of the arms (r,), or their motion along moving goals."""
+        """Plan the slews of the arms (r,) of `count` in all, or their motion along moving goals."""
         if episode.reference is not None:
             self._plan_paths(arms, episode.reference)
             return

@@ -133,7 +133,7 @@ class MPC:
         return Batch(self.model, *self._integration, self.period, arms=count)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Plan the slews of the arms (r,) and compute the predictions along them."""
+        """Plan the slews of the arms (r,) of `count` in all and compute the predictions along them."""
         if episode.path is not None:
             raise value_error("episode", "a moving goal", "a fixed goal: the MPC plans slews only")
         self._planned, self._now = pad_rows(self._planned, count), pad_rows(self._now, count)

@@ -165,7 +165,7 @@ class OutputFeedback:
         return getattr(self.observer, "estimates", {})
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,)."""
+        """Start new episodes of the arms (r,) of `count` in all."""
         self.observer.reset(arms, episode, count)
         self.law.reset(arms, episode, count)
         if self.fallback:

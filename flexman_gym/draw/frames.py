@@ -139,7 +139,7 @@ FLOOR_GAP = 0.05  # dimensionless; distance of the floor from the lowest point a
 REFERENCE_DEFLECTION = 0.01  # deflection / length of a link with the largest strain of the colours, if no torque limit
 GHOST, MOTOR, TIP, TARGET, POST = "#5b6b82", "#334155", "#1e293b", "#e11d48", "#64748b"
 PAYLOAD, TRAIL, PLUMB_LINE = "#8a6d3b", "#6d28d9", "#e58ba0"
-GHOST_SHARE, SHADOW_SHARE, TRAIL_START = 0.42, 0.34, 0.05  # opacity of rigid arm, shadow and oldest path point, 0 to 1
+GHOST_SHARE, SHADOW_SHARE, TRAIL_START = 0.42, 0.34, 0.05  # opacities, 0 to 1: rigid arm, shadow, oldest path point
 PAYLOAD_DENSITY = 7800.0  # kg/m^3; steel; sets the size of the sphere of a payload
 
 
@@ -170,7 +170,7 @@ class FramePainter:
         model: model of the arm.
         size: width and height, pixels.
         camera: azimuth and elevation, degrees, and optionally a zoom; None for a direction chosen from the joint axes.
-        gain: factor of the drawn deflection; the overlay shows the factor.
+        gain: magnification of the drawn deflection, shown in the overlay.
         overlays: whether to draw numbers over the picture.
         shadow: whether to draw the shadow; a GIF without it is a third smaller.
 

@@ -42,7 +42,7 @@ def compact_modes(numbers: tuple[int, ...]) -> int | tuple[int, ...]:
 
 
 def _tip_contributions(model: Model, full: Candidate, states: Array) -> dict[tuple[int, int], float]:
-    """Return the largest tip displacement by each component mode in the motion of the reference, ascending.
+    """Return the largest tip displacement by each component mode in the motion of the reference, smallest first.
 
     The displacement includes the rotation of the free joints by conservation of momentum when the mode deflects.
 
@@ -352,7 +352,7 @@ class ModelSearch:
         )
 
     def contributions(self) -> dict[tuple[int, int], float]:
-        """Return (link, mode number) -> largest tip displacement (m) in the motion of the reference, ascending."""
+        """Return (link, mode number) -> largest tip displacement (m) in the motion of the reference, smallest first."""
         return _tip_contributions(self.model(self.full), self.full, self.reference.states)
 
     def stiffest_modes(self) -> list[tuple[int, int]]:

@@ -21,8 +21,8 @@ from flexman_gym.kernels.runge_kutta import linearly_implicit_step, out_of_bound
 def _fixed_step(constants, work, tableau, counts, table, span, state):
     """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
 
-    The method is the linearly implicit method of the tableau, or if this is None the method with the numbers `counts`
-    of `implicit.fixed_newton_step`.
+    The method is the linearly implicit method of the tableau, or if this is None the method with `counts`, the number
+    of Newton iterations and the correction of `implicit.fixed_newton_step`. The ledger is work and dissipation, J.
     """
     if tableau is None:
         fixed_newton_step(constants, work, counts, table, span, state)

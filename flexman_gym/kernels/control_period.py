@@ -252,7 +252,7 @@ def finish_period(table, rows, outputs, status):
 
     Args:
         table: (fields, 3) addresses of the `Period`.
-        rows: (1, 2 d + 2) state and ledger.
+        rows: (1, 2 d + 2) state (2 d), then work and dissipation, J.
         outputs: (1, OUTPUTS).
         status: (1,).
 

@@ -176,7 +176,7 @@ def _tip_velocity(constants, work, i, v, elastic):
 
 @inner
 def _link_energy(constants, work, i, v, elastic):
-    """Return the kinetic energy of link i, 1/2 v^T M v with the blocks of M in Eq. 13 of the paper."""
+    """Return the kinetic energy of link i, 1/2 v^T M v with the blocks of M in Eq. 13 (paper: see `layout`)."""
     velocity, spin = load(work.velocity, i), load(work.spin, i)
     value = 0.5 * _quadratic_form(constants.elastic_mass, constants, i, v, elastic) + _axial_energy(constants, work, i)
     value += dot(velocity, cross(spin, load(work.moment, i))) + 0.5 * constants.mass[i] * dot(velocity, velocity)

@@ -26,7 +26,7 @@ MIN_FREQUENCY, MAX_FREQUENCY = 0.01, 1e4  # Hz; usual range of the first natural
 
 
 class _ShapeIntegrals(NamedTuple):
-    """Mass integrals of a beam with k elastic coordinates (Eqs. (13) and (14) of the paper), sums over mass points.
+    """Mass integrals of a beam with k elastic coordinates (Eqs. (13) and (14), see `model.beam`), summed over points.
 
     r0 is the undeformed position of a mass m, S_a the shape function of coordinate a. Polar moments of inertia enter as
     fictitious second moments of mass.

@@ -47,7 +47,7 @@ class EquilibriumMatrices(NamedTuple):
 
 
 class Eigenpairs(NamedTuple):
-    """Complex eigenvalues with positive imaginary part, ascending, and their eigenvectors.
+    """Complex eigenvalues with positive imaginary part, by which they are sorted, and their eigenvectors.
 
     Attributes:
         values: (k,) eigenvalues s, 1/s.

@@ -100,9 +100,9 @@ PeriodRecord = tuple[Array, Array]  # rows (b, T, 2 d + 2) and outputs (b, T, OU
 class BatchIntegrator(Protocol):
     """Integrator of the b arms of a batch.
 
-    In all methods, rows (b, 2 d + 2) hold the state and energy ledger of each arm, outputs (b, OUTPUTS) the quantities
-    of `kernels.layout` at this state, and status (b,) OK, DIVERGED or NOT_CONVERGED. Arguments named rows, outputs,
-    status and result are overwritten.
+    In all methods, rows (b, 2 d + 2) hold the state (2 d) of each arm, then work and dissipation in J (its energy
+    ledger), outputs (b, OUTPUTS) the quantities of `kernels.layout` at this state, and status (b,) OK, DIVERGED or
+    NOT_CONVERGED. Arguments named rows, outputs, status and result are overwritten.
 
     Attributes:
         state_fields: names of the attributes that a snapshot of the batch stores.

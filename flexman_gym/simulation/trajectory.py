@@ -252,7 +252,7 @@ def build_trajectory(
     Args:
         model: the model.
         interval: time between rows, s.
-        states: (T, 2 d + 2) states and energy ledgers.
+        states: (T, 2 d + 2) states (2 d), each followed by work and dissipation, J.
         outputs: (T, OUTPUTS) columns of `kernels.layout`.
         outcome: status, number of evaluations, and wall-clock time of the integration, s.
         explain: function: trajectory -> its explanation.

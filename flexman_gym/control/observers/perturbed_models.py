@@ -192,7 +192,7 @@ class PerturbedModels:
         """Return the Jacobian (r, 2 d, s) of the states with respect to the perturbed entries of theta.
 
         Args:
-            states: (r, 1 + s, 2 d) states of all models.
+            states: (r, 1 + s, 2 d) states of the estimated model and the s perturbed models of each arm.
             steps: (r, s) perturbations of theta.
 
         Returns:

@@ -275,7 +275,7 @@ class PathReferences:
     Args:
         model: model of the arm.
         period: control period, s.
-        payloads: kg, one or three, ascending.
+        payloads: masses of one or three payloads, kg, from the lightest to the heaviest.
     """
 
     state_fields = ("_weights", "_compliance", "_friction")
