@@ -100,7 +100,7 @@ def _remove_later_rows(path: Path, steps: int) -> None:
 
 # metrics of the evaluations that the learning curves contain
 CURVE_METRICS = ("settling_time", "vibration", "error", "reward", "settled", "roughness", "failed")
-WARNING_DROP = 0.2  # 1; decrease of the share of settled episodes, relative to the best policy, that causes a warning
+WARNING_DROP = 0.2  # decrease of the share of settled episodes, relative to the best policy, that causes a warning
 
 
 @deprecated_members(**MEMBERS["TrainingReport"])

@@ -29,12 +29,12 @@ from flexman_gym.evaluation.agent import AgentSpec, observation_layout, split_in
 from flexman_gym.evaluation.agent_info import TIME_COLUMN
 from flexman_gym.evaluation.rollout import Rollout, rollout, training_seed
 
-BETA = (1.0, 0.5, 0.25)  # 1; share of the arms controlled by the teacher in iterations 0, 1 and 2; later 0
-ACTION_SCALE = 10.0  # 1; factor of the labels of the network, because most actions are much smaller than 1
-WEIGHT_FLOOR = 0.15  # 1; added to the mean magnitude of scaled labels; the weight of a sample is 1 / sum^2
-MAX_WEIGHT = 10.0  # 1; largest weight of a sample relative to the mean weight
-EMA_DECAY = 0.995  # 1; decay per gradient step of the averaged network parameters, which form the policy
-MAX_GRADIENT_NORM = 5.0  # 1; norm to which a gradient is clipped
+BETA = (1.0, 0.5, 0.25)  # dimensionless; share of the arms controlled by the teacher in iterations 0, 1 and 2; later 0
+ACTION_SCALE = 10.0  # dimensionless; factor of the labels of the network, because most actions are much smaller than 1
+WEIGHT_FLOOR = 0.15  # dimensionless; added to the mean magnitude of scaled labels; the weight of a sample is 1 / sum^2
+MAX_WEIGHT = 10.0  # dimensionless; largest weight of a sample relative to the mean weight
+EMA_DECAY = 0.995  # dimensionless; decay per gradient step of the averaged network parameters, which form the policy
+MAX_GRADIENT_NORM = 5.0  # dimensionless; norm to which a gradient is clipped
 
 
 class _StudentMode:
@@ -210,7 +210,7 @@ class DAgger:
         return _rollout_metrics(result)
 
     def _update(self) -> float:
-        """Take a gradient step on a batch with equal parts of all iterations; return the loss."""
+        """Take a gradient step on a batch with equally many samples from each iteration; return the loss."""
         size, remainder = divmod(self._hyperparameters["batch_size"], len(self._iterations))
         chosen = [self._random.integers(len(observed), size=size + (index < remainder))
                   for index, (observed, _, _) in enumerate(self._iterations)]  # fmt: skip

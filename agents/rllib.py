@@ -26,7 +26,7 @@ from flexman_gym.control.normalisation import RunningMeanStd
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.rollout import training_seed
 
-CLIP = 10.0  # 1; largest magnitude of normalised observations and rewards
+CLIP = 10.0  # dimensionless; largest magnitude of normalised observations and rewards
 
 
 class NormalisationConnector(ConnectorV2):
@@ -66,8 +66,8 @@ class NormalisationConnector(ConnectorV2):
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Set the statistics from the result of `get_state` or `merge_states`."""
-        for part, scales in state.items():
-            for name, each in scales.items():
+        for part, moments in state.items():
+            for name, each in moments.items():
                 present = "observations" if name == "seen" else name  # "seen": checkpoints of release 0.2
                 getattr(self, part)[present].set_state(each)
 
@@ -75,11 +75,11 @@ class NormalisationConnector(ConnectorV2):
         """Merge the states of all runners; the shared statistics are counted once."""
         result = NormalisationConnector(len(self.own["observations"].mean))
         for part, several in (("shared", states[:1]), ("own", states)):
-            for name, scales in result.shared.items():
+            for name, moments in result.shared.items():
                 for state in several:
-                    other = RunningMeanStd(scales.mean.shape)
+                    other = RunningMeanStd(moments.mean.shape)
                     other.set_state(state[part][name])
-                    scales.merge(other)
+                    moments.merge(other)
         return result.get_state()
 
 
@@ -91,8 +91,8 @@ class _ArrayEnvRunner(SingleAgentEnvRunner):
 
     _needs_initial_reset: bool
     _observed: NDArray[Any]
-    _return: NDArray[Any]
-    _score: NDArray[Any]
+    _discounted_return: NDArray[Any]
+    _episode_return: NDArray[Any]
     _length: NDArray[Any]
 
     def _sample(self, *, num_timesteps: int | None = None, force_reset: bool = False, **named: Any) -> list[Any]:
@@ -101,8 +101,8 @@ class _ArrayEnvRunner(SingleAgentEnvRunner):
         if self._needs_initial_reset or force_reset:
             self._begin()
         connector = next(each for each in self._env_to_module if isinstance(each, NormalisationConnector))
-        normalisation, spread = connector.merged("observations"), connector.merged("returns").deviation
-        scale = spread if self.config.env_config["normalise_reward"] else 1.0
+        normalisation, deviation = connector.merged("observations"), connector.merged("returns").deviation
+        scale = deviation if self.config.env_config["normalise_reward"] else 1.0
         rows: dict[str, list[Any]] = {name: [] for name in ("raw", "actions", "logits", "logp", "rewards", "returns")}
         ends: list[tuple[int, int, Any, bool]] = []
         for step in range(1, steps + 1):
@@ -114,18 +114,18 @@ class _ArrayEnvRunner(SingleAgentEnvRunner):
                 logp = distribution.logp(actions)
             rows["raw"].append(self._observed)
             self._observed, reward, terminated, truncated, infos = self.env.env.step(actions.clamp(-1.0, 1.0).numpy())
-            self._return = self._return * self.config.gamma + reward
-            self._score += reward
+            self._discounted_return = self._discounted_return * self.config.gamma + reward
+            self._episode_return += reward
             self._length += 1
             reward = np.clip(reward / scale, -CLIP, CLIP)
             for name, each in zip(("actions", "logits", "logp", "rewards", "returns"),
-                                  (actions.numpy(), logits.numpy(), logp.numpy(), reward, self._return.copy()),
-                                  strict=True):  # fmt: skip
+                                  (actions.numpy(), logits.numpy(), logp.numpy(), reward,
+                                   self._discounted_return.copy()), strict=True):  # fmt: skip
                 rows[name].append(each)
             for arm in np.flatnonzero(terminated | truncated).tolist():
                 ends.append((arm, step, normalisation.apply(infos["final_obs"][arm], CLIP), bool(terminated[arm])))
-                self._log_episode_metrics(int(self._length[arm]), float(self._score[arm]), 0.0)
-                self._return[arm] = self._score[arm] = self._length[arm] = 0
+                self._log_episode_metrics(int(self._length[arm]), float(self._episode_return[arm]), 0.0)
+                self._discounted_return[arm] = self._episode_return[arm] = self._length[arm] = 0
         connector.own["observations"].add(np.array(rows["raw"]))
         connector.own["returns"].add(np.array(rows.pop("returns")))
         arrays = {name: np.stack(values, 1) for name, values in rows.items()}
@@ -140,7 +140,7 @@ class _ArrayEnvRunner(SingleAgentEnvRunner):
         """Reset all arms, with seeds that differ between runners."""
         first = self.config.env_config["first_seed"] + max(0, self.worker_index - 1) * self.num_envs
         self._observed, _ = self.env.env.reset(seed=first)
-        self._return, self._score, self._length = np.zeros((3, self.num_envs))
+        self._discounted_return, self._episode_return, self._length = np.zeros((3, self.num_envs))
         self._names = [uuid.uuid4().hex for _ in range(self.num_envs)]
         self._needs_initial_reset = False
 
@@ -252,7 +252,7 @@ def ppo_config(settings: Settings, runners: int) -> PPOConfig:
         .env_runners(num_env_runners=runners, num_envs_per_env_runner=settings.envs // max(1, runners),
                      gym_env_vectorize_mode="vector_entry_point", env_runner_cls=_ArrayEnvRunner,
                      rollout_fragment_length=chosen["n_steps"], episode_lookback_horizon=0,
-                     env_to_module_connector=_moments)
+                     env_to_module_connector=_make_normalisation)
         .learners(num_learners=0)
         .training(lr=points, train_batch_size_per_learner=rows, use_kl_loss=False, kl_coeff=0.0, vf_clip_param=1e9,
                   grad_clip_by="global_norm", **{own: chosen[name] for name, own in RLLIB_NAMES.items() if own})
@@ -262,7 +262,7 @@ def ppo_config(settings: Settings, runners: int) -> PPOConfig:
     )  # fmt: skip
 
 
-def _moments(env: Any, spaces: Any, device: Any) -> NormalisationConnector:
+def _make_normalisation(env: Any, spaces: Any, device: Any) -> NormalisationConnector:
     space = env.single_observation_space if env is not None else spaces["__env_single__"][0]
     return NormalisationConnector(space.shape[0])
 
@@ -303,18 +303,18 @@ def _train(algorithm: Any, settings: Settings, place: Path, every: int, done: in
     if done:
         algorithm.restore_from_path(str(place / str(done)))
     elif exploration is None:
-        _explore(algorithm, settings.hyperparameters.get("log_std_init", -3.0), True)
+        _set_exploration(algorithm, settings.hyperparameters.get("log_std_init", -3.0), True)
     saved = done
     while done < settings.steps:
         if exploration is not None:
-            _explore(algorithm, exploration.at(done / settings.steps), False)
+            _set_exploration(algorithm, exploration.at(done / settings.steps), False)
         done = int(algorithm.train()["env_runners"]["num_env_steps_sampled_lifetime"])
         if done >= settings.steps or (every and done >= saved + every):
             _save(algorithm, settings, place, saved := done)
     algorithm.stop()
 
 
-def _explore(algorithm: Any, value: float, learned: bool) -> None:
+def _set_exploration(algorithm: Any, value: float, learned: bool) -> None:
     """Set the logarithm of the standard deviation of actions in the learner and the runners."""
 
     def set_parameter(learner: Any) -> None:
@@ -339,8 +339,8 @@ def _save(algorithm: Any, settings: Settings, place: Path, done: int) -> None:
     state = algorithm.learner_group.get_weights()["default_policy"]
     policy = {ours + name.removeprefix(theirs): np.asarray(values) for name, values in state.items()
               for theirs, ours in SB3_PREFIXES.items() if name.startswith(theirs)}  # fmt: skip
-    scales = next(
+    moments = next(
         each for each in algorithm.env_runner._env_to_module if isinstance(each, NormalisationConnector)
     ).merged("observations")
-    statistics = {"mean": scales.mean, "var": scales.squares / scales.count, "count": np.array(scales.count)}
+    statistics = {"mean": moments.mean, "var": moments.squares / moments.count, "count": np.array(moments.count)}
     write_npz(place.parent / NEWEST, {"policy": policy, "statistics": statistics, "settings": settings.plain()})

@@ -124,7 +124,7 @@ LOADING_ERRORS = (
 
 
 def load_sb3(path: Path, environment: Configuration | None = None) -> AgentSpec:
-    """Load a policy from files of Stable-Baselines3: a zip written by `save`, or an early run folder.
+    """Load a policy from files of Stable-Baselines3: a zip written by `save`, or a run folder of an early release.
 
     The normalisation (VecNormalize) of a zip is read from the file of the same name with the suffix .pkl, if it exists.
     The files are pickles, which can run any code: load files from trusted sources only.

@@ -26,7 +26,7 @@ def _run(options: argparse.Namespace) -> int:
 
     for name, value in (computer_info(PACKAGES) | {"vector registers": f"{_vector_bits()} bits"}).items():
         print(f"{name}: {value}")
-    print(f"cache folder: {CACHE_FOLDER or 'none: no folder that only you can write'}")
+    print(f"cache folder: {CACHE_FOLDER or 'none: no folder with write access for this user only'}")
     for kind, name in KERNEL_KINDS.items():
         compiled = _is_compiled(KERNEL_FUNCTIONS[kind])
         print(f"kernels of {name}: {'compiled' if compiled else 'not compiled yet'}", flush=True)

@@ -1,4 +1,4 @@
-"""Checks of arguments: each returns the value in its stored form or raises a ValueError of one line."""
+"""Checks of arguments: each returns the value in its stored form or raises a ValueError, whose message is one line."""
 
 import math
 import numbers
@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Kind = TypeVar("Kind")
-UNIT_TOLERANCE = 1e-9  # 1; largest error of the length of a unit vector, and of R R^T of a rotation matrix R
+UNIT_TOLERANCE = 1e-9  # dimensionless; largest error of the length of a unit vector, and of R R^T of a rotation R
 MIN_SIZE, MAX_SIZE = 1e-30, 1e30  # SI units; range of a physical quantity > 0
 MAX_FIELD_LENGTH = 60  # characters of the name of a field in an error
 MAX_PATH_LENGTH = 160  # characters of a path in an error
 MAX_VALUE_LENGTH = 80  # characters of a value in an error; no more entries of a list are formatted
 MAX_ENTRIES = 10**6  # entries of a list
-MIN_SIMILARITY = 0.75  # 1; similarity of two names (difflib) above which a name is probably a misspelling
+MIN_SIMILARITY = 0.75  # dimensionless; similarity of two names (difflib) above which a name is probably a misspelling
 MAX_DIGITS = 18  # digits of a whole number within a name; larger numbers exceed 64 bits
 RATIO_TOLERANCE = 1e-9  # largest relative difference of a ratio of two times from a whole number
 
@@ -136,14 +136,14 @@ def flag(name: str, value: object) -> bool:
 
 
 def text(name: str, value: object) -> str:
-    """Return a string unchanged."""
+    """Check that a value is a string, and return it."""
     if not isinstance(value, str):
         raise value_error(name, value, "a string")
     return value
 
 
 def one_of(name: str, value: object, allowed: Collection[str]) -> str:
-    """Return one of the `allowed` strings unchanged."""
+    """Check that a value is one of the `allowed` strings, and return it."""
     if not isinstance(value, str) or value not in allowed:
         raise value_error(name, value, "one of " + ", ".join(allowed))
     return value
@@ -267,7 +267,10 @@ def _in(unit: str) -> str:
 
 @contextmanager
 def check_solvable(what: str) -> Iterator[None]:
-    """Raise a ValueError about the arm if extreme values of its parameters prevent the computation of `what`."""
+    """Context manager: convert floating-point errors in its block to a ValueError about the parameters of the arm.
+
+    `what` names the computed quantity.
+    """
     try:
         with np.errstate(divide="raise", over="raise", invalid="raise"):
             yield

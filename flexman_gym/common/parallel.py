@@ -1,4 +1,7 @@
-"""Parallel map: a function over independent items, serially, in processes, on a Ray cluster or as a SLURM array job."""
+"""Parallel map: a function over independent cells, serially, in processes, on a Ray cluster or as a SLURM array job.
+
+A cell is one argument of the function, whose name here is `task`.
+"""
 
 import argparse
 import hashlib
@@ -24,15 +27,15 @@ from flexman_gym.common.run_folder import read_npz, write_npz
 Task = Callable[[Any], Any]
 Prepare = Callable[[], object]
 Results = Iterator[tuple[int, Any]]
-MAX_DEATHS = 3  # number of workers that die in a row, without a finished item in between, before the map fails
-SHARES_PER_JOB = 2  # shares of the items per simultaneous task of an array job; a killed task loses one share
-MAX_SHARES = 1000  # largest number of tasks of an array job, the default limit of SLURM
-TIME_LIMIT = 24 * 60  # min; of a task of an array job unless SBATCH_TIMELIMIT is set
+MAX_DEATHS = 3  # number of workers that die in a row, without a finished cell in between, before the map fails
+SHARES_PER_JOB = 2  # shares of the cells per simultaneous job of an array; a killed job loses one share
+MAX_SHARES = 1000  # largest number of jobs of an array, the default limit of SLURM
+TIME_LIMIT = 24 * 60  # min; time limit of a job of an array unless SBATCH_TIMELIMIT is set
 OBJECT_STORE_BYTES = 200_000_000  # bytes of shared memory of a local Ray cluster
 
 
 def _run_serially(task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
-    """Run the items in this process, one after the other."""
+    """Run the cells in this process, one after the other."""
     yield from enumerate(map(task, cells))
 
 
@@ -62,7 +65,7 @@ class _Processes:
 
 
 class _RayTasks:
-    """Executor with one task per item on a Ray cluster; a local cluster runs at most `jobs` tasks at once."""
+    """Executor with one Ray call per cell on a Ray cluster; a local cluster runs at most `jobs` calls at once."""
 
     def __init__(self, jobs: int, address: str) -> None:
         self._jobs, self._address = jobs, address
@@ -82,7 +85,7 @@ def ray_cluster(jobs: int, address: str = "local", **variables: str) -> Iterator
     """Start Ray if it is not running, and shut it down if it was started here.
 
     Args:
-        jobs: number of simultaneous tasks on a local cluster.
+        jobs: number of simultaneous calls on a local cluster.
         address: address of a running cluster, or "local".
         **variables: environment variables of the workers; with any of them, PYTHONPATH is set to that of this process.
 
@@ -108,7 +111,7 @@ def ray_cluster(jobs: int, address: str = "local", **variables: str) -> Iterator
 
 
 def _ray_result(ray: Any, done: Any) -> Any:
-    """Return the result of a task, or raise its original error."""
+    """Return the result of a Ray call, or raise its original error."""
     try:
         return ray.get(done)
     except ray.exceptions.RayTaskError as error:
@@ -116,7 +119,7 @@ def _ray_result(ray: Any, done: Any) -> Any:
 
 
 class _ArrayJob:
-    """Executor with tasks of a SLURM array job, or processes started by submitit, each with a share of the items.
+    """Executor with the jobs of a SLURM array, or processes started by submitit, each with a share of the cells.
 
     Further options are read from environment variables of SLURM: SBATCH_PARTITION, SBATCH_ACCOUNT, SBATCH_TIMELIMIT.
     Logs are written to the folder `submitit`, which must be on a file system of all nodes.
@@ -156,7 +159,7 @@ class _ArrayJob:
 
 
 def _run_share(prepare: Prepare | None, task: Task, cells: Sequence[Any]) -> list[Any] | Exception:
-    """Return the results of a share of the items, or the error of an item, which submitit would convert to text."""
+    """Return the results of a share of the cells, or the error of a cell, which submitit would convert to text."""
     try:
         return [_run_prepared(prepare, task, cell) for cell in cells]
     except Exception as error:
@@ -164,7 +167,7 @@ def _run_share(prepare: Prepare | None, task: Task, cells: Sequence[Any]) -> lis
 
 
 def _run_prepared(prepare: Prepare | None, task: Task, cell: Any) -> Any:
-    """Run a task in a process after preparing it."""
+    """Return the result of the function `task` for a cell, after the function `prepare`."""
     if prepare is not None:
         prepare()
     return task(cell)
@@ -178,8 +181,8 @@ def _python_path() -> str:
 def _count_death(deaths: int) -> int:
     """Return the number of workers that died in a row; raise RuntimeError at MAX_DEATHS."""
     if deaths + 1 == MAX_DEATHS:
-        raise RuntimeError(f"workers died {MAX_DEATHS} times in a row: memory may be short, or an item may crash")
-    print("a worker died: its items are run again", file=sys.stderr, flush=True)
+        raise RuntimeError(f"workers died {MAX_DEATHS} times in a row: memory may be short, or a cell may crash")
+    print("a worker died: its cells are run again", file=sys.stderr, flush=True)
     return deaths + 1
 
 
@@ -215,7 +218,7 @@ class Workers:
     """Workers of a parallel map: this process, local processes, a Ray cluster or an array job.
 
     Attributes:
-        jobs: number of items processed at once, in local processes or in tasks of Ray or SLURM; 1 for this process.
+        jobs: number of cells run at once, in local processes, Ray calls or SLURM jobs; 1 for this process.
         ray: address of a Ray cluster, "local" for a temporary cluster on this computer, or None.
         submitit: "slurm" for an array job, "local" for the same on this computer, or None.
     """
@@ -255,22 +258,22 @@ def parallel_map_unordered(
     cache: Path | None = None,
     prepare: Prepare | None = None,
 ) -> Iterator[tuple[int, Result]]:
-    """Run a function for each item, and yield the results in the order of completion.
+    """Run a function for each cell, and yield the results in the order of completion.
 
-    The items of a worker that dies are run again; an error of the function ends the map. The remaining work is reported
+    The cells of a worker that dies are run again; an error of the function ends the map. The remaining work is reported
     on stderr every 10 s.
 
     Args:
-        task: function at the top level of a module; the result depends on the item only.
-        cells: the items, each with at least a second of work, because transferring an item takes milliseconds.
+        task: function at the top level of a module; the result depends on the cell only.
+        cells: the cells, each with at least a second of work, because transferring a cell takes milliseconds.
         workers: the workers, or a number of local processes.
         cache: folder for results, from which an interrupted map resumes; results must be plain data and arrays, and the
-            `repr` of each item unique. None stores nothing.
-        prepare: function at the top level of a module, called once before local processes start, before each item in
-            tasks of Ray and SLURM, which run on other computers, and never for items in this process.
+            `repr` of each cell unique. None stores nothing.
+        prepare: function at the top level of a module that prepares a worker. It is called once before local processes
+            start and before each cell on Ray and SLURM, but not if the cells run in this process.
 
     Yields:
-        tuple[int, Result]: Index and result of an item.
+        tuple[int, Result]: Index and result of a cell.
 
     Raises:
         RuntimeError: if workers die repeatedly.
@@ -298,7 +301,7 @@ def parallel_map(
     cache: Path | None = None,
     prepare: Prepare | None = None,
 ) -> list[Result]:
-    """Return the results of all items in their order; arguments and errors as in `parallel_map_unordered`."""
+    """Return the results of all cells in their order; arguments and errors as in `parallel_map_unordered`."""
     results = dict(parallel_map_unordered(task, cells, workers, cache, prepare))
     return [results[number] for number in range(len(cells))]
 
@@ -313,7 +316,7 @@ def _executor(workers: Workers) -> Callable[..., Iterator[tuple[int, Any]]]:
 
 
 def _key(task: Callable[..., Any], cell: object) -> str:
-    """Return a hash of all inputs of a result: task, item, sources and package versions."""
+    """Return a hash of all inputs of a result: function, cell, sources and package versions."""
     own = sys.modules[task.__module__].__file__ or ""
     parts = (task.__module__, task.__qualname__, repr(cell), _digest(Path(own).parent), computer_text())
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:20]
@@ -321,6 +324,6 @@ def _key(task: Callable[..., Any], cell: object) -> str:
 
 @cache
 def _digest(folder: Path) -> str:
-    """Return a hash of the sources of the package and of the folder of a task."""
+    """Return a hash of the sources of the package and of the folder of a function."""
     files = sorted({*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.yaml"), *folder.glob("*.py")})
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()

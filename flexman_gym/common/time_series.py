@@ -47,7 +47,7 @@ class TimeSeries(NamedTuple):
     columns: Mapping[str, tuple[str, NDArray[np.float64]]]
 
     def values(self, units: Sequence[str], names: object = None) -> NDArray[np.float64]:
-        """Return columns (T, c) with one of the given SI units: the columns `names`, or all such columns for None."""
+        """Return the columns `names` (T, c), in units among `units` (SI); for None all columns in these units."""
         available = [name for name, (unit, _) in self.columns.items() if unit in units]
         if not available:
             raise value_error(

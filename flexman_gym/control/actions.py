@@ -19,7 +19,7 @@ from flexman_gym.control.reference_shaping import ReferenceShaping, ShapingLimit
 from flexman_gym.control.tracking import OutputFeedback
 from flexman_gym.model.linearization import LinearMeasurements
 
-UNSTABLE_RADIUS = 1.0 + 1e-6  # 1; spectral radius of an unstable loop; undamped uncontrollable modes have 1
+UNSTABLE_RADIUS = 1.0 + 1e-6  # dimensionless; spectral radius of an unstable loop; undamped uncontrollable modes have 1
 
 
 class _ServoMode:
@@ -51,7 +51,7 @@ class _ServoMode:
         self._max_error = np.where(zero, np.inf, gains.torque_limit / np.where(zero, 1.0, gains.stiffness))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,) with the reference at their joint angles."""
+        """Start new episodes of the arms (r,) of `count` in all with the reference at their joint angles."""
         self._reference = pad_rows(self._reference, count)
         self._reference[arms] = episode.start
 
@@ -276,7 +276,7 @@ class ActionMode(Protocol):
         ...
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms with the indices (r,), also in the base controller."""
+        """Start new episodes of the arms with the indices (r,) of `count` in all, also in the base controller."""
         ...
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
@@ -312,7 +312,7 @@ class TorqueMode:
         self.sensors: tuple[object, ...] = tuple(base.sensors) if base else ()
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,)."""
+        """Start new episodes of the arms (r,) of `count` in all."""
         if self._base:
             self._base.reset(arms, episode, count)
 

@@ -27,7 +27,7 @@ class Plant(NamedTuple):
         gains: function that returns PD gains tuned for the arm: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,)
             each.
         unknown: uncertain parameters: name -> range (low, high), with the names and units of a randomisation, see
-            `simulation.parameters.UNCERTAIN`: "payload_mass" (kg), "joint_stiffness_factor" (1), and so on.
+            `simulation.parameters.UNCERTAIN`: "payload_mass" (kg), "joint_stiffness_factor" (relative), and so on.
         delay: smallest and largest delay of the torques, whole control periods.
         integration: integration method and step (s) of simulations.
         tip_force: magnitude of unmeasured forces on the tip, N.
@@ -198,5 +198,5 @@ class _FormerController:
         return getattr(self.inner, "estimates", {})
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,)."""
+        """Start new episodes of the arms (r,) of `count` in all."""
         self.inner.reset(arms, episode)

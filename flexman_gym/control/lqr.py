@@ -205,10 +205,10 @@ class GainTable:
         self._unsaved = 0
 
 
-TIP_WEIGHT = 0.2 / 8.5  # fraction of the reach; smaller deviations of unit cost saturate the torques and fail
-TIP_SPEED_WEIGHT = 1.0 / 8.5  # 1/s; tip speed of unit cost per reach
+# Tuned for an arm with a reach of 8.5 m as 0.2 m and 1 m/s; smaller values saturate the torques and fail.
+TIP_SCALE, TIP_SPEED_SCALE = 0.2 / 8.5, 1.0 / 8.5  # fraction of the reach, 1/s; tip deviation and speed that cost 1
 MOTOR_WEIGHT = 0.5  # rad; motor angle of unit cost
-HOLDING_FACTOR = 0.25  # 1; factor of the tip deviation of unit cost for an arm that starts at its goal
+HOLDING_FACTOR = 0.25  # dimensionless; factor of the tip deviation of unit cost for an arm that starts at its goal
 FEEDFORWARD_FRACTION = 0.95  # fraction of the torque limits available to the feed-forward
 SLEW_POSTURES = 3  # number of postures along a slew at which gains are designed
 PATH_POSTURES = 25  # number of postures along a given path at which gains are designed
@@ -217,7 +217,7 @@ PATH_POSTURES = 25  # number of postures along a given path at which gains are d
 def default_weights(model: Model) -> CostWeights:
     """Return the cost weights: 20 cm and 1 m/s for a reach of 8.5 m, in proportion to the reach, and 0.5 rad."""
     reach = float(model.constants.length.sum())
-    return CostWeights(TIP_WEIGHT * reach, TIP_SPEED_WEIGHT * reach, MOTOR_WEIGHT)
+    return CostWeights(TIP_SCALE * reach, TIP_SPEED_SCALE * reach, MOTOR_WEIGHT)
 
 
 class LQR:
@@ -227,7 +227,7 @@ class LQR:
     controller for hardware.
 
     Args:
-        model: model of the arm, with the coordinates of the controlled arm.
+        model: model of the arm, with the same generalised coordinates as the controlled arm.
         torque_limit: torque limit of all joints, or of each joint (n,), N m.
         period: control period, s.
         weights: cost weights; None for `default_weights`.
@@ -262,7 +262,7 @@ class LQR:
         return lqr_gain(linear, self.model.motor_columns, self.limits, weights or self.weights, self.period)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Compute gains and equilibria for new episodes of the arms (r,)."""
+        """Compute gains and equilibria for new episodes of the arms (r,) of `count` in all."""
         self._gains, self._rest, self._holding_torques = (
             pad_rows(values, count) for values in (self._gains, self._rest, self._holding_torques)
         )
@@ -336,7 +336,7 @@ class TrackingLQR(LQR):
         self._now = np.zeros(0, dtype=np.int64)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Plan the slews of the arms (r,), or their motion along moving goals."""
+        """Plan the slews of the arms (r,) of `count` in all, or their motion along moving goals."""
         if episode.reference is not None:
             self._plan_paths(arms, episode.reference)
             return

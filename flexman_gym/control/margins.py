@@ -21,10 +21,10 @@ from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel
 from flexman_gym.model.statics import holding_torques, rest_state
 
-GAIN_FACTORS = np.geomspace(1.0, 16.0, 25)  # 1; candidate gain margins
+GAIN_FACTORS = np.geomspace(1.0, 16.0, 25)  # dimensionless; candidate gain margins
 PHASE_SHIFTS = np.linspace(0.0, 90.0, 19)  # degrees; candidate phase margins
 IMAGINARY_DEGREE = 1j * np.pi / 180.0  # logarithm of the factor exp(i phase) of a phase shift of 1 degree
-STABLE_RADIUS = 1.0 + 1e-9  # 1; bound of the spectral radius; undamped uncontrollable modes have 1 within rounding
+STABLE_RADIUS = 1.0 + 1e-9  # dimensionless; bound of the spectral radius; it is 1 for undamped uncontrollable modes
 Response = NDArray[np.complex128]
 
 

@@ -20,11 +20,12 @@ from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 
-TIP_WEIGHT = 0.05 / 8.5  # fraction of the reach; tip deviation of unit cost, a quarter of that in the LQR
-TIP_SPEED_WEIGHT = 0.5 / 8.5  # 1/s; tip speed of unit cost per reach, half of that in the LQR
+# Tip deviation (fraction of the reach) and tip speed / reach (1/s) that cost 1: tuned as 0.05 m and 0.5 m/s for an arm
+# with a reach of 8.5 m; a quarter and half of the values of the LQR.
+TIP_SCALE, TIP_SPEED_SCALE = 0.05 / 8.5, 0.5 / 8.5
 REFERENCE_TORQUE = 1.3  # fraction of the torque limits for which the reference slew is planned
 MAX_CHANGE = 0.05  # fraction of the torque limits; largest change of planned torques, within the linear range
-LINEARISATION_PERIOD = 20  # control period of the horizon at whose state the prediction is linearised
+LINEARISATION_PERIOD = 20  # index, not a time: the prediction is linearised at the state after this control period
 LINEARISATION_POSTURES = 5  # number of postures along a slew about which the prediction is linearised
 MIN_SQUARED_LENGTH = 1e-12  # rad^2; avoids division by zero for a slew of zero length
 MOVE_BLOCKS = (1, 2, 3, 4, 5, 5, 5, 6, 7, 7, 8, 10)  # control periods over which each torque change is constant
@@ -38,7 +39,7 @@ class _Horizon(NamedTuple):
     infinite-horizon LQR.
 
     Attributes:
-        jacobian: (m, (N - 1) (6 + n) + 2 d) Jacobian of the outputs with respect to the changes.
+        jacobian: (m, (N - 1) (6 + n) + 2 d) transposed Jacobian of the outputs with respect to the changes.
         curvature: (m, m) Hessian of the cost.
         terminal: (2 d, 2 d) square root of the terminal cost matrix.
     """
@@ -98,7 +99,7 @@ class MPC:
     interpolated along the path. For a linear arm within its limits, the result equals the finite-horizon LQR.
 
     Args:
-        model: model of the arm, with the coordinates of the controlled arm.
+        model: model of the arm, with the same generalised coordinates as the controlled arm.
         torque_limit: torque limit of all joints, or of each joint (n,), N m.
         period: control period, s.
         integration: method and step (s) of the prediction.
@@ -123,7 +124,7 @@ class MPC:
         reach = float(check_model(model).constants.length.sum())
         self.model, self.period, self._integration = model, period, integration
         self.limits = np.array(torque_limits("torque_limit", torque_limit, model.n_joints))
-        self._weights = CostWeights(TIP_WEIGHT * reach, TIP_SPEED_WEIGHT * reach, MOTOR_WEIGHT)
+        self._weights = CostWeights(TIP_SCALE * reach, TIP_SPEED_SCALE * reach, MOTOR_WEIGHT)
         self._plans: list[_Plan] = []
         self._planned, self._now = np.zeros((0, sum(MOVE_BLOCKS), model.n_joints)), np.zeros(0, dtype=np.int64)
         self._batch = self._make_batch(1)
@@ -132,7 +133,7 @@ class MPC:
         return Batch(self.model, *self._integration, self.period, arms=count)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Plan the slews of the arms (r,) and compute the predictions along them."""
+        """Plan the slews of the arms (r,) of `count` in all and compute the predictions along them."""
         if episode.path is not None:
             raise value_error("episode", "a moving goal", "a fixed goal: the MPC plans slews only")
         self._planned, self._now = pad_rows(self._planned, count), pad_rows(self._now, count)

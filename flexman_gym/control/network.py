@@ -13,7 +13,7 @@ ACTIVATION_FUNCTIONS: dict[str, Callable[[Array], Array]] = {
     "tanh": np.tanh,
     "relu": lambda values: np.maximum(values, 0.0),
 }
-MAX_INPUT = 10.0  # 1; largest magnitude of a normalised observation
+MAX_INPUT = 10.0  # dimensionless; largest magnitude of a normalised observation
 VARIANCE_OFFSET = 1e-8  # added to variances to avoid division by zero
 # algorithm -> prefix of its layers, name of the last layer, default activation, output function
 LAYER_NAMES: dict[str, tuple[str, str, str, Callable[[Array], Array]]] = {

@@ -7,7 +7,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, IntArray, pad_rows
 from flexman_gym.control.references.adaptive_references import SlewReferences
 
-TIME_SCALING_GAIN = 0.35  # 1; change of the time scaling per control period over its distance to the command
+TIME_SCALING_GAIN = 0.35  # dimensionless; change of the time scaling in a control period / its distance to the command
 OFFSET_FREQUENCY = 12.0  # rad/s; natural frequency of the critically damped filter of commanded offsets
 
 

@@ -54,7 +54,7 @@ class Tracking:
         self._goal, self._on_path = np.zeros((0, model.n_joints)), np.zeros(0, dtype=bool)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,); their references are planned at the first estimate of the state."""
+        """Start new episodes of the arms (r,) of `count` in all; references are planned at the first state estimate."""
         for name in ("_ages", "_holding", "_goal", "_on_path", "_planned"):
             setattr(self, name, pad_rows(getattr(self, name), count))
         self.slews.allocate(count)
@@ -165,7 +165,7 @@ class OutputFeedback:
         return getattr(self.observer, "estimates", {})
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,)."""
+        """Start new episodes of the arms (r,) of `count` in all."""
         self.observer.reset(arms, episode, count)
         self.law.reset(arms, episode, count)
         if self.fallback:

@@ -26,10 +26,10 @@ from flexman_gym.model.model import Model, check_model
 AZIMUTH, ELEVATION = -58.0, 24.0  # degrees; direction from the base to the camera; +X points right, +Y away from it
 SIDE_ANGLE, LOW_ELEVATION = 28.0, 14.0  # degrees; azimuth from the joint axes, and elevation; arm in a vertical plane
 HIGH_ELEVATION = 48.0  # degrees; elevation for an arm in a horizontal plane
-PARALLEL_TOLERANCE = 1e-6  # 1; difference of the cosine from 1 up to which axes count as parallel
+PARALLEL_TOLERANCE = 1e-6  # dimensionless; difference of the cosine from 1 up to which axes count as parallel
 HALF_FIELD_OF_VIEW = 15.0  # degrees; from the centre to the upper edge
-DISTANCE_SLACK = 1e-3  # 1; extra distance of the camera as a fraction of the mean depth of the points
-MIN_CLEARANCE = 0.05  # 1; least distance of the nearest point from the camera, relative to the range of depths
+DISTANCE_SLACK = 1e-3  # dimensionless; extra distance of the camera as a fraction of the mean depth of the points
+MIN_CLEARANCE = 0.05  # dimensionless; least distance of the nearest point from the camera / range of depths
 
 
 class _Camera(NamedTuple):
@@ -59,7 +59,7 @@ def _camera_direction(model: Model, angles: object = None) -> tuple[float, float
         angles: azimuth, elevation and, optionally, zoom chosen by the user; None for the default.
 
     Returns:
-        Azimuth and elevation, degrees, and zoom (1).
+        Azimuth and elevation, degrees, and zoom (dimensionless).
     """
     if angles is not None:
         given = vector("camera", angles)
@@ -82,7 +82,7 @@ def _fit_camera(points: Array, direction: tuple[float, float, float], size: tupl
 
     Args:
         points: points (p, 3) in the base frame, m.
-        direction: azimuth and elevation, degrees, and zoom (1).
+        direction: azimuth and elevation, degrees, and zoom (dimensionless).
         size: width and height of the picture, pixels.
         margins: margins (4,) at the left, right, top and bottom as fractions of the picture.
 
@@ -135,16 +135,16 @@ MARGINS, OVERLAY_MARGINS = (
     np.full(4, 0.06),
     np.array([0.06, 0.06, 0.15, 0.15]),
 )  # fractions of the picture: left, right, top, bottom
-FLOOR_GAP = 0.05  # 1; distance of the floor from the lowest point as a fraction of the reach
-REFERENCE_DEFLECTION = 0.01  # 1; deflection/length of a link with the largest strain of the colours, if no torque limit
+FLOOR_GAP = 0.05  # dimensionless; distance of the floor from the lowest point as a fraction of the reach
+REFERENCE_DEFLECTION = 0.01  # deflection / length of a link with the largest strain of the colours, if no torque limit
 GHOST, MOTOR, TIP, TARGET, POST = "#5b6b82", "#334155", "#1e293b", "#e11d48", "#64748b"
 PAYLOAD, TRAIL, PLUMB_LINE = "#8a6d3b", "#6d28d9", "#e58ba0"
-GHOST_SHARE, SHADOW_SHARE, TRAIL_START = 0.42, 0.34, 0.05  # 1; opacity of rigid arm, shadow and oldest path point
+GHOST_SHARE, SHADOW_SHARE, TRAIL_START = 0.42, 0.34, 0.05  # opacities, 0 to 1: rigid arm, shadow, oldest path point
 PAYLOAD_DENSITY = 7800.0  # kg/m^3; steel; sets the size of the sphere of a payload
 
 
 class Shot(NamedTuple):
-    """Camera and background of a frame.
+    """View of a scene for its frames: a fixed camera, and the background as seen from it.
 
     Attributes:
         camera: the camera.
@@ -170,14 +170,14 @@ class FramePainter:
         model: model of the arm.
         size: width and height, pixels.
         camera: azimuth and elevation, degrees, and optionally a zoom; None for a direction chosen from the joint axes.
-        gain: factor of the drawn deflection; the overlay shows the factor.
+        gain: magnification of the drawn deflection, shown in the overlay.
         overlays: whether to draw numbers over the picture.
         shadow: whether to draw the shadow; a GIF without it is a third smaller.
 
     Attributes:
         model: model of the arm.
         size: width and height, pixels.
-        direction: azimuth and elevation of the camera, degrees, and its zoom (1).
+        direction: azimuth and elevation of the camera, degrees, and its zoom (dimensionless).
         reach: sum of the lengths of the links, m.
         radii: drawn radii of the motors (n,), m.
         scale: strain at the ends of the colour scale; 0 for a rigid arm.

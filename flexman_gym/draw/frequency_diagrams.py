@@ -17,7 +17,7 @@ from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import rest_state
 from flexman_gym.model.vibration import modes, rotating_frequencies
 
-AMPLITUDE = 0.08  # 1; largest displacement in the picture of a mode as a fraction of the reach
+AMPLITUDE = 0.08  # dimensionless; largest displacement in the picture of a mode as a fraction of the reach
 
 
 def draw_mode_shapes(

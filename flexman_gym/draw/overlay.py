@@ -57,7 +57,10 @@ def _font_size(height: int) -> int:
 
 
 def _write_text(picture: Picture, text: str, place: tuple[int, int], size: int, colour: str = INK) -> None:
-    """Write text with its upper left corner at column and row; a negative column is that of its right end."""
+    """Write text with its upper left corner at (column, row) = place.
+
+    With a column < 0, the right end of the text is -column pixels from the right edge of the picture.
+    """
     shape = _text_mask(text, size)
     column, row = place
     if column < 0:
@@ -74,7 +77,7 @@ def write_title(picture: Picture, text: str) -> None:
 
 
 def _blend(part: Picture, colour: str, share: "NDArray[np.float32] | float") -> None:
-    """Blend a colour into a part of a picture with an opacity from 0 to 1."""
+    """Blend a colour into a part of a picture with the opacity `share`, 0 to 1."""
     base = part.astype(np.float32)
     part[:] = (base + np.float32(share) * (rgb(colour).astype(np.float32) - base) + np.float32(0.5)).astype(np.uint8)
 
@@ -82,7 +85,7 @@ def _blend(part: Picture, colour: str, share: "NDArray[np.float32] | float") -> 
 def _fill_rectangle(
     picture: Picture, columns: tuple[int, int], rows: tuple[int, int], colour: str, share: float = 1.0
 ) -> None:
-    """Fill a rectangle; the ends of the ranges are excluded."""
+    """Fill a rectangle with the opacity `share`; the ends of the ranges are excluded."""
     _blend(picture[rows[0] : rows[1], columns[0] : columns[1]], colour, share)
 
 
@@ -92,7 +95,7 @@ def draw_caption(picture: Picture, caption: Caption, gain: float, scale: float, 
     Args:
         picture: frame (height, width, 3), changed in place.
         caption: text and numbers.
-        gain: factor of the drawn deflection; it is shown unless it is 1.
+        gain: magnification of the drawn deflection, shown unless it is 1.
         scale: strain at the ends of the colour scale; 0 for a rigid arm.
         grid: spacing of the floor grid, m.
     """

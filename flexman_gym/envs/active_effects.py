@@ -1,4 +1,4 @@
-"""Active effects of a randomisation: the values drawn for each episode, and the changed signals and parameters."""
+"""Active effects, disturbances such as noise or delay: drawn values, changed signals and changed parameters."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -78,10 +78,7 @@ class _Motors:
         self.accelerations = self.drive[:, joints + 3 :]
 
     def lagged(self, actions: Array) -> Array:
-        """Return the mean applied torques (b, n) of a control period for commanded torques (b, n).
-
-        All torques are fractions of the torque limits.
-        """
+        """Return the mean torques (b, n) of a control period for commands (b, n), as fractions of the limits."""
         if self._lag is None:
             return actions
         missing = self.reached - actions
@@ -163,7 +160,7 @@ class Episodes:
 
     @property
     def base(self) -> Controller | None:
-        """Base controller that acts together with the agent; None without one."""
+        """Base controller that acts together with the agent; None if there is no base controller."""
         return self.agent.base
 
     @property

@@ -1,4 +1,7 @@
-"""Measurements: readings of the sensors of the agent and of its action mode, for b arms."""
+"""Measurements: readings of the sensors of the agent and of its action mode, for b arms.
+
+To sample is to store the quantities that the sensors measure now; to read is to compute observations from the samples.
+"""
 
 from collections.abc import Sequence
 
@@ -53,7 +56,7 @@ class Measurements:
         self.read()
 
     def sample(self, arms: IntArray | None) -> None:
-        """Sample the arms with the indices (r,), None for all arms, at the end of a control period."""
+        """Sample the sensors of the arms with the indices (r,), None for all arms, at the end of a control period."""
         arms = self._all if arms is None else arms
         self._measure(arms)
         self.sensors.sample(arms)

@@ -13,7 +13,7 @@ TRUNCATION = 4.0  # standard deviations; largest magnitude of the noise
 
 
 class RandomStreams:
-    """Random generators for each name and each arm, seeded by the name and the seed of the arm.
+    """Random generators for each name of an effect or sensor and each arm, seeded by this name and the seed of the arm.
 
     Nothing is drawn from the arm's own generator. A further name therefore changes neither the remaining streams nor
     start and goal of an episode.

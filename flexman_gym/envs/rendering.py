@@ -27,7 +27,7 @@ class _Renderer:
     Args:
         episodes: episodes of the arms.
         title: title of the frames.
-        look: size, camera, gain and overlays, see `FramePainter`.
+        look: tuple of frame size, camera, gain of the deflection and overlays, see `FramePainter`.
 
     Attributes:
         screen: window or web page that shows the first arm; None before the first frame.
@@ -42,7 +42,7 @@ class _Renderer:
         self._trails: list[list[tuple[float, Array]]] = [[] for _ in range(arms)]
 
     def frame(self, arm: int) -> NDArray[np.uint8]:
-        """Return a frame (height, width, 3) uint8 of an arm with its target, tip error and reward."""
+        """Return a frame (height, width, 3) uint8 of the arm with the index `arm`, its target, tip error and reward."""
         episodes, view = self._episodes, self._episodes.view
         if self._is_new(arm):
             self._trails[arm], self._shots[arm] = [], self._painter.shot(self.extent(arm))
@@ -55,7 +55,7 @@ class _Renderer:
         return self._painter.paint(view.state[arm], view.target[arm], caption, path, self._shots[arm])
 
     def _is_new(self, arm: int) -> bool:
-        """Return True if a new episode of an arm has begun since the last call."""
+        """Return True if a new episode of the arm with the index `arm` has begun since the last call."""
         parameters = {name: values[arm].tolist() for name, values in self._episodes.view.episode_parameters.items()}
         before, self._last_parameters[arm] = self._last_parameters[arm], parameters
         return parameters != before
@@ -84,7 +84,7 @@ class _Renderer:
             self.screen = None
 
     def extent(self, arm: int) -> Array:
-        """Return the points (p, 3), m, that a frame must contain: arm and targets from the start to the goals."""
+        """Return points (p, 3), m, that a frame of the arm with this index must contain: motion and targets."""
         episodes, view, model = self._episodes, self._episodes.view, self._episodes.batch.model
         times = np.linspace(0.0, episodes.max_periods * view.control_period, GOAL_TIMES if episodes.task.moves else 1)
         own = {name: values[arm : arm + 1] for name, values in view.episode_parameters.items()}

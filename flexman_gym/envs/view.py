@@ -18,7 +18,7 @@ from flexman_gym.model.statics import rest_state, rest_tips
 from flexman_gym.simulation.batch import Batch
 
 TIP_TOLERANCE = 1e-9  # fraction of the reach; accepted tip error of the inverse kinematics
-DAMPED_SINGULAR_VALUE = 1e-4  # fraction of the reach; damping of the least squares of the inverse kinematics
+DAMPED_SINGULAR_VALUE = 1e-4  # fraction of the reach; damping factor of the damped least-squares inverse kinematics
 Number = Any  # array (b,), or a number for a single arm; supports arithmetic and the functions of NumPy
 
 
@@ -61,12 +61,13 @@ class View:
         target_error: (b, 3) target - tip, m.
         episode_parameters: name -> (b, ...) parameters of the episode, drawn by the task, such as start and goal.
         tip_error: (b,) distance of tip and target, m.
-        tip_vibration: (b,) speed of the tip relative to the tip of a rigid arm at the same motor angles and rates, m/s.
+        tip_vibration: (b,) magnitude of the deflection rate, m/s: the speed of the tip relative to that of a rigid arm.
         elastic_energy: (b,) elastic energy of links and joints, J.
         energy_residual: (b,) work - dissipation - change of energy since the reset, J, see `Batch`.
-        energy_turnover: (b,) energy with which the residual is compared, J, see `Batch`.
+        energy_turnover: (b,) largest of kinetic + elastic energy, |work| and |dissipation| since the reset, J: the
+            scale for `energy_residual`.
         action: (b, n) commanded torques of the last control period, as fractions of the torque limits.
-        effort: (b,) mean square over the n actions of the last control period.
+        effort: (b,) mean square of the n commanded torques / limits of the last control period, from 0 to 1.
         failed: (b,) True if the arm exceeded a limit or its simulation diverged in the last step.
     """
 
@@ -164,7 +165,7 @@ class View:
 
     @property
     def specific_force(self) -> Array:
-        """Reading (b, 3) of an accelerometer at the tip, m/s^2, computed at each access by `Batch`."""
+        """Specific force (b, 3) in the tip frame, m/s^2: reading of an accelerometer; computed at each access."""
         return self._accelerations(layout.SPECIFIC_FORCE)
 
     def _accelerations(self, columns: slice) -> Array:
@@ -182,7 +183,10 @@ class View:
         return rest_state(self._batch.model, postures)
 
     def rigid_tips(self, postures: Array) -> Array:
-        """Return the tip positions (r, 3), m, of the undeformed arm at joint angles (r, n), rad, in the base frame."""
+        """Return the tip positions (r, 3), m, base frame, of the undeformed arm at joint angles (r, n), rad.
+
+        Its motor angles equal the joint angles.
+        """
         return self._batch.rigid_tips(self._batch.model.at_rest(postures))
 
     def inverse_kinematics(self, tips: Array, near: Array) -> tuple[Array, float]:

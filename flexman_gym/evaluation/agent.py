@@ -57,8 +57,9 @@ def find_agent(agent: object) -> AgentSpec:
     """Return the specification of an agent.
 
     Args:
-        agent: a name in BASELINES or POLICIES, a mapping as for the setting `base`, the folder of a training run or of
-            an exported policy, a Controller, or an object with a method `predict`, see `predictor_agent`.
+        agent: a name in BASELINES or POLICIES, a mapping as for the setting `base`, the folder of an exported policy or
+            of a training run (its best policy, or the newest one of a run without evaluations), a Controller, or an
+            object with a method `predict`, see `predictor_agent`.
 
     Raises:
         FileNotFoundError: for an unknown name or folder.

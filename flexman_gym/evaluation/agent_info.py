@@ -16,7 +16,8 @@ from flexman_gym.evaluation.agent import BASELINES, SIMPLE_AGENTS
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, training_seed
 
-ORACLE_INFORMATION = ("true state", "true parameters", "its episodes")  # information not available on hardware
+# information not available on hardware; "its episodes": start, goal and parameters of the episodes before they begin
+ORACLE_INFORMATION = ("true state", "true parameters", "its episodes")
 TRUE_SENSORS = ("full", "fine", "state")  # sensors that read the true state
 TIME_COLUMN = "time/time_elapsed"  # column of the training time (s) in the curves of Stable-Baselines3
 

@@ -72,7 +72,10 @@ def _without_agent(environment: Configuration) -> Configuration:
 
 
 def _record_block(task: tuple[str, Configuration, tuple[int, ...]]) -> list[dict[str, Any]]:
-    """Simulate episodes (agent, environment, seeds), then again from their actions; return data of Minari for each."""
+    """Simulate a block of episodes with an agent, and again with the recorded actions in float32.
+
+    The argument is (agent, environment, seeds). Returns the data for Minari of each episode of the second simulation.
+    """
     agent, bare, seeds = task
     names = [name for name in bare.settings if name not in OBSERVATION_SETTINGS]
     of_agent = Configuration(bare.id, {name: bare.settings[name] for name in names})
@@ -102,7 +105,7 @@ def _split_episodes(
     for arm, seed in enumerate(seeds):
         ends = np.flatnonzero((terminations | truncations)[:, arm])
         end = int(ends[0]) + 1 if len(ends) else len(rewards)
-        truncations[end - 1, arm] |= not len(ends)  # actions rounded to float32 may cause a failure later, or none
+        truncations[end - 1, arm] |= not len(ends)  # rounded to float32, actions may postpone or avoid a failure
         yield {"seed": seed, "observations": observed[: end + 1, arm], "actions": actions[arm, :end],
                "rewards": rewards[:end, arm].tolist(), "terminations": terminations[:end, arm].tolist(),
                "truncations": truncations[:end, arm].tolist()}  # fmt: skip

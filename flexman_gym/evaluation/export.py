@@ -99,7 +99,10 @@ class _RecordedNetwork:
 
 
 def _check_observations(network: Network, environment: Configuration, base_in_use: object) -> NDArray[np.float32]:
-    """Return CHECK_ROWS observations (CHECK_ROWS, size) at equal intervals of the episodes of CHECK_SEEDS."""
+    """Run the policy with CHECK_SEEDS and return a sample of its observations (CHECK_ROWS, size) at equal intervals.
+
+    The exported policy stores them with its actions, which are compared after loading.
+    """
     recorded = _RecordedNetwork(network)
     policy = network_agent("", recorded, environment, base_in_use)
     rollout(policy, split_interface(environment)[0], CHECK_SEEDS)
@@ -115,7 +118,7 @@ def _commit() -> str:
 
 
 OPSET, IR_VERSION = 13, 8  # versions of the ONNX operators and of the file format, supported by old runtimes
-ONNX_TOLERANCE = 1e-4  # 1; largest difference of an action in float32
+ONNX_TOLERANCE = 1e-4  # dimensionless; largest difference of an action in float32
 ONNX_ROWS = 64  # number of observations for which actions are compared
 
 

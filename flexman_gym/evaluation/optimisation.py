@@ -34,9 +34,9 @@ from flexman_gym.simulation.batch import Batch
 MIN_MARGINS = Margins(2.0, 30.0)  # 1, degrees; smallest gain margin and phase margin of candidate gains
 POSTURES = 4  # number of goal postures at which the margins are checked
 STIFFNESS_RANGE = (0.01, 25.0)  # torque limits per radian; range of the drawn stiffness
-MIN_DAMPING_SHARE = 0.05  # 1; smallest drawn damping as a fraction of the largest
-LOCAL_DEVIATIONS = np.geomspace(0.5, 0.1, 8)  # 1; standard deviation of log(gains) in each round around the best gains
-CELL = 15  # number of candidates evaluated in one rollout
+MIN_DAMPING_SHARE = 0.05  # dimensionless; smallest drawn damping as a fraction of the largest
+LOCAL_DEVIATIONS = np.geomspace(0.5, 0.1, 8)  # standard deviation of log(gains) in each round around the best gains
+BLOCK_CANDIDATES = 15  # number of candidates evaluated in one rollout
 DRAWS = 1000  # largest number of draws for each candidate
 
 
@@ -47,8 +47,8 @@ class TunedGains:
     Attributes:
         stiffness: (n,) N m/rad.
         damping: (n,) N m s/rad.
-        reward: mean return, the sum of the rewards of an episode.
-        margins: gain margin (1) and phase margin (degrees).
+        reward: mean return of the episodes; the return is the sum of the rewards of an episode.
+        margins: gain margin (dimensionless) and phase margin (degrees).
     """
 
     stiffness: tuple[float, ...]
@@ -75,8 +75,8 @@ def tune(
 
     Args:
         environment: id, id and condition such as "FlexRRR-v0/delay", path of a file, or Configuration.
-        first: number of candidates of the first round.
-        around: number of candidates of each further round, drawn around the best candidate.
+        first: number of candidates of the first round, drawn over the whole range.
+        around: number of candidates of each further round, drawn around the best candidate so far.
         episodes: number of episodes on which each candidate is evaluated.
         seed: seed of the search.
         margin: True to require of each candidate a gain margin of 2 and a phase margin of 30 degrees, for the sampled
@@ -124,7 +124,8 @@ def _draw_near(random: np.random.Generator, best: Array, deviation: float, low: 
 def motor_loops(environment: Configuration) -> list[SampledLoop]:
     """Return the sampled loops of the motors, with the largest delay, at the goals of episodes with seeds 0 to 3.
 
-    Motors with Coulomb friction slide or stick, see `control.margins`; each combination has a loop at each posture.
+    With Coulomb friction, each posture has a loop for every set of motors that stick while the rest slide, see
+    `control.margins`.
     """
     bare = split_interface(environment)[0]  # a base controller could need the gains that are being tuned
     venv = gym.make_vec(environment.id, POSTURES, "vector_entry_point", **bare.keywords())
@@ -152,7 +153,7 @@ def _draw_gains(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Arr
 
 def gain_returns(environment: Configuration, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:
     """Return the mean return (c,) of c candidate gains (c, 2 n) over the episodes with seeds 0 to `episodes` - 1."""
-    parts = [(environment, gains[i : i + CELL], episodes) for i in range(0, len(gains), CELL)]
+    parts = [(environment, gains[i : i + BLOCK_CANDIDATES], episodes) for i in range(0, len(gains), BLOCK_CANDIDATES)]
     return np.concatenate(parallel_map(_cell_returns, parts, workers, prepare=compile_kernels))
 
 

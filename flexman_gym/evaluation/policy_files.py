@@ -30,7 +30,7 @@ KEYS = (
 STATISTICS, CHECKS = ("statistics.mean", "statistics.var"), ("check.observations", "check.actions")
 REQUIRED_KEYS = (("arrays_hash", str), ("fails", list), ("rows", list))  # keys of a certificate and their types
 CHECK_ROWS = 64  # number of observations stored with their actions as a check of the network
-CHECK_TOLERANCE = 1e-9  # 1; largest difference of an action from the stored action
+CHECK_TOLERANCE = 1e-9  # dimensionless; largest difference of an action from the stored action
 
 
 class _ExportedPolicy(NamedTuple):

@@ -20,11 +20,11 @@ from flexman_gym.simulation.scene_simulation import simulate
 from flexman_gym.simulation.trajectory import Trajectory
 
 REFERENCE_ELEMENTS = 5  # number of elements of a link, or of each of its sections, in the reference model
-# 1; error of the reference mesh / change of the tip position with one element less in every link, because the error of
+# error of the reference mesh / change of the tip position with one element less in every link, because the error of
 # cubic elements is proportional to the fourth power of their length
 MESH_ERROR_FACTOR = (1.0 - 1.0 / REFERENCE_ELEMENTS) ** 4 / (1.0 - (1.0 - 1.0 / REFERENCE_ELEMENTS) ** 4)
-MESH_SHARE = 0.4  # 1; largest error of the mesh / tolerance
-STEP_INCREASE = 1.7  # 1; longest step to try / last step of the same method with another candidate
+MESH_SHARE = 0.4  # dimensionless; largest error of the mesh / tolerance
+STEP_INCREASE = 1.7  # dimensionless; longest step to try / last step of the same method with another candidate
 # Largest number of simulations of the scene; the numbers after which no further method is tried, no further candidate
 # is screened (its error is then taken as infinite), and no further mesh is tried.
 MAX_RUNS, MAX_RUNS_METHODS, MAX_RUNS_SCREENING, MAX_RUNS_MESH = 100, 80, 65, 30

@@ -42,7 +42,7 @@ def compact_modes(numbers: tuple[int, ...]) -> int | tuple[int, ...]:
 
 
 def _tip_contributions(model: Model, full: Candidate, states: Array) -> dict[tuple[int, int], float]:
-    """Return the largest tip displacement by each component mode in the motion of the reference, ascending.
+    """Return the largest tip displacement by each component mode in the motion of the reference, smallest first.
 
     The displacement includes the rotation of the free joints by conservation of momentum when the mode deflects.
 
@@ -99,17 +99,17 @@ def _stiffest_modes(model: Model, full: Candidate, angles: Vector) -> list[tuple
     return order
 
 
-TOLERANCE_SHARES = (0.6, 0.25)  # 1; error by omitted modes / tolerance; a candidate is built for each value
+TOLERANCE_SHARES = (0.6, 0.25)  # dimensionless; error by omitted modes / tolerance; a candidate is built for each value
 CANDIDATE_METHODS = ("extrapolated_euler_5", "extrapolated_euler_4", "extrapolated_euler_3", "ros2", "rk4", "dopri5",
          "midpoint_corrected_2", "midpoint_corrected_3", "midpoint_2", "midpoint_3", "gauss_2", "gauss_3",
          "generalised_alpha")  # fmt: skip
-REFERENCE_SHARE = 0.05  # 1; largest error of the reference / tolerance
+REFERENCE_SHARE = 0.05  # dimensionless; largest error of the reference / tolerance
 REFERENCE_METHOD = METHODS["midpoint_3"]  # without numerical damping of vibrations at any step
 MIN_PARTS, MAX_PARTS = 1, 64  # steps per output step in the first and the last of the runs with halved steps
-# 1; error of the extrapolated tip positions / their change by the last halving: 1/15 in theory, larger for vibrations
+# error of the extrapolated tip positions / their change by the last halving: 1/15 in theory, larger for vibrations
 # with periods below the step
 EXTRAPOLATION_ERROR = 0.5
-REFERENCE_RTOLS = (1e-5, 1e-8, 1e-11)  # 1; relative tolerances of "dop853", used if halved steps do not converge
+REFERENCE_RTOLS = (1e-5, 1e-8, 1e-11)  # relative tolerances of "dop853", used if halved steps do not converge
 
 
 class CandidateRun(NamedTuple):
@@ -352,7 +352,7 @@ class ModelSearch:
         )
 
     def contributions(self) -> dict[tuple[int, int], float]:
-        """Return (link, mode number) -> largest tip displacement (m) in the motion of the reference, ascending."""
+        """Return (link, mode number) -> largest tip displacement (m) in the motion of the reference, smallest first."""
         return _tip_contributions(self.model(self.full), self.full, self.reference.states)
 
     def stiffest_modes(self) -> list[tuple[int, int]]:

@@ -19,13 +19,13 @@ from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.methods import EXPLICIT, METHODS, Method
 from flexman_gym.simulation.stability import NEGLIGIBLE_GROWTH, remaining_amplitude, spectral_radii, stability_limit
 
-SAFETY_FACTOR = 0.8  # 1; largest estimated error of the selected simulation / tolerance
-COST_TOLERANCE = 1.25  # 1; ratio of two costs up to which their difference is within the scatter of the timing
-STEP_MULTIPLES = (10, 8, 5, 4, 3, 2)  # 1; steps to try / output step
-# 1; output step / steps to try
+SAFETY_FACTOR = 0.8  # dimensionless; largest estimated error of the selected simulation / tolerance
+COST_TOLERANCE = 1.25  # dimensionless; ratio of two costs up to which they differ by the scatter of the timing only
+STEP_MULTIPLES = (10, 8, 5, 4, 3, 2)  # dimensionless; steps to try / output step
+# dimensionless; output step / steps to try
 STEP_PARTS = (1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25, 32, 40, 50, 64, 80, 100, 128, 160, 200, 256, 320, 400, 512, 1024)
-REPORTED_GROWTH = 0.01  # 1; numerical growth of a mode in 10 s above which it is reported
-MAX_GROWTH = 100.0  # 1; largest numerical growth of a mode in the duration of the scene
+REPORTED_GROWTH = 0.01  # dimensionless; numerical growth of a mode in 10 s above which it is reported
+MAX_GROWTH = 100.0  # dimensionless; largest numerical growth of a mode in the duration of the scene
 
 
 @dataclass(frozen=True, eq=False)

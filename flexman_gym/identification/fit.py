@@ -1,4 +1,4 @@
-"""Fit of an arm to measurements: estimates, covariance, undetermined parameters, data warnings and report."""
+"""Fit of an arm to measurements: estimates, covariance, practical identifiability, data warnings and report."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,21 +18,21 @@ from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.serialization import to_plain
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters
 
-MAX_RELATIVE_DEVIATION = 0.5  # 1; relative standard deviation above which a parameter is undetermined
-MIN_COMPONENT = 0.3  # 1; least component of an eigenvector of the covariance for a parameter that belongs to it
-SPIKE_FACTOR = 10.0  # 1; size of a spike relative to the robust standard deviation of the residual
-MIN_CORRELATION = 0.7  # 1; least correlation of measured and computed output for a check of unit and sign
-MAX_SCORE = 0.995  # 1; R2 above which no missing filter is suspected
+MAX_RELATIVE_DEVIATION = 0.5  # relative standard deviation above which a parameter is not practically identifiable
+MIN_COMPONENT = 0.3  # least component of a unit eigenvector of the covariance by which a parameter takes part in it
+SPIKE_FACTOR = 10.0  # dimensionless; size of a spike relative to the robust standard deviation of the residual
+MIN_CORRELATION = 0.7  # dimensionless; least correlation of measured and computed output for a check of unit and sign
+MAX_SCORE = 0.995  # dimensionless; R2 above which no missing filter is suspected
 UNIT_SCALES = {"rad": {57.29578: "deg", 1e3: "mrad"}, "m": {1e3: "mm", 1e2: "cm"}, "m/s^2": {1.0 / 9.80665: "g"},
                "1": {1e6: "um/m", 1e2: "percent"}}  # fmt: skip
-MAX_SCALE = 4.0  # 1; ratio of measured to computed output above which a wrong unit is suspected
-FILTER_RESIDUAL = 0.5  # 1; a filter is reported as missing if it reduces the squared residuals below this fraction
+MAX_SCALE = 4.0  # dimensionless; ratio of measured to computed output above which a wrong unit is suspected
+FILTER_RESIDUAL = 0.5  # a filter is reported as missing if it reduces the squared residuals below this fraction
 
 
-def _find_undetermined(free: FreeParameters, values: Array, covariance: Array) -> tuple[tuple[str, ...], str]:
-    """Find the parameters that the data do not determine.
+def _find_unidentifiable(free: FreeParameters, values: Array, covariance: Array) -> tuple[tuple[str, ...], str]:
+    """Find the parameters that are not practically identifiable from the data.
 
-    A parameter is undetermined if its standard deviation exceeds half of its value and half of its initial value.
+    The standard deviation of such a parameter exceeds half of its value and half of its initial value.
 
     Args:
         free: the free parameters.
@@ -40,7 +40,7 @@ def _find_undetermined(free: FreeParameters, values: Array, covariance: Array) -
         covariance: covariance (p, p) of their logarithms.
 
     Returns:
-        The names of undetermined parameters, and a sentence about undetermined and inseparable parameters.
+        The names of these parameters, and a sentence about them and about parameters that are inseparable.
     """
     scale = values / np.maximum(values, free.start)
     sizes, directions = np.linalg.eigh(covariance * np.outer(scale, scale))
@@ -195,11 +195,11 @@ def _draw(found: "Fit", file: Path) -> None:
     figure.savefig(file)
 
 
-MIN_SCORE = 0.9  # 1; R2 below which a fit is poor and other starts are tried
+MIN_SCORE = 0.9  # dimensionless; R2 below which a fit is poor and repeated from random initial values
 MAX_DEVIATIONS = 3.0  # standard deviations of a frequency residual beyond which a fit is poor
-SPREAD = 1.0  # 1; largest change of the logarithm of a parameter in other starts
-MAX_STARTS = 3  # number of starts with the smallest misfit from which the problem is solved
-WEAK_PRIOR = 1e-8  # 1; relative weight of a prior that keeps the covariance finite
+SPREAD = 1.0  # dimensionless; largest change of the logarithm of a parameter in random initial values
+MAX_STARTS = 3  # number of random initial values, those with the smallest misfit, from which the problem is solved
+WEAK_PRIOR = 1e-8  # dimensionless; relative weight of a prior that keeps the covariance finite
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,8 +213,8 @@ class Fit:
             initial arm.
         deviations: standard deviations of the values by the names passed to `fit`; 0 for fixed values. They take the
             autocorrelation of the residuals into account.
-        undetermined: parameters that the data do not determine, such as "joint_stiffness[1]".
-        explanation: sentence about undetermined parameters and about parameters that the data cannot separate.
+        undetermined: parameters that are not practically identifiable from the data, such as "joint_stiffness[1]".
+        explanation: sentence about these parameters and about parameters that the data cannot separate.
         warnings: likely errors in the data: wrong units or signs, missing filters, damaged samples.
         gains: name of each output with an unknown gain -> estimated gain and its standard deviation.
         scores: coefficient of determination R2 of each output, by a name such as "record 0, motor_angle_1".
@@ -303,8 +303,8 @@ def fit(
 
     The sum of squared residuals, each relative to its standard deviation, is minimised by Gauss-Newton steps in a trust
     region. The Jacobian of frequencies and damping ratios is exact; that of time records is computed by central
-    differences. A poor fit is repeated from other starts. The time step of the simulation is halved until the estimates
-    no longer change.
+    differences. A poor fit is repeated from random initial values. The time step of the simulation is halved until the
+    estimates no longer change.
 
     Args:
         arm: initial arm.
@@ -318,7 +318,7 @@ def fit(
         elements: numbers of finite elements, see `build_model`.
         modes: numbers of component modes, see `build_model`.
         step: initial time step of the simulation, s; None for the sampling interval.
-        starts: number of other starts of a poor fit, drawn within a factor e of the initial values.
+        starts: number of random initial values for a poor fit, drawn within a factor e of those of the arm.
         check: True checks the records for wrong units or signs, missing filters and damaged samples. This takes a
             further fit for each poorly explained output without a filter.
 
@@ -352,7 +352,7 @@ def fit(
 
 
 def _solve_from_starts(problem: LeastSquaresProblem, starts: int, rng: np.random.Generator) -> Array:
-    """Return the parameter vector of the best fit; `starts` other starts are tried if the first fit is poor."""
+    """Return the parameter vector of the best fit; after a poor fit, `starts` random initial values are drawn."""
     x = problem.solve(problem.start)
     if not _is_poor(problem, x) or not starts:
         return x
@@ -390,7 +390,7 @@ def _make_fit(problem: LeastSquaresProblem, x: Array, warnings: tuple[str, ...],
     covariance, p = parameter_covariance(problem, x), len(free.numbers)
     values, deviations = problem.values(x), np.sqrt(np.diag(covariance))
     own, spread = free.parameters(values), free.parameters(values * deviations[:p], rest=0.0)
-    names, sentence = _find_undetermined(free, values, covariance[:p, :p])
+    names, sentence = _find_unidentifiable(free, values, covariance[:p, :p])
     gains = {
         name.removeprefix("gain of "): (float(x[p + i]), float(deviations[p + i]))
         for i, name in enumerate(problem.nuisances) if name.startswith("gain")
@@ -434,7 +434,10 @@ def parameter_covariance(problem: LeastSquaresProblem, x: Array) -> Array:
 
 
 def _correlation_length(rows: Array) -> float:
-    """Return the sum of the autocorrelation of residuals over all lags: 1 for white noise, more for coloured noise."""
+    """Return the correlation length of residuals, in samples: 1 for white noise, more for coloured noise.
+
+    It is the sum of the autocorrelation over positive and negative lags, up to the first insignificant one.
+    """
     centred = rows - rows.mean()
     size, power = len(centred), float(centred @ centred)
     if power <= 0.0:

@@ -17,7 +17,7 @@ from flexman_gym.scene.arm import Arm
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters, varied_arm
 
 MAX_LOG_CHANGE = 7.0  # largest change of the logarithm of a parameter from its start: a factor of 1100
-MAX_DAMPING_RATIO = 0.99  # 1; largest modal damping ratio of a link
+MAX_DAMPING_RATIO = 0.99  # dimensionless; largest modal damping ratio of a link
 LOG_STEP = 1e-3  # step of logarithms of parameters in central differences
 TYPICAL_RATE = 2.0 * np.pi  # rad/s; motor rate at which friction is estimated below
 # Start of a parameter that is 0 in the arm, from the model and the joint inertias (n,), kg m^2.
@@ -130,17 +130,17 @@ def _numbers(name: str, model: Model) -> list[_FreeNumber]:
     return [_FreeNumber(kind, each) for each in indices]
 
 
-INITIAL_NOISE = 0.1  # 1; standard deviation of noise before the first fit, relative to that of the signal
+INITIAL_NOISE = 0.1  # dimensionless; standard deviation of noise before the first fit, relative to that of the signal
 MIN_NOISE = 1e-12  # in the unit of the signal; least standard deviation of noise, the size of rounding errors
 FAILED_RESIDUAL = 1e3  # standard deviations; residual of an arm whose simulation fails
 MAX_ROUNDS = 4  # largest number of alternations of solving for the parameters and updating noise and model
 MAX_EVALUATIONS = 40  # largest number of evaluations in a round
 ROUND_TOLERANCE = 1e-4  # change of the parameter vector below which a round is the last
 STEP_TOLERANCE = 0.5  # standard deviations; largest change of a parameter by halving the time step
-MIN_RELATIVE_NOISE = 1e-3  # 1; least noise for this test, relative to the standard deviation of the signal
+MIN_RELATIVE_NOISE = 1e-3  # dimensionless; least noise for this test, relative to the standard deviation of the signal
 MAX_HALVINGS = 5  # largest number of halvings of the time step
 BOUND_MARGIN = 1e-3  # least distance of the start of a solution from the bounds of the parameter vector
-FILTER_DAMPING_RATIO = 0.7  # 1; damping ratio of the assumed filter of an output
+FILTER_DAMPING_RATIO = 0.7  # dimensionless; damping ratio of the assumed filter of an output
 
 
 class _ResidualBlock(NamedTuple):

@@ -31,7 +31,7 @@ from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import ConstantTorque, SampledAngles, SampledTorque
 from flexman_gym.simulation.scene_simulation import TIP_ACCELERATIONS, simulate_all, tip_accelerations
 
-INTERVAL_TOLERANCE = 1e-3  # 1; largest relative deviation of a sampling interval from the median
+INTERVAL_TOLERANCE = 1e-3  # dimensionless; largest relative deviation of a sampling interval from the median
 MIN_SAMPLES = 16  # least number of samples of a record
 INPUT = re.compile(r"(torque|current)_[1-9][0-9]*")  # names of columns read as inputs by default
 OUTPUT = re.compile(
@@ -112,7 +112,7 @@ class Measurement:
         inputs: inputs (T,) by name: "torque_1" (N m), "current_1" (A, for a joint with a motor) or "motor_angle_1"
             (rad, for a motor with prescribed motion); joints count from 1. Motors without an input are free.
         outputs: outputs (T,) by name, with the names and units of `Trajectory.columns`, such as "motor_angle_1" (rad),
-            "link_deflection_1_y" (m) or "root_strain_1_z" (1), and "tip_acceleration_x" and "specific_force_x" (m/s^2).
+            "link_deflection_1_y" (m) or "root_strain_1_z", and "tip_acceleration_x" and "specific_force_x" (m/s^2).
         filters: name of an output -> Filter of its sensor, or several Filters in series.
         gains: names of outputs whose sensor has an unknown gain; it is estimated, one value per output for all records.
         offsets: names of outputs whose sensor has an unknown constant offset; it is estimated, one value per record.

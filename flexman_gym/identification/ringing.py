@@ -66,12 +66,12 @@ class Ringing:
 
     @property
     def measured(self) -> Array:
-        """Measured frequencies followed by the damping ratios, if any, (k,) or (2 k,)."""
+        """Measured frequencies (k,), Hz; with damping (2 k,), followed by the damping ratios."""
         return np.array([*self.frequencies, *(self.damping or ())])
 
     @property
     def deviations(self) -> Array:
-        """Standard deviations of `measured`, (k,) or (2 k,)."""
+        """Standard deviations (k,) of the frequencies, Hz; with damping (2 k,), then those of the damping ratios."""
         parts = [self.deviation] * len(self.frequencies) + [self.damping_deviation] * len(self.damping or ())
         return self.measured * parts
 

@@ -21,8 +21,8 @@ from flexman_gym.kernels.runge_kutta import linearly_implicit_step, out_of_bound
 def _fixed_step(constants, work, tableau, counts, table, span, state):
     """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
 
-    The method is the linearly implicit method of the tableau, or if this is None the method with the numbers `counts`
-    of `implicit.fixed_newton_step`.
+    The method is the linearly implicit method of the tableau, or if this is None the method with `counts`, the number
+    of Newton iterations and the correction of `implicit.fixed_newton_step`. The ledger is work and dissipation, J.
     """
     if tableau is None:
         fixed_newton_step(constants, work, counts, table, span, state)
@@ -54,11 +54,12 @@ def advance_batch(tables, work_table, method, drives, steps, rows, out, status, 
         method: tableau (or None) and counts, as in `_fixed_step`.
         drives: (b, T, n + 6) inputs of `layout` in each period.
         steps: length (s) and number of the steps in a period.
-        rows: (b, 2 d + 2) states and ledgers at the end of the last successful period, overwritten.
+        rows: (b, 2 d + 2) states, each followed by work and dissipation, J (the energy ledger), at the end of the last
+            successful period, overwritten.
         out: (b, OUTPUTS) output rows, overwritten.
         status: (b,) arms whose status is not OK are not integrated; set to DIVERGED for arms that diverge.
-        trail: rows (b, T, 2 d + 2) and outputs (b, T, OUTPUTS) after each successful period, overwritten; (b, 0, ...)
-            records none.
+        trail: record of the rows (b, T, 2 d + 2) and outputs (b, T, OUTPUTS) after each successful period, overwritten;
+            (b, 0, ...) records none.
     """
     work = work_of_arms(work_table)
     state = work.row
@@ -91,7 +92,7 @@ def advance_single(tables, method, drives, steps, rows, out, status, trail):
         rows: (1, 2 d + 2), overwritten.
         out: (1, OUTPUTS), overwritten.
         status: (1,).
-        trail: rows and outputs after each valid period.
+        trail: record of the rows and outputs after each valid period.
 
     Returns:
         NOT_DONE for an action that is not allowed, without an effect; otherwise that of
@@ -132,12 +133,13 @@ def run_batch(tables, work_table, tableau, newton, drives, grid, rows, out, coun
         tables: (groups, fields, 3) address table of the constants of each group of ARMS_PER_GROUP arms.
         work_table: (fields, 3) address table of the work space.
         tableau: tableau of a linearly implicit method, or None, see `_fixed_step`.
-        newton: counts of a method without a tableau, see `_fixed_step`.
-        drives: (b, 7, n + 6) drive tables of `layout`.
+        newton: numbers of a method without a tableau, see `counts` of `_fixed_step`.
+        drives: (b, 7, n + 6) drive tables: rows as in `layout`, columns for n torques or accelerations of the motors, 3
+            components of the tip force and 3 of the base acceleration.
         grid: time grid of the rows.
         rows: (b, r + 1, 2 d + 2) states and ledgers; the first row is the start, all other rows are overwritten.
         out: (b, r + 1, OUTPUTS) output rows, overwritten.
-        counts: (b, 2) numbers of valid rows after the first and of steps, overwritten.
+        counts: (b, 2) number of valid rows after the first, and number of steps, overwritten; not those of the method.
     """
     work = work_of_arms(work_table)
     for group in range(len(tables)):
@@ -181,7 +183,7 @@ def _load_arms(work, drives, rows, first):
 
 @inner
 def _set_lanes(values, first, flat):
-    """Set the groups flat (j,) to the rows of values (b, j) for the arms from `first` on."""
+    """Set the lanes of the groups flat (j,) to the rows of values (b, j), lane k to that of the arm `first` + k."""
     for k in range(ARMS_PER_GROUP):
         arm = min(first + k, len(values) - 1)  # lanes without an arm repeat the last arm
         for j in range(len(flat)):
@@ -229,7 +231,7 @@ def tip_accelerations_single(table, work_table, drives, rows, out):
 
 @inner
 def _any_moving(status, first, end):
-    """Return True if the status of an arm from `first` to before `end` is OK."""
+    """Return True if any arm with an index from `first` to `end` - 1 is still integrated: its status is OK."""
     for arm in range(first, end):
         if status[arm] == OK:
             return True

@@ -40,7 +40,7 @@ def fill_views(rows, outputs, energies, turnover, targets, readings, motion, vec
     """Compute the quantities of an `envs.view.View` of b arms.
 
     Args:
-        rows: (b, 2 d + 2) states and energy ledgers.
+        rows: (b, 2 d + 2) states (2 d), each followed by work and dissipation, J (the energy ledger).
         outputs: (b, OUTPUTS) output rows.
         energies: (b,) total energy at the reset, J.
         turnover: (b,) energy turnover, J, see `update_energy_turnover`.
@@ -252,7 +252,7 @@ def finish_period(table, rows, outputs, status):
 
     Args:
         table: (fields, 3) addresses of the `Period`.
-        rows: (1, 2 d + 2) state and ledger.
+        rows: (1, 2 d + 2) state (2 d), then work and dissipation, J.
         outputs: (1, OUTPUTS).
         status: (1,).
 

@@ -1,11 +1,11 @@
-"""Forward dynamics by the articulated-body algorithm: solves Eq. 40-46 of the paper in O(n) operations for n links.
+"""Forward dynamics by the articulated-body algorithm: solves Eq. 40-46 of the paper (see `layout`) in O(n) operations.
 
 From the tip to the base, the elastic coordinates and then the joint of each link are eliminated, which leaves an
 articulated-body inertia (6, 6) at the tip of the inboard link (Featherstone's algorithm with elastic coordinates). With
-a shift (g, h) the matrix of the linear system is M + g D + h K instead of M, with damping D and stiffness K of links,
-joint springs and motor friction: an implicit step costs as much as an explicit one. The shift (0, 0) gives the
-accelerations. An inertia is a triple of 3 x 3 blocks: force per linear acceleration, force per angular acceleration,
-and moment per angular acceleration.
+a shift (g, h), g in s and h in s^2, the matrix of the linear system is M + g D + h K instead of M, with damping D and
+stiffness K of links, joint springs and motor friction: an implicit step costs as much as an explicit one. The shift
+(0, 0) gives the accelerations. An inertia is a triple of 3 x 3 blocks: force per linear acceleration, force per angular
+acceleration, and moment per angular acceleration.
 
 A rotor turns about its joint axis only (Eq. 23 of the paper), or, if its inertia J is carried, as a body in the frame
 of the inboard link: with the angular velocity w of this frame, the joint axis a and the motor rate p, its kinetic
@@ -52,7 +52,11 @@ from flexman_gym.kernels.linalg import (
 
 @inner
 def _eliminate_joint(constants, work, i, shift, inertia):
-    """Return an inertia after elimination of joint i with its rotor and spring, or of its prescribed motion."""
+    """Return the articulated-body inertia (6, 6) of link i and its outboard chain as seen across joint i.
+
+    The joint is free, with rotor and spring, or has a prescribed motion. `shift` = (g, h), see the module; `inertia` is
+    the articulated-body inertia for the locked joint, as three blocks.
+    """
     force, mixed_block, moment = inertia
     axis, rotor, carried = load(constants.axis, i), constants.rotor_inertia[i], constants.carried_inertia[i]
     total = rotor + shift[0] * work.friction_slope[i]

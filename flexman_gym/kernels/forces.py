@@ -37,7 +37,7 @@ def evaluate_drive(table, time, out):
 def applied_forces(constants, work, x, v):
     """Set work.force (d,) to the generalised forces of motors, friction, springs and dampers at x and v (d,).
 
-    Joints as in Eq. 23 of the paper, links as in Eq. 18 with damping. Sets work.field and work.tip_force, too. Call
+    Joints as in Eq. 23, links as in Eq. 18 (see `layout`), with damping. Sets work.field and work.tip_force, too. Call
     `compute_kinematics` before.
 
     Returns:

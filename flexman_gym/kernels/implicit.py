@@ -25,7 +25,7 @@ from flexman_gym.kernels.runge_kutta import out_of_bounds, pause, resume, step_s
 
 @inner
 def _midpoint_step(constants, work, iterations, correction, table, span, state):
-    """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
+    """Set work.new_state to state (2 d,), work and dissipation (the ledger) after a step; span = (start time, step), s.
 
     With g = step / 2 the accelerations w at the midpoint solve M w = F(x, v) at v = v0 + g w and x = x0 + g v. A Newton
     iteration evaluates M and F at the latest x and v, but springs and dampers at the unknown w, like a linearly
@@ -34,7 +34,7 @@ def _midpoint_step(constants, work, iterations, correction, table, span, state):
     after a release by a third at most: they are a good guess for slow modes, but not for modes that turn by more than a
     radian per step.
 
-    With a `correction` > 0, iterations after the first one add its share of the force of `_corrected_springs`.
+    With a `correction` > 0, iterations after the first one add the force of `_corrected_springs`, scaled by it.
     """
     d, (time, step) = len(state) // 2 - 1, span
     g, w, x, v = 0.5 * step, work.rates, work.new_state[:d], work.new_state[d : 2 * d]

@@ -121,7 +121,7 @@ def solve_equilibrium(constants, work, stiffness, compliance, free, rest, x, for
 
     Args:
         constants: constants of the model.
-        work: work space.
+        work: work space: scratch arrays of the kernels.
         stiffness: (d, d) stiffness matrix without gravity.
         compliance: (f, f) inverse of the stiffness matrix of the free coordinates.
         free: (f,) indices of the free coordinates; all other coordinates are constant.

@@ -1,4 +1,4 @@
-"""Kinematics of the chain from the base to the tip: positions, velocities and bias terms (Eq. 24-33 of the paper).
+"""Kinematics from the base to the tip: positions, velocities and bias terms (Eq. 24-33 of the paper, see `layout`).
 
 Foreshortening: bending does not change the length of the centreline, so a point at x moves towards the joint by
 1/2 q^T G(x) q, the integral of half the squared slopes from 0 to x. Its inertia terms are exact derivatives of the
@@ -187,8 +187,9 @@ def _mass_integrals(constants, work, i, x, elastic):
 
 @inner
 def _velocities(constants, work, v):
-    """Compute velocities and biases of accelerations and forces of all links for speeds v (d,), after `_positions`.
+    """Compute velocities, and velocity-dependent terms of accelerations and forces, for speeds v (d,).
 
+    These bias terms remain if all generalised accelerations are zero. Call `_positions` first.
     Overwrites the group `velocities` of the work space.
     """
     n = len(constants.mass)

@@ -2,9 +2,9 @@
 
 The kernels need an explicit type because Numba turns automatic vectorisation off. The lanes of a `NEIGHBOURS` group are
 neighbouring entries of an array of one arm, those of an `ARMS` group one entry for several arms, and those of a
-`SEQUENCES` group one entry for several sequences of an extrapolated step. A kernel has one source for all three: in a
-work space of `ARMS` or `SEQUENCES` groups, each array element is a group, a load of neighbours returns one element, and
-constants shared by the lanes are read-only arrays of plain numbers.
+`SEQUENCES` group one entry for several sequences: the integrations of one extrapolated step with different numbers of
+substeps. A kernel has one source for all three: in a work space of `ARMS` or `SEQUENCES` groups, each array element is
+a group, a load of neighbours returns one element, and constants shared by the lanes are read-only arrays of numbers.
 """
 
 import math
@@ -319,7 +319,7 @@ def add_weighted_rows(typing_context, total, factors, rows, j, stride):
 
 @intrinsic
 def add_products(typing_context, total, a, b):
-    """Return total + a b; for neighbours, a number: total plus the products of all lanes, one after the other."""
+    """Return total + a b; for NEIGHBOURS, a number: `total` plus the products of all lanes, one after the other."""
     kind = _common_type(a, b)
     result = NUMBER if kind == NEIGHBOURS else _common_type(total, a, b)
 

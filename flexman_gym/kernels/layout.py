@@ -1,4 +1,4 @@
-"""Memory layout shared by the kernels: state, drive, constants, work space, status. Units are SI units and radians.
+"""Memory layout shared by the kernels: state, drive, constants, scratch arrays (work space), status; units SI, radians.
 
 State. With n links, m flexible joints and k = k_1 + ... + k_n elastic coordinates there are d = n + m + k coordinates
 

@@ -107,7 +107,7 @@ def total_energies(outputs, out):
 def energy_residuals(rows, outputs, start, out):
     """Set out (b,) to work - dissipation - change of energy (J) of arms, from their energies (b,) at the start.
 
-    Rows (b, 2 d + 2) are states and energy ledgers, outputs (b, OUTPUTS) output rows.
+    Rows (b, 2 d + 2) are states (2 d), work and dissipation (J); outputs (b, OUTPUTS) are output rows.
     """
     total_energies(outputs, out)
     last = rows.shape[1] - 1
@@ -117,7 +117,10 @@ def energy_residuals(rows, outputs, start, out):
 
 @kernel
 def update_energy_turnover(rows, outputs, out):
-    """Increase the energy turnover out (b,) to kinetic + elastic energy, |work| or |dissipation| (J), if larger."""
+    """Raise the energy turnover out (b,) to kinetic + elastic energy, |work| or |dissipation| (J), if larger.
+
+    The turnover, the largest of these since the reset, is the scale for the energy residual.
+    """
     last = rows.shape[1] - 1
     for b in range(len(rows)):
         moving = outputs[b, KINETIC] + outputs[b, JOINT_ENERGY] + outputs[b, LINK_ENERGY]
@@ -173,7 +176,7 @@ def _tip_velocity(constants, work, i, v, elastic):
 
 @inner
 def _link_energy(constants, work, i, v, elastic):
-    """Return the kinetic energy of link i, 1/2 v^T M v with the blocks of M in Eq. 13 of the paper."""
+    """Return the kinetic energy of link i, 1/2 v^T M v with the blocks of M in Eq. 13 (paper: see `layout`)."""
     velocity, spin = load(work.velocity, i), load(work.spin, i)
     value = 0.5 * _quadratic_form(constants.elastic_mass, constants, i, v, elastic) + _axial_energy(constants, work, i)
     value += dot(velocity, cross(spin, load(work.moment, i))) + 0.5 * constants.mass[i] * dot(velocity, velocity)

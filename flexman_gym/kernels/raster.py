@@ -11,9 +11,9 @@ import numpy as np
 from flexman_gym.kernels.compile import inner, kernel
 
 AMBIENT, SKY, KEY, FILL = 0.36, 0.10, 0.62, 0.22  # intensities: ambient, from above, key light, fill light
-GLOSS, RIM = 0.35, 0.16  # 1; strengths of the highlight and of the darker silhouette edge
+GLOSS, RIM = 0.35, 0.16  # dimensionless; strengths of the highlight and of the darker silhouette edge
 KEY_DIRECTION, FILL_DIRECTION = (-0.2933, -0.4609, 0.8376), (0.8491, 0.4717, 0.2358)  # unit vectors to the lights
-SHADOW_THRESHOLD = 0.003  # 1; opacity below which a shadow is invisible and not drawn
+SHADOW_THRESHOLD = 0.003  # dimensionless; opacity below which a shadow is invisible and not drawn
 
 
 class Canvas(NamedTuple):

@@ -1,8 +1,8 @@
 """Runge-Kutta methods given by their coefficients (`layout.Tableau`): explicit, linearly implicit, step size control.
 
 Explicit methods include the semi-implicit Euler method; linearly implicit methods are W-methods and their
-extrapolation. A kernel `run_...` advances the given state and ledger (2 d + 2,) in place and sets rows (r, 2 d + 2) to
-the state and ledger and outputs (r, OUTPUTS) to the values of `compute_outputs` after each interval of the time grid.
+extrapolation. A kernel `run_...` advances the state (2 d,) and the two energies of the ledger (work and dissipation, J)
+in place and sets rows (r, 2 d + 2) to them and outputs (r, OUTPUTS) to those of `compute_outputs` after each interval.
 It returns a status, the number of valid rows and the number of evaluations of the accelerations. `table` is the drive
 table (7, n + 6) of `layout`. A paused integration (`TimeGrid.max_evaluations`) leaves its progress in the work space:
 the next call receives the state at the pause, the remaining rows and `TimeGrid.first_step`, and the results equal those
@@ -23,7 +23,7 @@ from flexman_gym.kernels.linalg import copy
 from flexman_gym.kernels.outputs import compute_outputs
 
 SAFETY, MIN_FACTOR, MAX_FACTOR = 0.9, 0.2, 10.0  # step size control; Hairer, Norsett and Wanner, Solving ODEs I, II.4
-MIN_STEP = 1e-14  # 1; smallest step as a fraction of the interval between outputs
+MIN_STEP = 1e-14  # dimensionless; smallest step as a fraction of the interval between outputs
 
 
 @inner
@@ -36,7 +36,7 @@ def _first_step_size(work, grid):
 
 @inner
 def resume(work):
-    """Return True after a pause, and the steps and seconds completed in the interval; clear the progress."""
+    """Return True after a pause, the number of steps and the simulated time (s) since the last output; clear them."""
     paused, n, elapsed = work.progress[0], work.progress[1], work.progress[2]
     work.progress[:] = 0.0
     return paused > 0.0, int(n), elapsed
@@ -44,7 +44,7 @@ def resume(work):
 
 @inner
 def pause(work, n, elapsed, step_size):
-    """Store steps n and seconds `elapsed` completed in the interval of an integration, and its next step size (s)."""
+    """Store the number of steps n and the simulated time `elapsed` (s) since the last output, and the next step (s)."""
     work.progress[0], work.progress[1], work.progress[2], work.next_step[0] = 1.0, n, elapsed, step_size
 
 
@@ -56,7 +56,10 @@ def step_start(grid, r, n):
 
 @inner
 def _next_step(grid, r, n, elapsed, step_size):
-    """Return start and length (s) of step n of interval r after `elapsed` seconds of it, and True for its last step."""
+    """Return start and length (s) of step n of interval r, `elapsed` s of simulated time after its start.
+
+    The third value is True for the last step of the interval.
+    """
     if grid.rtol == 0.0:
         return step_start(grid, r, n), grid.step, n + 1 == grid.substeps
     interval = grid.step * grid.substeps

@@ -1,1 +1,1 @@
-"""League: agents compared in the same episodes of several scenarios."""
+"""League: benchmark table of agents, evaluated in the same episodes of several scenarios."""

@@ -1,4 +1,4 @@
-"""Certificate of a policy: a league of one agent under other physics, parameters, delays and noise, with a verdict."""
+"""Certificate: robustness report of one policy under changed physics, parameters, delays and noise, with a verdict."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ from flexman_gym.league.scenarios import GIVEN, PLANTS, find_scenario, randomise
 
 FOLDER = Path("out/certificates")  # rows of the scenarios, in a folder for each policy
 MIN_SETTLED, MIN_SETTLED_CHANGED_ARM = 0.95, 0.9  # required share of settled episodes: same arm, changed arm
-MAX_VIBRATION_RATIO = 1.2  # 1; largest vibration on another plant relative to that in the environment of the training
+MAX_VIBRATION_RATIO = 1.2  # largest vibration on another plant / vibration in the environment of the training
 MAX_VIBRATION_INCREASE = 1e-4  # m; increase of the vibration that is always allowed
 SEARCH_EPISODES, SEARCH_SEED = (
     1000,
@@ -35,7 +35,7 @@ METRIC_NAMES = ("settled", "settling_time", "vibration", "error", "roughness", "
 METHOD = "gauss_2"  # integration method whose order differs from that of the default method
 OTHER_PLANTS = {"finer": len(TEST_SEEDS), "mujoco": 8}  # plant -> largest number of episodes
 DELAYS, NOISES = (0, 1, 2, 3), (0.001, 0.003)  # control periods; fractions of the ranges of the sensors
-RANGE_EXTENSION = 0.25  # 1; extension of a range beyond the range of the training, as a fraction of the range
+RANGE_EXTENSION = 0.25  # extension of a range beyond the range of the training, as a fraction of the range
 
 
 def certify(

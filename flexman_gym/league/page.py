@@ -21,12 +21,12 @@ from flexman_gym.simulation.parameters import PARAMETERS
 
 PAGE, CHART = "league.md", "league.png"
 PAYLOAD_SCENARIO = f"{DEFAULT_ID}/payload"
-BREAKDOWN_LEVEL = 0.5  # 1; share of settled episodes (moving goals: score) below which an agent fails in a scenario
-THRESHOLDS = np.linspace(-0.2, 1.4, 81)  # 1; scores at which performance profiles are evaluated
+BREAKDOWN_LEVEL = 0.5  # share of settled episodes (moving goals: score) below which an agent fails in a scenario
+THRESHOLDS = np.linspace(-0.2, 1.4, 81)  # dimensionless; scores at which performance profiles are evaluated
 TEMPLATE = Path(__file__).parent / "league.md"  # Jinja2
 Section = dict[str, Any]  # values for a part of the template
 MARKERS = "osD^vP"  # Matplotlib markers of the agents
-MARKER_SPACING = 0.05  # 1; horizontal distance of the markers of two agents, relative to that of two scenarios
+MARKER_SPACING = 0.05  # horizontal distance of the markers of two agents, relative to that of two scenarios
 
 
 class _ScoreCurve(NamedTuple):

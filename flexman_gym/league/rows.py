@@ -33,8 +33,8 @@ Kind = TypeVar("Kind")
 PACKAGE = Path(__file__).parents[1]
 ROWS, CELLS = "rows.csv", "cells.csv"
 BLOCK = 25  # episodes of a cell, which are simulated together as one batch
-TIME_RATIO = "multiple"  # 1; settling time relative to that of the optimised slew
-DAMPING = "damping"  # 1; equivalent damping ratio of the tip's oscillation after its first arrival
+TIME_RATIO = "multiple"  # dimensionless; settling time relative to that of the optimised slew
+DAMPING = "damping"  # dimensionless; equivalent damping ratio of the tip's oscillation after its first arrival
 VALUES = (*METRICS, TIME_RATIO, DAMPING)  # columns of the values of a row
 FORMER_METRICS: tuple[str, ...] = ()  # columns of removed metrics; they are skipped in rows of earlier versions
 # Sources on which the results in a row depend, in addition to agent, scenario and package versions.

@@ -45,7 +45,7 @@ class Standings:
 
     @cached_property
     def sweeps(self) -> dict[str, dict[str, float]]:
-        """Sweep, such as "FlexRRR-v0/payload" -> value by the name of its scenario, in ascending order."""
+        """Sweep, such as "FlexRRR-v0/payload" -> value by the name of its scenario, sorted by the value."""
         result: dict[str, dict[str, float]] = {}
         for scenario in dict.fromkeys(scenario for scenario, _, _ in self.results.cells):
             name, equals, value = scenario.removesuffix(GIVEN).partition("=")
@@ -158,7 +158,7 @@ class Standings:
             seeds: seeds of the episodes; None for all.
 
         Returns:
-            Share of settled episodes (1), and minus the median settling time (s).
+            Share of settled episodes (from 0 to 1), and minus the median settling time (s).
         """
         values = self.values(agent, scenario, "settling_time")
         times = np.sort([time for seed, time in values.items() if seeds is None or seed in seeds])

@@ -3,11 +3,13 @@
 A link is a straight Euler-Bernoulli beam along the x axis of its beam frame, which is its floating frame and fixed to
 the cross-section at x = 0. Mass points represent the mass: each element has four Gauss points along its length, with
 four points in each cross-section. Their sums are exact for the polynomials of the elements and equal the volume
-integrals in Eqs. (13) and (14) of the paper. Stations are points on the centreline that represent the foreshortening.
+integrals in Eqs. (13) and (14) of the paper. Stations are points at which the foreshortening of the centreline is
+evaluated; their masses represent the mass that it displaces.
 
 Without rotary inertia the mass points lie on the centreline, and the cross-sections at the Gauss points have a moment
 of inertia about the beam axis only. In a beam frame with the angular velocity w the angular velocity of a cross-section
-about this axis is w_x + dphi/dt. Equation numbers are those of the paper, see `docs/theory.md`.
+about this axis is w_x + dphi/dt. Equation numbers are those of the paper "Dynamic modeling and simulation of spatial
+manipulator with flexible links and joints", see `docs/theory.md`.
 """
 
 from collections.abc import Sequence
@@ -36,10 +38,10 @@ STATION_GROUP = 4  # divisor of the number of stations of a link, including its 
 def _beam_stations(elements: Sequence[Element], size: int) -> tuple[Array, Array, Array]:
     """Return matrix G, mass, position and shape functions of each station; the first station is the massless tip.
 
-    The other s - 1 >= elements + 1 stations lie at the Gauss points of the mass distribution of the link. The motion of
-    a station is the mean motion of the centreline, weighted with mass and with the Lagrange polynomial of this point:
-    the stations represent the projection of the motion onto polynomials, whose products they integrate exactly. The
-    mass matrix minus the contribution of the stations is therefore positive semidefinite.
+    The other s - 1 >= elements + 1 stations lie at the Gauss points of the mass distribution of the link. Their shape
+    functions are the values at these points of the mass-weighted L2 projection of the motion onto polynomials of degree
+    s - 2. Gauss quadrature is exact for products of two of them, so that the mass matrix minus the contribution of the
+    stations is positive semidefinite.
 
     G at a point is the integral of v'^T v' + w'^T w' from the base to the point, by Gauss quadrature of exact order.
 

@@ -14,7 +14,7 @@ from flexman_gym.common.checks import value_error
 from flexman_gym.model.beam import Beam
 from flexman_gym.scene.arm import Arm
 
-NEGLIGIBLE = 1e-12  # 1; off-diagonal entry / geometric mean of its diagonal entries, below which it is a rounded zero
+NEGLIGIBLE = 1e-12  # off-diagonal entry / geometric mean of its diagonal entries, below which it is a rounded zero
 
 
 def zero_pose_rotations(arm: Arm) -> Array:
@@ -89,7 +89,10 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
 
 
 def _uncoupled_groups(*matrices: Array) -> list[np.ndarray]:
-    """Return the groups of coordinates that are coupled by symmetric positive definite matrices (k, k)."""
+    """Return groups of coordinates without coupling between different groups: the connected components.
+
+    The matrices (k, k) are symmetric and positive definite.
+    """
     coupled = np.zeros(matrices[0].shape, dtype=bool)
     for matrix in matrices:
         size = np.sqrt(np.diag(matrix))

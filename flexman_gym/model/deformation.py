@@ -163,7 +163,7 @@ def curves(model: Model, states: Vector, points: int, gain: float = 1.0) -> Curv
     """Return the centrelines of all links at equally spaced points, for any number of states.
 
     A cross-section is rotated relative to the beam frame of its link by the rotation vector (phi, -w', v'), as the tip
-    in Eq. (26) of the paper. Foreshortening displaces a point by the exact integral of (v'^2 + w'^2) / 2. The last
+    in Eq. (26), see `model.beam`. Foreshortening displaces a point by the exact integral of (v'^2 + w'^2) / 2. The last
     point is the tip of the link.
 
     Args:

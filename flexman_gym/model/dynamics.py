@@ -28,7 +28,7 @@ SECOND_STEP = 0.02  # rad; step for second derivatives, at which the truncation 
 
 
 def acceleration(model: Model, state: Vector, torque: Vector) -> Array:
-    """Return the generalised accelerations (d,) at a state under motor torques (Eqs. (45) and (23) of the paper).
+    """Return the generalised accelerations (d,) at a state under motor torques, Eqs. (45) and (23), see `model.beam`.
 
     Units are rad/s^2 for angles, m/s^2 and rad/s^2 for node coordinates, kg^(1/2) m/s^2 for modal coordinates.
 

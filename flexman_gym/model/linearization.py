@@ -338,7 +338,10 @@ def _state_names(model: Model) -> tuple[str, ...]:
 
 
 def _force_jacobian(model: Model, state: Vector, accelerations: Array) -> Array:
-    """Return the Jacobian (d, 2 d), by coordinates and speeds, of the forces, for constant accelerations (d,)."""
+    """Return the Jacobian (d, 2 d) of minus the generalised forces of the inverse dynamics at given accelerations (d,).
+
+    Columns: derivatives with respect to coordinates and speeds.
+    """
     (x, v), forces = split_state(model, state), inertial_forces(model)
     d, size = model.n_dof, coordinate_scales(model)
 
@@ -353,7 +356,7 @@ def _force_jacobian(model: Model, state: Vector, accelerations: Array) -> Array:
 
 
 def _add_coulomb_slopes(model: Model, state: Vector, forces: Array) -> None:
-    """Subtract the slopes of the smoothed Coulomb friction (N m s/rad) from the Jacobian (d, 2 d + m) of the forces."""
+    """Subtract the slopes of the smoothed Coulomb friction, N m s/rad, from `_force_jacobian` (d, 2 d + m)."""
     motors, constants = model.motor_columns, model.constants
     slopes = constants.coulomb_friction / constants.coulomb_rate
     scaled_rates = np.abs(split_state(model, state)[1][motors] / constants.coulomb_rate)

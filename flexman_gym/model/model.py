@@ -20,13 +20,13 @@ from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import MAX_ELEMENTS, ModelChoice, Scene
 from flexman_gym.scene.serialization import ArmLike, find_arm
 
-UNCOUPLED = 1e-8  # 1; entry of K or C / geometric mean of its diagonal entries, below which it is a rounded zero
-NEGLIGIBLE = 1e-14  # 1; mass integral / geometric mean for its two coordinates, below which it is a rounded zero
+UNCOUPLED = 1e-8  # entry of K or C / geometric mean of its diagonal entries, below which it is a rounded zero
+NEGLIGIBLE = 1e-14  # mass integral / geometric mean for its two coordinates, below which it is a rounded zero
 MIN_FREQUENCY, MAX_FREQUENCY = 0.01, 1e4  # Hz; usual range of the first natural frequency of a link
 
 
 class _ShapeIntegrals(NamedTuple):
-    """Mass integrals of a beam with k elastic coordinates (Eqs. (13) and (14) of the paper), sums over mass points.
+    """Mass integrals of a beam with k elastic coordinates (Eqs. (13) and (14), see `model.beam`), summed over points.
 
     r0 is the undeformed position of a mass m, S_a the shape function of coordinate a. Polar moments of inertia enter as
     fictitious second moments of mass.
@@ -313,7 +313,7 @@ class Model:
 
     @property
     def n_motors(self) -> int:
-        """Number m of flexible joints; each adds a motor coordinate."""
+        """Number m of motor coordinates, one for each flexible joint."""
         return int((self.constants.motor >= 0).sum())
 
     @property

@@ -5,8 +5,8 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import check_solvable
 
-SHIFT = 1e-9  # 1; spectral shift / largest scaled stiffness; it makes K positive definite despite rigid-body modes
-ZERO_SQUARE = 1e-10  # 1; squared frequency / shift, below which the frequency is a rounded zero
+SHIFT = 1e-9  # spectral shift / largest scaled stiffness; it makes K positive definite despite rigid-body modes
+ZERO_SQUARE = 1e-10  # dimensionless; squared frequency / shift, below which the frequency is a rounded zero
 MAX_SHIFTS = 6  # number of attempts, each with a shift 100 times as large as the last
 
 

@@ -13,9 +13,9 @@ from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.natural_modes import natural_modes
 from flexman_gym.model.statics import holding_torques, rest_state
 
-RIGID_BODY_LIMIT = 1e-6  # 1; magnitude of an eigenvalue / lowest natural frequency, up to which it is rigid-body motion
-OVERDAMPED_LIMIT = 1e-7  # 1; imaginary part of an eigenvalue / its magnitude, up to which it is overdamped
-ZERO_DAMPING = 1e-12  # 1; damping ratio below which it is a rounded zero
+RIGID_BODY_LIMIT = 1e-6  # magnitude of an eigenvalue / lowest natural frequency, up to which it is rigid-body motion
+OVERDAMPED_LIMIT = 1e-7  # dimensionless; imaginary part of an eigenvalue / its magnitude, up to which it is overdamped
+ZERO_DAMPING = 1e-12  # dimensionless; damping ratio below which it is a rounded zero
 SHOWN_MODES = 3  # number of modes in the repr
 MAX_ITERATIONS = 200  # for the equilibrium of a rotating arm
 MAX_COORDINATE = 1e3  # m or rad; a larger coordinate ends the iteration without an equilibrium
@@ -47,7 +47,7 @@ class EquilibriumMatrices(NamedTuple):
 
 
 class Eigenpairs(NamedTuple):
-    """Complex eigenvalues with positive imaginary part, ascending, and their eigenvectors.
+    """Complex eigenvalues with positive imaginary part, by which they are sorted, and their eigenvectors.
 
     Attributes:
         values: (k,) eigenvalues s, 1/s.

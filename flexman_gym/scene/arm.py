@@ -21,8 +21,8 @@ from flexman_gym.scene.rigid_body import LumpedMass, Payload
 
 # Limits beyond which a value is probably in a wrong unit.
 MAX_GRAVITY = 300.0  # m/s^2
-MAX_MASS_RATIO = 100.0  # 1; mass of a lumped mass or payload / mass of the links
-MAX_REACH_RATIO = 20.0  # 1; offset or radius of gyration of a lumped mass or payload / total length of the links
+MAX_MASS_RATIO = 100.0  # dimensionless; mass of a lumped mass or payload / mass of the links
+MAX_REACH_RATIO = 20.0  # offset or radius of gyration of a lumped mass or payload / total length of the links
 
 
 @check_keywords

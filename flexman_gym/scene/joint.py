@@ -87,7 +87,7 @@ class Motor:
 @check_keywords
 @dataclass(frozen=True)
 class Joint:
-    """Revolute joint: rotor and link, rigidly connected or by a spring and a damper (Eq. (23) of the paper).
+    """Revolute joint: rotor and link, rigidly connected or by a spring and a damper (Eq. (23), see `model.beam`).
 
     Attributes:
         axis: unit vector (3,) in the tip frame of the previous link, or in the base frame for the first joint. Its

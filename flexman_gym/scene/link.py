@@ -22,7 +22,7 @@ from flexman_gym.scene.rigid_body import LumpedMass
 
 SHAPES = ("strip", "tube", "rod")
 OTHER_AXIS = {"y": "z", "z": "y"}
-OUTLINE_TOLERANCE = 1e-6  # 1; largest relative difference between the values of a link and those of its outline
+OUTLINE_TOLERANCE = 1e-6  # largest relative difference between the values of a link and those of its outline
 SERIES_TERMS = 60  # terms of the series for the torsion constant of a rectangle; 30 are exact to rounding
 
 
@@ -186,8 +186,8 @@ def _total_mass(masses: Sequence[LumpedMass]) -> float:
     return sum(mass.mass for mass in masses)
 
 
-MAX_WIDTH = 5.0  # 1; width of a cross-section / length of its link; above it the unit is probably wrong
-MAX_TORSION = 10.0  # 1; torsion constant / polar moment of area; above it the unit is probably wrong
+MAX_WIDTH = 5.0  # dimensionless; width of a cross-section / length of its link; above it the unit is probably wrong
+MAX_TORSION = 10.0  # dimensionless; torsion constant / polar moment of area; above it the unit is probably wrong
 MAX_SECTIONS = 64  # largest number of sections of a link; each needs a finite element, and a link has at most 64
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 

@@ -269,7 +269,7 @@ def _checked_torques(name: str, value: object, count: int) -> Array:
     return number_array(name, value, (count, joints), allowed)
 
 
-TIME_TOLERANCE = 1e-12  # 1; difference of two equal times / duration, at most
+TIME_TOLERANCE = 1e-12  # dimensionless; difference of two equal times / duration, at most
 
 
 @dataclass(frozen=True)

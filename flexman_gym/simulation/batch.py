@@ -39,7 +39,7 @@ class Batch:
         method: the Method.
         control_period: s.
         substeps: number of integration steps in a control period, at most 100000.
-        rows: (b, 2 d + 2) state and energy ledger of each arm, see `kernels.layout`.
+        rows: (b, 2 d + 2) state (2 d) of each arm, then work and dissipation since the reset, J (the energy ledger).
         state: (b, 2 d) view of the states in `rows`: coordinates, then speeds.
         outputs: (b, OUTPUTS) tip, deflection and energies at these states; columns in `kernels.layout`.
         status: (b,) int64 status of the last step: OK, DIVERGED or NOT_CONVERGED of `kernels.layout`. After a failure,

@@ -100,9 +100,9 @@ PeriodRecord = tuple[Array, Array]  # rows (b, T, 2 d + 2) and outputs (b, T, OU
 class BatchIntegrator(Protocol):
     """Integrator of the b arms of a batch.
 
-    In all methods, rows (b, 2 d + 2) hold the state and energy ledger of each arm, outputs (b, OUTPUTS) the quantities
-    of `kernels.layout` at this state, and status (b,) OK, DIVERGED or NOT_CONVERGED. Arguments named rows, outputs,
-    status and result are overwritten.
+    In all methods, rows (b, 2 d + 2) hold the state (2 d) of each arm, then work and dissipation in J (its energy
+    ledger), outputs (b, OUTPUTS) the quantities of `kernels.layout` at this state, and status (b,) OK, DIVERGED or
+    NOT_CONVERGED. Arguments named rows, outputs, status and result are overwritten.
 
     Attributes:
         state_fields: names of the attributes that a snapshot of the batch stores.
@@ -144,7 +144,7 @@ class BatchIntegrator(Protocol):
 class SequentialIntegrator(BatchIntegrator):
     """Batch integrator with an `Integrator` for each arm, which integrates one arm after the other.
 
-    `period` is the control period (s) and the number of steps in it.
+    `period` = (control period in s, number of steps in it).
     """
 
     state_fields = ("own",)
@@ -216,7 +216,7 @@ class LaneIntegrator(BatchIntegrator):
     """Batch integrator by fixed steps of a linearly implicit method; the ARMS_PER_GROUP arms of a group are SIMD lanes.
 
     A single arm without foreshortening is integrated by faster kernels of one arm, with equal results to the bit.
-    `period` is the control period or output interval (s) and the number of steps in it.
+    `period` = (control period or output interval in s, number of steps in it).
     """
 
     state_fields = ("own",)

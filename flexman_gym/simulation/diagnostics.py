@@ -16,8 +16,8 @@ from flexman_gym.simulation.stability import NEGLIGIBLE_GROWTH, stability_limit
 
 LARGE_RATE = 100.0  # rad/s; bound of joint and motor rates
 LARGE_TWIST = 1.0  # rad; bound of joint twists
-LARGE_DEFLECTION = 0.25  # 1; bound of the deflection of a link relative to its length
-STIFFENING_DEFLECTION = 0.1  # 1; deflection relative to the length of the link above which foreshortening matters
+LARGE_DEFLECTION = 0.25  # dimensionless; bound of the deflection of a link relative to its length
+STIFFENING_DEFLECTION = 0.1  # deflection / length of the link, above which foreshortening matters
 OUTPUTS_PER_INTERVAL = 50  # outputs of the second simulation if the method chooses its steps
 
 
@@ -33,14 +33,16 @@ class _Quantity(NamedTuple):
 def explain_failure(
     integrator: Integrator, model: Model, drive: Array, grid: tuple[float, float, int], state: Array, status: str
 ) -> str:
-    """Return the quantity that first exceeds its bound, and remedies; integrates again from the last valid state.
+    """Return sentences with the quantity that first exceeds its bound and with remedies.
+
+    The last interval is integrated again from the last valid state.
 
     Args:
         integrator: the integrator of the arm.
         model: the model.
         drive: (7, n + 6) drive table of `kernels.layout`.
         grid: time of the last valid state (s), step (s), and number of remaining steps.
-        state: (2 d + 2,) last valid state and energy ledger.
+        state: (2 d + 2,) last valid state (2 d), then work and dissipation, J.
         status: "diverged", "not converged" or "ok".
 
     Returns:
@@ -60,7 +62,7 @@ def explain_failure(
 
 
 def explain_energy(model: Model, integrator: Integrator, step: float, time: float, states: Array) -> str:
-    """Return the coordinate with the largest vibration energy up to an energy alarm, and remedies.
+    """Return sentences with the coordinate of the largest vibration energy up to an energy alarm and with remedies.
 
     Args:
         model: the model.
@@ -143,7 +145,7 @@ def _advice(model: Model, integrator: Integrator, step: float, states: Array) ->
 
 
 def _first_excess(model: Model, states: Array) -> tuple[_Quantity, int]:
-    """Return the quantity that first exceeds its bound, and its row; without one, the relatively largest one."""
+    """Return the quantity that first exceeds its bound, and its row; if none does, the relatively largest quantity."""
     result = list(_quantities(model, states))
     sizes = np.array([np.abs(each.values) / each.largest for each in result])
     sizes = np.nan_to_num(sizes, nan=np.inf, posinf=np.inf)

@@ -23,7 +23,7 @@ from flexman_gym.simulation.batch_integrators import BatchIntegrator
 from flexman_gym.simulation.parameters import LINK, PARAMETERS
 
 Stations = Sequence[Array]  # m; positions (s_i,) of the sections along link i, the last at its tip
-ROTATION_WEIGHT = 1e-4  # 1; weight of rotations: squared radius of gyration relative to the squared section spacing
+ROTATION_WEIGHT = 1e-4  # weight of rotations: squared radius of gyration relative to the squared section spacing
 
 
 class ArmShapes(NamedTuple):

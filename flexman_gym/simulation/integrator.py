@@ -27,7 +27,7 @@ from flexman_gym.simulation.methods import (
 )
 
 MAX_CALL_COST = 1e8  # flops, roughly; largest cost of a kernel call, at most 0.1 s
-LANE_COST_RATIO = 4  # 1; upper bound of the cost of an evaluation of ARMS_PER_GROUP arms relative to a single arm
+LANE_COST_RATIO = 4  # upper bound of the cost of an evaluation of ARMS_PER_GROUP arms relative to a single arm
 MAX_STEPS = 100_000  # largest number of steps between two outputs, or in a control period
 DEFAULT_MAX_STEP = 0.005  # s; longest step selected automatically
 
@@ -128,7 +128,7 @@ class Integrator:
 
     Attributes:
         constants: constants of the model, with flags of the motors with prescribed motion.
-        work: work space of the kernels.
+        work: work space: scratch arrays of the kernels.
         method: the method.
         tolerance: (rtol, atol) of adaptive steps; zeros for fixed steps.
     """
@@ -144,7 +144,7 @@ class Integrator:
         self._at_rest = signal_table([None] * (model.n_joints + 6))
         self._coefficients: Tableau | GeneralisedAlpha | tuple[int, float | None] | None = None
         if isinstance(method, Implicit):
-            self._coefficients = method.averages
+            self._coefficients = method.coefficients
         elif isinstance(method, IteratedGauss):
             self._coefficients = method.counts
         elif not isinstance(method, ScipyMethod):
@@ -164,7 +164,7 @@ class Integrator:
         Args:
             drive: drive table (7, n + 6) of `kernels.layout`.
             grid: start (s), step (s), and number of steps in an interval.
-            state: (2 d + 2,) state and energy ledger, overwritten by those at the end.
+            state: (2 d + 2,) state (2 d), then work and dissipation, J (energy ledger), overwritten by the last ones.
             rows: (r, 2 d + 2) states and energy ledgers, overwritten.
             result: (r, OUTPUTS) outputs, overwritten.
 

@@ -58,8 +58,8 @@ ERROR8_3 = (-0.18980075407240762, *B8[1:8], -0.4226823213237919, *B8[9:11], 0.02
 
 EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE = "explicit", "linearly implicit", "implicit", "reference"
 KINDS = (EXPLICIT, LINEARLY_IMPLICIT, IMPLICIT, REFERENCE)
-ORDER_TOLERANCE = 1e-12  # 1; largest residual of an order condition: rounding of its sum
-MAX_CORRECTION = 1.6  # 1; beyond 27/16 the corrected midpoint rule is unstable at omega h = sqrt(2)
+ORDER_TOLERANCE = 1e-12  # dimensionless; largest residual of an order condition: rounding of its sum
+MAX_CORRECTION = 1.6  # dimensionless; beyond 27/16 the corrected midpoint rule is unstable at omega h = sqrt(2)
 MAX_ITERATIONS = 1000  # Newton iterations of a step with a fixed number
 
 
@@ -245,7 +245,7 @@ class Implicit:
             raise value_error(f"{self.name}.radius", self.radius, "a number from 0 to 1")
 
     @property
-    def averages(self) -> GeneralisedAlpha:
+    def coefficients(self) -> GeneralisedAlpha:
         """Coefficients in the form of the kernels."""
         if self.radius is None:
             return GeneralisedAlpha(0.0, 0.0, 0.0, 0.0, True)
@@ -258,14 +258,14 @@ class Implicit:
 class IteratedGauss:
     """Gauss collocation with one stage (the midpoint rule) or two, solved by a fixed number of Newton iterations.
 
-    The iterations use the approximate Jacobian of the linearly implicit methods, at the same cost per evaluation.
+    The iterations use the approximate Jacobian of the linearly implicit methods; an evaluation costs as much as theirs.
 
     Attributes:
         name, order, source: see the module.
         iterations: Newton iterations of a step; each evaluates every stage.
         stages: 1 or 2.
-        correction: share a of the force a h^2 K w that the midpoint rule adds in iterations after the first one, see
-            `kernels.implicit`; 1/6 gives order 4 for undamped vibrations, 0 no correction.
+        correction: coefficient a of the correction force a h^2 K w of the midpoint rule, with stiffness matrix K and
+            filtered accelerations w, see `kernels.implicit`; 1/6 gives order 4 for undamped vibrations, 0 none.
 
     Raises:
         ValueError: for fewer than 1 iteration, another number of stages, too few iterations for the order, or a
@@ -437,7 +437,7 @@ class _Methods(dict[str, Method]):
     Each Method has an `order` (the error at a given time falls with the step to this power), a `kind` ("explicit",
     "linearly implicit", "implicit" or "reference") and a `source`. All of them run with a fixed `step` (s), except
     those of kind "reference", which take `step` as the length of their first step. Reference methods, and methods with
-    an error estimate when no step is given, choose their steps by `rtol` (1) and `atol` (rad, m, and their rates).
+    an error estimate when no step is given, choose their steps by `rtol` and `atol` (rad, m, and their rates).
     `flexman list methods` prints the table.
 
     Examples:

@@ -209,7 +209,7 @@ def _scene_settings(
 
 
 def _initial_row(scene: Scene, model: Model) -> Array:
-    """Return the initial state and energy ledger (2 d + 2,) of a scene."""
+    """Return the initial state (2 d) of a scene, followed by zero work and dissipation, as an array (2 d + 2,)."""
     return np.append(_initial_state(scene, model), [0.0, 0.0])
 
 

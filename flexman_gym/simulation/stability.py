@@ -21,7 +21,7 @@ from flexman_gym.simulation.methods import (
     Method,
 )
 
-NEGLIGIBLE_GROWTH = 1e-6  # 1; growth per step still counted as stable for explicit methods
+NEGLIGIBLE_GROWTH = 1e-6  # dimensionless; growth per step still counted as stable for explicit methods
 
 
 def amplification_factors(method: Method, angle: float | Array) -> NDArray[np.complex128]:
@@ -71,7 +71,7 @@ def _implicit_factors(method: Implicit | IteratedGauss, angle: Array) -> NDArray
         return _corrected_factors(method.correction, angle)
     if isinstance(method, IteratedGauss) or method.radius is None:  # one iteration is exact for a linear problem
         return ((1.0 + 0.5j * angle) / (1.0 - 0.5j * angle))[..., None]
-    mass, force, beta, gamma = method.averages[:4]
+    mass, force, beta, gamma = method.coefficients[:4]
     square = angle**2
     # For q, h v and h^2 a: (1 - mass) a1 + mass a = -omega^2 ((1 - force) q1 + force q), with Newmark's q1 and v1.
     after: list[list[Any]] = [[1.0, 0.0, -beta], [0.0, 1.0, -gamma], [(1.0 - force) * square, 0.0, 1.0 - mass]]

@@ -16,7 +16,7 @@ from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurement
 from flexman_gym.model.loads import FrameMotion, part_energies, section_forces
 from flexman_gym.model.model import Model
 
-ENERGY_ALARM = 0.01  # 1; fraction of the energy turnover above which the energy residual is too large
+ENERGY_ALARM = 0.01  # dimensionless; fraction of the energy turnover above which the energy residual is too large
 
 
 def _energy_turnover(moving_energy: Array | float, work: Array | float, dissipation: Array | float) -> Array:
@@ -252,7 +252,7 @@ def build_trajectory(
     Args:
         model: the model.
         interval: time between rows, s.
-        states: (T, 2 d + 2) states and energy ledgers.
+        states: (T, 2 d + 2) states (2 d), each followed by work and dissipation, J.
         outputs: (T, OUTPUTS) columns of `kernels.layout`.
         outcome: status, number of evaluations, and wall-clock time of the integration, s.
         explain: function: trajectory -> its explanation.

@@ -1,9 +1,10 @@
 """Dimensionless natural frequencies of Euler-Bernoulli beams and bars in closed form, from characteristic equations.
 
 For a beam of length L, bending stiffness EI and mass per length rho A the dimensionless natural frequency is lambda =
-omega L^2 sqrt(rho A / EI) = b^2 with the frequency parameter b = beta L, where w'''' = beta^4 w (Blevins, Formulas for
-Natural Frequency and Mode Shape, tabulates b). Below, w is a function of b x / L, and primes are derivatives by this
-argument. The module uses only NumPy and SciPy, so that it shares no error with the simulator that it verifies.
+omega L^2 sqrt(rho A / EI) = b^2 with the frequency parameter b = beta L, where d^4 w / dx^4 = beta^4 w (Blevins,
+Formulas for Natural Frequency and Mode Shape, tabulates b). Below, the deflection w is a function of b x / L, and w' is
+its derivative by this argument: dw/dx = (b / L) w'. The module uses only NumPy and SciPy, so that it shares no error
+with the simulator that it verifies.
 """
 
 from collections.abc import Callable
@@ -71,14 +72,14 @@ def flexible_joint_frequencies(
     """
 
     def characteristic(b: float) -> float:  # columns: w = sin, and cos - cosh and sinh divided by cosh b
-        s, c, one, sh, mu = np.sin(b), np.cos(b), 1.0 / np.cosh(b), np.tanh(b), tip_mass_ratio * b
+        s, c, sech, sh, mu = np.sin(b), np.cos(b), 1.0 / np.cosh(b), np.tanh(b), tip_mass_ratio * b
         curvature, slope = b, -stiffness_ratio  # coefficients of w'' and w' in the condition at the base
         if rotor_inertia_ratio is not None:
             curvature = stiffness_ratio - rotor_inertia_ratio * b**4
             slope = stiffness_ratio * rotor_inertia_ratio * b**3
-        base = [slope, -2.0 * curvature * one, slope * one]
-        moment = [-s, -(c * one + 1.0), sh]
-        force = [-c + mu * s, s * one - sh + mu * (c * one - 1.0), 1.0 + mu * sh]
+        base = [slope, -2.0 * curvature * sech, slope * sech]
+        moment = [-s, -(c * sech + 1.0), sh]
+        force = [-c + mu * s, s * sech - sh + mu * (c * sech - 1.0), 1.0 + mu * sh]
         return float(np.linalg.det([base, moment, force]))
 
     return _first_squared_roots(characteristic, count, np.arange(0.05, (count + 2) * np.pi, 0.01))
@@ -103,8 +104,8 @@ def stepped_cantilever_frequencies(count: int, step_position: float, rigidity_ra
     def solutions(x: float, end: float) -> Array:
         # (4, 2): w to w''' of (cos + end cosh) / cosh x, and of sin - cos - end exp(-x), which is sin + end sinh minus
         # the first solution; end is -1 for a clamped and 1 for a free end
-        s, c, one, sh, decay = np.sin(x), np.cos(x), 1.0 / np.cosh(x), np.tanh(x), end * np.exp(-x)
-        first = [c * one + end, -s * one + end * sh, -c * one + end, s * one + end * sh]
+        s, c, sech, sh, decay = np.sin(x), np.cos(x), 1.0 / np.cosh(x), np.tanh(x), end * np.exp(-x)
+        first = [c * sech + end, -s * sech + end * sh, -c * sech + end, s * sech + end * sh]
         return np.transpose([first, [s - c - decay, c + s + decay, c - s - decay, -c - s + decay]])
 
     def characteristic(b: float) -> float:

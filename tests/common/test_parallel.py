@@ -71,7 +71,7 @@ def test_the_error_of_a_cell_is_raised_as_it_is(workers):
 def test_workers_that_die_again_and_again_end_the_grid(capfd):
     with pytest.raises(RuntimeError, match="workers died 3 times in a row"):
         parallel_map(cells.deadly, [1, 2], 2)
-    assert capfd.readouterr().err.count("a worker died: its items are run again") == 2
+    assert capfd.readouterr().err.count("a worker died: its cells are run again") == 2
 
 
 def test_a_killed_grid_leaves_no_process_and_goes_on_where_it_was(tmp_path):

@@ -91,5 +91,5 @@ def test_places_that_cannot_be_are_refused_in_one_line(options, said):
 def test_a_planar_arm_does_not_leave_its_plane():
     said = refusal(lambda: FlexManEnv(name="FlexOne-v0").reset(options={"goal_tip": [0.5, 0.5, 0.2]}))
     assert said.startswith("options['goal_tip']: [0.5, 0.5, 0.2] is not allowed") and said.endswith(
-        "within reach of 0.8 m of links"
+        "within the reach of the arm, 0.8 m"
     )

@@ -110,5 +110,5 @@ def test_every_round_is_around_the_best_so_far(monkeypatch):
 def test_gains_that_are_evaluated_in_parts_have_the_same_rewards_to_the_bit(monkeypatch):
     gains, environment = np.geomspace(0.1, 2.0, 14).reshape(7, 2), Configuration("FlexOne-v0", {"horizon": 0.5})
     whole = optimisation.gain_returns(environment, gains, 2)
-    monkeypatch.setattr(optimisation, "CELL", 3)
+    monkeypatch.setattr(optimisation, "BLOCK_CANDIDATES", 3)
     assert optimisation.gain_returns(environment, gains, 2).tobytes() == whole.tobytes() and len(set(whole)) == 7

@@ -80,7 +80,7 @@ class InputShapedController:
         self._now = np.zeros(0, dtype=np.int64)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Compute the shaped commands of the arms (r,), and start new episodes of the inner controller."""
+        """Compute the shaped commands of the arms (r,) of `count` in all; start episodes of the inner controller."""
         self._now = pad_rows(self._now, count)
         self._now[arms] = 0
         for row, arm in enumerate(arms.tolist()):

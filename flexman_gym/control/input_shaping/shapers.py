@@ -18,7 +18,7 @@ from flexman_gym.model.vibration import Eigenpairs, equilibrium_matrices, oscill
 from flexman_gym.simulation.parameters import varied_model
 
 RIGID_MODE_RATIO = 0.5  # fraction of the lowest frequency with held motors; slower modes are rigid-body motion
-RATIO_ROUNDING = 1e-9  # 1; smaller damping ratios are set to 0
+RATIO_ROUNDING = 1e-9  # dimensionless; smaller damping ratios are set to 0
 MIN_TIP_AMPLITUDE = 1e-3  # fraction of the largest tip amplitude; modes with smaller amplitudes are omitted
 
 
@@ -74,13 +74,13 @@ def _observable_modes(eigen: Eigenpairs, amplitudes: Array, tip: Array) -> Array
     return np.transpose([rates[kept] / (2.0 * np.pi), ratios, tip_amplitudes[kept]])
 
 
-DEFAULT_TOLERANCE = 0.05  # 1; residual vibration tolerated by EI shapers
+DEFAULT_TOLERANCE = 0.05  # dimensionless; residual vibration tolerated by EI shapers
 EI_ITERATIONS = 8  # iterations for the amplitudes of a damped EI shaper; each reduces the error at least tenfold
 SQRT_2 = np.sqrt(2.0)
 
 
 def _two_hump(v: float) -> tuple[float, ...]:
-    """Return the undamped amplitudes of the two-hump EI shaper for a tolerated residual v (1)."""
+    """Return the undamped amplitudes of the two-hump EI shaper for a tolerated residual v (dimensionless)."""
     x = (v**2 * (np.sqrt(1.0 - v**2) + 1.0)) ** (1.0 / 3.0)
     outer = (3.0 * x**2 + 2.0 * x + 3.0 * v**2) / (16.0 * x)
     return outer, 0.5 - outer, 0.5 - outer, outer
@@ -198,11 +198,11 @@ def sample_shaper(shaper: Shaper, period: float) -> Array:
 
 
 TOLERATED_RESIDUAL = 5.0  # %; largest residual of a mode within the tolerated frequency errors
-TOLERANCE_SLACK = 1.02  # 1; factor of TOLERATED_RESIDUAL, which damped EI shapers slightly exceed at the mode
+TOLERANCE_SLACK = 1.02  # factor on TOLERATED_RESIDUAL, because damped EI shapers slightly exceed it at the mode
 TIP_VIBRATION_LIMIT = 10.0  # %; largest residual tip vibration of a recommended shaper
 EVALUATED_MODES = 3  # number of the lowest modes in an evaluation
-MAX_FREQUENCY_ERROR = 0.9  # 1; largest relative error of a frequency in an evaluation
-FREQUENCY_ERROR_STEP = 0.0005  # 1; resolution of the relative error
+MAX_FREQUENCY_ERROR = 0.9  # dimensionless; largest relative error of a frequency in an evaluation
+FREQUENCY_ERROR_STEP = 0.0005  # dimensionless; resolution of the relative error
 
 
 class OperatingPoint(NamedTuple):

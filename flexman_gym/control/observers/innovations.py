@@ -86,11 +86,11 @@ class InnovationGains:
         return result
 
 
-SQUARE_FORGETTING = 0.1  # 1; weight of the latest innovation in the mean square
-MEAN_FORGETTING = 0.02  # 1; weight of the latest innovation in the mean
+SQUARE_FORGETTING = 0.1  # dimensionless; weight of the latest innovation in the mean square
+MEAN_FORGETTING = 0.02  # dimensionless; weight of the latest innovation in the mean
 SQUARE_THRESHOLD = 1.45  # standard deviations; mean square minus 1 above which a change is detected
 MEAN_THRESHOLD = 5.5  # standard deviations; mean innovation above which a change is detected
-MAX_MISFIT = 20.0  # 1; mean square above which no model explains the measurements
+MAX_MISFIT = 20.0  # dimensionless; mean square above which no model explains the measurements
 
 
 class ChangeDetector:

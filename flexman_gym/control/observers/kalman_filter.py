@@ -13,7 +13,7 @@ from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import holding_torques, rest_state
 
 MAX_DOUBLINGS = 20  # number of doublings, for 2^20 periods, about a million
-VARIANCE_TOLERANCE = 1e-6  # 1; relative growth of a variance in the last doubling above which it counts as infinite
+VARIANCE_TOLERANCE = 1e-6  # relative growth of a variance in the last doubling above which it counts as infinite
 
 
 def time_update(covariance: Array, transition: Array, noise: Array) -> Array:

@@ -44,7 +44,7 @@ class Observer(Protocol):
         ...
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,)."""
+        """Start new episodes of the arms (r,) of `count` in all."""
         ...
 
     def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:

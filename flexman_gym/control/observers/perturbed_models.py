@@ -24,7 +24,7 @@ class UncertainParameters:
     Args:
         model: model of the arm.
         ranges: name -> (low, high), with names as in `simulation.parameters.UNCERTAIN`: in the unit of the parameter,
-            or as factors (1) of the nominal value, for each joint or link.
+            or as factors of the nominal value, for each joint or link.
 
     Attributes:
         names: (p,) name of the physical parameter of each entry.
@@ -75,7 +75,7 @@ class UncertainParameters:
         return result
 
     def deviations(self, deviations: Array) -> dict[str, Array]:
-        """Return standard deviations of physical parameters, NAME_deviation -> (r,) or (r, entries), from (r, p)."""
+        """Convert standard deviations (r, p) of theta to a mapping NAME_deviation -> (r,) or (r, entries), SI units."""
         result = {}
         for name in dict.fromkeys(self.names):
             columns = np.flatnonzero(np.array(self.names) == name)
@@ -86,10 +86,10 @@ class UncertainParameters:
 
 ANGLE_STEP = 1e-3  # rad; perturbation of a start angle
 BATCH_ARMS = 32  # number of arms whose models are simulated together; limits the memory
-DIAGONAL_OFFSET = 1e-12  # 1; added to the unit diagonal of a scaled matrix against rounding
+DIAGONAL_OFFSET = 1e-12  # dimensionless; added to the unit diagonal of a scaled matrix against rounding
 MAX_ITERATIONS = 4  # Levenberg-Marquardt iterations of a fit
-MIN_DECREASE = (2.0, 0.02)  # 1; predicted decrease of the cost, in all and per period, below which a fit ends
-INITIAL_DAMPING = 1e-3  # 1; damping of the first Levenberg-Marquardt step
+MIN_DECREASE = (2.0, 0.02)  # dimensionless; predicted decrease of the cost, total and per period, that ends a fit
+INITIAL_DAMPING = 1e-3  # dimensionless; damping of the first Levenberg-Marquardt step
 
 
 class Prior(NamedTuple):
@@ -121,7 +121,7 @@ class _Resimulation(NamedTuple):
     """Result of a simulation of r arms from their start, compared with the measurements.
 
     Attributes:
-        states: (r, 1 + s, 2 d) final states of all models.
+        states: (r, 1 + s, 2 d) final states of the estimated model and the s perturbed models of each arm.
         information: (r, p, p) information matrix of the measurements for theta, the Gauss-Newton matrix.
         gradient: (r, p) half the negative gradient of the cost.
         cost: (r,) sum of squared residuals, in standard deviations.
@@ -175,7 +175,7 @@ class PerturbedModels:
         """Return the start states (r, 1 + s, 2 d) of the models.
 
         Args:
-            origin: (r, 2 d) start states for start angles of 0 in theta.
+            origin: (r, 2 d) start states to which the rotation by the start angles in theta is added.
             theta: (r, p) parameter vectors.
 
         Returns:
@@ -192,7 +192,7 @@ class PerturbedModels:
         """Return the Jacobian (r, 2 d, s) of the states with respect to the perturbed entries of theta.
 
         Args:
-            states: (r, 1 + s, 2 d) states of all models.
+            states: (r, 1 + s, 2 d) states of the estimated model and the s perturbed models of each arm.
             steps: (r, s) perturbations of theta.
 
         Returns:

@@ -52,7 +52,7 @@ class SlewReferences:
         model: model of the arm.
         limits: (n,) torque limits, N m.
         torque_fraction: fraction of the limits available to a slew; the remainder is reserved for feedback.
-        payloads: kg, one or three, ascending.
+        payloads: masses of one or three payloads, kg, from the lightest to the heaviest.
 
     Attributes:
         time_scaling: (b,) rate of the clock of a slew relative to time.
@@ -169,7 +169,10 @@ class SlewReferences:
         self.start_time[arms], self.duration[arms] = times, CANDIDATE_DURATIONS[chosen]
 
     def _interpolate(self, table: Array, arms: IntArray, progress: Array, accelerations: Array, speeds: Array) -> Array:
-        """Return rest + a s'' + b s'^2, (r, ..., m), from a table (b, 11, 3, m) at path parameters (r, ...)."""
+        """Return rest + a s'' + b s'^2, (r, ..., m), at path parameters (r, ...).
+
+        Axes of the table (b, 11, 3, m): arm, point of the path, layer (REST, s'' or s'^2), and m table entries.
+        """
         at = np.clip(progress, 0.0, 1.0) * (len(PATH_POINTS) - 1)
         low = np.minimum(at.astype(np.int64), len(PATH_POINTS) - 2)
         part, rows = (at - low)[..., None, None], arms.reshape(-1, *(1,) * (progress.ndim - 1))
@@ -272,7 +275,7 @@ class PathReferences:
     Args:
         model: model of the arm.
         period: control period, s.
-        payloads: kg, one or three, ascending.
+        payloads: masses of one or three payloads, kg, from the lightest to the heaviest.
     """
 
     state_fields = ("_weights", "_compliance", "_friction")

@@ -23,20 +23,20 @@ KNOT_SPACING = 0.1  # s; time between two knots of the torques
 TAIL_TIME = 0.2  # s; duration of the torques after the arrival of the tip
 SETTLING_TIME = 1.0  # s; duration of control by the LQR after the optimised torques
 MIN_KNOTS = 4  # smallest number of knots
-FIRST_FACTOR = 0.8  # 1; first trial duration, relative to a minimum-jerk slew
-SHORTER_FACTOR = 0.88  # 1; next trial duration after a success, relative to the last
-LONGER_FACTOR = 1.12  # 1; next trial duration after a failure, relative to the last
-DURATION_TOLERANCE = 0.012  # 1; relative difference of failed and successful duration that ends the search
+FIRST_FACTOR = 0.8  # dimensionless; first trial duration, relative to a minimum-jerk slew
+SHORTER_FACTOR = 0.88  # dimensionless; next trial duration after a success, relative to the last
+LONGER_FACTOR = 1.12  # dimensionless; next trial duration after a failure, relative to the last
+DURATION_TOLERANCE = 0.012  # dimensionless; relative difference of failed and successful duration that ends the search
 MAX_DURATIONS = 40  # largest number of trial durations
 MAX_STEPS = 60  # largest number of Gauss-Newton steps for one duration
 MAX_JACOBIANS = 12  # largest number of Jacobians for one duration
 INNER_BAND = 0.6  # fraction of the band; smaller errors have no weight
 SETTLED_BAND = 0.995  # fraction of the band within which the tip counts as settled
-DAMPING_FACTORS = np.array([0.1, 1.0, 10.0, 100.0])  # 1; changes of the damping that are tried in each step
-MIN_DAMPING = 1e-6  # 1; least damping of the Gauss-Newton matrix
-MAX_DAMPING = 1e3  # 1; largest damping
+DAMPING_FACTORS = np.array([0.1, 1.0, 10.0, 100.0])  # dimensionless; changes of the damping that are tried in each step
+MIN_DAMPING = 1e-6  # dimensionless; least damping of the Gauss-Newton matrix
+MAX_DAMPING = 1e3  # dimensionless; largest damping
 INITIAL_DAMPING = 1e-2  # 1
-MAX_COST_RATIO = 0.9  # 1; largest ratio of the costs after and before a successful step
+MAX_COST_RATIO = 0.9  # dimensionless; largest ratio of the costs after and before a successful step
 BROYDEN_UPDATES = 5  # number of successful steps with one Jacobian
 TORQUE_STEP = 0.005  # fraction of the torque limits; perturbation for the Jacobian
 RATE_BOUND = 0.97  # fraction of the largest motor rate above which rates are penalised
@@ -263,7 +263,7 @@ class SingleShooting:
 
 SHIPPED_TABLE = Path(__file__).parent / "tables" / "FlexRRR-v0.npz"  # optimised slews of the seeds 9000 to 9099
 POSTURE_TOLERANCE = 1e-9  # rad; largest difference of equal postures
-ARM_TOLERANCE = 1e-9  # 1; largest relative difference of the numbers of equal arms
+ARM_TOLERANCE = 1e-9  # dimensionless; largest relative difference of the numbers of equal arms
 COMMAND = "flexman optimise ENVIRONMENT --seeds FIRST COUNT --out FILE"
 ENTRIES = ("about", "arm", "seeds", "ends", "periods", "times", "counts", "knots")  # arrays of a file
 
@@ -420,7 +420,7 @@ class OptimisedController(LQR):
         self._table, self._slews, self._now = table, list[Array](), np.zeros(0, dtype=np.int64)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Look up the slews of the arms (r,)."""
+        """Look up the slews of the arms (r,) of `count` in all."""
         if episode.path is not None:
             raise value_error("episode", "a moving goal", "a fixed goal: slews are optimised for fixed goals only")
         found = [self._table.torques(*ends) for ends in zip(episode.start, episode.goal, strict=True)]

@@ -20,7 +20,7 @@ class _TimingLaw(NamedTuple):
     Attributes:
         begins: (k,) start times of the phases, s.
         coefficients: (k, 6) in ascending powers of the time since the start of a phase.
-        duration: s.
+        duration: duration of the motion, s.
     """
 
     begins: Array
@@ -215,8 +215,9 @@ def _slew_path(model: Model, start: Array, goal: Array, timing_law: str = "minim
 
 
 def _via_path(model: Model, postures: Array, count: int) -> _JointPath:
-    """Return the path through postures (m, n) rad of the motors, each at the end of one of `count` control periods.
+    """Return the path through m motor postures (m, n), rad, in `count` control periods.
 
+    Each posture is reached at the end of a control period, at most one posture in a period.
     The path is a cubic spline with two additional knots, so that it starts and ends with zero acceleration (Biagiotti
     and Melchiorri, Trajectory planning for automatic machines and robots, 2008, section 4.4.4). Times between postures
     are proportional to the square roots of their distances (Lee, Computer-Aided Design 21, 1989, 363).
@@ -241,7 +242,7 @@ def _via_path(model: Model, postures: Array, count: int) -> _JointPath:
 
 
 def _check_points(*fractions: Array) -> Array:
-    """Return equidistant fractions of a duration, sorted together with given fractions of largest acceleration."""
+    """Return equidistant fractions of a duration, merged in ascending order with fractions of extreme acceleration."""
     return np.sort(np.concatenate([np.linspace(0.0, 1.0, PATH_SAMPLES), *fractions]))
 
 

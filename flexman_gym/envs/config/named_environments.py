@@ -49,8 +49,9 @@ class _NamedEnvironment:
     def load(cls, path: Path) -> Self:
         """Return the named environment of a YAML file with the attributes of this class as plain data.
 
-        The arm is a name or a mapping as for `Configuration`; in addition, lists at its key "joints" set fields of the
-        joints. The key "extends" names a second environment in the same folder, which supplies missing attributes.
+        The arm is a name or a mapping as for `Configuration`. In addition, lists at its key "joints" set fields of the
+        joints, such as joints: {stiffness: [5e3, 5e3, 2e3]}. The key "extends" names a second environment in the same
+        folder, which supplies missing attributes.
 
         Args:
             path: path of the file.
@@ -85,7 +86,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _arm(value: Any) -> Arm:
-    """Return the arm of a name or a mapping; lists at the key "joints" set fields of its joints."""
+    """Return the arm of a name or a mapping, whose key "joints" maps fields of the joints to lists of values (n,)."""
     if not isinstance(value, dict) or "joints" not in value:
         return find_arm(value)
     arm = find_arm({name: each for name, each in value.items() if name != "joints"})

@@ -19,15 +19,16 @@ class Randomisation:
     Args:
         impulse_gap: mean time between two impulses, or two changes of load, s; at least a control period. None for 2 s.
         **ranges: name -> (low, high). Physical parameters of `simulation.parameters.PARAMETERS`: payload_mass (kg),
-            joint_damping (N m s/rad) and factors > 0 on the nominal values, one for each joint or link,
-            joint_stiffness_factor, rotor_inertia_factor, viscous_friction_factor, coulomb_friction_factor and
-            link_stiffness_factor. Effects of `envs.effects.SIGNALS`: torque_limit_factor, sensor_noise (standard
+            joint_damping (N m s/rad), joint_stiffness_factor, rotor_inertia_factor, viscous_friction_factor,
+            coulomb_friction_factor and link_stiffness_factor. A factor is > 0 and multiplies the nominal value of each
+            joint or link. Effects (disturbances) of `envs.effects.SIGNALS`: torque_limit_factor, sensor_noise (standard
             deviation as a fraction of the measurement range), delay (whole control periods), initial_vibration (m),
             tip_impulse (N s), tip_load (N) and base_sway (m/s^2).
 
     Attributes:
         effects: names of the enabled parameters and effects, in the order of PARAMETERS and SIGNALS.
-        ranges: name of an enabled parameter or effect -> (low, high). Each range is also an attribute, None by default.
+        ranges: name of a parameter or effect -> (low, high), without the disabled ones of the argument `ranges` and
+            without the suffix "_factor". Each range is also an attribute, None by default.
         given: arguments of the constructor by name.
 
     Examples:

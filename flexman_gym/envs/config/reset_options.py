@@ -36,8 +36,8 @@ def inverse_kinematics(field: str, position: Array, near: Array, view: View) -> 
     starts = near + np.random.default_rng(0).uniform(-np.pi, np.pi, (INITIAL_POSTURES, len(near)))
     found = [angles for start in (near, *starts) if (angles := _solve(position, start, view)) is not None]
     if not found:
-        span = f"{view.reach:.4g} m of links"
-        raise value_error(field, position.tolist(), f"a position of the tip (m, base frame) within reach of {span}")
+        allowed = f"a position of the tip (m, base frame) within the reach of the arm, {view.reach:.4g} m"
+        raise value_error(field, position.tolist(), allowed)
     changes = np.array(found) - near
     changes -= 2.0 * np.pi * np.round(changes / (2.0 * np.pi))
     result: Array = near + changes[np.argmin((changes**2).sum(axis=1))]

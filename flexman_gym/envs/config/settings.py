@@ -112,7 +112,7 @@ def _info_keys_setting(value: object) -> tuple[str, ...]:
 
 
 def _find_randomisation(value: object) -> Randomisation | None:
-    """Return a Randomisation from a dict of its arguments; a Randomisation and None are returned unchanged."""
+    """Convert a dict of arguments to a Randomisation; a Randomisation and None are returned unchanged."""
     if isinstance(value, dict):
         return Randomisation(**{text("a key of randomisation", name): each for name, each in value.items()})
     if value is not None and not isinstance(value, Randomisation):

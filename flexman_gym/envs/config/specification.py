@@ -49,7 +49,7 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
 
 
 def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Controller | None, ActionMode]:
-    """Return base controller (None without one) and action mode of an environment, designed from a model of its arm.
+    """Return base controller (or None) and action mode of an environment, designed from a model of its arm.
 
     A UserWarning is issued for a PD controller whose sampled loop is unstable with the largest delay.
     """

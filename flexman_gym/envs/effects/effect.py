@@ -39,7 +39,7 @@ HOOKS = ("begin", "change_start", "motor_actions", "add_tip_forces", "add_base_a
 
 
 class Effect(Protocol):
-    """Protocol of an effect on b arms: `checked`, `shape`, `draw` and at least one of the HOOKS.
+    """Protocol of an effect on b arms, a disturbance such as noise or delay, with at least one of the HOOKS.
 
     With an attribute `factor = True` the effect draws factors on a nominal value, and its range is named "..._factor".
 

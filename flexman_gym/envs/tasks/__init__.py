@@ -1,4 +1,4 @@
-"""Tasks: start, goal, reward and sensors of the goal."""
+"""Tasks: start, goal, reward and sensors that observe the goal."""
 
 from dataclasses import asdict, fields
 from typing import Any

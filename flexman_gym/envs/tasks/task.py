@@ -1,4 +1,4 @@
-"""Task protocol: start, goal, reward and sensors of the goal."""
+"""Task protocol: start, goal, reward and sensors that observe the goal."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -11,7 +11,7 @@ from flexman_gym.envs.view import Number, View
 
 TASK_MEMBERS = ("sensors", "moves", "draw", "goal", "reward_terms", "info")
 OPTIONAL_TASK_MEMBERS = ("metrics", "disturbances")
-TRACKING_METRICS = ("rms_error",)  # metrics of tasks whose target moves, or is at the start of the tip
+TRACKING_METRICS = ("rms_error",)  # metrics of tasks whose target moves, or equals the initial tip position
 
 
 class Goal(NamedTuple):
@@ -34,13 +34,13 @@ class Task(Protocol):
     arguments of `Randomisation`. Misspelt names raise ValueError.
 
     Attributes:
-        sensors: sensors of the goal, added to those of the environment; () for no sensors.
+        sensors: sensors that observe the goal, added to those of the environment; () for no sensors.
         moves: True if the goal changes during an episode; `goal` is then called in every control period.
     """
 
     @property
     def sensors(self) -> Sequence[Sensor]:
-        """Sensors of the goal, added to those of the environment."""
+        """Sensors that observe the goal, added to those of the environment."""
         ...
 
     @property
@@ -75,8 +75,8 @@ class Task(Protocol):
         """Return the terms of the reward of the last control period by name; the reward is their sum.
 
         Args:
-            view: view of all arms, or of a single arm without the axis of the arms; use `...`, `axis=-1` and the
-                functions of NumPy.
+            view: view of all arms, or of a single arm without the axis of the arms; index with `...` and
+                `axis=-1`, so that the same expression of NumPy serves both.
         """
         ...
 

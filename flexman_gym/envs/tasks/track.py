@@ -54,7 +54,7 @@ def _circle(random: np.random.Generator, size: float) -> Array:
 
 
 def _lemniscate(random: np.random.Generator, size: float) -> Array:
-    """Return the Fourier series (3, 2 h + 1) of a lemniscate of Gerono, a figure of eight of length 2 `size`, m."""
+    """Return the Fourier series (3, 2 h + 1), with h harmonics, of a lemniscate of Gerono 2 `size` (m) wide."""
     result = np.zeros((3, 2 * HARMONICS + 1))
     result[0, 1], result[1, 4] = size, 0.5 * size
     return result
