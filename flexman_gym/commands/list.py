@@ -40,8 +40,7 @@ def _entries(what: str) -> Iterable[tuple[str, str]]:
     from flexman_gym.control.base_controllers import BASES
     from flexman_gym.envs.config.named_environments import CONDITION_FOLDER, CONDITIONS, NAMED_ENVIRONMENTS
     from flexman_gym.envs.sensors import SENSOR_SETS, SENSORS
-    from flexman_gym.scene import catalog
-    from flexman_gym.scene.serialization import ARMS
+    from flexman_gym.scene.serialization import ARMS, named_arm
     from flexman_gym.simulation.methods import METHODS
 
     if what == "environments":
@@ -67,7 +66,7 @@ def _entries(what: str) -> Iterable[tuple[str, str]]:
     elif what == "methods":
         yield from ((name, f"{method.kind}, order {method.order}") for name, method in METHODS.items())
     elif what == "arms":
-        yield from ((name, (getattr(catalog, name).__doc__ or "").splitlines()[0]) for name in ARMS)
+        yield from ((name, (named_arm(name).__doc__ or "").splitlines()[0]) for name in ARMS)
     elif what == "examples":
         folder = next(path for path in EXAMPLE_FOLDERS if path.is_dir())
         yield from ((str(path), _first_sentence(path)) for path in sorted(folder.glob("*.*")))

@@ -40,10 +40,13 @@ def amplification_factors(method: Method, angle: float | Array) -> NDArray[np.co
 
     Raises:
         ValueError: for a reference method, which has no fixed step.
+        TypeError: for a family of methods without factors here.
     """
     angle = np.asarray(angle, dtype=np.float64)
-    if method.adaptive or not isinstance(method, Explicit | LinearlyImplicit | Implicit | IteratedGauss):
+    if method.adaptive:
         raise ValueError(f"method: {method.name} chooses its steps; give a method of fixed steps")
+    if not isinstance(method, Explicit | LinearlyImplicit | Implicit | IteratedGauss):
+        raise TypeError(f"method: amplification_factors lacks the family {type(method).__name__} of {method.name}")
     if isinstance(method, Implicit | IteratedGauss):
         return _implicit_factors(method, angle)
     if isinstance(method, LinearlyImplicit):
