@@ -26,6 +26,7 @@ from flexman_gym.metrics import (
     settling_time,
     upper_median,
 )
+from flexman_gym.simulation.methods import DEFAULT_METHOD
 
 MEAN, MEDIAN, SHARE = "mean", "median", "share"
 
@@ -179,7 +180,8 @@ def metrics_table(results: Mapping[str, Sequence[EpisodeRecord]], environment: C
     """
     columns = task_metrics(environment.task)
     first = next(iter(results.values()))
-    changes = ", ".join(sorted(environment.settings)) or "as it is"
+    settings = environment.settings.keys() - ({"method"} if environment.method == DEFAULT_METHOD else set())
+    changes = ", ".join(sorted(settings)) or "as it is"
     title = f"{len(first)} episodes of {environment.id} ({changes}), the same for all"
     headers = ["agent", *(_header(metric, first[0].band) for metric in columns)]
     rows = [[_shorten(name), *(_cell(metric, records) for metric in columns)] for name, records in results.items()]
