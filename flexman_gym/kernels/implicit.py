@@ -82,10 +82,8 @@ def _corrected_springs(constants, work, g, correction, v):
     stage_forces(constants, work, v, position, speed, work.shift[:d])
     solve(constants, work, work.rates)
     for k in range(d):
-        position[k] = fma(g * g, work.rates[k], position[k])
-        speed[k] = fma(g, work.rates[k], speed[k])
-        work.shift[k] = fma(g, work.rates[k], work.shift[k])
-    stage_forces(constants, work, v, position, speed, work.shift[:d])
+        position[k], speed[k] = g * g * work.rates[k], g * work.rates[k]
+    shift_forces(constants, work, position, speed)
     solve(constants, work, work.rates)
     for k in range(d):
         springs[k] = fma(-4.0 * correction * g * g, work.rates[k], work.stage_state[k])
