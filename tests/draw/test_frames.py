@@ -70,6 +70,12 @@ def test_target_tip_and_ghost_are_where_a_pinhole_sees_them(painter):
     patch = slice(row - 2, row + 3), slice(column - 2, column + 3)
     full = empty[patch] + GHOST_SHARE * (rgb(GHOST) - empty[patch])
     assert np.abs(picture[patch] - full).max(axis=2).min() < 2.0, "a pixel that the ghost covers wholly"
+    column, row = np.rint(shot.camera.project(np.array([*TARGET_AT[:2], 0.5 * (TARGET_AT[2] + shot.floor)]))).astype(
+        int
+    )
+    below = np.s_[row - 1 : row + 2, column - 1 : column + 2]
+    change = np.abs(picture[below].astype(int) - painter.paint(BENT, shot=shot)[below])
+    assert change.max() > 10, "a line from the target to the floor"
 
 
 @pytest.mark.parametrize("gain", [1.0, 3.0])

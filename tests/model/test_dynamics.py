@@ -281,3 +281,14 @@ def test_many_postures_have_the_frequencies_of_each(lock_joints):
     assert np.array_equal(fm.frequencies(model, postures, lock_joints), expected)
     with pytest.raises(ValueError, match=r"^joint_angles: .*; give numbers \(3,\) or \(k, 3\), rad$"):
         fm.frequencies(model, postures[:, :2], lock_joints)
+
+
+def test_viscous_friction_damps_the_motors():
+    """By the virtual work of the friction torques: the damping matrix changes by b at each motor angle alone."""
+    arm, friction = fm.catalog.paper_rrr(), np.array([3.0, 0.5, 2.0])
+    joints = [replace(joint, viscous_friction=b) for joint, b in zip(arm.joints, friction, strict=True)]
+    plain = [replace(joint, viscous_friction=0.0) for joint in arm.joints]
+    model, free = (fm.build_model(replace(arm, joints=each), modes=1) for each in (joints, plain))
+    expected = np.zeros((model.n_dof, model.n_dof))
+    expected[model.motor_columns, model.motor_columns] = friction
+    assert np.array_equal(fm.damping_matrix(model) - fm.damping_matrix(free), expected)
