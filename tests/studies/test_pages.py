@@ -19,7 +19,7 @@ from studies.stability.page import page as stability_page
 from oracles.files import ROOT
 
 DOCS = ROOT / "docs"
-DEFAULT = "midpoint_3", PERIOD / 3  # method and step, s
+DEFAULT = "midpoint_corrected_3", PERIOD / 3  # method and step, s
 PAGES = {
     "control": (ControlRow, lambda rows, computer: control_page(rows)),
     "fidelity": (FidelityRow, lambda rows, computer: fidelity_page(rows, more("fidelity_open", FidelityRow))),
