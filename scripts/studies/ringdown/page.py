@@ -112,8 +112,8 @@ TITLES = {
 def page(rows: Sequence[RingDownRow], computer: str, default: tuple[str, float]) -> str:
     """Return the page as Markdown."""
     tables = [
-        f"Computed with {computer}, one core. CPU is the CPU time of one arm per simulated second. That of the corrected "
-        "midpoint rules is the CPU time of the midpoint rules times 1.18, the ratio measured in turns."
+        f"Computed with {computer}, one core. CPU is the CPU time of one arm per simulated second. That of the "
+        "corrected midpoint rules is the CPU time of the midpoint rules times 1.18, the ratio measured in turns."
     ]
     for kind, title in TITLES.items():
         result = [_cells(row) for row in rows if row.kind == kind]
