@@ -135,8 +135,11 @@ LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")
 
 
 def complete_environment(data: object) -> None:
-    """Add the method to the environment of a run folder or a policy that names none, as written by release 0.2."""
-    if isinstance(data, dict):
+    """Add the method to the environment of a run folder or a policy that names none, as written by release 0.2.
+
+    With fidelity="auto" no method is added, since `choose_model` chooses it.
+    """
+    if isinstance(data, dict) and data.get("fidelity", "default") == "default":
         data.setdefault("method", FORMER_DEFAULT_METHOD)
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import flexman_gym as fm
 from flexman_gym.common import files
+from flexman_gym.common.renamed import complete_environment
 from flexman_gym.control import PD
 from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.configuration import RENAMED, Configuration
@@ -326,3 +327,14 @@ def test_the_limit_of_deflection_is_a_part_of_each_links_length():
     view = env.episodes.view
     bounds = env.configuration.limits.bounds(view)["link_deflections"]
     assert bounds == pytest.approx(0.2 * np.repeat([link.length for link in env.configuration.arm.links], 2))
+
+
+@pytest.mark.parametrize(("own", "method"), [({}, "midpoint_3"), ({"method": "ros2"}, "ros2"),
+                                             ({"fidelity": "auto", "tolerance": 0.01}, None)])  # fmt: skip
+def test_an_environment_of_release_0_2_keeps_its_method(own, method):
+    """With fidelity="auto" the method is chosen, so that a file names none."""
+    stored = {"id": "FlexRRR-v0", **own}
+    complete_environment(stored)
+    plain = Configuration.from_plain(stored).to_plain()
+    assert stored.get("method") == plain.get("method") == method
+    assert Configuration.from_plain(plain).to_plain() == plain

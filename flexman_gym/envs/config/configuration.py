@@ -211,7 +211,8 @@ class Configuration(EnvironmentSettings):
         plain = {name: self._plain(name, value, strict) for name, value in self._given.items()}
         if self.base == "pd":
             plain["gains"] = {name: list(numbers) for name, numbers in self.gains.items()}
-        plain.setdefault("method", self._plain("method", self.method, strict))
+        if self.fidelity == "default":
+            plain.setdefault("method", self._plain("method", self.method, strict))
         return {"id": self.id, **plain, "arm": to_plain(self.arm)}
 
     def _plain(self, name: str, value: Any, strict: bool) -> Any:
