@@ -82,8 +82,9 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         arm with the same motor angles and rates), elastic_energy (J), energy_residual (J, work - dissipation - change
         of energy since the reset, an error of the integration), energy_alarm (True if the residual exceeds a fraction,
         the setting `energy_alarm`, of the energy turnover), reward_terms, status (of the simulation: "ok" or the reason
-        of its end), failure ("" or its cause), tip and target (m), goal_angles (rad, of the motors); with a
-        randomisation also drawn, a dict of the values drawn for the episode (see `ActiveEffects`).
+        of its end), failure ("" or its cause), method (name of the integration method), tip and target (m),
+        goal_angles (rad, of the motors); with a randomisation also drawn, a dict of the values drawn for the episode
+        (see `ActiveEffects`).
 
     Fidelity
         By default the model has two elements per link and the component modes below half the control rate, 16 of 36
@@ -98,6 +99,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
     Version history
         v0: first version. Up to release 0.1.0 the method was "ros2" with steps of 5 ms, which numerically added or
         removed energy in free vibrations. `method="ros2", step=0.005` restores the rewards and observations of 0.1.0.
+        In release 0.2.0 the method was "midpoint_3", with the same steps; `method="midpoint_3"` restores it.
 
     Args:
         render_mode: None, "rgb_array", or "human", which shows every step in real time: in a window of pygame, or
@@ -235,7 +237,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         episodes = self.episodes
         view, info = episodes.current_view, episodes.info()
         info["status"] = layout.STATUS[episodes.batch.status[0]]
-        info["failure"] = episodes.failures.get(0, "")
+        info["failure"], info["method"] = episodes.failures.get(0, ""), episodes.batch.method.name
         info["tip"], info["target"], info["goal_angles"] = view.tip.copy(), view.target.copy(), view.goal_angles.copy()
         if episodes.effects is not None:
             info["drawn"] = episodes.effects.drawn_for(0)

@@ -145,7 +145,9 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         self._allowed_actions = f"{num_envs} rows of {size} numbers from -1 to 1"
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
         self._seeds = [-1] * num_envs
-        self._status_ok, self._no_failure = (np.full(num_envs, text, dtype=object) for text in (layout.STATUS[0], ""))
+        self._status_ok, self._no_failure, self._method = (
+            np.full(num_envs, text, dtype=object) for text in (layout.STATUS[0], "", self.batch.method.name)
+        )
         self._all_arms = np.ones(num_envs, dtype=bool)
 
     def reset(
@@ -272,8 +274,8 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         for arm, text in episodes.failures.items():
             status[arm], failure[arm] = layout.STATUS[self.batch.status[arm]], text
         infos |= {
-            "status": status, "failure": failure, "tip": view.tip.copy(), "target": view.target.copy(),
-            "goal_angles": view.goal_angles.copy(),
+            "status": status, "failure": failure, "method": self._method.copy(), "tip": view.tip.copy(),
+            "target": view.target.copy(), "goal_angles": view.goal_angles.copy(),
         }  # fmt: skip
         if episodes.effects is not None:
             infos["drawn"] = episodes.effects.drawn

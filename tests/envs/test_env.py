@@ -18,7 +18,7 @@ from oracles.random_inputs import EVERYTHING
 POSTURE = (0.3, 0.4, -0.5)
 INFO = {
     "tip_error", "tip_vibration", "elastic_energy", "energy_residual", "energy_alarm", "reward_terms", "status",
-    "failure", "tip", "target", "goal_angles",
+    "failure", "method", "tip", "target", "goal_angles",
 }  # fmt: skip
 FAR = fm.Limits(angle=1e9, rate=1e9, twist=1e9, deflection=1e9, deflection_rate=1e9, tip_speed=1e9)
 EPISODES = """

@@ -119,6 +119,15 @@ def test_error_estimates_vanish_for_a_constant_slope(name):
     assert method.tableau.sequence_error.sum() == pytest.approx(0.0, abs=1e-12)
 
 
+def test_the_semi_implicit_euler_method_advances_coordinates_with_the_new_rates():
+    step = 1e-4
+    model = fm.build_model(scene(SOFT).arm)
+    result = fm.simulate(replace(scene(SOFT), duration=step, output_step=step), model, "semi_implicit_euler", step)
+    before, after = np.split(result.states, 2, axis=1)
+    assert before[1] == pytest.approx(before[0] + step * after[1], rel=1e-14, abs=1e-18)
+    assert np.abs(after[1] - after[0]).max() > 1e-6
+
+
 def stability(method, z):
     """R(z): what a step of length 1 makes of y' = z y, y = 1; the sequences of an extrapolation weighed."""
     ones = np.ones(len(method.b))

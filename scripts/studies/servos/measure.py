@@ -22,6 +22,7 @@ from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link
 from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.methods import DEFAULT_METHOD
 
 ENVIRONMENTS = ("FlexRRR-v0", "FlexPlanar-v0", "FlexOne-v0")
 PERIODS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.04)  # s; control periods of the servo
@@ -36,7 +37,7 @@ LEAST, MOST, GROWN = (
     1e20,
 )  # shortest simulation, s; most control periods; energy growth of a visible instability
 SMALL = 1e-4  # rad; initial joint angles of the simulations
-METHODS = ("midpoint_3", "gauss_3")
+METHODS = (DEFAULT_METHOD, "gauss_3")
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from studies.servos.measure import (
     DURATION,
     ENVIRONMENTS,
     LARGEST,
+    METHODS,
     PERIODS,
     SPRINGS,
     FrictionRow,
@@ -40,7 +41,7 @@ SPRUNG = "The same arms with joint springs 10 and 100 times as stiff, with ideal
 TRIED = (
     "## Check by simulation\n\nFor {count} randomly chosen limits the environments were simulated with "
     "gains {apart:.0%} below and above them. Steps were at most those of the environment, and the methods "
-    "`midpoint_3` and `gauss_3` alternated. **Below its limit the arm came to rest in {calm} of {count}, above it "
+    "{methods} alternated. **Below its limit the arm came to rest in {calm} of {count}, above it "
     "in {calm_above}.** Rest is a final energy of at most half of the largest energy."
 )
 FRICTION = (
@@ -116,7 +117,13 @@ def _tried(rows: Sequence[ServoRow]) -> str:
     tried = [row for row in rows if row.below is not None and row.above is not None]
     calm = sum(row.below < REST for row in tried)  # type: ignore[operator]
     calm_above = sum(row.above < REST for row in tried)  # type: ignore[operator]
-    return TRIED.format(count=len(tried), apart=APART, calm=calm, calm_above=calm_above)
+    return TRIED.format(
+        count=len(tried),
+        apart=APART,
+        methods=" and ".join(f"`{each}`" for each in METHODS),
+        calm=calm,
+        calm_above=calm_above,
+    )
 
 
 def _friction(rows: Sequence[FrictionRow]) -> str:

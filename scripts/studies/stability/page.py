@@ -218,9 +218,9 @@ DAMPED = (
 )
 AMPLITUDES = (
     "The amplification factor predicts these amplitudes with a relative error of {worst:.1e}, if more than 0.1 % "
-    "remains. Numerical damping can therefore be computed in advance. The semi-implicit Euler method preserves "
-    "amplitudes on average, but deviates by up to {euler} at an instant, since its conserved quantity is not exactly "
-    "the energy."
+    "remains. Numerical damping can therefore be computed in advance. The semi-implicit Euler method and the corrected "
+    "midpoint rules preserve amplitudes on average, but deviate by up to {euler} and {corrected} at an instant, since "
+    "their conserved quantity is not exactly the energy."
 )
 IN_CONTROL_PERIODS = (
     "`generalised_alpha` has an auxiliary acceleration, which a `Simulator` carries over from one control period of "
@@ -314,12 +314,15 @@ def _damping_conclusion(rows: Sequence[StabilityRow]) -> str:
 
 def _amplitude_conclusions(rows: Sequence[StabilityRow]) -> list[str]:
     kept = [row for row in rows if row.quantity == KEPT and row.verdict in (OK, INACCURATE) and row.value > 1e-3]
-    euler = max(abs(row.value - 1.0) for row in kept if row.method == "semi_implicit_euler")
-    others = [row for row in kept if row.method != "semi_implicit_euler"]
+    euler, corrected = (
+        max(abs(row.value - 1.0) for row in kept if row.method.startswith(name))
+        for name in ("semi_implicit_euler", "midpoint_corrected")
+    )
+    others = [row for row in kept if not row.method.startswith(("semi_implicit_euler", "midpoint_corrected"))]
     worst = max(abs(row.value / (row.expected or math.nan) - 1.0) for row in others)
     share = partial(_share, rows, "generalised_alpha", 0.005)
     periods = IN_CONTROL_PERIODS.format(in_periods=share(quantity=IN_PERIODS), in_one_run=share())
-    return [AMPLITUDES.format(worst=worst, euler=_percent(euler)), "", periods, ""]
+    return [AMPLITUDES.format(worst=worst, euler=_percent(euler), corrected=_percent(corrected)), "", periods, ""]
 
 
 def _share(rows: Sequence[StabilityRow], name: str, step: float, mode: float = 2.0, quantity: str = KEPT) -> str:
