@@ -11,6 +11,7 @@ import flexman_gym as fm
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.kernels import layout
 from flexman_gym.model.dynamics import stiffness_matrix
+from flexman_gym.scene.signals import ConstantTorque
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.methods import KINDS, METHODS, Explicit, IteratedGauss, LinearlyImplicit, generalised_alpha
 from flexman_gym.simulation.stability import amplification_factors, remaining_amplitude, spectral_radii
@@ -126,6 +127,15 @@ def test_the_semi_implicit_euler_method_advances_coordinates_with_the_new_rates(
     before, after = np.split(result.states, 2, axis=1)
     assert before[1] == pytest.approx(before[0] + step * after[1], rel=1e-14, abs=1e-18)
     assert np.abs(after[1] - after[0]).max() > 1e-6
+
+
+@pytest.mark.parametrize("name", ["dopri5", "dop853"])
+def test_the_scale_of_the_error_includes_the_new_state(name):
+    """From rest the old state is zero, and an absolute tolerance near zero leaves the new state alone as scale."""
+    arm = fm.catalog.planar_2r(joint_stiffness=20.0)
+    start = fm.Initial([0.0, 0.0], [0.0, 0.0])
+    at_rest = fm.Scene(arm, fm.ModelChoice(True, 1), ConstantTorque([1.0, 0.5]), start, duration=0.02, output_step=0.02)
+    assert fm.simulate(at_rest, method=name, rtol=1e-6, atol=1e-300).status == "ok"
 
 
 def stability(method, z):
