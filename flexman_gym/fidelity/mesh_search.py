@@ -44,8 +44,8 @@ class MeshSearch(ModelSearch):
         mesh_errors: mesh -> largest distance of its tip from that of the reference, m.
     """
 
-    max_runs, max_runs_reference = MAX_RUNS_METHODS, MAX_RUNS - 6
-    max_runs_screening, max_runs_single = MAX_RUNS_SCREENING, MAX_RUNS_SINGLE
+    max_runs, max_runs_reference, max_runs_single = MAX_RUNS_METHODS, MAX_RUNS - 6, MAX_RUNS_SINGLE
+    max_runs_screening: float = MAX_RUNS_SCREENING
     max_parts, reference_rtols = 512, ()
     tolerance_shares = (0.6,)
     has_softer_models = False
