@@ -126,7 +126,7 @@ def _count(candidate, _):
     return 1.0 + sum(map(len, candidate.modes))
 
 
-@pytest.mark.parametrize(("name", "tolerance"), [("paper fr", 1e-2), ("paper fr", 1e-3), ("gravity and payload", 1e-2)])
+@pytest.mark.parametrize(("name", "tolerance"), [("paper fr", 1e-2), ("paper fr", 3e-3), ("gravity and payload", 1e-2)])
 def test_single_modes_are_omitted_that_a_selection_in_the_order_of_displacements_retains(name, tolerance, monkeypatch):
     """The error remains estimated, and the report has the effect of each retained mode."""
     scene, tips = SCENES[name](), truth(SCENES[name]())
