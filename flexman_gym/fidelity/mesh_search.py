@@ -26,8 +26,8 @@ MESH_ERROR_FACTOR = (1.0 - 1.0 / REFERENCE_ELEMENTS) ** 4 / (1.0 - (1.0 - 1.0 / 
 MESH_SHARE = 0.4  # dimensionless; largest error of the mesh / tolerance
 STEP_INCREASE = 1.7  # dimensionless; longest step to try / last step of the same method with another candidate
 # Largest number of simulations of the scene; the numbers after which no further method is tried, no further candidate
-# is screened (its error is then taken as infinite), and no further mesh is tried.
-MAX_RUNS, MAX_RUNS_METHODS, MAX_RUNS_SCREENING, MAX_RUNS_MESH = 100, 80, 65, 30
+# is screened (its error is then taken as infinite), no mode is omitted singly, and no further mesh is tried.
+MAX_RUNS, MAX_RUNS_METHODS, MAX_RUNS_SCREENING, MAX_RUNS_SINGLE, MAX_RUNS_MESH = 100, 80, 65, 86, 30
 
 
 class MeshSearch(ModelSearch):
@@ -44,7 +44,8 @@ class MeshSearch(ModelSearch):
         mesh_errors: mesh -> largest distance of its tip from that of the reference, m.
     """
 
-    max_runs, max_runs_reference = MAX_RUNS_METHODS, MAX_RUNS - 6
+    max_runs, max_runs_reference, max_runs_single = MAX_RUNS_METHODS, MAX_RUNS - 6, MAX_RUNS_SINGLE
+    max_runs_screening: float = MAX_RUNS_SCREENING
     max_parts, reference_rtols = 512, ()
     tolerance_shares = (0.6,)
     has_softer_models = False
@@ -59,7 +60,6 @@ class MeshSearch(ModelSearch):
         finest = tuple(min(REFERENCE_ELEMENTS, MAX_ELEMENTS // count) for count in sections)
         self.reference_model = self._full_model(finest)
         self.mesh_errors: dict[tuple[int, ...], float] = {}
-        self._finishing = False
         self._converge(REFERENCE_SHARE * tolerance)
         self._find_screening()
         if self.reference_model.n_elastic:
@@ -101,11 +101,6 @@ class MeshSearch(ModelSearch):
                 mesh = coarser
         return mesh
 
-    def screen(self, candidate: Candidate) -> float:
-        """Return the error (m) as in `ModelSearch.screen`; infinity if MAX_RUNS_SCREENING is exceeded."""
-        late = candidate not in self.screened and self.runs >= MAX_RUNS_SCREENING and not self._finishing
-        return np.inf if late else super().screen(candidate)
-
     def step_cost(self, trial: CandidateRun, estimate: float) -> float:
         """Return the estimate, because most of the cost of a short run does not depend on the step."""
         return estimate
@@ -121,7 +116,7 @@ class MeshSearch(ModelSearch):
         They are the errors by the selected mesh, by omitted modes, by omitted foreshortening, of the method, and of the
         reference.
         """
-        self._finishing = True
+        self.max_runs_screening = np.inf
         stiffened = candidate._replace(stiffening=self.full.stiffening)
         parts = {"mesh": self.screen(self.full)}
         parts["modes"] = self._distance(stiffened, self.full)

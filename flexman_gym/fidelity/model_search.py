@@ -29,6 +29,11 @@ class Candidate(NamedTuple):
     springs: bool
     stiffening: bool
 
+    def without(self, omitted: list[tuple[int, int]]) -> "Candidate":
+        """Return the candidate without some modes (link, mode number)."""
+        modes = [tuple(j for j in numbers if (i, j) not in omitted) for i, numbers in enumerate(self.modes)]
+        return self._replace(modes=tuple(modes))
+
     def build(self, scene: Scene) -> Model:
         """Return the model of the candidate for a scene."""
         modes = tuple(compact_modes(numbers) for numbers in self.modes)
@@ -109,6 +114,9 @@ MIN_PARTS, MAX_PARTS = 1, 64  # steps per output step in the first and the last 
 # error of the extrapolated tip positions / their change by the last halving: 1/15 in theory, larger for vibrations
 # with periods below the step
 EXTRAPOLATION_ERROR = 0.5
+MAX_SINGLE_MODES = 16  # number of modes that are omitted alone from the selected candidate, at most
+MAX_SINGLE_RUNS = 28  # number of simulations for the omission of single modes, at most
+MAX_SINGLE_DISPLACEMENT = 2.0  # dimensionless; tip displacement by a mode that is omitted singly / tolerance, at most
 REFERENCE_RTOLS = (1e-5, 1e-8, 1e-11)  # relative tolerances of "dop853", used if halved steps do not converge
 
 
@@ -159,6 +167,8 @@ class ModelSearch:
         screening: step for the screening of candidates, s; None for "dop853".
         screening_reference: simulation of the reference model at this step.
         max_runs, max_runs_reference: numbers of simulations after which no method is tried and no step is halved.
+        max_runs_screening: number of simulations after which no candidate is screened: its error is taken as infinite.
+        max_runs_single: number of simulations after which no mode is omitted singly.
         max_parts: largest number of steps per output step in `halved_runs`.
         reference_rtols: relative tolerances of references with step-size control, 1.
         tolerance_shares: error by omitted modes / tolerance, 1; a candidate is built for each value.
@@ -170,6 +180,8 @@ class ModelSearch:
 
     max_runs: float = np.inf
     max_runs_reference: float = np.inf
+    max_runs_screening: float = np.inf
+    max_runs_single: float = np.inf
     max_parts: int = MAX_PARTS
     reference_rtols: tuple[float, ...] = REFERENCE_RTOLS
     mesh_error = 0.0
@@ -305,9 +317,11 @@ class ModelSearch:
         """Return the largest tip error (m) of a candidate by its model alone, simulated once.
 
         The candidate and the full candidate are simulated by the same method with the same step, so that the error of
-        the method cancels.
+        the method cancels. The error is infinite if `max_runs_screening` is exceeded.
         """
         if candidate not in self.screened:
+            if self.runs >= self.max_runs_screening:
+                return np.inf
             method = REFERENCE_METHOD if self.screening else METHODS["dop853"]
             trial, self.screening_runs[candidate] = self.run_timed(candidate, method, self.screening)
             self.screened[candidate] = trial._replace(error=self._screening_error(self.screening_runs[candidate]))
@@ -372,20 +386,33 @@ class ModelSearch:
         Returns:
             The reduced candidate.
         """
-
-        def without(omitted: list[tuple[int, int]]) -> Candidate:
-            modes = [tuple(j for j in numbers if (i, j) not in omitted) for i, numbers in enumerate(start.modes)]
-            return start._replace(modes=tuple(modes))
-
         low, high = 0, len(order) + 1
         while high - low > 1:
             middle = (low + high) // 2
-            low, high = (middle, high) if self.screen(without(order[:middle])) <= limit else (low, middle)
+            low, high = (middle, high) if self.screen(start.without(order[:middle])) <= limit else (low, middle)
         omitted = order[:low]
         for mode in order[low + 1 : low + 5]:
-            if self.screen(without([*omitted, mode])) <= limit:
+            if self.screen(start.without([*omitted, mode])) <= limit:
                 omitted = [*omitted, mode]
-        return without(omitted)
+        return start.without(omitted)
+
+    def single_errors(self, candidate: Candidate, parts: dict[tuple[int, int], float]) -> dict[tuple[int, int], float]:
+        """Return (link, mode number) -> tip error (m) of a candidate by its model without this retained mode alone.
+
+        Only modes with a small displacement of the tip are screened, at most MAX_SINGLE_MODES.
+
+        Args:
+            candidate: the candidate.
+            parts: `contributions`.
+        """
+        self.max_runs_screening = np.inf
+        self.max_runs_single = min(self.max_runs_single, self.runs + MAX_SINGLE_RUNS)
+        last, errors = min(self.runs + MAX_SINGLE_MODES, self.max_runs_single - MAX_SINGLE_RUNS // 4), {}
+        for (link, number), displacement in parts.items():
+            retained = number in candidate.modes[link] and displacement <= MAX_SINGLE_DISPLACEMENT * self.tolerance
+            if retained and self.runs < last:
+                errors[link, number] = self.screen(candidate.without([(link, number)]))
+        return errors
 
 
 def _tip_distance(tips: Array, others: Array) -> float:

@@ -39,8 +39,11 @@ class Choice:
         estimated_error: largest distance between the tip positions of the selected simulation and of the reference at
             the outputs, plus the error of the reference, m.
         dropped: a text for each omitted part of the model, with its effect.
-        report: text with frequencies, step, numerical damping and computing cost. If the mesh was selected as well, it
-            also has the estimated effect of large rotations, which `estimated_error` does not include.
+        report: text with frequencies, step, numerical damping, the effect of each retained component mode, and
+            computing cost. The effect is the tip error by the model when this mode alone is omitted as well, measured
+            before the last modes were omitted singly, or the estimated tip displacement by the mode. If the mesh was
+            selected as well, the report also has the estimated effect of large rotations, which `estimated_error` does
+            not include.
         errors: component -> error, m; the components are "mesh", "modes", "foreshortening", "method" and "reference"
             if the mesh was selected as well, else "model" and "reference". They may cancel in part, so that their sum
             exceeds `estimated_error`.
@@ -81,7 +84,9 @@ def choose_model(scene: Scene, tolerance: float, longest_step: float | None = No
 
     Candidate models omit foreshortening, the springs of all joints, or the component modes with the smallest tip
     displacement in the motion of the reference. Their errors are measured in simulations of the scene. Costs up to
-    1.25 times the lowest are regarded as equal; of these models the one with the fewest coordinates is selected.
+    1.25 times the lowest are regarded as equal; of these models the one with the fewest coordinates is selected. From
+    it, single component modes are then omitted, smallest error first, as far as the tolerance allows; the result is
+    selected unless it costs more.
 
     The tolerance holds at the outputs of the scene; with a step longer than the output step it holds after each step
     and, between steps, for cubic interpolation of positions and velocities.
@@ -174,6 +179,22 @@ def _choose(scene: Scene, tolerance: float, longest: float) -> Choice:
         raise value_error(
             "tolerance", tolerance, f"at least {(reached + search.error) / SAFETY_FACTOR:.2g} m, the error reached"
         )
+    selected = _cheapest(search, accurate)
+    single_errors = search.single_errors(selected.candidate, parts)
+    best = _omit_singly(search, selected, single_errors)
+    search.refine_reference(best.error)
+    run = search.run(*best[:3])
+    error, errors = search.tip_error(run) + search.error, search.errors(best.candidate, run)
+    dropped = _describe_dropped(search, best.candidate, parts)
+    longer = [trial for trial in trials if trial[:2] == selected[:2] and trial.step > selected.step]
+    retained = _describe_retained(best.candidate, parts, single_errors)
+    report = _write_report(search, best, longer, retained, clock.process_time() - started)
+    chosen = search.model(best.candidate), best.method.name, best.step
+    return Choice(*chosen, error, dropped, report, errors, search.runs)
+
+
+def _cheapest(search: ModelSearch, accurate: list[CandidateRun]) -> CandidateRun:
+    """Return the smallest of the simulations with similar lowest costs, timed again."""
     cheapest = min(trial.cost for trial in accurate)
     close = [trial for trial in accurate if trial.cost <= 1.5 * cheapest]
     if search.max_timed is not None:
@@ -181,14 +202,33 @@ def _choose(scene: Scene, tolerance: float, longest: float) -> Choice:
     timed = [(min(search.measure(*trial[:3]).cost for _ in range(3)), trial) for trial in close]
     quickest = min(cost for cost, _ in timed)
     similar = [(_model_size(search, trial), cost, trial) for cost, trial in timed if cost <= COST_TOLERANCE * quickest]
-    best = min(similar, key=lambda each: each[:2])[2]
-    search.refine_reference(best.error)
-    run = search.run(*best[:3])
-    error, errors = search.tip_error(run) + search.error, search.errors(best.candidate, run)
-    dropped = _describe_dropped(search, best.candidate, parts)
-    report = _write_report(search, best, trials, clock.process_time() - started)
-    chosen = search.model(best.candidate), best.method.name, best.step
-    return Choice(*chosen, error, dropped, report, errors, search.runs)
+    return min(similar, key=lambda each: each[:2])[2]
+
+
+def _omit_singly(
+    search: ModelSearch, selected: CandidateRun, single_errors: dict[tuple[int, int], float]
+) -> CandidateRun:
+    """Omit single modes from the selected simulation, smallest error first, if it remains accurate and costs no more.
+
+    Args:
+        search: the search.
+        selected: the simulation.
+        single_errors: (link, mode number) -> tip error (m) by the model without this mode.
+
+    Returns:
+        The simulation with the same method and step and fewer modes, or the selected simulation.
+    """
+    limit, smallest = SAFETY_FACTOR * search.tolerance - search.error, selected
+    for mode in sorted(single_errors, key=lambda each: single_errors[each]):
+        candidate, has_runs = smallest.candidate.without([mode]), search.runs < search.max_runs_single
+        if has_runs and single_errors[mode] <= limit and search.screen(candidate) <= limit:
+            trial = search.measure(candidate, *selected[1:3])
+            smallest = trial if trial.error <= limit else smallest
+    if smallest is selected:
+        return selected
+    costs = [[search.measure(*each[:3]).cost for each in (smallest, selected)] for _ in range(3)]
+    cost, cost_before = np.min(costs, axis=0)
+    return smallest if cost <= cost_before else selected
 
 
 def _model_size(search: ModelSearch, trial: CandidateRun) -> tuple[int, bool]:
@@ -287,8 +327,33 @@ def _describe_dropped(
     return tuple(texts)
 
 
-def _write_report(search: ModelSearch, best: CandidateRun, trials: list[CandidateRun], seconds: float) -> str:
-    """Return a text with frequencies, step, numerical damping and computing cost of the selected simulation."""
+def _describe_retained(
+    candidate: Candidate, parts: dict[tuple[int, int], float], single_errors: dict[tuple[int, int], float]
+) -> list[str]:
+    """Return a line for each link with the effect of each component mode retained in a candidate."""
+    lines = []
+    for i, modes in enumerate(candidate.modes):
+        screened = [mode for mode in modes if np.isfinite(single_errors.get((i, mode), np.inf))]
+        errors = ", ".join(f"{mode}: {single_errors[i, mode]:.2g}" for mode in screened)
+        displacements = ", ".join(f"{mode}: {parts[i, mode]:.2g}" for mode in modes if mode not in screened)
+        texts = [f"tip error (m) without mode {errors}"] if errors else []
+        texts += [f"estimated tip displacement (m) by mode {displacements}"] if displacements else []
+        lines += [f"link {i + 1}, {'; '.join(texts)}"] if texts else []
+    return lines
+
+
+def _write_report(
+    search: ModelSearch, best: CandidateRun, longer: list[CandidateRun], retained: list[str], seconds: float
+) -> str:
+    """Return a text with frequencies, step, numerical damping, retained modes and cost of the selected simulation.
+
+    Args:
+        search: the search.
+        best: the selected simulation.
+        longer: simulations with longer steps.
+        retained: a line for each link with the effect of its modes.
+        seconds: processor time of the selection, s.
+    """
     scene, model, full = search.scene, search.model(best.candidate), search.model(search.full)
     modes, all_modes = (frequencies(each, scene.initial.joint_angles)[model.n_joints :] for each in (model, full))
     lines = [f"{model.n_dof} of {full.n_dof} coordinates, {best.method.name} with {best.step:.4g} s"]
@@ -298,7 +363,6 @@ def _write_report(search: ModelSearch, best: CandidateRun, trials: list[Candidat
     if best.method.kind == EXPLICIT and len(modes):
         limit = stability_limit(best.method, NEGLIGIBLE_GROWTH) / (2.0 * np.pi * modes[-1])
         lines.append(f"longest stable step: {limit:.3g} s for {best.method.name}")
-    longer = [each for each in trials if each[:2] == best[:2] and each.step > best.step]
     if longer:
         rejected = min(longer, key=lambda each: each.step)
         lines.append(f"limit of the step: {rejected.step:.4g} s has an error of {rejected.error:.2g} m")
@@ -313,7 +377,7 @@ def _write_report(search: ModelSearch, best: CandidateRun, trials: list[Candidat
             f"{best.method.name} lets mode {k + 1} ({modes[k]:.4g} Hz) grow by {100.0 * growth[k]:.2g} % in 10 s"
             " without damping"
         )
-    lines.append(search.describe_reference())
+    lines += [*retained, search.describe_reference()]
     lines.append(
         f"computing time: {best.cost:.2g} s for the scene, {seconds:.3g} s and {search.runs} runs for the choice"
     )

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -269,7 +269,7 @@ class Scene:
                 angles[i], rates[i] = motion.start()
         return replace(self.initial, joint_angles=tuple(angles), joint_rates=tuple(rates))
 
-    @property
+    @cached_property
     def pieces(self) -> PiecewiseSignals:
         """Signals of n motors, 3 components of the tip force and 3 of the base acceleration, for the kernels."""
         motions, none = self.prescribed or [None] * self.arm.n_joints, [None] * 3

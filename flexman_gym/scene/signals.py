@@ -382,6 +382,9 @@ class SineTorque:
         return self.amplitude * np.sin(2.0 * np.pi * time * np.array(self.frequency_hz) + self.phase)
 
 
+_NO_SIGNAL = Signal()
+
+
 def signal_table(signals: Sequence[Signal | None]) -> NDArray[np.float64]:
     """Return the signals as the table (7, n + 6) that the kernels read.
 
@@ -390,7 +393,7 @@ def signal_table(signals: Sequence[Signal | None]) -> NDArray[np.float64]:
     Args:
         signals: n motor signals, 3 components of the tip force and 3 of the base acceleration; None for zero.
     """
-    return np.column_stack([(signal or Signal()).column() for signal in signals])
+    return np.column_stack([(signal or _NO_SIGNAL).column() for signal in signals])
 
 
 class PiecewiseSignals:

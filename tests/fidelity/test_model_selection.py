@@ -1,5 +1,6 @@
 """Fidelity: what is chosen meets its tolerance, knows its error and says what it left out."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -114,6 +115,53 @@ def test_of_models_that_cost_alike_the_smallest_is_chosen(monkeypatch, dearer, c
     scene, tolerance = SCENES["paper ff"](), 0.1 + 1e-9 * dearer  # choices are cached by scene and tolerance
     choice, _ = choose_cheapest(monkeypatch, scene, tolerance, lambda each, _: 1.0 if each.springs else dearer)
     assert choice.model.n_dof == coordinates
+
+
+def _numbers(model):
+    """Return the numbers of the retained component modes of each link."""
+    return [set(range(modes)) if isinstance(modes, int) else set(modes) for modes in model.choice.modes]
+
+
+def _count(candidate, _):
+    return 1.0 + sum(map(len, candidate.modes))
+
+
+@pytest.mark.parametrize(("name", "tolerance"), [("paper fr", 1e-2), ("paper fr", 3e-3), ("gravity and payload", 1e-2)])
+def test_single_modes_are_omitted_that_a_selection_in_the_order_of_displacements_retains(name, tolerance, monkeypatch):
+    """The error remains estimated, and the report has the effect of each retained mode."""
+    scene, tips = SCENES[name](), truth(SCENES[name]())
+    after, _ = choose_cheapest(monkeypatch, scene, (1.0 + 1e-7) * tolerance, _count)
+    monkeypatch.setattr(ModelSearch, "single_errors", lambda *_: {})
+    before, _ = choose_cheapest(monkeypatch, scene, (1.0 + 2e-7) * tolerance, _count)
+    assert (after.method, after.step) == (before.method, before.step) and 0 < after.runs - before.runs <= 34
+    retained, modes = _numbers(after.model), _numbers(before.model)
+    assert retained != modes and all(few <= many for few, many in zip(retained, modes, strict=True))
+    error = true_error(scene, after, tips)
+    assert error <= 0.8 * tolerance and error / 1.3 <= after.estimated_error <= 1.3 * error
+    measured = {}
+    for i, numbers in enumerate(retained):
+        lines = [line for line in after.report.splitlines() if line.startswith(f"link {i + 1}, ")]
+        texts = lines[0].split("estimated") if lines else [""]
+        effects = [{int(mode): float(size) for mode, size in re.findall(r"(\d+): ([\d.e-]+)", text)} for text in texts]
+        assert len(lines) == bool(numbers) and set().union(*effects) == numbers
+        assert sum(map(len, effects)) == len(numbers), "each mode once"
+        measured |= {(i, mode): size for mode, size in effects[0].items() if "tip error" in texts[0]}
+    link, mode = min(measured, key=measured.get)
+    modes[link] -= {mode}
+    options = vars(before.model.choice) | {"modes": tuple(tuple(sorted(each)) for each in modes)}
+    run = fm.simulate(scene, fm.build_model(scene.arm, **options), "dop853", rtol=1e-8, atol=1e-11)
+    assert np.linalg.norm(run.tip - tips, axis=1).max() == pytest.approx(measured[link, mode], rel=0.3)
+
+
+def test_single_modes_are_retained_where_the_smaller_model_costs_more(monkeypatch):
+    scene = SCENES["gravity and payload"]()
+    with monkeypatch.context() as patch:
+        patch.setattr(ModelSearch, "single_errors", lambda *_: {})
+        before, tried = choose_cheapest(patch, scene, 1e-2 + 3e-9, _count)
+    dearer, _ = choose_cheapest(
+        monkeypatch, scene, 1e-2 + 4e-9, lambda each, _: _count(each, _) if each in tried else 100.0
+    )
+    assert _numbers(dearer.model) == _numbers(before.model) and "tip error (m) without mode" in dearer.report
 
 
 @pytest.mark.parametrize("method", ["extrapolated_euler_3", "midpoint_2"])

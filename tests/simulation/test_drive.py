@@ -44,6 +44,19 @@ def test_a_signal_is_the_column_of_its_formula(offset, amplitude, frequency, pha
     assert fm.Signal(offset).column()[layout.STOP] == np.inf
 
 
+def test_tables_are_computed_once_a_scene_to_the_same_bits():
+    torque = fm.SampledTorque([0.0, 0.123, 0.5], [[1.0, 2.0, 3.0], [-1.0, 0.0, 5.0], [0.0, 0.0, 1.0]], "linear")
+    scene = replace(SCENE, torque=torque, tip_force=[WOBBLE, fm.Signal(1.0), fm.Signal()])
+    first, second, other = (fm.simulate(each, method="ros2", step=0.01) for each in (scene, scene, replace(scene)))
+    assert scene.pieces is scene.pieces is not replace(scene).pieces and hash(scene) == hash(replace(scene))
+    assert first.states.tobytes() == second.states.tobytes() == other.states.tobytes()
+    table = scene.pieces.table(1)
+    assert (table[:, 3] == WOBBLE.column()).all() and (table[:, 5:] == fm.Signal().column()[:, None]).all()
+    assert table.tobytes() == replace(scene).pieces.table(1).tobytes()
+    table[:] = 0.0
+    assert scene.pieces.table(1).tobytes() == replace(scene).pieces.table(1).tobytes()
+
+
 @pytest.mark.parametrize("method", ["dop853", "rk4", "ros2", "implicit_midpoint", "gauss_3"])
 def test_a_sine_keeps_the_phase_of_the_clock_whenever_it_starts(method):
     """The rate of a free rotor is the integral of amplitude sin(2 pi f t + phase) / inertia from start to stop."""
