@@ -31,9 +31,13 @@ class _Tuning(NamedTuple):
     duration: float
 
 
-# Delay of the torques (control periods) -> gains, found by random search on FlexRRR-v0, 16 seeds from 5100, 20 s of
-# computing time each; the gains of the longest delay serve all longer delays.
-TUNINGS = {0: _Tuning(0.958, 0.745, 1.096, 0.374, 1.172)}
+# Delay of the torques (control periods) -> gains, found by random search on FlexRRR-v0 with the conditions nominal and
+# payload, delay, and random-delay, on seeds from 5100; the gains of the longest delay serve all longer delays.
+TUNINGS = {
+    0: _Tuning(1.18, 0.729, 1.17, 0.575, 1.175),
+    1: _Tuning(0.849, 0.739, 1.24, 0.584, 1.33),
+    2: _Tuning(0.502, 0.837, 1.23, 0.665, 1.33),
+}
 SMALL_ANGLE = 0.05  # rad; added to the largest rotation, so that short slews are not abrupt
 PAYLOAD_CLASSES = 4  # number of payload classes that a scale distinguishes within the range of payloads
 
