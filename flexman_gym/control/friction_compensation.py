@@ -26,9 +26,9 @@ def frictionless(model: Model) -> Model:
     """
     if not (model.constants.viscous_friction.any() or model.constants.coulomb_friction.any()):
         return model
-    zero = np.zeros(model.n_joints)
-    none = {"viscous_friction": zero, "coulomb_friction": zero, "has_coulomb_friction": zero.astype(np.int64)}
-    return replace(model, constants=model.constants._replace(**none))
+    zero, none = np.zeros(model.n_joints), np.zeros(model.n_joints, dtype=np.int64)
+    slippery = model.constants._replace(viscous_friction=zero, coulomb_friction=zero, has_coulomb_friction=none)
+    return replace(model, constants=slippery)
 
 
 def friction_coefficients(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:

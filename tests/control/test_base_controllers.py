@@ -27,8 +27,8 @@ def plant(name="FlexOne-v0"):
 
 
 KINDS = {
-    "pd": PD, "pd-torque": TorqueFeedbackPD, "lqr": LQR, "lqr-tracking": TrackingLQR, "pd-shaped": InputShapedController,
-    "adaptive-lqr": OutputFeedback, "privileged-lqr": OutputFeedback,
+    "pd": PD, "pd-torque": TorqueFeedbackPD, "pd-shaped": InputShapedController, "lqr": LQR,
+    "lqr-tracking": TrackingLQR, "adaptive-lqr": OutputFeedback, "privileged-lqr": OutputFeedback,
 }  # fmt: skip
 
 
