@@ -14,6 +14,7 @@ from flexman_gym.control.observers.kalman_filter import KalmanFilter
 from flexman_gym.control.observers.oracle import Oracle
 from flexman_gym.control.pd import PD
 from flexman_gym.control.references.optimised_slews import SHIPPED_TABLE, OptimisedController, SlewTable
+from flexman_gym.control.torque_feedback_pd import TorqueFeedbackPD
 from flexman_gym.control.tracking import OutputFeedback, Tracking
 
 
@@ -136,6 +137,14 @@ BASES: dict[str, _BaseEntry] = {
         ("stiffness", "damping"),
         "a PD of the motors, with gains for each arm, task and delay",
         "by `flexman tune`, about half a minute of computing time per environment, on the seeds 0 to 7",
+    ),
+    "pd-torque": _BaseEntry(
+        TorqueFeedbackPD,
+        ("data sheets", "payload class"),
+        (),
+        "a PD of the motors with joint-torque feedback along a minimum-jerk slew, designed from data sheets",
+        "by random search of five numbers for all arms, about a minute of computing time for each delay, on the seeds "
+        "5100 to 5115 of `FlexRRR-v0`",
     ),
     "lqr": _BaseEntry(
         _regulator(LQR), ("model", "true state"), ("weights",), "a linear-quadratic regulator about the goal"

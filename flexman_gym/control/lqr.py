@@ -15,7 +15,8 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_ro
 from flexman_gym.common.checks import check_solvable, one_of, positive
 from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
-from flexman_gym.control.controller import EpisodeInfo, Readings
+from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
+from flexman_gym.control.friction_compensation import FrictionCompensation, frictionless
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import TIMING_LAWS, plan_path, plan_slew
 from flexman_gym.kernels.cache import find_cache_folder
@@ -87,7 +88,7 @@ SAVE_INTERVAL = 50  # number of new designs (15 ms each) between two writes of t
 
 
 class GainTable:
-    """Gains K (n, 2 d) of the sampled LQR, interpolated between designs on a grid of postures and payloads.
+    """Gains K (n, 2 d) of the sampled LQR without friction, interpolated on a grid of postures and payloads.
 
     Interpolation is multilinear, with postures `POSTURE_SPACING` apart. The angle of a first joint whose axis is
     parallel to gravity does not affect the gains and is no coordinate of the grid.
@@ -105,6 +106,7 @@ class GainTable:
     ) -> None:
         self._design = limits, period, weights
         self._payloads = np.array(payloads, dtype=float)
+        model = frictionless(model)
         self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
         posture, rotation = np.full(model.n_joints, 0.3), np.eye(model.n_joints)[0]
         invariant = np.allclose(holding_torques(model, posture), holding_torques(model, posture + rotation))
@@ -223,6 +225,8 @@ def default_weights(model: Model) -> CostWeights:
 class LQR:
     """Linear-quadratic regulator about the goal: torque = holding torque - K (state - equilibrium), saturated.
 
+    The gain K is that of the arm without friction; friction is compensated, see `FrictionCompensation`.
+
     The regulator requires the true state and an exact model, and therefore serves as a benchmark rather than as a
     controller for hardware.
 
@@ -254,11 +258,12 @@ class LQR:
         self.limits = np.array(torque_limits("torque_limit", torque_limit, n))
         self.weights = weights or default_weights(model)
         self._gains, self._rest, self._holding_torques = np.zeros((0, n, 2 * d)), np.zeros((0, 2 * d)), np.zeros((0, n))
+        self._compensation = FrictionCompensation(Plant(model, tuple(self.limits.tolist()), period, dict))
 
     def gain(self, posture: Array, weights: CostWeights | None = None) -> Array:
         """Return the gain K (n, 2 d) at motor angles (n,) rad; weights None for the weights of the regulator."""
         state, holding = rest_state(self.model, posture), holding_torques(self.model, posture)
-        linear = linearize(self.model, state=state, torque=holding)
+        linear = linearize(self._compensation.model, state=state, torque=holding)
         return lqr_gain(linear, self.model.motor_columns, self.limits, weights or self.weights, self.period)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
@@ -286,7 +291,11 @@ class LQR:
 
     def torques(self, states: Array) -> Array:
         """Return the torques (b, n) for states (b, 2 d), N m; products are computed arm by arm."""
-        return self._holding_torques - row_dots(self._gains, (states - self._rest)[:, None])
+        return self.compensated(self._holding_torques - row_dots(self._gains, (states - self._rest)[:, None]), states)
+
+    def compensated(self, torques: Array, states: Array) -> Array:
+        """Return torques (b, n), N m, with the friction at states (b, 2 d) compensated, see `FrictionCompensation`."""
+        return torques + self._compensation(torques, states, np.arange(len(states)), len(states))
 
 
 class _GainSchedule(NamedTuple):
@@ -391,4 +400,4 @@ class TrackingLQR(LQR):
             gain = gains[lower] + part * (gains[upper] - gains[lower])
             result[arm] = schedule.torques[row] - row_dots(gain, state - schedule.states[row])
         self._now += 1
-        return result
+        return self.compensated(result, states)

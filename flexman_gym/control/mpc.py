@@ -8,7 +8,8 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import value_error
-from flexman_gym.control.controller import EpisodeInfo, Readings
+from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
+from flexman_gym.control.friction_compensation import FrictionCompensation
 from flexman_gym.control.lqr import MOTOR_WEIGHT, CostWeights, performance_outputs
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import plan_slew
@@ -96,7 +97,8 @@ class MPC:
     The simulator predicts the motion of the nonlinear arm under the previous plan. A quadratic program then computes
     changes of the torques, constant over blocks of periods (move blocking), that bring the prediction closest to a
     minimum-jerk slew planned for 1.3 times the torque limits. The effect of the changes is linearised, with Jacobians
-    interpolated along the path. For a linear arm within its limits, the result equals the finite-horizon LQR.
+    interpolated along the path. For a linear arm within its limits, the result equals the finite-horizon LQR. The
+    predictions are those of the arm without friction; friction is compensated, see `FrictionCompensation`.
 
     Args:
         model: model of the arm, with the same generalised coordinates as the controlled arm.
@@ -127,10 +129,12 @@ class MPC:
         self._weights = CostWeights(TIP_SCALE * reach, TIP_SPEED_SCALE * reach, MOTOR_WEIGHT)
         self._plans: list[_Plan] = []
         self._planned, self._now = np.zeros((0, sum(MOVE_BLOCKS), model.n_joints)), np.zeros(0, dtype=np.int64)
+        plant = Plant(model, tuple(self.limits.tolist()), period, dict, integration=integration)
+        self._compensation = FrictionCompensation(plant)
         self._batch = self._make_batch(1)
 
     def _make_batch(self, count: int) -> Batch:
-        return Batch(self.model, *self._integration, self.period, arms=count)
+        return Batch(self._compensation.model, *self._integration, self.period, arms=count)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Plan the slews of the arms (r,) of `count` in all and compute the predictions along them."""
@@ -154,7 +158,7 @@ class MPC:
         batch.reset(np.arange(len(states)), states)
         postures = start + np.linspace(0.0, 1.0, LINEARISATION_POSTURES)[:, None] * (goal - start)
         design = self.limits, self._weights, self.period, MOVE_BLOCKS
-        horizons = [_design_horizon(self.model, posture, *design) for posture in postures]
+        horizons = [_design_horizon(self._compensation.model, posture, *design) for posture in postures]
         stacked = _Horizon(*(np.array(parts) for parts in zip(*horizons, strict=True)))
         return _Plan(stacked, start, goal - start, states, batch.outputs, torques / self.limits)
 
@@ -168,8 +172,11 @@ class MPC:
         drives[..., : len(self.limits)] = self._planned * self.limits
         predicted = self._batch.roll(drives)
         actions = np.zeros((len(states), len(self.limits)))
-        for arm in np.flatnonzero(active).tolist():
+        arms = np.flatnonzero(active)
+        for arm in arms.tolist():
             actions[arm] = self._step(arm, predicted[0][arm], predicted[1][arm])
+        friction = self._compensation(actions[arms] * self.limits, states[arms], arms, len(states))
+        actions[arms] = np.clip(actions[arms] + friction / self.limits, -1.0, 1.0)
         return actions
 
     def _step(self, arm: int, states: Array, outputs: Array) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_dots
 from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings
+from flexman_gym.control.friction_compensation import FrictionCompensation
 from flexman_gym.control.lqr import FEEDFORWARD_FRACTION, HOLDING_FACTOR, CostWeights, GainTable, default_weights
 from flexman_gym.control.observers.observer import Estimate, Observer
 from flexman_gym.control.reference_shaping import ReferenceShaping
@@ -23,7 +24,8 @@ class Tracking:
 
     The gains are scheduled by posture and payload. Slews are straight lines in motor space with quintic timing within
     95 % of the torque limits. While parameter estimates converge, the timing of the remaining path is replanned from
-    the current reference. An arm that starts at its goal is held with a larger cost of the tip deviation.
+    the current reference. An arm that starts at its goal is held with a larger cost of the tip deviation. Gains and
+    feed-forward are those of the arm without friction; friction is compensated, see `FrictionCompensation`.
 
     Args:
         plant: plant model with its uncertain parameters.
@@ -48,6 +50,7 @@ class Tracking:
         tight = weights._replace(tip=HOLDING_FACTOR * weights.tip)
         self._gains = [GainTable(model, self.limits, plant.period, each, self._payloads) for each in (weights, tight)]
         self._motors = model.motor_columns
+        self._compensation = FrictionCompensation(plant)
         self.shaping: ReferenceShaping | None = None
         self._planned = np.zeros(0, dtype=bool)  # flags of arms with a plan of this control period
         self._ages, self._holding = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
@@ -85,6 +88,7 @@ class Tracking:
         command = forward - row_dots(gains, (states - reference)[:, None])
         if self.shaping:
             command += self.shaping.advance(arms, self.slews.at(now, arms)[0])
+        command += self._compensation(command, states, arms, len(active), estimate.parameters)
         result[arms] = np.clip(command, -self.limits, self.limits)
         self._ages += active
         self._planned[arms] = False

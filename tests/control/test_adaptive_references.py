@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
+from flexman_gym.control.friction_compensation import friction_coefficients, friction_torques, frictionless
 from flexman_gym.control.references.adaptive_references import (
     CANDIDATE_DURATIONS,
     PathReferences,
@@ -48,7 +49,7 @@ def times(slews, count=60):
 
 
 def test_torques_of_a_rigid_arm_are_those_that_accelerate_it_so():
-    """Friction, weight and inertia, by the equations of motion at the state of each moment."""
+    """Weight and inertia, by the equations of motion without friction at the state of each moment."""
     own = model(rigid=True, **RUBBING)
     slews = begun(own, (own.constants.payload_mass[0],))
     gone = []
@@ -56,7 +57,7 @@ def test_torques_of_a_rigid_arm_are_those_that_accelerate_it_so():
         place, speed, change = (each[0] for each in slews.at(now, ONE))
         way = (GOAL - START)[0]
         state = np.concatenate([START[0] + place * way, speed * way])
-        gone.append(acceleration(own, state, slews.torques(now, ONE)[0]) - change * way)
+        gone.append(acceleration(frictionless(own), state, slews.torques(now, ONE)[0]) - change * way)
         assert slews.states(now, ONE)[0] == pytest.approx(state, abs=5e-3)
     assert np.abs(gone).max() < 0.02 * np.abs(slews.displacement).max() * 5.77 / slews.duration[0] ** 2
 
@@ -91,8 +92,12 @@ def test_a_flexible_arm_is_bent_as_on_a_minimum_jerk_slew():
 @pytest.mark.parametrize("payload", [0.0, 0.2])
 def test_no_torque_is_above_the_share_of_the_limits_and_the_way_is_not_slower_than_that(rubbing, payload):
     """Durations are tried in steps of 4.5 %, by which torques of inertia change by 9 %."""
-    slews = begun(model(**rubbing), parameters={"payload_mass": np.array([payload])})
-    shares = [np.abs(slews.torques(np.array([now]), ONE)[0] / LIMITS).max() for now in times(slews, 200)]
+    own = model(**rubbing)
+    slews = begun(own, parameters={"payload_mass": np.array([payload])})
+    coefficients, shares = friction_coefficients(own, {}, ONE)[0], []
+    for now in times(slews, 200)[:, None]:
+        rates = slews.at(now, ONE)[1] * slews.displacement[0]
+        shares.append(np.abs((slews.torques(now, ONE)[0] + friction_torques(own, coefficients, rates)) / LIMITS).max())
     assert 0.85 * SHARE < max(shares) < 1.01 * SHARE
     assert CANDIDATE_DURATIONS[0] < slews.duration[0] < CANDIDATE_DURATIONS[-1]
 
@@ -144,11 +149,11 @@ NODE = np.array([0.1])
 
 
 def adapted(own, nodes, parameters, arms):
-    """Interpolation weights, compliance and friction of arms (r,) on paths that rest, as they are estimated."""
+    """Interpolation weights and compliance of arms (r,) on paths that rest, as they are estimated."""
     paths = PathReferences(own, 0.02, nodes)
     paths.begin(int(arms[-1]), np.tile(START, (6, 1)))
     paths.adapt(arms, parameters)
-    return paths._weights[arms], paths._compliance[arms], paths._friction[arms]
+    return paths._weights[arms], paths._compliance[arms]
 
 
 def weights_of(nodes, masses):
@@ -209,16 +214,12 @@ def test_softness_is_how_much_further_springs_and_links_bend():
     assert adapted(stiff, NODE, given, ONE)[1].tolist() == [[1.0] * stiff.n_dof]
 
 
-def test_friction_is_that_of_the_estimate_and_where_there_is_none_that_of_the_model():
-    own = model(**RUBBING)
-    assert adapted(own, NODE, {}, ONE)[2][0].tolist() == [[0.4, 0.4], [0.3, 0.3]]
-    found = {"coulomb_friction": np.array([[0.0, 0.0], [0.1, 0.2]])}
-    assert adapted(own, NODE, found, np.array([1]))[2][0].tolist() == [[0.4, 0.4], [0.1, 0.2]]
-
-
-def test_a_slew_knows_the_friction_that_was_found():
-    slews = begun(model(**RUBBING))
-    now = 0.5 * slews.duration
-    before, rates = slews.torques(now, ONE), slews.at(now, ONE)[1][:, None] * slews.displacement
-    slews.adapt(ONE, {"viscous_friction": np.array([[0.5, 0.7]])})
-    assert slews.torques(now, ONE) - before == pytest.approx(rates * [0.1, 0.3])
+def test_a_slew_is_timed_with_the_friction_that_was_found():
+    """More friction, a longer slew; its torques are those of the motion without friction."""
+    found = {"viscous_friction": np.array([[1.5, 1.7]])}
+    slow, usual = begun(model(**RUBBING), parameters=found), begun(model(**RUBBING))
+    assert slow.duration[0] > usual.duration[0] > begun(model()).duration[0]
+    usual.adapt(ONE, found)
+    assert usual.torques(0.5 * usual.duration, ONE) == pytest.approx(
+        begun(model(**RUBBING)).torques(0.5 * usual.duration, ONE)
+    )

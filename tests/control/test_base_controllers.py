@@ -6,6 +6,7 @@ import pytest
 from flexman_gym.control import BASES, LQR, PD, InputShapedController, TrackingLQR
 from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.lqr import CostWeights
+from flexman_gym.control.torque_feedback_pd import TorqueFeedbackPD
 from flexman_gym.control.tracking import OutputFeedback
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
@@ -26,8 +27,8 @@ def plant(name="FlexOne-v0"):
 
 
 KINDS = {
-    "pd": PD, "lqr": LQR, "lqr-tracking": TrackingLQR, "pd-shaped": InputShapedController,
-    "adaptive-lqr": OutputFeedback, "privileged-lqr": OutputFeedback,
+    "pd": PD, "pd-torque": TorqueFeedbackPD, "pd-shaped": InputShapedController, "lqr": LQR,
+    "lqr-tracking": TrackingLQR, "adaptive-lqr": OutputFeedback, "privileged-lqr": OutputFeedback,
 }  # fmt: skip
 
 

@@ -64,15 +64,6 @@ def test_an_arm_with_softer_springs_winds_them_up_further():
     assert twists[1] == pytest.approx(twists[0] / 0.8, abs=1e-9) and np.abs(twists[0]).max() > 1e-3
 
 
-def test_friction_is_fed_forward_along_the_motion():
-    own = model(viscous_friction=0.4)
-    found = {"viscous_friction": np.array([[0.0, 0.0], [0.5, 0.7]])}
-    slippery = along(begun(own, {"viscous_friction": np.zeros((2, 2))}), 1)
-    states, torques = along(begun(own, found), 1)
-    rates = states[:, own.n_dof + own.motor_columns]
-    assert torques - slippery[1] == pytest.approx(rates * [0.5, 0.7], abs=1e-9) and np.abs(rates).max() > 0.5
-
-
 def test_arms_do_not_touch_each_other():
     own, parameters = model(), {"payload_mass": np.array([0.03, 0.17])}
     both, now = begun(own, parameters), np.full(2, 0.3)

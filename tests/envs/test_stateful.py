@@ -24,6 +24,7 @@ SETTINGS = [
     {"randomisation": EVERYTHING, "base": "pd", "action_repeat": 3, "stiffening": True},
     {"base": "lqr-tracking"},
     {"base": {"kind": "pd-shaped", "duration": 2.0}},
+    {"base": "pd-torque", "randomisation": {"payload_mass": (0.0, 5.0)}},
     {"base": "lqr", "randomisation": {"payload_mass": (0.0, 5.0)}},
     {"method": "implicit_midpoint", "randomisation": {"payload_mass": (0.0, 5.0)}},
     {"method": "dopri5", "step": None, "modes": 1},

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray, pad_rows
+from flexman_gym.control.friction_compensation import friction_coefficients, friction_torques
 from flexman_gym.control.references.trajectories import (
     DeflectionCompensation,
     QuasiStaticDeflection,
@@ -46,7 +47,8 @@ class SlewReferences:
 
     The arm is deflected quasi-statically by inertia and gravity, without vibration. Deflections and torques are
     rest + a(s) s'' + b(s) s'^2, tabulated for one or three payloads, interpolated by a parabola between the payloads,
-    and scaled by the estimated stiffness of each arm.
+    and scaled by the estimated stiffness of each arm. Friction is part of the torques for which the timing is planned,
+    but not of the feed-forward, see `FrictionCompensation`.
 
     Args:
         model: model of the arm.
@@ -125,9 +127,8 @@ class SlewReferences:
         """Adapt the references of the arms (r,) to estimated parameters (b, ...), see `Estimate`."""
         if not len(arms):
             return
-        weights, self._compliance[arms], self._friction[arms] = _adaptation_factors(
-            self.model, self._payloads, parameters, arms
-        )
+        weights, self._compliance[arms] = _adaptation_factors(self.model, self._payloads, parameters, arms)
+        self._friction[arms] = friction_coefficients(self.model, parameters, arms)
         for adapted, table in ((self._adapted_coordinates, self._coordinates), (self._adapted_torques, self._torques)):
             adapted[arms] = (weights[:, :, None, None, None] * table[arms]).sum(axis=1)
         if self.model.constants.gravity.any():
@@ -161,7 +162,7 @@ class SlewReferences:
         torques = self._interpolate(self._adapted_torques, arms, progress, accelerations, speeds)
         if self._friction[arms].any():
             rates = speeds[..., None] * self.displacement[arms][:, None, None]
-            torques += _friction_torques(self.model, self._friction[arms][:, None, None], rates)
+            torques += friction_torques(self.model, self._friction[arms][:, None, None], rates)
         ratios = (np.abs(torques) / self._limits).max(axis=(2, 3))
         feasible = ratios <= self._torque_fraction
         chosen = np.where(feasible.any(axis=1), feasible.argmax(axis=1), ratios.argmin(axis=1))
@@ -215,10 +216,9 @@ class SlewReferences:
         return result
 
     def torques(self, times: Array, arms: IntArray) -> Array:
-        """Return the feed-forward torques (r, n) of the arms (r,) at times (r,) s, N m."""
+        """Return the feed-forward torques (r, n) of the arms (r,) without friction at times (r,) s, N m."""
         progress, speed, acceleration = self._scaled_timing(times, arms)
-        friction = _friction_torques(self.model, self._friction[arms], speed[:, None] * self.displacement[arms])
-        return self._interpolate(self._adapted_torques, arms, progress, acceleration, speed) + friction
+        return self._interpolate(self._adapted_torques, arms, progress, acceleration, speed)
 
 
 def estimated_payloads(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
@@ -230,7 +230,7 @@ def estimated_payloads(model: Model, parameters: Mapping[str, Array], arms: IntA
 
 def _adaptation_factors(
     model: Model, nodes: Array, parameters: Mapping[str, Array], arms: IntArray
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array]:
     """Return the factors by which the references of arms (r,) are adapted to estimated parameters.
 
     Args:
@@ -241,7 +241,7 @@ def _adaptation_factors(
 
     Returns:
         Weights (r, p) of the Lagrange interpolation between the payloads; ratios (r, d) of the elastic deflections to
-        the deflections of the nominal arm; viscous (N m s/rad) and Coulomb friction (N m) of the motors, (r, 2, n).
+        the deflections of the nominal arm.
     """
     masses = np.clip(estimated_payloads(model, parameters, arms), nodes[0], nodes[-1])
     weights = np.ones((len(arms), len(nodes)))
@@ -257,16 +257,7 @@ def _adaptation_factors(
     if "link_stiffness_factor" in parameters:
         links = np.repeat(np.arange(n), np.diff(model.constants.elastic_start))
         compliance[:, model.n_dof - len(links) :] = 1.0 / parameters["link_stiffness_factor"][arms][:, links]
-    friction = np.zeros((len(arms), 2, n))
-    for i, name in enumerate(("viscous_friction", "coulomb_friction")):
-        friction[:, i] = parameters[name][arms] if name in parameters else getattr(model.constants, name)
-    return weights, compliance, friction
-
-
-def _friction_torques(model: Model, coefficients: Array, rates: Array) -> Array:
-    """Return the friction torques (..., n), N m, for coefficients (..., 2, n) at motor rates (..., n) rad/s."""
-    sliding = np.tanh(rates / model.constants.coulomb_rate)
-    return coefficients[..., 0, :] * rates + coefficients[..., 1, :] * sliding
+    return weights, compliance
 
 
 class PathReferences:
@@ -278,7 +269,7 @@ class PathReferences:
         payloads: masses of one or three payloads, kg, from the lightest to the heaviest.
     """
 
-    state_fields = ("_weights", "_compliance", "_friction")
+    state_fields = ("_weights", "_compliance")
 
     def __init__(self, model: Model, period: float, payloads: Sequence[float]) -> None:
         self.model, self._period, self._payloads = model, period, np.array(payloads, dtype=float)
@@ -286,7 +277,6 @@ class PathReferences:
         # arm -> states of the undeformed arm, and deviations from them and torques for each payload
         self._plans: dict[int, tuple[Array, Array, Array]] = {}
         self._weights, self._compliance = np.zeros((0, len(payloads))), np.zeros((0, model.n_dof))
-        self._friction = np.zeros((0, 2, model.n_joints))
 
     def begin(self, arm: int, path: Array) -> None:
         """Plan the motion of an arm along motor angles (T + 1, n) rad, one row per control period.
@@ -305,19 +295,18 @@ class PathReferences:
         """Adapt the references of the arms (r,) to estimated parameters (b, ...), see `Estimate`."""
         if not len(arms):
             return
-        self._weights[arms], self._compliance[arms], self._friction[arms] = _adaptation_factors(
-            self.model, self._payloads, parameters, arms
-        )
+        self._weights[arms], self._compliance[arms] = _adaptation_factors(self.model, self._payloads, parameters, arms)
 
     def at(self, times: Array, arms: IntArray) -> tuple[Array, Array]:
-        """Return the states (r, 2 d) at times (r,) s, and the torques (r, n) N m during the following period."""
+        """Return the states (r, 2 d) at times (r,) s, and the torques (r, n) N m of the following period.
+
+        The torques are those of the arms without friction.
+        """
         states, torques = [], []
-        rates = self.model.n_dof + self.model.motor_columns
         for period, arm in zip((times / self._period).round().astype(int).tolist(), arms.tolist(), strict=True):
             straight, deflections, forward = self._plans[arm]
             row, weights = min(period, len(straight) - 1), self._weights[arm, :, None]
             deflection = (weights * deflections[:, row]).sum(axis=0) * np.tile(self._compliance[arm], 2)
             states.append(straight[row] + deflection)
-            friction = _friction_torques(self.model, self._friction[arm], states[-1][rates])
-            torques.append((weights * forward[:, min(period, forward.shape[1] - 1)]).sum(axis=0) + friction)
+            torques.append((weights * forward[:, min(period, forward.shape[1] - 1)]).sum(axis=0))
         return np.array(states), np.array(torques)

@@ -164,6 +164,7 @@ class SingleShooting:
         drive = np.zeros((len(knots), n + 6))
         for period in range(periods, periods + self._settling):
             torques = self._holding_torques[1] - row_dots(self._gain, (batch.state - self._rest)[:, None])
+            torques = self._regulator.compensated(torques, batch.state)
             drive[:, :n] = np.clip(torques / limits, -1.0, 1.0) * limits
             batch.step(drive)
             result[:, period, :3] = batch.outputs[:, TIP] - self._target

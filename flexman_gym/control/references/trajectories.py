@@ -7,6 +7,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import one_of, physical, value_error
+from flexman_gym.control.friction_compensation import friction_torques
 from flexman_gym.kernels import outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, TIP_VELOCITY, make_work
 from flexman_gym.model.dynamics import inertial_forces, stiffness_matrix
@@ -130,7 +131,7 @@ class QuasiStaticDeflection:
 
     def __init__(self, model: Model) -> None:
         n = model.n_joints
-        self._model = model
+        self.model = model
         self._forces, self._stiffness = inertial_forces(model), stiffness_matrix(model)
         self._motors = model.motor_columns
         self._elastic = np.arange(n + model.n_motors, model.n_dof)
@@ -148,12 +149,12 @@ class QuasiStaticDeflection:
         Returns:
             Coordinates (d,) and torques (n,), N m.
         """
-        n, d = self._model.n_joints, self._model.n_dof
+        n, d = self.model.n_joints, self.model.n_dof
         x, rates, accelerations = guess.copy(), np.zeros(d), np.zeros(d)
         x[:n] = motion[0]
         for columns in (np.arange(n), self._motors):
             rates[columns], accelerations[columns] = motion[1], motion[2]
-        rotor_torques = self._model.constants.rotor_inertia * accelerations[:n]
+        rotor_torques = self.model.constants.rotor_inertia * accelerations[:n]
         for _ in range(DEFLECTION_PASSES):
             forces = self._forces(x, rates, accelerations)
             x = x.copy()
@@ -185,6 +186,12 @@ class _JointPath(NamedTuple):
         motions = zip(angles, rates / duration, accelerations / duration**2, strict=True)
         coordinates, torques = zip(*(self.deflection.at(self.ends[0], each) for each in motions), strict=True)
         return np.array(coordinates), np.array(torques)
+
+    def friction(self, fractions: Array, duration: float) -> Array:
+        """Return the friction torques (k, n) of the motors at fractions (k,) of a duration (s), N m."""
+        model = self.deflection.model
+        coefficients = np.array([model.constants.viscous_friction, model.constants.coulomb_friction])
+        return friction_torques(model, coefficients, self.motion(fractions)[1] / duration)
 
 
 class _ReferenceTrajectory(NamedTuple):
@@ -321,8 +328,9 @@ def _time_optimal(
 ) -> _ReferenceTrajectory | None:
     """Return the trajectory with the fewest control periods and torques within bounds (n,) N m; None without solution.
 
-    Torques are the holding torques plus an inertial part proportional to 1 / T^2, so that the torques for one duration
-    T predict the shortest duration. Deflections change this prediction slightly; it is repeated at the new duration.
+    Torques are the holding and friction torques plus an inertial part proportional to 1 / T^2, so that the torques for
+    one duration T predict the shortest duration. Deflections and friction change with T: the prediction is repeated at
+    the new duration. The torques of the trajectory are those without friction.
     """
     count, infeasible = max(fewest, int(MAX_DURATION / period)), fewest - 1
     most, path = count, make_path(count)
@@ -331,7 +339,9 @@ def _time_optimal(
         return None
     while True:
         inertial = path.at(path.check_points, count * period)[1] - static
-        needed = np.ceil(count * np.sqrt((np.abs(inertial) / (bounds - np.sign(inertial) * static)).max()))
+        constant = static + path.friction(path.check_points, count * period)
+        with np.errstate(invalid="ignore"):  # friction above the bounds: too short a duration
+            needed = np.ceil(count * np.sqrt((np.abs(inertial) / (bounds - np.sign(inertial) * constant)).max()))
         if not needed <= count:  # true also for NaN, of an arm with divergent deflection
             if count == most:
                 return None

@@ -1,0 +1,132 @@
+"""Friction compensation: mean friction torques over the motion predicted without friction, one control period ahead."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from flexman_gym.common.arrays import Array, IntArray
+from flexman_gym.control.controller import Plant
+from flexman_gym.control.observers.internal_model import InternalModels
+from flexman_gym.model.model import Model
+
+# Compensating / estimated friction, dimensionless. Below 1, motors stick short of the goal. With a static friction 1.5
+# times the Coulomb friction and a Stribeck rate of 0.02 rad/s, both unknown, `privileged-lqr` settles 75 % of 20
+# episodes with 1, and 98 and 100 % of 50 episodes with 1.15 and 1.25. With smoothed Coulomb friction as in the model, the remaining vibration is 0.06, 2 and
+# 4 mm (peak to peak).
+COMPENSATION_FACTOR = 1.15
+EQUAL_RATES = 1e-6  # rad/s; difference of motor rates below which the friction torque is that of the first rate
+
+
+def frictionless(model: Model) -> Model:
+    """Return the model without friction of the motors; a model without friction is returned unchanged.
+
+    Args:
+        model: model of the arm.
+    """
+    if not (model.constants.viscous_friction.any() or model.constants.coulomb_friction.any()):
+        return model
+    zero, none = np.zeros(model.n_joints), np.zeros(model.n_joints, dtype=np.int64)
+    slippery = model.constants._replace(viscous_friction=zero, coulomb_friction=zero, has_coulomb_friction=none)
+    return replace(model, constants=slippery)
+
+
+def friction_coefficients(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
+    """Return the viscous (N m s/rad) and Coulomb friction (N m) of the motors of the arms (r,), (r, 2, n).
+
+    Args:
+        model: model of the arm.
+        parameters: name -> (b, ...) estimated physical parameters; a missing name stands for the value of the model.
+        arms: (r,) indices.
+    """
+    result = np.zeros((len(arms), 2, model.n_joints))
+    for i, name in enumerate(("viscous_friction", "coulomb_friction")):
+        result[:, i] = parameters[name][arms] if name in parameters else getattr(model.constants, name)
+    return result
+
+
+def friction_torques(model: Model, coefficients: Array, rates: Array) -> Array:
+    """Return the friction torques (..., n), N m.
+
+    Args:
+        model: model of the arm.
+        coefficients: (..., 2, n) viscous (N m s/rad) and Coulomb friction (N m).
+        rates: (..., n) motor rates, rad/s.
+    """
+    sliding = np.tanh(rates / model.constants.coulomb_rate)
+    return coefficients[..., 0, :] * rates + coefficients[..., 1, :] * sliding
+
+
+def mean_friction_torques(coefficients: Array, before: Array, after: Array, width: Array | float) -> Array:
+    """Return the mean friction torques (..., n), N m, while the motor rates change uniformly.
+
+    The mean of c tanh(v / r) is c r (ln cosh(v1 / r) - ln cosh(v0 / r)) / (v1 - v0). Unlike the friction torque at the
+    first rate, it does not drive a motor whose rate changes sign.
+
+    Args:
+        coefficients: (..., 2, n) viscous (N m s/rad) and Coulomb friction (N m).
+        before: (..., n) motor rates v0 at the start, rad/s.
+        after: (..., n) motor rates v1 at the end, rad/s.
+        width: motor rate r of the smoothed Coulomb friction, for all joints or for each joint (n,), rad/s.
+    """
+    change = after - before
+    equal = np.abs(change) < EQUAL_RATES
+    integral = width * (_log_cosh(after / width) - _log_cosh(before / width))
+    sliding = np.where(equal, np.tanh(before / width), integral / np.where(equal, 1.0, change))
+    result: Array = coefficients[..., 0, :] * 0.5 * (before + after) + coefficients[..., 1, :] * sliding
+    return result
+
+
+def _log_cosh(x: Array) -> Array:
+    """Return ln cosh x without overflow."""
+    size = np.abs(x)
+    result: Array = size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0)
+    return result
+
+
+class FrictionCompensation:
+    """Friction compensation of a control law designed for the arm without friction.
+
+    An internal model without friction is simulated for one control period under the command of the law, from the state
+    at which the command takes effect. The mean friction torques over this motion are added to the command, so that the
+    arm moves as the arm without friction. The friction at the measured rate would drive a motor for the rest of the
+    period after its rate has changed sign.
+
+    Args:
+        plant: plant model.
+
+    Attributes:
+        model: model without friction.
+    """
+
+    def __init__(self, plant: Plant) -> None:
+        self.model, self._rubbing_model, self._limits = (
+            frictionless(plant.model),
+            plant.model,
+            np.array(plant.torque_limit),
+        )
+        self._models = InternalModels(plant._replace(model=self.model))
+
+    def __call__(
+        self, commands: Array, states: Array, arms: IntArray, count: int, parameters: Mapping[str, Array] | None = None
+    ) -> Array | float:
+        """Return the torques (r, n) that compensate the friction of the arms (r,), N m; 0 for a model without friction.
+
+        Args:
+            commands: (r, n) torques of the law for the arm without friction, N m.
+            states: (r, 2 d) states at which the commands take effect.
+            arms: (r,) indices.
+            count: number of arms in all.
+            parameters: name -> (b, ...) estimated physical parameters, see `Estimate`; None for those of the model.
+        """
+        if self.model is self._rubbing_model:
+            return 0.0
+        estimated, key = parameters or {}, ("look-ahead", count)
+        coefficients = friction_coefficients(self._rubbing_model, estimated, arms)
+        others = {name: values[arms] for name, values in estimated.items() if not name.endswith("_friction")}
+        if others:
+            self._models(*key).vary(arms, **others)
+        ends = self._models.step(key, arms, states, np.clip(commands, -self._limits, self._limits))
+        rates = self.model.n_dof + self.model.motor_columns
+        width = self.model.constants.coulomb_rate
+        return COMPENSATION_FACTOR * mean_friction_torques(coefficients, states[:, rates], ends[:, rates], width)
