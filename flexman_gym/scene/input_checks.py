@@ -85,7 +85,7 @@ def check_keywords(cls: type[T]) -> type[T]:
         for name, value in named.items():
             if name not in known:
                 near = get_close_matches(name, known, 1, 0.0)[0]
-                nearest = f"a known keyword: the nearest is {near}; all: {' '.join(known)}"
+                nearest = f"{near}, the nearest of the keywords {' '.join(known)}"
                 allowed = FOREIGN_KEYWORDS.get(cls.__name__, {}).get(name) or nearest
                 raise TypeError(str(value_error(f"{cls.__name__}.{name}", value, allowed)))
         construct(self, *values, **named)

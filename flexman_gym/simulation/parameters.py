@@ -211,7 +211,7 @@ PARAMETERS: dict[str, _Parameter] = {
         factor=True, fixed=_joints_without_coulomb_friction, lacking="without Coulomb friction",
     ),
     "coulomb_rate": _Parameter(
-        "rad/s", JOINT, lambda model: model.constants.coulomb_rate, _constant_of_same_name("coulomb_rate"), factor=True,
+        "rad/s", JOINT, lambda model: model.constants.coulomb_rate, _constant_of_same_name("coulomb_rate"),
         fixed=_joints_without_coulomb_friction, needed=_joints_with_coulomb_friction,
         lacking="without Coulomb friction",
     ),
