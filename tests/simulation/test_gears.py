@@ -67,7 +67,9 @@ def test_a_block_on_a_slope_slides_beyond_break_away():
 
 
 @QUICK
-@given(st.floats(-3.0, 3.0), st.floats(-4.0, 0.0), st.floats(1.0, 2.0), st.floats(-3.0, 0.0), st.floats(0.0, 1.0))
+@given(
+    st.floats(-3.0, 3.0), st.floats(-4.0, 0.0), st.floats(1.0, 2.0), st.floats(-3.0, 0.0), st.sampled_from([0.0, 0.7])
+)
 def test_friction_takes_power_at_every_rate(rate, width, static, stribeck, viscous):
     """The kernel has the published law; its power is never negative."""
     law = {"coulomb_rate": 10.0**width, "stribeck_rate": 10.0**stribeck}
@@ -81,14 +83,14 @@ def test_friction_takes_power_at_every_rate(rate, width, static, stribeck, visco
 PULL = {"stiffness": 30.0, "coulomb_friction": COULOMB, "static_friction": 1.5 * COULOMB}
 
 
-def pulled(rate, duration, samples, **joint):
+def pulled(rate, start, duration, samples, **joint):
     """Motor rates (r,) of a rotor that a spring pulls along: the link, of huge inertia, turns at a constant rate."""
-    wheel = replace(STRIP, masses=[fm.LumpedMass(1e3, 0.25, inertia=1e9 * np.eye(3))])
+    wheel = replace(STRIP, masses=[fm.LumpedMass(0.1, 0.25, inertia=1e4 * np.eye(3))])
     model = fm.build_model(fm.Arm([wheel], [fm.Joint(Z, INERTIA, **{**PULL, **joint})]), **RIGID)
     simulator = fm.Simulator(model, "radau", None, duration / samples, rtol=1e-7, atol=1e-10)
     own = model.arm.joints[0]
-    carried = friction_torque(rate, COULOMB, own.coulomb_rate, own.static_friction, own.stribeck_rate)
-    simulator.reset(state=[carried / own.stiffness, 0.0, rate, 1.02 * rate])
+    carried = friction_torque(start, COULOMB, own.coulomb_rate, own.static_friction, own.stribeck_rate)
+    simulator.reset(state=[carried / own.stiffness, 0.0, rate, start])
     rates = []
     for _ in range(samples):
         assert simulator.step([0.0]) == "ok"
@@ -104,11 +106,11 @@ def test_a_pulled_mass_slips_and_sticks_with_the_period_of_the_closed_form():
     """
     rate, k = 0.02, PULL["stiffness"]
     stretch, omega = 0.5 * COULOMB / k, np.sqrt(k / INERTIA)
-    rates = pulled(rate, 12.0, 4000, coulomb_rate=2e-5, stribeck_rate=2e-4)
+    rates = pulled(rate, 0.0, 17.0, 5000, coulomb_rate=4e-6, stribeck_rate=4e-4)
     slipping = rates > 0.5 * rate
-    starts = 12.0 / 4000 * np.flatnonzero(slipping[1:] & ~slipping[:-1])
+    starts = 17.0 / 5000 * np.flatnonzero(slipping[1:] & ~slipping[:-1])
     period = 2.0 * stretch / rate + 2.0 / omega * (np.pi - np.arctan(stretch * omega / rate))
-    assert np.diff(starts)[1:] == pytest.approx(period, rel=0.02)
+    assert len(starts) == 4 and np.diff(starts) == pytest.approx(period, rel=0.02)
     assert rates.max() == pytest.approx(rate + np.hypot(rate, stretch * omega), rel=0.02)
     assert (rates > -1e-3).all() and (np.abs(rates) < 1e-3).mean() > 0.5
 
@@ -119,7 +121,7 @@ def test_steady_sliding_is_stable_where_damping_exceeds_the_fall_of_friction(rat
     rate, stribeck, excess = 0.1, 0.05, 0.5
     slip = rate / stribeck
     fall = 2.0 * COULOMB * excess * slip / stribeck / (1.0 + slip**2) ** 2
-    rates = pulled(rate, 12.0, 1200, coulomb_rate=1e-3, stribeck_rate=stribeck, damping=ratio * fall)
+    rates = pulled(rate, 1.02 * rate, 12.0, 1200, coulomb_rate=1e-3, stribeck_rate=stribeck, damping=ratio * fall)
     first, last = (np.ptp(rates[part]) for part in (slice(0, 150), slice(-150, None)))
     assert last < 0.2 * first if ratio > 1.0 else last > 2.0 * first
 
@@ -146,7 +148,7 @@ def test_the_describing_function_of_play():
 def test_a_link_swings_through_its_play_at_constant_rate():
     """Period 2 pi sqrt(J / k) + 4 a / v for the rate v in the gap; the motor stands by its huge inertia."""
     half, k, rate = 2e-3, 50.0, 0.02
-    joint = fm.Joint(Z, 1e9, stiffness=k, backlash=2.0 * half, knee_width=1e-5)
+    joint = fm.Joint(Z, 1e5, stiffness=k, backlash=2.0 * half, knee_width=1e-5)
     model = fm.build_model(fm.Arm([STRIP], [joint]), **RIGID)
     simulator = fm.Simulator(model, "radau", None, 1e-3, rtol=1e-9, atol=1e-13)
     simulator.reset(state=[0.0, 0.0, rate, 0.0])
@@ -157,7 +159,7 @@ def test_a_link_swings_through_its_play_at_constant_rate():
     rising = np.flatnonzero((np.array(angles[1:]) >= 0.0) & (np.array(angles[:-1]) < 0.0))
     period = 2.0 * np.pi * np.sqrt(LINK_INERTIA / k) + 4.0 * half / rate
     assert len(rising) >= 3 and 1e-3 * np.diff(rising) == pytest.approx(period, rel=0.005)
-    assert abs(simulator.energy_residual) < 1e-9 * simulator.energy_turnover
+    assert abs(simulator.energy_residual) < 1e-8 * simulator.energy_turnover
 
 
 PIECES = ((3.0, 0.5), (9.0, 0.75))  # as a strain wave gear: T1, K1 / K3 and T2, K2 / K3
@@ -182,7 +184,7 @@ def test_a_progressive_spring_has_the_twists_of_its_data_sheet(backlash):
 
 
 @QUICK
-@given(st.floats(-0.06, 0.06), st.floats(0.0, 0.02), st.floats(1e-5, 5e-3))
+@given(st.floats(-0.06, 0.06), st.sampled_from([0.0, 1e-5, 2e-3, 0.02]), st.floats(1e-5, 5e-3))
 def test_torque_and_stiffness_are_the_derivatives_of_the_elastic_energy(twist, backlash, width):
     """By central differences, also where knees overlap; the energy at zero twist is zero."""
     model = hub(stiffness=400.0, stiffness_pieces=PIECES, backlash=backlash, knee_width=width)
@@ -218,7 +220,7 @@ def test_an_arm_sags_into_its_play_and_its_soft_springs():
         accelerations = fm.acceleration(model, state, torques)
         assert np.abs(fm.mass_matrix(model, state) @ accelerations).max() < 1e-9
     level = replace(arm, gravity=(0.0, 9.81, 0.0))  # along the axes: no torque, so in the middle of the gap
-    assert fm.rest_state(fm.build_model(level, 1), [0.0, 0.5])[:2] == pytest.approx([0.0, 0.5], abs=1e-9)
+    assert fm.rest_state(fm.build_model(level, **RIGID), [0.0, 0.5])[:2] == pytest.approx([0.0, 0.5], abs=1e-9)
 
 
 GEAR = fm.Motor(100.0, 0.05, 1e-3, efficiency=0.9, torque_ripple=0.02, ripple_cycles=2.0, ripple_phase=0.3)
@@ -238,7 +240,7 @@ def test_torque_ripple_is_a_sine_of_the_motor_angle_before_the_gear():
     potential = 1.8 / 200.0 * (np.cos(0.3) - np.cos(200.0 * angle + 0.3))
     assert inertia * (rate**2 - 0.25) / 2.0 == pytest.approx(potential, rel=1e-6)
     elastic = fm.build_model(fm.Arm([STRIP], [fm.Joint(Z, stiffness=50.0, motor=GEAR)]), **RIGID)
-    assert fm.acceleration(elastic, [0.1, 0.01, 0.0, 0.0], [4.5])[1] == pytest.approx(1.8 * np.sin(2.3) / 10.0)
+    assert fm.acceleration(elastic, [0.1, 0.01, 0.0, 0.0], [-4.5])[1] == pytest.approx(1.8 * np.sin(2.3) / 10.0)
 
 
 WORN = laden_rrr()
