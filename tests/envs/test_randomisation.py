@@ -23,7 +23,13 @@ from oracles.random_inputs import EVERYTHING, FRICTION, GEARS, actions
 EFFECTS = (*PARAMETERS, *SIGNALS)
 RANGES = {name: (EVERYTHING | FRICTION | GEARS)[range_name(name)] for name in EFFECTS}
 BARE = FlexManEnv().unwrapped.simulator.model.arm
-WORN = {"viscous_friction": 5.0, "coulomb_friction": 9.0, "backlash": 0.0, "stiffness_pieces": ((40.0, 1.0),)}
+WORN = {
+    "viscous_friction": 5.0,
+    "coulomb_friction": 9.0,
+    "static_friction": 11.0,
+    "backlash": 0.0,
+    "stiffness_pieces": ((40.0, 1.0),),
+}
 RUBBING = replace(
     BARE, modal_damping_ratio=0.01,
     joints=[replace(joint, rotor_inertia=0.0, **WORN,
