@@ -249,7 +249,7 @@ WORN = laden_rrr()
 WORN = replace(
     WORN, modal_damping_ratio=0.01, gravity=(0.0, 0.0, -9.81),
     joints=[replace(joint, viscous_friction=2.0, coulomb_friction=20.0, static_friction=26.0, stribeck_rate=0.03,
-                    backlash=2e-3, stiffness_pieces=((40.0, 0.6),), rotor_inertia=0.0,
+                    backlash=2e-3, stiffness_pieces=((40.0, 0.6), (400.0, 0.8)), rotor_inertia=0.0,
                     motor=fm.Motor(100.0, 0.05, joint.rotor_inertia / 1e4, torque_ripple=0.05, ripple_cycles=1.0))
             for joint in WORN.joints],
 )  # fmt: skip
