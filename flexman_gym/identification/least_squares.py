@@ -27,6 +27,9 @@ TYPICAL_VALUES: dict[str, Callable[[Model, Array], Array | float]] = {
     "rotor_inertia": lambda model, inertia: 0.1 * inertia,
     "viscous_friction": lambda model, inertia: 0.02 * TYPICAL_RATE * inertia,
     "coulomb_friction": lambda model, inertia: 0.01 * TYPICAL_RATE**2 * inertia,
+    "static_excess": lambda model, inertia: np.full(model.n_joints, 0.1),
+    "backlash": lambda model, inertia: np.full(model.n_joints, 1e-3),
+    "ripple_torque": lambda model, inertia: 0.01 * TYPICAL_RATE**2 * inertia,
     "link_damping": lambda model, inertia: np.full(model.n_joints, 0.01),
 }
 

@@ -17,7 +17,7 @@ inertia of the frame about the axis, and `mixed` for their coupling.
 import math
 
 from flexman_gym.kernels.compile import inner, kernel
-from flexman_gym.kernels.forces import applied_forces
+from flexman_gym.kernels.forces import applied_forces, has_knees
 from flexman_gym.kernels.kinematics import compute_kinematics
 from flexman_gym.kernels.lanes import (
     add_weighted_rows,
@@ -62,7 +62,8 @@ def _eliminate_joint(constants, work, i, shift, inertia):
     total = rotor + shift[0] * work.friction_slope[i]
     spring, joint, mixed, frame = 0.0, total, carried, carried
     if constants.motor[i] >= 0:
-        spring = shift[0] * constants.joint_damping[i] + shift[1] * constants.joint_stiffness[i]
+        stiffness = work.spring_slope[i] if has_knees(constants, i) else constants.joint_stiffness[i]
+        spring = shift[0] * constants.joint_damping[i] + shift[1] * stiffness
         if constants.prescribed[i]:
             joint, mixed = spring, 0.0
         else:

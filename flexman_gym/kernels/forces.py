@@ -43,14 +43,17 @@ def applied_forces(constants, work, x, v):
     Returns:
         Power (W) supplied, without that of motors with prescribed motion, and power dissipated.
     """
-    supplied, dissipated = _motor_forces(constants, work, v)
-    dissipated += _structural_forces(constants, work, x, v)
+    supplied, dissipated = _motor_forces(constants, work, x, v)
+    dissipated += _structural_forces(constants, work, x, v, True)
     return supplied + _apply_disturbance(constants, work, v), dissipated
 
 
 @inner
-def _motor_forces(constants, work, v):
-    """Set work.force (d,) to the motor torques minus friction; return the power supplied and dissipated (W)."""
+def _motor_forces(constants, work, x, v):
+    """Set work.force (d,) to the motor torques minus friction; return the power supplied and dissipated (W).
+
+    Torque ripple is part of the motor torque and of the power supplied.
+    """
     supplied, dissipated = 0.0, 0.0
     for j in range(len(work.force)):
         work.force[j] = 0.0
@@ -58,8 +61,10 @@ def _motor_forces(constants, work, v):
         m = constants.motor[i] if constants.motor[i] >= 0 else i
         friction = constants.viscous_friction[i] * v[m]
         if constants.has_coulomb_friction[i]:
-            friction += constants.coulomb_friction[i] * math.tanh(v[m] / constants.coulomb_rate[i])
+            friction += coulomb_torque(constants, i, v[m])
         torque = 0.0 if constants.prescribed[i] else work.drive[i]
+        if constants.has_ripple[i] and not constants.prescribed[i]:
+            torque += ripple_torque(constants, i, x[m])
         work.force[m] = torque - friction
         supplied += torque * v[m]
         dissipated += friction * v[m]
@@ -67,16 +72,121 @@ def _motor_forces(constants, work, v):
 
 
 @inner
-def _structural_forces(constants, work, x, v):
-    """Add the springs and dampers of joints and links to work.force; return the power dissipated (W)."""
+def coulomb_torque(constants, i, rate):
+    """Return the friction torque (N m) of motor i at a rate (rad/s), without its viscous part.
+
+    With the Coulomb friction c, the width r, the static excess s and the Stribeck rate p, it is
+    c tanh(rate / r) (1 + s / (1 + (rate / p)^2)).
+    """
+    slip = rate / constants.stribeck_rate[i]
+    coulomb = constants.coulomb_friction[i] * math.tanh(rate / constants.coulomb_rate[i])
+    return coulomb + constants.static_excess[i] * coulomb / (1.0 + slip * slip)
+
+
+@inner
+def ripple_torque(constants, i, angle):
+    """Return the torque ripple (N m) of motor i at a motor angle (rad, at the joint)."""
+    return constants.ripple_torque[i] * math.sin(constants.ripple_cycles[i] * angle + constants.ripple_phase[i])
+
+
+@inner
+def has_knees(constants, i):
+    """Return True if the torque-twist curve of joint i has knees."""
+    return constants.knee_start[i + 1] > constants.knee_start[i]
+
+
+@inner
+def _clamp(value, width):
+    """Return a value limited to -width and width."""
+    return select_below(value, -width, -width, select_below(width, value, width, value))
+
+
+@inner
+def _ramp(value, width):
+    """Return a value if above the width, 0 if below -width, and in between a parabola with the same slopes."""
+    rounded = _clamp(value, width) + width
+    return rounded * rounded / (4.0 * width) + (select_below(value, width, width, value) - width)
+
+
+@inner
+def _ramp_integral(value, width):
+    """Return the integral of `_ramp` from -infinity to a value."""
+    rounded, above = _clamp(value, width) + width, select_below(value, width, width, value)
+    return rounded * rounded * rounded / (12.0 * width) + 0.5 * (above * above - width * width)
+
+
+@inner
+def spring_torque(constants, i, twist):
+    """Return the torque (N m) of the spring of joint i at a twist (rad), an odd function.
+
+    The torque-twist curve is linear between its knees. Knee e at the twist a adds the stiffness knee_share[e]
+    joint_stiffness beyond a, by a parabola from a - w to a + w with the width w. A first knee at half the backlash has
+    no stiffness before it. All terms at a = 0 would make a linear spring.
+    """
+    if not has_knees(constants, i):
+        return constants.joint_stiffness[i] * twist
+    share, width = 0.0 * twist, constants.knee_width[i]
+    for e in range(constants.knee_start[i], constants.knee_start[i + 1]):
+        knee = constants.knee_twist[e]
+        share += constants.knee_share[e] * (_ramp(twist - knee, width) - _ramp(-twist - knee, width))
+    return constants.joint_stiffness[i] * share
+
+
+@inner
+def spring_slope(constants, i, twist):
+    """Return the tangent stiffness (N m/rad) of the spring of joint i at a twist (rad)."""
+    if not has_knees(constants, i):
+        return constants.joint_stiffness[i]
+    share, width = 0.0 * twist, constants.knee_width[i]
+    for e in range(constants.knee_start[i], constants.knee_start[i + 1]):
+        knee = constants.knee_twist[e]
+        rounded = _clamp(twist - knee, width) + _clamp(-twist - knee, width)
+        share += constants.knee_share[e] * (rounded + 2.0 * width) / (2.0 * width)
+    return constants.joint_stiffness[i] * share
+
+
+@inner
+def spring_energy(constants, i, twist):
+    """Return the elastic energy (J) of the spring of joint i at a twist (rad), the integral of its torque."""
+    if not has_knees(constants, i):
+        return 0.5 * constants.joint_stiffness[i] * twist * twist
+    share, width = 0.0 * twist, constants.knee_width[i]
+    for e in range(constants.knee_start[i], constants.knee_start[i + 1]):
+        knee = constants.knee_twist[e]
+        energy = _ramp_integral(twist - knee, width) + _ramp_integral(-twist - knee, width)
+        share += constants.knee_share[e] * (energy - 2.0 * _ramp_integral(-knee, width))
+    return constants.joint_stiffness[i] * share
+
+
+@inner
+def tangent_springs(constants, work, x):
+    """Set work.spring_slope and work.spring_offset (n,) to the tangents of joint springs with knees at x (d,)."""
+    for i in range(len(constants.mass)):
+        m = constants.motor[i]
+        if m >= 0 and has_knees(constants, i):
+            twist = x[m] - x[i]
+            work.spring_slope[i] = spring_slope(constants, i, twist)
+            work.spring_offset[i] = spring_torque(constants, i, twist) - work.spring_slope[i] * twist
+
+
+@inner
+def _structural_forces(constants, work, x, v, exact):
+    """Add the springs and dampers of joints and links to work.force; return the power dissipated (W).
+
+    Unless `exact`, joint springs with knees have the torque work.spring_slope times the twist.
+    """
     n = len(constants.mass)
     elastic = len(x) - constants.elastic_start[n]
     dissipated = 0.0
     for i in range(n):
         m = constants.motor[i]
         if m >= 0:
-            twist_rate = v[m] - v[i]
-            reaction = constants.joint_stiffness[i] * (x[m] - x[i]) + constants.joint_damping[i] * twist_rate
+            twist, twist_rate = x[m] - x[i], v[m] - v[i]
+            if exact or not has_knees(constants, i):
+                torque = spring_torque(constants, i, twist)
+            else:
+                torque = work.spring_slope[i] * twist
+            reaction = torque + constants.joint_damping[i] * twist_rate
             work.force[i] += reaction
             work.force[m] -= reaction
             dissipated += constants.joint_damping[i] * twist_rate * twist_rate
@@ -108,7 +218,9 @@ def secant_friction(constants, work, v):
         slope = constants.viscous_friction[i]
         if constants.has_coulomb_friction[i]:
             part = v[constants.motor[i] if constants.motor[i] >= 0 else i] / constants.coulomb_rate[i]
+            slip = part * constants.coulomb_rate[i] / constants.stribeck_rate[i]
             steepness = constants.coulomb_friction[i] / constants.coulomb_rate[i]
+            steepness += constants.static_excess[i] * steepness / (1.0 + slip * slip)
             # at rest tanh(part) / part is 1 to rounding
             slope += steepness * select_below(part * part, 1e-16, 1.0, math.tanh(part) / part)
         work.friction_slope[i] = slope
@@ -123,22 +235,26 @@ def _shift_friction(constants, work, change):
 
 
 @inner
-def stage_forces(constants, work, v, x_implicit, v_implicit, change):
-    """Set work.force, work.field and work.tip_force for an implicit stage at speeds v (d,), after `compute_kinematics`.
+def stage_forces(constants, work, x, v, x_implicit, v_implicit, change):
+    """Set work.force, work.field and work.tip_force for an implicit stage at x and v (d,), after `compute_kinematics`.
 
-    Springs and dampers are evaluated at x_implicit and v_implicit (d,), friction at the speeds v + change (d,), to
-    first order in the change.
+    Springs and dampers are evaluated at x_implicit and v_implicit (d,), springs with knees by their tangents, friction
+    at the speeds v + change (d,), to first order in the change. Torque ripple is that at x.
     """
-    _motor_forces(constants, work, v)
+    _motor_forces(constants, work, x, v)
     _shift_friction(constants, work, change)
-    _structural_forces(constants, work, x_implicit, v_implicit)
+    _structural_forces(constants, work, x_implicit, v_implicit, False)
+    for i in range(len(constants.mass)):
+        if constants.motor[i] >= 0 and has_knees(constants, i):
+            work.force[i] += work.spring_offset[i]
+            work.force[constants.motor[i]] -= work.spring_offset[i]
     _apply_disturbance(constants, work, v)
 
 
 @inner
 def shift_forces(constants, work, x_change, v_change):
     """Add to work.force the first-order change of spring, damper and friction forces for changes (d,) of x and v."""
-    _structural_forces(constants, work, x_change, v_change)
+    _structural_forces(constants, work, x_change, v_change, False)
     _shift_friction(constants, work, v_change)
 
 

@@ -14,7 +14,14 @@ methods for ODE-IVP solvers, SIAM J. Sci. Comput. 18, 41, 1997).
 
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import factorise, prescribed_power, solve
-from flexman_gym.kernels.forces import applied_forces, evaluate_drive, secant_friction, shift_forces, stage_forces
+from flexman_gym.kernels.forces import (
+    applied_forces,
+    evaluate_drive,
+    secant_friction,
+    shift_forces,
+    stage_forces,
+    tangent_springs,
+)
 from flexman_gym.kernels.kinematics import compute_kinematics
 from flexman_gym.kernels.lanes import fma
 from flexman_gym.kernels.layout import DIVERGED, NOT_CONVERGED, OK, PAUSED
@@ -79,7 +86,7 @@ def _corrected_springs(constants, work, g, correction, v):
         position[k] = fma(g * g, w[k], work.stage_state[k])
         speed[k] = 1.5 * fma(g, w[k], work.stage_state[d + k])
         work.shift[k] = fma(g, w[k], work.shift[k])
-    stage_forces(constants, work, v, position, speed, work.shift[:d])
+    stage_forces(constants, work, work.new_state[:d], v, position, speed, work.shift[:d])
     solve(constants, work, work.rates)
     for k in range(d):
         position[k], speed[k] = g * g * work.rates[k], g * work.rates[k]
@@ -120,6 +127,7 @@ def _newton_iteration(constants, work, g, x, v, springs):
     Springs act at the coordinates `springs` (d,) plus the displacement by the accelerations.
     """
     compute_kinematics(constants, work, x, v)
+    tangent_springs(constants, work, x)
     secant_friction(constants, work, v)
     factorise(constants, work, (g, g * g))
     _solve_stage(constants, work, v, springs)
@@ -132,7 +140,7 @@ def _solve_stage(constants, work, v, springs):
     Friction is that of the speeds v + work.shift[:d], to first order.
     """
     d = len(v)
-    stage_forces(constants, work, v, springs, work.stage_state[d : 2 * d], work.shift[:d])
+    stage_forces(constants, work, work.new_state[:d], v, springs, work.stage_state[d : 2 * d], work.shift[:d])
     solve(constants, work, work.rates)
 
 
@@ -180,6 +188,7 @@ def _predict_stages(constants, work, step, state):
         x[k], v[k] = state[k] + g * state[d + k], state[d + k]
         work.stage_state[k], work.stage_state[d + k] = x[k], v[k]
     compute_kinematics(constants, work, x, v)
+    tangent_springs(constants, work, x)
     secant_friction(constants, work, v)
     factorise(constants, work, (g, g * g))
     _solve_frozen(constants, work, v)
@@ -361,6 +370,7 @@ def _newton_solution(constants, work, speed_gain, position_gain, state):
             shift[k], shift[d + k] = -position_gain * w[k], -speed_gain * w[k]
         compute_kinematics(constants, work, x, v)
         supplied, dissipated = applied_forces(constants, work, x, v)
+        tangent_springs(constants, work, x)
         secant_friction(constants, work, v)
         shift_forces(constants, work, shift[:d], shift[d : 2 * d])
         factorise(constants, work, (speed_gain, position_gain))

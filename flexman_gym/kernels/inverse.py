@@ -1,7 +1,10 @@
 """Inverse dynamics M v' + h, with quadratic velocity and gravitational forces h, and static equilibrium."""
 
+import math
+
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import link_tip_acceleration, payload_force
+from flexman_gym.kernels.forces import has_knees, spring_slope, spring_torque
 from flexman_gym.kernels.kinematics import compute_kinematics
 from flexman_gym.kernels.linalg import (
     ZERO,
@@ -113,11 +116,55 @@ def _add_axial_forces(constants, work, i, rates, elastic, out):
 
 
 EQUILIBRIUM_ITERATIONS, EQUILIBRIUM_TOLERANCE = 100, 1e-12  # largest number of iterations; relative change at the end
+BISECTIONS = 64  # halvings of the interval of a twist, to rounding
+
+
+@kernel
+def linear_twists(constants, x):
+    """Set joint angles in x (d,) so that linear springs of joint_stiffness have the torques of the springs with knees.
+
+    The forces of all springs at the given coordinates are then the stiffness matrix times x.
+    """
+    for i in range(len(constants.mass)):
+        m = constants.motor[i]
+        if m >= 0 and has_knees(constants, i):
+            x[i] = x[m] - spring_torque(constants, i, x[m] - x[i]) / constants.joint_stiffness[i]
+
+
+@kernel
+def spring_slopes(constants, x, out):
+    """Set out (n,) to the tangent stiffness (N m/rad) of the joint springs at coordinates x (d,); 0 if rigid."""
+    for i in range(len(constants.mass)):
+        m = constants.motor[i]
+        out[i] = spring_slope(constants, i, x[m] - x[i]) if m >= 0 else 0.0
+
+
+@inner
+def _knee_twists(constants, x):
+    """Revert `linear_twists`; a torque of zero to rounding has the twist 0, in the middle of the backlash."""
+    for i in range(len(constants.mass)):
+        m = constants.motor[i]
+        if m >= 0 and has_knees(constants, i):
+            twist = x[m] - x[i]
+            torque, low, high = constants.joint_stiffness[i] * abs(twist), 0.0, 2.0 * abs(twist)
+            if abs(twist) < EQUILIBRIUM_TOLERANCE:
+                torque, high = 0.0, 0.0
+            while spring_torque(constants, i, high) < torque:
+                high += high
+            for _ in range(BISECTIONS):
+                middle = 0.5 * (low + high)
+                if spring_torque(constants, i, middle) < torque:
+                    low = middle
+                else:
+                    high = middle
+            x[i] = x[m] - math.copysign(high, twist)
 
 
 @kernel
 def solve_equilibrium(constants, work, stiffness, compliance, free, rest, x, force):
     """Solve for the static equilibrium of the arm under gravity, by a fixed-point iteration.
+
+    Springs with knees are inverted in every iteration: the unknowns are the twists of `linear_twists`.
 
     Args:
         constants: constants of the model.
@@ -135,6 +182,7 @@ def solve_equilibrium(constants, work, stiffness, compliance, free, rest, x, for
     largest = 1.0
     for _ in range(EQUILIBRIUM_ITERATIONS):
         inertial_forces(constants, work, x, rest, rest, force)
+        linear_twists(constants, x)
         for i in range(len(free)):
             for j in range(len(x)):
                 force[free[i]] += stiffness[free[i], j] * x[j]
@@ -147,6 +195,7 @@ def solve_equilibrium(constants, work, stiffness, compliance, free, rest, x, for
             largest = max(largest, abs(change))
         for j in range(len(x)):
             size = max(size, abs(x[j]))
+        _knee_twists(constants, x)
         largest /= size
         if not largest > EQUILIBRIUM_TOLERANCE:
             break

@@ -95,14 +95,25 @@ class Constants(NamedTuple):
     gravity: Array  # (3,) acceleration of gravity, base frame
     mount: Array  # (9 n,) rotation between neighbouring beam frames at zero angle and deflection, by rows
     axis: Vectors  # (n, 3) joint axis in the frame of the outboard link
-    joint_stiffness: PerArm  # (n,)
+    joint_stiffness: PerArm  # (n,) beyond all knees of the torque-twist curve
     joint_damping: PerArm  # (n,)
     rotor_inertia: PerArm  # (n,)
     carried_inertia: PerArm  # (n,) rotor inertia if the rotor also turns with the inboard link, else 0 (Eq. 23)
     viscous_friction: PerArm  # (n,)
     coulomb_friction: PerArm  # (n,) zero in all arms where `has_coulomb_friction` is zero
-    coulomb_rate: Array  # (n,) motor rate r in the Coulomb friction c tanh(rate / r)
+    coulomb_rate: PerArm  # (n,) motor rate r in the Coulomb friction c tanh(rate / r)
+    static_excess: PerArm  # (n,) static friction / Coulomb friction - 1
+    stribeck_rate: PerArm  # (n,) motor rate at which half of this excess is left
     has_coulomb_friction: IntArray  # (n,) 1 for a joint with Coulomb friction, else 0
+    # torque-twist curve of the joint springs, see `forces.spring_torque`; a linear spring has no knees
+    knee_start: IntArray  # (n + 1,) first knee of each joint, then their number e
+    knee_twist: PerArm  # (e,) rad; the first of a joint is half of its backlash
+    knee_share: PerArm  # (e,) increase of the stiffness at the knee / joint_stiffness
+    knee_width: Array  # (n,) rad; twist on either side of a knee over which the stiffness changes
+    ripple_torque: PerArm  # (n,) amplitude of the torque ripple at the joint
+    ripple_cycles: Array  # (n,) its radians per radian of the motor angle at the joint, gear ratio included
+    ripple_phase: Array  # (n,) rad
+    has_ripple: IntArray  # (n,) 1 for a motor with torque ripple, else 0
     prescribed: IntArray  # (n,) 1 for a motor with prescribed motion, else 0; set by a simulation, not by a model
     length: Array  # (n,)
     mass: Array  # (n,)
@@ -202,6 +213,8 @@ class Work(NamedTuple):
     joint_column: SixVectors  # (n, 6) U = I^A S of Featherstone: articulated-body inertia times joint axis
     joint_pivot: Array  # (n,) D = S^T U of Featherstone: inertia about the joint axis, with the rotor
     spring: Array  # (n,) g damping + h stiffness of the joint for a shift (g, h) of the factorisation
+    spring_slope: Array  # (n,) tangent stiffness of a joint spring with knees, N m/rad
+    spring_offset: Array  # (n,) torque of its tangent at zero twist, N m
     motor_inertia: Array  # (n,) rotor inertia plus `spring` plus g friction_slope
     friction_slope: Array  # (n,) friction torque divided by motor rate (secant), N m s/rad
     # accelerations (forces and dynamics.solve)
@@ -251,7 +264,8 @@ def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = 
         "velocity": (n, 3), "joint_bias": (n, 3), "rotor_bias": (n, 3), "tip_velocity": (1, 3),
         "tip_bias": (n, 6), "bias": (n, 6), "elastic_bias": (k,), "articulated": (27 * n,), "carried": (6 * widest,),
         "factor": (rows,), "joint_column": (n, 6), "joint_pivot": (n,), "spring": (n,),
-        "motor_inertia": (n,), "friction_slope": (n,), "drive": (n + 6,), "field": (1, 3), "tip_force": (1, 3),
+        "spring_slope": (n,), "spring_offset": (n,), "motor_inertia": (n,), "friction_slope": (n,),
+        "drive": (n + 6,), "field": (1, 3), "tip_force": (1, 3),
         "force": (size // 2 - 1,), "elastic_force": (k,), "joint_force": (n,), "motor_torque": (n,),
         "frame_acceleration": (n, 6), "reaction": (n + 1, 6),
         "stages": (MAX_STAGES, size), "stage_state": (size,), "shift": (size,), "new_state": (size,),

@@ -2,7 +2,7 @@
 
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import factorise, solve
-from flexman_gym.kernels.forces import applied_forces
+from flexman_gym.kernels.forces import applied_forces, spring_energy
 from flexman_gym.kernels.kinematics import compute_kinematics, tip_rotation
 from flexman_gym.kernels.lanes import fma, is_zero
 from flexman_gym.kernels.layout import (
@@ -53,8 +53,7 @@ def compute_outputs(constants, work, x, v, out):
         rotor_rate = v[i]
         if m >= 0:
             rotor_rate = v[m]
-            twist = x[m] - x[i]
-            joints += 0.5 * constants.joint_stiffness[i] * twist * twist
+            joints += spring_energy(constants, i, x[m] - x[i])
         if not is_zero(constants.carried_inertia[i]):
             rotor_rate += dot(load(constants.axis, i), load(work.spin, i)) - v[i]  # plus the rate of the carrying frame
         kinetic += 0.5 * constants.rotor_inertia[i] * rotor_rate * rotor_rate

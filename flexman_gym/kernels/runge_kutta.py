@@ -15,7 +15,7 @@ import math
 from flexman_gym.kernels.arguments import constants_of_sequences, work_of_sequences
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import factorise, prescribed_power, solve
-from flexman_gym.kernels.forces import applied_forces, evaluate_drive, secant_friction, shift_forces
+from flexman_gym.kernels.forces import applied_forces, evaluate_drive, secant_friction, shift_forces, tangent_springs
 from flexman_gym.kernels.kinematics import compute_kinematics
 from flexman_gym.kernels.lanes import extract_lane, fma, insert_lane
 from flexman_gym.kernels.layout import DIVERGED, LARGEST_STATE, NOT_CONVERGED, OK, PAUSED
@@ -325,7 +325,8 @@ def _implicit_stage(constants, work, tableau, table, span, state, i, update):
     With g = gamma step and r = sum of c_ij u_j / step, the stage u = (u_x, u_v) for x and v solves
     u_x / g = v + u_v + r_x and M u_v / g = F(x, v) - K u_x - D u_v + M r_v. For w = u_v / g - r_v this is
     (M + g D + g^2 K) w = F with springs at x + g (v + r_x + g r_v) and dampers at v + g r_v: no product with M is
-    needed. D contains the secant of friction at the start of the step. Kinematics are computed if `update`.
+    needed. D contains the secant of friction and K the
+    tangents of springs with knees at the start of the step. Kinematics are computed if `update`.
     """
     d, size, (time, step) = len(state) // 2 - 1, len(state), span
     g = tableau.gamma * step
@@ -346,6 +347,7 @@ def _implicit_stage(constants, work, tableau, table, span, state, i, update):
         compute_kinematics(constants, work, x, v)
     supplied, dissipated = applied_forces(constants, work, x, v)
     if i == 0:
+        tangent_springs(constants, work, x)
         secant_friction(constants, work, v)
     for implicit in range(0 if _any_prescribed(constants) else 1, 2):
         if implicit:

@@ -76,11 +76,13 @@ def _mass_matrix(model: Model, forces: Forces, x: Array) -> Array:
     return (matrix + matrix.T) / 2
 
 
-def stiffness_matrix(model: Model) -> Array:
+def stiffness_matrix(model: Model, coordinates: Array | None = None) -> Array:
     """Return the stiffness matrix (d, d) of links and joint springs, in N/m, N m/rad or the units of modal coordinates.
 
     Args:
         model: model of the arm.
+        coordinates: (d,) coordinates at which joint springs with backlash or stiffness pieces have their tangent
+            stiffness, 0 within a gap; None for their full stiffness, beyond the gap and all pieces.
 
     Examples:
         >>> model = fm.build_model(fm.catalog.one_joint(), elements=1)
@@ -89,7 +91,18 @@ def stiffness_matrix(model: Model) -> Array:
         ((8, 8), array([[ 20., -20.],
                [-20.,  20.]]))
     """
-    return _assemble(check_model(model), model.constants.joint_stiffness, model.constants.stiffness)
+    values = check_model(model).constants.joint_stiffness
+    if coordinates is not None:
+        values = np.zeros(model.n_joints)
+        inverse.spring_slopes(model.constants, coordinates, values)
+    return _assemble(model, values, model.constants.stiffness)
+
+
+def elastic_forces(model: Model, coordinates: Array) -> Array:
+    """Return the generalised forces (d,) that hold links and joint springs at coordinates (d,)."""
+    linear = np.array(coordinates)
+    inverse.linear_twists(model.constants, linear)
+    return stiffness_matrix(model) @ linear
 
 
 def damping_matrix(model: Model) -> Array:
@@ -194,8 +207,8 @@ def inverse_dynamics(
     this difference is computed by finite differences of order six along the motion.
 
     Args:
-        model: model with rigid links. Flexible joints must have neither damping nor friction, and `spinning_rotors`
-            must be False.
+        model: model with rigid links. Flexible joints must have neither damping nor friction, no motor
+            torque ripple, no spring backlash or stiffness pieces, and `spinning_rotors` must be False.
         joint_angles: (n,) rad.
         joint_rates: (n,) rad/s.
         joint_accelerations: (n,) rad/s^2.
@@ -226,7 +239,7 @@ def inverse_dynamics(
         return forces(*(spread @ (taylor[: 5 - order] @ motion[order:]) for order in range(3)))[:n]
 
     torques = link_torques(0.0) + constants.viscous_friction * motion[1]
-    torques += constants.coulomb_friction * np.tanh(motion[1] / constants.coulomb_rate)
+    torques += coulomb_torques(model, motion[1])
     if model.n_motors == 0:
         return _finite_torques(torques, joint_accelerations)
     rate_scale = max(np.abs(row).sum() ** (1 / order) for order, row in enumerate(motion[1:], start=1))  # rad/s
@@ -234,6 +247,13 @@ def inverse_dynamics(
     twist_acceleration = curvature / constants.joint_stiffness[flexible]
     torques[flexible] += constants.rotor_inertia[flexible] * (motion[2, flexible] + twist_acceleration)
     return _finite_torques(torques, joint_accelerations)
+
+
+def coulomb_torques(model: Model, rates: Array) -> Array:
+    """Return the friction torques (n,), N m, without their viscous part, at motor rates (n,), rad/s."""
+    constants = model.constants
+    coulomb = constants.coulomb_friction * np.tanh(rates / constants.coulomb_rate)
+    return coulomb * (1.0 + constants.static_excess / (1.0 + (rates / constants.stribeck_rate) ** 2))
 
 
 def _finite_torques(torques: Array, joint_accelerations: object) -> Array:
@@ -259,6 +279,10 @@ def _check_invertible(model: Model, flexible: BoolArray) -> None:
         for i in np.flatnonzero(flexible & (values > 0.0)):
             name = field.removeprefix("joint_")
             raise value_error(f"model.arm.joints[{i}].{name}", float(values[i]), "0 for flexible joints")
+    if model.constants.knee_start[-1] > 0:
+        raise value_error("model.arm.joints", "with backlash or stiffness pieces", "linear joint springs")
+    if constants.has_ripple.any():
+        raise value_error("model.arm.joints", "with torque ripple", "motors without torque ripple")
     if (flexible & (constants.carried_inertia > 0.0)).any():
         raise value_error("model.choice.spinning_rotors", True, "False for flexible joints")
 

@@ -9,6 +9,9 @@ displaces a cross-section by more than 0.5 % of the length of its link or 0.005 
 with deformed links and high speeds, is 1e-12 of its largest entry. With the condition number of the mass matrix the
 error of A is 1e-10 of its largest entry (metres and radians weighted by their masses).
 
+Joint springs with backlash or stiffness pieces have the tangent stiffness at the twist of the state: none within the
+gap, so take a state at rest under load (`statics.rest_state`). Torque ripple has no slope: it is a disturbance.
+
 Coulomb friction c of a sliding motor is a constant torque and does not contribute to A. The smoothed friction torque
 c tanh(rate / coulomb_rate) has the slope c / coulomb_rate at rest, by default 100 c (N m s/rad). A model with this
 slope is valid only for rates far below `coulomb_rate`, where the motor hardly moves; it is not suitable for the design
@@ -350,7 +353,7 @@ def _force_jacobian(model: Model, state: Vector, accelerations: Array) -> Array:
 
     jacobian = np.zeros((d, 2 * d))
     by_coordinate = _coordinate_jacobian(model, lambda shifted: forces(shifted, v, accelerations), x)
-    jacobian[:, :d] = -stiffness_matrix(model) - by_coordinate
+    jacobian[:, :d] = -stiffness_matrix(model, x) - by_coordinate
     jacobian[:, d:] = -damping_matrix(model) - np.transpose([by_speed(unit) for unit in np.diag(size)]) / size
     return jacobian
 
@@ -358,7 +361,14 @@ def _force_jacobian(model: Model, state: Vector, accelerations: Array) -> Array:
 def _add_coulomb_slopes(model: Model, state: Vector, forces: Array) -> None:
     """Subtract the slopes of the smoothed Coulomb friction, N m s/rad, from `_force_jacobian` (d, 2 d + m)."""
     motors, constants = model.motor_columns, model.constants
-    slopes = constants.coulomb_friction / constants.coulomb_rate
-    scaled_rates = np.abs(split_state(model, state)[1][motors] / constants.coulomb_rate)
+    slopes, rates = constants.coulomb_friction / constants.coulomb_rate, split_state(model, state)[1][motors]
+    scaled_rates = np.abs(rates / constants.coulomb_rate)
     # beyond 300 the slope is 0, and cosh would overflow
-    forces[motors, model.n_dof + motors] -= slopes / np.cosh(np.minimum(scaled_rates, 300.0)) ** 2
+    slopes = slopes / np.cosh(np.minimum(scaled_rates, 300.0)) ** 2
+    slip, coulomb = (
+        rates / constants.stribeck_rate,
+        constants.coulomb_friction * np.tanh(rates / constants.coulomb_rate),
+    )
+    falling = 2.0 * coulomb * slip / (constants.stribeck_rate * (1.0 + slip**2))
+    slopes = slopes + constants.static_excess * (slopes - falling) / (1.0 + slip**2)
+    forces[motors, model.n_dof + motors] -= slopes

@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import instance, whole_number
+from flexman_gym.common.checks import instance, value_error, whole_number
 from flexman_gym.model.beam import build_beam
 from flexman_gym.model.component_modes import outboard_inertias, spatial_inertia
 from flexman_gym.scene.arm import Arm
@@ -105,6 +105,10 @@ def to_mjcf(
     """
     instance("arm", arm, Arm, "an Arm")
     whole_number("pieces", pieces, 0, MAX_PIECES)
+    for i, joint in enumerate(arm.joints):
+        if joint.has_knees or joint.static_excess or joint.ripple_cycles:
+            allowed = "a joint without static friction, backlash, stiffness pieces and torque ripple"
+            raise value_error(f"arm.joints[{i}]", joint, allowed)
     chains = [rigid_pieces(link, pieces) for link in arm.links]
     lumped_masses = [link.masses for link in arm.links]
     modes = [_modes(*each) for each in zip(chains, _tip_inertias(arm), lumped_masses, strict=True)] if pieces else []

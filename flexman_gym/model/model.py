@@ -14,6 +14,7 @@ from flexman_gym.kernels.layout import LANES
 from flexman_gym.model.beam import Beam, build_beam
 from flexman_gym.model.component_modes import loaded_modes, outboard_inertias, zero_pose_rotations
 from flexman_gym.model.element import Element, beam_elements
+from flexman_gym.model.joint_constants import joint_constants
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import warn_caller
 from flexman_gym.scene.rigid_body import Payload
@@ -86,7 +87,7 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
         gravity=np.array(arm.gravity, dtype=float),
         mount=zero_pose_rotations(arm).ravel(),
         axis=np.array([np.array(li.orientation).T @ jo.axis for li, jo in zip(arm.links, arm.joints, strict=True)]),
-        **_joint_constants(arm, choice),
+        **joint_constants(arm, choice),
         length=np.array([link.length for link in arm.links]),
         mass=np.array([part.mass for part in parts]),
         first_moment=np.array([part.first_moment for part in parts]),
@@ -140,22 +141,6 @@ def _pack(blocks: list[Array], width: int) -> Array:
     """Return blocks concatenated row by row, (rows, width), or (rows,) for a width of 1."""
     rows = np.concatenate([np.asarray(block, dtype=float).reshape(-1, width) for block in blocks])
     return np.ascontiguousarray(rows[:, 0] if width == 1 else rows)
-
-
-def _joint_constants(arm: Arm, choice: ModelChoice) -> dict[str, np.ndarray]:
-    """Return the fields of `layout.Constants` for joints and their rotors, by name."""
-    springs = [joint.stiffness is not None and choice.flexible_joints for joint in arm.joints]
-    motors = arm.n_joints + np.cumsum(springs) - 1
-    names = ("rotor_inertia", "viscous_friction", "coulomb_friction", "coulomb_rate")
-    fields = {name: np.array([getattr(joint, name) for joint in arm.joints]) for name in names}
-    return fields | {
-        "motor": np.where(springs, motors, -1).astype(np.int64),
-        "joint_stiffness": np.array([joint.stiffness or 0.0 for joint in arm.joints]),
-        "joint_damping": np.array([joint.damping for joint in arm.joints]),
-        "carried_inertia": fields["rotor_inertia"] * choice.spinning_rotors,
-        "has_coulomb_friction": (fields["coulomb_friction"] > 0.0).astype(np.int64),
-        "prescribed": np.zeros(arm.n_joints, dtype=np.int64),
-    }
 
 
 class _Sparse(NamedTuple):

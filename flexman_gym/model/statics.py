@@ -8,7 +8,7 @@ from flexman_gym.common.arrays import Array, IntArray, Matrix, Vector
 from flexman_gym.common.checks import value_error, vector
 from flexman_gym.kernels import inverse, outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, Work, make_work
-from flexman_gym.model.dynamics import inertial_forces, stiffness_matrix
+from flexman_gym.model.dynamics import elastic_forces, inertial_forces, stiffness_matrix
 from flexman_gym.model.model import Model, check_model
 
 
@@ -16,7 +16,8 @@ def rest_state(model: Model, motor_angles: Vector | Matrix) -> Array:
     """Return the state of static equilibrium under gravity with the motors held at given angles.
 
     Without gravity the arm is undeformed. With gravity the equilibrium of weight, joint springs and links is found by a
-    modified Newton iteration, with the stiffness matrix as constant Jacobian.
+    modified Newton iteration, with the stiffness matrix as constant Jacobian. A joint with backlash rests at the side
+    of the gap to which its torque turns it, and in the middle without torque.
 
     Args:
         model: model of the arm.
@@ -85,7 +86,10 @@ def holding_torques(model: Model, motor_angles: Vector) -> Array:
     """
     angles = vector("motor_angles", motor_angles, check_model(model).n_joints, "rad")
     x, zero = rest_state(model, angles)[: model.n_dof], np.zeros(model.n_dof)
-    return (inertial_forces(model)(x, zero, zero) + stiffness_matrix(model) @ x)[model.motor_columns]
+    ripple = model.constants.ripple_torque * np.sin(
+        model.constants.ripple_cycles * angles + model.constants.ripple_phase
+    )
+    return (inertial_forces(model)(x, zero, zero) + elastic_forces(model, x))[model.motor_columns] - ripple
 
 
 def rest_tips(model: Model, postures: Array) -> Array:

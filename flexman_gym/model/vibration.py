@@ -7,7 +7,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray, Vector
 from flexman_gym.common.checks import check_solvable, one_of, vector
-from flexman_gym.model.dynamics import inertial_forces, mass_matrix, stiffness_matrix
+from flexman_gym.model.dynamics import elastic_forces, inertial_forces, mass_matrix, stiffness_matrix
 from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.natural_modes import natural_modes
@@ -259,7 +259,7 @@ def _rotating_equilibrium(model: Model, angles: Vector, rate: float) -> tuple[Ar
     free, stiffness, forces = np.setdiff1d(np.arange(d), motors), stiffness_matrix(model), inertial_forces(model)
     free_stiffness = stiffness[np.ix_(free, free)]
     for _ in range(MAX_ITERATIONS):
-        balance = forces(state[:d], state[d:], np.zeros(d)) + stiffness @ state[:d]
+        balance = forces(state[:d], state[d:], np.zeros(d)) + elastic_forces(model, state[:d])
         change = np.linalg.solve(free_stiffness, balance[free])
         state[free] -= change
         if not np.isfinite(state).all() or np.abs(state).max() > MAX_COORDINATE:

@@ -33,8 +33,6 @@ FOREIGN_KEYWORDS: dict[str, dict[str, str]] = {
         **dict.fromkeys(("kind", "type", "joint_type", "prismatic"), _REVOLUTE),
         **dict.fromkeys(("limits", "limit", "range", "lower", "upper"), _LIMITS),
         **dict.fromkeys(("parent", "child"), _SERIAL),
-        "backlash": "nothing: a gear is a linear spring and a damper with friction; for backlash use Modelica "
-        "(ElastoBacklash)",
         "friction": "viscous_friction (N m s/rad) or coulomb_friction (N m)",
         "gear_ratio": "motor=fm.Motor(gear_ratio=..., torque_constant=..., rotor_inertia=...)",
         "inertia": "rotor_inertia (kg m^2)",
@@ -87,7 +85,7 @@ def check_keywords(cls: type[T]) -> type[T]:
         for name, value in named.items():
             if name not in known:
                 near = get_close_matches(name, known, 1, 0.0)[0]
-                nearest = f"a known keyword: the nearest is {near}; all: {' '.join(known)}"
+                nearest = f"{near}, the nearest of the keywords {' '.join(known)}"
                 allowed = FOREIGN_KEYWORDS.get(cls.__name__, {}).get(name) or nearest
                 raise TypeError(str(value_error(f"{cls.__name__}.{name}", value, allowed)))
         construct(self, *values, **named)
@@ -108,6 +106,7 @@ USUAL_RANGES: dict[str, tuple[float, float, str, str]] = {
     "Motor.torque_constant": (1e-6, 10.0, "N m/A", "mN m/A"),
     "Motor.speed_limit": (0.1, 5e3, "rad/s", "revolutions per minute"),
     "Motor.encoder_resolution": (0.0, 0.8, "rad", "counts per turn; 4096 per turn are 2 pi / 4096"),
+    "Joint.backlash": (0.0, 0.1, "rad", "arc minutes; 3 arc minutes are 9e-4"),
     "Joint.rotor_inertia": (0.0, 1e5, "kg m^2", "g cm^2"),
     "Arm.modal_damping_ratio": (0.0, 0.3, "1", "per cent; 0.5 % is 0.005"),
     "Arm.stiffness_proportional_damping": (0.0, 1.0, "s", "ms"),

@@ -4,7 +4,17 @@ import math
 from dataclasses import dataclass
 
 from flexman_gym.common.arrays import Vector
-from flexman_gym.common.checks import UNIT_TOLERANCE, instance, physical, set_fields, value_error, vector
+from flexman_gym.common.checks import (
+    MAX_SIZE,
+    UNIT_TOLERANCE,
+    finite,
+    instance,
+    physical,
+    sequence,
+    set_fields,
+    value_error,
+    vector,
+)
 from flexman_gym.scene.input_checks import check_keywords, warn_unusual_units
 
 
@@ -23,9 +33,16 @@ class Motor:
         speed_limit: largest speed of the motor shaft, rad/s; None if unknown.
         efficiency: output torque of the gear / ideal output torque, 1; greater than 0 and at most 1.
         encoder_resolution: angle of the motor shaft per count of the encoder, rad; None without an encoder.
+        torque_ripple: amplitude of the torque ripple, N m. It is added to the motor torque as torque_ripple *
+            sin(ripple_cycles * angle + ripple_phase) at the angle of the motor shaft, whatever the current: cogging and
+            offsets of the current sensors (Holtz and Springob 1996, IEEE Trans. Ind. Electron. 43, 309).
+        ripple_cycles: cycles of the torque ripple per turn of the motor shaft, 1; None without torque ripple. An
+            amplitude of 0 with cycles can be varied, see `simulation.parameters`.
+        ripple_phase: rad.
 
     Raises:
-        ValueError: for a number outside 1e-30 to 1e30 and for an efficiency outside its range.
+        ValueError: for a number outside 1e-30 to 1e30, for an efficiency outside its range, and for a torque ripple
+            without cycles.
 
     Examples:
         >>> motor = fm.Motor(gear_ratio=100, torque_constant=0.05, rotor_inertia=2e-6, current_limit=1.5)
@@ -41,6 +58,9 @@ class Motor:
     speed_limit: float | None = None
     efficiency: float = 1.0
     encoder_resolution: float | None = None
+    torque_ripple: float = 0.0
+    ripple_cycles: float | None = None
+    ripple_phase: float = 0.0
 
     def __post_init__(self) -> None:
         set_fields(
@@ -49,13 +69,18 @@ class Motor:
             torque_constant=physical("Motor.torque_constant", self.torque_constant, "N m/A"),
             rotor_inertia=physical("Motor.rotor_inertia", self.rotor_inertia, "kg m^2", zero=True),
             efficiency=physical("Motor.efficiency", self.efficiency),
+            torque_ripple=physical("Motor.torque_ripple", self.torque_ripple, "N m", zero=True),
+            ripple_phase=finite("Motor.ripple_phase", self.ripple_phase, "rad"),
         )
-        for name, unit in (("current_limit", "A"), ("speed_limit", "rad/s"), ("encoder_resolution", "rad")):
+        optional = {"current_limit": "A", "speed_limit": "rad/s", "encoder_resolution": "rad", "ripple_cycles": "1"}
+        for name, unit in optional.items():
             value = getattr(self, name)
             if value is not None:
                 set_fields(self, **{name: physical(f"Motor.{name}", value, unit)})
         if self.efficiency > 1.0:
             raise value_error("Motor.efficiency", self.efficiency, "a number > 0 and <= 1")
+        if self.torque_ripple > 0.0 and self.ripple_cycles is None:
+            raise value_error("Motor.torque_ripple", self.torque_ripple, "0 without ripple_cycles")
         warn_unusual_units("Motor", vars(self))
 
     @property
@@ -101,6 +126,18 @@ class Joint:
         coulomb_friction: Coulomb friction torque between the rotor and the frame that carries the joint, N m. At the
             rotor rate r (rad/s) the friction torque is coulomb_friction * tanh(r / coulomb_rate), against the motion.
         coulomb_rate: rotor rate at which the friction torque is 76 % (tanh 1) of coulomb_friction, rad/s.
+        static_friction: static friction (break-away torque), N m; None for that of coulomb_friction. The friction
+            torque is then multiplied by 1 + (static_friction / coulomb_friction - 1) / (1 + (r / stribeck_rate)^2). A
+            motor at rest under a smaller torque creeps, by less than coulomb_rate under half of it. The largest
+            friction torque is within 5 % of static_friction for a stribeck_rate of at least 10 coulomb_rate.
+        stribeck_rate: rotor rate at which half of this excess is left, rad/s.
+        backlash: total gap between motor and link, measured at the joint, rad; None for a spring without gap. The
+            spring acts beyond half the gap on either side; the damper also acts within the gap. A backlash of 0 is a
+            spring without gap whose backlash can be varied, see `simulation.parameters`.
+        stiffness_pieces: pieces of the spring below its full stiffness, as (torque, fraction), ...: up to the torque, N
+            m, ascending, the stiffness is a fraction > 0 and <= 1 of `stiffness`, which acts beyond the last.
+        knee_width: twist on either side of an end of the gap or of a piece, over which the stiffness changes linearly,
+            rad.
         torque_limit: largest motor torque at the joint, N m; None if unknown. Environments scale actions by this limit;
             `simulate` does not apply it.
         motor: Motor with its gear, or None. Its `reflected_inertia` replaces rotor_inertia and its `joint_torque_limit`
@@ -124,6 +161,11 @@ class Joint:
     coulomb_rate: float = 0.01
     torque_limit: float | None = None
     motor: Motor | None = None
+    static_friction: float | None = None
+    stribeck_rate: float = 0.05
+    backlash: float | None = None
+    stiffness_pieces: tuple[tuple[float, float], ...] = ()
+    knee_width: float = 1e-4
 
     def __post_init__(self) -> None:
         if self.motor is not None:
@@ -136,7 +178,11 @@ class Joint:
             viscous_friction=physical("Joint.viscous_friction", self.viscous_friction, "N m s/rad", zero=True),
             coulomb_friction=physical("Joint.coulomb_friction", self.coulomb_friction, "N m", zero=True),
             coulomb_rate=physical("Joint.coulomb_rate", self.coulomb_rate, "rad/s"),
+            stribeck_rate=physical("Joint.stribeck_rate", self.stribeck_rate, "rad/s"),
+            knee_width=physical("Joint.knee_width", self.knee_width, "rad"),
+            stiffness_pieces=_stiffness_pieces(self.stiffness_pieces),
         )
+        self._check_static_friction()
         if self.torque_limit is not None:
             set_fields(self, torque_limit=physical("Joint.torque_limit", self.torque_limit, "N m"))
         if self.stiffness is not None:
@@ -148,7 +194,22 @@ class Joint:
             raise value_error(
                 "Joint.damping", self.damping, "0 with stiffness None: the damper is parallel to the spring"
             )
+        if self.backlash is not None:
+            set_fields(self, backlash=physical("Joint.backlash", self.backlash, "rad", zero=True))
+        if self.has_knees and self.stiffness is None:
+            name = "stiffness_pieces" if self.stiffness_pieces else "backlash"
+            raise value_error(
+                f"Joint.{name}", getattr(self, name), "none with stiffness None: it belongs to the spring"
+            )
         warn_unusual_units("Joint", vars(self))
+
+    def _check_static_friction(self) -> None:
+        """Convert static_friction to a float and check that it is at least the Coulomb friction of the joint."""
+        if self.static_friction is not None:
+            set_fields(self, static_friction=physical("Joint.static_friction", self.static_friction, "N m", zero=True))
+            if self.coulomb_friction == 0.0 or self.static_friction < self.coulomb_friction:
+                allowed = f"a torque (N m) of at least coulomb_friction, {self.coulomb_friction:g}, which must be > 0"
+                raise value_error("Joint.static_friction", self.static_friction, allowed)
 
     def _set_from_motor(self, motor: Motor) -> None:
         """Set rotor inertia and torque limit from the motor; values equal to those of the motor are accepted."""
@@ -165,6 +226,49 @@ class Joint:
     def speed_limit(self) -> float | None:
         """Largest speed of the joint, as limited by its motor, rad/s; None if unknown."""
         return None if self.motor is None else self.motor.joint_speed_limit
+
+    @property
+    def static_excess(self) -> float:
+        """Static friction / Coulomb friction - 1, dimensionless; 0 without static friction."""
+        return 0.0 if self.static_friction is None else self.static_friction / self.coulomb_friction - 1.0
+
+    @property
+    def has_knees(self) -> bool:
+        """True if the torque-twist curve of the spring has knees: a backlash, which may be 0, or stiffness pieces."""
+        return self.backlash is not None or bool(self.stiffness_pieces)
+
+    @property
+    def soft_stiffness(self) -> float:
+        """Stiffness at small torques / stiffness, dimensionless; that beyond the gap."""
+        return self.stiffness_pieces[0][1] if self.stiffness_pieces else 1.0
+
+    @property
+    def ripple_torque(self) -> float:
+        """Amplitude of the torque ripple at the joint, N m."""
+        return 0.0 if self.motor is None else self.motor.torque_ripple * self.motor.gear_ratio * self.motor.efficiency
+
+    @property
+    def ripple_cycles(self) -> float:
+        """Cycles of the torque ripple per turn of the motor at the joint, after the gear; 0 without torque ripple."""
+        return 0.0 if self.motor is None else (self.motor.ripple_cycles or 0.0) * self.motor.gear_ratio
+
+    @property
+    def ripple_phase(self) -> float:
+        """Phase of the torque ripple, rad."""
+        return 0.0 if self.motor is None else self.motor.ripple_phase
+
+
+def _stiffness_pieces(value: object) -> tuple[tuple[float, float], ...]:
+    """Return stiffness pieces as floats, after checking that torques ascend and fractions are > 0 and <= 1."""
+    pieces, last = [], 0.0
+    for i, piece in enumerate(sequence("Joint.stiffness_pieces", value, "pairs (torque, fraction)")):
+        name = f"Joint.stiffness_pieces[{i}]"
+        torque, fraction = vector(name, piece, 2)
+        if not (last < torque <= MAX_SIZE and 1e-6 <= fraction <= 1.0):
+            raise value_error(name, piece, f"(torque, fraction) with a torque > {last:g} (N m), a fraction 1e-6 to 1")
+        pieces.append((torque, fraction))
+        last = torque
+    return tuple(pieces)
 
 
 def _unit_vector(name: str, value: object) -> tuple[float, ...]:

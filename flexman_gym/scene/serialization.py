@@ -32,8 +32,10 @@ OPTIONAL_KEYS: dict[str, tuple[str, ...]] = {
     "LumpedMass": ("inertia", "offset"),
     "Outline": ("wall",),
     "Payload": ("inertia", "offset"),
-    "Joint": ("viscous_friction", "coulomb_friction", "coulomb_rate", "torque_limit", "motor"),
-    "Motor": ("current_limit", "speed_limit", "efficiency", "encoder_resolution"),
+    "Joint": ("viscous_friction", "coulomb_friction", "coulomb_rate", "torque_limit", "motor", "static_friction",
+              "stribeck_rate", "backlash", "stiffness_pieces", "knee_width"),
+    "Motor": ("current_limit", "speed_limit", "efficiency", "encoder_resolution", "torque_ripple", "ripple_cycles",
+              "ripple_phase"),
     "ModelChoice": ("modes", "spinning_rotors", "rotary_inertia"),
     "Initial": ("state",),
     "Signal": tuple(field.name for field in fields(Signal)),
@@ -41,7 +43,7 @@ OPTIONAL_KEYS: dict[str, tuple[str, ...]] = {
     "SampledTorque": ("hold",),
     "SampledAngles": ("deviation",),
     "Scene": ("prescribed", "tip_force", "base_acceleration"),
-}
+}  # fmt: skip
 
 
 def _arm_from_plain(data: object) -> Arm:

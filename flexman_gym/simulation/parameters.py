@@ -10,6 +10,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray
 from flexman_gym.common.checks import MAX_SIZE, number_array, one_of, value_error
 from flexman_gym.common.renamed import PARAMETER_KEYS, rename_keys
+from flexman_gym.model.joint_constants import spring_knees
 from flexman_gym.model.model import Model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.link import NonUniformLink
@@ -32,6 +33,26 @@ def _flexible_joints(model: Model) -> BoolArray:
 
 def _joints_without_coulomb_friction(model: Model) -> BoolArray:
     return model.constants.has_coulomb_friction == 0
+
+
+def _joints_with_coulomb_friction(model: Model) -> BoolArray:
+    return model.constants.has_coulomb_friction == 1
+
+
+def _joints_without_backlash(model: Model) -> BoolArray:
+    return np.array([joint.backlash is None for joint in model.arm.joints]) | _rigid_joints(model)
+
+
+def _springs_with_pieces(model: Model) -> BoolArray:
+    return np.diff(model.constants.knee_start) > 1
+
+
+def _springs_without_pieces(model: Model) -> BoolArray:
+    return ~_springs_with_pieces(model)
+
+
+def _motors_without_ripple(model: Model) -> BoolArray:
+    return model.constants.has_ripple == 0
 
 
 def _links_without_modal_damping(model: Model) -> BoolArray:
@@ -95,7 +116,7 @@ class _Parameter:
                 joints = np.flatnonzero(fixed).tolist()
                 raise value_error(name, value, f"{nominal[fixed].tolist()} for joints {joints}: {self.lacking}")
             if (values == 0.0)[:, needed].any():
-                raise value_error(name, value, "numbers > 0 where a link or joint is flexible")
+                raise value_error(name, value, f"numbers > 0 for joints or links {np.flatnonzero(needed).tolist()}")
         return values
 
 
@@ -112,6 +133,32 @@ def _rotor_constants(model: Model, given: Mapping[str, Array]) -> dict[str, Arra
 
 def _constant_of_same_name(name: str) -> Callable[[Model, Mapping[str, Array]], dict[str, Array]]:
     return lambda model, given: {name: given[name]}
+
+
+def _first_knees(model: Model, values: Array, without: float) -> Array:
+    """Return the value (n,) at the first knee of each joint spring, and `without` for springs without knees."""
+    result, bent = np.full(model.n_joints, without), np.diff(model.constants.knee_start) > 0
+    result[bent] = values[model.constants.knee_start[:-1][bent]]
+    return result
+
+
+def _backlash(model: Model) -> Array:
+    return 2.0 * _first_knees(model, model.constants.knee_twist, 0.0)
+
+
+def _soft_stiffness(model: Model) -> Array:
+    return _first_knees(model, model.constants.knee_share, 1.0)
+
+
+def _spring_constants(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
+    """Return joint stiffness and knees; the torques at which stiffness pieces end do not change."""
+    nominal = {"joint_stiffness": model.constants.joint_stiffness, "backlash": _backlash(model)}
+    nominal["soft_stiffness"] = _soft_stiffness(model)
+    count = len(next(iter(given.values())))
+    values = [given.get(name, np.tile(value, (count, 1))) for name, value in nominal.items()]
+    bent = np.flatnonzero(np.diff(model.constants.knee_start))
+    twists, shares = spring_knees(model.arm, bent.tolist(), *values)
+    return {"joint_stiffness": values[0]} | ({"knee_twist": twists, "knee_share": shares} if bent.size else {})
 
 
 def _link_constants(model: Model, given: Mapping[str, Array]) -> dict[str, Array]:
@@ -144,7 +191,7 @@ def _expand_to_blocks(model: Model, factors: Array) -> Array:
 PARAMETERS: dict[str, _Parameter] = {
     "payload_mass": _Parameter("kg", ARM, lambda model: model.constants.payload_mass[0], _payload_constants),
     "joint_stiffness": _Parameter(
-        "N m/rad", JOINT, lambda model: model.constants.joint_stiffness, _constant_of_same_name("joint_stiffness"),
+        "N m/rad", JOINT, lambda model: model.constants.joint_stiffness, _spring_constants,
         factor=True, fixed=_rigid_joints, needed=_flexible_joints,
     ),
     "joint_damping": _Parameter(
@@ -162,6 +209,32 @@ PARAMETERS: dict[str, _Parameter] = {
     "coulomb_friction": _Parameter(
         "N m", JOINT, lambda model: model.constants.coulomb_friction, _constant_of_same_name("coulomb_friction"),
         factor=True, fixed=_joints_without_coulomb_friction, lacking="without Coulomb friction",
+    ),
+    "coulomb_rate": _Parameter(
+        "rad/s", JOINT, lambda model: model.constants.coulomb_rate, _constant_of_same_name("coulomb_rate"),
+        fixed=_joints_without_coulomb_friction, needed=_joints_with_coulomb_friction,
+        lacking="without Coulomb friction",
+    ),
+    "static_excess": _Parameter(
+        "1, static friction / Coulomb friction - 1", JOINT, lambda model: model.constants.static_excess,
+        _constant_of_same_name("static_excess"), fixed=_joints_without_coulomb_friction,
+        lacking="without Coulomb friction",
+    ),
+    "stribeck_rate": _Parameter(
+        "rad/s", JOINT, lambda model: model.constants.stribeck_rate, _constant_of_same_name("stribeck_rate"),
+        fixed=_joints_without_coulomb_friction, needed=_joints_with_coulomb_friction,
+        lacking="without Coulomb friction",
+    ),
+    "backlash": _Parameter(
+        "rad", JOINT, _backlash, _spring_constants, fixed=_joints_without_backlash, lacking="without backlash",
+    ),
+    "soft_stiffness": _Parameter(
+        "1, stiffness at small torques / joint_stiffness", JOINT, _soft_stiffness, _spring_constants,
+        fixed=_springs_without_pieces, needed=_springs_with_pieces, lacking="without stiffness pieces",
+    ),
+    "ripple_torque": _Parameter(
+        "N m", JOINT, lambda model: model.constants.ripple_torque, _constant_of_same_name("ripple_torque"),
+        fixed=_motors_without_ripple, lacking="without torque ripple",
     ),
     "link_stiffness_factor": _Parameter(
         "1, factor on the elastic moduli", LINK, lambda model: np.ones(model.n_joints), _link_constants, factor=True,
@@ -246,16 +319,33 @@ def varied_arm(arm: Arm, values: Mapping[str, Array]) -> Arm:
 
 def _varied_joint(joint: Any, values: Mapping[str, Array], i: int) -> Any:
     """Return a joint with its values, at index i, of the given parameters."""
-    own = {"viscous_friction": "viscous_friction", "coulomb_friction": "coulomb_friction"}
+    own = {name: name for name in ("viscous_friction", "coulomb_friction", "coulomb_rate", "stribeck_rate")}
     own |= {"rotor_inertia": "rotor_inertia"}
     if joint.stiffness is not None:
         own |= {"stiffness": "joint_stiffness", "damping": "joint_damping"}
+        own |= {"backlash": "backlash"} if joint.backlash is not None else {}
     changes: dict[str, Any] = {field: float(values[name][i]) for field, name in own.items() if name in values}
-    if joint.motor is not None and "rotor_inertia" in changes:
-        shaft = changes.pop("rotor_inertia") / joint.motor.gear_ratio**2
-        motor = replace(joint.motor, rotor_inertia=shaft)
-        changes |= {"motor": motor, "rotor_inertia": motor.reflected_inertia}
+    if joint.stiffness_pieces and "soft_stiffness" in values:
+        (torque, _), *rest = joint.stiffness_pieces
+        changes["stiffness_pieces"] = ((torque, float(values["soft_stiffness"][i])), *rest)
+    coulomb = changes.get("coulomb_friction", joint.coulomb_friction)
+    if coulomb > 0.0 and not {"coulomb_friction", "static_excess"}.isdisjoint(values):
+        excess = float(values["static_excess"][i]) if "static_excess" in values else joint.static_excess
+        changes["static_friction"] = coulomb * (1.0 + excess) if excess else None
+    if joint.motor is not None:
+        changes |= _varied_motor(joint.motor, changes, values, i)
     return replace(joint, **changes)
+
+
+def _varied_motor(motor: Any, changes: dict[str, Any], values: Mapping[str, Array], i: int) -> dict[str, Any]:
+    """Return the fields `motor` and `rotor_inertia` of a joint with its values, at index i, of the given parameters."""
+    own: dict[str, float] = {}
+    if "rotor_inertia" in changes:
+        own["rotor_inertia"] = changes["rotor_inertia"] / motor.gear_ratio**2
+    if motor.ripple_cycles is not None and "ripple_torque" in values:
+        own["torque_ripple"] = float(values["ripple_torque"][i]) / (motor.gear_ratio * motor.efficiency)
+    motor = replace(motor, **own)
+    return {"motor": motor, "rotor_inertia": motor.reflected_inertia}
 
 
 def _scale_moduli(link: Any, factor: float) -> Any:

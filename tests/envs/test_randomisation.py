@@ -15,15 +15,26 @@ from flexman_gym.envs.config.randomisation import range_name
 from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
+from flexman_gym.scene.joint import Motor
 from flexman_gym.simulation.parameters import PARAMETERS
 
-from oracles.random_inputs import EVERYTHING, FRICTION, actions
+from oracles.random_inputs import EVERYTHING, FRICTION, GEARS, actions
 
 EFFECTS = (*PARAMETERS, *SIGNALS)
-RANGES = {name: (EVERYTHING | FRICTION)[range_name(name)] for name in EFFECTS}
+RANGES = {name: (EVERYTHING | FRICTION | GEARS)[range_name(name)] for name in EFFECTS}
 BARE = FlexManEnv().unwrapped.simulator.model.arm
-RUBBING = replace(BARE, joints=[replace(each, viscous_friction=5.0, coulomb_friction=9.0) for each in BARE.joints],
-                  modal_damping_ratio=0.01)  # fmt: skip
+WORN = {
+    "viscous_friction": 5.0,
+    "coulomb_friction": 9.0,
+    "static_friction": 11.0,
+    "backlash": 0.0,
+    "stiffness_pieces": ((40.0, 1.0),),
+}
+RUBBING = replace(
+    BARE, modal_damping_ratio=0.01,
+    joints=[replace(joint, rotor_inertia=0.0, **WORN,
+                    motor=Motor(100.0, 0.05, joint.rotor_inertia / 1e4, ripple_cycles=1.0)) for joint in BARE.joints],
+)  # fmt: skip
 QUICK = settings(deadline=None, derandomize=True, max_examples=15)
 STILL = {"start": [0.3, 0.4, -0.5], "goal_angles": [0.3, 0.4, -0.5]}
 PUSH = np.array([0.5, -0.3, 0.2])

@@ -199,7 +199,10 @@ def minimal(arm):
 def test_an_arm_with_a_parameter_has_the_constants_of_a_model_with_it(name):
     """Of a whole model, as modes change with the arm; the payload's mass changes how loaded modes are damped."""
     arm = replace(fm.catalog.vertical_2r(), modal_damping_ratio=(0.01, 0.02))
-    arm = replace(arm, joints=[replace(joint, coulomb_friction=0.1, viscous_friction=0.2) for joint in arm.joints])
+    worn = {"coulomb_friction": 0.1, "static_friction": 0.13, "viscous_friction": 0.2, "backlash": 1e-3}
+    worn |= {"stiffness_pieces": ((0.5, 0.4), (1.0, 0.7)), "rotor_inertia": 0.0}
+    motor = fm.Motor(50.0, 0.04, 4e-6, efficiency=0.8, torque_ripple=1e-3, ripple_cycles=2.0)
+    arm = replace(arm, joints=[replace(joint, motor=motor, **worn) for joint in arm.joints])
     model = fm.build_model(arm, 1)
     value = np.array(PARAMETERS[name].nominal(model)) * 1.3
     changed, built = (

@@ -17,6 +17,10 @@ DAMPED = replace(TWO, joints=[TWO.joints[0], replace(TWO.joints[1], stiffness=50
 RIGID, SPRUNG, DASHED = (fm.build_model(arm, flexible_links=False) for arm in (TWO, LOOSE, DAMPED))
 HALF = fm.build_model(fm.catalog.one_link(), flexible_links=False)
 BENT, STEPPED = fm.build_model(fm.catalog.one_link()), fm.Arm([fm.NonUniformLink([STRIP] * 3)], [HUB])
+LOOSE_GEAR = fm.build_model(replace(TWO, joints=[replace(DAMPED.joints[1], damping=0.0, backlash=1e-3)] * 2),
+                            flexible_links=False)  # fmt: skip
+RIPPLE = fm.Motor(9.0, 0.1, 1e-4, ripple_cycles=1.0)
+RIPPLED = fm.build_model(replace(TWO, joints=[replace(HUB, motor=RIPPLE)] * 2), flexible_links=False)
 REDUCED = fm.linearize(BENT).reduced(50.0)
 BODY = fm.LumpedMass(0.2, 0.5)
 
@@ -91,6 +95,17 @@ REFUSED = [  # call, and the beginning of its message
     (lambda: REDUCED.discrete(0.1, -1.0), "delay: -1.0 is not allowed; give "),
     (lambda: REDUCED.discrete(0.1).discrete(0.1), "period: 0.1 is not allowed; give a continuous model"),
     (lambda: REDUCED.frequency_response([-1.0]), "frequencies[0]: -1.0 is not allowed; give "),
+    (lambda: fm.inverse_dynamics(LOOSE_GEAR, *[REST] * 5), "model.arm.joints: 'with backlash or stiffness pieces' is"),
+    (
+        lambda: fm.inverse_dynamics(RIPPLED, *[REST] * 3),
+        "model.arm.joints: 'with torque ripple' is not allowed; give mo",
+    ),
+    (lambda: to_mjcf(LOOSE_GEAR.arm), "arm.joints[0]: "),
+    (lambda: to_mjcf(RIPPLED.arm), "arm.joints[0]: "),
+    (
+        lambda: to_mjcf(replace(TWO, joints=[replace(HUB, coulomb_friction=1.0, static_friction=2.0)] * 2)),
+        "arm.joints[0]",
+    ),
     (lambda: to_mjcf("paper_rrr"), "arm: 'paper_rrr' is not allowed; give an Arm"),
     (lambda: to_mjcf(TWO, 65), "pieces: 65 is not allowed; give a whole number from 0 to 64"),
     (lambda: fm.LumpedMass(0.0, 0.1), "LumpedMass.mass: 0.0 is not allowed; give a finite number > 0"),

@@ -214,7 +214,14 @@ class Affected:
         rng = np.random.default_rng(self.sample.seed)
         numbers = rng.uniform(0.0, 20.0, (self.sample.model.n_joints, 3))
         joints = [
-            replace(joint, viscous_friction=viscous, coulomb_friction=coulomb, coulomb_rate=0.01 + rate)
+            replace(
+                joint,
+                viscous_friction=viscous,
+                coulomb_friction=coulomb,
+                coulomb_rate=0.01 + rate,
+                static_friction=1.5 * coulomb,
+                stribeck_rate=0.5 + viscous,
+            )
             for joint, (viscous, coulomb, rate) in zip(self.sample.arm.joints, numbers, strict=True)
         ]
         return replace(self.sample.arm, joints=joints)

@@ -335,7 +335,9 @@ class Chain:
         viscous, coulomb = getattr(joint, "viscous_friction", 0.0), getattr(joint, "coulomb_friction", 0.0)
         force[driven] -= viscous * v[driven]
         if coulomb > 0.0:
-            force[driven] -= coulomb * np.tanh(v[driven] / joint.coulomb_rate)
+            slip = v[driven] / joint.stribeck_rate
+            static = coulomb if joint.static_friction is None else joint.static_friction
+            force[driven] -= np.tanh(v[driven] / joint.coulomb_rate) * (coulomb + (static - coulomb) / (1.0 + slip**2))
         return force
 
     def mass_matrix(self, x):

@@ -27,7 +27,9 @@ EVERYTHING = {
 }  # fmt: skip
 FRICTION = {  # and damping of links, of an arm that has some
     "viscous_friction_factor": (0.5, 1.5), "coulomb_friction_factor": (0.5, 1.5), "link_damping_factor": (0.5, 1.5),
+    "coulomb_rate": (0.003, 0.03), "static_excess": (0.0, 0.5), "stribeck_rate": (0.005, 0.05),
 }  # fmt: skip
+GEARS = {"backlash": (0.0, 2e-3), "soft_stiffness": (0.5, 1.0), "ripple_torque": (0.0, 8.0)}  # of an arm that has them
 ALL_PARTS = ("motor_encoders", "joint_encoders", "strain", "accelerometer", "tip", "command")
 FLAWED = {"kind": "lab", "noise": 0.002, "bias": 0.001, "quantisation": 1e-4, "delay": 1, "every": 2, "dropped": 0.2}
 

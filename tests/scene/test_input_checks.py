@@ -19,7 +19,6 @@ RUN = {"model": fm.ModelChoice(True, 1), "torque": fm.ConstantTorque([0.0]), "in
 GUESSES = {  # call, and what its error names: the field, what is modelled, what to take
     "prismatic": (lambda: fm.Joint(Z, kind="prismatic"), ("Joint.kind: 'prismatic'", "revolute", "MuJoCo")),
     "type": (lambda: fm.Joint(Z, type="prismatic"), ("Joint.type", "revolute", "Pinocchio")),
-    "backlash": (lambda: fm.Joint(Z, backlash=0.01), ("Joint.backlash: 0.01", "spring", "Modelica")),
     "friction": (lambda: fm.Joint(Z, friction=0.1), ("Joint.friction", "viscous_friction", "coulomb_friction")),
     "free base": (lambda: fm.Arm([LINK], [JOINT], base="free"), ("Arm.base: 'free'", "fixed", "Drake")),
     "tree": (lambda: fm.Arm([LINK], [JOINT], parents=[-1]), ("Arm.parents: [-1]", "serial", "Drake")),
@@ -49,8 +48,8 @@ def test_a_file_is_answered_as_a_constructor_is():
     data = fm.catalog.paper_scene("rr").to_dict()
     with pytest.raises(ValueError, match=r"^contact: True .*MuJoCo"):
         fm.Scene.from_dict(data | {"contact": True})
-    data["arm"]["joints"][1]["backlash"] = 0.01
-    with pytest.raises(ValueError, match=r"^arm\.joints\[1\]\.backlash: 0\.01 .*Modelica"):
+    data["arm"]["joints"][1]["friction"] = 0.01
+    with pytest.raises(ValueError, match=r"^arm\.joints\[1\]\.friction: 0\.01 .*coulomb_friction"):
         fm.Scene.from_dict(data)
 
 

@@ -75,6 +75,19 @@ def test_a_copy_of_a_joint_keeps_its_motor():
     assert replace(joint, stiffness=5.0).rotor_inertia == MOTOR.reflected_inertia
 
 
+def test_friction_and_gears_come_back_from_a_mapping():
+    """With pieces as lists; fields at their defaults are not written."""
+    joint = fm.Joint(Z, stiffness=20.0, coulomb_friction=1.0, static_friction=1.3, stribeck_rate=0.02, backlash=1e-3,
+                     stiffness_pieces=[[2.0, 0.5]], knee_width=1e-5,
+                     motor=replace(MOTOR, torque_ripple=0.01, ripple_cycles=6.0, ripple_phase=-0.5))  # fmt: skip
+    arm = fm.Arm([LINK], [joint])
+    data = to_plain(arm)
+    assert find_arm(data) == arm and data["joints"][0]["stiffness_pieces"] == [[2.0, 0.5]]
+    plain = to_plain(fm.Arm([LINK], [fm.Joint(Z, motor=MOTOR)]))["joints"][0]
+    assert {"backlash", "static_friction", "knee_width"}.isdisjoint(plain) and "ripple_phase" not in plain["motor"]
+    assert joint.static_excess == pytest.approx(0.3) and joint.ripple_torque == pytest.approx(0.01 * 50.0 * 0.8)
+
+
 @pytest.mark.parametrize(
     ("make", "line"),
     [
@@ -87,6 +100,43 @@ def test_a_copy_of_a_joint_keeps_its_motor():
         (lambda: replace(MOTOR, efficiency=1.2), "Motor.efficiency: 1.2 is not allowed; give a number > 0 and <= 1"),
         (lambda: replace(MOTOR, gear_ratio=0.0), "Motor.gear_ratio: 0.0 is not allowed; give a finite number > 0"),
         (lambda: replace(MOTOR, current_limit=-1.0), "Motor.current_limit: -1.0 is not allowed; give a finite number"),
+        (
+            lambda: replace(MOTOR, torque_ripple=0.1),
+            "Motor.torque_ripple: 0.1 is not allowed; give 0 without ripple_cycles",
+        ),
+        (
+            lambda: replace(MOTOR, ripple_cycles=0.0),
+            "Motor.ripple_cycles: 0.0 is not allowed; give a finite number > 0",
+        ),
+        (lambda: replace(MOTOR, ripple_phase=math.inf), "Motor.ripple_phase: inf is not allowed; give a finite number"),
+        (
+            lambda: fm.Joint(Z, static_friction=1.0),
+            "Joint.static_friction: 1.0 is not allowed; give a torque (N m) of at",
+        ),
+        (
+            lambda: fm.Joint(Z, coulomb_friction=2.0, static_friction=1.9),
+            "Joint.static_friction: 1.9 is not allowed; give",
+        ),
+        (lambda: fm.Joint(Z, stribeck_rate=0.0), "Joint.stribeck_rate: 0.0 is not allowed; give a finite number > 0"),
+        (lambda: fm.Joint(Z, knee_width=0.0), "Joint.knee_width: 0.0 is not allowed; give a finite number > 0"),
+        (
+            lambda: fm.Joint(Z, 0.1, 5.0, backlash=-1e-3),
+            "Joint.backlash: -0.001 is not allowed; give a finite number >= 0",
+        ),
+        (lambda: fm.Joint(Z, backlash=1e-3), "Joint.backlash: 0.001 is not allowed; give none with stiffness None"),
+        (
+            lambda: fm.Joint(Z, stiffness_pieces=[(1.0, 0.5)]),
+            "Joint.stiffness_pieces: ((1.0, 0.5),) is not allowed; give none",
+        ),
+        (lambda: fm.Joint(Z, 0.1, 5.0, stiffness_pieces=3), "Joint.stiffness_pieces: 3 is not allowed; give "),
+        (
+            lambda: fm.Joint(Z, 0.1, 5.0, stiffness_pieces=[(1.0, 1.5)]),
+            "Joint.stiffness_pieces[0]: (1.0, 1.5) is not allowed",
+        ),
+        (
+            lambda: fm.Joint(Z, 0.1, 5.0, stiffness_pieces=[(2.0, 0.5), (1.0, 0.7)]),
+            "Joint.stiffness_pieces[1]: (1.0, 0.7) is not allowed; give (torque, fraction) with a torque > 2",
+        ),
         (lambda: replace(MOTOR, speed_limit=math.nan), "Motor.speed_limit: nan is not allowed; give a finite number"),
     ],
 )

@@ -39,7 +39,8 @@ def structure(case, v):
             damping[pair] += joint.damping * np.array([[1.0, -1.0], [-1.0, 1.0]])
         damping[motor, motor] += joint.viscous_friction
         if joint.coulomb_friction > 0.0:
-            damping[motor, motor] += joint.coulomb_friction * np.tanh(v[motor] / joint.coulomb_rate) / v[motor]
+            decay = 1.0 + joint.static_excess / (1.0 + (v[motor] / joint.stribeck_rate) ** 2)
+            damping[motor, motor] += joint.coulomb_friction * np.tanh(v[motor] / joint.coulomb_rate) / v[motor] * decay
     for beam, drag, columns in zip(chain.beams, chain.damping, chain.elastic, strict=True):
         stiffness[columns, columns] += beam.K
         damping[columns, columns] += drag

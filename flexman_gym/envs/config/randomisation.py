@@ -20,10 +20,12 @@ class Randomisation:
         impulse_gap: mean time between two impulses, or two changes of load, s; at least a control period. None for 2 s.
         **ranges: name -> (low, high). Physical parameters of `simulation.parameters.PARAMETERS`: payload_mass (kg),
             joint_damping (N m s/rad), joint_stiffness_factor, rotor_inertia_factor, viscous_friction_factor,
-            coulomb_friction_factor and link_stiffness_factor. A factor is > 0 and multiplies the nominal value of each
-            joint or link. Effects (disturbances) of `envs.effects.SIGNALS`: torque_limit_factor, sensor_noise (standard
-            deviation as a fraction of the measurement range), delay (whole control periods), initial_vibration (m),
-            tip_impulse (N s), tip_load (N) and base_sway (m/s^2).
+            coulomb_friction_factor, coulomb_rate and stribeck_rate (rad/s), static_excess, backlash (rad),
+            soft_stiffness, ripple_torque (N m), link_stiffness_factor and link_damping_factor. A factor is > 0 and
+            multiplies the nominal value of each joint or link. Effects (disturbances) of `envs.effects.SIGNALS`:
+            torque_limit_factor (also a wrong torque constant of the motors), sensor_noise (standard deviation as a
+            fraction of the measurement range), delay (whole control periods), initial_vibration (m), tip_impulse (N s),
+            tip_load (N) and base_sway (m/s^2).
 
     Attributes:
         effects: names of the enabled parameters and effects, in the order of PARAMETERS and SIGNALS.
