@@ -22,7 +22,8 @@ from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import rest_state
 
 RESIMULATION_PERIODS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods since the start of an episode
-LAST_DELAY_SEARCH = 45  # control periods since the start; last resimulation at which the delay is estimated
+DELAY_COST = 60.0  # dimensionless; cost above that of the best fit beyond which a delay is excluded
+MAX_COST = 1e100  # dimensionless; cost of a diverged fit
 UPDATE_INTERVAL = 5  # control periods between two updates of the models to the estimate
 MIN_BIAS = 1e-5  # fraction of the range; smallest assumed limit of a bias
 START_ANGLE_DEVIATION = 1e-4  # rad; prior standard deviation of start angles given by `EpisodeInfo`
@@ -52,8 +53,8 @@ class Estimator:
     each entry of theta that affects the motion, are simulated together with the estimated model and yield the
     sensitivities of a recursive least-squares fit. At certain periods the whole episode is simulated again from the
     start with Levenberg-Marquardt steps, which removes linearisation errors (Ljung, System Identification, 2nd ed.,
-    1999, chapters 7 and 10). The first of these fits are made for each delay in its range, and the delay of the least
-    cost is taken. Lost samples have no weight.
+    1999, chapters 7 and 10). These fits are made for each delay that is not yet excluded, and the delay with the least
+    cost is the estimate. Lost samples have no weight.
 
     Args:
         plant: plant model with uncertain parameters and the noise of the instruments.
@@ -73,6 +74,7 @@ class Estimator:
     _arrays = (
         "theta", "delays", "_origin", "_states", "_information", "_change", "_ages", "_readings",
         "_torques", "_steps", "_perturbations_reduced", "_filtering", "_lost", "_previous", "_expected", "_repeats",
+        "_likely",
     )  # fmt: skip
     state_fields = (*_arrays, "_innovations", "_prediction", "_detector")
 
@@ -120,6 +122,7 @@ class Estimator:
         self._torques = np.zeros((0, late + rows, n))
         self._given_angles, self._prediction = np.zeros((0, n)), DelayCompensation(self._plant)
         self._detector = ChangeDetector(m)
+        self._likely = np.ones((0, 1 + late - self._plant.delay[0]), dtype=bool)  # delays that are not excluded
         self._lost, self._repeats = np.zeros((0, rows, m), dtype=bool), np.zeros((0, m), dtype=np.int64)
         self._previous, self._expected = np.zeros((0, m)), np.zeros((0, m))  # last measurements, their predictions
         self._steps, self._simulated_theta = np.zeros((0, models - 1)), np.zeros((0, p + models - 1))
@@ -186,7 +189,7 @@ class Estimator:
         angles = self._given_angles[arms] if self._encoders is None else now[:, self._encoders]
         self._origin[arms] = rest_state(self._plant.model, angles)
         self._readings[arms, 0] = self._previous[arms] = now
-        self._lost[arms, 0], self._repeats[arms] = False, 0
+        self._lost[arms, 0], self._repeats[arms], self._likely[arms] = False, 0, True
         self.delays[arms] = (sum(self._plant.delay) + 1) // 2
         self._states[arms] = self._models.initial_states(self._origin[arms], self.theta[arms])
         self._steps[arms], self._perturbations_reduced[arms] = self._models.steps, False
@@ -323,23 +326,24 @@ class Estimator:
         self._apply_change(arms)
 
     def _fit_delays(self, arms: IntArray, age: int) -> tuple[Array, Resimulation]:
-        """Fit theta of arms (r,) for each possible delay, and store the delay with the least cost.
+        """Fit theta of arms (r,) for each likely delay, and store the delay with the least cost.
 
         Returns:
             Fitted parameter vectors (r, p) and the simulation of the arms with these parameters and delays.
         """
-        (least, largest), each = self._plant.delay, np.arange(len(arms))
-        delays = self.delays[None, arms]
-        if largest > least and age <= LAST_DELAY_SEARCH:
-            delays = np.repeat(np.arange(least, largest + 1)[:, None], len(arms), axis=1)
-        rows = np.tile(arms, len(delays))
+        least, likely = self._plant.delay[0], self._likely[arms].T
+        delays, each = np.nonzero(likely)  # one fit for each pair of a delay and an arm
+        rows = arms[each]
         weights = self._weights[: age + 1] * ~self._lost[rows, : age + 1]
-        data = self._delayed_torques(rows, age, delays.ravel()), self._readings[rows, : age + 1], weights
+        data = self._delayed_torques(rows, age, least + delays), self._readings[rows, : age + 1], weights
         theta, simulation = self._models.fit(self._origin[rows], self.theta[rows], self._prior, data)
-        costs = np.nan_to_num(simulation.cost + self._prior.cost(theta), nan=np.inf).reshape(delays.shape)
+        costs, fits = np.full(likely.shape, np.inf), np.zeros(likely.shape, dtype=np.int64)
+        costs[likely] = np.nan_to_num(simulation.cost + self._prior.cost(theta), nan=np.inf)
+        costs[likely], fits[likely] = np.minimum(costs[likely], MAX_COST), np.arange(len(rows))
         best = costs.argmin(axis=0)
-        self.delays[arms] = delays[best, each]
-        chosen = best * len(arms) + each
+        self.delays[arms] = least + best
+        self._likely[arms] = (costs <= costs.min(axis=0) + DELAY_COST).T
+        chosen = fits[best, np.arange(len(arms))]
         return theta[chosen], simulation.select(chosen)
 
     def _delayed_torques(self, arms: IntArray, periods: int, delays: IntArray) -> Array:
