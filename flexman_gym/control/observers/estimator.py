@@ -22,7 +22,7 @@ from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import rest_state
 
 RESIMULATION_PERIODS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods since the start of an episode
-DELAY_COST = 60.0  # dimensionless; cost above that of the best fit beyond which a delay is excluded
+DELAY_COST = 60.0  # dimensionless; cost above that of the best consistent fit beyond which a delay is excluded
 MAX_COST = 1e100  # dimensionless; cost of a diverged fit
 UPDATE_INTERVAL = 5  # control periods between two updates of the models to the estimate
 MIN_BIAS = 1e-5  # fraction of the range; smallest assumed limit of a bias
@@ -73,7 +73,7 @@ class Estimator:
 
     _arrays = (
         "theta", "delays", "_origin", "_states", "_information", "_change", "_ages", "_readings",
-        "_torques", "_steps", "_perturbations_reduced", "_filtering", "_lost", "_previous", "_expected", "_repeats",
+        "_torques", "_steps", "_perturbations_reduced", "_filtering", "_lost", "_previous", "_motion", "_repeats",
         "_likely",
     )  # fmt: skip
     state_fields = (*_arrays, "_innovations", "_prediction", "_detector")
@@ -124,7 +124,8 @@ class Estimator:
         self._detector = ChangeDetector(m)
         self._likely = np.ones((0, 1 + late - self._plant.delay[0]), dtype=bool)  # delays that are not excluded
         self._lost, self._repeats = np.zeros((0, rows, m), dtype=bool), np.zeros((0, m), dtype=np.int64)
-        self._previous, self._expected = np.zeros((0, m)), np.zeros((0, m))  # last measurements, their predictions
+        self._previous = np.zeros((0, m))  # last measurements
+        self._motion = np.zeros((0, m))  # predicted changes of measurements since the last sample that was not lost
         self._steps, self._simulated_theta = np.zeros((0, models - 1)), np.zeros((0, p + models - 1))
         self._perturbations_reduced, self._filtering = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
@@ -148,8 +149,9 @@ class Estimator:
         if len(new):
             self._begin(new, now[new])
         if len(running):
+            before = self._states[running, 0]
             self._advance(running, applied[running])
-            lost = self._find_lost(running, now[running])
+            lost = self._find_lost(running, now[running], self._states[running, 0] - before)
             stored = running[self._ages[running] < len(self._weights)]
             self._readings[stored, self._ages[stored]] = now[stored]
             self._lost[stored, self._ages[stored]] = lost[self._ages[running] < len(self._weights)]
@@ -189,11 +191,10 @@ class Estimator:
         angles = self._given_angles[arms] if self._encoders is None else now[:, self._encoders]
         self._origin[arms] = rest_state(self._plant.model, angles)
         self._readings[arms, 0] = self._previous[arms] = now
-        self._lost[arms, 0], self._repeats[arms], self._likely[arms] = False, 0, True
+        self._lost[arms, 0], self._repeats[arms], self._motion[arms], self._likely[arms] = False, 0, 0.0, True
         self.delays[arms] = (sum(self._plant.delay) + 1) // 2
         self._states[arms] = self._models.initial_states(self._origin[arms], self.theta[arms])
         self._steps[arms], self._perturbations_reduced[arms] = self._models.steps, False
-        self._expected[arms] = self._models.read(self._states[arms, 0], self.theta[arms])
         if self._plant.tip_force:
             self._filtering[arms] = self._start_filter(arms, sudden=False)
 
@@ -258,13 +259,20 @@ class Estimator:
         lost = arms[~(np.abs(self._states[arms]) < MAX_STATE).all(axis=(1, 2))]
         self._states[lost], self._detector.misfit[lost] = self._origin[lost][:, None], MAX_STATE
 
-    def _find_lost(self, arms: IntArray, now: Array) -> BoolArray:
-        """Return flags (r, m) of the measurements (r, m) of arms (r,) that belong to lost samples."""
-        expected = self._models.read(self._states[arms, 0], self.theta[arms])
-        change = expected - self._expected[arms]
+    def _find_lost(self, arms: IntArray, now: Array, motion: Array) -> BoolArray:
+        """Return flags (r, m) of lost measurements.
+
+        Args:
+            arms: (r,) indices.
+            now: (r, m) measurements.
+            motion: (r, 2 d) changes of the estimated states in the previous period.
+
+        Returns:
+            Flags (r, m) of the measurements of lost samples.
+        """
+        change = self._motion[arms] + row_dots(self._instruments.matrix, motion[:, None])
         lost, self._repeats[arms] = self._instruments.lost(now, self._previous[arms], change, self._repeats[arms])
-        self._expected[arms] = np.where(lost, self._expected[arms], expected)
-        self._previous[arms] = now
+        self._motion[arms], self._previous[arms] = np.where(lost, change, 0.0), now
         return lost
 
     def _update_fit(self, arms: IntArray, now: Array, lost: BoolArray) -> None:
@@ -342,7 +350,10 @@ class Estimator:
         costs[likely], fits[likely] = np.minimum(costs[likely], MAX_COST), np.arange(len(rows))
         best = costs.argmin(axis=0)
         self.delays[arms] = least + best
-        self._likely[arms] = (costs <= costs.min(axis=0) + DELAY_COST).T
+        least_cost, count = costs.min(axis=0), self._weights[: age + 1].size
+        self._likely[arms] = (
+            likely & ((costs <= least_cost + DELAY_COST) | (least_cost > CONSISTENT_MISFIT * count))
+        ).T
         chosen = fits[best, np.arange(len(arms))]
         return theta[chosen], simulation.select(chosen)
 

@@ -88,7 +88,7 @@ class UncertainParameters:
 ANGLE_STEP = 1e-3  # rad; perturbation of a start angle
 BATCH_ARMS = 32  # number of arms whose models are simulated together; limits the memory
 DIAGONAL_OFFSET = 1e-12  # dimensionless; added to the unit diagonal of a scaled matrix against rounding
-MAX_ITERATIONS = 4  # Levenberg-Marquardt iterations of a fit
+MAX_ITERATIONS = 8  # Levenberg-Marquardt iterations of a fit
 MIN_DECREASE = (2.0, 0.02)  # dimensionless; predicted decrease of the cost, total and per period, that ends a fit
 INITIAL_DAMPING = 1e-3  # dimensionless; damping of the first Levenberg-Marquardt step
 
@@ -312,23 +312,22 @@ class PerturbedModels:
         Returns:
             Fitted parameter vectors (r, p) and the simulation of the arms with these parameters.
         """
-        periods, damping = data[0].shape[1], np.full(len(origin), INITIAL_DAMPING)
-        running = np.ones(len(origin), dtype=bool)
-        best, result, least = theta, self.resimulate(origin, theta, *data), np.full(len(origin), np.inf)
-        candidate, simulation = best, result
-        for attempt in range(MAX_ITERATIONS):
-            cost = simulation.cost + prior.cost(candidate)
-            better = np.nan_to_num(cost, nan=np.inf) < least
-            damping = np.where(better, 0.3 * damping, 20.0 * damping) if attempt else damping
-            least = np.where(better, cost, least)
-            best = np.where(better[:, None], candidate, best)
-            result = Resimulation(*(_select_rows(better, *both) for both in zip(simulation, result, strict=True)))
-            change, decrease = levenberg_marquardt_step(result, best, prior, damping)
-            running &= decrease >= max(MIN_DECREASE[0], MIN_DECREASE[1] * periods)
-            if attempt == MAX_ITERATIONS - 1 or not running.any():
+        rows, damping = np.arange(len(origin)), np.full(len(origin), INITIAL_DAMPING)
+        best, result = theta.copy(), self.resimulate(origin, theta, *data)
+        least = np.nan_to_num(result.cost + prior.cost(theta), nan=np.inf)
+        for _ in range(MAX_ITERATIONS - 1):
+            change, decrease = levenberg_marquardt_step(result.select(rows), best[rows], prior, damping[rows])
+            unfinished = decrease >= max(MIN_DECREASE[0], MIN_DECREASE[1] * data[0].shape[1])
+            rows, candidate = rows[unfinished], prior.clip(best[rows] + change)[unfinished]
+            if not len(rows):
                 break
-            candidate = np.where(running[:, None], prior.clip(best + change), best)  # finished fits do not change
-            simulation = self.resimulate(origin, candidate, *data)
+            simulation = self.resimulate(origin[rows], candidate, *(each[rows] for each in data))
+            cost = np.nan_to_num(simulation.cost + prior.cost(candidate), nan=np.inf)
+            better = cost < least[rows]
+            improved, damping[rows] = rows[better], np.where(better, 0.3, 20.0) * damping[rows]
+            least[improved], best[improved] = cost[better], candidate[better]
+            for values, new in zip(result, simulation, strict=True):
+                values[improved] = new[better]
         return best, result
 
 
@@ -371,8 +370,3 @@ def _unit_diagonal(matrices: Array) -> tuple[Array, Array]:
     result = matrices * scale[:, :, None] * scale[:, None]
     result[:, each, each] = 1.0 + DIAGONAL_OFFSET
     return result, scale
-
-
-def _select_rows(flags: Array, one: Array, other: Array) -> Array:
-    """Return the rows of `one` where flags (r,) are True, else those of `other`."""
-    return np.where(flags.reshape(-1, *(1,) * (one.ndim - 1)), one, other)
