@@ -27,7 +27,7 @@ MAX_COST = 1e100  # dimensionless; cost of a diverged fit
 UPDATE_INTERVAL = 5  # control periods between two updates of the models to the estimate
 MIN_BIAS = 1e-5  # fraction of the range; smallest assumed limit of a bias
 START_ANGLE_DEVIATION = 1e-4  # rad; prior standard deviation of start angles given by `EpisodeInfo`
-MAX_STATE = 100.0  # largest magnitude of an entry of the state of a model that has not diverged
+MAX_STATE = 1e4  # largest magnitude of an entry of the state of a model that has not diverged; modes reach hundreds
 MAX_PERTURBATION = 0.5  # rad; difference of motor angles beyond which perturbations are reduced
 DETECTION_START = 25  # control periods from the start of an episode to the start of change detection
 CONSISTENT_MISFIT = 3.0  # dimensionless; mean square below which the estimated model explains the measurements
@@ -43,7 +43,7 @@ def _unknown(plant: Plant) -> Mapping[str, tuple[float, float]]:
         for name in ("viscous_friction", "coulomb_friction")
         if getattr(constants, name).any()
     }
-    return friction | dict(plant.unknown)
+    return dict(plant.unknown) | {name: span for name, span in friction.items() if name not in plant.unknown}
 
 
 class Estimator:
