@@ -31,8 +31,9 @@ class Plant(NamedTuple):
         delay: smallest and largest delay of the torques, whole control periods.
         integration: integration method and step (s) of simulations.
         tip_force: magnitude of unmeasured forces on the tip, N.
-        measured: function that returns, for each measured quantity, its range and the standard deviation of its noise:
-            name -> (2, size), in the unit of the quantity.
+        measured: function that returns, for each measured quantity, its range, the standard deviation of its noise and
+            the largest magnitude of its bias, in the unit of the quantity, and its largest relative gain error:
+            name -> (4, size).
         bandwidth: bandwidth of a first-order lag between commanded and applied torques, Hz; None for no lag.
     """
 

@@ -16,6 +16,7 @@ from flexman_gym.control.references.adaptive_references import PathReferences, S
 
 RETIMING_PERIODS = (6, 12, 20, 30, 45)  # control periods since the start of an episode at which timing is replanned
 LAST_RETIMING = 0.75  # path parameter beyond which the timing is not replanned
+RETURN_TIME = 1.0  # s; time for which a model must explain the readings before a fallback controller ends
 ADAPTATION_INTERVAL = 5  # control periods between two adaptations of references to the estimates
 
 
@@ -69,6 +70,13 @@ class Tracking:
                 self._paths.begin(arm, path)
         for table in self._gains:
             table.save()
+
+    def restart(self, arms: IntArray) -> None:
+        """Plan the slews of arms (r,) anew, from rest at their next state estimate; paths continue."""
+        arms = arms[~self._on_path[arms]]
+        self._ages[arms], self._planned[arms] = 0, False
+        if self.shaping:
+            self.shaping.reset(arms, len(self._ages))
 
     def torques(self, estimate: Estimate, active: BoolArray) -> Array:
         """Return the torques (b, n) within the limits, N m, and advance by a control period; 0 for inactive arms."""
@@ -145,22 +153,24 @@ class Tracking:
 class OutputFeedback:
     """Output feedback: an observer estimates the state, and a tracking law computes torques from it.
 
-    If no model of the observer explains the readings of an arm, a fallback controller acts until the end of the
-    episode.
+    If no model of the observer explains the readings of an arm, a fallback controller acts until the estimated model
+    has explained them for RETURN_TIME. The slew is then planned anew from where the arm is.
 
     Args:
-        observer: observer of states and parameters. Its optional member `inconsistent`, (b,) flags, marks arms whose
-            readings no model of the observer explains.
+        observer: observer of states and parameters. Its optional members `inconsistent` and `consistent`, (b,) flags,
+            mark arms whose readings no model of the observer explains, and arms whose readings its estimated model
+            explains; without the latter a fallback controller acts until the end of the episode.
         law: tracking law.
         fallback: controller without a model, such as a PD; None for no fallback.
     """
 
-    state_fields = ("observer", "law", "fallback", "_fallback_active", "_updated", "_latest")
+    state_fields = ("observer", "law", "fallback", "_fallback_active", "_consistent_periods", "_updated", "_latest")
 
     def __init__(self, observer: Observer, law: Tracking, fallback: Controller | None = None) -> None:
         self.observer, self.law, self.fallback = observer, law, fallback
         self.sensors = (*observer.sensors, *(fallback.sensors if fallback else ()))
         self._fallback_active, self._updated = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
+        self._consistent_periods, self._return_periods = np.zeros(0, dtype=np.int64), 0
         self._latest: dict[str, Any] = {}  # estimate of the arms updated in this control period
 
     @property
@@ -174,9 +184,10 @@ class OutputFeedback:
         self.law.reset(arms, episode, count)
         if self.fallback:
             self.fallback.reset(arms, episode, count)
-        for name in ("_fallback_active", "_updated"):
+        for name in ("_fallback_active", "_consistent_periods", "_updated"):
             setattr(self, name, pad_rows(getattr(self, name), count))
             getattr(self, name)[arms] = False
+        self._return_periods = round(RETURN_TIME / episode.period)
 
     def update_estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
         """Return the estimate for the active arms (b,); the observer is updated once per control period."""
@@ -185,11 +196,22 @@ class OutputFeedback:
             return Estimate(**self._latest)
         estimate = self.observer.estimate(readings, applied, due)
         self._fallback_active |= _inconsistent(self.observer)
+        self._end_fallback(due)
         if self._updated.any():
             states = np.where(due[:, None], estimate.states, self._latest["states"])
             estimate = estimate._replace(states=states)
         self._latest, self._updated = estimate._asdict(), self._updated | due
         return estimate
+
+    def _end_fallback(self, due: BoolArray) -> None:
+        """Return to the tracking law the arms (b,) whose readings have been explained long enough."""
+        if not self._fallback_active.any() or not hasattr(self.observer, "consistent"):
+            return
+        explained = self._fallback_active & self.observer.consistent
+        self._consistent_periods = np.where(explained, self._consistent_periods + due, 0)
+        returned = np.flatnonzero(due & (self._consistent_periods >= self._return_periods))
+        self._fallback_active[returned], self._consistent_periods[returned] = False, 0
+        self.law.restart(returned)
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the actions (b, n), fractions of the torque limits."""

@@ -21,7 +21,7 @@ from flexman_gym.envs.config.reset_options import TIP_OPTIONS, inverse_kinematic
 from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.envs.effects import EffectContext
 from flexman_gym.envs.measurements import Measurements
-from flexman_gym.envs.sensors import SensorArray, find_sensors, measured_names
+from flexman_gym.envs.sensors import SensorArray, find_sensors, measured_names, sensor_indices
 from flexman_gym.envs.sensors.sensor import MeasuredView
 from flexman_gym.envs.tasks import Task
 from flexman_gym.envs.tasks.rewards import make_reward_terms
@@ -153,10 +153,18 @@ class Episodes:
         randomisation = configuration.disturbances
         if randomisation is None:
             return None
-        bound = MeasuredView(self.view, configuration.limits, measured_names(sensors)).bound
-        nominal = np.array(configuration.torque_limit)
-        gap, limits = randomisation.impulse_gap, configuration.limits
-        return ActiveEffects(randomisation, EffectContext(self.batch, limits, bound, self.motors.limits, nominal, gap))
+        measured = MeasuredView(self.view, configuration.limits, measured_names(sensors))
+        context = EffectContext(
+            self.batch,
+            configuration.limits,
+            measured.bound,
+            self.motors.limits,
+            np.array(configuration.torque_limit),
+            randomisation.impulse_gap,
+            sensor_indices(sensors, measured),
+            measured.columns("root_strains"),
+        )
+        return ActiveEffects(randomisation, context)
 
     @property
     def base(self) -> Controller | None:

@@ -60,6 +60,14 @@ class TruncatedNoise:
         return result
 
 
+def uniform_numbers(normal: Array) -> Array:
+    """Map standard normal numbers to uniform numbers in [0, 1] by the normal distribution function."""
+    from scipy.special import ndtr
+
+    result: Array = ndtr(normal)
+    return result
+
+
 def _normal(random: np.random.Generator, shape: tuple[int, ...]) -> Array:
     """Return standard normal numbers of magnitude up to TRUNCATION, by rejection."""
     values = random.standard_normal(shape)

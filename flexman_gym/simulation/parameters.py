@@ -88,6 +88,11 @@ class _Parameter:
     needed: Callable[[Model], BoolArray] = _no_joints
     lacking: str = "rigid"
 
+    @property
+    def may_be_zero(self) -> bool:
+        """True if a value of 0 is allowed in every model."""
+        return self.needed is _no_joints
+
     def shape(self, joints: int) -> tuple[int, ...]:
         """Return the shape of the values of one arm."""
         return () if self.of == ARM else (joints,)

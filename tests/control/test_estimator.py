@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 from flexman_gym.control.observers.estimator import Estimator
+from flexman_gym.control.observers.observer import MAX_LOST
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import rest_state
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import UNCERTAIN
@@ -125,7 +128,7 @@ def test_more_readings_make_it_surer():
     for action in pushes(random, 3, 2, 1):
         bench.step(action)
         observer.estimate(bench.readings(), bench.applied, np.ones(2, dtype=bool))
-        slopes = observer._models.measurement_jacobian(observer._models.jacobian(observer._states, observer._steps))
+        slopes = observer._models.measurement_jacobian(observer._states, observer._steps, observer.theta)
         added = observer._information - before
         expected = slopes.transpose(0, 2, 1) @ (slopes * (observer._instruments.deviations**-2.0)[:, None])
         if (observer._ages[0] - 1) % 5:
@@ -220,6 +223,136 @@ def test_encoders_that_are_off_are_found_out():
     plain = Estimator(plant)
     bench.follow(plain, actions[:28])
     assert (plain.estimates["misfit"] > 1.3).all(), "one that knows of no biases sees that something is wrong"
+
+
+WIDE = {
+    "joint_stiffness_factor": (0.5, 1.5), "link_stiffness_factor": (0.5, 1.5), "delay": (0, 3),
+    "viscous_friction_factor": (0.0, 1.5), "coulomb_friction_factor": (0.0, 1.5), "sensor_bias": (-0.003, 0.003),
+    "gauge_gain_factor": (0.98, 1.02),
+}  # fmt: skip
+RUBBING = Configuration.find("FlexPlanar-v0/friction").arm
+
+
+def uncertain_bench(arms, seed=0, **more):
+    """Planar arms of which everything is drawn, with biases and gain errors; plant, bench, errors of sensors."""
+    plant = small_plant("FlexPlanar-v0", {"payload_mass": (0.0, 0.25), "sensor_noise": (NOISE, NOISE), **WIDE},
+                        arm=RUBBING)  # fmt: skip
+    ranges, random = {name: each[0] for name, each in plant.measured().items()}, np.random.default_rng([1, seed])
+    names = ("motor_angles", "motor_rates", "joint_twists", "joint_twist_rates", "root_strains")
+    biases = {name: 0.003 * random.uniform(-1.0, 1.0, len(ranges[name])) * ranges[name] for name in names}
+    gains = random.uniform(0.98, 1.02, len(ranges["root_strains"]))
+    bench, parameters, random = bench_of(plant, arms, seed, noise=1.0, delays=np.arange(arms) % 4, biases=biases,
+                                         **more)  # fmt: skip
+    read = bench.read.measure
+    bench.read.measure = lambda states: (exact := read(states)) | {"root_strains": gains * exact["root_strains"]}
+    return plant, bench, parameters, random, np.concatenate([np.concatenate(list(biases.values())), gains - 1.0])
+
+
+def test_everything_that_is_drawn_is_found():
+    """Delays, from the first fits on; friction; biases and gain errors of the gauges within their deviations."""
+    plant, bench, parameters, random, errors = uncertain_bench(12)
+    observer = Estimator(plant)
+    actions = pushes(random, 92, 12, 2)
+    assert bench.follow(observer, actions[:22])[-1].lead.tolist() == bench.delays.tolist()
+    estimate = bench.follow(observer, actions[22:], begin=False)[-1]
+    assert estimate.lead.tolist() == bench.delays.tolist()
+    assert not observer._filtering.any() and observer.estimates["misfit"].mean() == pytest.approx(1.0, abs=0.15)
+    assert max(relative_errors(plant, estimate, parameters)[name] for name in ("payload_mass",)) < 0.02
+    friction = estimate.parameters["coulomb_friction"] - parameters["coulomb_friction"]
+    assert np.abs(friction / plant.model.constants.coulomb_friction).mean() < 0.1
+    found = (observer.theta + observer._change)[:, observer._models.dynamic :]
+    deviations = np.sqrt(np.diagonal(np.linalg.inv(observer._information), axis1=1, axis2=2))
+    own = (found - errors) / deviations[:, observer._models.dynamic :]
+    assert (own**2).mean() == pytest.approx(1.0, abs=0.35) and np.abs(own).max() < 6.0
+    encoders = observer._instruments.places["motor_rates"]
+    known = deviations[:, observer._models.dynamic :][:, encoders] / observer._instruments.biases[encoders]
+    assert (known < 0.3).all(), "it has learned"
+
+
+class Lossy:
+    """Readings of a bench of which a share of the samples is lost, each sensor for itself."""
+
+    def __init__(self, bench, share, seed=0):
+        self.true, self.random, self.share, self.held, self.lost = (
+            bench.readings,
+            np.random.default_rng(seed),
+            share,
+            {},
+            [],
+        )
+
+    def __call__(self):
+        new, lost = self.true(), []
+        for names in LINEAR_SENSORS.values():
+            gone = (self.random.uniform(size=len(new["state"])) < self.share) & bool(self.held)
+            for name in names:
+                new[name] = np.where(gone[:, None], self.held.get(name, new[name]), new[name])
+            lost.append(gone)
+        self.held = dict(new)
+        self.lost.append(np.array(lost).T)
+        return new
+
+
+def test_lost_samples_have_no_weight():
+    """A lost sample of a moving arm is recognised, no other is, and the misfit stays that of the noise."""
+    plant = plant_of("FlexPlanar-v0")
+    bench, parameters, random = bench_of(plant, 8, noise=1.0)
+    lossy = bench.readings = Lossy(bench, 0.1)
+    observer = Estimator(plant)
+    estimate = bench.follow(observer, pushes(random, 70, 8, 2))[-1]
+    lost = np.array(lossy.lost).transpose(1, 0, 2)  # (b, T, sensors)
+    found = observer._lost[:, : lost.shape[1]][:, :, observer._instruments._firsts]
+    assert not (found & ~lost).any()
+    moved = np.abs(np.diff(observer._readings[:, :71], axis=1)).max(axis=2) > 0.0
+    assert found[:, 10:].sum() >= 0.9 * lost[:, 10:].sum() > 100 and moved.any()
+    assert not observer._filtering.any() and observer.estimates["misfit"].mean() == pytest.approx(1.0, abs=0.15)
+    assert relative_errors(plant, estimate, parameters)["payload_mass"] < 0.02
+
+
+def test_a_repeated_sample_of_an_arm_at_rest_is_not_lost():
+    """Quantised encoders repeat their numbers where the arm rests, also where the model moves and the arm sticks."""
+    plant = plant_of("FlexPlanar-v0")
+    bench, _, _ = bench_of(plant, 2)
+    true, steps = bench.readings, {name: each[1] for name, each in plant.measured().items()}
+    bench.readings = lambda: {
+        name: np.round(each / steps[name]) * steps[name] for name, each in true().items() if name in steps
+    }
+    observer = Estimator(plant)
+    bench.follow(observer, np.zeros((30, 2, 2)))
+    assert not observer._lost.any()
+    instruments = observer._instruments
+    now, change = np.ones((1, len(instruments.ranges))), 5.0 * instruments.deviations[None]
+    repeats = np.zeros(now.shape, dtype=np.int64)
+    for period in range(6):
+        lost, repeats = instruments.lost(now, now, change, repeats)
+        assert lost.all() == lost.any() == (period < MAX_LOST)
+    almost = now.copy()
+    almost[0, 0] += 1e-9
+    lost, repeats = instruments.lost(almost, now, change, np.zeros_like(repeats))
+    assert not lost[0, : 2 * 2].any() and lost[0, 2 * 2 :].all(), "all numbers of a sensor, or none is lost"
+
+
+def test_friction_is_estimated_wherever_a_model_has_some():
+    rubbing = small_plant("FlexPlanar-v0", {"sensor_noise": (NOISE, NOISE)}, arm=RUBBING)
+    names = Estimator(rubbing).uncertain.names
+    assert names.count("coulomb_friction") == names.count("viscous_friction") == 2
+    assert "coulomb_friction" not in Estimator(plant_of("FlexPlanar-v0")).uncertain.names
+    assert Estimator(rubbing, unknown={"payload_mass": (0.0, 1.0)}).uncertain.names == ("payload_mass",)
+
+
+def test_an_arm_outside_the_ranges_is_found_too():
+    """Joints a quarter of the range, and a payload a fifth of the range beyond what the plant names."""
+    plant = plant_of()
+    parameters = {
+        "payload_mass": np.array([0.36]),
+        "joint_stiffness": 1.45 * plant.model.constants.joint_stiffness[None],
+    }
+    bench, random = Bench(plant, [[0.3]], parameters, noise=1.0), np.random.default_rng(5)
+    observer = Estimator(plant)
+    estimate = bench.follow(observer, pushes(random, 70, 1, 1))[-1]
+    assert estimate.parameters["payload_mass"] == pytest.approx(0.36, abs=0.01)
+    assert estimate.parameters["joint_stiffness"] / parameters["joint_stiffness"] == pytest.approx(1.0, abs=0.02)
+    assert observer.consistent.all()
 
 
 def test_arms_that_begin_at_different_times_do_not_touch_each_other():

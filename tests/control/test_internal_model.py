@@ -30,7 +30,7 @@ def test_instruments_read_what_the_view_shows():
         assert np.array_equal(read.ranges[place], given.measured()[name][0])
     assert np.array_equal(read.deviations, MIN_DEVIATION * read.ranges), "perfect ones"
     noisy = MeasurementModel(plant("FlexPlanar-v0", measured=lambda: {
-        name: np.array([span, 0.01 * span]) for name, (span, _) in given.measured().items()}), ALL)  # fmt: skip
+        name: np.array([span, 0.01 * span]) for name, (span, *_) in given.measured().items()}), ALL)  # fmt: skip
     assert noisy.deviations == pytest.approx(0.01 * noisy.ranges)
 
 

@@ -96,7 +96,8 @@ def test_draws_lie_in_their_ranges_and_fill_them():
             and high - 0.05 * width < values.max() <= high + rounding
         )
         if values.ndim > 1:
-            assert np.abs(np.corrcoef(values.T) - np.eye(3)).max() < 0.2, "each joint and link for itself"
+            own = np.corrcoef(values.T) - np.eye(values.shape[1])
+            assert np.abs(own).max() < 0.25, "each joint, link and sensor for itself"
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
@@ -179,6 +180,52 @@ def test_a_strip_bends_where_it_is_thin():
     stiff, soft = tips[..., 0], tips[..., 1]
     np.testing.assert_allclose((64.0 * stiff) ** 2 + soft**2, 0.01**2, rtol=1e-9)
     assert np.abs(soft).max() > 0.0099 and np.abs(stiff).max() > 0.99 * 0.01 / 64.0
+
+
+LAB = ["motor_encoders", "strain"]
+
+
+def lab_readings(periods, **ranges):
+    """Readings (T, size) of a moving arm with laboratory sensors, the slices of the entries, and the environment."""
+    env = FlexManEnv(sensors=LAB, randomisation=ranges)
+    rows = [env.reset(seed=3)[0]] + [env.step(0.3 * PUSH)[0] for _ in range(periods)]
+    return np.array(rows, dtype=float), env.sensors.slices, env
+
+
+def test_a_bias_stays_for_an_episode_and_is_the_drawn_part_of_each_range():
+    exact, _, env = lab_readings(10)
+    biased, _, other = lab_readings(10, sensor_bias=(-0.02, 0.03))
+    drawn = other.episodes.effects.drawn["sensor_bias"][0]
+    assert drawn.shape == env.sensors.bound.shape
+    np.testing.assert_allclose(biased - exact, np.tile(drawn * env.sensors.bound, (11, 1)), atol=1e-5)
+
+
+def test_gains_scale_the_strains_alone():
+    exact, slices, _ = lab_readings(10)
+    scaled, _, env = lab_readings(10, gauge_gain_factor=(0.8, 1.2))
+    gains = env.episodes.effects.drawn["gauge_gain"][0]
+    strains = slices["root_strains"]
+    np.testing.assert_allclose(scaled[:, strains], gains * exact[:, strains], rtol=1e-5)
+    assert np.array_equal(np.delete(scaled, np.r_[strains], axis=1), np.delete(exact, np.r_[strains], axis=1))
+
+
+def test_a_sensor_loses_whole_samples_as_often_as_drawn_and_never_the_first():
+    rows, slices, _ = lab_readings(400, dropped_samples=(0.1, 0.1), sensor_noise=(0.001, 0.001))
+    same = rows[1:] == rows[:-1]
+    encoders = np.r_[slices["motor_angles"], slices["motor_rates"]]
+    lost = {"encoders": same[:, encoders], "strain": same[:, slices["root_strains"]]}
+    assert all((each.all(axis=1) == each.any(axis=1)).all() for each in lost.values()), "all numbers or none"
+    shares = [each[:, 0].mean() for each in lost.values()]
+    assert shares == pytest.approx([0.1, 0.1], abs=0.06)
+    assert not np.array_equal(lost["encoders"][:, 0], lost["strain"][:, 0]), "each sensor for itself"
+    assert rows[0].any()
+
+
+def test_friction_may_be_none_but_a_stiffness_not():
+    env = FlexManEnv(arm=RUBBING, randomisation={"coulomb_friction_factor": (0.0, 0.0)})
+    assert not env.reset(seed=0)[1]["drawn"]["coulomb_friction"].any()
+    with pytest.raises(ValueError, match="joint_stiffness_factor"):
+        fm.Randomisation(joint_stiffness_factor=(0.0, 1.0))
 
 
 def test_impulses_come_with_their_gap_and_their_size():

@@ -84,6 +84,16 @@ def test_deviations_are_those_of_what_a_base_reads():
     assert measured["motor_rates"][0].tolist() == [limits.rate] * 2
 
 
+def test_biases_and_gain_errors_are_told():
+    """The largest magnitude of a bias, of the randomisation and of an instrument, and of the gauges' gain errors."""
+    biased = {"kind": "motor_encoders", "bias": 0.001}
+    ranges = {"sensor_bias": (-0.003, 0.002), "gauge_gain_factor": (0.97, 1.02)}
+    measured = plant_of(sensors=[biased, "strain"], randomisation=ranges)[0].measured()
+    assert measured["motor_angles"][2] == pytest.approx(0.004 * measured["motor_angles"][0])
+    assert measured["root_strains"][2] == pytest.approx(0.003 * measured["root_strains"][0])
+    assert measured["root_strains"][3] == pytest.approx(0.03) and not measured["motor_angles"][3].any()
+
+
 def test_the_flaws_of_an_instrument_add_to_the_noise():
     """Noise by squares, and rounding by a step over the square root of 12."""
     flawed = {"kind": "motor_encoders", "noise": 0.003, "quantisation": 0.01}

@@ -21,7 +21,8 @@ def drives(arms, steps, seed=1):
 EVERYTHING = {
     "payload_mass": (0.0, 5.0), "joint_stiffness_factor": (0.8, 1.2), "link_stiffness_factor": (0.8, 1.2),
     "rotor_inertia_factor": (0.9, 1.1), "joint_damping": (0.0, 20.0), "torque_limit_factor": (0.9, 1.1),
-    "sensor_noise": (0.0, 0.01), "delay": (0, 3), "initial_vibration": (0.0, 0.01), "tip_impulse": (0.0, 5.0),
+    "sensor_noise": (0.0, 0.01), "sensor_bias": (-0.01, 0.02), "gauge_gain_factor": (0.9, 1.1),
+    "dropped_samples": (0.0, 0.2), "delay": (0, 3), "initial_vibration": (0.0, 0.01), "tip_impulse": (0.0, 5.0),
     "tip_load": (0.0, 10.0),
     "base_sway": (0.0, 0.2), "impulse_gap": 0.2,
 }  # fmt: skip

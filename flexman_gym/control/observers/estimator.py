@@ -12,6 +12,7 @@ from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, Measureme
 from flexman_gym.control.observers.perturbed_models import (
     PerturbedModels,
     Prior,
+    Resimulation,
     UncertainParameters,
     levenberg_marquardt_step,
     solve_scaled,
@@ -21,13 +22,28 @@ from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import rest_state
 
 RESIMULATION_PERIODS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods since the start of an episode
-LAST_DELAY_SEARCH = 20  # control periods since the start; last resimulation at which the delay is estimated
+DELAY_COST = 60.0  # dimensionless; cost above that of the best consistent fit beyond which a delay is excluded
+MAX_COST = 1e100  # dimensionless; cost of a diverged fit
 UPDATE_INTERVAL = 5  # control periods between two updates of the models to the estimate
+MIN_BIAS = 1e-5  # fraction of the range; smallest assumed limit of a bias
 START_ANGLE_DEVIATION = 1e-4  # rad; prior standard deviation of start angles given by `EpisodeInfo`
-MAX_STATE = 100.0  # largest magnitude of an entry of the state of a model that has not diverged
+MAX_STATE = 1e4  # largest magnitude of an entry of the state of a model that has not diverged; modes reach hundreds
 MAX_PERTURBATION = 0.5  # rad; difference of motor angles beyond which perturbations are reduced
 DETECTION_START = 25  # control periods from the start of an episode to the start of change detection
+CONSISTENT_MISFIT = 3.0  # dimensionless; mean square below which the estimated model explains the measurements
+FRICTION_RANGE = (0.0, 1.5)  # factors on the friction of a model; assumed range of friction without a given range
 START_ANGLE_BOUND = 10.0  # prior standard deviations; bound of the estimate of a start angle
+
+
+def _unknown(plant: Plant) -> Mapping[str, tuple[float, float]]:
+    """Return the ranges of the uncertain parameters of a plant, and those of its friction even if it is not drawn."""
+    constants = plant.model.constants
+    friction = {
+        f"{name}_factor": FRICTION_RANGE
+        for name in ("viscous_friction", "coulomb_friction")
+        if getattr(constants, name).any()
+    }
+    return dict(plant.unknown) | {name: span for name, span in friction.items() if name not in plant.unknown}
 
 
 class Estimator:
@@ -37,24 +53,28 @@ class Estimator:
     each entry of theta that affects the motion, are simulated together with the estimated model and yield the
     sensitivities of a recursive least-squares fit. At certain periods the whole episode is simulated again from the
     start with Levenberg-Marquardt steps, which removes linearisation errors (Ljung, System Identification, 2nd ed.,
-    1999, chapters 7 and 10).
+    1999, chapters 7 and 10). These fits are made for each delay that is not yet excluded, and the delay with the least
+    cost is the estimate. Lost samples have no weight.
 
     Args:
         plant: plant model with uncertain parameters and the noise of the instruments.
         sensors: names in `model.linearization.LINEAR_SENSORS`.
-        unknown: name -> (low, high), see `UncertainParameters`; None for the uncertain parameters of the plant.
-        biased: True to estimate biases of the measurements, up to 0.5 % of their ranges. The start angles are then
-            those of `EpisodeInfo`, since biased encoders do not determine them.
+        unknown: name -> (low, high), see `UncertainParameters`; None for the uncertain parameters of the plant, and for
+            its friction.
+        biased: True to estimate biases of the measurements, up to 0.5 % of their ranges where the plant names none;
+            None for the biases of the plant. The start angles are then those of `EpisodeInfo`, since biased encoders do
+            not determine them.
 
     Attributes:
         theta: (b, p) parameter vectors: uncertain parameters, start angles relative to their initial guess
-            (rad), biases.
+            (rad), biases, relative gain errors of the strain gauges.
         delays: (b,) estimated delays, control periods.
     """
 
     _arrays = (
         "theta", "delays", "_origin", "_states", "_information", "_change", "_ages", "_readings",
-        "_torques", "_steps", "_perturbations_reduced", "_filtering",
+        "_torques", "_steps", "_perturbations_reduced", "_filtering", "_lost", "_previous", "_motion", "_repeats",
+        "_likely",
     )  # fmt: skip
     state_fields = (*_arrays, "_innovations", "_prediction", "_detector")
 
@@ -63,22 +83,28 @@ class Estimator:
         plant: Plant,
         sensors: Sequence[str] = tuple(LINEAR_SENSORS),
         unknown: Mapping[str, tuple[float, float]] | None = None,
-        biased: bool = False,
+        biased: bool | None = None,
     ) -> None:
         self.sensors, self._plant = tuple(sensors), plant
-        model, n = plant.model, plant.model.n_joints
         instruments = self._instruments = MeasurementModel(plant, self.sensors)
-        uncertain = self.uncertain = UncertainParameters(model, plant.unknown if unknown is None else unknown)
-        models = self._models = PerturbedModels(plant, uncertain, instruments.matrix, biased)
+        uncertain = self.uncertain = UncertainParameters(plant.model, _unknown(plant) if unknown is None else unknown)
+        biased = bool(instruments.biases.any()) if biased is None else biased
+        gauges = np.flatnonzero(instruments.gain_errors)
+        self._models = PerturbedModels(plant, uncertain, instruments.matrix, biased, gauges)
         self._innovations = InnovationGains(DiscreteJacobians(plant), instruments, plant.tip_force)
         self._encoders = None if biased else instruments.places["motor_angles"]
-        starts = np.full(n, START_ANGLE_DEVIATION) if self._encoders is None else instruments.deviations[self._encoders]
-        biases = MAX_BIAS * instruments.ranges if biased else np.zeros(0)
+        starts = instruments.deviations[instruments.places["motor_angles"]]
+        if biased:
+            starts = np.full(len(starts), START_ANGLE_DEVIATION)
+        told = instruments.biases if instruments.biases.any() else MAX_BIAS * instruments.ranges
+        errors = np.concatenate(
+            [np.maximum(told, MIN_BIAS * instruments.ranges)] * biased + [instruments.gain_errors[gauges]]
+        )
         self._prior = Prior(
-            np.concatenate([uncertain.mean, np.zeros(models.size - len(uncertain.mean))]),
-            np.concatenate([uncertain.deviation, starts, biases / np.sqrt(3.0)]),
-            np.concatenate([uncertain.low, -START_ANGLE_BOUND * starts, -2.0 * biases]),
-            np.concatenate([uncertain.high, START_ANGLE_BOUND * starts, 2.0 * biases]),
+            np.concatenate([uncertain.mean, np.zeros(self._models.size - len(uncertain.mean))]),
+            np.concatenate([uncertain.deviation, starts, errors / np.sqrt(3.0)]),
+            np.concatenate([uncertain.low, -START_ANGLE_BOUND * starts, -2.0 * errors]),
+            np.concatenate([uncertain.high, START_ANGLE_BOUND * starts, 2.0 * errors]),
         )
         self._weights = np.tile(instruments.deviations**-2.0, (RESIMULATION_PERIODS[-1] + 1, 1))
         if self._encoders is not None:
@@ -96,6 +122,10 @@ class Estimator:
         self._torques = np.zeros((0, late + rows, n))
         self._given_angles, self._prediction = np.zeros((0, n)), DelayCompensation(self._plant)
         self._detector = ChangeDetector(m)
+        self._likely = np.ones((0, 1 + late - self._plant.delay[0]), dtype=bool)  # delays that are not excluded
+        self._lost, self._repeats = np.zeros((0, rows, m), dtype=bool), np.zeros((0, m), dtype=np.int64)
+        self._previous = np.zeros((0, m))  # last measurements
+        self._motion = np.zeros((0, m))  # predicted changes of measurements since the last sample that was not lost
         self._steps, self._simulated_theta = np.zeros((0, models - 1)), np.zeros((0, p + models - 1))
         self._perturbations_reduced, self._filtering = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
@@ -119,9 +149,12 @@ class Estimator:
         if len(new):
             self._begin(new, now[new])
         if len(running):
+            before = self._states[running, 0]
             self._advance(running, applied[running])
+            lost = self._find_lost(running, now[running], self._states[running, 0] - before)
             stored = running[self._ages[running] < len(self._weights)]
             self._readings[stored, self._ages[stored]] = now[stored]
+            self._lost[stored, self._ages[stored]] = lost[self._ages[running] < len(self._weights)]
             resimulated = (
                 np.isin(self._ages[running], RESIMULATION_PERIODS)
                 & ~self._perturbations_reduced[running]
@@ -129,7 +162,7 @@ class Estimator:
             )
             for age in np.unique(self._ages[running[resimulated]]).tolist():
                 self._refit(running[resimulated & (self._ages[running] == age)], age)
-            self._update_fit(running[~resimulated], now[running[~resimulated]])
+            self._update_fit(running[~resimulated], now[running[~resimulated]], lost[~resimulated])
             if (changed := self._detector.detect(running) & (self._ages[running] > DETECTION_START)).any():
                 self._restart_after_change(running[changed])
         self._ages += active
@@ -139,6 +172,12 @@ class Estimator:
     def inconsistent(self) -> BoolArray:
         """Flags (b,) of arms whose measurements no model explains, even after a restart for a detected change."""
         return self._detector.inconsistent & ((self._ages > DETECTION_START) | self._filtering)
+
+    @property
+    def consistent(self) -> BoolArray:
+        """Flags (b,) of arms whose measurements are explained by the estimated model."""
+        result: BoolArray = (self._detector.misfit < CONSISTENT_MISFIT) & ~self.inconsistent
+        return result
 
     @property
     def estimates(self) -> dict[str, Array]:
@@ -151,7 +190,8 @@ class Estimator:
         """Start the fits of arms (r,) with their first measurements (r, m)."""
         angles = self._given_angles[arms] if self._encoders is None else now[:, self._encoders]
         self._origin[arms] = rest_state(self._plant.model, angles)
-        self._readings[arms, 0] = now
+        self._readings[arms, 0] = self._previous[arms] = now
+        self._lost[arms, 0], self._repeats[arms], self._motion[arms], self._likely[arms] = False, 0, 0.0, True
         self.delays[arms] = (sum(self._plant.delay) + 1) // 2
         self._states[arms] = self._models.initial_states(self._origin[arms], self.theta[arms])
         self._steps[arms], self._perturbations_reduced[arms] = self._models.steps, False
@@ -219,32 +259,50 @@ class Estimator:
         lost = arms[~(np.abs(self._states[arms]) < MAX_STATE).all(axis=(1, 2))]
         self._states[lost], self._detector.misfit[lost] = self._origin[lost][:, None], MAX_STATE
 
-    def _update_fit(self, arms: IntArray, now: Array) -> None:
-        """Update the recursive least-squares fits of arms (r,) with measurements (r, m)."""
-        jacobian = self._models.measurement_jacobian(self._models.jacobian(self._states[arms], self._steps[arms]))
+    def _find_lost(self, arms: IntArray, now: Array, motion: Array) -> BoolArray:
+        """Return flags (r, m) of lost measurements.
+
+        Args:
+            arms: (r,) indices.
+            now: (r, m) measurements.
+            motion: (r, 2 d) changes of the estimated states in the previous period.
+
+        Returns:
+            Flags (r, m) of the measurements of lost samples.
+        """
+        change = self._motion[arms] + row_dots(self._instruments.matrix, motion[:, None])
+        lost, self._repeats[arms] = self._instruments.lost(now, self._previous[arms], change, self._repeats[arms])
+        self._motion[arms], self._previous[arms] = np.where(lost, change, 0.0), now
+        return lost
+
+    def _update_fit(self, arms: IntArray, now: Array, lost: BoolArray) -> None:
+        """Update the recursive least-squares fits of arms (r,) with measurements (r, m), without lost ones (r, m)."""
+        jacobian = self._models.measurement_jacobian(self._states[arms], self._steps[arms], self.theta[arms])
         error = now - self._models.read(self._states[arms, 0], self.theta[arms])
         error -= row_dots(jacobian, self._change[arms][:, None])
         precision = np.repeat(self._weights[-1:], len(arms), axis=0)
         filtered = self._filtering[arms]
         if filtered.any():
             precision[filtered] = 1.0 / self._innovations.variances(arms[filtered])
+        precision *= ~lost
         weighted = (jacobian * precision[..., None]).transpose(0, 2, 1)
         self._information[arms] += weighted @ jacobian
         gradient = row_dots(weighted, error[:, None])
         self._change[arms] += solve_scaled(self._information[arms], gradient)
         self._detector.update(arms, error * np.sqrt(precision))
         if filtered.any():
-            self._correct(arms[filtered], now[filtered])
+            self._correct(arms[filtered], now[filtered], lost[filtered])
         due = arms[self._ages[arms] % UPDATE_INTERVAL == 0]
         if len(due):
             self._apply_change(due)
 
-    def _correct(self, arms: IntArray, now: Array) -> None:
-        """Correct each model of arms (r,) by its own innovation with respect to the measurements (r, m)."""
+    def _correct(self, arms: IntArray, now: Array, lost: BoolArray) -> None:
+        """Correct each model of arms (r,) by its innovation of the measurements (r, m), without lost ones (r, m)."""
         states, theta = self._states[arms], self._models.perturb(self.theta[arms], self._steps[arms])
         error = now[:, None] - self._models.read(
             states.reshape(-1, states.shape[2]), theta.reshape(-1, theta.shape[2])
         ).reshape(*states.shape[:2], -1)
+        error *= ~lost[:, None]
         gain = self._innovations.gains(arms, states[:, 0], self._prediction.past[arms, self.delays[arms]])
         self._states[arms] = states + row_dots(gain[:, None], error[:, :, None])
 
@@ -260,27 +318,44 @@ class Estimator:
     def _refit(self, arms: IntArray, age: int) -> None:
         """Fit theta of arms (r,) to all measurements of their first `age` control periods."""
         self.theta[arms] = self._prior.clip(self.theta[arms] + self._change[arms])
-        start, read = (self._origin[arms], self.theta[arms]), self._readings[arms, : age + 1]
-        weights = np.broadcast_to(self._weights[: age + 1], read.shape)
-        least, largest = self._plant.delay
-        if largest > least and age <= LAST_DELAY_SEARCH:
-            tried = [self._delayed_torques(arms, age, np.full(len(arms), delay)) for delay in range(least, largest + 1)]
-            costs = [self._models.resimulate(*start, torques, read, weights).cost for torques in tried]
-            self.delays[arms] = least + np.nan_to_num(np.array(costs), nan=np.inf).argmin(axis=0)
-        data = self._delayed_torques(arms, age, self.delays[arms]), read, weights
-        theta, simulation = self._models.fit(*start, self._prior, data)
+        theta, simulation = self._fit_delays(arms, age)
         valid = np.isfinite(simulation.cost) & (np.abs(simulation.states) < MAX_STATE).all(axis=(1, 2))
         if not valid.all():  # arms with diverged simulations continue with the recursive fit
-            self._update_fit(arms[~valid], self._readings[arms[~valid], age])
+            self._update_fit(arms[~valid], self._readings[arms[~valid], age], self._lost[arms[~valid], age])
         arms, theta, simulation = arms[valid], theta[valid], simulation.select(valid)
         self.theta[arms] = theta
         self._states[arms], self._steps[arms] = simulation.states, self._models.steps
         self._information[arms] = simulation.information + self._prior.information
         if age <= 2 * DETECTION_START:
             self._detector.reset(arms, len(self._ages))  # innovations so far include linearisation errors
-        self._detector.misfit[arms] = simulation.cost / self._weights[: age + 1].size
+        count = self._weights[: age + 1].size - np.count_nonzero(self._lost[arms, : age + 1], axis=(1, 2))
+        self._detector.misfit[arms] = simulation.cost / count
         self._change[arms], _ = levenberg_marquardt_step(simulation, self.theta[arms], self._prior)
         self._apply_change(arms)
+
+    def _fit_delays(self, arms: IntArray, age: int) -> tuple[Array, Resimulation]:
+        """Fit theta of arms (r,) for each likely delay, and store the delay with the least cost.
+
+        Returns:
+            Fitted parameter vectors (r, p) and the simulation of the arms with these parameters and delays.
+        """
+        least, likely = self._plant.delay[0], self._likely[arms].T
+        delays, each = np.nonzero(likely)  # one fit for each pair of a delay and an arm
+        rows = arms[each]
+        weights = self._weights[: age + 1] * ~self._lost[rows, : age + 1]
+        data = self._delayed_torques(rows, age, least + delays), self._readings[rows, : age + 1], weights
+        theta, simulation = self._models.fit(self._origin[rows], self.theta[rows], self._prior, data)
+        costs, fits = np.full(likely.shape, np.inf), np.zeros(likely.shape, dtype=np.int64)
+        costs[likely] = np.nan_to_num(simulation.cost + self._prior.cost(theta), nan=np.inf)
+        costs[likely], fits[likely] = np.minimum(costs[likely], MAX_COST), np.arange(len(rows))
+        best = costs.argmin(axis=0)
+        self.delays[arms] = least + best
+        least_cost, count = costs.min(axis=0), self._weights[: age + 1].size
+        self._likely[arms] = (
+            likely & ((costs <= least_cost + DELAY_COST) | (least_cost > CONSISTENT_MISFIT * count))
+        ).T
+        chosen = fits[best, np.arange(len(arms))]
+        return theta[chosen], simulation.select(chosen)
 
     def _delayed_torques(self, arms: IntArray, periods: int, delays: IntArray) -> Array:
         """Return the torques (r, k, n) N m applied to arms (r,) in the first k periods, for delays (r,) in periods."""

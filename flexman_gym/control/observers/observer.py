@@ -56,6 +56,7 @@ class Observer(Protocol):
 
 
 MAX_BIAS = 0.005  # fraction of the range; largest bias of a measurement
+MAX_LOST = 3  # largest number of successive repetitions of a sample that count as lost samples
 MIN_DEVIATION = 1e-4  # fraction of the range; smallest standard deviation of a measurement, due to model errors
 
 
@@ -63,8 +64,8 @@ class MeasurementModel:
     """Linear measurement model of the instruments: y = matrix x + noise, with m measurements y and the state x.
 
     Args:
-        plant: plant model with the range and the noise of each instrument; standard deviations are at least 1e-4 of
-            the range.
+        plant: plant model with the range, the noise, the bias and the gain error of each instrument; standard
+            deviations are at least 1e-4 of the range.
         sensors: names in `model.linearization.LINEAR_SENSORS`, including "motor_encoders", which determine the posture
             at the start.
 
@@ -74,6 +75,8 @@ class MeasurementModel:
         matrix: (m, 2 d) measurement matrix.
         ranges: (m,) largest magnitude of each measurement.
         deviations: (m,) standard deviation of the noise of each measurement.
+        biases: (m,) largest magnitude of the bias of each measurement.
+        gain_errors: (m,) largest relative gain error of each measurement.
 
     Raises:
         ValueError: for a sensor whose readings are nonlinear in the state, and without motor encoders.
@@ -89,9 +92,35 @@ class MeasurementModel:
         ends = np.cumsum([0, *(columns[name].shape[1] for name in self.names)]).tolist()
         self.places = {name: slice(*both) for name, *both in zip(self.names, ends, ends[1:], strict=False)}
         self.matrix: Array = np.hstack([columns[name] for name in self.names]).T.copy()
-        self.ranges, deviations = np.hstack([measured[name] for name in self.names])
+        errors = np.hstack([measured[name] for name in self.names])
+        self.ranges, deviations = errors[:2]
+        self.biases, self.gain_errors = errors[2:] if len(errors) > 2 else np.zeros((2, len(self.ranges)))
         self.deviations: Array = np.maximum(deviations, MIN_DEVIATION * self.ranges)
+        sizes = [sum(columns[name].shape[1] for name in LINEAR_SENSORS[each]) for each in dict.fromkeys(sensors)]
+        self._sensors = np.repeat(np.arange(len(sizes)), sizes)  # index of the sensor of each measurement
+        self._firsts = np.cumsum([0, *sizes])[:-1]  # index of the first measurement of each sensor
 
     def read(self, readings: Readings) -> Array:
         """Return the measurements (b, m) of b arms, concatenated in the order of `names`."""
         return np.concatenate([readings[name] for name in self.names], axis=1).astype(float)
+
+    def lost(self, now: Array, previous: Array, change: Array, repeats: IntArray) -> tuple[BoolArray, IntArray]:
+        """Recognise lost samples, in whose place a sensor repeats all numbers of its previous sample.
+
+        A quantised sensor of an arm at rest repeats its numbers, too. A repeated sample therefore counts as lost only
+        while the arm moves according to its model, by more than a standard deviation of one of the measurements, and
+        only up to MAX_LOST times in succession.
+
+        Args:
+            now: (r, m) measurements.
+            previous: (r, m) measurements of the previous control period.
+            change: (r, m) predicted changes of the measurements since the last sample that was not lost.
+            repeats: (r, m) number of previous repetitions in succession.
+
+        Returns:
+            Flags (r, m) of lost measurements and updated numbers of repetitions (r, m).
+        """
+        equal = np.logical_and.reduceat(now == previous, self._firsts, axis=1)[:, self._sensors]
+        moved = np.logical_or.reduceat(np.abs(change) > self.deviations, self._firsts, axis=1)[:, self._sensors]
+        repeats = np.where(equal, repeats + 1, 0)
+        return equal & moved & (repeats <= MAX_LOST), repeats

@@ -1,11 +1,11 @@
 """Perturbed models: parameter vectors, simulations with one perturbed entry each, and least-squares fits."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, BoolArray, row_dots
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, row_dots
 from flexman_gym.common.checks import mapping, number_array, value_error
 from flexman_gym.common.renamed import PARAMETER_KEYS, rename_keys
 from flexman_gym.control.controller import Plant
@@ -14,7 +14,8 @@ from flexman_gym.model.model import Model
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN
 
 PARAMETER_STEP = 0.0003  # fraction of a range; perturbation; 0.03 would shift the phase by a radian in 2 s
-RANGE_MARGIN = 0.08  # fraction of a range by which an estimate may exceed the range
+RANGE_MARGIN = 0.35  # fraction of a range by which an estimate may exceed the range
+MIN_FACTOR = 0.5  # smallest estimate / lower end of the range
 KNOWN_RANGE = 1e-3  # fraction of the value, or of 1 for the value 0; assumed width of a range of zero width
 
 
@@ -57,7 +58,7 @@ class UncertainParameters:
         width = np.where(high > low, high - low, KNOWN_RANGE * np.where(high > 0.0, high, 1.0))
         self.names, self.joints, self.scales = tuple(names), np.array(joints, dtype=np.int64), np.array(scales)
         self.mean, self.deviation, self.step = 0.5 * (low + high), width / np.sqrt(12.0), PARAMETER_STEP * width
-        self.low: Array = np.maximum(low - RANGE_MARGIN * width, 0.0)
+        self.low: Array = np.maximum(low - RANGE_MARGIN * width, MIN_FACTOR * low)
         self.high: Array = high + RANGE_MARGIN * width
 
     def values(self, model: Model, theta: Array) -> dict[str, Array]:
@@ -87,7 +88,7 @@ class UncertainParameters:
 ANGLE_STEP = 1e-3  # rad; perturbation of a start angle
 BATCH_ARMS = 32  # number of arms whose models are simulated together; limits the memory
 DIAGONAL_OFFSET = 1e-12  # dimensionless; added to the unit diagonal of a scaled matrix against rounding
-MAX_ITERATIONS = 4  # Levenberg-Marquardt iterations of a fit
+MAX_ITERATIONS = 8  # Levenberg-Marquardt iterations of a fit
 MIN_DECREASE = (2.0, 0.02)  # dimensionless; predicted decrease of the cost, total and per period, that ends a fit
 INITIAL_DAMPING = 1e-3  # dimensionless; damping of the first Levenberg-Marquardt step
 
@@ -112,12 +113,17 @@ class Prior(NamedTuple):
         """Information matrix (p, p) of the prior."""
         return np.diag(1.0 / self.deviation**2)
 
+    def cost(self, theta: Array) -> Array:
+        """Return the squared deviations (r,) of parameter vectors (r, p) from the mean, in standard deviations."""
+        result: Array = ((self.mean - theta) ** 2 * (1.0 / self.deviation**2)).sum(axis=1)
+        return result
+
     def clip(self, theta: Array) -> Array:
         """Return parameter vectors (r, p) clipped to the bounds."""
         return np.clip(theta, self.low, self.high)
 
 
-class _Resimulation(NamedTuple):
+class Resimulation(NamedTuple):
     """Result of a simulation of r arms from their start, compared with the measurements.
 
     Attributes:
@@ -132,22 +138,23 @@ class _Resimulation(NamedTuple):
     gradient: Array
     cost: Array
 
-    def select(self, arms: BoolArray) -> "_Resimulation":
-        """Return the results of the flagged arms (r,)."""
-        return _Resimulation(*(values[arms] for values in self))
+    def select(self, arms: BoolArray | IntArray) -> "Resimulation":
+        """Return the results of the flagged arms, or of arms with the indices (r,)."""
+        return Resimulation(*(values[arms] for values in self))
 
 
 class PerturbedModels:
     """Estimated model and s perturbed models of each arm, for a parameter vector theta (p,).
 
-    Theta consists of uncertain parameters and start angles, s entries that affect the motion, and of biases, which are
-    added to the measurements.
+    Theta consists of uncertain parameters and start angles, s entries that affect the motion, of biases, which are
+    added to the measurements, and of relative gain errors of strain gauges.
 
     Args:
         plant: plant model with method and step.
         uncertain: uncertain parameters of the arm.
         matrix: (m, 2 d) measurement matrix.
         biased: True for biases of all measurements in theta.
+        gauges: (g,) indices of the measurements with a gain error in theta.
     """
 
     def __init__(
@@ -156,11 +163,15 @@ class PerturbedModels:
         uncertain: UncertainParameters,
         matrix: Array,
         biased: bool,
+        gauges: Sequence[int] | IntArray = (),
     ) -> None:
         model = self.model = plant.model
         self.models, self.uncertain, self.matrix = InternalModels(plant), uncertain, matrix
         n, count = model.n_joints, len(uncertain.names)
-        self.dynamic, self.size = count + n, count + n + biased * len(matrix)  # s and p
+        self._gauges = np.array(gauges, dtype=np.int64)
+        self.dynamic = count + n  # s
+        self._first_gain = self.dynamic + biased * len(matrix)
+        self.size = self._first_gain + len(self._gauges)  # p
         self.steps = np.concatenate([uncertain.step, np.full(n, ANGLE_STEP)])
         self._rotations = model.at_rest(np.eye(n))  # states after rotation by 1 rad, joint by joint
 
@@ -200,19 +211,51 @@ class PerturbedModels:
         """
         return ((states[:, 1:] - states[:, :1]) / steps[..., None]).transpose(0, 2, 1)
 
-    def measurement_jacobian(self, jacobian: Array) -> Array:
-        """Return the Jacobian (r, m, p) of the measurements, biases included, from that of the states (r, 2 d, s)."""
-        read = self.matrix @ jacobian
+    def measurement_jacobian(self, states: Array, steps: Array, theta: Array) -> Array:
+        """Return the Jacobian (r, m, p) of the measurements with respect to theta (r, p); see `jacobian`."""
+        jacobian = self.matrix @ self.jacobian(states, steps)
         if self.size == self.dynamic:
-            return read
-        return np.concatenate([read, np.repeat(np.eye(len(self.matrix))[None], len(read), axis=0)], axis=2)
+            return jacobian
+        return self._add_sensor_errors(jacobian, row_dots(self.matrix, states[:, :1]), theta)
 
     def read(self, states: Array, theta: Array) -> Array:
         """Return the predicted measurements (r, m) for states (r, 2 d) and parameter vectors (r, p)."""
-        result = row_dots(self.matrix, states[:, None])
-        return result if self.size == self.dynamic else result + theta[:, self.dynamic :]
+        return self._distort(row_dots(self.matrix, states[:, None]), theta)
 
-    def resimulate(self, origin: Array, theta: Array, torques: Array, readings: Array, weights: Array) -> _Resimulation:
+    def _distort(self, exact: Array, theta: Array) -> Array:
+        """Return exact measurements (r, ..., m) with the gain errors and biases of parameter vectors (r, p)."""
+        if self.size == self.dynamic:
+            return exact
+        theta = np.expand_dims(theta, tuple(range(1, exact.ndim - 1)))
+        if len(self._gauges):
+            exact = exact.copy()
+            exact[..., self._gauges] *= 1.0 + theta[..., self._first_gain :]
+        biases = theta[..., self.dynamic : self._first_gain]
+        return exact + biases if biases.shape[-1] else exact
+
+    def _add_sensor_errors(self, jacobian: Array, exact: Array, theta: Array) -> Array:
+        """Add the columns of biases and gain errors to a Jacobian of measurements.
+
+        Args:
+            jacobian: (r, ..., m, s) Jacobian of exact measurements.
+            exact: (r, ..., m) exact measurements.
+            theta: (r, p) parameter vectors.
+
+        Returns:
+            Jacobian (r, ..., m, p).
+        """
+        m, gauges = len(self.matrix), self._gauges
+        result = np.zeros((*jacobian.shape[:-1], self.size))
+        result[..., : self.dynamic] = jacobian
+        if self._first_gain > self.dynamic:
+            result[..., self.dynamic : self._first_gain] = np.eye(m)
+        if len(gauges):
+            gains = 1.0 + np.expand_dims(theta, tuple(range(1, exact.ndim - 1)))[..., self._first_gain :]
+            result[..., gauges, : self.dynamic] *= gains[..., None]
+            result[..., gauges, self._first_gain + np.arange(len(gauges))] = exact[..., gauges]
+        return result
+
+    def resimulate(self, origin: Array, theta: Array, torques: Array, readings: Array, weights: Array) -> Resimulation:
         """Simulate r arms from their start over k control periods and compare them with the measurements.
 
         Args:
@@ -227,11 +270,11 @@ class PerturbedModels:
         """
         parts = [slice(first, first + BATCH_ARMS) for first in range(0, len(origin), BATCH_ARMS)]
         results = [self._resimulate_batch(origin[p], theta[p], torques[p], readings[p], weights[p]) for p in parts]
-        return _Resimulation(*(np.concatenate(each) for each in zip(*results, strict=True)))
+        return Resimulation(*(np.concatenate(each) for each in zip(*results, strict=True)))
 
     def _resimulate_batch(
         self, origin: Array, theta: Array, torques: Array, readings: Array, weights: Array
-    ) -> _Resimulation:
+    ) -> Resimulation:
         arms, periods, n = torques.shape
         start = self.initial_states(origin, theta)
         models = start.shape[1]
@@ -246,21 +289,18 @@ class PerturbedModels:
         read = (states @ self.matrix.T).transpose(0, 2, 3, 1)  # (r, k + 1, m, 1 + s)
         jacobian = (read[..., 1:] - read[..., :1]) / self.steps
         if self.size > self.dynamic:
-            biases = np.broadcast_to(np.eye(len(self.matrix)), (*jacobian.shape[:2], *(len(self.matrix),) * 2))
-            jacobian = np.concatenate([jacobian, biases], axis=3)
-        error = readings - read[..., 0]
-        if self.size > self.dynamic:
-            error = error - theta[:, None, self.dynamic :]
+            jacobian = self._add_sensor_errors(jacobian, read[..., 0], theta)
+        error = readings - self._distort(read[..., 0], theta)
         root = np.sqrt(weights)
         jacobian = (jacobian * root[..., None]).reshape(arms, -1, self.size)
         error = (error * root).reshape(arms, -1)
         across = jacobian.transpose(0, 2, 1)
         gradient = row_dots(across, error[:, None])
-        return _Resimulation(states[:, :, -1].copy(), across @ jacobian, gradient, row_dots(error, error))
+        return Resimulation(states[:, :, -1].copy(), across @ jacobian, gradient, row_dots(error, error))
 
     def fit(
         self, origin: Array, theta: Array, prior: Prior, data: tuple[Array, Array, Array]
-    ) -> tuple[Array, _Resimulation]:
+    ) -> tuple[Array, Resimulation]:
         """Fit the parameter vectors of r arms to all measurements by a few Levenberg-Marquardt iterations.
 
         Args:
@@ -272,28 +312,27 @@ class PerturbedModels:
         Returns:
             Fitted parameter vectors (r, p) and the simulation of the arms with these parameters.
         """
-        periods, damping = data[0].shape[1], np.full(len(origin), INITIAL_DAMPING)
-        precision, running = 1.0 / prior.deviation**2, np.ones(len(origin), dtype=bool)
-        best, result, least = theta, self.resimulate(origin, theta, *data), np.full(len(origin), np.inf)
-        candidate, simulation = best, result
-        for attempt in range(MAX_ITERATIONS):
-            cost = simulation.cost + ((prior.mean - candidate) ** 2 * precision).sum(axis=1)
-            better = np.nan_to_num(cost, nan=np.inf) < least
-            damping = np.where(better, 0.3 * damping, 20.0 * damping) if attempt else damping
-            least = np.where(better, cost, least)
-            best = np.where(better[:, None], candidate, best)
-            result = _Resimulation(*(_select_rows(better, *both) for both in zip(simulation, result, strict=True)))
-            change, decrease = levenberg_marquardt_step(result, best, prior, damping)
-            running &= decrease >= max(MIN_DECREASE[0], MIN_DECREASE[1] * periods)
-            if attempt == MAX_ITERATIONS - 1 or not running.any():
+        rows, damping = np.arange(len(origin)), np.full(len(origin), INITIAL_DAMPING)
+        best, result = theta.copy(), self.resimulate(origin, theta, *data)
+        least = np.nan_to_num(result.cost + prior.cost(theta), nan=np.inf)
+        for _ in range(MAX_ITERATIONS - 1):
+            change, decrease = levenberg_marquardt_step(result.select(rows), best[rows], prior, damping[rows])
+            unfinished = decrease >= max(MIN_DECREASE[0], MIN_DECREASE[1] * data[0].shape[1])
+            rows, candidate = rows[unfinished], prior.clip(best[rows] + change)[unfinished]
+            if not len(rows):
                 break
-            candidate = np.where(running[:, None], prior.clip(best + change), best)  # finished fits do not change
-            simulation = self.resimulate(origin, candidate, *data)
+            simulation = self.resimulate(origin[rows], candidate, *(each[rows] for each in data))
+            cost = np.nan_to_num(simulation.cost + prior.cost(candidate), nan=np.inf)
+            better = cost < least[rows]
+            improved, damping[rows] = rows[better], np.where(better, 0.3, 20.0) * damping[rows]
+            least[improved], best[improved] = cost[better], candidate[better]
+            for values, new in zip(result, simulation, strict=True):
+                values[improved] = new[better]
         return best, result
 
 
 def levenberg_marquardt_step(
-    simulation: _Resimulation, theta: Array, prior: Prior, damping: Array | float = 0.0
+    simulation: Resimulation, theta: Array, prior: Prior, damping: Array | float = 0.0
 ) -> tuple[Array, Array]:
     """Return a change (r, p) of parameter vectors (r, p) and the predicted decrease (r,) of the cost and its prior."""
     precision = 1.0 / prior.deviation**2
@@ -331,8 +370,3 @@ def _unit_diagonal(matrices: Array) -> tuple[Array, Array]:
     result = matrices * scale[:, :, None] * scale[:, None]
     result[:, each, each] = 1.0 + DIAGONAL_OFFSET
     return result, scale
-
-
-def _select_rows(flags: Array, one: Array, other: Array) -> Array:
-    """Return the rows of `one` where flags (r,) are True, else those of `other`."""
-    return np.where(flags.reshape(-1, *(1,) * (one.ndim - 1)), one, other)

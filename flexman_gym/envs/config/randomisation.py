@@ -21,11 +21,13 @@ class Randomisation:
         **ranges: name -> (low, high). Physical parameters of `simulation.parameters.PARAMETERS`: payload_mass (kg),
             joint_damping (N m s/rad), joint_stiffness_factor, rotor_inertia_factor, viscous_friction_factor,
             coulomb_friction_factor, coulomb_rate and stribeck_rate (rad/s), static_excess, backlash (rad),
-            soft_stiffness, ripple_torque (N m), link_stiffness_factor and link_damping_factor. A factor is > 0 and
-            multiplies the nominal value of each joint or link. Effects (disturbances) of `envs.effects.SIGNALS`:
-            torque_limit_factor (also a wrong torque constant of the motors), sensor_noise (standard deviation as a
-            fraction of the measurement range), delay (whole control periods), initial_vibration (m), tip_impulse (N s),
-            tip_load (N) and base_sway (m/s^2).
+            soft_stiffness, ripple_torque (N m), link_stiffness_factor and link_damping_factor. A factor is > 0, or >= 0
+            for friction and damping, and multiplies the nominal value of each joint or link. Effects (disturbances) of
+            `envs.effects.SIGNALS`: torque_limit_factor (also a wrong torque constant of the motors), gauge_gain_factor
+            (of each strain gauge), sensor_noise (standard deviation as a fraction of the measurement range),
+            sensor_bias (of each measured quantity, a fraction of its range of either sign), dropped_samples
+            (probability that a sensor loses a sample), delay (whole control periods), initial_vibration (m),
+            tip_impulse (N s), tip_load (N) and base_sway (m/s^2).
 
     Attributes:
         effects: names of the enabled parameters and effects, in the order of PARAMETERS and SIGNALS.
@@ -79,7 +81,9 @@ def _range(name: str, value: object) -> Range:
     if effect in SIGNALS:
         low, high = (SIGNALS[effect].checked(field, each) for each in value)  # type: ignore[attr-defined]
     else:
-        low, high = ((positive if PARAMETERS[effect].factor else non_negative)(field, each) for each in (low, high))
+        low, high = (
+            (non_negative if PARAMETERS[effect].may_be_zero else positive)(field, each) for each in (low, high)
+        )
     if low > high:
         raise value_error(field, value, "a range (low, high) with low <= high, or None")
     return low, high

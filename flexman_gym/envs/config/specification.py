@@ -43,7 +43,7 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
         (int(fewest), int(most)),
         (configuration.method, configuration.step or default_step(configuration.control_period, longest_step)),
         float(ranges.get("tip_load", (0.0, 0.0))[1]),
-        lambda: _measurement_noise(configuration, model, ranges.get("sensor_noise", (0.0, 0.0))[1]),
+        lambda: _measurement_errors(configuration, model),
         configuration.drive_bandwidth,
     )
 
@@ -61,13 +61,20 @@ def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Cont
     return base, make_action_mode(configuration.actions, plant, base)
 
 
-def _measurement_noise(configuration: Configuration, model: Model, noise: float) -> dict[str, Array]:
-    """Return quantity -> (2, size) measurement range, and standard deviation of the noise of its worst instrument."""
+def _measurement_errors(configuration: Configuration, model: Model) -> dict[str, Array]:
+    """Return quantity -> (4, size): range, and errors of its worst instrument; see `Plant.measured`."""
+    drawn = configuration.disturbances.ranges if configuration.disturbances else {}
+    noise, bias = drawn.get("sensor_noise", (0.0, 0.0))[1], max(map(abs, drawn.get("sensor_bias", (0.0, 0.0))))
+    gain = max(abs(1.0 - factor) for factor in drawn.get("gauge_gain", (1.0, 1.0)))
     ranges = measurement_ranges(View(Batch(model)), configuration.limits)
-    deviations = dict.fromkeys(ranges, noise)
+    deviations, biases = dict.fromkeys(ranges, noise), dict.fromkeys(ranges, bias)
     for sensor in configuration.sensors:
         if isinstance(sensor, Instrument):
             own = np.hypot(sensor.flaws.noise, ROUNDING * sensor.flaws.quantisation)
             for name in measured_names([sensor]):
                 deviations[name] = max(deviations[name], float(np.hypot(noise, own)))
-    return {name: np.array([span, deviations[name] * span]) for name, span in ranges.items()}
+                biases[name] = max(biases[name], bias + sensor.flaws.bias)
+    return {
+        name: np.array([span, deviations[name] * span, biases[name] * span, gain * (name == "root_strains") + 0 * span])
+        for name, span in ranges.items()
+    }

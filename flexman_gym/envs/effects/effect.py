@@ -5,7 +5,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array
+from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.envs.limits import Limits
 from flexman_gym.simulation.batch import Batch
 
@@ -24,6 +24,8 @@ class EffectContext:
         torque_limits: (b, n) torque limits of the current episodes, N m; effects may overwrite them.
         nominal: (n,) torque limits without effects, N m.
         impulse_gap: mean time between two impulses or two changes of load, s.
+        instruments: (size,) index of the sensor that measures each quantity.
+        gauges: (3 n,) indices of the root strains among the measured quantities; (0,) if no sensor measures them.
     """
 
     batch: Batch
@@ -32,6 +34,8 @@ class EffectContext:
     torque_limits: Array
     nominal: Array
     impulse_gap: float
+    instruments: IntArray
+    gauges: IntArray
 
 
 HOOKS = ("begin", "change_start", "motor_actions", "add_tip_forces", "add_base_accelerations", "measure")

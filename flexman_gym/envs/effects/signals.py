@@ -1,13 +1,13 @@
-"""Effects on signals: torque limits, sensor noise, delay, initial vibration, tip impulses, tip loads, base motion."""
+"""Effects on signals: torque limits, errors of sensors, delay, vibration at the start, tip forces, base motion."""
 
 from typing import Any, ClassVar
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import non_negative, positive, value_error, whole_number
+from flexman_gym.common.checks import finite, non_negative, positive, value_error, whole_number
 from flexman_gym.envs.effects.effect import EffectContext, Range
-from flexman_gym.envs.random_streams import TruncatedNoise
+from flexman_gym.envs.random_streams import TruncatedNoise, uniform_numbers
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model
 
@@ -72,6 +72,110 @@ class _SensorNoise:
     def measure(self, values: Array, arms: IntArray) -> Array:
         """Return the values (r, size) of the arms (r,) with noise."""
         return values + self._noise.sample(arms) * self._deviation[arms] * self._bound
+
+
+class _SensorBias:
+    """Bias of each measured quantity, a fraction of its range, constant in an episode."""
+
+    kind: ClassVar[type] = float
+
+    def __init__(self, context: EffectContext, span: Range) -> None:
+        self._bound, self._span, self.shape = context.bound, span, context.bound.shape
+        self._drawn = np.zeros((0, *self.shape))
+
+    @staticmethod
+    def checked(field: str, value: object) -> float:
+        """Return a fraction from -1 to 1."""
+        part = finite(field, value)
+        if abs(part) > 1.0:
+            raise value_error(field, value, "a fraction from -1 to 1 of the range")
+        return part
+
+    def draw(self, arm: int, stream: np.random.Generator) -> Array:
+        """Draw the biases (size,) as fractions of the ranges."""
+        return stream.uniform(*self._span, self.shape)
+
+    def begin(self, arms: IntArray, drawn: Array) -> None:
+        """Store the drawn biases."""
+        self._drawn = drawn
+
+    def measure(self, values: Array, arms: IntArray) -> Array:
+        """Return the values (r, size) of the arms (r,) with biases."""
+        return values + self._drawn[arms] * self._bound
+
+
+class _GaugeGain:
+    """Factors > 0 on the root strains: gain errors of the strain gauges, three of each link."""
+
+    kind: ClassVar[type] = float
+    factor: ClassVar[bool] = True
+
+    def __init__(self, context: EffectContext, span: Range) -> None:
+        self._gauges, self._span, self.shape = context.gauges, span, (3 * len(context.nominal),)
+        self._drawn = np.zeros((0, *self.shape))
+
+    @staticmethod
+    def checked(field: str, value: object) -> float:
+        """Return a factor > 0."""
+        return positive(field, value)
+
+    def draw(self, arm: int, stream: np.random.Generator) -> Array:
+        """Draw the factors (3 n,)."""
+        return stream.uniform(*self._span, self.shape)
+
+    def begin(self, arms: IntArray, drawn: Array) -> None:
+        """Store the drawn factors."""
+        self._drawn = drawn
+
+    def measure(self, values: Array, arms: IntArray) -> Array:
+        """Return the values (r, size) of the arms (r,) with scaled root strains."""
+        if not len(self._gauges):
+            return values
+        result = values.copy()
+        result[:, self._gauges] *= self._drawn[arms]
+        return result
+
+
+class _DroppedSamples:
+    """Lost samples: with a probability each sensor repeats its previous sample, in all its quantities, for a period.
+
+    The first sample of an episode is never lost.
+    """
+
+    kind: ClassVar[type] = float
+    state_fields = ("_noise", "_held", "_first", "_probability")
+    shape = ()
+
+    def __init__(self, context: EffectContext, span: Range) -> None:
+        arms, size = len(context.batch.rows), len(context.bound)
+        self._instruments, self._span = context.instruments, span
+        self._noise = TruncatedNoise(arms, 1 + int(context.instruments.max(initial=0)))
+        self._held, self._first, self._probability = np.zeros((arms, size)), np.ones(arms, bool), np.zeros((arms, 1))
+
+    @staticmethod
+    def checked(field: str, value: object) -> float:
+        """Return a probability below 1."""
+        part = non_negative(field, value)
+        if part >= 1.0:
+            raise value_error(field, value, "a probability from 0 to below 1")
+        return part
+
+    def draw(self, arm: int, stream: np.random.Generator) -> float:
+        """Draw the probability."""
+        self._noise.begin(arm, stream)
+        return stream.uniform(*self._span)
+
+    def begin(self, arms: IntArray, drawn: Array) -> None:
+        """Set the probabilities of new episodes."""
+        self._probability[arms, 0], self._first[arms] = drawn[arms], True
+
+    def measure(self, values: Array, arms: IntArray) -> Array:
+        """Return the values (r, size) of the arms (r,), those of lost samples replaced by the previous ones."""
+        lost = uniform_numbers(self._noise.sample(arms)) < self._probability[arms]
+        lost &= ~self._first[arms, None]
+        result = np.where(lost[:, self._instruments], self._held[arms], values)
+        self._held[arms], self._first[arms] = result, False
+        return result
 
 
 MAX_DELAY = 1000  # control periods; largest delay, which bounds the memory of its buffer
@@ -307,7 +411,10 @@ class _BaseSway:
 
 SIGNALS: dict[str, Any] = {
     "torque_limit": _TorqueLimit,
+    "gauge_gain": _GaugeGain,
     "sensor_noise": _SensorNoise,
+    "sensor_bias": _SensorBias,
+    "dropped_samples": _DroppedSamples,
     "delay": _Delay,
     "initial_vibration": _InitialVibration,
     "tip_impulse": _TipImpulse,

@@ -89,6 +89,18 @@ class MeasuredView:
     def __getattr__(self, name: str) -> Any:
         return getattr(self.__dict__["_view"], name)
 
+    def columns(self, name: str) -> IntArray:
+        """Return the indices of a quantity in `values`; (0,) if it is not measured."""
+        end = 0
+        for each, part in self._parts:
+            columns = np.arange(end, end + part.shape[1])
+            if each == name:
+                return columns
+            if each == "motion" and name in self._view.slices:
+                return columns[self._view.slices[name]]
+            end += part.shape[1]
+        return np.zeros(0, dtype=np.int64)
+
     def copy_true(self, arms: IntArray | slice) -> None:
         """Copy the true quantities of arms, given by their indices or a slice."""
         for name, part in self._parts:
