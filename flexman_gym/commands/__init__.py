@@ -82,7 +82,7 @@ def load_agent(name: str, trust: bool, environment: "Configuration | None" = Non
         The agent.
 
     Raises:
-        FileNotFoundError, ValueError: one line, for a name without an agent.
+        FileNotFoundError, ValueError: for a name without an agent, with a one-line message.
     """
     from flexman_gym.evaluation.agent import find_agent, is_sb3_folder
 

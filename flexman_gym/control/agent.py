@@ -158,7 +158,7 @@ class Agent:
         Args:
             arms: (r,) indices.
             episode: start, goal and control period of these episodes.
-            count: number of arms in all.
+            count: total number of arms.
 
         Raises:
             ValueError: for arms whose number of joints differs from that of the action mode.

@@ -26,13 +26,14 @@ class Plant(NamedTuple):
         period: control period, s.
         gains: function that returns PD gains tuned for the arm: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,)
             each.
-        unknown: uncertain parameters: name -> range (low, high), with the names and units of a randomisation, see
-            `simulation.parameters.UNCERTAIN`: "payload_mass" (kg), "joint_stiffness_factor" (relative), and so on.
-        delay: smallest and largest delay of the torques, whole control periods.
+        unknown: uncertain parameters: name -> range (low, high). The names are the keys of
+            `simulation.parameters.UNCERTAIN`, with the units of its parameters: "payload_mass" (kg),
+            "joint_stiffness_factor" (relative), and so on.
+        delay: (2,) smallest and largest delay of the torques, whole control periods.
         integration: integration method and step (s) of simulations.
         tip_force: magnitude of unmeasured forces on the tip, N.
-        measured: function that returns, for each measured quantity, its range and the standard deviation of its noise:
-            name -> (2, size), in the unit of the quantity.
+        measured: function that returns name of a measured quantity -> (2, size) array in its unit: row 0 is the
+            measurement range, row 1 the standard deviation of the noise.
         bandwidth: bandwidth of a first-order lag between commanded and applied torques, Hz; None for no lag.
     """
 
@@ -59,7 +60,7 @@ class EpisodeInfo:
 
     Attributes:
         start: (r, n) joint angles at the start, rad.
-        goal: (r, n) motor angles of the goal, rad; those at the start for a moving goal.
+        goal: (r, n) motor angles of the goal, rad; for a moving goal, of the goal at the start.
         period: control period, s.
         path: function that returns `reference`; None for a fixed goal.
         drawn: name -> (r, ...) randomised true values of these episodes, for privileged controllers only: physical
@@ -112,12 +113,12 @@ class Controller(Protocol):
         ...
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms with the indices (r,), of `count` arms in all.
+        """Start new episodes of some arms.
 
         Args:
             arms: (r,) indices.
             episode: start, goal and control period of these episodes.
-            count: number of arms in all.
+            count: total number of arms.
         """
         ...
 
@@ -198,5 +199,5 @@ class _FormerController:
         return getattr(self.inner, "estimates", {})
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,) of `count` in all."""
+        """Start new episodes; arguments as in `Controller.reset`."""
         self.inner.reset(arms, episode)

@@ -16,10 +16,10 @@ from flexman_gym.envs.view import View
 
 
 class Measurements:
-    """Sensors of b arms, sampled once per control period and read at most once in it.
+    """Sensors of b arms, sampled once and read at most once per control period.
 
     Args:
-        view: view of the arms.
+        view: named quantities of the arms, see `View`.
         limits: limits of the arms.
         own_sensors: sensors of the agent and of the task.
         mode_sensors: sensors of the action mode and its base controller.

@@ -38,7 +38,7 @@ class _AgentInfo:
 
     @property
     def realisable(self) -> bool:
-        """True if the agent could act on hardware, because it requires no ORACLE_INFORMATION."""
+        """True if the agent uses measurable signals only, without ORACLE_INFORMATION, and so could act on hardware."""
         return not set(self.information) & set(ORACLE_INFORMATION)
 
 

@@ -1,5 +1,7 @@
 """Catalog: named arms and scenes, with their sources.
 
+The paper is "Dynamic modeling and simulation of spatial manipulator with flexible links and joints".
+
 Each named arm is a YAML file in scene/arms with its description, source, parameters and options. To add an arm, write
 such a file and assign its function in this module. `fm.catalog.NAME(...)` returns an Arm and `paper_scene` returns a
 Scene, in SI units: m, kg, s, rad, N m, m^4 (second moments of area), N m/rad (joint stiffness), N m s/rad (joint

@@ -113,7 +113,8 @@ def _run_pieces(
         integrator: the integrator.
         pieces: pieces of the drive.
         spacing: time between rows (s), and number of steps in this time.
-        state: (2 d + 2,) state and energy ledger at the start, overwritten by those at the end.
+        state: (2 d + 2,) state and energy ledger (work and dissipation since the start, J), overwritten by the values
+            at the end.
         rows: (r, 2 d + 2) states and energy ledgers after each interval, overwritten.
         outputs: (r, OUTPUTS) columns of `kernels.layout`, overwritten.
         first: number of output intervals before the start.
@@ -180,7 +181,7 @@ class _Settings(NamedTuple):
         tolerance: (rtol, atol), or None for fixed steps.
         interval: time between outputs, s.
         substeps: number of steps between outputs.
-        rows: number of outputs after that at time 0.
+        rows: number of outputs after the output at time 0.
     """
 
     model: Model
@@ -254,7 +255,7 @@ def _explanation(scene: Scene, settings: _Settings, constants: dict[str, Any] | 
 
 
 def _kinetics(scene: Scene, settings: _Settings, constants: dict[str, Any] | None, result: Trajectory) -> Kinetics:
-    """Return the accelerations and inputs of a trajectory of a scene; at a jump of the inputs those after the jump."""
+    """Return the accelerations and inputs of a trajectory of a scene; at a jump of the inputs, after the jump."""
     integrator, size, pieces = _make_integrator(scene, settings, constants), result.states.shape[1], scene.pieces
     rates, accelerations, drives = np.zeros(size + 2), [], []
     for time, state in zip(result.time, result.states, strict=True):
@@ -317,7 +318,8 @@ def simulate_all(
         rtol: see `simulate`.
         atol: see `simulate`.
         threads: largest number of threads, 1 to 256.
-        **parameters: values (b,) or (b, n) of physical parameters in place of those of the model, see `Batch.vary`.
+        **parameters: values (b,) or (b, n) of physical parameters that replace the values of the model, see
+            `Batch.vary`.
 
     Examples:
         >>> scene = fm.catalog.paper_scene("rr")

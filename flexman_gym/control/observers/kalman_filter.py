@@ -152,7 +152,7 @@ class KalmanFilter:
         Args:
             arms: (r,) indices.
             episode: start and goal of these episodes.
-            count: number of arms in all.
+            count: total number of arms.
 
         Raises:
             ValueError: with a fixed gain, for sensors from which the state is not observable.

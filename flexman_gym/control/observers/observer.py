@@ -44,7 +44,7 @@ class Observer(Protocol):
         ...
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,) of `count` in all."""
+        """Start new episodes; arguments as in `Controller.reset`."""
         ...
 
     def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
