@@ -74,7 +74,7 @@ def load_agent(name: str, trust: bool, environment: "Configuration | None" = Non
 
     Args:
         name: name of an agent, folder of a run or a policy, or a zip of Stable-Baselines3.
-        trust: whether files of Stable-Baselines3 may be read.
+        trust: True if files of Stable-Baselines3 may be read.
         environment: environment in which the policy of a zip was trained, with the settings of its agent; None for the
             environment of the evaluation.
 

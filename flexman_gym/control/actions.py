@@ -119,7 +119,7 @@ MAX_OBSERVATION = 100.0  # bound on the magnitude of observed quantities
 
 
 class _ReferenceShapingMode:
-    """Action mode of reference shaping: time scaling, joint offsets and added torques on a base controller's path.
+    """Action mode of reference shaping: time scaling and joint offsets of the base reference, and added torques.
 
     The mode adds to the observation: measured quantities of the estimated state, arcsinh of their deviations from the
     reference, errors of motor angles, the reference with its clock and its shaping, the last torques and actions, and

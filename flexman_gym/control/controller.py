@@ -152,7 +152,7 @@ def checked_controller(field: str, value: object, others: str = "") -> Controlle
 
     Raises:
         ValueError: for an object without these members, for methods with different arguments, and for a member whose
-            name resembles that of an optional member.
+            name resembles the name of an optional member.
     """
     if not isinstance(value, Controller) or isinstance(value, type):
         raise value_error(field, value, f"{others}a Controller: an object with sensors, reset and act")

@@ -74,7 +74,7 @@ def _draw(figure: Any, trajectory: Trajectory) -> None:
 
 
 def _residual(trajectory: Trajectory) -> tuple[Array, str]:
-    """Return the energy residual (T,) and its unit: "1" if divided by the energy turnover, else "J"."""
+    """Return the energy residual (T,) and its unit for the axis: divided by the energy turnover if positive, else J."""
     turned = float(trajectory.energy_turnover[-1])
     if turned > 0.0:
         return trajectory.energy_residual / turned, "of the turnover"

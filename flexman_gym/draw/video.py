@@ -104,7 +104,7 @@ def _write_gif(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> 
     weighted = np.repeat(coarse, np.ceil(np.sqrt(counts)).astype(int), axis=0)[None].astype(np.uint8)
     palette = Image.fromarray(weighted).quantize(
         COLOURS - 1, Image.Quantize.MEDIANCUT
-    )  # the palette's last index is reserved for unchanged pixels
+    )  # one more colour of the palette is reserved for unchanged pixels
     numbers = (palette.getpalette() or [])[: 3 * (COLOURS - 1)]
     colours = np.array(numbers, dtype=np.int16).reshape(-1, 3)
     shown: list[NDArray[np.uint8]] = []
@@ -172,7 +172,7 @@ def side_by_side(
 
     Args:
         episodes: at least one episode.
-        small: True for the frames of a GIF of 5 s at 10 frames per second; False for the picture_size episodes at 50.
+        small: True for the frames of a GIF of 5 s at 10 frames per second; False for the whole episodes at 50.
         size: width and height of the picture, pixels; None for 480 x 360 (small) or 1280 x 720.
 
     Returns:

@@ -68,8 +68,8 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
     """Vectorised `FlexManEnv`: `gym.make_vec("FlexRRR-v0", num_envs=64, vectorization_mode="vector_entry_point")`.
 
     Each of the b = `num_envs` arms is one sub-environment. Observations, rewards, terminations, truncations and infos
-    equal those of `gymnasium.vector.SyncVectorEnv` over single environments, bit for bit, with a leading axis for the
-    arms. Infos follow the convention of Gymnasium: an array for each key, and its mask under the key with a leading
+    equal the results of `gymnasium.vector.SyncVectorEnv` over single environments, bit for bit, with a leading axis for
+    the arms. Infos follow the convention of Gymnasium: an array for each key, and its mask under the key with a leading
     underscore. Several masks may be the same array object.
 
     `reset(seed=...)` takes a list with a seed for each arm, or one seed s; arm i then has the seed s * seed_stride + i.

@@ -159,7 +159,8 @@ def split_error(end: _EpisodeEnd, modes: Mapping[str, float]) -> Diagnosis:
     - A tone is a sinusoid whose amplitude changes linearly, as in a decaying vibration. Its cause is a limit cycle if
       the actions contain its frequency and the motors supply the dissipated energy. Its cause is noise if the actions
       are large at frequencies other than those of the tones. Otherwise its cause is ringing.
-    - The remaining error is noise. - For a failed episode the failure is the only cause reported.
+    - The remaining error is noise.
+    - For a failed episode the failure is the only cause reported.
 
     Args:
         end: end of an episode; with fewer than MIN_SAMPLES control periods no tone is fitted.

@@ -126,8 +126,8 @@ ONNX_ROWS = 64  # number of observations for which actions are compared
 def write_onnx(agent: str, path: Path) -> float:
     """Write the network of a policy, with its normalisation of observations, as an ONNX graph.
 
-    The input "observation" (b, size) float32 contains the readings of the sensors, with history, in the order and units
-    of `observation_layout`. The output "action" (b, n) float32 is the output of the network, without the base
+    The input "observation" (b, size) float32 contains the readings of the sensors, with history; `observation_layout`
+    returns their order and units. The output "action" (b, n) float32 is the output of the network, without the base
     controller.
 
     Args:

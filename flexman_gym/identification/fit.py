@@ -198,7 +198,7 @@ def _draw(found: "Fit", file: Path) -> None:
 MIN_SCORE = 0.9  # dimensionless; R2 below which a fit is poor and repeated from random initial values
 MAX_DEVIATIONS = 3.0  # standard deviations of a frequency residual beyond which a fit is poor
 SPREAD = 1.0  # dimensionless; largest change of the logarithm of a parameter in random initial values
-SOLVED_STARTS = 3  # number of random initial values that are solved from: only the ones with the smallest misfit
+SOLVED_STARTS = 3  # number of random initial values from which the problem is solved: those with the smallest misfit
 WEAK_PRIOR = 1e-8  # dimensionless; relative weight of a prior that keeps the covariance finite
 
 
@@ -369,7 +369,10 @@ def _solve_from_starts(problem: LeastSquaresProblem, starts: int, rng: np.random
 
 
 def _misfit(problem: LeastSquaresProblem, x: Array) -> float:
-    """Return the sum over all outputs of the mean squared residual relative to the variance of the measured values."""
+    """Return the sum over all outputs of the mean squared residual relative to the variance of the measured values.
+
+    For frequencies and damping ratios the residuals are relative to their given standard deviations.
+    """
     total = 0.0
     for block, rows in zip(problem.blocks, problem.split(problem.evaluate(x)[0]), strict=True):
         residual = rows if block.record < 0 else rows * block.sigma / max(float(np.std(block.measured)), 1e-300)

@@ -63,7 +63,7 @@ def _midpoint_step(constants, work, iterations, correction, table, span, state):
 
 @inner
 def _corrected_springs(constants, work, g, correction, v):
-    """Set the coordinates (d,) at which springs act, work.stages[0], to those of the corrected midpoint rule.
+    """Set the coordinates (d,) at which springs act in the corrected midpoint rule, work.stages[0].
 
     The midpoint rule turns the phase of a vibration by 2 atan(omega h / 2) a step. It has order 4 in a linear system
     M w + C v + K x = 0 with the force (h^2 / 6) K w + (h^2 / 12) C j added, j the jerk: Numerov's rule, in the form of
@@ -291,7 +291,7 @@ STAGNATION = 1e-7  # a smaller change that has stopped decreasing is rounding, e
 def run_implicit(constants, work, method, table, grid, state, rows, outputs):
     """Integrate by fixed steps of the generalised-alpha method or the implicit midpoint rule, by Newton's method.
 
-    The Jacobian is that of a linearly implicit step: mass matrix, damping and stiffness at the latest iterate.
+    The Jacobian has the form of a linearly implicit step: mass matrix, damping and stiffness at the latest iterate.
     work.stages[0] and [1] hold the algorithmic and the true accelerations, followed by the two powers, initially zero.
     They are kept between calls, so that the next call only adds the effect of a new drive.
     """

@@ -2,7 +2,7 @@
 
 Explicit methods include the semi-implicit Euler method; linearly implicit methods are W-methods and their
 extrapolation. A kernel `run_...` advances the state (2 d,) and the two energies of the ledger (work and dissipation, J)
-in place and sets rows (r, 2 d + 2) to them and outputs (r, OUTPUTS) to those of `compute_outputs` after each interval.
+in place; after each interval it stores them in rows (r, 2 d + 2) and the result of `compute_outputs` in outputs.
 It returns a status, the number of valid rows and the number of evaluations of the accelerations. `table` is the drive
 table (7, n + 6) of `layout`. A paused integration (`TimeGrid.max_evaluations`) leaves its progress in work.progress:
 the next call receives the state at the pause, the remaining rows and `TimeGrid.first_step`, and the results equal the

@@ -32,7 +32,7 @@ SEARCH_EPISODES, SEARCH_SEED = (
 )  # number and first seed of the episodes searched for the worst ones
 LISTED_EPISODES = 5  # number of the worst episodes in the certificate
 METRIC_NAMES = ("settled", "settling_time", "vibration", "error", "roughness", "failed")
-METHOD = "gauss_2"  # integration method whose order differs from that of the default method
+METHOD = "gauss_2"  # integration method of a different order than the default method
 OTHER_PLANTS = {"finer": len(TEST_SEEDS), "mujoco": 8}  # plant -> largest number of episodes
 DELAYS, NOISES = (0, 1, 2, 3), (0.001, 0.003)  # control periods; fractions of the ranges of the sensors
 RANGE_EXTENSION = 0.25  # extension of a range beyond the range of the training, as a fraction of the range

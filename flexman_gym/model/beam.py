@@ -367,7 +367,7 @@ def inboard_masses(
 
 
 def _joined(first: tuple[Array, ...], second: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-    """Return three arrays: the rows of each array of the first triple, followed by those of the second triple."""
+    """Return three arrays: the rows of each array of the first triple, followed by rows of the second triple."""
     one, two, three = (np.concatenate(rows) for rows in zip(first, second, strict=True))
     return one, two, three
 

@@ -238,7 +238,7 @@ def _shapes(model: Model, link: int, points: int) -> _LinkShapes:
             row[STRAIN] = _element_strains(xi, element.length) @ basis
     if not (k and model.choice.stiffening):
         return _LinkShapes(rows, np.zeros((0, 2, k)), np.zeros(points, dtype=int), radii)
-    ends = np.unique(np.append(positions, [element.start for element in elements]))  # of the intervals of quadrature
+    ends = np.unique(np.append(positions, [element.start for element in elements]))  # ends of the quadrature intervals
     abscissae, weights = np.polynomial.legendre.leggauss(SLOPE_GAUSS_POINTS)
     slopes = []
     for first, last in pairwise(ends):

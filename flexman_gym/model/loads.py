@@ -28,12 +28,12 @@ class FrameMotion:
 
     Attributes:
         reaction: (T, n + 1, 6) force (N) and moment (N m) on each link at its origin, and on the payload at the tip.
-        frame_acceleration: (T, n, 6) acceleration of the origin minus that of gravity (m/s^2), and angular
+        frame_acceleration: (T, n, 6) acceleration of the origin minus the acceleration of gravity (m/s^2), and angular
             acceleration (rad/s^2).
         spin: (T, n, 3) angular velocity, rad/s.
         velocity: (T, n, 3) velocity of the origin, m/s.
         tip: (T, n, 3) position of the tip of each link relative to its origin, m.
-        rotation: (T, n, 3, 3) rotation matrix from the frame of each link to that of the inboard link.
+        rotation: (T, n, 3, 3) rotation matrix from the frame of each link to the frame of the inboard link.
         payload_spin: (T, 3) angular velocity of the payload, rad/s; vectors of the payload are expressed in the frame
             of the last link.
         payload_moment: (T, 3) first moment of mass of the payload about the tip, kg m.
@@ -87,7 +87,7 @@ def section_forces(
     Args:
         model: model of the arm.
         motion: motion of the beam frames.
-        states: (T, 2 d), those of `motion`.
+        states: (T, 2 d), as passed to `motion`.
         accelerations: (T, d) generalised accelerations.
         link: index of the link, from 0.
         positions: (P,) distances along the link, m.
@@ -120,7 +120,7 @@ def part_energies(model: Model, motion: FrameMotion, states: Array) -> dict[str,
     Args:
         model: model of the arm.
         motion: motion of the beam frames.
-        states: (T, 2 d), those of `motion`.
+        states: (T, 2 d), as passed to `motion`.
     """
     n, d, constants = model.n_joints, model.n_dof, model.constants
     kinetic, gravitational = np.zeros((2, len(states), n))

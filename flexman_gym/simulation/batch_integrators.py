@@ -245,7 +245,7 @@ class LaneIntegrator(BatchIntegrator):
                 make_work(constants, aligned_zeros) for _ in range(min(threads, -(-groups // GROUPS_PER_THREAD)))
             ]
         step_cost = LANE_COST_RATIO * method.evaluations
-        self._max_steps = max(1, evaluations_per_call(constants) // step_cost)  # of a group, in a kernel call
+        self._max_steps = max(1, evaluations_per_call(constants) // step_cost)  # steps of a group in a kernel call
         kind = NUMBER if self._single else ARMS
         self._tables = np.array([address_table(each, kind) for each in self._constants])
         self._work_tables = [address_table(each, kind) for each in self._works]

@@ -117,7 +117,7 @@ class ExternalIntegrator(BatchIntegrator):
 class RefinedSimulator:
     """External simulator with `elements` finite elements in each section of a link, foreshortening, and shorter steps.
 
-    `step_divisor` is the ratio of the step of the batch to that of the external simulator.
+    `step_divisor` is the ratio of the step of the batch to the step of the external simulator.
     """
 
     def __init__(self, batch: Batch, elements: int, step_divisor: int) -> None:

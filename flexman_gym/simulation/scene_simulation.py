@@ -69,7 +69,7 @@ class _Interval(NamedTuple):
 def integration_intervals(pieces: PiecewiseSignals, interval: float, substeps: int, rows: range) -> Iterator[_Interval]:
     """Divide a range of output intervals at the boundaries of the pieces of a drive.
 
-    A part shorter than an output interval has equal steps, none longer than those of a whole output interval.
+    A part shorter than an output interval has equal steps, none longer than the steps of a whole output interval.
 
     Args:
         pieces: the drive.
@@ -220,7 +220,7 @@ def _prescribed_joints(scene: Scene) -> list[int]:
 
 
 def _simulate_scene(scene: Scene, settings: _Settings, constants: dict[str, Any] | None = None) -> Trajectory:
-    """Simulate a scene with given settings; `constants` replace those of the model by name."""
+    """Simulate a scene with given settings; `constants` replace constants of the model by name."""
     model, interval, rows = settings.model, settings.interval, settings.rows
     integrator, state = _make_integrator(scene, settings, constants), _initial_row(scene, model)
     states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
@@ -235,7 +235,7 @@ def _simulate_scene(scene: Scene, settings: _Settings, constants: dict[str, Any]
 
 
 def _make_integrator(scene: Scene, settings: _Settings, constants: dict[str, Any] | None = None) -> Integrator:
-    """Return the integrator for given settings; `constants` replace those of the model by name."""
+    """Return the integrator for given settings; `constants` replace constants of the model by name."""
     integrator = Integrator(settings.model, settings.method, settings.tolerance, _prescribed_joints(scene))
     integrator.constants = integrator.constants._replace(**(constants or {}))
     return integrator
@@ -307,7 +307,7 @@ def simulate_all(
 
     Linearly implicit methods with fixed steps integrate eight scenes at once, in about twice the time of one. Other
     methods integrate one scene after the other, as does any method if the sample times of the scenes differ. Each
-    trajectory equals that of `simulate`, bit for bit.
+    trajectory equals the result of `simulate`, bit for bit.
 
     Args:
         scenes: b scenes of equal duration, output step and prescribed joints.

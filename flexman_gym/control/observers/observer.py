@@ -48,7 +48,7 @@ class Observer(Protocol):
         ...
 
     def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
-        """Return the estimate of this control period; arguments are those of `Controller.act`.
+        """Return the estimate of this control period; arguments as in `Controller.act`.
 
         An observer is called once per control period.
         """

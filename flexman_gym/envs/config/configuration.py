@@ -112,7 +112,7 @@ class Configuration(EnvironmentSettings):
 
         Args:
             keywords: settings; "name", the id of a named environment; and "configuration", a Configuration in which the
-                settings replace those of the same names.
+                settings replace settings of the same names.
             others: names of keyword arguments of the environment that are no settings, for the error message.
         """
         given = dict(keywords)
@@ -308,7 +308,7 @@ class Configuration(EnvironmentSettings):
         """PD gains by name: the setting gains, by default the gains tuned for the arm of the named environment.
 
         Raises:
-            ValueError: without the setting, for an arm with links or motors unlike those of the named environment.
+            ValueError: without the setting, for an arm whose links or motors differ from the named environment.
         """
         named, gains = NAMED_ENVIRONMENTS[self.id], self.gains
         if gains is None:
