@@ -49,7 +49,7 @@ class Measurements:
         self._read, self._base_read = False, False  # True if the sensors were read in this control period
 
     def begin(self, arms: IntArray, randoms: Sequence[np.random.Generator]) -> None:
-        """Start new episodes of the arms (r,), each with its random generator, and read all sensors of the agent."""
+        """Start new episodes of the arms (r,), one random generator per arm, and read all sensors of the agent."""
         self._measure(arms)
         self.sensors.begin(arms, randoms)
         self._base_sensors.begin(arms, randoms)

@@ -99,7 +99,7 @@ def tip_rotation(work, i):
 
 @inner
 def _joint_rotation(constants, work, i, angle):
-    """Compute C of link i, exp(S_r q) of the previous link times mount exp(axis angle)."""
+    """Compute C of link i: tip rotation exp(S_r q) of the previous link times mount exp(axis angle), angle in rad."""
     sine, versine = sine_versine(angle)
     turned = rotation_matrix(sine, versine, load(constants.axis, i))
     c = product(load_matrix(constants.mount, i), turned)
@@ -159,7 +159,7 @@ def _tangent_coefficients(z):
 
 @inner
 def _mass_integrals(constants, work, i, x, elastic):
-    """Compute first moment, J, U and coupling of rotation and elastic coordinates of link i (Eq. 13 of the paper)."""
+    """Compute first moment, J, U_a and coupling of rotation and elastic coordinates of link i (Eq. 13 of the paper)."""
     start, stop = constants.elastic_start[i], constants.elastic_start[i + 1]
     shape = work.shape
     for j in range(9 * start, 9 * stop):
@@ -386,7 +386,8 @@ def _foreshorten_forces(constants, work, i, v, elastic):
         shortening_rate, axial_bias = _station_rates(constants, work, i, s, v, elastic)
         store_lanes(work.axial_rate, first + s, rate[0] + shortening_rate)
         store_lanes(work.axial_bias, first + s, axial_bias)
-        # Coriolis acceleration 2 w x velocity: of foreshortening (`turn`), and of the remaining displacement (`plain`)
+        # Coriolis acceleration 2 w x velocity, of foreshortening (`turn`) and of the remaining displacement (`plain`);
+        # `whole` is the x component of the acceleration for zero generalised accelerations
         turn_y, turn_z = 2.0 * w[2] * shortening_rate, -2.0 * w[1] * shortening_rate
         plain_y, plain_z = 2.0 * (w[2] * rate[0] - w[0] * rate[2]), 2.0 * (w[0] * rate[1] - w[1] * rate[0])
         whole = w[0] * dot(w, (x, y, z)) - square * x + 2.0 * (w[1] * rate[2] - w[2] * rate[1]) + axial_bias

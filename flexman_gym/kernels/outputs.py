@@ -189,7 +189,7 @@ def _link_energy(constants, work, i, v, elastic):
 
 @inner
 def _axial_energy(constants, work, i):
-    """Return the kinetic energy of axial station motion of link i, which elastic_mass does not contain."""
+    """Return the kinetic energy (J) of axial station motion of link i, which elastic_mass does not contain."""
     value = 0.0
     for s in range(constants.station_start[i], constants.station_start[i + 1]):
         value += 0.5 * constants.station_mass[s] * work.axial_rate[s] * work.axial_rate[s]

@@ -52,7 +52,7 @@ de_luca_siciliano = named_arm("de_luca_siciliano")
 gifu_2link = named_arm("gifu_2link")
 """Arm of Gifu University: three joints, two flexible rods of 0.44 m."""
 nasa_beam = named_arm("nasa_beam")
-"""Pinned beam with a tip mass of NASA's Johnson Space Center."""
+"""Pinned beam with a tip mass, published by NASA's Johnson Space Center."""
 TOOL = Payload(0.1)
 """Payload of `vertical_2r`, 0.1 kg."""
 LIGHT_TOOL = Payload(0.05)
