@@ -45,7 +45,7 @@ class _StudentMode:
 
     Args:
         network: network of the student.
-        mode: action mode that adds torques to those of its base controller.
+        mode: action mode that adds torques to the torques of its base controller.
         strength: torque of an action of 1 as a fraction of the torque limit, for all joints or for each joint (n,).
         teacher: controller designed for the same arm.
 

@@ -275,8 +275,8 @@ def train_rllib(settings: Settings, folder: Path, runners: int = 0, every: int =
         folder: folder of the run, for settings, policy and checkpoints of RLlib.
         runners: processes that step environments, in addition to the learning process; 0 for none.
         every: environment steps between checkpoints.
-        resume: whether to continue from the newest checkpoint, which contains networks, optimiser, normalisation and
-            step counts. Episodes and random generators restart, so that results differ from those of an uninterrupted
+        resume: True to continue from the newest checkpoint, which contains networks, optimiser, normalisation and step
+            counts. Episodes and random generators restart, so that results differ from the results of an uninterrupted
             run.
 
     Raises:

@@ -240,5 +240,5 @@ def _expression(value: object) -> str:
 
 
 def _difference(settings: dict[str, Any], named: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings that differ from those of the named environment."""
+    """Return the settings that differ from the settings of the named environment."""
     return {name: value for name, value in settings.items() if name != "id" and named.get(name) != value}

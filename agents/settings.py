@@ -95,11 +95,12 @@ class Settings:
         seed: seed of the episodes, the exploration and the initial network parameters.
         envs: number of parallel arms; None for 64 with PPO, 16 with SAC and 128 with DAgger.
         hyperparameters: hyperparameters under their names in Stable-Baselines3; net_arch, activation, log_std_init and
-            ortho_init are passed to the policy. Those of DAgger: teacher, updates (gradient steps per iteration),
-            batch_size, iterations_kept (latest iterations in the training set), net_arch, activation, learning_rate.
+            ortho_init are passed to the policy. Hyperparameters of DAgger: teacher, updates (gradient steps per
+            iteration), batch_size, iterations_kept (latest iterations in the training set), net_arch, activation,
+            learning_rate.
         schedules: name -> mapping with start, end and until. Names: "learning_rate"; "log_std" of PPO, which is then
             not learned; "target_entropy" of SAC.
-        normalise_reward: whether to divide rewards by the running standard deviation of the return; observations are
+        normalise_reward: True to divide rewards by the running standard deviation of the return; observations are
             always normalised.
         eval_every: environment steps between evaluations on the selection seeds, by which the best policy is saved; 0
             for none.
@@ -187,7 +188,7 @@ class Settings:
 
         Raises:
             FileNotFoundError: if the folder has no settings.
-            ValueError: if they are not those of a training run.
+            ValueError: if they are not settings of a training run.
         """
         record = read_settings(folder)
         try:
@@ -200,7 +201,7 @@ class Settings:
             ) from None
 
     def plain(self) -> dict[str, Any]:
-        """Return all settings as plain data for JSON."""
+        """Return all settings as JSON-compatible data."""
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         return deepcopy(values | {"environment": self.environment.to_plain()})
 

@@ -241,7 +241,7 @@ def train(
         settings: settings of the run.
         folder: new folder for the run.
         checkpoint_every: environment steps between checkpoints; 0 for a checkpoint at the end only.
-        progress: whether to show a progress bar.
+        progress: True to show a progress bar.
         device: PyTorch device of the networks, such as "cpu".
         hook: function of a `callbacks.TrainingReport`, called at the start of each rollout and at the end; the run is
             saved and stops when the function returns True.
@@ -284,7 +284,7 @@ def resume(
         folder: folder of the run.
         steps: environment steps of a further run; None for an unfinished run.
         checkpoint_every: environment steps between checkpoints; 0 for a checkpoint at the end only.
-        progress: whether to show a progress bar.
+        progress: True to show a progress bar.
         device: PyTorch device of the networks, such as "cpu".
         eval_every: environment steps between evaluations; None for the value in the settings of the run.
         hook: as in `train`.
@@ -404,7 +404,7 @@ class _Run:
 
     @property
     def done(self) -> int:
-        """Steps so far, those of earlier runs in the folder included."""
+        """Environment steps so far, including steps of earlier runs in the folder."""
         return self._before + int(self.model.num_timesteps)
 
     def set_state(self, data: dict[str, Any], further: bool) -> None:
@@ -412,7 +412,7 @@ class _Run:
 
         Args:
             data: content of the file with the state.
-            further: whether the saved run is finished and a further run starts, which counts its steps from zero.
+            further: True if the saved run is finished and a further run starts, which counts its steps from zero.
         """
         path = self.folder / NEWEST
         try:
@@ -447,7 +447,7 @@ class _Run:
             callbacks.append(self._evaluation)
         keywords: dict[str, Any] = {"progress_bar": progress, "reset_num_timesteps": False}
         if isinstance(model, OffPolicyAlgorithm):
-            keywords["log_interval"] = settings.envs  # in episodes; those of all arms end together
+            keywords["log_interval"] = settings.envs  # in episodes; the episodes of all arms end together
         with stop_on_interrupt() as stop_requested:
             model.set_logger(open_logger(self.folder, self._before, model.num_timesteps))
             stop = (lambda: stop_requested.is_set() or bool(hook(self._report()))) if hook else stop_requested.is_set

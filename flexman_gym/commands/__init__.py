@@ -74,7 +74,7 @@ def load_agent(name: str, trust: bool, environment: "Configuration | None" = Non
 
     Args:
         name: name of an agent, folder of a run or a policy, or a zip of Stable-Baselines3.
-        trust: whether files of Stable-Baselines3 may be read.
+        trust: True if files of Stable-Baselines3 may be read.
         environment: environment in which the policy of a zip was trained, with the settings of its agent; None for the
             environment of the evaluation.
 
@@ -82,7 +82,7 @@ def load_agent(name: str, trust: bool, environment: "Configuration | None" = Non
         The agent.
 
     Raises:
-        FileNotFoundError, ValueError: one line, for a name without an agent.
+        FileNotFoundError, ValueError: for a name without an agent, with a one-line message.
     """
     from flexman_gym.evaluation.agent import find_agent, is_sb3_folder
 

@@ -35,7 +35,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _is_compiled(name: str) -> bool:
-    """Return whether a kernel is in the cache of this installation."""
+    """Return True if a kernel is in the cache of this installation."""
     from flexman_gym.kernels import batch
 
     folder = getattr(batch, name).stats.cache_path

@@ -37,8 +37,8 @@ def _run(options: argparse.Namespace) -> int:
     table.about = {**table.about, "command": f"flexman optimise {options.environment} --seeds {first} {count}"}
     print(f"{'seed':>8}{'settling, s':>13}{'tracking LQR, s':>17}{'ratio':>7}{'search, CPU s':>15}")
     for slew in optimise_slews(environment, range(first, first + count), table):
-        ratio = slew.time / slew.tracking
-        line = f"{slew.seed:>8}{slew.time:>13.2f}{slew.tracking:>17.2f}{ratio:>7.2f}{slew.seconds:>15.1f}"
+        ratio = slew.settling_time / slew.tracking
+        line = f"{slew.seed:>8}{slew.settling_time:>13.2f}{slew.tracking:>17.2f}{ratio:>7.2f}{slew.cpu_time:>15.1f}"
         print(line, flush=True)
         table.save(options.out)
     known = [table.settling_time(seed) for seed in range(first, first + count) if seed in table.found]

@@ -174,7 +174,7 @@ def _recommendation(
 
 
 def _write_table(path: Path, cases: "Sequence[OperatingPoint]", evaluations: "Sequence[ShaperEvaluation]") -> None:
-    """Write a row for each mode of each operating point; residual vibrations are those with held motors."""
+    """Write a row for each mode of each operating point; residual vibrations are computed with held motors."""
     heads = [f"motor_angle_{i + 1}" for i in range(len(cases[0].posture))]
     heads += ["payload", "motors", "mode", "frequency", "damping_ratio", *map(_shaper_name, evaluations)]
     with path.open("w", newline="", encoding="utf-8") as stream:

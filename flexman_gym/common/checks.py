@@ -39,7 +39,7 @@ def short_path(path: object, most: int = MAX_PATH_LENGTH) -> str:
 
 
 def is_decimal_integer(text: str) -> bool:
-    """Return whether a string is a whole number of 1 to 18 digits 0 to 9; `str.isdigit` also accepts superscripts."""
+    """Return True if a string is a whole number of 1 to 18 digits 0 to 9; `str.isdigit` also accepts superscripts."""
     return text.isascii() and text.isdecimal() and len(text) <= MAX_DIGITS
 
 

@@ -99,7 +99,7 @@ def open_arrays(path: str | Path, packed: bool = False) -> Iterator[Any]:
 
     Args:
         path: path of the file.
-        packed: whether the arrays may be compressed, with at most 100 MB after decompression.
+        packed: True if the arrays may be compressed, with at most 100 MB after decompression.
 
     Yields:
         Any: The arrays by name.
@@ -130,7 +130,8 @@ def read_data(path: Path, kind: type = dict, of_package: bool = False) -> Any:
     Raises:
         FileNotFoundError: if the file does not exist.
         ValueError: for another suffix, an irregular file, more than 1 MB, text other than UTF-8, a syntax error,
-            another kind, a repeated key and excessive nesting; one line without the name and the text of the file.
+            another kind, a repeated key and excessive nesting, with a one-line message without the name and the text of
+            the file.
     """
     ending = _check_suffix(path)
     try:
@@ -156,7 +157,7 @@ def parse_yaml(text: str) -> Any:
         The content.
 
     Raises:
-        ValueError: for a syntax error; one line.
+        ValueError: for a syntax error, with a one-line message.
         RecursionError: for excessive nesting.
     """
     return _tree("", _parse(text, ".yaml"))

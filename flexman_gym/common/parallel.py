@@ -87,7 +87,7 @@ def ray_cluster(jobs: int, address: str = "local", **variables: str) -> Iterator
     Args:
         jobs: number of simultaneous calls on a local cluster.
         address: address of a running cluster, or "local".
-        **variables: environment variables of the workers; with any of them, PYTHONPATH is set to that of this process.
+        **variables: environment variables of the workers; with any of them, PYTHONPATH is set as in this process.
 
     Yields:
         Any: The module `ray`.
@@ -267,8 +267,8 @@ def parallel_map_unordered(
         task: function at the top level of a module; the result depends on the cell only.
         cells: the cells, each with at least a second of work, because transferring a cell takes milliseconds.
         workers: the workers, or a number of local processes.
-        cache: folder for results, from which an interrupted map resumes; results must be plain data and arrays, and the
-            `repr` of each cell unique. None stores nothing.
+        cache: folder for results, from which an interrupted map resumes; results must be JSON-compatible data and
+            arrays, and the `repr` of each cell unique. None stores nothing.
         prepare: function at the top level of a module that prepares a worker. It is called once before local processes
             start and before each cell on Ray and SLURM, but not if the cells run in this process.
 

@@ -29,7 +29,7 @@ def new_figure(inches: tuple[float, float], dpi: float, window: bool = False, **
     Args:
         inches: width and height, inches.
         dpi: pixels per inch.
-        window: whether to return a figure of pyplot instead, for `pyplot.show`.
+        window: True to return a figure of pyplot instead, for `pyplot.show`.
         **options: keyword arguments of Matplotlib's Figure.
 
     Returns:

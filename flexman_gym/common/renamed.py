@@ -129,7 +129,7 @@ BASE_ARGUMENTS = {"law": "timing_law"}
 """Old argument of a base controller, in configurations and files -> present argument."""
 PARAMETER_KEYS = {"link_stiffness": "link_stiffness_factor"}
 """Old name of a physical parameter in fits, reset options and draws -> present name."""
-FORMER_DEFAULT_METHOD = "midpoint_3"  # of environments in run folders and policies of 0.2 that name no method
+FORMER_DEFAULT_METHOD = "midpoint_3"  # method of environments in run folders and policies of 0.2 that name none
 # packages that are skipped in the search for the caller of a deprecated name
 LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")
 

@@ -1,4 +1,4 @@
-"""Run folder of a training: settings, states as arrays and plain data, and a lock."""
+"""Run folder of a training: settings, states as arrays and JSON-compatible data, and a lock."""
 
 import fcntl
 import json
@@ -16,11 +16,11 @@ from flexman_gym.common.files import READ_ERRORS, existing_file, open_arrays, re
 from flexman_gym.common.renamed import RUN_SETTINGS, complete_environment, rename_keys
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
-PLAIN_DATA = "data.json"  # name of the plain data among the arrays of a file
+PLAIN_DATA = "data.json"  # name of the JSON-compatible data among the arrays of a file
 
 
 def write_npz(path: Path, data: dict[str, Any]) -> None:
-    """Write nested dicts and lists of arrays and plain data atomically to one npz file, as arrays and JSON."""
+    """Write nested dicts and lists of arrays and JSON-compatible data atomically to one npz file."""
     arrays: dict[str, np.ndarray] = {}
     text = json.dumps(_split_arrays(data, arrays)).encode()
     named: dict[str, Any] = {
@@ -41,7 +41,7 @@ def read_npz(path: Path) -> Any:
 
     Raises:
         FileNotFoundError: if the file does not exist.
-        ValueError: for a damaged file, another kind of file, or arrays larger than the file; one line.
+        ValueError: for a damaged file, another kind of file, or arrays larger than the file, with a one-line message.
     """
     try:
         with open_arrays(existing_file(path)) as result:
@@ -86,7 +86,7 @@ def _read_settings_text(folder: Path) -> str:
 
     Raises:
         FileNotFoundError: if there are no settings.
-        ValueError: for a file of more than 1 MB; one line.
+        ValueError: for a file of more than 1 MB, with a one-line message.
     """
     path = existing_file(folder / SETTINGS)
     try:
@@ -106,7 +106,7 @@ def read_settings(folder: Path) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: if there are no settings.
-        ValueError: for a file without a JSON mapping; one line.
+        ValueError: for a file without a JSON mapping, with a one-line message.
     """
     text, place = _read_settings_text(folder), short_path(folder / SETTINGS)
     try:
@@ -127,7 +127,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
         folder: the folder.
 
     Raises:
-        ValueError: if another process trains in the folder, or if the lock file is a link; one line.
+        ValueError: if another process trains in the folder, or if the lock file is a link, with a one-line message.
         OSError: if the folder is not writable.
     """
     path = folder / LOCK

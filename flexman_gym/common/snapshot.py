@@ -1,4 +1,4 @@
-"""Snapshot: the state of an object as arrays and plain data, and its restoration.
+"""Snapshot: the state of an object as arrays and JSON-compatible data, and its restoration.
 
 An object lists the attributes of its state in `state_fields`. Arrays, random generators, dicts, lists, tuples,
 numbers, strings, booleans and None are supported as well.
@@ -42,7 +42,8 @@ def set_state(field: str, old: Any, data: Any) -> Any:
         `old` itself if the state was written in place, else a new value.
 
     Raises:
-        ValueError: if the data do not fit the value; one line. Parts restored before the error stay restored.
+        ValueError: if the data do not fit the value, with a one-line message. Parts restored before the error stay
+            restored.
     """
     if isinstance(old, np.ndarray):
         if not isinstance(data, np.ndarray) or data.shape != old.shape or data.dtype != old.dtype:

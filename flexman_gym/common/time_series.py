@@ -72,8 +72,8 @@ def read_time_series(path: str | Path) -> TimeSeries:
     Raises:
         FileNotFoundError: if the file does not exist.
         ValueError: as in `read_csv_rows`, and for a header without a time, with a repeated name or with an unknown
-            unit, and for a line without a finite number in each column; one line with the file, the line number and
-            what is allowed. The text of a file without any unit in its header is not shown.
+            unit, and for a line without a finite number in each column, with a one-line message: the file, the line
+            number and what is allowed. The text of a file without any unit in its header is not shown.
     """
     file, rows, numbers = _name(path), read_csv_rows(path), array("d")
     headers = _headers(file, next(rows, []))
@@ -105,8 +105,8 @@ def read_csv_rows(path: str | Path) -> Iterator[list[str]]:
     Raises:
         FileNotFoundError: if the file does not exist.
         ValueError: for a directory, a device or a pipe, more than 200 MB, more than a million lines (counted before
-            parsing), a line of more than 100,000 characters and bytes that are not UTF-8; one line with the name of the
-            file but without its text.
+            parsing), a line of more than 100,000 characters and bytes that are not UTF-8, with a one-line message that
+            contains the name of the file but not its text.
     """
     try:
         content = regular_file(path, MAX_CSV_BYTES).read_bytes()

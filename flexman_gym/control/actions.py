@@ -51,7 +51,7 @@ class _ServoMode:
         self._max_error = np.where(zero, np.inf, gains.torque_limit / np.where(zero, 1.0, gains.stiffness))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,) of `count` in all with the reference at their joint angles."""
+        """Start new episodes, with the reference at the joint angles; arguments as in `Controller.reset`."""
         self._reference = pad_rows(self._reference, count)
         self._reference[arms] = episode.start
 
@@ -119,7 +119,7 @@ MAX_OBSERVATION = 100.0  # bound on the magnitude of observed quantities
 
 
 class _ReferenceShapingMode:
-    """Action mode of reference shaping: time scaling, joint offsets and added torques on the reference of the base.
+    """Action mode of reference shaping: time scaling and joint offsets of the base reference, and added torques.
 
     The mode adds to the observation: measured quantities of the estimated state, arcsinh of their deviations from the
     reference, errors of motor angles, the reference with its clock and its shaping, the last torques and actions, and
@@ -159,7 +159,7 @@ class _ReferenceShapingMode:
         Args:
             arms: (r,) indices.
             episode: start and goal of these episodes.
-            count: number of arms in all.
+            count: total number of arms.
 
         Raises:
             ValueError: for a moving goal.
@@ -212,7 +212,7 @@ class _ReferenceShapingMode:
         }
 
     def _read(self, states: Array) -> Array:
-        """Return the measured quantities (r, 8 n) of states (r, 2 d)."""
+        """Return the measured quantities (r, 8 n) of states (r, 2 d), see `LinearMeasurements`."""
         named = self._quantities.measure(states)
         return np.concatenate([named[name] for name in self._quantities.columns], axis=1)
 
@@ -276,14 +276,14 @@ class ActionMode(Protocol):
         ...
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms with the indices (r,) of `count` in all, also in the base controller."""
+        """Start new episodes, also in the base controller; arguments as in `Controller.reset`."""
         ...
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the commanded torques (b, n) as fractions of the torque limits, from -1 to 1.
 
         Args:
-            actions: (b, k) actions of the agent, each held for `action_repeat` control periods.
+            actions: (b, k) actions of the agent, each constant for `action_repeat` control periods.
             readings: as in `Controller.act`.
             applied: as in `Controller.act`.
             active: as in `Controller.act`.
@@ -312,7 +312,7 @@ class TorqueMode:
         self.sensors: tuple[object, ...] = tuple(base.sensors) if base else ()
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,) of `count` in all."""
+        """Start new episodes; arguments as in `Controller.reset`."""
         if self._base:
             self._base.reset(arms, episode, count)
 

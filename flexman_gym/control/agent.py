@@ -129,7 +129,7 @@ class Agent:
             law: function from observations to commands.
 
         Raises:
-            ValueError: for sizes other than those of the agent.
+            ValueError: for sizes that differ from the sizes of the agent.
         """
         length, mode_size = history_length(self._kind), self._row - self._size
         size = getattr(law, "size", length * self._row) // length - mode_size
@@ -158,10 +158,10 @@ class Agent:
         Args:
             arms: (r,) indices.
             episode: start, goal and control period of these episodes.
-            count: number of arms in all.
+            count: total number of arms.
 
         Raises:
-            ValueError: for arms whose number of joints differs from that of the action mode.
+            ValueError: for arms whose number of joints differs from the number of joints of the action mode.
         """
         if episode.start.shape[1] != self.mode.joints:
             raise value_error("base", f"a policy for {self.mode.joints} motors", f"one for {episode.start.shape[1]}")
@@ -208,7 +208,7 @@ class Agent:
             Torques (b, n).
 
         Raises:
-            ValueError: for readings whose size differs from that of the agent's sensors.
+            ValueError: for readings whose size differs from the size of the agent's sensors.
         """
         if self.law is not None and (due := self.due(active)).any():
             self.observe(self._observed(readings), readings, applied, due)
@@ -219,7 +219,7 @@ class Agent:
         return np.asarray(self.mode.act(self.command, readings, applied, active))
 
     def _observed(self, readings: Readings) -> Array:
-        """Return the readings (b, size) of the agent's own sensors, which precede those of the action mode."""
+        """Return the readings (b, size) of the agent's sensors, which precede the readings for the action mode."""
         parts: list[Array] = [np.zeros((len(self._ages), 0))]
         size = 0
         for values in readings.values():

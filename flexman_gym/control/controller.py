@@ -26,9 +26,10 @@ class Plant(NamedTuple):
         period: control period, s.
         gains: function that returns PD gains tuned for the arm: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,)
             each.
-        unknown: uncertain parameters: name -> range (low, high), with the names and units of a randomisation, see
-            `simulation.parameters.UNCERTAIN`: "payload_mass" (kg), "joint_stiffness_factor" (relative), and so on.
-        delay: smallest and largest delay of the torques, whole control periods.
+        unknown: uncertain parameters: name -> range (low, high). The names are the keys of
+            `simulation.parameters.UNCERTAIN`, with the units of its parameters: "payload_mass" (kg),
+            "joint_stiffness_factor" (relative), and so on.
+        delay: (2,) smallest and largest delay of the torques, whole control periods.
         integration: integration method and step (s) of simulations.
         tip_force: magnitude of unmeasured forces on the tip, N.
         measured: function that returns, for each measured quantity, its range, the standard deviation of its noise and
@@ -60,7 +61,7 @@ class EpisodeInfo:
 
     Attributes:
         start: (r, n) joint angles at the start, rad.
-        goal: (r, n) motor angles of the goal, rad; those at the start for a moving goal.
+        goal: (r, n) motor angles of the goal, rad; for a moving goal, of the goal at the start.
         period: control period, s.
         path: function that returns `reference`; None for a fixed goal.
         drawn: name -> (r, ...) randomised true values of these episodes, for privileged controllers only: physical
@@ -113,12 +114,12 @@ class Controller(Protocol):
         ...
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms with the indices (r,), of `count` arms in all.
+        """Start new episodes of some arms.
 
         Args:
             arms: (r,) indices.
             episode: start, goal and control period of these episodes.
-            count: number of arms in all.
+            count: total number of arms.
         """
         ...
 
@@ -152,7 +153,7 @@ def checked_controller(field: str, value: object, others: str = "") -> Controlle
 
     Raises:
         ValueError: for an object without these members, for methods with different arguments, and for a member whose
-            name resembles that of an optional member.
+            name resembles the name of an optional member.
     """
     if not isinstance(value, Controller) or isinstance(value, type):
         raise value_error(field, value, f"{others}a Controller: an object with sensors, reset and act")
@@ -199,5 +200,5 @@ class _FormerController:
         return getattr(self.inner, "estimates", {})
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,) of `count` in all."""
+        """Start new episodes; arguments as in `Controller.reset`."""
         self.inner.reset(arms, episode)

@@ -143,7 +143,7 @@ class GainTable:
         return np.interp(payloads, self._payloads, np.arange(len(self._payloads)))
 
     def _find(self, arms: IntArray, cells: IntArray) -> None:
-        """Update the corners of the arms (r,) that have left their previous cell for another of the cells (r, axes)."""
+        """Update the corner gains of the arms (r,) whose grid cell changed to the cell given in `cells` (r, axes)."""
         count = int(arms.max(initial=-1)) + 1
         if count > len(self._cells):
             outside = np.full((count - len(self._cells), cells.shape[1]), np.iinfo(np.int64).min)
@@ -267,7 +267,7 @@ class LQR:
         return lqr_gain(linear, self.model.motor_columns, self.limits, weights or self.weights, self.period)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Compute gains and equilibria for new episodes of the arms (r,) of `count` in all."""
+        """Compute gains and equilibria for new episodes; arguments as in `Controller.reset`."""
         self._gains, self._rest, self._holding_torques = (
             pad_rows(values, count) for values in (self._gains, self._rest, self._holding_torques)
         )
@@ -345,7 +345,7 @@ class TrackingLQR(LQR):
         self._now = np.zeros(0, dtype=np.int64)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Plan the slews of the arms (r,) of `count` in all, or their motion along moving goals."""
+        """Plan the slews of new episodes, or motions along moving goals; arguments as in `Controller.reset`."""
         if episode.reference is not None:
             self._plan_paths(arms, episode.reference)
             return

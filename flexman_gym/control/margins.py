@@ -48,10 +48,10 @@ class SampledLoop(NamedTuple):
 
 
 class Margins(NamedTuple):
-    """Stability margins of a loop.
+    """Stability margins (gain and phase) of a loop.
 
     Attributes:
-        gain: gain margin, a factor of the torques of any one motor or of all motors.
+        gain: gain margin, 1: a factor on the torques of any one motor or of all motors.
         phase: phase margin, a lag or lead of the torques of any one motor or of all motors, degrees.
         stuck: indices, from 0, of the joints with sticking motors in the worst loop: an unstable loop, or the loop with
             the smallest gain margin.
@@ -156,7 +156,7 @@ def margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector) ->
         damping: (n,) derivative gains, N m s/rad.
 
     Returns:
-        The smallest gain margin and the smallest phase margin, each over all loops and motors.
+        The smallest gain margin (factor, 1) and the smallest phase margin (degrees) over all loops and motors.
     """
     smallest, stable = [], np.ones(len(loops), dtype=bool)
     for values, changes in ((GAIN_FACTORS, GAIN_FACTORS), (PHASE_SHIFTS, np.exp(IMAGINARY_DEGREE * PHASE_SHIFTS))):
@@ -176,7 +176,7 @@ def has_margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector
 
 
 def describe_stuck_motors(stuck: Sequence[int]) -> str:
-    """Return a clause for messages with the sticking motors, counted from 1; "" without sticking motors."""
+    """Return a clause that names the sticking motors, counted from 1, for messages; "" without sticking motors."""
     return f" while friction holds motor {' and '.join(str(joint + 1) for joint in stuck)}" if stuck else ""
 
 

@@ -36,8 +36,8 @@ class _Horizon(NamedTuple):
     """Linear prediction over N control periods, with respect to m = blocks x n changes of planned torques.
 
     Torque changes are fractions of the limits. The outputs in the cost are tip, tip velocity and motor angles, divided
-    by their weights, after each period but the last; the state after the last period has the terminal cost of the
-    infinite-horizon LQR.
+    by their scales (deviations of unit cost, see `CostWeights`), after each period but the last; the state after the
+    last period has the terminal cost of the infinite-horizon LQR.
 
     Attributes:
         jacobian: (m, (N - 1) (6 + n) + 2 d) transposed Jacobian of the outputs with respect to the changes.
@@ -137,7 +137,7 @@ class MPC:
         return Batch(self._compensation.model, *self._integration, self.period, arms=count)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Plan the slews of the arms (r,) of `count` in all and compute the predictions along them."""
+        """Plan the slews of new episodes and the predictions along them; arguments as in `Controller.reset`."""
         if episode.path is not None:
             raise value_error("episode", "a moving goal", "a fixed goal: the MPC plans slews only")
         self._planned, self._now = pad_rows(self._planned, count), pad_rows(self._now, count)

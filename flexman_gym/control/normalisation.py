@@ -56,7 +56,7 @@ class RunningMeanStd:
         return np.clip((values - self.mean) / self.deviation, -most, most).astype(np.float32)
 
     def get_state(self) -> dict[str, Any]:
-        """Return the statistics as arrays and plain data."""
+        """Return the statistics as arrays and numbers."""
         result: dict[str, Any] = get_state(self)
         return result
 

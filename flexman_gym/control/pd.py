@@ -53,7 +53,7 @@ class PD:
         self._holding = np.zeros((1, n))  # N m; holding torques of each arm
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Compute the holding torques of the arms (r,) of `count` in all at their goals."""
+        """Compute the holding torques of new episodes at their goals; arguments as in `Controller.reset`."""
         if self.gravity_model is None:
             return
         self._holding = pad_rows(self._holding, count)

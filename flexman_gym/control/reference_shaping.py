@@ -52,7 +52,7 @@ class ReferenceShaping:
         self.clock_offset, self.offsets, self.action = np.zeros(0), np.zeros((0, 2, n)), np.zeros((0, 1 + 2 * n))
 
     def reset(self, arms: IntArray, count: int) -> None:
-        """Set clock offsets, joint offsets and actions of the arms (r,), of `count` arms in all, to zero."""
+        """Set clock offsets, joint offsets and actions of the arms with indices (r,) to zero; `count` arms in total."""
         for name in self.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), count))
             getattr(self, name)[arms] = 0.0

@@ -58,7 +58,7 @@ class Tracking:
         self._goal, self._on_path = np.zeros((0, model.n_joints)), np.zeros(0, dtype=bool)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,) of `count` in all; references are planned at the first state estimate."""
+        """Start new episodes, whose references are planned at the first state estimate; see `Controller.reset`."""
         for name in ("_ages", "_holding", "_goal", "_on_path", "_planned"):
             setattr(self, name, pad_rows(getattr(self, name), count))
         self.slews.allocate(count)
@@ -103,7 +103,7 @@ class Tracking:
         return result
 
     def clock(self, estimate: Estimate, arms: IntArray) -> Array:
-        """Return the times (r,) on the slews of arms (r,) at which torques commanded now take effect, s."""
+        """Return the times (r,), s, of the slew clocks of arms (r,) when torques commanded now take effect."""
         now = (self._ages[arms] + estimate.lead[arms]).astype(float) * self._period
         return now + self.shaping.clock_offset[arms] if self.shaping else now
 
@@ -179,7 +179,7 @@ class OutputFeedback:
         return getattr(self.observer, "estimates", {})
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,) of `count` in all."""
+        """Start new episodes; arguments as in `Controller.reset`."""
         self.observer.reset(arms, episode, count)
         self.law.reset(arms, episode, count)
         if self.fallback:

@@ -118,7 +118,7 @@ def _common_axis(model: Model) -> Array | None:
 
 
 def _reachable_points(model: Model) -> Array:
-    """Return points (p, 3), m, on the boundary of the workspace: a sphere, or a circle for parallel joint axes."""
+    """Return points (p, 3), m, on a sphere that encloses the workspace, or on a circle for parallel joint axes."""
     reach, axis = float(model.constants.length.sum()), _common_axis(model)
     turn = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
     around = np.array([[np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)] for a in turn for b in turn])
@@ -171,8 +171,8 @@ class FramePainter:
         size: width and height, pixels.
         camera: azimuth and elevation, degrees, and optionally a zoom; None for a direction chosen from the joint axes.
         gain: magnification of the drawn deflection, shown in the overlay.
-        overlays: whether to draw numbers over the picture.
-        shadow: whether to draw the shadow; a GIF without it is a third smaller.
+        overlays: True to draw numbers over the picture.
+        shadow: True to draw the shadow; a GIF without shadow is a third smaller.
 
     Attributes:
         model: model of the arm.
@@ -248,14 +248,15 @@ class FramePainter:
         trail: Array | None = None,
         shot: Shot | None = None,
     ) -> NDArray[np.uint8]:
-        """Return a frame (height, width, 3) of the arm at a state.
+        """Return a frame (height, width, 3) uint8 of the arm at a state.
 
         Args:
             state: state (2 d,).
             target: target of the tip (3,) in the base frame, m; None for no target.
             caption: text and numbers over the picture.
             trail: past positions of the tip (t, 3), m, the oldest first.
-            shot: camera and background; None for those of the previous frame, at first for the whole workspace.
+            shot: camera and background; None for camera and background of the previous frame, at first for the whole
+                workspace.
 
         Returns:
             Pixels (height, width, 3), uint8.
@@ -380,7 +381,7 @@ def grid(frames: Sequence[NDArray[np.uint8]], across: int | None = None) -> NDAr
     """Return several frames of one size as one picture, in rows.
 
     Args:
-        frames: frames (height, width, 3), such as those a vector environment renders.
+        frames: frames (height, width, 3) uint8, such as the frames rendered by a vector environment.
         across: number of frames in a row; None for about as many columns as rows.
 
     Returns:
@@ -399,9 +400,9 @@ def grid(frames: Sequence[NDArray[np.uint8]], across: int | None = None) -> NDAr
 
 
 def _strain_scale(model: Model) -> float:
-    """Return a rounded strain for the ends of the colour scale: that at the root of a link under half the torque limit.
+    """Return a rounded strain for the ends of the colour scale: the root strain of a link under half the torque limit.
 
-    Without a torque limit it is the strain of a tip force that deflects the link by REFERENCE_DEFLECTION.
+    Without a torque limit it is the strain under a tip force that deflects the link by REFERENCE_DEFLECTION.
     """
     result = []
     for link, joint in zip(model.arm.links, model.arm.joints, strict=True):

@@ -34,7 +34,7 @@ def draw_mode_shapes(
         size: width and height of the picture of one mode, pixels.
 
     Returns:
-        Pictures of the modes in a grid, (height, width, 3).
+        Pixels (height, width, 3), uint8, of the pictures of the modes in a grid.
 
     Raises:
         ValueError: for an arm without vibration modes.

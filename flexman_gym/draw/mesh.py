@@ -33,8 +33,8 @@ class Mesh(NamedTuple):
         """Return the mesh scaled, rotated and translated.
 
         Args:
-            origin: position of its origin (3,), m.
-            axis: direction of its z axis (3,), a unit vector.
+            origin: position of the origin of the mesh (3,), m.
+            axis: direction of the z axis of the mesh (3,), a unit vector.
             radius: scale of x and y, m.
             half: scale of z, half of the length, m.
 
@@ -69,8 +69,8 @@ class _SectionOutlines(NamedTuple):
 def section_outlines(model: Model, places: int) -> tuple[_SectionOutlines, ...]:
     """Return the outlines of the sections of each link at equally spaced points.
 
-    A section without an outline of its own is drawn as a solid disc if its radii of gyration are equal, and otherwise
-    as a solid rectangle with the same radii of gyration. Very thin sections are drawn thicker.
+    A section without a given outline is drawn as a solid disc if its radii of gyration are equal, and otherwise as a
+    solid rectangle with the same radii of gyration. Very thin sections are drawn thicker.
 
     Args:
         model: model of the arm.

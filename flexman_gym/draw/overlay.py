@@ -76,17 +76,17 @@ def write_title(picture: Picture, text: str) -> None:
     _write_text(picture, text, (size, size // 2), size)
 
 
-def _blend(part: Picture, colour: str, share: "NDArray[np.float32] | float") -> None:
-    """Blend a colour into a part of a picture with the opacity `share`, 0 to 1."""
+def _blend(part: Picture, colour: str, opacity: "NDArray[np.float32] | float") -> None:
+    """Blend a colour into a part of a picture with an opacity from 0 to 1."""
     base = part.astype(np.float32)
-    part[:] = (base + np.float32(share) * (rgb(colour).astype(np.float32) - base) + np.float32(0.5)).astype(np.uint8)
+    part[:] = (base + np.float32(opacity) * (rgb(colour).astype(np.float32) - base) + np.float32(0.5)).astype(np.uint8)
 
 
 def _fill_rectangle(
-    picture: Picture, columns: tuple[int, int], rows: tuple[int, int], colour: str, share: float = 1.0
+    picture: Picture, columns: tuple[int, int], rows: tuple[int, int], colour: str, opacity: float = 1.0
 ) -> None:
-    """Fill a rectangle with the opacity `share`; the ends of the ranges are excluded."""
-    _blend(picture[rows[0] : rows[1], columns[0] : columns[1]], colour, share)
+    """Fill a rectangle with an opacity from 0 to 1; the ends of the ranges are excluded."""
+    _blend(picture[rows[0] : rows[1], columns[0] : columns[1]], colour, opacity)
 
 
 def draw_caption(picture: Picture, caption: Caption, gain: float, scale: float, grid: float) -> None:

@@ -64,7 +64,7 @@ def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
 
 
 def _html_page(data: dict[str, Any], title: str, words: str) -> str:
-    """Return the HTML page of plain data, with escaped texts.
+    """Return the HTML page of JSON-compatible data, with escaped texts.
 
     Args:
         data: mapping with "arms", "runs", "stage" and "live".
@@ -85,7 +85,7 @@ def _html_page(data: dict[str, Any], title: str, words: str) -> str:
 
 
 def _arm_data(model: Model) -> dict[str, Any]:
-    """Return the data of a model for the page in plain form, with encoded arrays."""
+    """Return the data of a model for the page as JSON-compatible data, with arrays encoded as base64."""
     links, constants = [], model.constants
     painter, sections = FramePainter(model, (16, 16)), section_outlines(model, POINTS)
     for i, (shapes, section) in enumerate(zip(link_shapes(model, POINTS), sections, strict=True)):
@@ -103,7 +103,7 @@ def _arm_data(model: Model) -> dict[str, Any]:
 
 
 def _view_data(models: Sequence[Model], points: Array, strain: float) -> dict[str, Any]:
-    """Return camera, floor and scale of the page in plain form.
+    """Return camera, floor and scale of the page as JSON-compatible data.
 
     Args:
         models: models of the arms.
@@ -130,7 +130,7 @@ def _encode_array(values: NDArray[Any], kind: str = "<f4") -> str:
 
 
 def _episode_data(episode: Episode, colour: str) -> dict[str, Any]:
-    """Return the data of an episode for the page in plain form."""
+    """Return the data of an episode for the page as JSON-compatible data."""
     torques = np.vstack([episode.actions, episode.actions[-1:]]) if len(episode.actions) else np.zeros((1, 1))
     return {
         "name": episode.name, "colour": colour, "note": episode.about.get("failure") or "over",
@@ -142,7 +142,7 @@ def _episode_data(episode: Episode, colour: str) -> dict[str, Any]:
 
 
 def _reading_data(name: str, values: Array) -> dict[str, Any]:
-    """Return a reading (T + 1, k) in plain form, quantised in the range of its finite values."""
+    """Return a reading (T + 1, k) as JSON-compatible data, quantised in the range of its finite values."""
     finite = np.isfinite(values)
     low, high = np.where(finite, values, np.inf).min(axis=0), np.where(finite, values, -np.inf).max(axis=0)
     low, high = np.where(finite.any(axis=0), (low, high), 0.0) / 2  # halves, as the range itself may overflow
@@ -154,7 +154,7 @@ def _reading_data(name: str, values: Array) -> dict[str, Any]:
 
 
 def _episodes_view(episodes: Sequence[Episode]) -> dict[str, Any]:
-    """Return camera, floor and scale of the page for several episodes, in plain form."""
+    """Return camera, floor and scale of the page for several episodes, as JSON-compatible data."""
     points, largest = [], 0.0
     for episode in episodes:
         some = np.unique(np.linspace(0, len(episode.time) - 1, VIEW_STATES).astype(int))
@@ -166,7 +166,7 @@ def _episodes_view(episodes: Sequence[Episode]) -> dict[str, Any]:
 
 
 def _outermost_points(points: Array) -> Array:
-    """Return those of the points (p, 3) that are outermost in one of 144 directions."""
+    """Return the points, among points (p, 3), that are outermost in one of 144 directions."""
     finite = points[np.isfinite(points).all(axis=1)]
     turn = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
     directions = np.array([[np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)] for a in turn for b in turn])

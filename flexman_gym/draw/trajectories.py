@@ -1,4 +1,7 @@
-"""Plots of motions over time: a simulation, episodes of agents, and Figures 6 to 11 of the paper."""
+"""Plots of motions over time: a simulation, episodes of agents, and Figures 6 to 11 of the paper.
+
+The paper is "Dynamic modeling and simulation of spatial manipulator with flexible links and joints".
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,8 +18,9 @@ from flexman_gym.simulation.trajectory import Trajectory
 def trajectory_figure(trajectory: Trajectory, path: str | Path | None = None) -> Path | None:
     """Plot tip position, joint and motor angles, joint twists and energy residual of a simulation over time.
 
-    The energy residual is divided by the energy turnover (see `Trajectory.energy_alarm`) unless the turnover is 0.
-    A simulation that ended early is plotted up to its end, with its status in the title.
+    Joint twists are the elastic deflections of the joints: motor angles minus link-side angles, rad. The energy
+    residual is divided by the energy turnover, the largest of kinetic + elastic energy, |work| and |dissipation|,
+    unless it is 0. A simulation that ended early is plotted up to its end, with its status in the title.
 
     Args:
         trajectory: result of the simulation.
@@ -70,7 +74,7 @@ def _draw(figure: Any, trajectory: Trajectory) -> None:
 
 
 def _residual(trajectory: Trajectory) -> tuple[Array, str]:
-    """Return the energy residual and its unit."""
+    """Return the energy residual (T,) and its unit for the axis: divided by the energy turnover if positive, else J."""
     turned = float(trajectory.energy_turnover[-1])
     if turned > 0.0:
         return trajectory.energy_residual / turned, "of the turnover"
@@ -143,7 +147,7 @@ def _all_figures(rigid: Trajectory, cases: dict[str, Trajectory], path: Path) ->
 
 
 def _difference(axes: Any, column: int, rigid: Trajectory, cases: dict[str, Trajectory]) -> None:
-    """Plot the difference of each case to the rigid arm: tip x, y, z (columns 0 to 2), joint angles (3 to 5)."""
+    """Plot the difference between each case and the rigid arm: tip x, y, z (columns 0 to 2), joint angles (3 to 5)."""
     axes.axhline(0.0, color=MIDDLE, linewidth=0.8)
     for (label, case), colour, style in zip(cases.items(), (BLUE, RED), ("-", "--"), strict=True):
         rows = min(len(rigid.time), len(case.time))

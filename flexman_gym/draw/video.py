@@ -104,7 +104,7 @@ def _write_gif(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> 
     weighted = np.repeat(coarse, np.ceil(np.sqrt(counts)).astype(int), axis=0)[None].astype(np.uint8)
     palette = Image.fromarray(weighted).quantize(
         COLOURS - 1, Image.Quantize.MEDIANCUT
-    )  # one more is reserved for unchanged pixels
+    )  # one more colour of the palette is reserved for unchanged pixels
     numbers = (palette.getpalette() or [])[: 3 * (COLOURS - 1)]
     colours = np.array(numbers, dtype=np.int16).reshape(-1, 3)
     shown: list[NDArray[np.uint8]] = []
@@ -172,23 +172,23 @@ def side_by_side(
 
     Args:
         episodes: at least one episode.
-        small: whether to make frames for a GIF of 5 s at 10 frames per second, instead of the whole episodes at 50.
+        small: True for the frames of a GIF of 5 s at 10 frames per second; False for the whole episodes at 50.
         size: width and height of the picture, pixels; None for 480 x 360 (small) or 1280 x 720.
 
     Returns:
-        Frames (height, width, 3), and the number of frames per second.
+        Frames (height, width, 3), uint8, and the number of frames per second.
     """
     if not episodes:
         raise value_error("episodes", episodes, "at least one")
-    whole = size or (GIF_SIZE if small else VIDEO_SIZE)
-    cell, rate = (whole[0] // len(episodes), whole[1]), GIF_RATE if small else VIDEO_RATE
+    picture_size = size or (GIF_SIZE if small else VIDEO_SIZE)
+    frame_size, rate = (picture_size[0] // len(episodes), picture_size[1]), GIF_RATE if small else VIDEO_RATE
     end = min(max(float(each.time[-1]) for each in episodes), GIF_SECONDS if small else np.inf)
     points = np.concatenate([
         part for each in episodes
         for part in (curves(each.model, each.states[:: max(1, len(each.time) // 60)], 4).positions.reshape(-1, 3),
                        each.targets[np.isfinite(each.targets).all(axis=1)])
     ])  # fmt: skip
-    painters = [FramePainter(each.model, cell, shadow=not small) for each in episodes]
+    painters = [FramePainter(each.model, frame_size, shadow=not small) for each in episodes]
     shots = [painter.shot(points) for painter in painters]
     frames = []
     for time in np.arange(0.0, end - 0.5 / rate, 1.0 / rate):
@@ -202,7 +202,7 @@ def side_by_side(
 
 
 def _caption(episode: Episode, row: int) -> Caption:
-    """Return the caption of an episode at a row."""
+    """Return the caption of an episode at a row: name, time (s), tip error (m), torques as fractions of the limits."""
     error, torques = float(episode.errors[row]), episode.actions[max(row - 1, 0)] if len(episode.actions) else None
     finite = torques is not None and bool(np.isfinite(torques).all())
     return Caption(

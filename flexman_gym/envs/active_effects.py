@@ -1,4 +1,4 @@
-"""Active effects, disturbances such as noise or delay: drawn values, changed signals and changed parameters."""
+"""Active effects: disturbances such as noise or delay, and draws of parameters, enabled by a randomisation."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -17,7 +17,7 @@ from flexman_gym.simulation.parameters import LINK, PARAMETERS
 
 
 class ActiveEffects:
-    """Effects of a randomisation on b arms.
+    """Disturbances and parameter draws of b arms, enabled by a randomisation.
 
     Each effect has a separate random generator per arm, its stream, seeded by the name of the effect and the seed of
     the arm. An effect draws once per episode from its stream; random events during the episode use a generator seeded
@@ -34,7 +34,7 @@ class ActiveEffects:
             makes a new dict of new arrays.
 
     Raises:
-        ValueError: for an effect that does not apply to the model, or that exceeds the limits.
+        ValueError: for an effect that does not apply to the model, or whose range exceeds the limits of the motion.
     """
 
     state_fields = ("drawn", "_streams", "_signals")
@@ -73,7 +73,7 @@ class ActiveEffects:
         self._drawn = {PARAMETER_KEYS.get(name, name): each for name, each in values.items()}
 
     def _find_hooks(self, hook: str) -> list[Any]:
-        """Return the methods of all effects for a hook; for "begin" pairs of the name of the effect and its method."""
+        """Return the methods of all effects for a hook; for "begin", pairs of the name of an effect and its method."""
         result = [(name, getattr(signal, hook)) for name, signal in self._signals.items() if hasattr(signal, hook)]
         return result if hook == "begin" else [method for _, method in result]
 
@@ -117,7 +117,7 @@ class ActiveEffects:
         return {name: value.item() if value.ndim == 0 else value.copy() for name, value in drawn.items()}
 
     def set_generators(self, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Set the generators of all arms from which the restored streams were made."""
+        """Set the generators of the arms after a restored state, so that the restored streams are not made again."""
         self._streams.set_generators(randoms)
 
     def change_start(self, arms: IntArray, states: Array) -> None:

@@ -27,7 +27,8 @@ class CompiledPeriod:
         view: view of the arm.
         sensors: sensors of the agent, the full state.
         agent: agent without a base.
-        motors: torque limits (1, n), N m, and drive (1, n + 6).
+        motors: torque limits (1, n), N m, and inputs `drive` (1, n + 6) of `Batch.step`: n motor torques (N m), tip
+            force (3, N) and base acceleration (3, m/s^2).
         ends: limits of the motion (m,), flag of their violation (1,), and number of periods of the episode (1,).
 
     Attributes:
@@ -75,7 +76,7 @@ class CompiledPeriod:
 
 
 def compiled_reward(configuration: Configuration) -> str | None:
-    """Return the key in REWARDS of the reward of an environment; None for another reward."""
+    """Return the name of the built-in reward of an environment; None for a reward of the user."""
     task = configuration.task
     if configuration.reward is not None or type(task) not in (Slew, Hold):
         return None
@@ -83,7 +84,7 @@ def compiled_reward(configuration: Configuration) -> str | None:
 
 
 def is_compiled(configuration: Configuration, sensors: list[object], mode: Any) -> bool:
-    """Return whether the settings of an environment leave nothing to Python in a control period.
+    """Return True if a control period of an environment needs no Python code.
 
     That needs actions that are torques without base and lag, the full state as the only sensor, no history, an action
     for each control period, and a goal at rest.

@@ -1,4 +1,7 @@
-"""Environment: a simulator, a task and sensors with the interface of Gymnasium."""
+"""Environment: a simulator, a task and sensors with the interface of Gymnasium.
+
+The paper is "Dynamic modeling and simulation of spatial manipulator with flexible links and joints".
+"""
 
 import math
 from dataclasses import replace
@@ -81,16 +84,16 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         tip_error (m, distance of tip and target), tip_vibration (m/s, speed of the tip relative to the tip of a rigid
         arm with the same motor angles and rates), elastic_energy (J), energy_residual (J, work - dissipation - change
         of energy since the reset, an error of the integration), energy_alarm (True if the residual exceeds a fraction,
-        the setting `energy_alarm`, of the energy turnover), reward_terms, status (of the simulation: "ok" or the reason
-        of its end), failure ("" or its cause), method (name of the integration method), tip and target (m),
-        goal_angles (rad, of the motors); with a randomisation also drawn, a dict of the values drawn for the episode
-        (see `ActiveEffects`).
+        the setting `energy_alarm`, of the energy turnover, the largest of kinetic + elastic energy, |work| and
+        |dissipation| since the reset), reward_terms, status (of the simulation: "ok" or the reason of its end), failure
+        ("" or its cause), method (name of the integration method), tip and target (m), goal_angles (rad, of the
+        motors); with a randomisation also drawn, a dict of the values drawn for the episode (see `ActiveEffects`).
 
     Fidelity
         By default the model has two elements per link and the component modes below half the control rate, 16 of 36
         coordinates for FlexRRR-v0. The integration method is "midpoint_corrected_3", which has no numerical damping,
         with steps of 20/3 ms; the smaller arms have shorter steps. `docs/accuracy.md` compares the energy and the tip
-        motion of this model with those of the model with all coordinates.
+        motion of this model with the model with all coordinates.
 
         fidelity="auto" with a tolerance (m) calls `choose_model`, which chooses modes, method and step for a slew of
         3 s with sine torques (0.5 Hz, amplitude `torque_limit`); `env.unwrapped.choice` is the result. The tolerance

@@ -60,7 +60,8 @@ class _Motors:
 
     Attributes:
         limits: (b, n) torque limits, N m; effects may change them.
-        drive: (b, n + 6) inputs of `Batch.step`: each row holds torques, tip force and base acceleration of an arm.
+        drive: (b, n + 6) inputs of `Batch.step`: each row holds n motor torques (N m), the tip force (3, N) and the
+            base acceleration (3, m/s^2) of an arm.
         torques: (b, n) torques of the last control period, N m; a view of `drive`.
         forces: (b, 3) forces at the tips in the base frame, N; a view of `drive`.
         accelerations: (b, 3) accelerations of the bases in the base frame, m/s^2; a view of `drive`.
@@ -101,7 +102,7 @@ class Episodes:
         task: task of all arms.
         measurements: sensors of the agent and its action mode.
         agent: observations, history, action repeat, action mode and base controller.
-        effects: effects of the randomisation and of the task; None without effects.
+        effects: disturbances and parameter draws enabled by the randomisation and by the task; None without any.
         failures: index of an arm -> cause of its failure in the last step.
         over: (b,) True for an arm whose episode has ended, or has not begun.
         truncated: (b,) True for an episode that ended after `max_periods` control periods.
@@ -139,7 +140,7 @@ class Episodes:
         self._compiled = self._compile_period(configuration, own_sensors)
 
     def _compile_period(self, configuration: Configuration, sensors: list[object]) -> CompiledPeriod | None:
-        """Return the compiled control period of a single arm; None where Python takes part in a period."""
+        """Return the compiled control period of a single arm; None where a control period needs Python code."""
         acts = self.effects is not None and self.effects.acts
         if len(self.over) > 1 or acts or not is_compiled(configuration, sensors, self.agent.mode):
             return None
@@ -149,7 +150,7 @@ class Episodes:
         return result if result.arguments else None
 
     def _make_effects(self, configuration: Configuration, sensors: Sequence[object]) -> ActiveEffects | None:
-        """Return the effects of the randomisation and of the task; None without any."""
+        """Return the disturbances and draws enabled by the randomisation and by the task; None without any."""
         randomisation = configuration.disturbances
         if randomisation is None:
             return None
@@ -219,9 +220,10 @@ class Episodes:
         Args:
             arms: (r,) indices of the arms.
             randoms: random generator of each of these arms.
-            options: values that replace parameters drawn by the task, such as "start" and "goal_angles", for all arms
-                or with a leading axis b; in their place tip positions (3,), m, "start_tip" and "goal_tip"; and
-                "parameters", physical parameters of the arms from this episode on, see `Batch.vary`.
+            options: values by name, for all arms or with a leading axis b. Names of parameters drawn by the task, such
+                as "start" and "goal_angles", replace the drawn values. "start_tip" and "goal_tip", tip positions (3,),
+                m, replace "start" and "goal_angles". "parameters" are physical parameters of the arms from this episode
+                on, see `Batch.vary`.
 
         Raises:
             ValueError: for options or a start that are not allowed; the episodes of these arms are then over.
@@ -290,7 +292,7 @@ class Episodes:
                 raise value_error(field, value, f"a start and a goal within the limits ({failure})")
 
     def step(self, commands: Array) -> Array:
-        """Simulate the arms for one action repeat with actions (b, k) of the agent, and return the rewards (b,).
+        """Simulate the arms for `action_repeat` control periods with actions (b, k) of the agent; return rewards (b,).
 
         The reward is the mean over the control periods in which the arm moved. An arm whose episode ends earlier keeps
         its last state. The result of an arm without a running episode is undefined.
@@ -317,10 +319,10 @@ class Episodes:
         return rewards / np.maximum(count, 1.0)
 
     def step_single(self, action: object) -> float | None:
-        """Apply the action of the only arm in one call of a kernel, if Python takes no part in a control period.
+        """Apply the action of the only arm in one call of a kernel, if a control period needs no Python code.
 
         Returns:
-            The reward, equal to that of `step` to the bit; None if nothing was done and `step` must be called.
+            The reward, equal to the reward of `step` to the bit; None if nothing was done and `step` must be called.
         """
         period = self._compiled
         if period is None or self.callback is not None or not period.set_action(action):
@@ -358,7 +360,7 @@ class Episodes:
     def _end_episodes(self, moving: BoolArray, last: bool) -> None:
         """End the episodes of moving arms (b,) that exceeded their limits or reached the horizon.
 
-        After the last control period of an action repeat the observations are compared with their bounds as well.
+        After the last of `action_repeat` control periods the observations are compared with their bounds as well.
         """
         view = self.view
         if moving is self._all and np.count_nonzero(view.failed):

@@ -18,7 +18,8 @@ class Limits:
     Attributes:
         angle: largest magnitude of a motor angle, rad.
         rate: largest magnitude of a motor rate and of the rate of a joint twist, rad/s.
-        twist: largest magnitude of a joint twist, motor angle - joint angle, rad.
+        twist: largest magnitude of a joint twist (elastic deflection of the joint: motor angle minus link-side angle),
+            rad.
         deflection: largest deflection of the tip of a link, as a fraction of the length of the link.
         deflection_rate: largest rate of the deflection of the tip of a link, m/s.
         tip_speed: largest speed of the tip along each base axis, m/s.

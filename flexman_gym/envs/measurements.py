@@ -16,10 +16,10 @@ from flexman_gym.envs.view import View
 
 
 class Measurements:
-    """Sensors of b arms, sampled once per control period and read at most once in it.
+    """Sensors of b arms, sampled once and read at most once per control period.
 
     Args:
-        view: view of the arms.
+        view: named quantities of the arms, see `View`.
         limits: limits of the arms.
         own_sensors: sensors of the agent and of the task.
         mode_sensors: sensors of the action mode and its base controller.
@@ -49,7 +49,7 @@ class Measurements:
         self._read, self._base_read = False, False  # True if the sensors were read in this control period
 
     def begin(self, arms: IntArray, randoms: Sequence[np.random.Generator]) -> None:
-        """Start new episodes of the arms (r,), each with its random generator, and read all sensors of the agent."""
+        """Start new episodes of the arms (r,), one random generator per arm, and read all sensors of the agent."""
         self._measure(arms)
         self.sensors.begin(arms, randoms)
         self._base_sensors.begin(arms, randoms)

@@ -13,10 +13,10 @@ TRUNCATION = 4.0  # standard deviations; largest magnitude of the noise
 
 
 class RandomStreams:
-    """Random generators for each name of an effect or sensor and each arm, seeded by this name and the seed of the arm.
+    """Random generators, one per arm and name of an effect or sensor, seeded by this name and the seed of the arm.
 
-    Nothing is drawn from the arm's own generator. A further name therefore changes neither the remaining streams nor
-    start and goal of an episode.
+    Nothing is drawn from the generator of the arm, which draws start and goal of an episode. Adding a name therefore
+    changes neither the other streams nor start and goal.
     """
 
     state_fields = ("_streams",)
@@ -34,7 +34,7 @@ class RandomStreams:
         return {name: streams[arm] for name, streams in self._streams.items()}
 
     def set_generators(self, randoms: Sequence[np.random.Generator | None]) -> None:
-        """Set the generators of all arms from which the restored streams were made."""
+        """Set the generators of the arms after a restored state, so that the restored streams are not made again."""
         self._parents = list(randoms)
 
 

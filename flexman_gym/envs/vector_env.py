@@ -67,10 +67,10 @@ INDEXED_ATTRIBUTES = ("render", "np_random", "np_random_seed")  # members with a
 class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
     """Vectorised `FlexManEnv`: `gym.make_vec("FlexRRR-v0", num_envs=64, vectorization_mode="vector_entry_point")`.
 
-    Each arm is one sub-environment. Observations, rewards, terminations, truncations and infos equal those of
-    `gymnasium.vector.SyncVectorEnv` over single environments, bit for bit, with a leading axis for the arms. Infos
-    follow the convention of Gymnasium: an array for each key, and its mask under the key with a leading underscore.
-    Several masks may be the same array object.
+    Each of the b = `num_envs` arms is one sub-environment. Observations, rewards, terminations, truncations and infos
+    equal the results of `gymnasium.vector.SyncVectorEnv` over single environments, bit for bit, with a leading axis for
+    the arms. Infos follow the convention of Gymnasium: an array for each key, and its mask under the key with a leading
+    underscore. Several masks may be the same array object.
 
     `reset(seed=...)` takes a list with a seed for each arm, or one seed s; arm i then has the seed s * seed_stride + i.
     With a stride of at least `num_envs`, the seeds s and s + 1 of the vector environment share no seed of an arm. The
@@ -153,7 +153,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, Infos]:
-        """Start the episodes of all arms, or of those in options["reset_mask"]; see the class.
+        """Start the episodes of all arms, or of the arms in options["reset_mask"]; see the class.
 
         Args:
             seed: one seed, or a list with one for each arm.
@@ -226,7 +226,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
     def call(self, name: str, *args: Any, **named: Any) -> tuple[Any, ...]:
         """Return the result of a method or the value of an attribute for each arm, as in SyncVectorEnv.
 
-        Spaces are those of one arm. A value without an entry for each arm is repeated for all arms.
+        Spaces are the spaces of one arm. A value without an entry for each arm is repeated for all arms.
 
         Args:
             name: name of the method or the attribute.

@@ -42,12 +42,12 @@ class View:
         joint_rates: (b, n) rates of the joint angles, rad/s.
         motor_angles: (b, n) angles of the rotors after the gears, rad; equal to the joint angles for rigid joints.
         motor_rates: (b, n) rates of the motor angles, rad/s.
-        joint_twists: (b, n) motor angles - joint angles, rad.
+        joint_twists: (b, n) elastic deflections of the joints: motor angles minus link-side angles, rad.
         joint_twist_rates: (b, n) rates of the joint twists, rad/s.
         link_deflections: (b, 2 n) displacement of the tip of each link along y and z of its beam frame, m.
         link_deflection_rates: (b, 2 n) rates of the link deflections, m/s.
         tip: (b, 3) position of the tip in the base frame, m.
-        tip_velocity: (b, 3) in the base frame, m/s.
+        tip_velocity: (b, 3) velocity of the tip in the base frame, m/s.
         deflection: (b, 3) displacement of the tip from the tip of the rigid arm at the same motor angles, m.
         deflection_rate: (b, 3) rate of the deflection, m/s.
         motion: (b, 8 n + 3) all quantities with limits, concatenated: from motor_angles to link_deflection_rates in the
@@ -61,7 +61,8 @@ class View:
         target_error: (b, 3) target - tip, m.
         episode_parameters: name -> (b, ...) parameters of the episode, drawn by the task, such as start and goal.
         tip_error: (b,) distance of tip and target, m.
-        tip_vibration: (b,) magnitude of the deflection rate, m/s: the speed of the tip relative to that of a rigid arm.
+        tip_vibration: (b,) magnitude of the deflection rate, m/s: the speed of the tip relative to the tip of a rigid
+            arm.
         elastic_energy: (b,) elastic energy of links and joints, J.
         energy_residual: (b,) work - dissipation - change of energy since the reset, J, see `Batch`.
         energy_turnover: (b,) largest of kinetic + elastic energy, |work| and |dissipation| since the reset, J: the
@@ -148,7 +149,7 @@ class View:
         }  # fmt: skip
 
     def _name(self, numbers: Iterable[Number]) -> None:
-        """Set attributes to the rows of the array (5, b) filled by `fill_views`."""
+        """Set tip_error, tip_vibration, elastic_energy, energy_residual and energy_turnover from rows (5, b)."""
         (self.tip_error, self.tip_vibration, self.elastic_energy, self.energy_residual, self.energy_turnover) = numbers
 
     @property
@@ -185,7 +186,7 @@ class View:
     def rigid_tips(self, postures: Array) -> Array:
         """Return the tip positions (r, 3), m, base frame, of the undeformed arm at joint angles (r, n), rad.
 
-        Its motor angles equal the joint angles.
+        The motor angles of the undeformed arm equal the joint angles.
         """
         return self._batch.rigid_tips(self._batch.model.at_rest(postures))
 

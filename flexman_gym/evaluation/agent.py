@@ -42,7 +42,7 @@ class AgentSpec:
         name: name in tables.
         law: policy function from observations (b, size) to actions (b, k) between -1 and 1; None for zero actions, so
             that only the base controller acts.
-        interface: settings in INTERFACE and the gains of the base controller, by name; None for those of the
+        interface: settings in INTERFACE and the gains of the base controller, by name; None for the settings of the
             environment in which the agent acts.
         environment: environment of the training, without these settings; None for an agent without training.
     """
@@ -115,8 +115,8 @@ def observation_layout(environment: Configuration) -> list[dict[str, Any]]:
 def predictor_agent(model: Any, environment: Configuration | None = None) -> AgentSpec:
     """Return the specification of an object whose method `predict` maps observations (b, size) to actions (b, n).
 
-    For a model of Stable-Baselines3, the environment of the training is that of the model, and observations are
-    normalised by its `VecNormalize`, if any. For any other object the observations are those of the environment in
+    For a model of Stable-Baselines3, the environment of the training is the environment of the model, and observations
+    are normalised by its `VecNormalize`, if any. For any other object the observations come from the environment in
     which it acts. Actions are clipped to [-1, 1].
 
     Args:
@@ -145,7 +145,7 @@ def predictor_agent(model: Any, environment: Configuration | None = None) -> Age
 
 
 def _load_run(folder: Path) -> AgentSpec:
-    """Load the best policy of a training run, by default the newest, without executing code of its files."""
+    """Load the best policy of a run, or the newest if no best policy exists, without executing code of its files."""
     if is_sb3_folder(folder):
         raise _untrusted_file_error(folder)
     settings = read_settings(folder)
@@ -179,8 +179,8 @@ def network_agent(name: str, network: Law, environment: Configuration, base_in_u
         network: policy function, from observations to actions.
         environment: environment of the training, with the settings of the agent. Base controller and action mode are
             designed for this environment, even if the agent is evaluated in a different one.
-        base_in_use: base controller that replaces that of the training; it is designed for the environment of the
-            evaluation. None for the base controller of the training.
+        base_in_use: base controller that replaces the base controller of the training; it is designed for the
+            environment of the evaluation. None for the base controller of the training.
     """
     bare, interface = split_interface(environment)
     agent = AgentSpec(name, network, interface, bare)
@@ -194,8 +194,8 @@ def network_agent(name: str, network: Law, environment: Configuration, base_in_u
 def split_interface(environment: Configuration) -> tuple[Configuration, dict[str, Any]]:
     """Split a configuration into an environment without the settings in INTERFACE, and these settings by name.
 
-    The gains of a PD controller are in both results: a policy needs those of its training, and the environment needs
-    them for the baseline "pd".
+    The gains of a PD controller are in both results: a policy needs the gains of its training, and the environment
+    needs gains for the baseline "pd".
     """
     interface = {name: value for name, value in environment.settings.items() if name in INTERFACE}
     if environment.base == "pd":
@@ -283,8 +283,8 @@ def common_environment(
         changes: changes "name=value" of settings of the environment, see `Configuration.changed`.
 
     Raises:
-        ValueError: if no environment is named and the agents were trained in different ones, and for a change of a
-            setting in INTERFACE.
+        ValueError: if no environment is named and the agents were trained in different environments, and for a change
+            of a setting in INTERFACE.
     """
     return _change(split_interface(named)[0] if named is not None else _training_environment(agents), changes)
 
@@ -336,7 +336,7 @@ def is_sb3_folder(folder: Path) -> bool:
 
 
 def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
-    """Raise ValueError if the settings of a run differ from those stored together with its network.
+    """Raise ValueError if the settings of a run differ from the settings stored together with its network.
 
     Args:
         path: path of the file with the arrays of the network.
@@ -356,7 +356,7 @@ def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
 
 
 def _is_equal(setting: object, stored: object) -> bool:
-    """Return True if a setting equals the stored one; False for stored data without a truth value, such as arrays."""
+    """Return True if a setting equals the stored value; False for stored data without a truth value, such as arrays."""
     try:
         return bool(setting == stored)
     except ValueError:

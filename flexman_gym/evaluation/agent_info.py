@@ -38,7 +38,7 @@ class _AgentInfo:
 
     @property
     def realisable(self) -> bool:
-        """True if the agent could act on hardware, because it requires no ORACLE_INFORMATION."""
+        """True if the agent uses measurable signals only, without ORACLE_INFORMATION, and so could act on hardware."""
         return not set(self.information) & set(ORACLE_INFORMATION)
 
 
@@ -85,7 +85,7 @@ def training_seconds(agent: str) -> float | None:
 
 
 def check_seeds_unseen(agent: str, seeds: Sequence[int]) -> None:
-    """Raise ValueError if the training or selection of a policy used one of the given seeds, see its settings."""
+    """Raise ValueError if the training or selection of a policy used one of the given seeds, by its stored settings."""
     if agent in BASELINES:
         return
     settings = _settings(agent)

@@ -49,9 +49,9 @@ def record_dataset(
         from minari.data_collector import EpisodeBuffer
     except ImportError:
         raise ImportError("datasets need Minari: pip install 'flexman_gym[scale]'") from None
-    bare = _without_agent(Configuration.find(environment))
-    single = gym.make(bare.id, **bare.settings)
-    tasks = [(agent, bare, tuple(seeds[i : i + BLOCK])) for i in range(0, len(seeds), BLOCK)]
+    simulated = _without_agent(Configuration.find(environment))
+    single = gym.make(simulated.id, **simulated.settings)
+    tasks = [(agent, simulated, tuple(seeds[i : i + BLOCK])) for i in range(0, len(seeds), BLOCK)]
     blocks = parallel_map(_record_block, tasks, workers, prepare=compile_kernels)
     buffers = [
         EpisodeBuffer(id=number, **each) for number, each in enumerate(each for block in blocks for each in block)
@@ -60,12 +60,12 @@ def record_dataset(
         warnings.simplefilter("ignore", UserWarning)  # Minari warns of a missing author and a missing web page
         return minari.create_dataset_from_buffers(
             name, buffers, env=single, eval_env=single, algorithm_name=agent, data_format=form,
-            description=f"{agent} on {bare.id}, seeds {seeds[0]} to {seeds[-1]}", requirements=["flexman_gym"],
+            description=f"{agent} on {simulated.id}, seeds {seeds[0]} to {seeds[-1]}", requirements=["flexman_gym"],
         )  # fmt: skip
 
 
 def _without_agent(environment: Configuration) -> Configuration:
-    """Return an environment without base controller, action repeat and action mode, whose settings are plain data."""
+    """Return an environment without base controller, action repeat and action mode, of JSON-compatible settings."""
     plain = environment.to_plain()
     names = (name for name in environment.settings if name not in ("base", "gains", "action_repeat", "actions"))
     return Configuration(environment.id, {name: plain[name] for name in names})
@@ -76,12 +76,12 @@ def _record_block(task: tuple[str, Configuration, tuple[int, ...]]) -> list[dict
 
     The argument is (agent, environment, seeds). Returns the data for Minari of each episode of the second simulation.
     """
-    agent, bare, seeds = task
-    names = [name for name in bare.settings if name not in OBSERVATION_SETTINGS]
-    of_agent = Configuration(bare.id, {name: bare.settings[name] for name in names})
+    agent, simulated, seeds = task
+    names = [name for name in simulated.settings if name not in OBSERVATION_SETTINGS]
+    of_agent = Configuration(simulated.id, {name: simulated.settings[name] for name in names})
     actions = np.nan_to_num(rollout(agent, of_agent, seeds).actions).astype(np.float32)
-    venv = gym.make_vec(bare.id, len(seeds), "vector_entry_point", autoreset_mode="Disabled", infos="at end",
-                        **bare.keywords())  # fmt: skip
+    venv = gym.make_vec(simulated.id, len(seeds), "vector_entry_point", autoreset_mode="Disabled", infos="at end",
+                        **simulated.keywords())  # fmt: skip
     observations, _ = venv.reset(seed=list(seeds))  # type: ignore[arg-type]
     over, observed, results = np.zeros(len(seeds), dtype=bool), [observations], []
     for action in actions.swapaxes(0, 1):

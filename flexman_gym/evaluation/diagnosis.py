@@ -77,11 +77,12 @@ class Diagnosis:
 
     Attributes:
         rms: root mean square of the tip error in the window at the end of the episode, m.
-        negligible: True if the error is too small for a remedy, compared with the band of settled tips.
+        negligible: True if the error is too small for a remedy, compared with the band within which tips count as
+            settled.
         shares: cause -> fraction of the mean square error; the fractions sum to 1.
         tones: frequency (Hz), fraction of the mean square error, cause, and name of the mode or "" of each tone, the
             largest tone first.
-        failure: cause of a failure, which is then the only cause of the error; "" without a failure.
+        failure: cause of a failure, which is then the only cause reported; "" without a failure.
     """
 
     rms: float
@@ -100,7 +101,7 @@ class Diagnosis:
 def diagnose(
     agent: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int]
 ) -> list[Diagnosis]:
-    """Diagnose the remaining tip error of one episode for each seed; arguments and errors are those of `rollout`.
+    """Diagnose the remaining tip error of one episode for each seed; arguments and errors as in `rollout`.
 
     In a few seconds slow noise cannot be distinguished from an offset or a slow vibration. With sensor noise, the same
     episodes are therefore simulated a second time without noise.
@@ -142,7 +143,7 @@ def episode_ends(
 ) -> list[tuple[_EpisodeEnd, dict[str, float]]]:
     """Return for each seed the end of an episode, and mode -> frequency (Hz) at the goal posture.
 
-    Arguments and errors are those of `rollout`.
+    Arguments and errors as in `rollout`.
     """
     recorder = _EndRecorder()
     result = rollout(agent, environment, seeds, recorder.record)
@@ -157,9 +158,9 @@ def split_error(end: _EpisodeEnd, modes: Mapping[str, float]) -> Diagnosis:
       transient is large, the mean error is a part of it, since the motion has not ended.
     - A tone is a sinusoid whose amplitude changes linearly, as in a decaying vibration. Its cause is a limit cycle if
       the actions contain its frequency and the motors supply the dissipated energy. Its cause is noise if the actions
-      are large at frequencies of no tone. Otherwise its cause is ringing.
+      are large at frequencies other than those of the tones. Otherwise its cause is ringing.
     - The remaining error is noise.
-    - A failed episode has the failure as its only cause.
+    - For a failed episode the failure is the only cause reported.
 
     Args:
         end: end of an episode; with fewer than MIN_SAMPLES control periods no tone is fitted.

@@ -126,21 +126,22 @@ ONNX_ROWS = 64  # number of observations for which actions are compared
 def write_onnx(agent: str, path: Path) -> float:
     """Write the network of a policy, with its normalisation of observations, as an ONNX graph.
 
-    The input "observation" (b, size) float32 contains the readings of the sensors, with history. The output "action"
-    (b, n) float32 is the output of the network, without the base controller.
+    The input "observation" (b, size) float32 contains the readings of the sensors, with history; `observation_layout`
+    returns their order and units. The output "action" (b, n) float32 is the output of the network, without the base
+    controller.
 
     Args:
         agent: name of a policy, or folder of a policy or a training run.
         path: path of the file.
 
     Returns:
-        Largest difference of an action of the graph from that of the policy, on random observations.
+        Largest difference between an action of the graph and of the policy, on random observations.
 
     Raises:
         ImportError: without the extra [onnx].
         FileNotFoundError: for an unknown agent.
         ValueError: for an agent without a network, for a policy with a base controller, and for a graph whose actions
-            differ from those of the policy.
+            differ from the actions of the policy.
     """
     try:
         import onnx

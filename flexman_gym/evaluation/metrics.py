@@ -100,7 +100,7 @@ DEFAULT_TASK_METRICS = ("settling_time", "error")  # metrics of a task without t
 
 
 def task_metrics(task: Any) -> tuple[Metric, ...]:
-    """Return the metrics of a task: the general ones, and those named in its attribute `metrics`."""
+    """Return the metrics of a task: the general metrics, and the metrics named in its attribute `metrics`."""
     names = getattr(task, "metrics", DEFAULT_TASK_METRICS)
     if hasattr(task, "figures") and not hasattr(task, "metrics"):
         warnings.warn("task.figures is deprecated; give metrics", DeprecationWarning, stacklevel=2)
@@ -153,8 +153,8 @@ def optimised_settling_times(environment: Configuration) -> dict[int, float]:
 def equivalent_damping(record: EpisodeRecord) -> float:
     """Return the damping ratio of the oscillation of the tip after its first arrival in the band.
 
-    The oscillation is that along the base axis of the largest motion. The ratio is infinite without an oscillation, and
-    0 if the episode failed or the tip never arrived.
+    The oscillation is evaluated along the base axis of the largest motion. The ratio is infinite without an
+    oscillation, and 0 if the episode failed or the tip never arrived.
     """
     inside = np.flatnonzero(record.errors <= record.band)
     if record.failure or not len(inside) or len(record.tips) - inside[0] < 3:

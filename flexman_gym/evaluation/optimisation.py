@@ -47,8 +47,8 @@ class TunedGains:
     Attributes:
         stiffness: (n,) N m/rad.
         damping: (n,) N m s/rad.
-        reward: mean return of the episodes; the return is the sum of the rewards of an episode.
-        margins: gain margin (dimensionless) and phase margin (degrees).
+        reward: mean return of the episodes; the return of an episode is the undiscounted sum of its rewards.
+        margins: stability margins: gain margin (dimensionless) and phase margin (degrees).
     """
 
     stiffness: tuple[float, ...]
@@ -127,8 +127,8 @@ def motor_loops(environment: Configuration) -> list[SampledLoop]:
     With Coulomb friction, each posture has a loop for every set of motors that stick while the rest slide, see
     `control.margins`.
     """
-    bare = split_interface(environment)[0]  # a base controller could need the gains that are being tuned
-    venv = gym.make_vec(environment.id, POSTURES, "vector_entry_point", **bare.keywords())
+    without_interface = split_interface(environment)[0]  # a base controller could need the gains that are being tuned
+    venv = gym.make_vec(environment.id, POSTURES, "vector_entry_point", **without_interface.keywords())
     venv.reset(seed=list(range(POSTURES)))  # type: ignore[arg-type]
     episodes = venv.unwrapped.episodes  # type: ignore[attr-defined]
     postures, model = episodes.view.goal_angles.copy(), episodes.batch.model
@@ -154,12 +154,12 @@ def _draw_gains(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Arr
 def gain_returns(environment: Configuration, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:
     """Return the mean return (c,) of c candidate gains (c, 2 n) over the episodes with seeds 0 to `episodes` - 1."""
     parts = [(environment, gains[i : i + BLOCK_CANDIDATES], episodes) for i in range(0, len(gains), BLOCK_CANDIDATES)]
-    return np.concatenate(parallel_map(_cell_returns, parts, workers, prepare=compile_kernels))
+    return np.concatenate(parallel_map(_block_returns, parts, workers, prepare=compile_kernels))
 
 
-def _cell_returns(cell: tuple[Configuration, Array, int]) -> Array:
+def _block_returns(block: tuple[Configuration, Array, int]) -> Array:
     """Return the mean returns (c,) in one rollout of environment, candidate gains (c, 2 n) and number of episodes."""
-    environment, gains, episodes = cell
+    environment, gains, episodes = block
     stiffness, damping = np.split(np.repeat(gains, episodes, axis=0), 2, axis=1)
     zeros, model = [0.0] * (gains.shape[1] // 2), resolve_fidelity(environment).model
     base = make_base({"kind": "pd", "stiffness": zeros, "damping": zeros}, make_plant(environment, model))
@@ -177,15 +177,15 @@ class _SlewResult(NamedTuple):
 
     Attributes:
         seed: seed of the episode.
-        time: settling time of the optimised slew, s.
+        settling_time: settling time of the optimised slew, s.
         tracking: settling time of the agent "lqr-tracking" in the same episode, s.
-        seconds: CPU time of the optimisation, s.
+        cpu_time: CPU time of the optimisation, s.
     """
 
     seed: int
-    time: float
+    settling_time: float
     tracking: float
-    seconds: float
+    cpu_time: float
 
 
 def empty_slew_table(environment: Configuration) -> SlewTable:
@@ -235,15 +235,15 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
         missing,
         lambda episodes: _record_start_and_goal(draws, episodes.view.episode_parameters),
     )
-    for seed, ends, record in zip(missing, draws, tracked.records, strict=True):
+    for seed, start_and_goal, record in zip(missing, draws, tracked.records, strict=True):
         start = time.process_time()
-        slew = SingleShooting(regulator, make_batch, record.band, environment.limits.rate, *ends).search()
-        seconds, settling = time.process_time() - start, np.inf
+        slew = SingleShooting(regulator, make_batch, record.band, environment.limits.rate, *start_and_goal).search()
+        cpu_time, settling = time.process_time() - start, np.inf
         if slew is not None:
-            table.found[seed] = ends, slew, settling
+            table.found[seed] = start_and_goal, slew, settling
             settling = SETTLING.evaluate(rollout(replay, environment, [seed]).records)
-            table.found[seed] = ends, slew, settling
-        yield _SlewResult(seed, settling, SETTLING.evaluate([record]), seconds)
+            table.found[seed] = start_and_goal, slew, settling
+        yield _SlewResult(seed, settling, SETTLING.evaluate([record]), cpu_time)
 
 
 def _record_start_and_goal(draws: list[Array], parameters: Mapping[str, Array]) -> None:

@@ -59,7 +59,7 @@ def read_policy(folder: Path) -> _ExportedPolicy:
     Raises:
         FileNotFoundError: if a file is missing.
         ValueError: for a file that is too large or damaged, for wrong hashes of arrays, environment or settings, and
-            for a network whose actions differ from the stored ones.
+            for a network whose actions differ from the stored actions.
     """
     path = existing_file(folder / METADATA)
     try:
@@ -101,12 +101,12 @@ def write_policy(folder: Path, metadata: Mapping[str, Any], arrays: dict[str, ND
 
 
 def _json_hash(data: object) -> str:
-    """Return the SHA-256 of plain data, independent of the order of keys."""
+    """Return the SHA-256 of JSON-compatible data, independent of the order of keys."""
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
 def read_certificate(folder: Path) -> dict[str, Any] | None:
-    """Return the certificate in the folder of a policy; None if it is missing, or belongs to different arrays.
+    """Return the certificate (robustness report) in the folder of a policy; None if missing, or of different arrays.
 
     Args:
         folder: folder of the policy.
@@ -115,7 +115,8 @@ def read_certificate(folder: Path) -> dict[str, Any] | None:
         The certificate under the current names of its keys, or None.
 
     Raises:
-        ValueError: for a damaged file, and for a file without arrays_hash, fails and rows.
+        ValueError: for a damaged file, and for a file without the keys `arrays_hash` (hash of the network), `fails`
+            (names of failed scenarios) and `rows` (metrics of each scenario).
     """
     path = folder / CERTIFICATE
     if not path.is_file():
@@ -191,7 +192,7 @@ def _parse_json(text: bytes) -> Any:
     """Return the data of a JSON text.
 
     Raises:
-        ValueError: for a syntax error, a repeated key, NaN and infinity; one line.
+        ValueError: for a syntax error, a repeated key, NaN and infinity, with a one-line message.
     """
     try:
         return json.loads(text.decode("utf-8"), object_pairs_hook=_unique_keys, parse_constant=_refuse_constant)
@@ -225,7 +226,8 @@ def _read_tensors(content: bytes) -> dict[str, NDArray[np.floating]]:
     """Return the arrays in the content of a file in the format of safetensors.
 
     Raises:
-        ValueError: for a damaged header, arrays of a type not in DTYPES, and bytes that belong to no array; one line.
+        ValueError: for a damaged header, arrays of a type not in DTYPES, and bytes that belong to no array, with a
+            one-line message.
     """
     if len(content) > MAX_BYTES:
         raise value_error("file", f"{len(content)} bytes", f"at most {MAX_BYTES}")

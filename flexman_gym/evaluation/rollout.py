@@ -160,15 +160,16 @@ def rollout(
 ) -> Rollout:
     """Simulate one episode for each seed, all episodes together, and record every control period.
 
-    Sensors, history, base controller, action mode and action repeat are those of the agent; arm, task, effects and
-    limits are those of the environment. A policy has the same observations as in its training.
+    Sensors, history, base controller, action mode and action repeat are settings of the agent; arm, task, effects and
+    limits are settings of the environment. A policy has the same observations as in its training.
 
     Args:
         agent: name of a baseline or a shipped policy, folder of a run, Controller, or another object of `find_agent`.
         environment: id, id and condition such as "FlexRRR-v0/delay", path of a file, or Configuration.
         seeds: seeds of the episodes; a number n <= 100 stands for the first n test seeds, 9000 to 9000 + n - 1.
         callback: function of the simulated `envs.episodes.Episodes`, called after the reset and every control period.
-        set_plant: function that replaces the integrator of the simulated `Batch`, see `league.scenarios.PLANTS`.
+        set_plant: function that makes the simulated `Batch` use another simulation of the arms, see
+            `league.scenarios.PLANTS`; None for the integrator of the environment.
 
     Returns:
         Records of b episodes of at most T control periods: tips (b, T + 1, 3) m, errors (b, T + 1) m, torques
@@ -207,9 +208,9 @@ def rollout(
 
 
 def _keywords(agent: AgentSpec, bare: Configuration, interface: dict[str, Any]) -> dict[str, Any]:
-    """Return the keyword arguments of `gym.make_vec` for an agent in a bare environment, with copies of its objects.
+    """Return the keyword arguments of `gym.make_vec` for an agent in an environment without settings in INTERFACE.
 
-    `interface` has the settings of the agent if its specification has none.
+    The objects of the agent are copied. `interface` has the settings of the agent if its specification has none.
     """
     keywords = bare.keywords() | deepcopy(interface if agent.interface is None else agent.interface)
     if agent.environment is not None:
@@ -238,7 +239,7 @@ def _check_joint_count(agent: AgentSpec, environment: Configuration) -> None:
 
 
 def _metadata(env: Any, agent: AgentSpec, environment: Configuration) -> dict[str, Any]:
-    """Return the metadata of all episodes of an agent in an environment, as plain data."""
+    """Return the metadata of all episodes of an agent in an environment, as JSON-compatible data."""
     sensors = env.episodes.sensors
     settings = {"environment": split_interface(environment)[0].to_plain(strict=False), "interface": agent.interface}
     return episode_metadata(

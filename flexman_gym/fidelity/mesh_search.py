@@ -41,7 +41,7 @@ class MeshSearch(ModelSearch):
 
     Attributes:
         mesh: (n,) selected number of elements of each link.
-        mesh_errors: mesh -> largest distance of its tip from that of the reference, m.
+        mesh_errors: mesh -> largest tip error of the model with this mesh, m.
     """
 
     max_runs, max_runs_reference, max_runs_single = MAX_RUNS_METHODS, MAX_RUNS - 6, MAX_RUNS_SINGLE
@@ -77,7 +77,7 @@ class MeshSearch(ModelSearch):
         return build_model(self.scene.arm, **(options | {"stiffening": plain.n_elastic > 0}))
 
     def _mesh_distance(self, mesh: tuple[int, ...]) -> float:
-        """Return the largest distance (m) of the tip with a mesh from that of the reference, simulated once."""
+        """Return the largest tip error (m) of the model with a mesh, relative to the reference; simulated once."""
         if mesh not in self.mesh_errors:
             if self.runs >= MAX_RUNS_MESH:
                 return np.inf
@@ -102,7 +102,7 @@ class MeshSearch(ModelSearch):
         return mesh
 
     def step_cost(self, trial: CandidateRun, estimate: float) -> float:
-        """Return the estimate, because most of the cost of a short run does not depend on the step."""
+        """Return the estimate (s^2) unchanged, because most of the cost of a short run does not depend on the step."""
         return estimate
 
     def first_index(self, method: Method, steps: list[float]) -> int:

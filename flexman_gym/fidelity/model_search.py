@@ -211,7 +211,7 @@ class ModelSearch:
         self._controlled = 0  # number of references with step-size control
 
     def _set_full(self) -> None:
-        """Set the full candidate, with all parts of the model of the scene."""
+        """Set the full candidate, the unreduced model: all modes, joint springs and foreshortening of the scene."""
         model = build_model(self.scene.arm, **(vars(self.scene.model) | {"modes": None}))
         modes = tuple(tuple(range(basis.shape[1])) for basis in model.bases)
         self.full = Candidate(modes, model.n_motors > 0, any(modes))
@@ -328,11 +328,11 @@ class ModelSearch:
         return self.screened[candidate].error
 
     def _screening_error(self, run: Trajectory) -> float:
-        """Return the largest tip distance (m) of a simulation from the screening reference; inf if it failed."""
+        """Return the largest tip distance (m) to the full candidate simulated at the screening step; inf if failed."""
         return _tip_distance(run.tip, self.screening_reference.tip) if run.status == "ok" else np.inf
 
     def estimate_step_cost(self, candidate: Candidate, method: Method) -> float:
-        """Return a low estimate (s^2) of the cost of the scene, times the step, with a method."""
+        """Return a low estimate, s^2, of processor time (s) to simulate the scene with a method, times the step (s)."""
         self.screen(candidate)
         screened = self.screened[candidate]
         cost = self.scene.duration * screened.cost / max(screened.evaluations, 1)  # s^2, for an evaluation per step
@@ -343,7 +343,7 @@ class ModelSearch:
         return 0.7 * cost * len(method.b) * max(method.sequence) if isinstance(method, LinearlyImplicit) else 0.0
 
     def step_cost(self, trial: CandidateRun, estimate: float) -> float:
-        """Return the cost of the scene times the step (s^2) after a simulation.
+        """Return the processor time (s) to simulate the scene times the step (s), s^2, from a simulation.
 
         Args:
             trial: the simulation.

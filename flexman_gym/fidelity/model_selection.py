@@ -77,10 +77,11 @@ class Choice:
 def choose_model(scene: Scene, tolerance: float, longest_step: float | None = None) -> Choice:
     """Select the model, method and step of lowest computing cost whose tip error in a scene is within a tolerance.
 
-    The error is the distance of the tip position from that of a reference: a converged simulation with the finite
-    elements of the scene, all elastic coordinates and foreshortening. It does not include the discretisation error of
-    these elements. For a scene with `elements=None` the number of elements is selected as well; the reference then has
-    five elements per link, and its discretisation error is estimated from a simulation with one element less per link.
+    The error is the distance of the tip position from the tip position of a reference: a converged simulation with the
+    finite elements of the scene, all elastic coordinates and foreshortening. It does not include the discretisation
+    error of these elements. For a scene with `elements=None` the number of elements is selected as well; the reference
+    then has five elements per link, and its discretisation error is estimated from a simulation with one element less
+    per link.
 
     Candidate models omit foreshortening, the springs of all joints, or the component modes with the smallest tip
     displacement in the motion of the reference. Their errors are measured in simulations of the scene. Costs up to
@@ -232,7 +233,7 @@ def _omit_singly(
 
 
 def _model_size(search: ModelSearch, trial: CandidateRun) -> tuple[int, bool]:
-    """Return the number of coordinates of the model of a trial, and whether it has foreshortening."""
+    """Return the number of coordinates of the model of a trial, and True if it has foreshortening."""
     return search.model(trial.candidate).n_dof, trial.candidate.stiffening
 
 

@@ -19,7 +19,7 @@ from flexman_gym.scene.serialization import to_plain
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters
 
 MAX_RELATIVE_DEVIATION = 0.5  # relative standard deviation above which a parameter is not practically identifiable
-MIN_COMPONENT = 0.3  # least component of a unit eigenvector of the covariance by which a parameter takes part in it
+MIN_COMPONENT = 0.3  # dimensionless; least entry of a unit eigenvector of the covariance that counts for a parameter
 SPIKE_FACTOR = 10.0  # dimensionless; size of a spike relative to the robust standard deviation of the residual
 MIN_CORRELATION = 0.7  # dimensionless; least correlation of measured and computed output for a check of unit and sign
 MAX_SCORE = 0.995  # dimensionless; R2 above which no missing filter is suspected
@@ -36,20 +36,20 @@ def _find_unidentifiable(free: FreeParameters, values: Array, covariance: Array)
 
     Args:
         free: the free parameters.
-        values: their values (p,).
-        covariance: covariance (p, p) of their logarithms.
+        values: (p,) values of these parameters.
+        covariance: (p, p) covariance of their logarithms.
 
     Returns:
         The names of these parameters, and a sentence about them and about parameters that are inseparable.
     """
     scale = values / np.maximum(values, free.start)
-    sizes, directions = np.linalg.eigh(covariance * np.outer(scale, scale))
+    variances, directions = np.linalg.eigh(covariance * np.outer(scale, scale))
     uncertain = np.sqrt(np.diag(covariance)) * scale > MAX_RELATIVE_DEVIATION
     names = tuple(str(number) for number, each in zip(free.numbers, uncertain, strict=True) if each)
     phrases, single = [], set(names)
-    for size, direction in sorted(zip(sizes, directions.T, strict=True), key=lambda pair: -pair[0]):
+    for variance, direction in sorted(zip(variances, directions.T, strict=True), key=lambda pair: -pair[0]):
         together = [str(free.numbers[i]) for i in np.flatnonzero(uncertain & (np.abs(direction) > MIN_COMPONENT))]
-        if np.sqrt(max(size, 0.0)) > MAX_RELATIVE_DEVIATION and len(together) > 1 and single & set(together):
+        if np.sqrt(max(variance, 0.0)) > MAX_RELATIVE_DEVIATION and len(together) > 1 and single & set(together):
             phrases.append(f"{' and '.join(together)} separately")
             single -= set(together)
     phrases = [*(name for name in names if name in single), *phrases]
@@ -84,7 +84,7 @@ def _data_warnings(problem: LeastSquaresProblem, x: Array) -> tuple[str, ...]:
 
 
 def _find_spikes(label: str, times: Array, measured: Array, residual: Array) -> list[str]:
-    """Return a line about samples (m,) whose residual is far from that of their neighbours, if there are any."""
+    """Return a line about samples (m,) whose residual is far from the residual of their neighbours, if any."""
     jumps = np.abs(residual[1:-1] - 0.5 * (residual[2:] + residual[:-2]))
     limit = SPIKE_FACTOR * max(1.4826 * float(np.median(jumps)), 1e-9 * np.ptp(measured))
     padded = np.pad(jumps, 1)
@@ -198,7 +198,7 @@ def _draw(found: "Fit", file: Path) -> None:
 MIN_SCORE = 0.9  # dimensionless; R2 below which a fit is poor and repeated from random initial values
 MAX_DEVIATIONS = 3.0  # standard deviations of a frequency residual beyond which a fit is poor
 SPREAD = 1.0  # dimensionless; largest change of the logarithm of a parameter in random initial values
-MAX_STARTS = 3  # number of random initial values, those with the smallest misfit, from which the problem is solved
+SOLVED_STARTS = 3  # number of random initial values from which the problem is solved: those with the smallest misfit
 WEAK_PRIOR = 1e-8  # dimensionless; relative weight of a prior that keeps the covariance finite
 
 
@@ -211,15 +211,15 @@ class Fit:
         values: fitted values by the names passed to `fit`; a number, or (n,) with one value per joint or link. Units
             are those of `simulation.parameters.PARAMETERS`; link_stiffness_factor is a factor on the moduli of the
             initial arm.
-        deviations: standard deviations of the values by the names passed to `fit`; 0 for fixed values. They take the
-            autocorrelation of the residuals into account.
+        deviations: standard deviations of the values by the names passed to `fit`; 0 for fixed values. The standard
+            deviations take the autocorrelation of the residuals into account.
         undetermined: parameters that are not practically identifiable from the data, such as "joint_stiffness[1]".
         explanation: sentence about these parameters and about parameters that the data cannot separate.
         warnings: likely errors in the data: wrong units or signs, missing filters, damaged samples.
         gains: name of each output with an unknown gain -> estimated gain and its standard deviation.
         scores: coefficient of determination R2 of each output, by a name such as "record 0, motor_angle_1".
-        frequencies: rows (k, 3) of measured value, computed value and standard deviation of the frequencies and damping
-            ratios.
+        frequencies: rows (k, 3) of measured value, computed value and standard deviation of the frequencies (Hz) and
+            damping ratios (1).
         correlation: correlation matrix (p, p) of the free parameters, in their order.
         choice: arguments `elements` and `modes` of `build_model`.
         records: the fitted records.
@@ -302,7 +302,7 @@ def fit(
     """Estimate physical parameters of an arm from measured frequencies, damping ratios and time records.
 
     The sum of squared residuals, each relative to its standard deviation, is minimised by Gauss-Newton steps in a trust
-    region. The Jacobian of frequencies and damping ratios is exact; that of time records is computed by central
+    region. The Jacobian of frequencies and damping ratios is exact; the Jacobian of time records is computed by central
     differences. A poor fit is repeated from random initial values. The time step of the simulation is halved until the
     estimates no longer change.
 
@@ -311,14 +311,15 @@ def fit(
         free: names of free parameters from `simulation.parameters.PARAMETERS`; "joint_stiffness[1]" is the stiffness of
             the joint with index 1, counted from 0.
         frequencies: the k lowest frequencies (k,) at zero joint angles with locked motors, Hz, with a relative standard
-            deviation of 0.5 %. For other postures, free motors or other deviations: a `Ringing`, a mapping of its
-            arguments, or a list of these.
+            deviation of 0.5 %. For other postures, free motors or given standard deviations: a `Ringing` (natural
+            frequencies and damping ratios with given deviations), a mapping of its arguments, or a list of these.
         damping: damping ratios (k,) of the modes with these frequencies, with a relative standard deviation of 10 %.
         records: time records.
         elements: numbers of finite elements, see `build_model`.
         modes: numbers of component modes, see `build_model`.
         step: initial time step of the simulation, s; None for the sampling interval.
-        starts: number of random initial values for a poor fit, drawn within a factor e of those of the arm.
+        starts: number of random initial values for a poor fit, drawn within a factor e of the values of the arm; the
+            problem is solved from the best three only.
         check: True checks the records for wrong units or signs, missing filters and damaged samples. This takes a
             further fit for each poorly explained output without a filter.
 
@@ -352,7 +353,10 @@ def fit(
 
 
 def _solve_from_starts(problem: LeastSquaresProblem, starts: int, rng: np.random.Generator) -> Array:
-    """Return the parameter vector of the best fit; after a poor fit, `starts` random initial values are drawn."""
+    """Return the parameter vector of the best fit; a poor fit is repeated from random initial values.
+
+    `starts` values are drawn; the problem is solved from the SOLVED_STARTS best of them only.
+    """
     x = problem.solve(problem.start)
     if not _is_poor(problem, x) or not starts:
         return x
@@ -360,12 +364,15 @@ def _solve_from_starts(problem: LeastSquaresProblem, starts: int, rng: np.random
     for vector in vectors:
         vector[: len(problem.free.numbers)] += rng.uniform(-SPREAD, SPREAD, len(problem.free.numbers))
     vectors.sort(key=lambda vector: _misfit(problem, vector))
-    found = [x, *(problem.solve(vector) for vector in vectors[:MAX_STARTS])]
+    found = [x, *(problem.solve(vector) for vector in vectors[:SOLVED_STARTS])]
     return min(found, key=lambda vector: _misfit(problem, vector))
 
 
 def _misfit(problem: LeastSquaresProblem, x: Array) -> float:
-    """Return the sum of mean squared residuals relative to the variance of the measured (ringing: given) values."""
+    """Return the sum over all outputs of the mean squared residual relative to the variance of the measured values.
+
+    For frequencies and damping ratios the residuals are relative to their given standard deviations.
+    """
     total = 0.0
     for block, rows in zip(problem.blocks, problem.split(problem.evaluate(x)[0]), strict=True):
         residual = rows if block.record < 0 else rows * block.sigma / max(float(np.std(block.measured)), 1e-300)
@@ -389,7 +396,7 @@ def _make_fit(problem: LeastSquaresProblem, x: Array, warnings: tuple[str, ...],
     residuals, free = problem.evaluate(x)[0], problem.free
     covariance, p = parameter_covariance(problem, x), len(free.numbers)
     values, deviations = problem.values(x), np.sqrt(np.diag(covariance))
-    own, spread = free.parameters(values), free.parameters(values * deviations[:p], rest=0.0)
+    estimates, standard_deviations = free.parameters(values), free.parameters(values * deviations[:p], rest=0.0)
     names, sentence = _find_unidentifiable(free, values, covariance[:p, :p])
     gains = {
         name.removeprefix("gain of "): (float(x[p + i]), float(deviations[p + i]))
@@ -402,11 +409,11 @@ def _make_fit(problem: LeastSquaresProblem, x: Array, warnings: tuple[str, ...],
             rows.append(np.column_stack([block.measured, computed, block.sigma]))
         else:
             scores[f"record {block.record}, {block.name}"] = _r_squared(block.measured, computed)
-    size = np.sqrt(np.diag(covariance[:p, :p]))
+    deviation = np.sqrt(np.diag(covariance[:p, :p]))
     return Fit(
-        free.build_arm(values), _by_name(free, own), _by_name(free, spread), names, sentence, warnings, gains,
-        scores,
-        np.vstack(rows), covariance[:p, :p] / np.outer(size, size), arguments[1], arguments[0], arguments[2],
+        free.build_arm(values), _by_name(free, estimates), _by_name(free, standard_deviations), names, sentence,
+        warnings, gains, scores,
+        np.vstack(rows), covariance[:p, :p] / np.outer(deviation, deviation), arguments[1], arguments[0], arguments[2],
     )  # fmt: skip
 
 
@@ -427,16 +434,17 @@ def parameter_covariance(problem: LeastSquaresProblem, x: Array) -> Array:
     inverse = np.linalg.inv(jacobian.T @ jacobian + prior)
     used = len(x) / len(residuals)  # fraction of the degrees of freedom used by the fit
     middle = np.zeros_like(inverse)
-    for block, rows, own in zip(problem.blocks, problem.split(residuals), problem.split(jacobian), strict=True):
-        noise = 1.0 if block.record < 0 else float(np.mean(rows**2)) / max(1.0 - used, 0.1) * _correlation_length(rows)
-        middle += noise * own.T @ own
+    for block, rows, slopes in zip(problem.blocks, problem.split(residuals), problem.split(jacobian), strict=True):
+        variance = float(np.mean(rows**2)) / max(1.0 - used, 0.1)
+        noise = 1.0 if block.record < 0 else variance * _autocorrelation_time(rows)
+        middle += noise * slopes.T @ slopes
     return np.asarray(inverse @ (middle + prior) @ inverse)
 
 
-def _correlation_length(rows: Array) -> float:
-    """Return the correlation length of residuals, in samples: 1 for white noise, more for coloured noise.
+def _autocorrelation_time(rows: Array) -> float:
+    """Return the integrated autocorrelation time of residuals, in samples: 1 for white noise, more for coloured noise.
 
-    It is the sum of the autocorrelation over positive and negative lags, up to the first insignificant one.
+    It is the sum of the autocorrelation over positive and negative lags, up to the first insignificant lag.
     """
     centred = rows - rows.mean()
     size, power = len(centred), float(centred @ centred)

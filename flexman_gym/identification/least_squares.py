@@ -56,7 +56,7 @@ class FreeParameters:
         numbers: all p free scalars.
         arm: initial arm, with a typical value wherever a free parameter was 0.
         start: initial values (p,).
-        highest: largest increase (p,) of their logarithms.
+        highest: largest increase (p,) of the logarithms of the free values.
     """
 
     def __init__(self, arm: Arm, free: str | Sequence[str]) -> None:
@@ -97,12 +97,12 @@ class FreeParameters:
 
         Args:
             model: model of an arm.
-            departures: logarithms (p,) of the ratios of free values to those of the model, for all arms; in the
+            departures: logarithms (p,) of the ratios of free values to values of the model, for all arms; in the
                 perturbed arms one of them is increased or decreased by LOG_STEP.
 
         Returns:
-            Parameters (1 + 2 p, ...) by name: those of the unperturbed arm, then for each free scalar those of the arms
-            with its increased and its decreased value.
+            Parameters (1 + 2 p, ...) by name: values of the unperturbed arm, then for each free scalar the values of
+            the arms with its increased and its decreased value.
         """
         count, nominal = 1 + 2 * len(self.numbers), nominal_parameters(model)
         result = {each.parameter: np.array([nominal[each.parameter]] * count) for each in self.numbers}
@@ -133,7 +133,7 @@ def _numbers(name: str, model: Model) -> list[_FreeNumber]:
     return [_FreeNumber(kind, each) for each in indices]
 
 
-INITIAL_NOISE = 0.1  # dimensionless; standard deviation of noise before the first fit, relative to that of the signal
+INITIAL_NOISE = 0.1  # dimensionless; standard deviation of noise before the first fit, relative to the signal's
 MIN_NOISE = 1e-12  # in the unit of the signal; least standard deviation of noise, the size of rounding errors
 FAILED_RESIDUAL = 1e3  # standard deviations; residual of an arm whose simulation fails
 MAX_ROUNDS = 4  # largest number of alternations of solving for the parameters and updating noise and model
@@ -321,7 +321,7 @@ class LeastSquaresProblem:
         """Halve time steps until halving changes no parameter by half a standard deviation; return the solution.
 
         The change of a parameter, in its standard deviations, is at most the norm of the change of the signals in
-        theirs.
+        standard deviations of the signals.
         """
         nominal = nominal_parameters(self.model(x))
         nominal_only = {"payload_mass": np.array([nominal["payload_mass"]])}

@@ -47,7 +47,7 @@ class Filter:
     """Linear filter of a measured signal, as a transfer function of the Laplace variable s, in rad/s.
 
     Attributes:
-        numerator: coefficients, highest power of s first, such as (1.0,). Its degree does not exceed that of the
+        numerator: coefficients, highest power of s first, such as (1.0,). Its degree does not exceed the degree of the
             denominator, so that the gain at high frequencies is finite.
         denominator: coefficients, highest power of s first, such as (0.1, 1.0) for 1 / (0.1 s + 1). All poles must have
             a negative real part.
@@ -125,8 +125,8 @@ class Measurement:
         hold: interpolation of torques and currents between samples, "zero" (constant) or "linear".
 
     Raises:
-        ValueError: one line with field, value and allowed values, for example for NaN in a damaged record and for a gap
-            in its times.
+        ValueError: for example for NaN in a damaged record and for a gap in its times, with a one-line message: field,
+            value and allowed values.
 
     Examples:
         >>> times = [0.01 * i for i in range(100)]

@@ -19,7 +19,7 @@ KEYS = ("frequencies", "damping", "joint_angles", "lock_joints", "numbers", "dev
 
 @dataclass(frozen=True)
 class Ringing:
-    """Frequencies and damping ratios measured at one posture.
+    """Natural frequencies and damping ratios with given deviations, measured at one posture.
 
     Attributes:
         frequencies: damped natural frequencies (k,) from a ring-down or a spectrum, Hz.
@@ -27,8 +27,8 @@ class Ringing:
             to a damping ratio D / sqrt(4 pi^2 + D^2).
         joint_angles: joint angles (n,) of the measurement, rad; None for zeros.
         lock_joints: True if the motors, not the links, were locked in the measurement; False if they were free.
-        numbers: indices (k,) of these modes among those of the model, from 0 for the lowest frequency; None for the k
-            lowest frequencies.
+        numbers: indices (k,) of these modes among the modes of the model, from 0 for the lowest frequency; None for the
+            k lowest frequencies.
         deviation: relative standard deviation of the frequencies, 1.
         damping_deviation: relative standard deviation of the damping ratios, 1.
 
@@ -84,8 +84,8 @@ class Ringing:
 
         Args:
             model: the model.
-            parameters: values (1 + 2 p, ...) by name: unperturbed values, then for each of p free scalars those with
-                its increased and its decreased value.
+            parameters: values (1 + 2 p, ...) by name: unperturbed values, then for each of p free scalars the values
+                with this scalar increased and decreased.
             h: half the difference between increased and decreased value, or its logarithm, for the Jacobian.
 
         Returns:

@@ -55,7 +55,7 @@ unbox(_ArrayField)(unbox_array)
 
 
 def _unsigned(kinds: Any) -> Any:
-    """Return the signature of an access with unsigned indices, from which Numba omits the comparison with zero."""
+    """Return the signature of an array element access with unsigned indices, without the check for negative indices."""
     field, index, *value = kinds.args
     several = isinstance(index, containers.BaseTuple)
     indices = [types.uintp if isinstance(each, types.Integer) else each for each in (index if several else (index,))]

@@ -1,6 +1,6 @@
 """Batch kernels: b arms of one model, each in a lane of the SIMD registers of the processor.
 
-The kernels of an integration step are compiled for a work space whose elements are groups of ARMS_PER_GROUP numbers,
+The kernels of an integration step are compiled for scratch arrays whose elements are groups of ARMS_PER_GROUP numbers,
 one for each arm. No operation combines lanes, so the motion of an arm does not depend on the other arms, bit for bit.
 Constants that may differ between arms (`arguments.PER_ARM`) are groups as well; all arms share the other constants. A
 call passes tables of addresses instead of arrays, which saves microseconds.
@@ -22,7 +22,8 @@ def _fixed_step(constants, work, tableau, counts, table, span, state):
     """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
 
     The method is the linearly implicit method of the tableau, or if this is None the method with `counts`, the number
-    of Newton iterations and the correction of `implicit.fixed_newton_step`. The ledger is work and dissipation, J.
+    of Newton iterations and the correction of `implicit.fixed_newton_step`. The ledger is work and dissipation since
+    the start, J.
     """
     if tableau is None:
         fixed_newton_step(constants, work, counts, table, span, state)
@@ -50,9 +51,10 @@ def advance_batch(tables, work_table, method, drives, steps, rows, out, status, 
 
     Args:
         tables: (groups, fields, 3) address table of the constants of each group of ARMS_PER_GROUP arms.
-        work_table: (fields, 3) address table of the work space.
+        work_table: (fields, 3) address table of the scratch arrays.
         method: tableau (or None) and counts, as in `_fixed_step`.
-        drives: (b, T, n + 6) inputs of `layout` in each period.
+        drives: (b, T, n + 6) inputs in each period: n motor torques (N m), or accelerations (rad/s^2) of motors with
+            prescribed motion, tip force (3, N) and base acceleration (3, m/s^2).
         steps: length (s) and number of the steps in a period.
         rows: (b, 2 d + 2) states, each followed by work and dissipation, J (the energy ledger), at the end of the last
             successful period, overwritten.
@@ -84,18 +86,18 @@ def advance_single(tables, method, drives, steps, rows, out, status, trail):
     """Advance a single arm, alone or as a control period of an environment.
 
     Args:
-        tables: (fields, 3) addresses of its constants, of the work space, and of the `Period` of an environment; the
-            last is empty without an environment.
-        method: as in `advance_batch`, like the other arguments.
-        drives: (1, T, n + 6); one period in an environment, whose action sets it.
+        tables: (fields, 3) address tables of the constants of the arm, of the scratch arrays, and of the `Period` of an
+            environment; the last table is empty without an environment.
+        method: as in `advance_batch`.
+        drives: (1, T, n + 6) inputs as in `advance_batch`; in an environment T = 1, and the action sets the torques.
         steps: length (s) and number of the steps in a period.
-        rows: (1, 2 d + 2), overwritten.
-        out: (1, OUTPUTS), overwritten.
-        status: (1,).
+        rows: (1, 2 d + 2) state and ledger, overwritten.
+        out: (1, OUTPUTS) output row, overwritten.
+        status: (1,) as in `advance_batch`.
         trail: record of the rows and outputs after each valid period.
 
     Returns:
-        NOT_DONE for an action that is not allowed, without an effect; otherwise that of
+        NOT_DONE for an action that is not allowed, without an effect; otherwise the result of
         `control_period.finish_period`, or 0 without an environment.
     """
     table, work_table, period = tables
@@ -131,15 +133,17 @@ def run_batch(tables, work_table, tableau, newton, drives, grid, rows, out, coun
 
     Args:
         tables: (groups, fields, 3) address table of the constants of each group of ARMS_PER_GROUP arms.
-        work_table: (fields, 3) address table of the work space.
+        work_table: (fields, 3) address table of the scratch arrays.
         tableau: tableau of a linearly implicit method, or None, see `_fixed_step`.
         newton: numbers of a method without a tableau, see `counts` of `_fixed_step`.
         drives: (b, 7, n + 6) drive tables: rows as in `layout`, columns for n torques or accelerations of the motors, 3
             components of the tip force and 3 of the base acceleration.
         grid: time grid of the rows.
-        rows: (b, r + 1, 2 d + 2) states and ledgers; the first row is the start, all other rows are overwritten.
+        rows: (b, r + 1, 2 d + 2) states and ledgers, as in `advance_batch`; the first row is the start, all other rows
+            are overwritten.
         out: (b, r + 1, OUTPUTS) output rows, overwritten.
-        counts: (b, 2) number of valid rows after the first, and number of steps, overwritten; not those of the method.
+        counts: (b, 2) number of valid rows after the first, and number of steps, overwritten; different from `counts`
+            of the method.
     """
     work = work_of_arms(work_table)
     for group in range(len(tables)):
@@ -183,7 +187,7 @@ def _load_arms(work, drives, rows, first):
 
 @inner
 def _set_lanes(values, first, flat):
-    """Set the lanes of the groups flat (j,) to the rows of values (b, j), lane k to that of the arm `first` + k."""
+    """Set the lanes of the groups flat (j,) to the rows of values (b, j), lane k to the row of the arm `first` + k."""
     for k in range(ARMS_PER_GROUP):
         arm = min(first + k, len(values) - 1)  # lanes without an arm repeat the last arm
         for j in range(len(flat)):
@@ -203,9 +207,9 @@ def tip_accelerations_batch(tables, work_table, drives, rows, out):
 
     Args:
         tables: (groups, fields, 3) address table of the constants of each group of ARMS_PER_GROUP arms.
-        work_table: (fields, 3) address table of the work space.
-        drives: (b, n + 6) inputs of `layout`.
-        rows: (b, 2 d + 2) states and ledgers.
+        work_table: (fields, 3) address table of the scratch arrays.
+        drives: (b, n + 6) inputs: n motor torques (N m), tip force (3, N) and base acceleration (3, m/s^2).
+        rows: (b, 2 d + 2) states and ledgers, as in `advance_batch`.
         out: (b, TIP_ACCELERATIONS) m/s^2, overwritten.
     """
     work = work_of_arms(work_table)

@@ -1,7 +1,8 @@
 """Operations of an environment in a control period, for b arms: readings, observations, limits, actions, truncation.
 
 A kernel replaces several NumPy calls of about a microsecond each, which for one arm took as long as the simulation. d
-is the number of coordinates, n that of joints; rows, outputs and drives are those of `layout`.
+is the number of coordinates and n of joints; rows, outputs and drives as in `layout`. The energy turnover (J) is the
+largest of kinetic + elastic energy, |work| and |dissipation| since the reset: the scale of the energy residual.
 """
 
 import math
@@ -48,7 +49,8 @@ def fill_views(rows, outputs, energies, turnover, targets, readings, motion, vec
         readings: arguments start, source and value of `sparse_product`, which computes sensor readings from rows.
         motion: (b, m) set to the readings, followed by the tip velocity (m/s).
         vectors: (b, 6) set to target - tip (m) and the deflection rate (m/s).
-        scalars: (5, b) set to the lengths of these two vectors, elastic energy, energy residual and turnover (J).
+        scalars: (5, b) set to the lengths of these two vectors (m, m/s), elastic energy, energy residual and energy
+            turnover (J).
     """
     sparse_product(rows, readings[0], readings[1], readings[2], motion)
     last = motion.shape[1] - 3
@@ -93,11 +95,11 @@ def full_observation(motion, angles, velocity, goal_angles, vectors, lengths, of
 
 @kernel
 def flag_violations(motion, limits, observations, bound, status, flags):
-    """Set the flags of arms whose simulation has failed or that exceed a limit; NaN exceeds every limit.
+    """Set the flags of arms whose simulation has failed, or whose motion or observation exceeds a limit or is NaN.
 
     Args:
         motion: (b, m) readings and tip velocity of `fill_views`.
-        limits: (m,) largest allowed magnitudes of the motion.
+        limits: (m,) largest allowed magnitudes of the entries of `motion`, in their units.
         observations: (b, s) observations.
         bound: (s,) largest allowed magnitudes of the observations.
         status: (b,) status of the simulations.
@@ -134,10 +136,12 @@ def apply_actions(actions, arriving, limits, active, drive, requested, efforts):
 
     Args:
         actions: (b, n) actions of the agent, as fractions of the torque limits.
-        arriving: (b, n) actions that take effect in this period, after delays and other effects.
+        arriving: (b, n) actions that take effect in this period, after delays and other effects, as fractions of the
+            torque limits.
         limits: (b, n) torque limits, N m.
         active: (b,) flags of the arms whose episode continues.
-        drive: (b, n + 6) inputs, whose torques are set to arriving * limits.
+        drive: (b, n + 6) inputs: n motor torques (N m), set to arriving * limits; tip force (3, N) and base
+            acceleration (3, m/s^2), unchanged.
         requested: (b, n) set to the actions of active arms.
         efforts: (b,) set to the mean square of the actions of active arms.
     """
@@ -158,10 +162,10 @@ def close_period(rows, outputs, status, drive, periods, last_drive, turnover):
     """Increase the period count and store the drive of arms with status OK; update the energy turnover of all arms.
 
     Args:
-        rows: (b, 2 d + 2) states and energy ledgers at the end of the period.
+        rows: (b, 2 d + 2) states, each followed by work and dissipation (J), at the end of the period.
         outputs: (b, OUTPUTS) output rows at the end of the period.
         status: (b,) status of the arms in this period.
-        drive: (b, n + 6) inputs in this period.
+        drive: (b, n + 6) inputs in this period: n motor torques (N m), tip force (3, N), base acceleration (3, m/s^2).
         periods: (b,) numbers of periods since the reset, increased by one.
         last_drive: (b, n + 6) inputs in the last successful period, overwritten.
         turnover: (b,) energy turnover, J, see `update_energy_turnover`.
@@ -208,9 +212,9 @@ def reward_terms(kind, parameters, errors, vibrations, efforts, velocities, out)
             squared distance of a reward near 1, m^2, the logarithm of the range, and the look-ahead time, s.
             EXPONENTIAL: three weights and three lengths, m.
         errors: (b,) tip errors, m.
-        vibrations: (b,) m/s; used by BELLS.
+        vibrations: (b,) magnitudes of the deflection rate, m/s; used by BELLS.
         efforts: (b,) mean squares of the actions; used by BELLS.
-        velocities: (b, 3) of the tip, m/s; used by DISTANCE.
+        velocities: (b, 3) tip velocities, m/s; used by DISTANCE.
         out: overwritten.
     """
     p = parameters
@@ -281,7 +285,8 @@ def finish_period(table, rows, outputs, status):
 def fourier_series(series, phases, out):
     """Set out (r, p, s) to Fourier series at phases (r, p), rad.
 
-    The coefficients `series` (r, s, 2 h + 1) are the mean, then those of cosine and sine of each of h harmonics.
+    The coefficients `series` (r, s, 2 h + 1) are the mean, then the coefficients of cosine and sine of each of h
+    harmonics.
     """
     for r in range(phases.shape[0]):
         for p in range(phases.shape[1]):

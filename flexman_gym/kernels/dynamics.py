@@ -89,7 +89,8 @@ def _eliminate_joint(constants, work, i, shift, inertia):
 def _joint_force(constants, work, i, total, bias):
     """Return force and moment transmitted by the free joint i if its inboard side has the acceleration `bias`.
 
-    `total` is force and moment on the outboard link for the locked joint and no acceleration; sets work.joint_force[i].
+    `total` is force (N) and moment (N m) on the outboard link for the locked joint and no acceleration. Sets
+    work.joint_force[i].
     """
     axis, angular_bias = load(constants.axis, i), load(work.joint_bias, i)
     torque, acceleration, rotor_torque = work.force[i] - dot(axis, total[1]), work.drive[i], 0.0
@@ -116,7 +117,7 @@ def _joint_force(constants, work, i, total, bias):
 
 @inner
 def _joint_acceleration(constants, work, i, frame, out):
-    """Return the acceleration of joint i for that of its frame; store the accelerations of joint and motor in out.
+    """Return the acceleration of joint i for an acceleration of its frame; store joint and motor accelerations in out.
 
     Sets work.motor_torque[i] to the torque (N m) that produces a prescribed motion, exact for the shift (0, 0).
     """
@@ -258,7 +259,7 @@ def _tip_coupling(constants, work, i, tip):
 
 @kernel
 def accelerations(constants, work, x, v, drive, out):
-    """Set out (d,) to the accelerations at coordinates x and speeds v (d,) for inputs drive (n + 6,) of `layout`."""
+    """Set out (d,) to the accelerations at coordinates x and speeds v (d,) for inputs `drive` (n + 6,) of `layout`."""
     copy(drive, work.drive)
     compute_kinematics(constants, work, x, v)
     factorise(constants, work, (0.0, 0.0))
@@ -270,7 +271,7 @@ def accelerations(constants, work, x, v, drive, out):
 def factorise(constants, work, shift):
     """Eliminate elastic coordinates and joints from tip to base with a shift (g, h), after `compute_kinematics`.
 
-    Overwrites the group `factorisation` of the work space.
+    Overwrites the scratch arrays of the group `factorisation`.
     """
     tip = _payload_inertia(constants, work)
     for i in range(len(constants.mass) - 1, -1, -1):
@@ -326,7 +327,7 @@ def _link_inertia(constants, work, i, tip):
 
 @inner
 def _rotate_inertia(inertia, c):
-    """Return an inertia in the inboard frame, given that in the frame rotated by c."""
+    """Return an inertia in the inboard frame, given in the frame rotated by c."""
     back = transposed(c)
     force, mixed, moment = inertia
     return product(product(c, force), back), product(product(c, mixed), back), product(product(c, moment), back)
@@ -336,7 +337,7 @@ def _rotate_inertia(inertia, c):
 def solve(constants, work, out):
     """Set out (d,) to the accelerations under work.force and the quadratic velocity forces, after `factorise`.
 
-    Overwrites the group `accelerations` of the work space.
+    Overwrites the scratch arrays of the group `accelerations`.
 
     Returns:
         Linear acceleration minus gravity (m/s^2) and angular acceleration of the tip, in the frame of the last link.
@@ -407,7 +408,10 @@ def _link_bias_force(constants, work, i, elastic, tip):
 
 @inner
 def _elastic_accelerations(constants, work, i, frame, out):
-    """Set out to the accelerations of the elastic coordinates of link i for that of its frame, by back substitution."""
+    """Set out to the accelerations of the elastic coordinates of link i, by back substitution.
+
+    `frame` is the acceleration of the frame of the link.
+    """
     start, factor = constants.elastic_start[i], work.factor
     k = constants.elastic_start[i + 1] - start
     first = len(out) - len(constants.first_moment_shape) + start
@@ -424,7 +428,10 @@ def _elastic_accelerations(constants, work, i, frame, out):
 
 @inner
 def link_tip_acceleration(constants, work, i, frame, rates):
-    """Return the acceleration of the tip of link i for that of its frame and generalised accelerations `rates` (d,)."""
+    """Return the acceleration of the tip of link i.
+
+    `frame` is the acceleration of the frame of the link; `rates` (d,) are generalised accelerations.
+    """
     elastic = len(rates) - len(constants.first_moment_shape)
     linear, angular = load_pair(work.tip_bias, i)
     linear = add(add(linear, frame[0]), cross(frame[1], load(work.tip, i)))

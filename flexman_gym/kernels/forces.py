@@ -21,7 +21,7 @@ from flexman_gym.kernels.linalg import (
 
 @inner
 def evaluate_drive(table, time, out):
-    """Set out (n + 6,) to the inputs given by a drive table (7, n + 6) of `layout` at a time (s); None keeps out."""
+    """Set out (n + 6,) to the inputs of a drive table (7, n + 6) of `layout` at a time (s); `table` None keeps out."""
     if table is not None:
         for i in range(len(out)):
             value = table[OFFSET, i]
@@ -41,7 +41,7 @@ def applied_forces(constants, work, x, v):
     `compute_kinematics` before.
 
     Returns:
-        Power (W) supplied, without that of motors with prescribed motion, and power dissipated.
+        Power (W) supplied, without the power of motors with prescribed motion, and power dissipated.
     """
     supplied, dissipated = _motor_forces(constants, work, x, v)
     dissipated += _structural_forces(constants, work, x, v, True)

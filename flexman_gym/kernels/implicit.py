@@ -32,14 +32,14 @@ from flexman_gym.kernels.runge_kutta import out_of_bounds, pause, resume, step_s
 
 @inner
 def _midpoint_step(constants, work, iterations, correction, table, span, state):
-    """Set work.new_state to state (2 d,), work and dissipation (the ledger) after a step; span = (start time, step), s.
+    """Set work.new_state to state (2 d,) and ledger (work, dissipation, J) after a step; span = (start time, step), s.
 
     With g = step / 2 the accelerations w at the midpoint solve M w = F(x, v) at v = v0 + g w and x = x0 + g v. A Newton
     iteration evaluates M and F at the latest x and v, but springs and dampers at the unknown w, like a linearly
     implicit step. The first iteration starts from w = 0, so that a step depends on no earlier one, and a jump of the
     drive or a new start needs no special case. Accelerations of the previous step would reduce the error of the tip
-    after a release by a third at most: they are a good guess for slow modes, but not for modes that turn by more than a
-    radian per step.
+    after a release by a third at most: they are a good guess for slow modes, but not for modes with omega h > 1 rad per
+    step h.
 
     With a `correction` > 0, iterations after the first one add the force of `_corrected_springs`, scaled by it.
     """
@@ -70,7 +70,7 @@ def _midpoint_step(constants, work, iterations, correction, table, span, state):
 
 @inner
 def _corrected_springs(constants, work, g, correction, v):
-    """Set the coordinates (d,) at which springs act, work.stages[0], to those of the corrected midpoint rule.
+    """Set the coordinates (d,) at which springs act in the corrected midpoint rule, work.stages[0].
 
     The midpoint rule turns the phase of a vibration by 2 atan(omega h / 2) a step. It has order 4 in a linear system
     M w + C v + K x = 0 with the force (h^2 / 6) K w + (h^2 / 12) C j added, j the jerk: Numerov's rule, in the form of
@@ -137,7 +137,7 @@ def _newton_iteration(constants, work, g, x, v, springs):
 def _solve_stage(constants, work, v, springs):
     """Set work.rates to the accelerations at the speeds v (d,), springs at `springs` (d,), dampers at work.stage_state.
 
-    Friction is that of the speeds v + work.shift[:d], to first order.
+    Friction is evaluated at the speeds v + work.shift[:d], to first order.
     """
     d = len(v)
     stage_forces(constants, work, work.new_state[:d], v, springs, work.stage_state[d : 2 * d], work.shift[:d])
@@ -208,7 +208,7 @@ def _predict_stages(constants, work, step, state):
 
 @inner
 def _solve_frozen(constants, work, v):
-    """Set work.rates to the accelerations at the x and v (d,) of the work space, with springs at work.stage_state."""
+    """Set work.rates to the accelerations at x, v of the last kinematics and springs at work.stage_state."""
     d = len(v)
     for k in range(d):
         work.shift[k] = work.stage_state[d + k] - v[k]
@@ -238,7 +238,7 @@ def _explicit_part(work, i, step, state):
 
 @inner
 def _relax_stage(work, i, g, factor):
-    """Change the rates of stage i by a factor times their difference to the rates of the latest solution."""
+    """Set the rates of stage i to rates + factor (new - rates), with the rates `new` of the latest solution."""
     stage, d = work.stages[i], len(work.rates)
     for k in range(d):
         stage[k] = fma(factor, fma(g, work.rates[k], work.stage_state[d + k]) - stage[k], stage[k])
@@ -279,7 +279,10 @@ def fixed_newton_step(constants, work, counts, table, span, state):
 
 @inner
 def _dispatch_step(constants, work, iterations, correction, table, span, state):
-    """Call the step of the method; a function of its own because Numba prunes branches on None arguments only."""
+    """Call the step of the method.
+
+    It is a separate function because Numba removes branches at compile time only if they test an argument for None.
+    """
     if correction is None:
         _gauss_step(constants, work, iterations, table, span, state)
         evaluations = 2 * iterations + 1
@@ -297,7 +300,7 @@ STAGNATION = 1e-7  # a smaller change that has stopped decreasing is rounding, e
 def run_implicit(constants, work, method, table, grid, state, rows, outputs):
     """Integrate by fixed steps of the generalised-alpha method or the implicit midpoint rule, by Newton's method.
 
-    The Jacobian is that of a linearly implicit step: mass matrix, damping and stiffness at the latest iterate.
+    The Jacobian has the form of a linearly implicit step: mass matrix, damping and stiffness at the latest iterate.
     work.stages[0] and [1] hold the algorithmic and the true accelerations, followed by the two powers, initially zero.
     They are kept between calls, so that the next call only adds the effect of a new drive.
     """

@@ -1,4 +1,4 @@
-"""Inverse dynamics M v' + h, with quadratic velocity and gravitational forces h, and static equilibrium."""
+"""Inverse dynamics M v' + h, with quadratic velocity and gravitational forces h(q, v), and static equilibrium."""
 
 import math
 
@@ -61,7 +61,7 @@ def inertial_forces(constants, work, x, v, acceleration, out):
 
 @inner
 def _rotor_torque(constants, i, angular, acceleration):
-    """Return the torque (N m) on carried rotor i for the angular acceleration of link i and those of x (d,)."""
+    """Return the torque (N m) on carried rotor i for the angular acceleration of link i and accelerations (d,) of x."""
     m = constants.motor[i]
     rate = acceleration[m] if m >= 0 else acceleration[i]
     return constants.carried_inertia[i] * (rate + dot(load(constants.axis, i), angular) - acceleration[i])
@@ -69,7 +69,7 @@ def _rotor_torque(constants, i, angular, acceleration):
 
 @inner
 def _link_force(constants, work, i, frame, tip, acceleration):
-    """Return force and moment at the origin of link i for accelerations of its frame and `tip`, those at its tip."""
+    """Return force (N) and moment (N m) at the origin of link i for accelerations of its frame and tip loads `tip`."""
     elastic = len(acceleration) - len(constants.first_moment_shape)
     linear, angular = frame
     c = load(work.moment, i)
@@ -104,7 +104,7 @@ def _elastic_forces(constants, work, i, frame, tip, acceleration, out):
 
 @inner
 def _add_axial_forces(constants, work, i, rates, elastic, out):
-    """Add to out (d,) the inertial forces of axial station motion of link i for accelerations `rates` (d,)."""
+    """Add to out (d,) the forces of axial station motion of link i for generalised accelerations `rates` (d,)."""
     start, first = elastic + constants.elastic_start[i], constants.station_start[i]
     k = constants.elastic_start[i + 1] - constants.elastic_start[i]
     for s in range(constants.station_start[i + 1] - first):
@@ -168,7 +168,7 @@ def solve_equilibrium(constants, work, stiffness, compliance, free, rest, x, for
 
     Args:
         constants: constants of the model.
-        work: work space: scratch arrays of the kernels.
+        work: scratch arrays of the kernels.
         stiffness: (d, d) stiffness matrix without gravity.
         compliance: (f, f) inverse of the stiffness matrix of the free coordinates.
         free: (f,) indices of the free coordinates; all other coordinates are constant.

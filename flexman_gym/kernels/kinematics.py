@@ -1,10 +1,15 @@
 """Kinematics from the base to the tip: positions, velocities and bias terms (Eq. 24-33 of the paper, see `layout`).
 
-Foreshortening: bending does not change the length of the centreline, so a point at x moves towards the joint by
-1/2 q^T G(x) q, the integral of half the squared slopes from 0 to x. Its inertia terms are exact derivatives of the
-positions of the stations, mass points on the centreline (see `model.beam`); with terms expanded to second order the
-mass matrix would not stay positive definite at deflections of a few percent of the length. The stations of a link begin
-with the tip and fill whole groups of LANES; stations that pad the last group have no mass.
+Symbols as in `layout`: q are elastic coordinates, S_t and S_r translation and rotation vector of the tip per unit of q,
+C the rotation from the frame of a link to the frame of the previous link, J the inertia about the origin of the link,
+and U_a the integral of r S_a^T dm over the link.
+
+Foreshortening: bending does not change the length of the centreline, so a point at x moves towards the joint by 1/2 q^T
+G(x) q (its displacement along x is - 1/2 q^T G(x) q), the integral of half the squared slopes from 0 to x. Its inertia
+terms are exact derivatives of the positions of the stations, mass points on the centreline (see `model.beam`); with
+terms expanded to second order the mass matrix would not stay positive definite at deflections of a few percent of the
+length. The stations of a link begin with the tip and fill whole groups of LANES; stations that pad the last group have
+no mass.
 """
 
 import math
@@ -50,7 +55,7 @@ from flexman_gym.kernels.linalg import (
 def compute_kinematics(constants, work, x, v):
     """Compute the kinematics of all links at the coordinates x and speeds v (d,), outward from the base.
 
-    Overwrites the groups `positions` and `velocities` of the work space.
+    Overwrites the scratch arrays of the groups `positions` and `velocities`.
     """
     _positions(constants, work, x)
     _velocities(constants, work, v)
@@ -60,7 +65,7 @@ def compute_kinematics(constants, work, x, v):
 def _positions(constants, work, x):
     """Compute relative rotations, tips, tip shapes and mass integrals of all links at the coordinates x (d,).
 
-    Overwrites the group `positions` of the work space.
+    Overwrites the scratch arrays of the group `positions`.
     """
     n = len(constants.mass)
     elastic = len(x) - constants.elastic_start[n]
@@ -94,7 +99,7 @@ def tip_rotation(work, i):
 
 @inner
 def _joint_rotation(constants, work, i, angle):
-    """Compute C of link i, exp(S_r q) of the previous link times mount exp(axis angle)."""
+    """Compute C of link i: tip rotation exp(S_r q) of the previous link times mount exp(axis angle), angle in rad."""
     sine, versine = sine_versine(angle)
     turned = rotation_matrix(sine, versine, load(constants.axis, i))
     c = product(load_matrix(constants.mount, i), turned)
@@ -154,7 +159,7 @@ def _tangent_coefficients(z):
 
 @inner
 def _mass_integrals(constants, work, i, x, elastic):
-    """Compute first moment, J, U and coupling of rotation and elastic coordinates of link i (Eq. 13 of the paper)."""
+    """Compute first moment, J, U_a and coupling of rotation and elastic coordinates of link i (Eq. 13 of the paper)."""
     start, stop = constants.elastic_start[i], constants.elastic_start[i + 1]
     shape = work.shape
     for j in range(9 * start, 9 * stop):
@@ -189,8 +194,8 @@ def _mass_integrals(constants, work, i, x, elastic):
 def _velocities(constants, work, v):
     """Compute velocities, and velocity-dependent terms of accelerations and forces, for speeds v (d,).
 
-    These bias terms remain if all generalised accelerations are zero. Call `_positions` first.
-    Overwrites the group `velocities` of the work space.
+    These bias terms remain if all generalised accelerations are zero. Call `_positions` first. Overwrites the scratch
+    arrays of the group `velocities`.
     """
     n = len(constants.mass)
     elastic = len(v) - constants.elastic_start[n]
@@ -245,7 +250,7 @@ def _tip_motion(constants, work, i, v, elastic):
 
 @inner
 def _quadratic_forces(constants, work, i, v, elastic):
-    """Compute the quadratic velocity forces of link i: minus Eq. 14 of the paper, on the side of M v'."""
+    """Compute the quadratic velocity forces h(q, v) of link i in M v' + h = Q; h = -Q_v, Eq. 14 of the paper."""
     spin = load(work.spin, i)
     square = dot(spin, spin)
     linear = relative = ZERO  # sum of q' S dm, and (tr(N) I - N^T) w with N = sum of q'_a U_a
@@ -313,7 +318,7 @@ def _station_motion(constants, i, s, rates, elastic):
 
 @inner
 def _station_bend(constants, i, s, a, rates, elastic):
-    """Return row a of G times the elastic part of `rates` (d,) at the group of stations s of link i."""
+    """Return row a of G_s q' at stations s of link i: foreshortening matrices G_s, elastic part q' of `rates`."""
     count = constants.station_start[i + 1] - constants.station_start[i]
     bend, value = 0.0, constants.bend_row[i] + s
     for e in range(constants.bend_start[a], constants.bend_start[a + 1]):
@@ -381,7 +386,8 @@ def _foreshorten_forces(constants, work, i, v, elastic):
         shortening_rate, axial_bias = _station_rates(constants, work, i, s, v, elastic)
         store_lanes(work.axial_rate, first + s, rate[0] + shortening_rate)
         store_lanes(work.axial_bias, first + s, axial_bias)
-        # 2 w x velocity of foreshortening (turn), and of the other displacement (plain)
+        # Coriolis acceleration 2 w x velocity, of foreshortening (`turn`) and of the remaining displacement (`plain`);
+        # `whole` is the x component of the acceleration for zero generalised accelerations
         turn_y, turn_z = 2.0 * w[2] * shortening_rate, -2.0 * w[1] * shortening_rate
         plain_y, plain_z = 2.0 * (w[2] * rate[0] - w[0] * rate[2]), 2.0 * (w[0] * rate[1] - w[1] * rate[0])
         whole = w[0] * dot(w, (x, y, z)) - square * x + 2.0 * (w[1] * rate[2] - w[2] * rate[1]) + axial_bias
@@ -416,7 +422,7 @@ def _foreshorten_forces(constants, work, i, v, elastic):
 
 @inner
 def _station_rates(constants, work, i, s, v, elastic):
-    """Return - q'^T G q, the rate of foreshortening, and - q'^T G q' at the group of stations s of link i."""
+    """Return - q'^T G q (rate of the displacement by foreshortening) and - q'^T G q' at stations s of link i."""
     start, row = constants.elastic_start[i], constants.station_row[i] + s
     count = constants.station_start[i + 1] - constants.station_start[i]
     shortening_rate = axial_bias = 0.0

@@ -3,7 +3,7 @@
 The kernels need an explicit type because Numba turns automatic vectorisation off. The lanes of a `NEIGHBOURS` group are
 neighbouring entries of an array of one arm, those of an `ARMS` group one entry for several arms, and those of a
 `SEQUENCES` group one entry for several sequences: the integrations of one extrapolated step with different numbers of
-substeps. A kernel has one source for all three: in a work space of `ARMS` or `SEQUENCES` groups, each array element is
+substeps. A kernel has one source for all three: in scratch arrays of `ARMS` or `SEQUENCES` groups, each element is
 a group, a load of neighbours returns one element, and constants shared by the lanes are read-only arrays of numbers.
 """
 

@@ -243,7 +243,7 @@ class Work(NamedTuple):
 
 
 def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = np.zeros) -> Work:
-    """Return a new work space of a model, filled with zeros.
+    """Return new scratch arrays for a model, filled with zeros.
 
     Args:
         constants: constants of the model.

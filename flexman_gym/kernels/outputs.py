@@ -65,11 +65,11 @@ def compute_outputs(constants, work, x, v, out):
 
 @inner
 def compute_tip_accelerations(constants, work, x, v, out):
-    """Set out to tip acceleration and specific force (m/s^2) at coordinates x and speeds v (d,) for work.drive.
+    """Set out to tip acceleration and specific force (m/s^2) at coordinates x and speeds v (d,) for inputs work.drive.
 
     The tip acceleration is the second time derivative of the tip position in the base frame, relative to the base. The
     specific force is the signal of an accelerometer: acceleration in inertial space minus gravity, along the axes of
-    the tip section of the last link. Overwrites the first four groups of the work space, work.rates and the first
+    the tip section of the last link. Overwrites the first four groups of scratch arrays, work.rates and the first
     TIP_ACCELERATIONS numbers of out.
     """
     last = len(constants.mass) - 1
@@ -89,7 +89,7 @@ def compute_tip_accelerations(constants, work, x, v, out):
 
 @kernel
 def tip_accelerations(constants, work, x, v, drive, out):
-    """Set out (TIP_ACCELERATIONS,) as `compute_tip_accelerations` for inputs drive (n + 6,) of `layout`."""
+    """Set out (TIP_ACCELERATIONS,) as `compute_tip_accelerations` for inputs `drive` (n + 6,), see `layout`."""
     copy(drive, work.drive)
     compute_tip_accelerations(constants, work, x, v, out)
 
@@ -118,7 +118,7 @@ def energy_residuals(rows, outputs, start, out):
 def update_energy_turnover(rows, outputs, out):
     """Raise the energy turnover out (b,) to kinetic + elastic energy, |work| or |dissipation| (J), if larger.
 
-    The turnover, the largest of these since the reset, is the scale for the energy residual.
+    The energy turnover, the largest of these magnitudes since the reset, is the scale of the energy residual.
     """
     last = rows.shape[1] - 1
     for b in range(len(rows)):
@@ -188,7 +188,7 @@ def _link_energy(constants, work, i, v, elastic):
 
 @inner
 def _axial_energy(constants, work, i):
-    """Return the kinetic energy of axial station motion of link i, which elastic_mass does not contain."""
+    """Return the kinetic energy (J) of axial station motion of link i, which elastic_mass does not contain."""
     value = 0.0
     for s in range(constants.station_start[i], constants.station_start[i + 1]):
         value += 0.5 * constants.station_mass[s] * work.axial_rate[s] * work.axial_rate[s]

@@ -99,7 +99,10 @@ def inverse_kinematics(constants, targets, x, jacobian, accuracy, damping, out):
 
 @inner
 def _turned_tip(constants, angles, r, turned, x):
-    """Return the tip at row r of motor angles (r, n), angle `turned` (-1: none) increased by DIFFERENCE_STEP."""
+    """Return the tip (3,), m, at row r of motor angles (rad), with the angle of index `turned` increased by a step.
+
+    The step is DIFFERENCE_STEP; -1 increases no angle.
+    """
     for i in range(len(constants.mass)):
         m = constants.motor[i] if constants.motor[i] >= 0 else i
         x[m] = angles[r, i]

@@ -2,12 +2,12 @@
 
 Explicit methods include the semi-implicit Euler method; linearly implicit methods are W-methods and their
 extrapolation. A kernel `run_...` advances the state (2 d,) and the two energies of the ledger (work and dissipation, J)
-in place and sets rows (r, 2 d + 2) to them and outputs (r, OUTPUTS) to those of `compute_outputs` after each interval.
+in place; after each interval it stores them in rows (r, 2 d + 2) and the result of `compute_outputs` in outputs.
 It returns a status, the number of valid rows and the number of evaluations of the accelerations. `table` is the drive
-table (7, n + 6) of `layout`. A paused integration (`TimeGrid.max_evaluations`) leaves its progress in the work space:
-the next call receives the state at the pause, the remaining rows and `TimeGrid.first_step`, and the results equal those
-of a single call to the bit. Each family has its own loop with a single call of the dynamics, because the compiler
-inlines the dynamics at every call.
+table (7, n + 6) of `layout`. A paused integration (`TimeGrid.max_evaluations`) leaves its progress in work.progress:
+the next call receives the state at the pause, the remaining rows and `TimeGrid.first_step`, and the results equal the
+results of a single call to the bit. Each family has its own loop with a single call of the dynamics, because the
+compiler inlines the dynamics at every call.
 """
 
 import math
@@ -28,7 +28,7 @@ MIN_STEP = 1e-14  # dimensionless; smallest step as a fraction of the interval b
 
 @inner
 def _first_step_size(work, grid):
-    """Return the first step (s): that proposed at the end of the previous integration, or that of the time grid."""
+    """Return the first step (s): as proposed at the end of the previous integration, or the step of the time grid."""
     if grid.rtol > 0.0 and work.next_step[0] > 0.0:
         return work.next_step[0]
     return grid.step
@@ -197,10 +197,10 @@ def run_linearly_implicit(constants, work, tableau, table, grid, state, rows, ou
 
 @kernel
 def run_extrapolation(constants, work, lanes, tableau, table, grid, state, rows, outputs):
-    """Integrate one arm by an extrapolated method of one stage, with several sequences of a step in the SIMD lanes.
+    """Integrate one arm by an extrapolated method of one stage; the SIMD lanes hold several sequences of a step.
 
-    `lanes` are the address tables of the constants and of a work space of sequences, and the schedule of
-    `_sequences_step`. The results equal those of `run_linearly_implicit` to the bit.
+    `lanes` are the address tables of the constants and of scratch arrays of sequences, and the schedule of
+    `_sequences_step`. The results equal the results of `run_linearly_implicit` to the bit.
     """
     sequences = constants_of_sequences(lanes[0]), work_of_sequences(lanes[1]), lanes[2]
     return _run_w_method(constants, work, sequences, tableau, table, grid, state, rows, outputs)
@@ -272,9 +272,9 @@ def linearly_implicit_step(constants, work, tableau, table, span, state):
 def _sequences_step(lanes, work, tableau, table, span, state):
     """Set work.new_state after an extrapolated step of a one-stage method, with several sequences computed at once.
 
-    `work` is the work space of one arm. `lanes` are constants and work space of sequences, and a schedule (r, lanes,
-    2): sequence and substep of each lane in each of r rounds. A lane without a remaining sequence continues beyond its
-    last sequence, and the results are not used. Returns the number of evaluations.
+    `work` are the scratch arrays of one arm. `lanes` are constants and scratch arrays of sequences, and a schedule (r,
+    lanes, 2): sequence and substep of each SIMD lane in each of r rounds. An idle lane repeats steps whose results are
+    discarded. Returns the number of evaluations.
     """
     (constants, lane_work, schedule), parts, (time, step) = lanes, tableau.sequence, span
     start, steps = lane_work.row, lane_work.next_step

@@ -1,4 +1,4 @@
-"""Certificate: robustness report of one policy under changed physics, parameters, delays and noise, with a verdict."""
+"""Certificate: robustness report of an agent under changed physics, parameters, delays and noise, with a verdict."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -32,7 +32,7 @@ SEARCH_EPISODES, SEARCH_SEED = (
 )  # number and first seed of the episodes searched for the worst ones
 LISTED_EPISODES = 5  # number of the worst episodes in the certificate
 METRIC_NAMES = ("settled", "settling_time", "vibration", "error", "roughness", "failed")
-METHOD = "gauss_2"  # integration method whose order differs from that of the default method
+METHOD = "gauss_2"  # integration method of a different order than the default method
 OTHER_PLANTS = {"finer": len(TEST_SEEDS), "mujoco": 8}  # plant -> largest number of episodes
 DELAYS, NOISES = (0, 1, 2, 3), (0.001, 0.003)  # control periods; fractions of the ranges of the sensors
 RANGE_EXTENSION = 0.25  # extension of a range beyond the range of the training, as a fraction of the range
@@ -44,10 +44,11 @@ def certify(
 ) -> Path:  # fmt: skip
     """Run a policy in the scenarios of its certificate and write `certificate.json` to its folder; return the path.
 
-    The entry "fails" lists the scenarios that fail, with their seeds; the policy is recommended if it is empty.
+    The entry "rows" has the metrics of each scenario, and "fails" the names of the scenarios that fail, with their
+    seeds. The policy is recommended if "fails" is empty.
 
     Args:
-        name: name of a shipped policy, or folder of an exported one.
+        name: name of a shipped policy, or folder of an exported policy.
         seeds: seeds of the episodes of each scenario.
         draws: number of episodes of the search for the worst episodes.
         folder: folder of the rows, with a subfolder for each policy; stored rows are not computed again.
@@ -120,7 +121,7 @@ def _environment_name(name: str) -> str:
 def certificate_row(
     scenario: str, seeds: range, rows: Sequence[EpisodeRow], reference: Sequence[EpisodeRow]
 ) -> dict[str, Any]:
-    """Return the metrics of a scenario and the reasons for which it fails, "" for none.
+    """Return the metrics of a scenario, and under "fails" the reasons for which it fails, as text; "" for none.
 
     Args:
         scenario: name of the scenario.
@@ -148,7 +149,7 @@ def certificate_row(
 
 
 def _failed_scenarios(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return the names of the failed scenarios, with their seeds where these differ from those of the first."""
+    """Return the names of the failed scenarios, with their seeds where these differ from the seeds of the first."""
     first = rows[0]["seeds"][0]
     return [
         row["scenario"] + (f" on seeds {row['seeds'][0]} to {row['seeds'][1] - 1}" if row["seeds"][0] != first else "")
@@ -167,7 +168,7 @@ def _run(name: str, scenario: str, seeds: range, folder: Path, jobs: Workers | i
 
 
 def _is_same_motion(one: Configuration, two: Configuration) -> bool:
-    """Return whether two environments simulate the same motion; agent, gains, reward and method may differ."""
+    """Return True if two environments simulate the same motion; agent, gains, reward and method may differ."""
     others = (*INTERFACE, "gains", "reward", "task", "method")
     tasks = [{**plain_task(each.task), "reward": None} for each in (one, two)]
     return one.without(others) == two.without(others) and tasks[0] == tasks[1]
@@ -176,8 +177,8 @@ def _is_same_motion(one: Configuration, two: Configuration) -> bool:
 def _changes_beyond_training(environment: Configuration, trained: Configuration) -> list[str]:
     """Return changes of payload and stiffness beyond the ranges of the training, such as "payload=20:25".
 
-    A parameter that the training randomised gets the range next to that of the training, any other parameter the range
-    of its condition.
+    A parameter that the training randomised gets the range next to its range in the training, any other parameter the
+    range of its condition.
     """
     trained_ranges, result = randomised_ranges(trained), []
     for condition in ("payload", "stiffness") if NAMED_ENVIRONMENTS[environment.id].conditions else ():

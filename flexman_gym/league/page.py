@@ -26,7 +26,7 @@ THRESHOLDS = np.linspace(-0.2, 1.4, 81)  # dimensionless; scores at which perfor
 TEMPLATE = Path(__file__).parent / "league.md"  # Jinja2
 Section = dict[str, Any]  # values for a part of the template
 MARKERS = "osD^vP"  # Matplotlib markers of the agents
-MARKER_SPACING = 0.05  # horizontal distance of the markers of two agents, relative to that of two scenarios
+MARKER_SPACING = 0.05  # dimensionless; horizontal distance of the markers of two agents / of two scenarios
 
 
 class _ScoreCurve(NamedTuple):
@@ -124,7 +124,7 @@ def _cost_sentence(standings: Standings, agent: str, scenarios: list[str]) -> st
 
 
 def _breakdown_sentences(standings: Standings, agent: str) -> list[str]:
-    """Return sentences on the scenarios where an agent fails, and on those where it was not run."""
+    """Return sentences on the scenarios where an agent fails, and on the scenarios where it was not run."""
     names = _all_scenarios(standings)
     failing = [f"`{_short_name(each)}`" for each in names if _is_failing(standings, agent, each)]
     missing = [f"`{_short_name(each)}`" for each in names if standings.why(agent, each)]
@@ -270,12 +270,12 @@ def _notes(standings: Standings, scenario: str, times: bool) -> list[str]:
 
 
 def draw_charts(standings: Standings, folder: Path, sweeps_only: bool = False) -> list[Path]:
-    """Draw the chart of the scenarios and one for each sweep; return their paths.
+    """Draw the chart of the scenarios and a chart for each sweep; return their paths.
 
     Args:
         standings: comparison of the agents.
         folder: folder of the pictures.
-        sweeps_only: whether to leave out the chart of the scenarios.
+        sweeps_only: True to leave out the chart of the scenarios.
 
     Returns:
         Paths of the pictures.

@@ -33,7 +33,7 @@ Kind = TypeVar("Kind")
 PACKAGE = Path(__file__).parents[1]
 ROWS, CELLS = "rows.csv", "cells.csv"
 BLOCK = 25  # episodes of a cell, which are simulated together as one batch
-TIME_RATIO = "multiple"  # dimensionless; settling time relative to that of the optimised slew
+TIME_RATIO = "multiple"  # dimensionless; settling time relative to the settling time of the optimised slew
 DAMPING = "damping"  # dimensionless; equivalent damping ratio of the tip's oscillation after its first arrival
 VALUES = (*METRICS, TIME_RATIO, DAMPING)  # columns of the values of a row
 FORMER_METRICS: tuple[str, ...] = ()  # columns of removed metrics; they are skipped in rows of earlier versions
@@ -131,7 +131,7 @@ class LeagueRows:
         _write(folder / CELLS, EpisodeBlock._fields, cells)  # after the rows: a cell in the file has its rows
 
     def has(self, cell: EpisodeBlock) -> bool:
-        """Return whether the results contain the cell with the same key, with rows or a reason for no rows."""
+        """Return True if the results contain the cell with the same key, with rows or a reason for no rows."""
         stored = self.cells.get((cell.scenario, cell.agent, cell.first))
         return stored is not None and stored.key == cell.key and stored.end >= cell.end
 
@@ -155,7 +155,7 @@ def run_league(
         scenarios: names of scenarios, see `find_scenario`.
         seeds: consecutive seeds of the episodes.
         folder: folder of the files.
-        jobs: `Workers`, or a number of processes; the rows do not depend on it.
+        jobs: `Workers`, or a number of processes; the rows do not depend on this choice.
         log: function of one line of text for each cell.
 
     Returns:
@@ -227,7 +227,7 @@ def _content_without_comments(path: Path) -> bytes:
 
 
 def _is_text(statement: ast.stmt) -> bool:
-    """Return whether a statement is a docstring, of a module, a class, a function or a constant."""
+    """Return True if a statement is a docstring, of a module, a class, a function or a constant."""
     return isinstance(statement, ast.Expr) and isinstance(getattr(statement.value, "value", None), str)
 
 
@@ -243,7 +243,7 @@ def row_key(agent: str, scenario: str) -> str:
 
 
 def _is_lab(scenario: str) -> bool:
-    """Return whether a scenario has the sensors of a laboratory, so that only realisable agents run in it."""
+    """Return True if a scenario has the sensors of a laboratory, for agents that use measurable signals only."""
     where, _, change = scenario.partition("@")[0].rpartition("/")
     name = where if "=" in change else scenario.partition("@")[0]
     return policy_folder(name) is None and Configuration.find(name).settings.get("sensors") == "lab"

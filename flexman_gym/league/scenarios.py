@@ -49,7 +49,7 @@ PLANTS: dict[str, tuple[str, Callable[[Batch], None]]] = {
     ),
     "mujoco": ("MuJoCo, each link as 3 rigid bodies connected by springs", _set_mujoco_plant),
 }
-"""Name -> description, and function that replaces the integrator of the arms, the argument `set_plant` of `rollout`."""
+"""Name -> description, and function that replaces the simulation of the arms: the argument `set_plant` of `rollout`."""
 
 CONDITIONS = ("payload", "stiffness", "delay", "random-delay", "friction", "unknown", "unknown-lab")
 TASKS = ("FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexRRR-Gravity-v0", "FlexPlanar-v0")
@@ -69,7 +69,7 @@ class _ParameterChange(NamedTuple):
         values: values of a sweep.
         condition: condition of the changed environment if the name of the scenario has an id without a condition.
         background: further settings of the environment, for an id without a condition.
-        always_given: whether controllers are always designed for the changed environment.
+        always_given: True if controllers are always designed for the changed environment.
     """
 
     text: str

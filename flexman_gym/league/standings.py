@@ -65,7 +65,7 @@ class Standings:
 
     @cached_property
     def counted(self) -> list[str]:
-        """Scenarios of the overall score: those with a scale; of scenarios with equal environments only the first."""
+        """Scenarios of the overall score: those with a `scale`; of scenarios with equal environments only the first."""
         result: dict[str, str] = {}
         for scenario in self.scenarios:
             if self.scale(scenario):
@@ -97,7 +97,7 @@ class Standings:
         return reasons[0] if reasons else "it was not run there"
 
     def scale(self, scenario: str) -> tuple[float, float] | None:
-        """Return the mean returns of the scores 0 and 1 in a scenario; None if they are missing or too close."""
+        """Return the mean returns that define the scores 0 and 1 in a scenario; None if missing or too close."""
         ends = [np.array([*self.values(each, scenario, "reward").values()]) for each in REFERENCE_AGENTS]
         if not all(map(len, ends)):
             return None
@@ -165,7 +165,7 @@ class Standings:
         return float(np.mean(np.isfinite(times))), -float(times[len(times) // 2])
 
     def realisable(self, scenario: str) -> list[str]:
-        """Return the realisable agents with rows in a scenario, the recommended one first."""
+        """Return the agents with rows in a scenario that use measurable signals only, the recommended agent first."""
         agents = [each for each in self.agents if each not in ("zero", "random") and not self.why(each, scenario)]
         agents = [each for each in agents if describe_agent(each).realisable]
         return sorted(agents, key=lambda each: self.settled(each, scenario), reverse=True)

@@ -165,7 +165,7 @@ def peak_to_peak(tips: Array, period: float, window: float = VIBRATION_WINDOW) -
 def residual_vibration(
     tips: Array, unshaped: Array, period: float, end: float, unshaped_end: float | None = None
 ) -> float:
-    """Return the residual vibration after a shaped command in percent of that after the unshaped command.
+    """Return the residual vibration after a shaped command in percent of the value after the unshaped command.
 
     The residual vibration is the largest peak-to-peak motion of the tip along a base axis after the end of the command.
     It is measured over equal durations in both motions, which should contain a cycle of the slowest vibration. The
@@ -197,7 +197,7 @@ def damping_ratio(signal: Array) -> float:
     position is not needed. Each swing is weighted by its size, because noise changes the logarithm of a small swing
     more. Swings below 0.05 of the range of the signal are ignored, which excludes noise and small vibrations of further
     modes. With several modes, the result is the damping ratio of the mode that causes the turning points; with two
-    modes of similar amplitude it is that of a single mode whose swings decay equally fast overall.
+    modes of similar amplitude it is the ratio of a single mode whose swings decay equally fast overall.
 
     The result is NaN for a signal with fewer than three turning points, which does not vibrate, and negative for
     growing swings. Turning points are the vertices of parabolas through three samples: with 20 samples per cycle a

@@ -1,6 +1,6 @@
 """Statistics over episodes: medians, means, scores and their bootstrap intervals.
 
-The methods are those of Agarwal et al., Deep reinforcement learning at the edge of the statistical precipice, NeurIPS
+The methods follow Agarwal et al., Deep reinforcement learning at the edge of the statistical precipice, NeurIPS
 2021 (rliable). An array of scores (N, M) has the scores of one agent in N episodes on each of M environments. The
 return of an episode is the sum of its rewards.
 """
@@ -68,7 +68,7 @@ def interquartile_mean(values: Array) -> Array:
     """Return the mean of the middle half of values, without a quarter of them, rounded down, at each end.
 
     Args:
-        values: (..., K) values; the mean is that along the last axis.
+        values: (..., K) values; the mean is taken along the last axis.
     """
     result = np.sort(check_samples("values", values, 1, 2), axis=-1)
     cut = int(TRIMMED_FRACTION * result.shape[-1])
@@ -116,8 +116,8 @@ def paired_score(
 
     Args:
         returns: (N,) returns of the agent.
-        zeros: (N,) returns, in the same episodes, of the reference agent with the score 0.
-        ones: (N,) returns, in the same episodes, of the reference agent with the score 1.
+        zeros: (N,) returns, in the same episodes, of the reference agent whose mean return defines the score 0.
+        ones: (N,) returns, in the same episodes, of the reference agent whose mean return defines the score 1.
         level: see `stratified_interval`.
         draws: see `stratified_interval`.
     """

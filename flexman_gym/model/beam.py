@@ -152,10 +152,10 @@ def _lumped_mass_points(
 def _lumped_mass_stations(
     bodies: Sequence[LumpedMass], elements: Sequence[Element], size: int
 ) -> tuple[Array, Array, Array]:
-    """Return G (b, size, size), stations (b, 4) and shapes (b, 3, size) of the centres of mass of lumped masses.
+    """Return G (b, size, size), stations (b, 4) and shapes (b, 3, size) of the centres of mass of b lumped masses.
 
-    Foreshortening displaces a lumped mass together with its cross-section. The arguments are those of
-    `_lumped_mass_points`, the results those of `Beam`.
+    Foreshortening displaces a lumped mass together with its cross-section. Arguments as in `_lumped_mass_points`,
+    results as in `Beam`.
     """
     centres = [np.array(body.offset or np.zeros(3)) for body in bodies]
     stations = [[body.mass, body.position + r[0], r[1], r[2]] for body, r in zip(bodies, centres, strict=True)]
@@ -229,7 +229,7 @@ class Beam:
         tip_translation: (3, k) displacement of the tip cross-section per unit coordinate (S^jt).
         tip_rotation: (3, k) rotation vector of the tip cross-section per unit coordinate (S^jr).
         shortening: (s, k, k) matrix G of each station, 1/m; the foreshortening of the centreline inboard of the station
-            is 1/2 q^T G q.
+            is 1/2 q^T G q, a displacement of - 1/2 q^T G q along x.
         stations: (s, 4) mass (kg) and position along x, y and z (m) of each station; the first is the massless tip. The
             stations of lumped masses may lie off the centreline.
         station_shapes: (s, 3, k) displacement of each station per unit coordinate.
@@ -367,7 +367,7 @@ def inboard_masses(
 
 
 def _joined(first: tuple[Array, ...], second: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-    """Return three arrays: the rows of each array of the first triple, followed by those of the second triple."""
+    """Return three arrays: the rows of each array of the first triple, followed by rows of the second triple."""
     one, two, three = (np.concatenate(rows) for rows in zip(first, second, strict=True))
     return one, two, three
 

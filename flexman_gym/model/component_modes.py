@@ -18,7 +18,7 @@ NEGLIGIBLE = 1e-12  # off-diagonal entry / geometric mean of its diagonal entrie
 
 
 def zero_pose_rotations(arm: Arm) -> Array:
-    """Return the rotations (n, 3, 3) from each beam frame to that of the inboard link (or the base), at zero angles."""
+    """Return the rotations (n, 3, 3) from each beam frame to that of the inboard link (or base), at zero angles."""
     orientations = [np.eye(3)] + [np.array(link.orientation) for link in arm.links]
     return np.array([before.T @ after for before, after in pairwise(orientations)])
 
@@ -26,8 +26,8 @@ def zero_pose_rotations(arm: Arm) -> Array:
 def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:
     """Return the spatial inertia (n, 6, 6) of the rigid outboard arm at the tip of each link, in its beam frame.
 
-    It includes all outboard links and the payload, at zero joint angles. The linear part comes first (kg, kg m, kg
-    m^2).
+    It includes all outboard links and the payload, at zero joint angles. The linear part comes first: entries are
+    masses (kg), first moments of mass (kg m) and moments of inertia (kg m^2).
 
     Args:
         arm: the arm.
@@ -61,7 +61,7 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
 
     Args:
         beam: the link, with k elastic coordinates.
-        outboard: (6, 6) spatial inertia at its tip, linear part first.
+        outboard: (6, 6) spatial inertia at its tip, linear part first; units as in `outboard_inertias`.
 
     Returns:
         Angular frequencies (k,), rad/s, ascending, and shapes (k, k) as columns, normalised to unit modal mass,
@@ -104,7 +104,7 @@ def _uncoupled_groups(*matrices: Array) -> list[np.ndarray]:
 
 
 def spatial_inertia(mass: float, offset: Array, inertia: Array) -> Array:
-    """Return the spatial inertia (6, 6) of a rigid body about a reference point, linear part first.
+    """Return the spatial inertia (6, 6) of a rigid body about a reference point, linear part first (kg, kg m, kg m^2).
 
     Args:
         mass: kg.

@@ -15,8 +15,8 @@ from flexman_gym.model.model import Model, check_model
 def curvature(model: Model, state: Vector, link: int, position: float) -> Array:
     """Return torsion phi', curvature -w'' about y and curvature v'' about z (3,), rad/m, of a link in its beam frame.
 
-    They are derivatives of the shape functions: torsion is constant and curvature linear along each element, which is
-    exact for static loads at the nodes. A rigid link has zero curvature.
+    They are computed from derivatives of the shape functions: torsion is constant and curvature linear along each
+    element, which is exact for static loads at the nodes. A rigid link has zero curvature.
 
     Args:
         model: model of the arm.
@@ -58,8 +58,8 @@ def strain(model: Model, state: Vector, link: int, position: float, y: float = 0
 def gauge_radii(model: Model) -> Array:
     """Return the distances r_y, r_z and r (n, 3), m, of the strain gauges at the roots of the links from the beam axes.
 
-    The bending strains are measured at y = +-r_y and z = +-r_z, the torsional strain at r. They are the radii of
-    gyration of the root cross-section: sqrt(I_z / A), sqrt(I_y / A) and sqrt((I_y + I_z) / A).
+    The bending strains are measured at y = +-r_y and z = +-r_z, the torsional strain at r. The distances are the radii
+    of gyration of the root cross-section: sqrt(I_z / A), sqrt(I_y / A) and sqrt((I_y + I_z) / A).
 
     Args:
         model: model of the arm.
@@ -170,8 +170,9 @@ def curves(model: Model, states: Vector, points: int, gain: float = 1.0) -> Curv
         model: model of the arm.
         states: (..., 2 d) coordinates and speeds.
         points: number P of points on each link, from 2 to 1000.
-        gain: magnification, 1, of elastic displacements and joint twists in positions and frames, at least 0;
-            curvatures and strains are not magnified.
+        gain: magnification, 1, of elastic displacements and joint twists (elastic deflections of the joints: motor
+            angles minus link-side angles) in positions and frames, at least 0; curvatures and strains are not
+            magnified.
 
     Examples:
         >>> model = fm.build_model(fm.catalog.one_joint())
@@ -237,7 +238,7 @@ def _shapes(model: Model, link: int, points: int) -> _LinkShapes:
             row[STRAIN] = _element_strains(xi, element.length) @ basis
     if not (k and model.choice.stiffening):
         return _LinkShapes(rows, np.zeros((0, 2, k)), np.zeros(points, dtype=int), radii)
-    ends = np.unique(np.append(positions, [element.start for element in elements]))  # of the intervals of quadrature
+    ends = np.unique(np.append(positions, [element.start for element in elements]))  # ends of the quadrature intervals
     abscissae, weights = np.polynomial.legendre.leggauss(SLOPE_GAUSS_POINTS)
     slopes = []
     for first, last in pairwise(ends):

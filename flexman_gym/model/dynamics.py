@@ -1,4 +1,7 @@
-"""Equations of motion at one state: accelerations, matrices, frequencies, inverse dynamics; see `docs/theory.md`."""
+"""Equations of motion at one state: accelerations, matrices, frequencies, inverse dynamics; see `docs/theory.md`.
+
+The paper is "Dynamic modeling and simulation of spatial manipulator with flexible links and joints".
+"""
 
 from collections.abc import Callable
 from typing import TypeGuard
@@ -131,9 +134,9 @@ def frequencies(model: Model, joint_angles: Vector | Matrix | None = None, lock_
     Args:
         model: model of the arm.
         joint_angles: (n,) rad, zero by default, or (k, n) for k postures.
-        lock_joints: False leaves the motors free and returns d frequencies; the first n are zero, those of the rigid
-            rotations about the joints. True clamps the motors (rigid joints themselves) and returns the d - n
-            frequencies of the remaining coordinates.
+        lock_joints: False leaves the motors free and returns d frequencies; the first n, of the rigid rotations about
+            the joints, are zero. True locks the motors, and rigid joints, and returns the d - n frequencies of the
+            remaining coordinates.
 
     Returns:
         Frequencies (d,) or (d - n,), with a leading axis of length k for k postures.
@@ -163,7 +166,7 @@ def frequencies(model: Model, joint_angles: Vector | Matrix | None = None, lock_
 
 
 def _has_rows(angles: object) -> TypeGuard[Array]:
-    """Return whether joint angles are given for several postures, one per row."""
+    """Return True if joint angles are given for several postures, one per row."""
     if isinstance(angles, np.ndarray):
         return angles.ndim > 1
     return isinstance(angles, list | tuple) and bool(angles) and isinstance(angles[0], list | tuple | np.ndarray)
@@ -268,7 +271,7 @@ def _check_invertible(model: Model, flexible: BoolArray) -> None:
 
     Args:
         model: model of the arm.
-        flexible: (n,) whether each joint is flexible.
+        flexible: (n,) True for flexible joints.
     """
     constants = model.constants
     if model.n_elastic > 0:
@@ -288,7 +291,7 @@ def _check_invertible(model: Model, flexible: BoolArray) -> None:
 
 
 def _drive(model: Model, torque: Vector) -> Array:
-    """Return the inputs of the kernels (n + 6,): motor torques (n,), N m, zero tip force and base acceleration."""
+    """Return inputs (n + 6,): n motor torques, N m, zero tip force (3, N) and zero base acceleration (3, m/s^2)."""
     return np.r_[vector("torque", torque, model.n_joints, "N m"), np.zeros(6)]
 
 
@@ -319,7 +322,7 @@ def inertial_forces(model: Model, gravity: Array | None = None) -> Forces:
 
     Args:
         model: model of the arm.
-        gravity: acceleration of gravity (3,), m/s^2; None for that of the model.
+        gravity: acceleration of gravity (3,), m/s^2; None for the gravity of the model.
     """
     constants = model.constants if gravity is None else model.constants._replace(gravity=gravity)
     work = make_work(constants)

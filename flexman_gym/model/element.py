@@ -20,7 +20,8 @@ class Element(NamedTuple):
         section: uniform link section that contains the element.
         start: position of the first node of the element along the link, m.
         length: m.
-        nodes: slice of its twelve node coordinates among those of the link, including the clamped node 0.
+        nodes: slice of its twelve node coordinates among the node coordinates of the link, including the clamped node
+            0.
     """
 
     section: Link

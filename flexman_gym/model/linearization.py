@@ -1,13 +1,13 @@
 """Linearisation of an arm about a state: Jacobians by coordinates and speeds, named inputs and outputs.
 
 The equations of motion, inertial forces + damping v + stiffness q = torques, are differentiated term by term, so that
-stiff springs cause no loss of accuracy. Stiffness, damping, B and C are exact to rounding. So is the Jacobian of the
-inertial forces by the speeds, because these forces are quadratic in the speeds.
+stiff springs cause no loss of accuracy. Stiffness, damping, B and C are exact to rounding. The Jacobian of the inertial
+forces by the speeds is exact as well, because these forces are quadratic in the speeds.
 
 The Jacobian of the inertial forces by the coordinates is a central difference, extrapolated to order six. No step
 displaces a cross-section by more than 0.5 % of the length of its link or 0.005 rad. Its error, measured on random arms
-with deformed links and high speeds, is 1e-12 of its largest entry. With the condition number of the mass matrix the
-error of A is 1e-10 of its largest entry (metres and radians weighted by their masses).
+with deformed links and high speeds, is 1e-12 of its largest entry. The error of A is amplified by the condition number
+of the mass matrix to 1e-10 of its largest entry (metres and radians weighted by their masses).
 
 Joint springs with backlash or stiffness pieces have the tangent stiffness at the twist of the state: none within the
 gap, so take a state at rest under load (`statics.rest_state`). Torque ripple has no slope: it is a disturbance.
@@ -66,7 +66,7 @@ def _coordinate_jacobian(model: Model, function: Callable[[Array], Array], x: Ar
 
 
 def coordinate_scales(model: Model) -> Array:
-    """Return the scale (d,) of each coordinate: it rotates a node by 1 rad or displaces a node by the link length.
+    """Return the scale (d,) of each coordinate: its value at which a node rotates by 1 rad or moves by the link length.
 
     Args:
         model: model of the arm.
@@ -133,8 +133,8 @@ class LinearMeasurements:
 
     Attributes:
         columns: measurement -> slice of the 8 n columns of the product of `motion` with states: motor_angles,
-            motor_rates, joint_twists, joint_twist_rates, (n,) each, link_deflections, link_deflection_rates, (2 n,)
-            each.
+            motor_rates, joint_twists (elastic deflections of the joints: motor angles minus link-side angles, rad),
+            joint_twist_rates, n columns each, link_deflections, link_deflection_rates, 2 n columns each.
         motion: sparse matrix (8 n, 2 d) of these measurements, for the kernel `sparse_product`.
         strains: sparse matrix (3 n, 2 d) of root_strains, see `model.deformation.root_strain_matrix`.
     """
@@ -268,11 +268,14 @@ def linearize(
         state: (2 d,) coordinates and speeds, as an alternative to joint angles.
         torque: (n,) motor torques, N m, zero by default.
         outputs: names of y: "tip", "tip_velocity" and "tip_acceleration" (3 entries each, in the base frame and
-            relative to the base), "joint_angles", "joint_rates", "motor_angles", "motor_rates", "joint_twists",
-            "joint_twist_rates" (n each), "link_deflections", "link_deflection_rates" (2 n), "root_strains" (3 n).
-            "tip_acceleration" requires a state with zero speeds.
+            relative to the base), "joint_angles", "joint_rates", "motor_angles", "motor_rates", "joint_twists" (elastic
+            deflections of the joints: motor angles minus link-side angles, rad), "joint_twist_rates" (n each),
+            "link_deflections", "link_deflection_rates" (2 n), "root_strains" (3 n). "tip_acceleration" requires a state
+            with zero speeds.
         inputs: names of u: "motor_torques" (n), "tip_force" (3) and "base_acceleration" (3).
-        friction: "sliding", or "at rest" for the slope of the smoothed Coulomb friction at the rates of the state.
+        friction: treatment of Coulomb friction. "sliding": a constant torque, which does not contribute to A. "at
+            rest": a damper with the slope of the smoothed friction law at the motor rates of the state, for motors that
+            hardly move.
 
     Examples:
         >>> system = fm.linearize(fm.build_model(fm.catalog.one_joint()), outputs=("tip",))
@@ -293,17 +296,17 @@ def linearize(
     if one_of("friction", friction, (SLIDING, AT_REST)) == AT_REST:
         _add_coulomb_slopes(model, state, forces)
     rows, output_names = _output_rows(model, state, accelerations, outputs)
-    balance = SecondOrderForm(mass_matrix(model, state), forces, rows)
-    return _linear_model(model, balance, tuple(input_names), tuple(output_names))
+    second_order = SecondOrderForm(mass_matrix(model, state), forces, rows)
+    return _linear_model(model, second_order, tuple(input_names), tuple(output_names))
 
 
 def _linear_model(
-    model: Model, balance: SecondOrderForm, inputs: tuple[str, ...], outputs: tuple[str, ...]
+    model: Model, second_order: SecondOrderForm, inputs: tuple[str, ...], outputs: tuple[str, ...]
 ) -> LinearModel:
-    """Return the state-space model for the equations of motion in second-order form."""
+    """Return the state-space model of the equations of motion in second-order form."""
     from scipy.linalg import cho_factor, cho_solve
 
-    (mass, forces, rows), d = balance, model.n_dof
+    (mass, forces, rows), d = second_order, model.n_dof
     scale = np.sqrt(np.diag(mass))  # equal weights for metres and radians of fine elements
     with check_solvable("accelerations"):
         factor = cho_factor(mass / np.outer(scale, scale))
@@ -317,12 +320,12 @@ def _linear_model(
         states=_state_names(model),
         inputs=inputs,
         outputs=outputs,
-        balance=balance,
+        balance=second_order,
     )
 
 
 def _state_names(model: Model) -> tuple[str, ...]:
-    """Return the names (2 d,) of coordinates and speeds; elastic coordinates have the units of their nodes or modes."""
+    """Return the names (2 d,) of coordinates and speeds; elastic coordinates have the units of nodes or modes."""
     joints, motors = range(1, model.n_joints + 1), np.flatnonzero(model.constants.motor >= 0) + 1
     elastic = [
         f"link_{i + 1}_elastic_{a + 1}"
@@ -341,7 +344,7 @@ def _state_names(model: Model) -> tuple[str, ...]:
 
 
 def _force_jacobian(model: Model, state: Vector, accelerations: Array) -> Array:
-    """Return the Jacobian (d, 2 d) of minus the generalised forces of the inverse dynamics at given accelerations (d,).
+    """Return the Jacobian (d, 2 d) of minus the generalised forces of inverse dynamics at given accelerations (d,).
 
     Columns: derivatives with respect to coordinates and speeds.
     """

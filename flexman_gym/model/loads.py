@@ -18,25 +18,27 @@ FIELDS = ("reaction", "frame_acceleration", "spin", "velocity", "tip", "rotation
 
 
 class FrameMotion:
-    """Motion of the beam frames along a trajectory of T states; each vector is in the frame of its link.
+    """Motion of the beam frames along a trajectory of T states; each vector is expressed in the frame of its link.
 
     Args:
         model: model of the arm.
         states: (T, 2 d).
         accelerations: (T, d) generalised accelerations.
-        inputs: (T, n + 6), of which the tip force (N) and the base acceleration (m/s^2), the last six, are used.
+        inputs: (T, n + 6), n motor torques (N m, not used), tip force (3, N) and base acceleration (3, m/s^2).
 
     Attributes:
         reaction: (T, n + 1, 6) force (N) and moment (N m) on each link at its origin, and on the payload at the tip.
-        frame_acceleration: (T, n, 6) acceleration of the origin minus that of gravity (m/s^2), and angular
+        frame_acceleration: (T, n, 6) acceleration of the origin minus the acceleration of gravity (m/s^2), and angular
             acceleration (rad/s^2).
         spin: (T, n, 3) angular velocity, rad/s.
         velocity: (T, n, 3) velocity of the origin, m/s.
         tip: (T, n, 3) position of the tip of each link relative to its origin, m.
-        rotation: (T, n, 3, 3) rotation matrix from the frame of each link to that of the inboard link.
-        payload_spin: (T, 3) angular velocity of the payload, rad/s; the payload is in the frame of the last link.
+        rotation: (T, n, 3, 3) rotation matrix from the frame of each link to the frame of the inboard link.
+        payload_spin: (T, 3) angular velocity of the payload, rad/s; vectors of the payload are expressed in the frame
+            of the last link.
         payload_moment: (T, 3) first moment of mass of the payload about the tip, kg m.
-        payload_rotary: (T, 3, 3) inertia of the payload about the tip, kg m^2.
+        payload_rotary: (T, 3, 3) rotary inertia of the payload about the tip, expressed in the frame of the last link,
+            kg m^2.
         tip_velocity: (T, 3) velocity of the tip of the last link, m/s.
     """
 
@@ -85,7 +87,7 @@ def section_forces(
     Args:
         model: model of the arm.
         motion: motion of the beam frames.
-        states: (T, 2 d), those of `motion`.
+        states: (T, 2 d), as passed to `motion`.
         accelerations: (T, d) generalised accelerations.
         link: index of the link, from 0.
         positions: (P,) distances along the link, m.
@@ -118,7 +120,7 @@ def part_energies(model: Model, motion: FrameMotion, states: Array) -> dict[str,
     Args:
         model: model of the arm.
         motion: motion of the beam frames.
-        states: (T, 2 d), those of `motion`.
+        states: (T, 2 d), as passed to `motion`.
     """
     n, d, constants = model.n_joints, model.n_dof, model.constants
     kinetic, gravitational = np.zeros((2, len(states), n))
@@ -187,7 +189,7 @@ class _Points(NamedTuple):
         displacement, velocities, accelerations = (
             np.einsum("pik,tk->tpi", self.shapes, each) for each in (q, q_rate, q_acceleration)
         )
-        gradient = np.einsum("pab,tb->tpa", self.shortening, q)  # of the foreshortening
+        gradient = np.einsum("pab,tb->tpa", self.shortening, q)  # gradient of the foreshortening
         displacement[..., 0] -= np.einsum("tpa,ta->tp", gradient, q) / 2.0
         velocities[..., 0] -= np.einsum("tpa,ta->tp", gradient, q_rate)
         quadratic = np.einsum("ta,pab,tb->tp", q_rate, self.shortening, q_rate)
@@ -224,7 +226,7 @@ def _section_point(model: Model, link: int, position: float) -> _Points:
 
 
 def _basis(model: Model, link: int, size: int) -> Array:
-    """Return all node coordinates (size, k) of a link, including clamped ones, per unit of its elastic coordinates."""
+    """Return all node coordinates (size, k) of a link, clamped ones included, per unit of each elastic coordinate."""
     basis = model.bases[link]
     return np.vstack([np.zeros((size - len(basis), basis.shape[1])), basis])
 

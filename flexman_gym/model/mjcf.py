@@ -2,12 +2,13 @@
 
 A section of length L is divided into N segments of length l = L / N. The compliance of a segment is concentrated at its
 middle, in three hinges with springs: G J / l about the beam axis, E I_y / l and E I_z / l about the transverse axes.
-The rigid pieces of a link thus reach from the middle of one segment to that of the next; those at the two ends of the
-link are half as long.
+The rigid pieces of a link thus reach from the middle of one segment to the middle of the next; the pieces at the two
+ends of the link are half as long.
 
 A flexible joint is two hinges in series about one axis: the hinge of the motor, whose armature is the rotor inertia
-(for the rotation relative to the inboard link only, as in Eq. (23) of the paper), and the hinge of the spring. The
-joint angle is their sum. A rigid joint is the hinge of the motor alone.
+(for the rotation relative to the inboard link only, as in Eq. (23) of the paper "Dynamic modeling and simulation of
+spatial manipulator with flexible links and joints"), and the hinge of the spring. The joint angle is their sum. A rigid
+joint is the hinge of the motor alone.
 
 Modal damping is modelled by a fixed tendon for each mode of a link: a linear combination of hinge angles with a damper.
 """
@@ -137,7 +138,7 @@ def to_mjcf(
 
 
 def _has_coulomb_friction(arm: Arm) -> bool:
-    """Return whether a joint has Coulomb friction, which is a constraint in MuJoCo."""
+    """Return True if a joint has Coulomb friction, which is a constraint in MuJoCo."""
     return any(joint.coulomb_friction for joint in arm.joints)
 
 
@@ -230,7 +231,7 @@ def _modes(chain: list[_Piece], tip_inertia: Array, masses: Sequence[LumpedMass]
 
 
 def _highest_frequency(chain: list[_Piece]) -> float:
-    """Return the highest natural frequency of a free link, rad/s; in the arm it is not higher."""
+    """Return the highest natural frequency of the free link, rad/s: an upper bound of its frequencies in the arm."""
     from scipy.linalg import eigh
 
     mass, stiffness = _matrices(chain, np.zeros((6, 6)))

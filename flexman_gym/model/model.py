@@ -232,7 +232,7 @@ def _axial_mass(beam: Beam, stiffening: bool) -> Array:
 
 
 def _first_moving(beams: tuple[Beam, ...], stiffening: bool) -> np.ndarray:
-    """Return the index (n,), among those of all links, of the first elastic coordinate of each link that moves its tip.
+    """Return for each link (n,) the index, among all elastic coordinates, of the first one that moves its tip.
 
     With foreshortening (stiffening) every coordinate moves the tip.
     """
@@ -298,7 +298,7 @@ class Model:
 
     @property
     def n_motors(self) -> int:
-        """Number m of motor coordinates, one for each flexible joint."""
+        """Number m of motor angles among the coordinates: one for each flexible joint, none for a rigid joint."""
         return int((self.constants.motor >= 0).sum())
 
     @property
@@ -313,7 +313,7 @@ class Model:
 
     @property
     def motor_columns(self) -> np.ndarray:
-        """Indices (n,) of the motor angles among the coordinates x; for a rigid joint that of the joint angle."""
+        """Indices (n,) of the motor angles among the coordinates x; for a rigid joint the index of the joint angle."""
         return np.where(self.constants.motor >= 0, self.constants.motor, np.arange(self.n_joints))
 
     def elastic_columns(self, link: int) -> slice:
@@ -373,7 +373,7 @@ def build_model(
         flexible_joints: False makes all joints rigid; their rotor inertia remains.
         stiffening: True includes the foreshortening of the links (geometric stiffening), needed for large deflections
             and for fast rotation.
-        spinning_rotors: see `ModelChoice`.
+        spinning_rotors: gyroscopic coupling of the spinning rotors, see `ModelChoice`.
         rotary_inertia: see `ModelChoice`.
 
     Warns:

@@ -14,7 +14,8 @@ from flexman_gym.model.natural_modes import natural_modes
 class SecondOrderForm(NamedTuple):
     """Linear equations of motion of d coordinates q with speeds v, accelerations a, m inputs u and p outputs y.
 
-    They are mass a = forces [q, v, u] and y = rows [q, v, a]; all matrices are in SI units.
+    The equations are mass a = forces [q, v, u] and y = rows [q, v, a], with stacked vectors in brackets. q is the
+    deviation from an operating point; all matrices are in SI units.
 
     Attributes:
         mass: (d, d) mass matrix.
@@ -42,7 +43,8 @@ class LinearModel:
         inputs: names of u with units.
         outputs: names of y with units.
         period: sampling period, s; None for a continuous-time model.
-        balance: equations of motion from which `linearize` computed A, B, C and D; None in all derived models.
+        balance: second-order form (equations of motion) from which `linearize` computed A, B, C and D; None in all
+            derived models.
     """
 
     A: Array
@@ -94,14 +96,14 @@ class LinearModel:
         """Return the model with omega_i eta_i and deta_i/dt as states, for the modal coordinate eta_i of each mode.
 
         All states then have the unit J^0.5, and the entries of A are natural frequencies omega_i instead of their
-        squares. Solvers of Riccati and Lyapunov equations fail in the coordinates of finite elements, but work in
-        these. Only the model returned by `linearize` can be scaled.
+        squares. Solvers of Riccati and Lyapunov equations fail in the coordinates of finite elements, but work in the
+        modal coordinates. Only the model returned by `linearize` can be scaled.
         """
-        mass, forces, rows = self._own_balance()
+        mass, forces, rows = self._second_order_form()
         d = len(mass)
         squares, shapes = natural_modes(mass, -(forces[:, :d] + forces[:, :d].T) / 2.0)
-        sizes = np.sqrt(np.maximum(squares, squares[squares > 0.0].min(initial=1.0)))
-        displacements = shapes / sizes
+        omega = np.sqrt(np.maximum(squares, squares[squares > 0.0].min(initial=1.0)))
+        displacements = shapes / omega
         parts = forces[:, :d] @ displacements, forces[:, d : 2 * d] @ shapes, forces[:, 2 * d :]
         acceleration_rows = shapes.T @ np.hstack(parts)
         output_rows = np.hstack([rows[:, :d] @ displacements, rows[:, d : 2 * d] @ shapes])
@@ -109,7 +111,7 @@ class LinearModel:
         names = [f"{kind}_{i + 1} (J^0.5)" for kind in ("mode", "mode_rate") for i in range(d)]
         return replace(
             self,
-            A=np.vstack([np.hstack([np.zeros((d, d)), np.diag(sizes)]), acceleration_rows[:, : 2 * d]]),
+            A=np.vstack([np.hstack([np.zeros((d, d)), np.diag(omega)]), acceleration_rows[:, : 2 * d]]),
             B=np.vstack([np.zeros((d, len(self.inputs))), acceleration_rows[:, 2 * d :]]),
             C=output_rows + feedthrough[:, : 2 * d],
             D=feedthrough[:, 2 * d :],
@@ -120,15 +122,15 @@ class LinearModel:
     def reduced(self, frequency: float) -> "LinearModel":
         """Return the model reduced to the natural modes up to a frequency; faster modes are quasi-static.
 
-        Singular perturbation preserves the static gains (Kokotovic, Automatica 12, 1976). The states are those of
+        Singular perturbation preserves the static gains (Kokotovic, Automatica 12, 1976). The states are modal, as in
         `scaled`, and only the model returned by `linearize` can be reduced.
 
         Args:
             frequency: largest natural frequency of a retained mode, Hz.
         """
-        scaled, d = self.scaled(), len(self._own_balance().mass)
-        sizes = np.diag(scaled.A[:d, d:])
-        slow = np.flatnonzero(sizes <= 2.0 * np.pi * positive("frequency", frequency, "Hz"))
+        scaled, d = self.scaled(), len(self._second_order_form().mass)
+        omega = np.diag(scaled.A[:d, d:])
+        slow = np.flatnonzero(omega <= 2.0 * np.pi * positive("frequency", frequency, "Hz"))
         fast = np.setdiff1d(np.arange(d), slow)
         slow, fast = np.append(slow, d + slow), np.append(fast, d + fast)
         with check_solvable("static gains"):
@@ -196,8 +198,8 @@ class LinearModel:
         given = {name: each for name, each in names.items() if each}
         return control.ss(self.A, self.B, self.C, self.D, 0 if self.period is None else self.period, **given)
 
-    def _own_balance(self) -> SecondOrderForm:
-        """Return the equations of motion of a model from `linearize`."""
+    def _second_order_form(self) -> SecondOrderForm:
+        """Return the second-order form of a model from `linearize`; raise ValueError for a derived model."""
         if self.balance is None:
             raise value_error("model", "a changed model", "the model returned by linearize")
         return self.balance

@@ -60,9 +60,9 @@ def _rest_states(model: Model, postures: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def _rest_system(model: Model) -> tuple[Work, IntArray, Array, Array]:
-    """Return work space, indices (d - n,) of free coordinates, stiffness (d, d) and its inverse over these coordinates.
+    """Return scratch arrays, indices (d - n,) of free coordinates, stiffness (d, d), and its inverse over the indices.
 
-    All calls can share one work space, because kernels overwrite it completely and hold the interpreter lock.
+    All calls can share the scratch arrays, because kernels overwrite them completely and hold the interpreter lock.
     """
     free = np.setdiff1d(np.arange(model.n_dof), model.motor_columns)
     stiffness = stiffness_matrix(model)

@@ -31,7 +31,7 @@ class EquilibriumMatrices(NamedTuple):
         damping: (d, d).
         stiffness: (d, d), including the contribution of gravity.
         tip: (3, d) displacement of the tip per unit coordinate, base frame.
-        motors: (n,) indices of the motor angles, for rigid joints of the joint angles.
+        motors: (n,) indices of the motor angles; for rigid joints, indices of the joint angles.
     """
 
     mass: Array
@@ -109,7 +109,7 @@ def modes(model: Model, joint_angles: Vector | None = None, motors: str = "held"
     Args:
         model: model of the arm.
         joint_angles: (n,) motor angles, rad, zero by default.
-        motors: "held" clamps the motors (rigid joints themselves); "free" applies constant holding torques.
+        motors: "held" locks the motors, and rigid joints; "free" applies constant holding torques.
 
     Raises:
         ValueError: if no equilibrium is found, see `rest_state`.
@@ -155,20 +155,24 @@ def equilibrium_matrices(model: Model, motor_angles: Vector) -> EquilibriumMatri
         ValueError: if no equilibrium is found, see `rest_state`.
     """
     linear = linearize(model, state=rest_state(model, motor_angles), torque=holding_torques(model, motor_angles))
-    d, balance = model.n_dof, linear.balance
-    assert balance is not None
-    stiffness = -balance.forces[:, :d]
-    damping = -balance.forces[:, d : 2 * d]
+    d, second_order = model.n_dof, linear.balance
+    assert second_order is not None
+    stiffness = -second_order.forces[:, :d]
+    damping = -second_order.forces[:, d : 2 * d]
     return EquilibriumMatrices(
-        balance.mass, (damping + damping.T) / 2.0, (stiffness + stiffness.T) / 2.0, linear.C[:, :d], model.motor_columns
+        second_order.mass,
+        (damping + damping.T) / 2.0,
+        (stiffness + stiffness.T) / 2.0,
+        linear.C[:, :d],
+        model.motor_columns,
     )
 
 
 def oscillatory_modes(resting: EquilibriumMatrices, moving: IntArray) -> Eigenpairs:
     """Return the oscillatory modes of an arm with some of its coordinates fixed.
 
-    The eigenvalues are computed in the modal coordinates of the undamped arm, so that low frequencies are accurate
-    beside very high ones.
+    The eigenvalues are computed in the modal coordinates of the undamped arm, so that low frequencies are accurate even
+    if the arm also has very high ones.
 
     Args:
         resting: matrices of the linearised arm.

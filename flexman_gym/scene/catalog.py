@@ -1,5 +1,7 @@
 """Catalog: named arms and scenes, with their sources.
 
+The paper is "Dynamic modeling and simulation of spatial manipulator with flexible links and joints".
+
 Each named arm is a YAML file in scene/arms with its description, source, parameters and options. To add an arm, write
 such a file and assign its function in this module. `fm.catalog.NAME(...)` returns an Arm and `paper_scene` returns a
 Scene, in SI units: m, kg, s, rad, N m, m^4 (second moments of area), N m/rad (joint stiffness), N m s/rad (joint
@@ -50,7 +52,7 @@ de_luca_siciliano = named_arm("de_luca_siciliano")
 gifu_2link = named_arm("gifu_2link")
 """Arm of Gifu University: three joints, two flexible rods of 0.44 m."""
 nasa_beam = named_arm("nasa_beam")
-"""Pinned beam with a tip mass of NASA's Johnson Space Center."""
+"""Pinned beam with a tip mass, published by NASA's Johnson Space Center."""
 TOOL = Payload(0.1)
 """Payload of `vertical_2r`, 0.1 kg."""
 LIGHT_TOOL = Payload(0.05)

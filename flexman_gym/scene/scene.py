@@ -57,7 +57,7 @@ class ModelChoice:
     Attributes:
         flexible_links: False makes a link rigid, without elastic coordinates.
         elements: number of finite elements, 1 to 64, of a Link or of each section of a NonUniformLink; a link has at
-            most 64 in all, and 6 * elements * (number of sections) elastic coordinates. None leaves the number to
+            most 64 in total, and 6 * elements * (number of sections) elastic coordinates. None leaves the number to
             `choose_model`.
         modes: component modes of a link; None uses all elastic coordinates. A number m uses the m modes of lowest
             frequency, from 0 to the number of coordinates (at most 384). In a tuple for all links, a tuple lists mode
@@ -65,8 +65,10 @@ class ModelChoice:
             modes 0, 1 and 3 of the second and none of the third.
         flexible_joints: False makes every joint rigid, also where it has a stiffness.
         stiffening: True includes the foreshortening of the links (geometric stiffening).
-        spinning_rotors: True includes the angular velocity of the inboard link in the kinetic energy of a rotor, which
-            has a moment of inertia about the joint axis only. False neglects this coupling, as Eq. (23) of the paper.
+        spinning_rotors: True includes the gyroscopic coupling of the spinning rotors: the angular velocity of the
+            inboard link in the kinetic energy of a rotor, which has a moment of inertia about the joint axis only.
+            False neglects this coupling, as Eq. (23) of the paper "Dynamic modeling and simulation of spatial
+            manipulator with flexible links and joints".
         rotary_inertia: True includes the rotary inertia of the cross-sections about their transverse axes (Rayleigh
             beam). False is the classical Euler-Bernoulli beam: cross-sections have rotary inertia about the beam axis
             only, in rigid and in elastic motion.
@@ -177,7 +179,7 @@ class Scene:
             m/s^2; None for a fixed base.
 
     Raises:
-        ValueError: for a field of the wrong type or for another number of joints than the arm has, for a torque on a
+        ValueError: for a field of the wrong type, for a number of joints that differs from the arm, for a torque on a
             motor with prescribed motion, and for samples that end before the duration.
 
     Examples:
@@ -250,7 +252,7 @@ class Scene:
         return motions if any(motions) else None
 
     def _check_samples(self) -> None:
-        """Check whether all samples cover the time from 0 to the duration."""
+        """Check that all samples cover the time from 0 to the duration."""
         for name in ("torque", "prescribed", "tip_force", "base_acceleration"):
             part = getattr(self, name)
             for i, item in enumerate(part.signals() if name == "torque" else part or ()):
@@ -294,8 +296,8 @@ class Scene:
 
         Raises:
             FileNotFoundError: if the file does not exist.
-            ValueError: for any other error in the file; one line with the file, the field (`arm.links[1].length`), the
-                value and the allowed values.
+            ValueError: for any other error in the file, with a one-line message: the file, the field (such as
+                `arm.links[1].length`), the value and the allowed values.
         """
         try:
             return cls.from_dict(read_data(Path(path)), Path(path).parent)
@@ -328,7 +330,8 @@ class Scene:
 
         Raises:
             FileNotFoundError: if a CSV file does not exist.
-            ValueError: one line with the field (`arm.links[1].length`), the value and the allowed values.
+            ValueError: for an invalid entry, with a one-line message: the field (such as `arm.links[1].length`), the
+                value and the allowed values.
         """
 
         def signals(name: str) -> Callable[[Any], Any]:

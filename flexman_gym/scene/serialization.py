@@ -47,13 +47,13 @@ OPTIONAL_KEYS: dict[str, tuple[str, ...]] = {
 
 
 def _arm_from_plain(data: object) -> Arm:
-    """Return the arm described by a mapping; errors name the field (`arm.links[1].length`)."""
+    """Return the arm described by a mapping; errors name the field, such as `arm.links[1].length`."""
     links, joints = partial(_items, "arm.links", _link), partial(_items, "arm.joints", _joint)
     return from_plain(Arm, "arm", data, links=links, joints=joints, payload=_optional(Payload, "arm.payload"))
 
 
 def _items(path: str, build: Callable[[str, object], Any], data: object) -> list[Any]:
-    """Return the parts built from the mappings of a list."""
+    """Return the parts of an arm (links, joints, sections or masses) built from the mappings of a list."""
     return [build(f"{path}[{i}]", item) for i, item in enumerate(sequence(path, data, "mappings"))]
 
 
@@ -121,7 +121,7 @@ def from_plain(
 
     Args:
         kind: the dataclass.
-        path: field of the mapping in the file, for errors.
+        path: field of the mapping in the file, such as "arm.payload", for errors.
         data: the mapping.
         excluded: names of fields that the mapping must not contain.
         **parts: field name -> function that converts the entry of the mapping to the value of the field.
@@ -130,7 +130,7 @@ def from_plain(
         The instance of the dataclass.
 
     Raises:
-        ValueError: for unknown or missing keys and for forbidden values; one line with the field.
+        ValueError: for unknown or missing keys and for forbidden values, with a one-line message that names the field.
     """
     entries = _check_entries(kind, path, data, *excluded)
     for name, build in parts.items():
@@ -206,7 +206,7 @@ def find_arm(value: object, folder: Path = Path()) -> Arm:
 
     Raises:
         FileNotFoundError: if the file does not exist.
-        ValueError: for any other value; one line with the field, the value and the allowed values.
+        ValueError: for any other value, with a one-line message: the field, the value and the allowed values.
     """
     if isinstance(value, Arm):
         return value
@@ -270,7 +270,7 @@ def named_arm(name: str) -> Callable[..., Arm]:
 
 
 def _default(arm: Arm, name: str, field: str, values: Any) -> Any:
-    """Return the default of an option: its value in the file of the arm, for all joints that of the first joint."""
+    """Return the default of an option: its value in the file of the arm; for all joints, that of the first joint."""
     if field == "file":
         return values.index(name) + 1
     part, _, attribute = field.rpartition(".")

@@ -184,7 +184,7 @@ class SampledAngles:
     """Prescribed motion of a motor (of the joint itself if it is rigid), given by its angle at T times.
 
     The motor follows a cubic spline with continuous acceleration that interpolates the angles or, for a positive
-    `deviation`, smooths them. Initial angle and rate of the joint are those of the spline and replace the values in
+    `deviation`, smooths them. Initial angle and rate of the joint are taken from the spline and replace the values in
     `Initial`. For exact samples of a smooth motion, the error of the spline is proportional to the fourth power of the
     sampling interval.
 

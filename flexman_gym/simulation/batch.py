@@ -31,8 +31,8 @@ EXCLUDED = -1  # status of arms excluded from a step; used between batch and int
 class Batch:
     """Arms of one model, each simulated from its own state under its own inputs, one control period at a time.
 
-    The b arms share all constants of the model except those set by `vary`. The result of an arm does not depend on the
-    other arms, bit for bit. d is the number of coordinates, n that of joints; see `kernels.layout`.
+    The b arms share all constants of the model except the parameters set by `vary`. The result of an arm does not
+    depend on the other arms, bit for bit. d is the number of coordinates and n of joints; see `kernels.layout`.
 
     Attributes:
         model: the model.
@@ -43,7 +43,8 @@ class Batch:
         state: (b, 2 d) view of the states in `rows`: coordinates, then speeds.
         outputs: (b, OUTPUTS) tip, deflection and energies at these states; columns in `kernels.layout`.
         status: (b,) int64 status of the last step: OK, DIVERGED or NOT_CONVERGED of `kernels.layout`. After a failure,
-            state and outputs stay those at the end of the last successful control period, until the arm is reset.
+            state and outputs keep their values at the end of the last successful control period, until the arm is
+            reset.
         start_energy: (b,) kinetic + elastic + gravitational energy at the last reset, J.
         energy_turnover: (b,) largest magnitude since the reset of kinetic + elastic energy, work or dissipation, J; the
             scale for `energy_residual`.
@@ -92,7 +93,7 @@ class Batch:
         self._bound = tolerance, joints
         period = self.control_period, self.substeps
         self._mover: BatchIntegrator
-        self._bound_mover: BatchIntegrator | None = None  # of `bind_period`
+        self._bound_mover: BatchIntegrator | None = None  # integrator for which `bind_period` was called
         if isinstance(self.method, LinearlyImplicit | IteratedGauss) and tolerance is None:
             constants = model.constants._replace(prescribed=prescribed_flags(n, joints))
             self._mover = LaneIntegrator(constants, self.method, period, count, threads)
@@ -133,7 +134,7 @@ class Batch:
         outputs.update_energy_turnover(self.rows, self.outputs, self.energy_turnover)
 
     def place(self, arms: np.ndarray, states: Array) -> None:
-        """Set the states (r, 2 d) of the arms with the indices (r,), from which the next step starts.
+        """Set the states (r, 2 d) of the arms with the indices (r,); the next step starts from them.
 
         Faster than `reset`, as nothing is checked or computed: outputs are invalid until the next step, and the energy
         ledger, `energy_residual` and `energy_turnover` until the next reset.
@@ -169,7 +170,7 @@ class Batch:
         }  # fmt: skip
 
     def bind_period(self, drive: Array, period: layout.Period) -> tuple[Any, ...] | None:
-        """Return the arguments of `step_period` for the only arm of an environment, or None where it is not possible.
+        """Return the arguments of `step_period` for the only arm of an environment, or None if `step` must be used.
 
         Args:
             drive: (1, n + 6) as in `step`.
@@ -199,7 +200,8 @@ class Batch:
     def roll(self, drives: Array) -> tuple[Array, Array]:
         """Integrate all arms whose status is OK over T control periods, with Python's global interpreter lock released.
 
-        The results equal those of T calls of `step` to the bit; `tip_accelerations` are those at the end.
+        The results equal the results of T calls of `step` to the bit; `tip_accelerations` are then at the end of the
+        last period.
 
         Args:
             drives: (b, T, n + 6) inputs in each control period, as in `step`; not checked.
@@ -230,8 +232,8 @@ class Batch:
         which may itself accelerate. SPECIFIC_FORCE is the reading of an accelerometer at the tip: the acceleration in
         inertial space minus gravity, along the axes of the tip section of the deformed last link.
 
-        Both quantities are those at the end of the last successful control period under its inputs; after a reset,
-        those under zero inputs. They are computed on demand, once in a period. Later calls overwrite the array.
+        Both quantities hold at the end of the last successful control period under its inputs; after a reset, under
+        zero inputs. They are computed on demand, once in a period. Later calls overwrite the array.
         """
         if not self._known:
             self._mover.compute_tip_accelerations(self._drive, self.rows, self._felt)
@@ -256,25 +258,25 @@ class Batch:
         )
 
     def vary(self, arms: np.ndarray, **parameters: Array) -> None:
-        """Set physical parameters of the arms with the indices (r,), in place of those of the model.
+        """Set physical parameters of the arms with the indices (r,), in place of the parameters of the model.
 
-        The parameters act from the next step on, but start energies are those before the change until the next reset;
-        so reset these arms at once. Elements, modes and modal damping ratios stay those of the model, and the inertia
-        of a payload scales with its mass.
+        The parameters act from the next step on, but start energies keep their values from before the change until the
+        next reset; reset these arms at once. Elements, modes and modal damping ratios of the model do not change, and
+        the inertia of a payload scales with its mass.
 
         Args:
             arms: indices (r,) of the arms.
             **parameters: values (r,) or (r, n) by their name in `simulation.parameters.PARAMETERS`, in the units there.
 
         Raises:
-            ValueError: for an unknown name or a wrong shape, for numbers not finite or negative, for zero where the arm
+            ValueError: for an unknown name or a wrong shape, for negative or non-finite numbers, for zero where the arm
                 needs a positive value, and for stiffness or damping of a rigid joint that differ from the model's.
         """
         self._known = False
         self._mover.set_constants(arms, varied_constants(self.model, len(arms), parameters))
 
     def replace_integrator(self, make: Callable[[BatchIntegrator], BatchIntegrator]) -> None:
-        """Replace the integrator of all arms by `make(present integrator)`; reset all arms before the next step."""
+        """Replace the batch integrator by `make(present batch integrator)`; reset all arms before the next step."""
         self._mover = make(self._mover)
 
     @property
@@ -294,7 +296,7 @@ def _find_substeps(step: float | str | None, control_period: float) -> int:
     """Return the number of steps in a control period.
 
     Args:
-        step: s; None for one step, "auto" for that of `default_step`.
+        step: s; None for one step, "auto" for the step of `default_step`.
         control_period: s.
 
     Raises:

@@ -1,6 +1,8 @@
 """Integrators of the arms of a batch: protocol, integration one arm after the other, and integration in SIMD lanes.
 
-b is the number of arms, n that of joints, d that of coordinates; see `kernels.layout`.
+b is the number of arms, n of joints and d of coordinates, see `kernels.layout`. Rows of the inputs `drives` are n motor
+torques (N m), the tip force (3, N) and the base acceleration (3, m/s^2). An energy ledger is work and dissipation since
+the reset, J.
 """
 
 import os
@@ -117,10 +119,10 @@ class BatchIntegrator(Protocol):
         """Return copies of the constants PER_ARM of an arm, by name."""
 
     def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array) -> None:
-        """Compute the outputs of the arms with the indices (r,) from their rows, and call `forget`."""
+        """Compute the outputs of the arms with the indices (r,) from the states in `rows`, and call `forget`."""
 
     def forget(self, arms: IntArray) -> None:
-        """Clear the data that the method of the arms with the indices (r,) keeps between steps."""
+        """Clear the data that the method keeps between steps, for the arms with the indices (r,)."""
 
     def integrate(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
         """Integrate the arms whose status is OK over one control period under inputs `drives` (b, n + 6).
@@ -144,7 +146,7 @@ class BatchIntegrator(Protocol):
 class SequentialIntegrator(BatchIntegrator):
     """Batch integrator with an `Integrator` for each arm, which integrates one arm after the other.
 
-    `period` = (control period in s, number of steps in it).
+    `period` = (interval, substeps): the control period, s, and the number of steps in it.
     """
 
     state_fields = ("own",)
@@ -216,7 +218,7 @@ class LaneIntegrator(BatchIntegrator):
     """Batch integrator by fixed steps of a linearly implicit method; the ARMS_PER_GROUP arms of a group are SIMD lanes.
 
     A single arm without foreshortening is integrated by faster kernels of one arm, with equal results to the bit.
-    `period` = (control period or output interval in s, number of steps in it).
+    `period` = (interval, substeps): the control period or output interval, s, and the number of steps in it.
     """
 
     state_fields = ("own",)
@@ -243,7 +245,7 @@ class LaneIntegrator(BatchIntegrator):
                 make_work(constants, aligned_zeros) for _ in range(min(threads, -(-groups // GROUPS_PER_THREAD)))
             ]
         step_cost = LANE_COST_RATIO * method.evaluations
-        self._max_steps = max(1, evaluations_per_call(constants) // step_cost)  # of a group, in a kernel call
+        self._max_steps = max(1, evaluations_per_call(constants) // step_cost)  # steps of a group in a kernel call
         kind = NUMBER if self._single else ARMS
         self._tables = np.array([address_table(each, kind) for each in self._constants])
         self._work_tables = [address_table(each, kind) for each in self._works]
@@ -336,7 +338,7 @@ class LaneIntegrator(BatchIntegrator):
     def run(self, drives: Array, rows: Array, outputs: Array, counts: IntArray, grid: tuple[float, float, int]) -> None:
         """Integrate all arms under drives that change within an output interval, see `kernels.batch.run_batch`.
 
-        Not available for a single arm without foreshortening.
+        Available for several arms, and for a single arm with foreshortening.
 
         Args:
             drives: (b, 7, n + 6) drive tables of `kernels.layout`.
@@ -429,7 +431,7 @@ class LaneIntegrator(BatchIntegrator):
         self._run_in_threads(run_groups)
 
     def _run_in_threads(self, task: Callable[[slice, IntArray], Iterator[None]]) -> None:
-        """Run a task in each thread with the groups and the work space of the thread; Ctrl-C stops it between calls."""
+        """Run a task in each thread with the groups and scratch arrays of the thread; Ctrl-C stops it between calls."""
         ended: list[bool] = []
 
         def part(thread: int) -> None:

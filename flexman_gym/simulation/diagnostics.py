@@ -15,7 +15,7 @@ from flexman_gym.simulation.methods import DEFAULT_METHOD, EXPLICIT
 from flexman_gym.simulation.stability import NEGLIGIBLE_GROWTH, stability_limit
 
 LARGE_RATE = 100.0  # rad/s; bound of joint and motor rates
-LARGE_TWIST = 1.0  # rad; bound of joint twists
+LARGE_TWIST = 1.0  # rad; bound of joint twists (motor angle minus link-side angle)
 LARGE_DEFLECTION = 0.25  # dimensionless; bound of the deflection of a link relative to its length
 STIFFENING_DEFLECTION = 0.1  # deflection / length of the link, above which foreshortening matters
 OUTPUTS_PER_INTERVAL = 50  # outputs of the second simulation if the method chooses its steps

@@ -41,8 +41,8 @@ class Episode:
         actions: (T, n) actions that reach the motors, as fractions of the torque limits.
         torques: (T, n) motor torques after delays and other effects, N m.
         rewards: (T,) rewards of the control periods.
-        about: metadata as plain data: name of the agent, environment, its settings and their hash, seed, versions,
-            failure, arm and model, units of the readings.
+        about: metadata as JSON-compatible data: name of the agent, environment, its settings and their hash, seed,
+            versions, failure, arm and model, units of the readings.
 
     Examples:
         >>> trajectory = fm.simulate(fm.catalog.paper_scene("rr"), step=0.01)
@@ -95,7 +95,7 @@ class Episode:
 
     @property
     def name(self) -> str:
-        """Name of the agent or of the scene; "" if the metadata have none."""
+        """Name of the agent or of the scene; "" if missing in the metadata."""
         return str(self.about.get("name", ""))
 
     @property
@@ -105,7 +105,7 @@ class Episode:
 
     @property
     def band(self) -> float:
-        """Distance from the target within which the tip counts as settled, m; nan if the metadata have none."""
+        """Distance from the target within which the tip counts as settled, m; nan if missing in the metadata."""
         return float(self.about.get("band", np.nan))
 
     def save(self, path: str | Path) -> Path:
@@ -230,7 +230,7 @@ class Episode:
 
 
 def episode_metadata(model: Model, settings: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
-    """Return the metadata of an episode as plain data: arm, model, versions, settings and their hash.
+    """Return the metadata of an episode as JSON-compatible data: arm, model, versions, settings and their hash.
 
     Args:
         model: the model of the simulation.

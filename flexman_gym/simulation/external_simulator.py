@@ -1,9 +1,9 @@
 """External simulators: arms of a batch integrated by another simulation, with states in the coordinates of the batch.
 
 Sensors and controllers read states, outputs and parameters of the model of the batch. The two simulations exchange
-shapes: joint and motor angles, and for each link the translations (m) and rotation vectors (rad) of sections at given
-positions along the link, in its beam frame. Shapes are projected onto the coordinates of the model by least squares,
-weighted by the mass at the sections and, at the tip, by the rigid inertia outboard of the link.
+configurations, called shapes: joint and motor angles, and for each link the translations (m) and rotation vectors (rad)
+of sections at given positions along the link, in its beam frame. Shapes are projected onto the coordinates of the model
+by least squares, weighted by the mass at the sections and, at the tip, by the rigid inertia outboard of the link.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ ROTATION_WEIGHT = 1e-4  # weight of rotations: squared radius of gyration relati
 
 
 class ArmShapes(NamedTuple):
-    """Shapes of r arms with n joints and s sections.
+    """Configurations (shapes) of r arms with n joints and s sections, and their rates.
 
     Attributes:
         shapes: (r, 2 n + 6 s) joint angles, motor angles (rad), and translation (m) and rotation vector (rad) of each
@@ -49,19 +49,22 @@ class ExternalSimulator(Protocol):
         """Positions along the links of the sections of a shape, m."""
 
     def start(self, arm: int, shape: Array, rate: Array, parameters: Mapping[str, Array]) -> None:
-        """Start an arm from a shape (2 n + 6 s,) and its rate, with physical parameters by their name in PARAMETERS."""
+        """Start an arm from a shape (2 n + 6 s,) and its rate; `parameters` are values by their name in PARAMETERS."""
 
     def integrate(self, drives: Array, moving: BoolArray) -> BoolArray:
-        """Integrate the flagged arms over a control period under drives (b, n + 6); return flags (b,) of success."""
+        """Integrate the flagged arms over a control period; return flags (b,) of success.
+
+        Rows of `drives` (b, n + 6) are n motor torques (N m), tip force (3, N) and base acceleration (3, m/s^2).
+        """
 
     def read(self, arms: IntArray) -> ArmShapes:
-        """Return the shapes of the arms with the indices (r,)."""
+        """Return the configurations of the arms with the indices (r,)."""
 
 
 class ExternalIntegrator(BatchIntegrator):
     """Batch integrator that delegates the integration to an external simulator; see `Batch.replace_integrator`.
 
-    The replaced integrator holds the constants of the arms and computes outputs and tip accelerations.
+    The previous batch integrator still holds the constants of the arms and computes outputs and tip accelerations.
     """
 
     state_fields = ()
@@ -114,7 +117,7 @@ class ExternalIntegrator(BatchIntegrator):
 class RefinedSimulator:
     """External simulator with `elements` finite elements in each section of a link, foreshortening, and shorter steps.
 
-    `step_divisor` is the ratio of the step of the batch to that of the external simulator.
+    `step_divisor` is the ratio of the step of the batch to the step of the external simulator.
     """
 
     def __init__(self, batch: Batch, elements: int, step_divisor: int) -> None:
@@ -140,7 +143,7 @@ class RefinedSimulator:
         return self._batch.status == layout.OK
 
     def read(self, arms: IntArray) -> ArmShapes:
-        """Return the shapes of some arms."""
+        """Return the configurations of some arms."""
         positions, speeds = np.split(self._batch.state[arms], 2, axis=1)
         return ArmShapes(
             positions @ self._to_shapes, speeds @ self._to_shapes, self._batch.outputs[arms, : layout.DEFLECTION_COLUMN]
@@ -187,7 +190,8 @@ def _least_squares_matrix(shapes: Array, positions: Array, outboard: Array, mass
     """Return the matrix (k, 6 s) from displacements of sections to elastic coordinates of a link, by least squares.
 
     `shapes` (6 s, k) are displacements per unit elastic coordinate of the sections at positions (s,), m; `outboard` (6,
-    6) is the rigid inertia outboard of the link about its tip, `mass` that of the link (kg).
+    6) is the rigid inertia (kg, kg m, kg m^2) outboard of the link about its tip, linear part first, `mass` is the mass
+    of the link, kg.
     """
     masses = np.repeat(mass / len(positions), len(positions))
     masses[-1] /= 2.0  # trapezoidal rule; the root is fixed

@@ -1,4 +1,4 @@
-"""Integrator of one arm: an integration method with a model and a work space, and checks of step and tolerances."""
+"""Integrator of one arm: an integration method with a model and scratch arrays, and checks of step and tolerances."""
 
 import math
 from collections.abc import Callable, Collection, Sequence
@@ -97,8 +97,8 @@ def prescribed_flags(joints: int, prescribed: Collection[int]) -> IntArray:
 def _extrapolation_schedule(sequence: Sequence[int], lanes: int) -> IntArray:
     """Return the schedule (r, lanes, 2) of an extrapolated step: sequence and substep of each lane in each of r rounds.
 
-    A free lane receives the longest remaining sequence; if none remains, it continues beyond its last sequence, and the
-    results are not used.
+    An idle SIMD lane receives the longest remaining sequence. If none remains, it repeats steps whose results are
+    discarded.
 
     Args:
         sequence: ascending numbers of substeps.
@@ -118,7 +118,7 @@ def _extrapolation_schedule(sequence: Sequence[int], lanes: int) -> IntArray:
 class Integrator:
     """Integration method with a model: a callable that advances a state in place and fills rows and outputs.
 
-    d is the number of coordinates, n that of joints; see `kernels.layout`.
+    d is the number of coordinates, n the number of joints; see `kernels.layout`.
 
     Args:
         model: the model.
@@ -128,7 +128,7 @@ class Integrator:
 
     Attributes:
         constants: constants of the model, with flags of the motors with prescribed motion.
-        work: work space: scratch arrays of the kernels.
+        work: scratch arrays of the kernels.
         method: the method.
         tolerance: (rtol, atol) of adaptive steps; zeros for fixed steps.
     """
@@ -164,7 +164,8 @@ class Integrator:
         Args:
             drive: drive table (7, n + 6) of `kernels.layout`.
             grid: start (s), step (s), and number of steps in an interval.
-            state: (2 d + 2,) state (2 d), then work and dissipation, J (energy ledger), overwritten by the last ones.
+            state: (2 d + 2,) state (2 d), then work and dissipation since the start, J (energy ledger), overwritten by
+                the values at the end.
             rows: (r, 2 d + 2) states and energy ledgers, overwritten.
             result: (r, OUTPUTS) outputs, overwritten.
 
@@ -202,7 +203,7 @@ class Integrator:
         self.work.next_step[0] = self.work.stages[:] = 0.0
 
     def start(self, state: Array, row: Array, result: Array) -> None:
-        """Set a row and its outputs to those of a state, by zero steps; this also loads or compiles the kernels."""
+        """Set a row and its outputs to values for a state, by zero steps; this also loads or compiles the kernels."""
         self.forget()
         self(self._at_rest, (0.0, 0.0, 0), state, row[None], result[None])
 

@@ -77,7 +77,7 @@ class Explicit:
         b: (s,) weights.
         error: (e, s + 1) weights of e = 0, 1 or 2 error estimates; the last column weighs the derivative after the
             step.
-        semi_implicit: positions advance with the speeds after the step instead of those before it.
+        semi_implicit: positions advance with the speeds after the step instead of the speeds before it.
         adaptive: reference method, whose steps always follow from rtol and atol.
 
     Raises:
@@ -228,8 +228,8 @@ class Implicit:
 
     Attributes:
         name, order, source: see the module.
-        radius: spectral radius at infinite frequency, from 1 (no numerical damping) to 0 (the most); None for the
-            midpoint rule.
+        radius: spectral radius at infinite frequency, from 1 (no numerical damping) to 0 (the largest damping); None
+            for the midpoint rule.
     """
 
     name: str
@@ -258,7 +258,8 @@ class Implicit:
 class IteratedGauss:
     """Gauss collocation with one stage (the midpoint rule) or two, solved by a fixed number of Newton iterations.
 
-    The iterations use the approximate Jacobian of the linearly implicit methods; an evaluation costs as much as theirs.
+    The iterations use the approximate Jacobian of the linearly implicit methods; an evaluation of either costs the
+    same.
 
     Attributes:
         name, order, source: see the module.
@@ -354,7 +355,7 @@ def generalised_alpha(radius: float) -> Implicit:
     """Return the generalised-alpha method with a given spectral radius at infinite frequency.
 
     Args:
-        radius: from 1 (no numerical damping) to 0 (the most).
+        radius: from 1 (no numerical damping) to 0 (the largest damping).
 
     Returns:
         A Method for `simulate` and `Simulator`.
@@ -435,10 +436,10 @@ class _Methods(dict[str, Method]):
     """Integration methods by name, for `fm.simulate(scene, method=name, step=...)`.
 
     Each Method has an `order` (the error at a given time falls with the step to this power), a `kind` ("explicit",
-    "linearly implicit", "implicit" or "reference") and a `source`. All of them run with a fixed `step` (s), except
-    those of kind "reference", which take `step` as the length of their first step. Reference methods, and methods with
-    an error estimate when no step is given, choose their steps by `rtol` and `atol` (rad, m, and their rates).
-    `flexman list methods` prints the table.
+    "linearly implicit", "implicit" or "reference") and a `source`. All of them run with a fixed `step` (s), except the
+    methods of kind "reference", for which `step` is the length of the first step. Reference methods, and methods with
+    an error estimate when no step is given, choose their steps by `rtol` and `atol` (rad, m, and their rates). `flexman
+    list methods` prints the table.
 
     Examples:
         >>> fm.METHODS["midpoint_3"].order, fm.METHODS["midpoint_3"].kind

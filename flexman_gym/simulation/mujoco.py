@@ -88,7 +88,7 @@ class MuJoCoSimulator:
         return ok
 
     def read(self, arms: IntArray) -> ArmShapes:
-        """Return the shapes of some arms, with rates by central differences."""
+        """Return the configurations of some arms, with rates by central differences."""
         result = []
         for arm in arms.tolist():
             model, data = self._models[arm], self._datas[arm]
@@ -136,10 +136,10 @@ def _link_bodies(model: Any, number: int, link: Any) -> _LinkBodies:
     return _LinkBodies(model.body(name).id, np.array(link.orientation), np.array(angles), stations - starts, stations)
 
 
-def _rotation_vectors(turned: Array) -> Array:
+def _rotation_vectors(rotations: Array) -> Array:
     """Return the rotation vectors (k, 3), rad, of rotation matrices (k, 3, 3) with angles below pi / 2."""
-    vectors = np.stack([turned[:, 2, 1] - turned[:, 1, 2], turned[:, 0, 2] - turned[:, 2, 0],
-                        turned[:, 1, 0] - turned[:, 0, 1]], axis=1) / 2.0  # fmt: skip
+    vectors = np.stack([rotations[:, 2, 1] - rotations[:, 1, 2], rotations[:, 0, 2] - rotations[:, 2, 0],
+                        rotations[:, 1, 0] - rotations[:, 0, 1]], axis=1) / 2.0  # fmt: skip
     sines = np.minimum(np.linalg.norm(vectors, axis=1), 1.0)
     factors = np.divide(np.arcsin(sines), sines, out=np.ones_like(sines), where=sines > 0.0)
     return np.asarray(vectors * factors[:, None])

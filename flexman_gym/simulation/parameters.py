@@ -69,14 +69,14 @@ class _Parameter:
 
     Attributes:
         unit: unit of the values.
-        of: "arm" for one number, "joint" or "link" for one number per joint or link, (n,).
+        of: part with one value: "arm" for one number, "joint" or "link" for one number per joint or link, (n,).
         nominal: function: model -> value in the model.
         constants: function: model and values of all given parameters of r arms, by name -> changed fields (r, ...) of
             `kernels.layout.Constants`, all of them in `kernels.arguments.PER_ARM`.
         factor: True if a randomisation draws factors on the nominal value instead of values.
         fixed: function: model -> flags (n,) of joints or links whose value must stay nominal.
-        needed: function: model -> flags (n,) of joints or links whose value must not be 0.
-        lacking: reason why values are fixed, for the error.
+        needed: function: model -> flags (n,) of joints or links whose value must be positive.
+        lacking: reason why the values of `fixed` joints or links must stay nominal, for the error message.
     """
 
     unit: str
@@ -107,7 +107,7 @@ class _Parameter:
             count: number of arms.
 
         Raises:
-            ValueError: for a wrong shape, for numbers not finite or negative, for 0 where a positive value is needed,
+            ValueError: for a wrong shape, for negative or non-finite numbers, for 0 where a positive value is needed,
                 and for a changed value where it is fixed.
         """
         shape, nominal = (count, *self.shape(model.n_joints)), self.nominal(model)
@@ -187,7 +187,7 @@ def _link_constants(model: Model, given: Mapping[str, Array]) -> dict[str, Array
 
 
 def _expand_to_blocks(model: Model, factors: Array) -> Array:
-    """Return factors (r, n) of links as factors (r, q + LANES) of the entries of `Constants.stiffness`."""
+    """Return factors (r, n) of links as factors (r, q + LANES) of `Constants.stiffness`, padded by LANES entries."""
     result = np.ones((len(factors), len(model.constants.stiffness)))
     result[:, : model.constants.square_start[-1]] = np.repeat(factors, np.diff(model.constants.square_start), axis=1)
     return result
@@ -253,7 +253,7 @@ PARAMETERS: dict[str, _Parameter] = {
 
 
 UNCERTAIN = {f"{name.removesuffix('_factor')}_factor" if row.factor else name: name for name, row in PARAMETERS.items()}
-"""Name of a range of uncertainty -> parameter: NAME_factor for a range of factors on the nominal value of NAME."""
+"""Name of a range of an uncertain parameter -> parameter; NAME_factor is a range of factors on the nominal value."""
 
 
 def nominal_parameters(model: Model) -> dict[str, Array]:
@@ -287,7 +287,7 @@ def varied_constants(model: Model, count: int, parameters: Mapping[str, object])
 def varied_model(model: Model, **parameters: object) -> Model:
     """Return the model of an arm with changed parameters, in the coordinates of the given model.
 
-    The component modes stay those of the given model, whereas `build_model` computes those of the changed arm.
+    The component modes of the given model are kept, whereas `build_model` computes the modes of the changed arm.
 
     Args:
         model: the model.

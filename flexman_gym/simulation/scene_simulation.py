@@ -69,7 +69,7 @@ class _Interval(NamedTuple):
 def integration_intervals(pieces: PiecewiseSignals, interval: float, substeps: int, rows: range) -> Iterator[_Interval]:
     """Divide a range of output intervals at the boundaries of the pieces of a drive.
 
-    A part shorter than an output interval has equal steps, none longer than those of a whole output interval.
+    A part shorter than an output interval has equal steps, none longer than the steps of a whole output interval.
 
     Args:
         pieces: the drive.
@@ -113,7 +113,8 @@ def _run_pieces(
         integrator: the integrator.
         pieces: pieces of the drive.
         spacing: time between rows (s), and number of steps in this time.
-        state: (2 d + 2,) state and energy ledger at the start, overwritten by those at the end.
+        state: (2 d + 2,) state and energy ledger (work and dissipation since the start, J), overwritten by the values
+            at the end.
         rows: (r, 2 d + 2) states and energy ledgers after each interval, overwritten.
         outputs: (r, OUTPUTS) columns of `kernels.layout`, overwritten.
         first: number of output intervals before the start.
@@ -180,7 +181,7 @@ class _Settings(NamedTuple):
         tolerance: (rtol, atol), or None for fixed steps.
         interval: time between outputs, s.
         substeps: number of steps between outputs.
-        rows: number of outputs after that at time 0.
+        rows: number of outputs after the output at time 0.
     """
 
     model: Model
@@ -219,7 +220,7 @@ def _prescribed_joints(scene: Scene) -> list[int]:
 
 
 def _simulate_scene(scene: Scene, settings: _Settings, constants: dict[str, Any] | None = None) -> Trajectory:
-    """Simulate a scene with given settings; `constants` replace those of the model by name."""
+    """Simulate a scene with given settings; `constants` replace constants of the model by name."""
     model, interval, rows = settings.model, settings.interval, settings.rows
     integrator, state = _make_integrator(scene, settings, constants), _initial_row(scene, model)
     states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
@@ -234,7 +235,7 @@ def _simulate_scene(scene: Scene, settings: _Settings, constants: dict[str, Any]
 
 
 def _make_integrator(scene: Scene, settings: _Settings, constants: dict[str, Any] | None = None) -> Integrator:
-    """Return the integrator for given settings; `constants` replace those of the model by name."""
+    """Return the integrator for given settings; `constants` replace constants of the model by name."""
     integrator = Integrator(settings.model, settings.method, settings.tolerance, _prescribed_joints(scene))
     integrator.constants = integrator.constants._replace(**(constants or {}))
     return integrator
@@ -254,7 +255,7 @@ def _explanation(scene: Scene, settings: _Settings, constants: dict[str, Any] | 
 
 
 def _kinetics(scene: Scene, settings: _Settings, constants: dict[str, Any] | None, result: Trajectory) -> Kinetics:
-    """Return the accelerations and inputs of a trajectory of a scene; at a jump of the inputs those after the jump."""
+    """Return the accelerations and inputs of a trajectory of a scene; at a jump of the inputs, after the jump."""
     integrator, size, pieces = _make_integrator(scene, settings, constants), result.states.shape[1], scene.pieces
     rates, accelerations, drives = np.zeros(size + 2), [], []
     for time, state in zip(result.time, result.states, strict=True):
@@ -306,7 +307,7 @@ def simulate_all(
 
     Linearly implicit methods with fixed steps integrate eight scenes at once, in about twice the time of one. Other
     methods integrate one scene after the other, as does any method if the sample times of the scenes differ. Each
-    trajectory equals that of `simulate`, bit for bit.
+    trajectory equals the result of `simulate`, bit for bit.
 
     Args:
         scenes: b scenes of equal duration, output step and prescribed joints.
@@ -317,7 +318,8 @@ def simulate_all(
         rtol: see `simulate`.
         atol: see `simulate`.
         threads: largest number of threads, 1 to 256.
-        **parameters: values (b,) or (b, n) of physical parameters in place of those of the model, see `Batch.vary`.
+        **parameters: values (b,) or (b, n) of physical parameters that replace the values of the model, see
+            `Batch.vary`.
 
     Examples:
         >>> scene = fm.catalog.paper_scene("rr")

@@ -39,9 +39,10 @@ class Simulator:
         outputs: (OUTPUTS,) tip, deflection and energies at this state; columns in `kernels.layout`.
         prescribed: (n,) flags of the motors with prescribed motion.
         time: time since the reset, s.
-        energy_turnover: largest magnitude since the reset of kinetic + elastic energy, work or dissipation, J.
-        status: status of the last step: "ok", "diverged" or "not converged". After a failure, state and outputs stay
-            those at the end of the last successful control period, until a reset.
+        energy_turnover: largest of kinetic + elastic energy, |work| and |dissipation| since the reset, J: the scale of
+            the energy residual.
+        status: status of the last step: "ok", "diverged" or "not converged". After a failure, state and outputs keep
+            their values at the end of the last successful control period, until a reset.
 
     Examples:
         >>> simulator = fm.Simulator(fm.build_model(fm.catalog.one_joint()), control_period=0.01)
@@ -111,7 +112,7 @@ class Simulator:
     def trajectory(self) -> Trajectory:
         """Return the record as a trajectory, with a row for its start, at time 0, and for each successful period.
 
-        Work and dissipation are those since the start of the record. `evaluations` and `wall_seconds` are 0.
+        Work and dissipation are counted from the start of the record. `evaluations` and `wall_seconds` are 0.
 
         Raises:
             RuntimeError: where `record` was not called before.
@@ -202,7 +203,7 @@ class Simulator:
 
     @property
     def energy_turnover(self) -> float:
-        """Largest magnitude since the reset of kinetic + elastic energy, work or dissipation, J."""
+        """Largest kinetic + elastic energy, |work| or |dissipation| since the reset, J: scale of energy_residual."""
         return float(self.batch.energy_turnover[0])
 
     @property
@@ -217,12 +218,12 @@ class Simulator:
 
     @property
     def deflection(self) -> Array:
-        """Tip position relative to the tip of the rigid arm at the motor angles (3,), m."""
+        """Position (3,), m, base frame, of the tip relative to the tip of the rigid arm at the motor angles."""
         return self.outputs[layout.DEFLECTION]
 
     @property
     def deflection_rate(self) -> Array:
-        """Tip velocity relative to that of the rigid arm at the motor angles and rates (3,), m/s."""
+        """Velocity (3,), m/s, base frame, of the tip relative to the rigid arm's tip at the motor angles and rates."""
         return self.outputs[layout.DEFLECTION_RATE]
 
     @property

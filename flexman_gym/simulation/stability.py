@@ -39,7 +39,7 @@ def amplification_factors(method: Method, angle: float | Array) -> NDArray[np.co
         The factors (..., f).
 
     Raises:
-        ValueError: for a reference method, which has no fixed step.
+        ValueError: for an adaptive method, which has no fixed step.
         TypeError: for a family of methods without factors here.
     """
     angle = np.asarray(angle, dtype=np.float64)
@@ -74,11 +74,11 @@ def _implicit_factors(method: Implicit | IteratedGauss, angle: Array) -> NDArray
         return _corrected_factors(method.correction, angle)
     if isinstance(method, IteratedGauss) or method.radius is None:  # one iteration is exact for a linear problem
         return ((1.0 + 0.5j * angle) / (1.0 - 0.5j * angle))[..., None]
-    mass, force, beta, gamma = method.coefficients[:4]
+    alpha_m, alpha_f, beta, gamma = method.coefficients[:4]
     square = angle**2
-    # For q, h v and h^2 a: (1 - mass) a1 + mass a = -omega^2 ((1 - force) q1 + force q), with Newmark's q1 and v1.
-    after: list[list[Any]] = [[1.0, 0.0, -beta], [0.0, 1.0, -gamma], [(1.0 - force) * square, 0.0, 1.0 - mass]]
-    before: list[list[Any]] = [[1.0, 1.0, 0.5 - beta], [0.0, 1.0, 1.0 - gamma], [-force * square, 0.0, -mass]]
+    # For q, h v and h^2 a: (1 - alpha_m) a1 + alpha_m a = -omega^2 ((1 - alpha_f) q1 + alpha_f q), Newmark's q1 and v1.
+    after: list[list[Any]] = [[1.0, 0.0, -beta], [0.0, 1.0, -gamma], [(1.0 - alpha_f) * square, 0.0, 1.0 - alpha_m]]
+    before: list[list[Any]] = [[1.0, 1.0, 0.5 - beta], [0.0, 1.0, 1.0 - gamma], [-alpha_f * square, 0.0, -alpha_m]]
     return _eigenvalues(np.linalg.solve(_matrices(after), _matrices(before)))
 
 
@@ -126,7 +126,7 @@ def spectral_radii(method: Method, angles: float | Array) -> Array:
 def stability_limit(method: Method, growth: float = 0.0) -> float:
     """Return the largest omega h (rad) up to which no step multiplies an undamped vibration by more than 1 + growth.
 
-    The limit is infinite for a method that is stable at every omega h up to 1e4. A growth of 1e-12 is taken for
+    The limit is infinite for a method that is stable at every omega h up to 1e4. A growth of 1e-12 is attributed to
     rounding.
     """
     grid = np.concatenate([np.arange(1, 10_000) * 1e-3, np.geomspace(10.0, 1e4, 300)])

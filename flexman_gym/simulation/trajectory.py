@@ -16,7 +16,7 @@ from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurement
 from flexman_gym.model.loads import FrameMotion, part_energies, section_forces
 from flexman_gym.model.model import Model
 
-ENERGY_ALARM = 0.01  # dimensionless; fraction of the energy turnover above which the energy residual is too large
+ENERGY_ALARM = 0.01  # dimensionless; fraction of `energy_turnover` above which the energy residual is too large
 
 
 def _energy_turnover(moving_energy: Array | float, work: Array | float, dissipation: Array | float) -> Array:
@@ -47,7 +47,7 @@ def _no_kinetics(result: "Trajectory") -> Kinetics:
 class Trajectory:
     """Solution of a scene at T output times; after a failure only at those before the failure.
 
-    All quantities are in SI units and radians. Velocities and energies are those of the motion relative to the base.
+    All quantities are in SI units and radians. Velocities and energies are relative to the base.
 
     Attributes:
         time: (T,) s.
@@ -185,7 +185,7 @@ class Trajectory:
 
     @property
     def energy_turnover(self) -> Array:
-        """Largest magnitude so far of kinetic + elastic energy, work or dissipation (T,), J."""
+        """Largest of kinetic + elastic energy, |work|, |dissipation| so far (T,), J: scale of the energy residual."""
         parts = _energy_turnover(self.moving_energy, self.work, self.dissipation)
         return np.maximum.accumulate(parts)
 
@@ -231,7 +231,7 @@ class Trajectory:
         """Return the first time (s) at which the energy residual is too large, or None.
 
         Args:
-            level: largest allowed residual as a fraction of the energy turnover at the end.
+            level: largest allowed residual as a fraction of `energy_turnover` at the end.
         """
         largest = positive("level", level) * self.energy_turnover[-1]
         above = np.flatnonzero(abs(self.energy_residual) > largest)

@@ -1,4 +1,7 @@
-"""Verification cases with closed-form solutions: beams, stepped links, bars and flexible joints at rest."""
+"""Verification cases with closed-form solutions: beams, stepped links, bars and flexible joints at rest.
+
+The paper is "Dynamic modeling and simulation of spatial manipulator with flexible links and joints".
+"""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -178,7 +181,7 @@ def _bar_rows() -> Iterator[VerificationRow]:
 def _elastic_joint_rows() -> Iterator[VerificationRow]:
     """Yield frequencies (Hz) of a flexible link on a flexible joint, with a free and with a clamped rotor."""
     length, mass_per_length, rigidity = 0.7, 4.0, 0.6  # m, kg/m, N m^2
-    stiffness, rotor = 100.0, 1.0  # of the joint, N m/rad, and rotor inertia, kg m^2
+    stiffness, rotor = 100.0, 1.0  # N m/rad, stiffness of the joint; kg m^2, rotor inertia
     scale = np.sqrt(rigidity / mass_per_length) / (2.0 * np.pi * length**2)
     link, joint = slender_link(length, mass_per_length, rigidity), Joint((0.0, 0.0, 1.0), rotor, stiffness)
     for tip in (0.0, 2.0):

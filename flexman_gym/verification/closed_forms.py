@@ -62,7 +62,7 @@ def flexible_joint_frequencies(
     The torsion spring of the joint connects the base of the beam, at the angle b w' / L, to a rotor at the angle
     theta_m, with (kappa - eta b^4) theta_m = kappa b w' / L for a free rotor. The boundary conditions at the base are w
     = 0 and (kappa - eta b^4) w'' + kappa eta b^3 w' = 0, or b w'' = kappa w' with a clamped rotor; at the tip they are
-    those of `cantilever_frequencies`.
+    the conditions in `cantilever_frequencies`.
 
     Args:
         count: number of frequencies, without the zero frequency of the rigid rotation.

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 import flexman_gym as fm
-from flexman_gym.identification.fit import MAX_STARTS, SPREAD, parameter_covariance
+from flexman_gym.identification.fit import SOLVED_STARTS, SPREAD, parameter_covariance
 from flexman_gym.identification.least_squares import FreeParameters, LeastSquaresProblem
 from flexman_gym.identification.measurement import SimulatedResponse
 from flexman_gym.identification.ringing import Ringing
@@ -100,7 +100,7 @@ def test_one_frequency_that_is_wrong_is_a_poor_fit(monkeypatch):
     for factors, poor in (((1.0, 1.0), False), ((1.0, 1.012), False), ((1.0, 1.03), True), ((0.97, 1.0), True)):
         starts.clear()
         fm.fit(arm, "joint_stiffness", known * factors, **CHOICE)
-        assert len(starts) == (1 + MAX_STARTS if poor else 1)
+        assert len(starts) == (1 + SOLVED_STARTS if poor else 1)
 
 
 def test_the_best_of_other_starts_is_followed(monkeypatch):

@@ -36,9 +36,10 @@ class InputShapedController:
 
     The command is a step from start to goal, a minimum-jerk motion, or the path of a moving goal. The inner controller
     receives the shaped command as `EpisodeInfo.reference` and in its readings of the goal: angle_errors, goal_rates,
-    angle_command, rate_command, target_error, tip_command, tip_velocity_command. An LQR is designed for the goal; the
-    equilibrium state of the goal minus that of the command is added to the state in its readings. A TrackingLQR
-    requires a duration, since no arm follows a step.
+    angle_command, rate_command, target_error, tip_command, tip_velocity_command. An LQR regulates the state about the
+    equilibrium of its fixed goal; to make it follow the command, its readings of the state are shifted by the
+    equilibrium state of the goal minus the equilibrium state of the command. A TrackingLQR requires a duration, since
+    no arm follows a step.
 
     Shaping prevents vibration due to the command, not due to disturbances. The shaper is designed for the modes with
     held motors; with low controller gains the closed loop has different modes.
@@ -80,7 +81,7 @@ class InputShapedController:
         self._now = np.zeros(0, dtype=np.int64)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Compute the shaped commands of the arms (r,) of `count` in all; start episodes of the inner controller."""
+        """Compute the shaped commands of new episodes, and start the inner controller; see `Controller.reset`."""
         self._now = pad_rows(self._now, count)
         self._now[arms] = 0
         for row, arm in enumerate(arms.tolist()):

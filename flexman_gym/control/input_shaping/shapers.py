@@ -243,7 +243,7 @@ class ShaperEvaluation(NamedTuple):
 
 
 def find_operating_points(model: Model, postures: Array, payloads: Sequence[float]) -> list[OperatingPoint]:
-    """Compute the lowest modes for each of the postures (p, n) rad with each of the payloads (kg)."""
+    """Return an operating point, with its lowest modes, for each pair of a posture (p, n) rad and a payload (kg)."""
     result = []
     for payload in payloads:
         loaded = varied_model(model, payload_mass=non_negative("payload_mass", payload, "kg"))

@@ -130,7 +130,7 @@ class Estimator:
         self._perturbations_reduced, self._filtering = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,) of `count` in all."""
+        """Start new episodes; arguments as in `Controller.reset`."""
         if count > len(self._ages):
             for name in (*self._arrays, "_given_angles", "_simulated_theta"):
                 setattr(self, name, pad_rows(getattr(self, name), count))

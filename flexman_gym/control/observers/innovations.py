@@ -112,7 +112,7 @@ class ChangeDetector:
         self.misfit, self._mean = np.zeros(0), np.zeros((0, readings))
 
     def reset(self, arms: IntArray, count: int) -> None:
-        """Reset the moving averages of the arms (r,), of `count` arms in all."""
+        """Reset the moving averages of the arms with indices (r,); `count` is the total number of arms."""
         self.misfit, self._mean = pad_rows(self.misfit, count), pad_rows(self._mean, count)
         self.misfit[arms], self._mean[arms] = 1.0, 0.0
 

@@ -135,7 +135,7 @@ class DelayCompensation:
         self.past, self._limits = np.zeros((0, plant.delay[1] + 1, n)), np.zeros((0, n))
 
     def reset(self, arms: IntArray, count: int, limits: Array | None = None) -> None:
-        """Start new episodes of the arms (r,) of `count` in all; limits (r, n), N m, or None for those of the plant."""
+        """Start new episodes, see `Controller.reset`; limits (r, n), N m, or None for the limits of the plant."""
         self.past, self._limits = pad_rows(self.past, count), pad_rows(self._limits, count)
         self.past[arms], self._limits[arms] = 0.0, self._plant_limits if limits is None else limits
 

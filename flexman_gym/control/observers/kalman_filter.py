@@ -45,8 +45,8 @@ def stationary_covariance(transition: Array, noise: Array, matrix: Array, varian
     """Return the stationary covariances (..., s, s) before a measurement.
 
     Each iteration of the doubling algorithm doubles the number of periods and needs no eigenvalues (Anderson,
-    International Journal of Control 28, 1978, 295). The arguments are those of `time_update` and `measurement_update`.
-    Entries of unobservable states are infinite.
+    International Journal of Control 28, 1978, 295). Arguments as in `time_update` and `measurement_update`. Entries of
+    unobservable states are infinite.
     """
     alpha, information, result = transition.mT, (matrix.T / variances) @ matrix, noise
     before, eye = result, np.eye(matrix.shape[1])
@@ -152,7 +152,7 @@ class KalmanFilter:
         Args:
             arms: (r,) indices.
             episode: start and goal of these episodes.
-            count: number of arms in all.
+            count: total number of arms.
 
         Raises:
             ValueError: with a fixed gain, for sensors from which the state is not observable.

@@ -44,11 +44,11 @@ class Observer(Protocol):
         ...
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,) of `count` in all."""
+        """Start new episodes; arguments as in `Controller.reset`."""
         ...
 
     def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
-        """Return the estimate of this control period; arguments are those of `Controller.act`.
+        """Return the estimate of this control period; arguments as in `Controller.act`.
 
         An observer is called once per control period.
         """

@@ -38,7 +38,7 @@ class Oracle:
         self._theta = np.zeros((0, 2, len(self._uncertain.names) if self._uncertain else 0))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Store parameters and delays of new episodes of the arms (r,) of `count` in all."""
+        """Store parameters and delays of new episodes; arguments as in `Controller.reset`."""
         self._prediction.reset(arms, count, episode.drawn.get("torque_limit"))
         self._prediction.extend(int(np.max(episode.drawn.get("delay", 0), initial=0)))
         drawn = {name: values.astype(float) for name, values in episode.drawn.items() if name in PARAMETERS}

@@ -31,7 +31,7 @@ DIFFERENCE_STEP = 0.01  # s; step of central differences for the rates of deflec
 
 
 class _PathTables(NamedTuple):
-    """Deflections and torques at the points of a path, for p payloads, in three layers: REST, s'' and s'^2.
+    """Deflections and torques at points of a path with parameter s, for p payloads, in three layers: REST, s'', s'^2.
 
     Attributes:
         coordinates: (p, 11, 3, d) deviations of the coordinates from the straight path of the motors.
@@ -57,7 +57,7 @@ class SlewReferences:
         payloads: masses of one or three payloads, kg, from the lightest to the heaviest.
 
     Attributes:
-        time_scaling: (b,) rate of the clock of a slew relative to time.
+        time_scaling: (b,) time derivative of the clock of each slew, 1; the path parameter is a function of this clock.
         pace_rate: (b,) time derivative of the time scaling, 1/s.
     """
 

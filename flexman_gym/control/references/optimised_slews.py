@@ -421,7 +421,7 @@ class OptimisedController(LQR):
         self._table, self._slews, self._now = table, list[Array](), np.zeros(0, dtype=np.int64)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Look up the slews of the arms (r,) of `count` in all."""
+        """Look up the slews of new episodes; arguments as in `Controller.reset`."""
         if episode.path is not None:
             raise value_error("episode", "a moving goal", "a fixed goal: slews are optimised for fixed goals only")
         found = [self._table.torques(*ends) for ends in zip(episode.start, episode.goal, strict=True)]

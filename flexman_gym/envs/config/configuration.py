@@ -19,7 +19,7 @@ from flexman_gym.envs.config.named_environments import (
     condition_settings,
 )
 from flexman_gym.envs.config.randomisation import Randomisation
-from flexman_gym.envs.config.settings import CHOSEN, SETTINGS, EnvironmentSettings
+from flexman_gym.envs.config.settings import AUTO_SETTINGS, SETTINGS, EnvironmentSettings
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import warn_unusual_units
 from flexman_gym.scene.serialization import SUFFIXES, find_arm, to_plain
@@ -34,9 +34,9 @@ SET_HELP = f"environment setting: {', '.join(SETTINGS)}; arm.payload.mass=0.5 ch
 class Configuration(EnvironmentSettings):
     """Configuration of an environment: an id and settings, checked at construction.
 
-    A missing setting has the value of the named environment, or its default. Settings may be objects or plain data
-    (strings, numbers, booleans, lists, mappings); a file contains plain data only. The setting "condition" names a
-    condition of the environment, which supplies values for missing settings.
+    A missing setting has the value of the named environment, or its default. Settings may be objects or JSON-compatible
+    data (strings, numbers, booleans, lists, mappings); a file contains JSON-compatible data only. The setting
+    "condition" names a condition of the environment, which supplies values for missing settings.
 
     Args:
         id: id of a named environment.
@@ -51,7 +51,7 @@ class Configuration(EnvironmentSettings):
         named, given = NAMED_ENVIRONMENTS[one_of("id", id, NAMED_ENVIRONMENTS)], dict(settings or {})
         if given.pop("condition", NOMINAL) != NOMINAL:
             given = {**condition_settings(id, settings["condition"]), **given}  # type: ignore[index]
-        given = _present_settings(given, True)
+        given = _current_settings(given, True)
         _refuse_unknown(given)
         if isinstance(given.get("arm"), str) and given["arm"].endswith(SUFFIXES):
             given["arm"] = to_plain(find_arm(given["arm"], folder))
@@ -90,7 +90,7 @@ class Configuration(EnvironmentSettings):
             if isinstance(self.modes, str):
                 one_of("modes", self.modes, ("assembled",))
             return
-        for name in CHOSEN:
+        for name in AUTO_SETTINGS:
             if getattr(self, name) != SETTINGS[name].default:
                 raise value_error(name, getattr(self, name), 'nothing: fidelity="auto" chooses it')
         positive("tolerance", self.tolerance, 'm, for fidelity="auto"')
@@ -112,7 +112,7 @@ class Configuration(EnvironmentSettings):
 
         Args:
             keywords: settings; "name", the id of a named environment; and "configuration", a Configuration in which the
-                settings replace those of the same names.
+                settings replace settings of the same names.
             others: names of keyword arguments of the environment that are no settings, for the error message.
         """
         given = dict(keywords)
@@ -136,7 +136,7 @@ class Configuration(EnvironmentSettings):
             folder: folder to which the path of a file with an arm is relative.
             warn: True to issue a DeprecationWarning for each deprecated name.
         """
-        settings = _present_settings(data, warn)
+        settings = _current_settings(data, warn)
         return cls(settings.pop("id", DEFAULT_ID), settings, folder)
 
     @classmethod
@@ -149,7 +149,8 @@ class Configuration(EnvironmentSettings):
 
         Raises:
             FileNotFoundError: if the file does not exist.
-            ValueError: for a setting that is not allowed; one line with file, field, value and the allowed values.
+            ValueError: for a setting that is not allowed, with a one-line message: file, field, value and the allowed
+                values.
         """
         try:
             return cls._from_changes(files.read_data(Path(path)), changes, Path(path).parent, warn=True)
@@ -197,13 +198,14 @@ class Configuration(EnvironmentSettings):
         return self if len(kept) == len(self._given) else type(self)(self.id, kept)
 
     def to_plain(self, strict: bool = True) -> dict[str, Any]:
-        """Return plain data from which `from_plain` makes the same environment on any computer and in later releases.
+        """Return JSON-compatible data of the environment, for `from_plain` on any computer and in later releases.
 
         The mapping contains the data of the arm in place of a name or a file, the gains of base="pd", and the method,
         whose default may change with a release.
 
         Args:
-            strict: True to raise ValueError for an object without a plain form; False to return the object itself.
+            strict: True to raise ValueError for an object without JSON-compatible data; False to return the object
+                itself.
 
         Raises:
             ValueError: for a task, sensor, controller or function defined by the user, which a file cannot contain.
@@ -216,7 +218,7 @@ class Configuration(EnvironmentSettings):
         return {"id": self.id, **plain, "arm": to_plain(self.arm)}
 
     def _plain(self, name: str, value: Any, strict: bool) -> Any:
-        """Return the plain form of the given value of a setting."""
+        """Return the JSON-compatible data of the given value of a setting."""
         if _is_plain(value):
             return value
         stored, form = getattr(self, name), SETTINGS[name].plain
@@ -238,7 +240,7 @@ class Configuration(EnvironmentSettings):
             path: path of the file.
 
         Raises:
-            ValueError: for a path with a different suffix, and for an object without a plain form.
+            ValueError: for a path with a different suffix, and for an object without JSON-compatible data.
         """
         files.write_data(Path(path), _lists(self.to_plain()))
 
@@ -253,7 +255,7 @@ class Configuration(EnvironmentSettings):
     @classmethod
     def _from_changes(cls, data: object, changes: Sequence[str], folder: Path = Path(), warn: bool = False) -> Self:
         """Return the configuration of a mapping with changes "name=value", checked after the last change."""
-        data = _present_settings(data, warn)
+        data = _current_settings(data, warn)
         for change in sequence("--set", changes, "texts"):
             name, equals, written = text("--set", change).partition("=")
             if not equals or not all(part.isidentifier() for part in name.split(".")):
@@ -279,7 +281,7 @@ class Configuration(EnvironmentSettings):
 
     @property
     def disturbances(self) -> Randomisation | None:
-        """Union of the randomisation and the disturbances of the task; ranges of the randomisation take precedence."""
+        """Randomisation of the environment together with that of its task; the environment's ranges take precedence."""
         of_task, given = dict(getattr(self.task, "disturbances", {})), self.randomisation
         if not of_task:
             return given
@@ -306,7 +308,7 @@ class Configuration(EnvironmentSettings):
         """PD gains by name: the setting gains, by default the gains tuned for the arm of the named environment.
 
         Raises:
-            ValueError: without the setting, for an arm with links or motors unlike those of the named environment.
+            ValueError: without the setting, for an arm whose links or motors differ from the named environment.
         """
         named, gains = NAMED_ENVIRONMENTS[self.id], self.gains
         if gains is None:
@@ -324,8 +326,8 @@ _LINES = (f"        {name}: {each.help}" + f" ({each.unit})" * bool(each.unit) f
 Configuration.__doc__ = "\n".join([f"{Configuration.__doc__}\n    Attributes:", *_LINES])
 
 
-def _present_settings(data: object, warn: bool) -> dict[str, Any]:
-    """Return a mapping with "id" and settings under their present names."""
+def _current_settings(data: object, warn: bool) -> dict[str, Any]:
+    """Return a mapping with "id" and settings under their current names."""
     if not isinstance(data, dict):
         raise value_error("environment", data, "a mapping with id and settings")
     for name, value in data.items():
@@ -349,7 +351,7 @@ def _refuse_unknown(settings: Mapping[str, Any], others: Collection[str] = ()) -
 
 
 def _is_plain(value: object) -> bool:
-    """Return True for plain data: strings, numbers, booleans, None, and lists and mappings of these."""
+    """Return True for JSON-compatible data: strings, numbers, booleans, None, and lists and mappings of these."""
     if isinstance(value, dict):
         return all(map(_is_plain, value.values()))
     if isinstance(value, list | tuple):

@@ -47,7 +47,7 @@ class _NamedEnvironment:
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Return the named environment of a YAML file with the attributes of this class as plain data.
+        """Return the named environment of a YAML file with the attributes of this class as JSON-compatible data.
 
         The arm is a name or a mapping as for `Configuration`. In addition, lists at its key "joints" set fields of the
         joints, such as joints: {stiffness: [5e3, 5e3, 2e3]}. The key "extends" names a second environment in the same
@@ -57,7 +57,8 @@ class _NamedEnvironment:
             path: path of the file.
 
         Raises:
-            ValueError: for data that are not allowed; one line with file, field, value and the allowed values.
+            ValueError: for data that are not allowed, with a one-line message: file, field, value and the allowed
+                values.
         """
         try:
             data = mapping("environment", _read(path), [each.name for each in fields(cls)])
@@ -73,13 +74,13 @@ class _NamedEnvironment:
             raise ValueError(f"{path.name}: {error}") from None
 
     def plain(self, name: str) -> Any:
-        """Return the plain form of arm, task or limits; {} for any other setting."""
+        """Return the JSON-compatible data of arm, task or limits; {} for any other setting."""
         forms = {"arm": to_plain, "task": plain_task, "limits": asdict}
         return forms[name](getattr(self, name)) if name in forms else {}
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """Return the data of the file of a named environment, merged with those of the environment it extends."""
+    """Return the data of the file of a named environment, merged with the data of the environment it extends."""
     data = files.read_data(path, of_package=True)
     parent = data.pop("extends", None)
     return data if parent is None else _read(path.with_name(f"{parent}.yaml")) | data
@@ -94,7 +95,7 @@ def _arm(value: Any) -> Arm:
 
 
 def _merged(old: object, change: object) -> object:
-    """Return plain data with a change.
+    """Return JSON-compatible data with a change.
 
     Mappings are merged. In a list of mappings, a list of values in the change sets a field of each of the mappings.
     """

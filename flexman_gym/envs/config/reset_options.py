@@ -28,7 +28,7 @@ def inverse_kinematics(field: str, position: Array, near: Array, view: View) -> 
         field: name of the field in the error message.
         position: (3,) position of the tip, m.
         near: (n,) motor angles, rad.
-        view: view of the arm; under gravity the arm is deformed by its nominal weight.
+        view: named quantities of the arms, see `View`. Under gravity the arm at rest is deformed by its nominal weight.
 
     Raises:
         ValueError: if no initial posture leads to a solution.
@@ -95,7 +95,7 @@ def check_parameters(options: object, batch: Batch) -> None:
 
 
 def _each(field: str, value: object, shape: tuple[int, ...], arms: int, unit: str) -> Array:
-    """Return numbers (b, ...) of all arms from numbers (...) for all arms, or (b, ...) for each arm."""
+    """Return an array (b, ...) from a value (...) that applies to all arms, or (b, ...) with one value per arm."""
     if len(shape) != 1:
         return _numbers(field, value, (arms, *shape))
     entries = sequence(field, value, "numbers")

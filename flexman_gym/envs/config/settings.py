@@ -1,4 +1,4 @@
-"""Settings of an environment: declaration, checks and plain form of each."""
+"""Settings of an environment: declaration, checks and JSON-compatible data of each setting."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -22,7 +22,7 @@ from flexman_gym.scene.serialization import find_arm, to_plain
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 from flexman_gym.simulation.trajectory import ENERGY_ALARM
 
-CHOSEN = ("elements", "modes", "method", "step", "stiffening")  # settings chosen by fidelity="auto"
+AUTO_SETTINGS = ("elements", "modes", "method", "step", "stiffening")  # settings chosen by fidelity="auto"
 MIN_PERIOD, MAX_PERIOD = 1e-9, 100.0  # s; range of the control period
 MAX_REPEATS = 1000  # largest action_repeat
 
@@ -37,7 +37,8 @@ class _Setting:
         default: value of a missing setting; None if the named environment defines it.
         unit: SI unit; "" for a setting without a unit.
         named: True if None stands for the value of the named environment.
-        plain: function that returns the plain data of a stored object; None if the stored value is plain data.
+        plain: function that returns the JSON-compatible data of a stored object; None if the stored value is
+            JSON-compatible.
         deprecated: deprecated names of the setting.
         foreign: name of this setting in other libraries -> hint in the error message.
     """
@@ -210,7 +211,8 @@ class EnvironmentSettings:
         foreign={"frame_skip": "action_repeat, the number of control periods for which an action is held"},
     )
     fidelity: str = _setting(
-        f"Selection of the model. 'auto' chooses {', '.join(CHOSEN)} for a tolerance; 'default' uses these settings.",
+        f"Selection of the model. 'auto' chooses {', '.join(AUTO_SETTINGS)} for a tolerance; 'default' uses these "
+        "settings.",
         partial(one_of, "fidelity", allowed=("default", "auto")), "default",
     )
     tolerance: float | None = _setting(

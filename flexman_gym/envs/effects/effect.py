@@ -63,7 +63,7 @@ class Effect(Protocol):
 
     @staticmethod
     def checked(field: str, value: object) -> float:
-        """Return one end of the range after a check; `field` is its name in the error message."""
+        """Check the lower or upper end of the range and return it; `field` is its name in the error message."""
         ...
 
     @property

@@ -41,8 +41,8 @@ SENSOR_NAMES = (*SENSORS, *SENSOR_SETS)
 def find_sensors(value: object) -> tuple[object, ...]:
     """Return the sensors specified by a name, a mapping, a Sensor, or a list of these.
 
-    A mapping has the name of a sensor or of a set at "kind", and flaws, see `Flaws`. The flaws of a set apply to those
-    of its sensors that measure.
+    A mapping has the name of a sensor or of a set at "kind", and flaws, see `Flaws`. The flaws of a set apply to the
+    sensors of the set that measure.
     """
     parts = value if isinstance(value, tuple | list) else (value,)
     return tuple(sensor for part in parts for sensor in _find_part(part))
@@ -75,7 +75,7 @@ def _with_flaws(sensor: Any, flaws: Mapping[str, Any], in_set: bool) -> Sensor:
 
 
 def plain_sensors(parts: tuple[object, ...]) -> list[Any]:
-    """Return sensors as plain data: names and mappings from which `find_sensors` makes equal sensors.
+    """Return sensors as JSON-compatible data: names and mappings from which `find_sensors` makes equal sensors.
 
     Args:
         parts: sensors.

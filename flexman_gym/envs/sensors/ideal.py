@@ -141,7 +141,7 @@ class FineScale:
 
 
 def _scales(view: View, limits: Limits) -> list[tuple[str, float]]:
-    """Return pairs of name and scale in the order of the entries."""
+    """Return pairs of name and scale of the quantities of `FineScale`, in the order of its entries."""
     reach = view.reach
     return [
         ("motor_rates", RATE * limits.rate),

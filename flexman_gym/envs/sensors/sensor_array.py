@@ -23,9 +23,10 @@ class SensorArray:
         view: a View, or a MeasuredView.
         limits: limits of the arm.
         label: name that seeds the random streams of the instruments.
-        agent_sensors: for the sensors of an action mode the sensor array of the agent. An ideal sensor then reads a
-            quantity as measured by an instrument of this array, else as measured by the agent's sensors, and entries
-            may have equal names, of which the first is used.
+        agent_sensors: for the sensors of an action mode, the sensor array of the agent. An instrument is a sensor with
+            its own noise and delay; an ideal sensor has none. An ideal sensor then reads each quantity from the first
+            instrument of this array that measures it, otherwise from the sensors of the agent. Entries may have equal
+            names; the first of them is used.
 
     Attributes:
         slices: name of an entry -> its slice of the observation.
@@ -33,7 +34,7 @@ class SensorArray:
         bound: (size,) largest magnitude of each value.
         observations: (b, size) last readings, overwritten by the next reading.
         readings: name of an entry -> (b, ...) its part of the observations.
-        shared: view in which each quantity is that measured by the first of the sensors.
+        shared: view in which each quantity comes from the first sensor that measures it.
 
     Raises:
         ValueError: for an object that is not a sensor; without agent_sensors also for two entries with equal names.
@@ -109,9 +110,9 @@ def _copy_sensor(part: object) -> Any:
 
 
 class _SharedView:
-    """View in which each quantity is that measured by the first of some sensors.
+    """View in which each quantity comes from the first sensor that measures it.
 
-    A quantity measured by an ideal sensor, or by no sensor, is that of a given view.
+    A quantity measured by an ideal sensor, or by no sensor, comes from a given view.
     """
 
     def __init__(self, view: View, parts: Sequence[object]) -> None:

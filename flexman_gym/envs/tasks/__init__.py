@@ -29,7 +29,7 @@ def find_task(value: object) -> Task:
 
 
 def plain_task(task: Any) -> dict[str, Any]:
-    """Return a task as plain data: a mapping from which `find_task` makes an equal task.
+    """Return a task as JSON-compatible data: a mapping from which `find_task` makes an equal task.
 
     Args:
         task: a task of this library.

@@ -27,7 +27,7 @@ class Hold:
         As in every environment: motor torques as fractions of the torque limits.
 
     Observations
-        Those of the sensors of the environment; the task adds none. The disturbances are not observed.
+        Readings of the sensors of the environment; the task adds none. The disturbances are not observed.
 
     Reward
         At most 1 per control period, the sum of these terms:
@@ -44,7 +44,7 @@ class Hold:
 
     Arguments
         Magnitudes of disturbances are drawn uniformly from ranges (low, high). The ranges tip_impulse, tip_load and
-        base_sway of the setting randomisation override those of the task; None disables a disturbance.
+        base_sway of the setting randomisation override the ranges of the task; None disables a disturbance.
 
     Version history
         v0: first version.

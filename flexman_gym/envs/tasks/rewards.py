@@ -51,7 +51,7 @@ def compiled_terms(reward: str, view: View, velocity: Array | None = None) -> di
     Args:
         reward: key of REWARDS.
         view: view of the arms.
-        velocity: (..., 3) m/s, as in `distance_reward`; None for a reward that does not depend on it.
+        velocity: (..., 3) m/s, as in `distance_reward`; None for a reward that does not depend on the velocity.
     """
     kind, names = REWARDS[reward]
     errors = np.array(view.tip_error, dtype=float, ndmin=1)

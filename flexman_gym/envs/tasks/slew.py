@@ -27,7 +27,7 @@ class Slew:
         As in every environment: motor torques as fractions of the torque limits.
 
     Observations
-        Those of the sensors of the environment; the task adds none.
+        Readings of the sensors of the environment; the task adds none.
 
     Reward
         The reward of a control period is the sum of the following terms: from 0 to 1, minus a penalty after a failure.

@@ -34,13 +34,13 @@ class Task(Protocol):
     arguments of `Randomisation`. Misspelt names raise ValueError.
 
     Attributes:
-        sensors: sensors that observe the goal, added to those of the environment; () for no sensors.
+        sensors: sensors that observe the goal, added to the sensors of the environment; () for no sensors.
         moves: True if the goal changes during an episode; `goal` is then called in every control period.
     """
 
     @property
     def sensors(self) -> Sequence[Sensor]:
-        """Sensors that observe the goal, added to those of the environment."""
+        """Sensors that observe the goal, added to the sensors of the environment."""
         ...
 
     @property

@@ -39,7 +39,8 @@ def _path_phase(time: Array, period: Array) -> Array:
 def _evaluate_series(series: Array, phases: Array) -> Array:
     """Return the values (r, p, size) of Fourier series (r, size, 2 h + 1) at phases (r, p), rad.
 
-    The coefficients of a series with h harmonics are the mean, then those of cosine and sine of each harmonic.
+    The coefficients of a series with h harmonics are the mean, then the coefficients of cosine and sine of each
+    harmonic.
     """
     result = np.zeros((*phases.shape, series.shape[1]))
     fourier_series(series, phases, result)
@@ -163,7 +164,7 @@ class Track:
         As in every environment: motor torques as fractions of the torque limits.
 
     Observations
-        Those of the sensors of the environment. With a preview the task adds an entry:
+        Readings of the sensors of the environment. With a preview the task adds an entry:
 
         slice    entries     unit  bound
         preview  3 per time  m     (1 + deflection limit) * reach   future positions of the target, base frame
@@ -177,8 +178,8 @@ class Track:
 
     Start
         At rest at the first point of the path. The centre of the path is the position of the tip at motor angles drawn
-        uniformly from [-middle, middle]. The orientation of the path is random, within the plane or the space in which
-        the tip can move at its centre.
+        uniformly from [-middle, middle], rad. The orientation of the path is random, within the plane or the space in
+        which the tip can move at its centre.
 
     End
         Truncated after the horizon of the environment; terminated by a failure.
@@ -190,12 +191,12 @@ class Track:
         v0: first version.
 
     Attributes:
-        path: "circle", "lemniscate", "smooth", or "any" for one of these drawn in each episode.
+        path: "circle", "lemniscate", "smooth", or "any" for one of these shapes drawn in each episode.
         size: largest distance of the path from its centre, as a fraction of the reach.
         period: range (low, high) from which the time of one revolution is drawn uniformly, in periods of the first mode
             of the arm with locked motors; in seconds for a rigid arm.
         preview: look-ahead times of the observed positions of the target, s; () for no observation of the path.
-        middle: largest motor angle at the centre of the path, rad.
+        middle: largest magnitude of a motor angle of the posture at the centre of the path, rad.
         failure_penalty: penalty subtracted from the reward after a failure, >= 0.
     """
 
@@ -228,7 +229,12 @@ class Track:
         return (_Preview(self.preview),) if self.preview else ()
 
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
-        """Draw start (n,), rad, Fourier series of path, m, and postures, rad, and period of revolution, s."""
+        """Draw the parameters of an episode.
+
+        Returns:
+            "start", motor angles (n,), rad; "path", Fourier series (3, 2 h + 1) of the tip, m; "postures", Fourier
+            series (n, 2 h + 1) of the motor angles, rad; and "period" of a revolution, s.
+        """
         shape = list(PATH_SHAPES)[random.integers(len(PATH_SHAPES))] if self.path == ANY else self.path
         unit = 1.0 / view.first_frequency if np.isfinite(view.first_frequency) else 1.0
         period = random.uniform(self.period[0], self.period[1]) * unit
@@ -268,6 +274,6 @@ class _Preview:
         return [Entry("preview", 3 * len(self._times), "m", (1.0 + limits.deflection) * view.reach)]
 
     def read(self, view: View, out: Array) -> None:
-        """Write the future positions into out (b, 3 times), m."""
+        """Write the future positions into out (b, 3 t), m, for t look-ahead times."""
         phases = _path_phase(view.time[:, None] + self._times, view.episode_parameters["period"][:, None])
         out[:] = _evaluate_series(view.episode_parameters["path"], phases).reshape(len(out), -1)
