@@ -12,8 +12,8 @@ from flexman_gym.model.model import Model
 
 # Compensating / estimated friction, dimensionless. Below 1, motors stick short of the goal. With a static friction 1.5
 # times the Coulomb friction and a Stribeck rate of 0.02 rad/s, both unknown, `privileged-lqr` settles 75 % of 20
-# episodes with 1, and 98 and 100 % of 50 episodes with 1.15 and 1.25. With smoothed Coulomb friction as in the model, the remaining vibration is 0.06, 2 and
-# 4 mm (peak to peak).
+# episodes with 1, and 98 and 100 % of 50 episodes with 1.15 and 1.25. With smoothed Coulomb friction as in the model,
+# the remaining vibration is 0.06, 2 and 4 mm (peak to peak).
 COMPENSATION_FACTOR = 1.15
 EQUAL_RATES = 1e-6  # rad/s; difference of motor rates below which the friction torque is that of the first rate
 
