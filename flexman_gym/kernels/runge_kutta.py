@@ -71,8 +71,8 @@ def _next_step(grid, r, n, elapsed, step_size):
 @inner
 def _next_step_size(h, error, order):
     """Return the next step size (s) after a step of length h (s) with a scaled error and an error order."""
-    if not error <= 1.0:
-        return h * (max(MIN_FACTOR, SAFETY * error ** (-1.0 / order)) if error > 1.0 else 0.1)
+    if not error >= 0.0:  # NaN
+        return 0.1 * h
     factor = MAX_FACTOR if error == 0.0 else SAFETY * error ** (-1.0 / order)
     return h * min(MAX_FACTOR, max(MIN_FACTOR, factor))
 
