@@ -141,13 +141,11 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode, "render_fps": round(1 / period)}
-        self._action_shape = (num_envs, size)
-        self._allowed_actions = f"{num_envs} rows of {size} numbers from -1 to 1"
+        self._action_shape, self._allowed_actions = (num_envs, size), f"{num_envs} rows of {size} numbers from -1 to 1"
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
         self._seeds = [-1] * num_envs
-        self._status_ok, self._no_failure, self._method = (
-            np.full(num_envs, text, dtype=object) for text in (layout.STATUS[0], "", self.batch.method.name)
-        )
+        texts = layout.STATUS[0], "", self.batch.method.name
+        self._status_ok, self._no_failure, self._method = (np.full(num_envs, text, dtype=object) for text in texts)
         self._all_arms = np.ones(num_envs, dtype=bool)
 
     def reset(
