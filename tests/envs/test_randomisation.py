@@ -188,7 +188,7 @@ LAB = ["motor_encoders", "strain"]
 def lab_readings(periods, **ranges):
     """Readings (T, size) of a moving arm with laboratory sensors, the slices of the entries, and the environment."""
     env = FlexManEnv(sensors=LAB, randomisation=ranges)
-    rows = [env.reset(seed=3)[0]] + [env.step(0.3 * PUSH)[0] for _ in range(periods)]
+    rows = [env.reset(seed=3)[0]] + [env.step(0.1 * PUSH * (-1) ** (k // 10))[0] for k in range(periods)]
     return np.array(rows, dtype=float), env.sensors.slices, env
 
 
