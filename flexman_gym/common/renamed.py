@@ -93,6 +93,10 @@ STATE_FIELDS = {
     "quickening": "pace_rate", "shape": "shaping", "wanted": "action", "way": "displacement",
 }  # fmt: skip
 """Old field of a saved state -> present field."""
+ADDED_ENTRIES = frozenset(
+    ("coulomb_rate", "knee_share", "knee_twist", "ripple_torque", "static_excess", "stribeck_rate")
+)
+"""Constants of an arm that the saved state of a batch of release 0.2 lacks; their present values remain."""
 LEAGUE_COLUMNS = {"entrant": "agent", "venue": "scenario"}
 """Old head of a column in the rows of a league -> present head."""
 CERTIFICATE_KEYS = {"trials": "rows", "name": "scenario", "machine": "computer"}

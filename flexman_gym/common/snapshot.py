@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.checks import value_error
-from flexman_gym.common.renamed import STATE_FIELDS
+from flexman_gym.common.renamed import ADDED_ENTRIES, STATE_FIELDS
 
 GENERATOR = "bit_generator"  # key of the state of a random generator
 
@@ -54,6 +54,7 @@ def set_state(field: str, old: Any, data: Any) -> Any:
         return _generator(field, data)
     if isinstance(old, dict):
         _check_kind(field, data, dict, "a mapping")
+        data = {name: each for name, each in old.items() if name in ADDED_ENTRIES} | data
         new = {name: set_state(f"{field}.{name}", old.get(name), each) for name, each in data.items()}
         return old if new.keys() == old.keys() and all(new[name] is old[name] for name in new) else new
     if isinstance(old, list | tuple):  # arrays in a tuple are written in place

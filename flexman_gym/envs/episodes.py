@@ -21,8 +21,9 @@ from flexman_gym.envs.config.reset_options import TIP_OPTIONS, inverse_kinematic
 from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.envs.effects import EffectContext
 from flexman_gym.envs.measurements import Measurements
-from flexman_gym.envs.sensors import SensorArray, find_sensors, measured_names, sensor_indices
+from flexman_gym.envs.sensors import SensorArray, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import MeasuredView
+from flexman_gym.envs.sensors.sensor_array import sensor_indices
 from flexman_gym.envs.tasks import Task
 from flexman_gym.envs.tasks.rewards import make_reward_terms
 from flexman_gym.envs.view import Number, View

@@ -92,7 +92,7 @@ def test_a_recipe_is_a_start_and_options_go_before_it(run, tmp_path):
         ("train", ["--steps", "0"], "steps: 0 is not allowed; give a whole number from 1"),
         ("train", ["no_recipe"], "recipe: no_recipe is not allowed; give a file, or one of"),
         ("train", ["--set", "action_repeat=0"], "action_repeat: 0 is not allowed; give a whole number from 1 to 1000"),
-        ("train", ["--set", "base=pid"], "base: 'pid' is not allowed; give one of pd, lqr, lqr-tracking"),
+        ("train", ["--set", "base=pid"], "base: 'pid' is not allowed; give one of pd, pd-torque, lqr, lqr-tracking"),
         ("train", ["--device", "gpu"], "device: 'gpu' is not allowed; give a device that PyTorch finds"),
         ("train", ["--checkpoint-every", "-1"], "checkpoint_every: -1 is not allowed; give a whole number from 0"),
         ("train", ["--folder", "/dev/null/run"], "[Errno 20] Not a directory: '/dev/null/run"),

@@ -70,10 +70,10 @@ SETTINGS = [  # settings of one environment and of many, and the beginning of th
     ({"sensors": "lidar"}, "sensors: 'lidar' is not allowed; give one of full"),
     ({"sensors": ("full", "full")}, "sensors: 'motor_angles' is not allowed; give each entry once"),
     ({"sensors": Quantities(("colour",))}, "Quantities.names: 'colour' is not allowed; give one of motor_angles"),
-    ({"base": "pid"}, "base: 'pid' is not allowed; give one of pd, lqr, lqr-tracking"),
-    ({"base": PD}, "base: <class 'flexman_gym.control.pd.PD'> is not allowed; give None, one of pd, lqr, lqr-trac"),
+    ({"base": "pid"}, "base: 'pid' is not allowed; give one of pd, pd-torque, lqr, lqr-tracking"),
+    ({"base": PD}, "base: <class 'flexman_gym.control.pd.PD'> is not allowed; give None, one of pd, pd-torque, lqr"),
     ({"base": Nosy([1.0] * 3, [1.0] * 3, 400.0)}, "sensors: 'nose' is not allowed; give one of full, fine, servo, st"),
-    ({"base": 3}, "base: 3 is not allowed; give None, one of pd, lqr, lqr-tracking, "),
+    ({"base": 3}, "base: 3 is not allowed; give None, one of pd, pd-torque, lqr, lqr-tracking, "),
     ({"base": "pd", "arm": fm.catalog.one_joint()}, "gains: None is not allowed; give those of this arm"),
     ({"base": "pd", "gains": 3}, "gains: 3 is not allowed; give a mapping with some of stiffness, damping"),
     ({"base": "pd", "gains": {"stiffness": (5.0, 2.0, 1.0)}}, "gains: {'stiffness': (5.0, 2.0, 1.0)} is not allowed; "
@@ -102,7 +102,7 @@ RANDOMISED = [  # ranges of physical parameters, and the beginning of the messag
     ({"impulse_gap": 0.0}, "Randomisation.impulse_gap: 0.0 is not allowed; give a finite number > 0"),
     ({"impulse_gap": 0.01}, "Randomisation.impulse_gap: 0.01 is not allowed; give at least the control period"),
     ({"initial_vibration": (0.0, 9.0)}, "Randomisation.initial_vibration: (0.0, 9.0) is not allowed; give at most"),
-    ({"mass": (0.0, 9.0)}, "randomisation: 'mass' is not allowed; give one of payload_mass joint_stiffness_fact"),
+    ({"mass": (0.0, 9.0)}, "randomisation: 'mass' is not allowed; give a range of help(fm.Rando"),
 ]  # fmt: skip
 ONE = [({"render_mode": "ansi"}, "render_mode: 'ansi' is not allowed; give one of human, rgb_array")]
 MANY = [
@@ -143,7 +143,10 @@ PLAIN = [  # environments of a file, and the beginning of the message
     ({"id": 3}, "id: 3 is not allowed; give one of FlexRRR-v0"),
     ({"name": "FlexOne-v0"}, "name: 'FlexOne-v0' is not allowed; give it as id"),
     ({"randomization": {}}, "randomization: {} is not allowed; give a setting: the nearest is randomisation"),
-    ({"randomisation": {"mass": [0, 1]}}, "randomisation: 'mass' is not allowed; give one of payload_mass"),
+    (
+        {"randomisation": {"mass": [0, 1]}},
+        "randomisation: 'mass' is not allowed; give a range of help(fm.Rando",
+    ),
     ({"limits": 3}, "limits: 3 is not allowed; give a mapping with some of angle, rate, twist"),
     ({"limits": {"speed": 3}}, "limits: 'speed' is not allowed; give one of angle, rate, twist"),
     ({"limits": {"rate": -1}}, "Limits.rate: -1 is not allowed; give a finite number > 0"),

@@ -1,5 +1,6 @@
 """Randomisation: ranges of physical parameters and disturbances, from which each episode is drawn."""
 
+from difflib import get_close_matches
 from typing import Any
 
 from flexman_gym.common.checks import non_negative, positive, value_error, vector
@@ -50,7 +51,8 @@ class Randomisation:
         )
         for name in ranges:
             if name not in (_range_names() | {"impulse_gap": ""}):
-                raise value_error("randomisation", name, f"one of {' '.join(_range_names())} impulse_gap")
+                similar = ", ".join(get_close_matches(str(name), [*_range_names(), "impulse_gap"], 3, 0.0))
+                raise value_error("randomisation", name, f"a range of help(fm.Randomisation), such as {similar}")
         self.given = ranges if impulse_gap is None else {**ranges, "impulse_gap": self.impulse_gap}
         given = {name: effect for name, effect in _range_names().items() if ranges.get(name) is not None}
         self.ranges = {effect: _range(name, ranges[name]) for name, effect in given.items()}

@@ -17,7 +17,7 @@ from flexman_gym.envs.sensors.ideal import (
 )
 from flexman_gym.envs.sensors.instrument import FLAWS, Flaws, Instrument
 from flexman_gym.envs.sensors.sensor import Entry, Sensor
-from flexman_gym.envs.sensors.sensor_array import SensorArray, measured_names, sensor_indices
+from flexman_gym.envs.sensors.sensor_array import SensorArray, measured_names
 from flexman_gym.model.linearization import LINEAR_SENSORS
 
 SENSORS: dict[str, Callable[[], Sensor]] = {
@@ -119,7 +119,6 @@ __all__ = [
     "find_sensors",
     "measured_names",
     "plain_sensors",
-    "sensor_indices",
 ]
 
 __getattr__ = deprecated_names(__name__)
