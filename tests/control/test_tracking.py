@@ -11,7 +11,7 @@ from flexman_gym.control.base_controllers import BASES, make_base
 from flexman_gym.control.controller import EpisodeInfo, checked_controller
 from flexman_gym.control.lqr import HOLDING_FACTOR, LQR
 from flexman_gym.control.observers.observer import Estimate
-from flexman_gym.control.tracking import Tracking
+from flexman_gym.control.tracking import OutputFeedback, Tracking
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
@@ -294,3 +294,40 @@ def test_a_state_holds_what_it_remembers():
     one, other = (FlexManEnv(name="FlexPlanar-v0", base="lqg", randomisation=noise) for _ in range(2))
     asked = asked_after_a_state(one, other, 23, 20)
     assert np.array_equal(*asked) and np.abs(asked).max() > 0.1
+
+
+class Doubtful:
+    """Observer of an arm at rest, with flags that a test sets; as fallback it asks for a ninth of the limits."""
+
+    sensors = ()
+
+    def __init__(self, plant, start):
+        self.state, self.inconsistent, self.consistent = plant.model.at_rest(start), ~ON, ON
+
+    def reset(self, arms, episode, count):
+        pass
+
+    def estimate(self, readings, applied, active):
+        return Estimate(self.state, np.zeros(1, dtype=np.int64), {})
+
+    def act(self, readings, applied, active):
+        return np.full((1, 2), 1.0 / 9.0)
+
+
+def test_a_fallback_ends_when_the_model_has_explained_the_readings_for_a_second():
+    """The slew is then planned from where the arm is; a doubt on the way begins the second anew."""
+    given = plant("FlexPlanar-v0")
+    observer = Doubtful(given, START)
+    controller = OutputFeedback(observer, Tracking(given), observer)
+    controller.reset(ONE, EpisodeInfo(START, GOAL, given.period), 1)
+    periods, fallen = round(1.0 / given.period), []
+    for period in range(10 + 2 * periods):
+        observer.inconsistent = ON & (period == 5)
+        observer.consistent = ON & (period not in (5, 8))
+        fallen.append(bool((controller.act({}, np.zeros((1, 2)), ON) == 1.0 / 9.0).all()))
+        if period == 20:
+            observer.state = given.model.at_rest(START + 0.1)
+    assert fallen == [False] * 5 + [True] * (3 + periods) + [False] * (2 + periods)
+    assert controller.law.slews.at(np.zeros(1), ONE)[0] == 0.0
+    begin = controller.law.slews.states(np.zeros(1), ONE)[:, given.model.motor_columns]
+    assert begin == pytest.approx(START + 0.1)
