@@ -336,6 +336,7 @@ def test_friction_is_estimated_wherever_a_model_has_some():
     rubbing = small_plant("FlexPlanar-v0", {"sensor_noise": (NOISE, NOISE)}, arm=RUBBING)
     names = Estimator(rubbing).uncertain.names
     assert names.count("coulomb_friction") == names.count("viscous_friction") == 2
+    assert names.count("coulomb_rate") == names.count("static_excess") == 1, "one shape for all joints"
     assert "coulomb_friction" not in Estimator(plant_of("FlexPlanar-v0")).uncertain.names
     assert Estimator(rubbing, unknown={"payload_mass": (0.0, 1.0)}).uncertain.names == ("payload_mass",)
 
