@@ -28,7 +28,7 @@ class Plant(NamedTuple):
             each.
         unknown: uncertain parameters: name -> range (low, high). The names are the keys of
             `simulation.parameters.UNCERTAIN`, with the units of its parameters: "payload_mass" (kg),
-            "joint_stiffness_factor" (relative), and so on.
+            "joint_stiffness_factor" (relative), and so on; none of `simulation.parameters.UNMODELLED`.
         delay: (2,) smallest and largest delay of the torques, whole control periods.
         integration: integration method and step (s) of simulations.
         tip_force: magnitude of unmeasured forces on the tip, N.
@@ -65,7 +65,8 @@ class EpisodeInfo:
         period: control period, s.
         path: function that returns `reference`; None for a fixed goal.
         drawn: name -> (r, ...) randomised true values of these episodes, for privileged controllers only: physical
-            parameters in their units, and the delay of the torques in control periods.
+            parameters in their units without those of `simulation.parameters.UNMODELLED`, and the delay of the torques
+            in control periods.
     """
 
     start: Array

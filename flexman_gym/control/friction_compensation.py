@@ -15,6 +15,7 @@ from flexman_gym.model.model import Model
 # episodes with 1, and 98 and 100 % of 50 episodes with 1.15 and 1.25. With smoothed Coulomb friction as in the model,
 # the remaining vibration is 0.06, 2 and 4 mm (peak to peak).
 COMPENSATION_FACTOR = 1.15
+FRICTION = ("viscous_friction", "coulomb_friction", "coulomb_rate", "static_excess")  # names of estimates
 EQUAL_RATES = 1e-6  # rad/s; difference of motor rates below which the friction torque is that of the first rate
 
 
@@ -123,7 +124,7 @@ class FrictionCompensation:
             return 0.0
         estimated, key = parameters or {}, ("look-ahead", count)
         coefficients = friction_coefficients(self._rubbing_model, estimated, arms)
-        others = {name: values[arms] for name, values in estimated.items() if not name.endswith("_friction")}
+        others = {name: values[arms] for name, values in estimated.items() if name not in FRICTION}
         if others:
             self._models(*key).vary(arms, **others)
         ends = self._models.step(key, arms, states, np.clip(commands, -self._limits, self._limits))

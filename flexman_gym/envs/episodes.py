@@ -30,6 +30,7 @@ from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels import control_period as kernels
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.parameters import UNMODELLED
 
 ROUNDING = 1e-6  # largest rounding error of float32 actions near 1
 
@@ -280,7 +281,8 @@ class Episodes:
         """Start episodes of the agent for the arms (r,), with parameters (r, ...) and initial goal postures (r, n)."""
         task, view = self.task, self.view
         path = partial(_goal_path, task, parameters, self._path_periods, view) if task.moves else None
-        drawn = {name: values[arms] for name, values in self.effects.drawn.items()} if self.effects else {}
+        drawn = self.effects.drawn if self.effects else {}
+        drawn = {name: values[arms] for name, values in drawn.items() if name not in UNMODELLED}
         self.agent.reset(
             arms, EpisodeInfo(parameters["start"], posture, view.control_period, path, drawn), len(self.over)
         )

@@ -252,6 +252,10 @@ PARAMETERS: dict[str, _Parameter] = {
 }  # fmt: skip
 
 
+UNMODELLED = frozenset(
+    ("coulomb_rate", "static_excess", "stribeck_rate", "backlash", "soft_stiffness", "ripple_torque")
+)
+"""Parameters whose drawn values and ranges are given to no controller: shape of friction, knees of springs, ripple."""
 UNCERTAIN = {f"{name.removesuffix('_factor')}_factor" if row.factor else name: name for name, row in PARAMETERS.items()}
 """Name of a range of an uncertain parameter -> parameter; NAME_factor is a range of factors on the nominal value."""
 

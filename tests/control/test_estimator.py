@@ -334,8 +334,13 @@ def test_a_repeated_sample_of_an_arm_at_rest_is_not_lost():
 
 def test_friction_is_estimated_wherever_a_model_has_some():
     rubbing = small_plant("FlexPlanar-v0", {"sensor_noise": (NOISE, NOISE)}, arm=RUBBING)
-    names = Estimator(rubbing).uncertain.names
+    uncertain = Estimator(rubbing).uncertain
+    names = uncertain.names
     assert names.count("coulomb_friction") == names.count("viscous_friction") == 2
+    assert names.count("coulomb_rate") == names.count("static_excess") == 1, "one shape for all joints"
+    values = uncertain.values(rubbing.model, uncertain.mean[None])
+    assert values["static_excess"] == pytest.approx(np.full((1, 2), 0.3))
+    assert values["coulomb_rate"] == pytest.approx(np.full((1, 2), 0.051))
     assert "coulomb_friction" not in Estimator(plant_of("FlexPlanar-v0")).uncertain.names
     assert Estimator(rubbing, unknown={"payload_mass": (0.0, 1.0)}).uncertain.names == ("payload_mass",)
 

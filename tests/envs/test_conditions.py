@@ -17,6 +17,8 @@ from flexman_gym.envs.config.named_environments import CONDITION_FOLDER, CONDITI
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.model.state_space import discretize
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.parameters import UNMODELLED
 
 pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y")  # of the paper's printed area
 IDS = [name for name, named in NAMED_ENVIRONMENTS.items() if named.conditions]
@@ -150,6 +152,27 @@ def test_friction_is_all_that_its_arm_has_beside_its_own(folder):
     for field, values in (("viscous_friction", viscous), ("coulomb_friction", coulomb)):
         result = [getattr(joint, field) for joint in arm.joints]
         assert result == pytest.approx((values / most)[kept] * limits, rel=0.01)
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_unmodelled_is_the_arm_of_friction_with_all_that_no_controller_is_given(folder):
+    """Undrawn it moves as that arm, within rounding: without play, break-away torque and ripple."""
+    rubbing, real = (Configuration.find(f"{FOLDERS[folder]}/{name}") for name in ("friction", "unmodelled"))
+    drawn = {*UNMODELLED, "torque_limit", "delay", "sensor_noise"}
+    assert set(real.randomisation.effects) == drawn and real.gains == Configuration.find(f"{real.id}/delay").gains
+    most = min(joint.torque_limit for joint in real.arm.joints)
+    assert real.randomisation.ripple_torque == pytest.approx((0.0, 0.02 * most))
+    for joint in real.arm.joints:
+        assert joint.stiffness_pieces == ((pytest.approx(0.1 * joint.torque_limit), 1.0),)
+    states = []
+    for setup in (rubbing, real):
+        batch = Batch(fm.build_model(setup.arm, 1, 1), control_period=0.01)
+        random = np.random.default_rng(1)
+        for _ in range(50):
+            torques = random.uniform(-1.0, 1.0, setup.arm.n_joints) * setup.torque_limit
+            batch.step(np.concatenate([torques, np.zeros(6)])[None])
+        states.append(batch.state[0].copy())
+    assert states[0] == pytest.approx(states[1], rel=1e-6, abs=1e-9)
 
 
 def test_all_files_are_there_and_no_others():

@@ -9,6 +9,7 @@ from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.simulation.integrator import find_method
+from flexman_gym.simulation.parameters import UNCERTAIN, UNMODELLED
 
 SMALL = {"elements": 1, "modes": 1}
 RANDOM = {
@@ -29,6 +30,26 @@ def test_it_tells_ranges_and_no_more():
     assert plant.period == setup.control_period and plant.gains() == setup.pd_gains
     assert plant.unknown == {"payload_mass": (0.0, 0.2), "joint_stiffness_factor": (0.7, 1.3)}
     assert plant.delay == (1, 3) and plant.tip_force == 2.0
+
+
+def test_neither_ranges_nor_draws_of_what_is_not_modelled_are_given():
+    """A privileged controller is given the torque limits, as in every environment, and the delay."""
+
+    class Listening:
+        sensors, drawn = (), None
+
+        def reset(self, arms, episode, count):
+            self.drawn = episode.drawn
+
+        def act(self, readings, applied, active):
+            return np.zeros_like(applied)
+
+    plant, *_ = plant_of(condition="unmodelled")
+    assert not {UNCERTAIN.get(name, name) for name in plant.unknown} & UNMODELLED
+    base = Listening()
+    env = FlexManVectorEnv(2, name="FlexPlanar-v0", base=base, condition="unmodelled", **SMALL)
+    drawn = env.reset(seed=0)[1]["drawn"]
+    assert drawn.keys() >= UNMODELLED and base.drawn.keys() == {"torque_limit", "delay", "sensor_noise"}
 
 
 def test_of_an_environment_that_draws_nothing_all_is_known():

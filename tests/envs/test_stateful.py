@@ -26,6 +26,7 @@ SETTINGS = [
     {"base": {"kind": "pd-shaped", "duration": 2.0}},
     {"base": "pd-torque", "randomisation": {"payload_mass": (0.0, 5.0)}},
     {"base": "lqr", "randomisation": {"payload_mass": (0.0, 5.0)}},
+    {"condition": "unmodelled"},
     {"method": "implicit_midpoint", "randomisation": {"payload_mass": (0.0, 5.0)}},
     {"method": "dopri5", "step": None, "modes": 1},
 ]

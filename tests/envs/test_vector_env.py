@@ -26,16 +26,17 @@ def pair(arms, mode=AutoresetMode.NEXT_STEP, **settings):
 
 
 @pytest.mark.parametrize(
-    ("arms", "steps", "mode", "randomisation"),
+    ("arms", "steps", "mode", "settings"),
     [
-        (1, 400, MODES[0], None),
-        (64, 100, MODES[0], EVERYTHING),
-        *((3, 400, mode, each) for mode in MODES for each in (None, EVERYTHING)),
+        (1, 400, MODES[0], {}),
+        (64, 100, MODES[0], {"randomisation": EVERYTHING}),
+        (3, 400, MODES[0], {"condition": "unmodelled"}),
+        *((3, 400, mode, each) for mode in MODES for each in ({}, {"randomisation": EVERYTHING})),
     ],
-    ids=lambda value: "randomised" if isinstance(value, dict) else str(value),
+    ids=lambda value: "-".join(value) or "plain" if isinstance(value, dict) else str(value),
 )
-def test_it_is_many_single_environments_bit_for_bit(arms, steps, mode, randomisation):
-    ours, theirs = pair(arms, mode, randomisation=randomisation, **SHORT)
+def test_it_is_many_single_environments_bit_for_bit(arms, steps, mode, settings):
+    ours, theirs = pair(arms, mode, **settings, **SHORT)
     assert ours.observation_space == theirs.observation_space and ours.action_space == theirs.action_space
     assert ours.single_observation_space == theirs.single_observation_space
     assert set(ours.metadata["render_modes"]) < set(theirs.metadata["render_modes"])  # one alone has a window, too

@@ -1,6 +1,7 @@
 """Output-error estimator: joint estimation of states, uncertain parameters, start angles, biases and delay."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,18 +33,33 @@ MAX_PERTURBATION = 0.5  # rad; difference of motor angles beyond which perturbat
 DETECTION_START = 25  # control periods from the start of an episode to the start of change detection
 CONSISTENT_MISFIT = 3.0  # dimensionless; mean square below which the estimated model explains the measurements
 FRICTION_RANGE = (0.0, 1.5)  # factors on the friction of a model; assumed range of friction without a given range
+# Assumed ranges of the shape of Coulomb friction, in the model and in the arm (rad/s, dimensionless), and the Stribeck
+# rate of the model: friction torques hardly determine it
+FRICTION_SHAPE = {"coulomb_rate": (0.002, 0.1), "static_excess": (0.0, 0.6)}
+STRIBECK_RATE = 0.03  # rad/s
 START_ANGLE_BOUND = 10.0  # prior standard deviations; bound of the estimate of a start angle
 
 
 def _unknown(plant: Plant) -> Mapping[str, tuple[float, float]]:
-    """Return the ranges of the uncertain parameters of a plant, and those of its friction even if it is not drawn."""
+    """Return the ranges of the uncertain parameters of a plant, and those of its friction even if it is not drawn.
+
+    The shape of Coulomb friction is uncertain too: the width of its change of sign, and the static friction.
+    """
     constants = plant.model.constants
     friction = {
         f"{name}_factor": FRICTION_RANGE
         for name in ("viscous_friction", "coulomb_friction")
         if getattr(constants, name).any()
     }
-    return dict(plant.unknown) | {name: span for name, span in friction.items() if name not in plant.unknown}
+    friction |= FRICTION_SHAPE if constants.coulomb_friction.any() else {}
+    return friction | dict(plant.unknown)
+
+
+def _with_stribeck_rate(plant: Plant) -> Plant:
+    """Return a plant whose joints without static friction have the assumed Stribeck rate."""
+    constants = plant.model.constants
+    rates = np.where(constants.static_excess > 0.0, constants.stribeck_rate, STRIBECK_RATE)
+    return plant._replace(model=replace(plant.model, constants=constants._replace(stribeck_rate=rates)))
 
 
 class Estimator:
@@ -85,7 +101,7 @@ class Estimator:
         unknown: Mapping[str, tuple[float, float]] | None = None,
         biased: bool | None = None,
     ) -> None:
-        self.sensors, self._plant = tuple(sensors), plant
+        self.sensors, self._plant = tuple(sensors), (plant := _with_stribeck_rate(plant))
         instruments = self._instruments = MeasurementModel(plant, self.sensors)
         uncertain = self.uncertain = UncertainParameters(plant.model, _unknown(plant) if unknown is None else unknown)
         biased = bool(instruments.biases.any()) if biased is None else biased

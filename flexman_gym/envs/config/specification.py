@@ -19,7 +19,7 @@ from flexman_gym.envs.view import View
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.integrator import default_step
-from flexman_gym.simulation.parameters import PARAMETERS
+from flexman_gym.simulation.parameters import PARAMETERS, UNMODELLED
 
 ROUNDING = 12.0**-0.5  # standard deviation of a rounding error, as a fraction of the quantisation step
 
@@ -39,7 +39,7 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
         configuration.torque_limit,
         configuration.control_period,
         lambda: configuration.pd_gains,
-        {range_name(name): span for name, span in ranges.items() if name in PARAMETERS},
+        {range_name(name): span for name, span in ranges.items() if name in PARAMETERS.keys() - UNMODELLED},
         (int(fewest), int(most)),
         (configuration.method, configuration.step or default_step(configuration.control_period, longest_step)),
         float(ranges.get("tip_load", (0.0, 0.0))[1]),
