@@ -157,16 +157,9 @@ class Episodes:
         if randomisation is None:
             return None
         measured = MeasuredView(self.view, configuration.limits, measured_names(sensors))
-        context = EffectContext(
-            self.batch,
-            configuration.limits,
-            measured.bound,
-            self.motors.limits,
-            np.array(configuration.torque_limit),
-            randomisation.impulse_gap,
-            sensor_indices(sensors, measured),
-            measured.columns("root_strains"),
-        )
+        indices, strains = sensor_indices(sensors, measured), measured.columns("root_strains")
+        motors = self.motors.limits, np.array(configuration.torque_limit), randomisation.impulse_gap
+        context = EffectContext(self.batch, configuration.limits, measured.bound, *motors, indices, strains)
         return ActiveEffects(randomisation, context)
 
     @property
