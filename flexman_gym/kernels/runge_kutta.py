@@ -69,12 +69,18 @@ def _next_step(grid, r, n, elapsed, step_size):
 
 
 @inner
-def _next_step_size(h, error, order):
-    """Return the next step size (s) after a step of length h (s) with a scaled error and an error order."""
+def _next_step_size(step_size, h, last, error, order):
+    """Return the next step size (s) after a step of length h (s) with a scaled error and an error order.
+
+    A step shortened to end at an output (`last`) contains little information about larger steps.
+    """
     if not error >= 0.0:  # NaN
         return 0.1 * h
     factor = MAX_FACTOR if error == 0.0 else SAFETY * error ** (-1.0 / order)
-    return h * min(MAX_FACTOR, max(MIN_FACTOR, factor))
+    factor = min(MAX_FACTOR, max(MIN_FACTOR, factor))
+    if last and h < step_size and error <= 1.0:
+        return step_size * min(factor, 1.0)
+    return h * factor
 
 
 @inner
@@ -168,7 +174,7 @@ def run_explicit(constants, work, tableau, table, grid, state, rows, outputs):
                         work.error_estimate[e, k] = 0.0
                     _add_stages(work.error_estimate[e], h, tableau.error[e], work.stages, s + 1, work.error_estimate[e])
                 error = _error_norm(work, len(tableau.error), grid, state)
-                step_size, first_stage = _next_step_size(h, error, tableau.order), 1
+                step_size, first_stage = _next_step_size(step_size, h, last, error, tableau.order), 1
                 if not error <= 1.0:
                     last = False
                     if step_size < MIN_STEP * grid.step * grid.substeps:
@@ -226,7 +232,7 @@ def _run_w_method(constants, work, lanes, tableau, table, grid, state, rows, out
                 evaluations += _sequences_step(lanes, work, tableau, table, (time, h), state)
             if adaptive:
                 error = _error_norm(work, 1, grid, state)
-                step_size = _next_step_size(h, error, tableau.order)
+                step_size = _next_step_size(step_size, h, last, error, tableau.order)
                 if not error <= 1.0:
                     last = False
                     if step_size < MIN_STEP * grid.step * grid.substeps:

@@ -271,8 +271,13 @@ class Scene:
                 angles[i], rates[i] = motion.start()
         return replace(self.initial, joint_angles=tuple(angles), joint_rates=tuple(rates))
 
-    @cached_property
+    @property
     def pieces(self) -> PiecewiseSignals:
+        """Signals of n motors, 3 components of the tip force and 3 of the base acceleration, for the kernels."""
+        return self._pieces
+
+    @cached_property
+    def _pieces(self) -> PiecewiseSignals:
         """Signals of n motors, 3 components of the tip force and 3 of the base acceleration, for the kernels."""
         motions, none = self.prescribed or [None] * self.arm.n_joints, [None] * 3
         accelerations = [motion.acceleration if isinstance(motion, SampledAngles) else motion for motion in motions]

@@ -75,6 +75,7 @@ def test_kinetic_energy_and_inverse_dynamics_know_the_spinning_rotors(case):
     motors = case.model.motor_columns
     for i, joint in enumerate(case.arm.joints):
         friction = joint.coulomb_friction * np.tanh(v[motors[i]] / joint.coulomb_rate)
+        friction *= 1.0 + joint.static_excess / (1.0 + (v[motors[i]] / joint.stribeck_rate) ** 2)
         applied[motors[i]] -= joint.viscous_friction * v[motors[i]] + friction
     scale = np.sqrt(np.diag(mass))
     assert np.abs((demanded - applied) / scale).max() <= 1e-9 * np.abs(scale * acceleration).max()
