@@ -5,6 +5,7 @@ silences the messages.
 """
 
 import sys
+import time
 from typing import Any
 
 import numba
@@ -12,25 +13,32 @@ from numba.core import event
 
 from flexman_gym.kernels.cache import find_cache_folder, is_quiet
 
-# Remaining compile time, s, on a processor of 2024; for kernels of an environment the time to its first step. Kernels
-# that compile in less than 2 s are not listed.
+# Compile time, s, on a processor of 2024: of the kernel, and of the kernels that follow it until the first result of an
+# environment or a simulation. Kernels that compile in less than 2 s are not listed.
 COMPILE_SECONDS = {
-    "inertial_forces": 25, "advance_single": 17, "advance_batch": 20, "tip_accelerations_single": 6,
-    "tip_accelerations_batch": 6, "run_batch": 16, "run_extrapolation": 18, "run_fixed_newton": 11,
-    "run_linearly_implicit": 6, "run_explicit": 5, "run_implicit": 5,
+    "inertial_forces": (6, 17), "advance_single": (17, 0), "advance_batch": (20, 0), "tip_accelerations_single": (6, 0),
+    "tip_accelerations_batch": (6, 0), "run_batch": (16, 0), "run_extrapolation": (18, 0), "run_fixed_newton": (11, 0),
+    "run_linearly_implicit": (6, 0), "run_explicit": (5, 0), "run_implicit": (5, 0),
 }  # fmt: skip
 
 
 class _CompileMessages(event.Listener):
-    """Messages about kernels that compile; Numba sends no event for a kernel loaded from the cache."""
+    """Messages about kernels that compile; Numba sends no event for a kernel loaded from the cache.
+
+    The remaining time is that of COMPILE_SECONDS times a factor, measured with the last of these kernels.
+    """
 
     def __init__(self) -> None:
-        self._announced, self._depth = False, 0
+        self._announced, self._depth, self._factor = False, 0, 1.0
+        self._started, self._listed = 0.0, 0  # s; start of the kernel, and its time in COMPILE_SECONDS or 0
 
     def on_start(self, event: Any) -> None:
         """Announce a kernel of this package when Numba begins to compile it."""
         function = event.data["dispatcher"].py_func
         self._depth += 1
+        if self._depth == 1:
+            self._started = time.perf_counter()
+            self._listed, following = COMPILE_SECONDS.get(function.__name__, (0, 0))
         if is_quiet() or self._depth > 1 or not function.__module__.startswith(f"{__name__}."):
             return
         if not self._announced:
@@ -39,12 +47,15 @@ class _CompileMessages(event.Listener):
                 storage = "in every process, as no private cache folder can be written; set NUMBA_CACHE_DIR to one"
             print(f"flexman_gym compiles kernels {storage} (FLEXMAN_QUIET=1 silences this)", file=sys.stderr)
             self._announced = True
-        if seconds := COMPILE_SECONDS.get(function.__name__):
-            print(f"  {function.__name__}: about {seconds} s left", file=sys.stderr, flush=True)
+        if self._listed:
+            seconds = self._factor * (self._listed + following)
+            print(f"  {function.__name__}: about {max(1, round(seconds))} s left", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
-        """Decrease the depth of nested compilations."""
+        """Decrease the depth of nested compilations; measure the factor of the remaining time."""
         self._depth -= 1
+        if self._depth == 0 and self._listed:
+            self._factor = (time.perf_counter() - self._started) / self._listed
 
 
 if numba.config.DISABLE_JIT:
