@@ -101,11 +101,8 @@ class FrictionCompensation:
     """
 
     def __init__(self, plant: Plant) -> None:
-        self.model, self._rubbing_model, self._limits = (
-            frictionless(plant.model),
-            plant.model,
-            np.array(plant.torque_limit),
-        )
+        self.model, self._rubbing_model = frictionless(plant.model), plant.model
+        self._limits = np.array(plant.torque_limit)
         self._models = InternalModels(plant._replace(model=self.model))
 
     def __call__(

@@ -368,10 +368,8 @@ def _add_coulomb_slopes(model: Model, state: Vector, forces: Array) -> None:
     scaled_rates = np.abs(rates / constants.coulomb_rate)
     # beyond 300 the slope is 0, and cosh would overflow
     slopes = slopes / np.cosh(np.minimum(scaled_rates, 300.0)) ** 2
-    slip, coulomb = (
-        rates / constants.stribeck_rate,
-        constants.coulomb_friction * np.tanh(rates / constants.coulomb_rate),
-    )
+    slip = rates / constants.stribeck_rate
+    coulomb = constants.coulomb_friction * np.tanh(rates / constants.coulomb_rate)
     falling = 2.0 * coulomb * slip / (constants.stribeck_rate * (1.0 + slip**2))
     slopes = slopes + constants.static_excess * (slopes - falling) / (1.0 + slip**2)
     forces[motors, model.n_dof + motors] -= slopes

@@ -101,7 +101,8 @@ class Estimator:
         unknown: Mapping[str, tuple[float, float]] | None = None,
         biased: bool | None = None,
     ) -> None:
-        self.sensors, self._plant = tuple(sensors), (plant := _with_stribeck_rate(plant))
+        plant = _with_stribeck_rate(plant)
+        self.sensors, self._plant = tuple(sensors), plant
         instruments = self._instruments = MeasurementModel(plant, self.sensors)
         uncertain = self.uncertain = UncertainParameters(plant.model, _unknown(plant) if unknown is None else unknown)
         biased = bool(instruments.biases.any()) if biased is None else biased

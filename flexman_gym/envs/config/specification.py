@@ -74,7 +74,8 @@ def _measurement_errors(configuration: Configuration, model: Model) -> dict[str,
             for name in measured_names([sensor]):
                 deviations[name] = max(deviations[name], float(np.hypot(noise, own)))
                 biases[name] = max(biases[name], bias + sensor.flaws.bias)
+    gains = {name: np.full_like(span, gain if name == "root_strains" else 0.0) for name, span in ranges.items()}
     return {
-        name: np.array([span, deviations[name] * span, biases[name] * span, gain * (name == "root_strains") + 0 * span])
+        name: np.array([span, deviations[name] * span, biases[name] * span, gains[name]])
         for name, span in ranges.items()
     }

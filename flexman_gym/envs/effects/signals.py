@@ -74,14 +74,34 @@ class _SensorNoise:
         return values + self._noise.sample(arms) * self._deviation[arms] * self._bound
 
 
-class _SensorBias:
-    """Bias of each measured quantity, a fraction of its range, constant in an episode."""
+class _ConstantError:
+    """Error of sensors that is drawn at the start of an episode and stays constant.
+
+    Args:
+        span: range of the numbers.
+        shape: shape of the numbers of an arm.
+    """
 
     kind: ClassVar[type] = float
 
+    def __init__(self, span: Range, shape: tuple[int, ...]) -> None:
+        self._span, self.shape, self._drawn = span, shape, np.zeros((0, *shape))
+
+    def draw(self, arm: int, stream: np.random.Generator) -> Array:
+        """Draw the numbers of an arm, with the shape `shape`."""
+        return stream.uniform(*self._span, self.shape)
+
+    def begin(self, arms: IntArray, drawn: Array) -> None:
+        """Store the drawn numbers (b, ...) of all arms."""
+        self._drawn = drawn
+
+
+class _SensorBias(_ConstantError):
+    """Bias of each measured quantity, a fraction of its range."""
+
     def __init__(self, context: EffectContext, span: Range) -> None:
-        self._bound, self._span, self.shape = context.bound, span, context.bound.shape
-        self._drawn = np.zeros((0, *self.shape))
+        super().__init__(span, context.bound.shape)
+        self._bound = context.bound
 
     @staticmethod
     def checked(field: str, value: object) -> float:
@@ -91,41 +111,24 @@ class _SensorBias:
             raise value_error(field, value, "a fraction from -1 to 1 of the range")
         return part
 
-    def draw(self, arm: int, stream: np.random.Generator) -> Array:
-        """Draw the biases (size,) as fractions of the ranges."""
-        return stream.uniform(*self._span, self.shape)
-
-    def begin(self, arms: IntArray, drawn: Array) -> None:
-        """Store the drawn biases."""
-        self._drawn = drawn
-
     def measure(self, values: Array, arms: IntArray) -> Array:
         """Return the values (r, size) of the arms (r,) with biases."""
         return values + self._drawn[arms] * self._bound
 
 
-class _GaugeGain:
+class _GaugeGain(_ConstantError):
     """Factors > 0 on the root strains: gain errors of the strain gauges, three of each link."""
 
-    kind: ClassVar[type] = float
     factor: ClassVar[bool] = True
 
     def __init__(self, context: EffectContext, span: Range) -> None:
-        self._gauges, self._span, self.shape = context.gauges, span, (3 * len(context.nominal),)
-        self._drawn = np.zeros((0, *self.shape))
+        super().__init__(span, (3 * len(context.nominal),))
+        self._gauges = context.gauges
 
     @staticmethod
     def checked(field: str, value: object) -> float:
         """Return a factor > 0."""
         return positive(field, value)
-
-    def draw(self, arm: int, stream: np.random.Generator) -> Array:
-        """Draw the factors (3 n,)."""
-        return stream.uniform(*self._span, self.shape)
-
-    def begin(self, arms: IntArray, drawn: Array) -> None:
-        """Store the drawn factors."""
-        self._drawn = drawn
 
     def measure(self, values: Array, arms: IntArray) -> Array:
         """Return the values (r, size) of the arms (r,) with scaled root strains."""
