@@ -221,7 +221,7 @@ def test_encoders_that_are_off_are_found_out():
     assert (observer.estimates["misfit"] < 1.3).all()
     bench, _, random = bench_of(plant, 3, noise=1.0, biases=biases)
     plain = Estimator(plant)
-    bench.follow(plain, actions[:28])
+    bench.follow(plain, actions[:25])
     assert (plain.estimates["misfit"] > 1.3).all(), "one that knows of no biases sees that something is wrong"
 
 
@@ -334,13 +334,8 @@ def test_a_repeated_sample_of_an_arm_at_rest_is_not_lost():
 
 def test_friction_is_estimated_wherever_a_model_has_some():
     rubbing = small_plant("FlexPlanar-v0", {"sensor_noise": (NOISE, NOISE)}, arm=RUBBING)
-    uncertain = Estimator(rubbing).uncertain
-    names = uncertain.names
+    names = Estimator(rubbing).uncertain.names
     assert names.count("coulomb_friction") == names.count("viscous_friction") == 2
-    assert names.count("coulomb_rate") == names.count("static_excess") == 1, "one shape for all joints"
-    values = uncertain.values(rubbing.model, uncertain.mean[None])
-    assert values["static_excess"] == pytest.approx(np.full((1, 2), 0.3))
-    assert values["coulomb_rate"] == pytest.approx(np.full((1, 2), 0.051))
     assert "coulomb_friction" not in Estimator(plant_of("FlexPlanar-v0")).uncertain.names
     assert Estimator(rubbing, unknown={"payload_mass": (0.0, 1.0)}).uncertain.names == ("payload_mass",)
 

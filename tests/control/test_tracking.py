@@ -191,10 +191,10 @@ def test_it_brings_an_arm_to_its_goal(which):
 
 
 def test_what_is_said_to_be_unknown_counts_for_observer_and_law():
-    """Given by hand, in place of what the environment draws."""
+    """Ranges given by hand replace those of the environment; joint stiffness is estimated in any case."""
     base = {"kind": "adaptive-lqr", "unknown": {"payload_mass": (0.0, 0.2)}}
     env = FlexManVectorEnv(1, name="FlexPlanar-v0", base=base, **SMALL)
-    assert env.episodes.base.observer.uncertain.names == ("payload_mass",)
+    assert env.episodes.base.observer.uncertain.names == ("joint_stiffness", "joint_stiffness", "payload_mass")
     assert env.episodes.base.law._payloads == (0.0, 0.1, 0.2)
 
 

@@ -1,13 +1,17 @@
 """Output-error estimator: joint estimation of states, uncertain parameters, start angles, biases and delay."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_dots
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
-from flexman_gym.control.observers.innovations import ChangeDetector, InnovationGains
+from flexman_gym.control.observers.innovations import (
+    PROCESS_NOISE,
+    SMALL_PROCESS_NOISE,
+    ChangeDetector,
+    InnovationGains,
+)
 from flexman_gym.control.observers.internal_model import DelayCompensation, DiscreteJacobians
 from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, MeasurementModel
 from flexman_gym.control.observers.perturbed_models import (
@@ -30,36 +34,24 @@ MIN_BIAS = 1e-5  # fraction of the range; smallest assumed limit of a bias
 START_ANGLE_DEVIATION = 1e-4  # rad; prior standard deviation of start angles given by `EpisodeInfo`
 MAX_STATE = 1e4  # largest magnitude of an entry of the state of a model that has not diverged; modes reach hundreds
 MAX_PERTURBATION = 0.5  # rad; difference of motor angles beyond which perturbations are reduced
+SENSITIVE_PERTURBATION = 0.02  # rad; difference beyond which innovations correct the states: the motion is unstable
 DETECTION_START = 25  # control periods from the start of an episode to the start of change detection
 CONSISTENT_MISFIT = 3.0  # dimensionless; mean square below which the estimated model explains the measurements
 FRICTION_RANGE = (0.0, 1.5)  # factors on the friction of a model; assumed range of friction without a given range
-# Assumed ranges of the shape of Coulomb friction, in the model and in the arm (rad/s, dimensionless), and the Stribeck
-# rate of the model: friction torques hardly determine it
-FRICTION_SHAPE = {"coulomb_rate": (0.002, 0.1), "static_excess": (0.0, 0.6)}
-STRIBECK_RATE = 0.03  # rad/s
+STIFFNESS_RANGE = (0.5, 1.5)  # factors on the joint stiffness of a model; assumed range without a given range
 START_ANGLE_BOUND = 10.0  # prior standard deviations; bound of the estimate of a start angle
 
 
 def _unknown(plant: Plant) -> Mapping[str, tuple[float, float]]:
-    """Return the ranges of the uncertain parameters of a plant, and those of its friction even if it is not drawn.
-
-    The shape of Coulomb friction is uncertain too: the width of its change of sign, and the static friction.
-    """
+    """Return the ranges of the uncertain parameters of a plant, with assumed ranges of joint stiffness and friction."""
     constants = plant.model.constants
-    friction = {
+    assumed = {"joint_stiffness_factor": STIFFNESS_RANGE}
+    assumed |= {
         f"{name}_factor": FRICTION_RANGE
         for name in ("viscous_friction", "coulomb_friction")
         if getattr(constants, name).any()
     }
-    friction |= FRICTION_SHAPE if constants.coulomb_friction.any() else {}
-    return friction | dict(plant.unknown)
-
-
-def _with_stribeck_rate(plant: Plant) -> Plant:
-    """Return a plant whose joints without static friction have the assumed Stribeck rate."""
-    constants = plant.model.constants
-    rates = np.where(constants.static_excess > 0.0, constants.stribeck_rate, STRIBECK_RATE)
-    return plant._replace(model=replace(plant.model, constants=constants._replace(stribeck_rate=rates)))
+    return assumed | dict(plant.unknown)
 
 
 class Estimator:
@@ -72,11 +64,16 @@ class Estimator:
     1999, chapters 7 and 10). These fits are made for each delay that is not yet excluded, and the delay with the least
     cost is the estimate. Lost samples have no weight.
 
+    If the model does not explain the measurements of an arm, the estimation is repeated from the start of the episode
+    with process noise: the states are corrected by innovations, and the sensitivities of the corrected states to theta
+    replace those of the simulated ones (Friedland, IEEE Transactions on Automatic Control 14, 1969, 359). If the
+    measurements are still not explained, the arm has changed, and the estimation starts anew from the present state.
+
     Args:
         plant: plant model with uncertain parameters and the noise of the instruments.
         sensors: names in `model.linearization.LINEAR_SENSORS`.
         unknown: name -> (low, high), see `UncertainParameters`; None for the uncertain parameters of the plant, and for
-            its friction.
+            its joint stiffness and friction.
         biased: True to estimate biases of the measurements, up to 0.5 % of their ranges where the plant names none;
             None for the biases of the plant. The start angles are then those of `EpisodeInfo`, since biased encoders do
             not determine them.
@@ -90,7 +87,7 @@ class Estimator:
     _arrays = (
         "theta", "delays", "_origin", "_states", "_information", "_change", "_ages", "_readings",
         "_torques", "_steps", "_perturbations_reduced", "_filtering", "_lost", "_previous", "_motion", "_repeats",
-        "_likely",
+        "_likely", "_error_sensitivity",
     )  # fmt: skip
     state_fields = (*_arrays, "_innovations", "_prediction", "_detector")
 
@@ -101,7 +98,6 @@ class Estimator:
         unknown: Mapping[str, tuple[float, float]] | None = None,
         biased: bool | None = None,
     ) -> None:
-        plant = _with_stribeck_rate(plant)
         self.sensors, self._plant = tuple(sensors), plant
         instruments = self._instruments = MeasurementModel(plant, self.sensors)
         uncertain = self.uncertain = UncertainParameters(plant.model, _unknown(plant) if unknown is None else unknown)
@@ -139,6 +135,8 @@ class Estimator:
         self._torques = np.zeros((0, late + rows, n))
         self._given_angles, self._prediction = np.zeros((0, n)), DelayCompensation(self._plant)
         self._detector = ChangeDetector(m)
+        # of the corrected states to biases and gain errors, which do not affect the simulated motion
+        self._error_sensitivity = np.zeros((0, size, p - self._models.dynamic))
         self._likely = np.ones((0, 1 + late - self._plant.delay[0]), dtype=bool)  # delays that are not excluded
         self._lost, self._repeats = np.zeros((0, rows, m), dtype=bool), np.zeros((0, m), dtype=np.int64)
         self._previous = np.zeros((0, m))  # last measurements
@@ -180,8 +178,7 @@ class Estimator:
             for age in np.unique(self._ages[running[resimulated]]).tolist():
                 self._refit(running[resimulated & (self._ages[running] == age)], age)
             self._update_fit(running[~resimulated], now[running[~resimulated]], lost[~resimulated])
-            if (changed := self._detector.detect(running) & (self._ages[running] > DETECTION_START)).any():
-                self._restart_after_change(running[changed])
+            self._answer_changes(running[self._detector.detect(running) & (self._ages[running] > DETECTION_START)])
         self._ages += active
         return self._state_at_effect(np.flatnonzero(active))
 
@@ -212,8 +209,41 @@ class Estimator:
         self.delays[arms] = (sum(self._plant.delay) + 1) // 2
         self._states[arms] = self._models.initial_states(self._origin[arms], self.theta[arms])
         self._steps[arms], self._perturbations_reduced[arms] = self._models.steps, False
+        self._error_sensitivity[arms] = 0.0
         if self._plant.tip_force:
-            self._filtering[arms] = self._start_filter(arms, sudden=False)
+            self._filtering[arms] = self._start_filter(arms)
+
+    def _answer_changes(self, arms: IntArray) -> None:
+        """Repeat the estimation of arms (r,) whose measurements are not explained, or start it anew."""
+        known = ~self._filtering[arms] & ~self._perturbations_reduced[arms]
+        known &= self._ages[arms] < len(self._weights)  # the start and all measurements since
+        if known.any():
+            self._filter_history(arms[known])
+        if not known.all():
+            self._restart_after_change(arms[~known])
+
+    def _filter_history(self, arms: IntArray) -> None:
+        """Repeat the estimation of arms (r,) from the start of their episodes, with corrections by innovations."""
+        ages, past, late = self._ages[arms], self._prediction.past[arms], self._plant.delay[1]
+        self.theta[arms] = self._prior.clip(self.theta[arms] + self._change[arms])
+        self.theta[arms, self._models.dynamic :], self._change[arms] = 0.0, 0.0
+        self._information[arms] = self._prior.information
+        self._states[arms] = self._models.initial_states(self._origin[arms], self.theta[arms])
+        self._steps[arms], self._perturbations_reduced[arms] = self._models.steps, True
+        self._filtering[arms] = self._start_filter(arms)
+        self._innovations.covariance[arms] = 0.0  # apart from the start angles, which are entries of theta
+        for period in range(int(ages.max()) + 1):
+            now = arms[ages >= period]
+            if period:
+                recent = self._torques[now, period - 1 : period + late]
+                self._prediction.past[now] = recent[:, ::-1]
+                self._set_parameters(now)
+                self._simulate_period(now)
+            self._ages[now] = period
+            unused = self._lost[now, period] | (self._weights[period] == 0.0)
+            self._update_fit(now, self._readings[now, period], unused)
+        self._prediction.past[arms] = past
+        self._detector.reset(arms, len(self._ages))
 
     def _restart_after_change(self, arms: IntArray) -> None:
         """Restart the fit of arms (r,) with a detected change, such as a new payload or an external force."""
@@ -226,15 +256,28 @@ class Estimator:
         self._detector.reset(arms, len(self._ages))
         self._filtering[arms] = self._start_filter(arms, sudden=True)
 
-    def _start_filter(self, arms: IntArray, sudden: bool) -> BoolArray:
+    def _start_filter(
+        self, arms: IntArray, noise: tuple[float, float] = PROCESS_NOISE, sudden: bool = False
+    ) -> BoolArray:
         """Start the correction of arms (r,) by innovations; return flags (r,) of arms with a stationary covariance."""
         torques = self._prediction.past[arms, self.delays[arms]]
-        return self._innovations.begin(arms, self._current_states(arms), torques, sudden)
+        self._error_sensitivity[arms] = 0.0
+        return self._innovations.begin(arms, self._current_states(arms), torques, noise, sudden)
 
     def _reduce_perturbations(self, arms: IntArray) -> None:
-        """Reduce the perturbations of arms (r,) whose perturbed models are far from the estimated model."""
+        """Reduce the perturbations of arms (r,) whose perturbed models are far from the estimated model.
+
+        If the motion is unstable without control, perturbations grow, and with them the assumed information. The states
+        are then corrected by innovations.
+        """
         states, motors = self._states[arms], self._plant.model.motor_columns
-        spread = np.abs(states[:, 1:, motors] - states[:, :1, motors]).max(axis=2) / MAX_PERTURBATION
+        spread = np.abs(states[:, 1:, motors] - states[:, :1, motors]).max(axis=2)
+        uncorrected = ~self._filtering[arms] & ~self._perturbations_reduced[arms]
+        sensitive = arms[uncorrected & (spread.max(axis=1) > SENSITIVE_PERTURBATION)]
+        if len(sensitive):
+            self._filtering[sensitive] = self._start_filter(sensitive, SMALL_PROCESS_NOISE)
+            self._innovations.covariance[sensitive] = 0.0  # without process noise so far
+        spread /= MAX_PERTURBATION
         large = spread > 1.0
         if large.any():
             factor = np.where(large, 1.0 / np.maximum(spread, 1.0), 1.0)
@@ -269,7 +312,11 @@ class Estimator:
         self._prediction.record(arms, actions)
         past, early = self._prediction.past, arms[self._ages[arms] <= len(self._weights)]
         self._torques[early, self._plant.delay[1] + self._ages[early] - 1] = past[early, 0]
-        rows, torques = self._rows(arms), past[arms, self.delays[arms]]
+        self._simulate_period(arms)
+
+    def _simulate_period(self, arms: IntArray) -> None:
+        """Simulate a control period of all models of arms (r,) under the torques of their delays."""
+        rows, torques = self._rows(arms), self._prediction.past[arms, self.delays[arms]]
         states = self._states[arms].reshape(rows.size, -1)
         ends = self._models.models.step(self._batch_key, rows.ravel(), states, torques.repeat(rows.shape[1], axis=0))
         self._states[arms] = ends.reshape(*rows.shape, -1)
@@ -295,10 +342,15 @@ class Estimator:
     def _update_fit(self, arms: IntArray, now: Array, lost: BoolArray) -> None:
         """Update the recursive least-squares fits of arms (r,) with measurements (r, m), without lost ones (r, m)."""
         jacobian = self._models.measurement_jacobian(self._states[arms], self._steps[arms], self.theta[arms])
+        filtered, errors = self._filtering[arms], slice(self._models.dynamic, None)
+        if filtered.any():
+            corrected = arms[filtered]
+            sensitivity = self._innovations.propagate(corrected, self._error_sensitivity[corrected])
+            self._error_sensitivity[corrected] = sensitivity
+            jacobian[filtered, :, errors] += self._instruments.matrix @ sensitivity
         error = now - self._models.read(self._states[arms, 0], self.theta[arms])
         error -= row_dots(jacobian, self._change[arms][:, None])
         precision = np.repeat(self._weights[-1:], len(arms), axis=0)
-        filtered = self._filtering[arms]
         if filtered.any():
             precision[filtered] = 1.0 / self._innovations.variances(arms[filtered])
         precision *= ~lost
@@ -308,13 +360,20 @@ class Estimator:
         self._change[arms] += solve_scaled(self._information[arms], gradient)
         self._detector.update(arms, error * np.sqrt(precision))
         if filtered.any():
-            self._correct(arms[filtered], now[filtered], lost[filtered])
+            self._correct(arms[filtered], now[filtered], lost[filtered], jacobian[filtered, :, errors])
         due = arms[self._ages[arms] % UPDATE_INTERVAL == 0]
         if len(due):
             self._apply_change(due)
 
-    def _correct(self, arms: IntArray, now: Array, lost: BoolArray) -> None:
-        """Correct each model of arms (r,) by its innovation of the measurements (r, m), without lost ones (r, m)."""
+    def _correct(self, arms: IntArray, now: Array, lost: BoolArray, jacobian: Array) -> None:
+        """Correct each model of arms (r,) by its innovation.
+
+        Args:
+            arms: (r,) indices.
+            now: (r, m) measurements.
+            lost: (r, m) flags of lost measurements, which correct nothing.
+            jacobian: (r, m, e) Jacobian of the measurements with respect to biases and gain errors.
+        """
         states, theta = self._states[arms], self._models.perturb(self.theta[arms], self._steps[arms])
         error = now[:, None] - self._models.read(
             states.reshape(-1, states.shape[2]), theta.reshape(-1, theta.shape[2])
@@ -322,13 +381,13 @@ class Estimator:
         error *= ~lost[:, None]
         gain = self._innovations.gains(arms, states[:, 0], self._prediction.past[arms, self.delays[arms]])
         self._states[arms] = states + row_dots(gain[:, None], error[:, :, None])
+        self._error_sensitivity[arms] -= gain @ (jacobian * ~lost[..., None])
 
     def _apply_change(self, arms: IntArray) -> None:
         """Add the change of theta estimated since the last update to theta and to the states of arms (r,)."""
         before = self.theta[arms]
         self.theta[arms] = self._prior.clip(before + self._change[arms])
-        shifts = (self.theta[arms] - before)[:, None, : self._models.dynamic]
-        self._states[arms] += row_dots(self._models.jacobian(self._states[arms], self._steps[arms]), shifts)[:, None]
+        self._states[arms] += row_dots(self._state_jacobian(arms), (self.theta[arms] - before)[:, None])[:, None]
         self._change[arms] = 0.0
         self._reduce_perturbations(arms)
 
@@ -380,9 +439,13 @@ class Estimator:
 
     def _current_states(self, arms: IntArray) -> Array:
         """Return the estimated states (r, 2 d) of arms (r,) at the last measurement."""
-        shifts = self._change[arms][:, None, : self._models.dynamic]
         result: Array = self._states[arms, 0]
-        return result + row_dots(self._models.jacobian(self._states[arms], self._steps[arms]), shifts)
+        return result + row_dots(self._state_jacobian(arms), self._change[arms][:, None])
+
+    def _state_jacobian(self, arms: IntArray) -> Array:
+        """Return the Jacobian (r, 2 d, p) of the states of arms (r,) with respect to theta."""
+        simulated = self._models.jacobian(self._states[arms], self._steps[arms])
+        return np.concatenate([simulated, self._error_sensitivity[arms]], axis=2)
 
     def _state_at_effect(self, arms: IntArray) -> Estimate:
         """Return the estimate; states of the active arms (r,) are predicted to when torques commanded now act."""

@@ -7,7 +7,9 @@ from flexman_gym.control.observers.internal_model import DiscreteJacobians
 from flexman_gym.control.observers.kalman_filter import measurement_update, stationary_covariance, time_update
 from flexman_gym.control.observers.observer import MeasurementModel
 
-PROCESS_NOISE = (0.001, 0.002)  # fractions of the force scales; standard deviations of random torques and tip forces
+# Fractions of the force scales; standard deviations of random torques and tip forces
+PROCESS_NOISE = (0.1, 0.02)  # of an arm whose measurements its model does not explain
+SMALL_PROCESS_NOISE = (0.0001, 0.0002)  # of an arm whose measurements its model explains
 CHANGE_NOISE = (0.02, 0.1)  # fractions of the force scales; standard deviations added after a detected change
 RELINEARISATION_ANGLE = 0.3  # rad; change of a joint or motor angle after which the dynamics are linearised again
 
@@ -21,33 +23,37 @@ class InnovationGains:
         tip_force: magnitude of unmeasured forces on the tip, N.
     """
 
-    state_fields = ("covariance", "_transition", "_noise", "_designed")
+    state_fields = ("covariance", "_transition", "_noise", "_designed", "_fractions")
 
     def __init__(self, jacobians: DiscreteJacobians, instruments: MeasurementModel, tip_force: float) -> None:
         self._jacobians, self._matrix, self._tip_force = jacobians, instruments.matrix, tip_force
         self._variances, size = instruments.deviations**2, instruments.matrix.shape[1]
         self.covariance, self._transition, self._noise = (np.zeros((0, size, size)) for _ in range(3))
-        self._designed = np.zeros((0, size))
+        self._designed, self._fractions = np.zeros((0, size)), np.zeros((0, 2))
 
     def allocate(self, count: int) -> None:
         """Allocate memory for `count` arms."""
         for name in self.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), count))
 
-    def begin(self, arms: IntArray, states: Array, torques: Array, sudden: bool) -> BoolArray:
+    def begin(
+        self, arms: IntArray, states: Array, torques: Array, fractions: tuple[float, float], sudden: bool = False
+    ) -> BoolArray:
         """Initialise the covariance of arms (r,) with the stationary covariance, where it exists.
 
         Args:
             arms: (r,) indices.
             states: (r, 2 d) estimated states.
             torques: (r, n) applied torques, N m.
+            fractions: process noise, see PROCESS_NOISE.
             sudden: True after a detected abrupt change, when the estimate is inaccurate.
 
         Returns:
             Flags (r,) of arms with a stationary covariance.
         """
+        self._fractions[arms] = fractions
         inputs, valid = self._linearise(arms, states, torques)
-        noise = self._noise[arms] + sudden * self._process_noise(inputs, CHANGE_NOISE)
+        noise = self._noise[arms] + sudden * self._process_noise(inputs, np.array([CHANGE_NOISE]))
         covariance = stationary_covariance(self._transition[arms], noise, self._matrix, self._variances)
         result: BoolArray = valid & np.isfinite(covariance).all(axis=(1, 2))
         self.covariance[arms[result]] = covariance[result]
@@ -58,16 +64,21 @@ class InnovationGains:
         jacobians, valid = self._jacobians(states, torques)
         updated, inputs = arms[valid], jacobians[..., states.shape[1] :]
         self._transition[updated] = jacobians[valid][..., : states.shape[1]]
-        self._noise[updated] = self._process_noise(inputs[valid], PROCESS_NOISE)
+        self._noise[updated] = self._process_noise(inputs[valid], self._fractions[updated])
         self._designed[updated] = states[valid]
         return inputs, valid
 
-    def _process_noise(self, inputs: Array, fractions: tuple[float, float]) -> Array:
-        """Return the covariance (r, 2 d, 2 d) of random torques and tip forces, given as fractions of their scales."""
+    def _process_noise(self, inputs: Array, fractions: Array) -> Array:
+        """Return the covariance (r, 2 d, 2 d) of random torques and tip forces, given as fractions (r or 1, 2)."""
         scales = self._jacobians.scales
-        forces = np.repeat(fractions, (len(scales) - 3, 3)) * scales
-        forces[-3:] = np.hypot(forces[-3:], self._tip_force)
-        result: Array = (inputs * forces**2) @ inputs.mT
+        forces = np.repeat(fractions, (len(scales) - 3, 3), axis=1) * scales
+        forces[:, -3:] = np.hypot(forces[:, -3:], self._tip_force)
+        result: Array = (inputs * forces[:, None] ** 2) @ inputs.mT
+        return result
+
+    def propagate(self, arms: IntArray, sensitivities: Array) -> Array:
+        """Return the sensitivities (r, 2 d, e) of the states of arms (r,) to e constants, a period later."""
+        result: Array = self._transition[arms] @ sensitivities
         return result
 
     def variances(self, arms: IntArray) -> Array:

@@ -16,14 +16,11 @@ from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN
 PARAMETER_STEP = 0.0003  # fraction of a range; perturbation; 0.03 would shift the phase by a radian in 2 s
 RANGE_MARGIN = 0.35  # fraction of a range by which an estimate may exceed the range
 MIN_FACTOR = 0.5  # smallest estimate / lower end of the range
-COMMON = ("coulomb_rate", "static_excess")  # parameters with one value for all joints
 KNOWN_RANGE = 1e-3  # fraction of the value, or of 1 for the value 0; assumed width of a range of zero width
 
 
 class UncertainParameters:
     """Uncertain parameters of an arm as a vector theta (p,), with an entry for each joint or link of a parameter.
-
-    A parameter in COMMON has one entry for all joints.
 
     Args:
         model: model of the arm.
@@ -32,8 +29,7 @@ class UncertainParameters:
 
     Attributes:
         names: (p,) name of the physical parameter of each entry.
-        joints: (p,) index of the joint or link of each entry; 0 for a parameter of the whole arm, the first joint for a
-            parameter of all joints.
+        joints: (p,) index of the joint or link of each entry; 0 for a parameter of the whole arm.
         scales: (p,) physical value per unit of each entry: the nominal value where the entry is a factor.
         mean: (p,) mean of a uniform distribution over the range.
         deviation: (p,) standard deviation of this distribution.
@@ -54,7 +50,7 @@ class UncertainParameters:
             nominal = np.atleast_1d(row.nominal(model))
             free = ~row.fixed(model) if row.shape(model.n_joints) else np.ones(1, dtype=bool)
             entries = np.flatnonzero(free & (nominal > 0.0 if row.factor else free))
-            for joint in entries[:1] if name in COMMON else entries:
+            for joint in entries:
                 names.append(name)
                 joints.append(int(joint))
                 scales.append(float(nominal[joint]) if row.factor else 1.0)
@@ -74,7 +70,7 @@ class UncertainParameters:
             values = theta[:, columns] * self.scales[columns]
             if row.shape(model.n_joints):
                 complete = np.repeat(np.asarray(row.nominal(model))[None], len(theta), axis=0)
-                complete[:, ~row.fixed(model) if name in COMMON else self.joints[columns]] = values
+                complete[:, self.joints[columns]] = values
                 result[name] = complete
             else:
                 result[name] = values[:, 0]
