@@ -63,8 +63,13 @@ def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder,
     draws = range(certificate.SEARCH_SEED, certificate.SEARCH_SEED + 6)
     rewards = {seed: fm.evaluate("pd", DESCRIBED, [seed])["reward"] for seed in draws}
     assert [each["seed"] for each in search["worst"]] == sorted(draws, key=rewards.__getitem__)[:5]
-    assert len(result["fails"]) == sum(bool(row["fails"]) for row in result["rows"])
+    failed = [row["scenario"] for row in result["rows"] if row["fails"]]
+    counted = [name for name in failed if "=" not in name or "+given" in name or "/method=" in name]
+    assert len(result["fails"]) == len(counted) < len(failed)
     assert f"{folder}/delay=3+given" in result["fails"], "the arm then never settles in its second"
+    assert f"{folder}/delay=3" in failed and f"{folder}/delay=3" not in result["fails"], "which is not given"
+    lines = {line.split()[0].removeprefix(str(folder)): line for line in said}
+    assert "does not count" in lines["/delay=3"] and "does not count" not in lines["/delay=3+given"]
     assert f"{folder} on seeds 50000 to 50005" in result["fails"]
     assert policy_files.describe_policy("still").startswith("Made up. Not recommended: it fails ")
 
@@ -109,9 +114,11 @@ def test_a_certificate_with_a_row_of_no_scenario_is_refused_in_one_line(folder, 
     assert "this is no certificate (give rows that are mappings with a scenario)" in refusal(read_certificate, folder)
 
 
-def episodes(vibration=0.0, failed=0.0, settled=1.0, count=1):
+def episodes(vibration=0.0, failed=0.0, settled=1.0, count=1, time=2.0):
     """Rows with these metrics, 0 for all others."""
-    values = dict.fromkeys(VALUES, 0.0) | {"vibration": vibration, "failed": failed, "settled": settled}
+    values = dict.fromkeys(VALUES, 0.0) | {
+        "vibration": vibration, "failed": failed, "settled": settled, "settling_time": time if settled else np.inf,
+    }  # fmt: skip
     return [EpisodeRow("", "a", "b", 9000 + i, tuple(values.values())) for i in range(count)]
 
 
@@ -120,39 +127,48 @@ def episodes(vibration=0.0, failed=0.0, settled=1.0, count=1):
     [
         ("a", episodes(count=20), ""),
         ("a", episodes(count=18) + episodes(settled=0.0, count=2), "less than 95% settle"),
-        ("a/delay=3", episodes(count=18) + episodes(settled=0.0, count=2), ""),
-        ("a/delay=3", episodes(count=17) + episodes(settled=0.0, count=3), "less than 90% settle"),
+        ("a/delay=3", episodes(count=19) + episodes(settled=0.0), ""),
+        ("a/delay=3", episodes(count=18) + episodes(settled=0.0, count=2), "less than 95% settle"),
         ("a/delay=3", episodes(count=99) + episodes(failed=1.0), "an episode ended at a limit"),
-        ("a@finer", episodes(1.19e-3), ""),
-        ("a@finer", episodes(1.21e-3), "the tip moves by more than 1.2 mm"),
-        ("a@mujoco", episodes(3e-3), "the tip moves by more than 1.2 mm"),
-        ("a/method=gauss_2", episodes(3e-3), "the tip moves by more than 1.2 mm"),
-        ("a/method=gauss_2", episodes(np.inf), "the tip moves by more than 1.2 mm"),
-        ("a/payload=3", episodes(3e-3), ""),
+        ("a/delay=3+given", episodes(time=2.59), ""),
+        ("a/delay=3+given", episodes(time=2.61), "settling takes more than 2.6 s"),
+        ("a/delay=3+given", episodes(settled=0.0), "less than 95% settle, settling takes more than 2.6 s"),
+        ("a/payload=3+given", episodes(4.9e-3), ""),
+        ("a/payload=3+given", episodes(5.1e-3), "the tip moves by more than 5 mm"),
+        ("a", episodes(5.1e-3), "the tip moves by more than 5 mm"),
+        ("a@finer", episodes(1.9e-3), ""),
+        ("a@finer", episodes(2.1e-3), "the tip moves by more than 2 mm"),
+        ("a@mujoco", episodes(3e-3), "the tip moves by more than 2 mm"),
+        ("a/method=gauss_2", episodes(3e-3), ""),
+        ("a/method=gauss_2", episodes(np.inf), "the tip moves by more than 5 mm"),
     ],
 )
 def test_a_row_fails_for_what_it_says(scenario, found, said):
-    assert certificate_row(scenario, SEEDS, found, episodes(1e-3))["fails"] == said
+    """Of an arm of 8.5 m that vibrates by 1 mm and settles within 2 s as trained."""
+    assert certificate_row(scenario, SEEDS, found, episodes(1e-3), 8.5)["fails"] == said
 
 
-def test_small_vibration_may_grow_by_a_tenth_of_a_millimetre():
-    for vibration, fails in ((9e-5, False), (1.2e-4, True)):
-        row = certificate_row("a@finer", SEEDS, episodes(vibration), episodes())
-        assert bool(row["fails"]) == fails
+def test_limits_of_vibration_are_fractions_of_the_reach_and_on_other_plants_never_above_that_of_all():
+    """An arm of 0.85 m may vibrate by 0.5 mm, and on another plant by 0.1 mm more than as trained."""
+    for scenario, before, vibration, fails in (
+        ("a", 0.0, 4.9e-4, False), ("a", 0.0, 5.1e-4, True), ("a@finer", 1e-4, 1.9e-4, False),
+        ("a@finer", 1e-4, 2.1e-4, True), ("a@mujoco", 4.5e-4, 5.1e-4, True),
+    ):  # fmt: skip
+        assert bool(certificate_row(scenario, SEEDS, episodes(vibration), episodes(before), 0.85)["fails"]) == fails
 
 
 def test_other_physics_are_compared_with_the_episodes_as_trained(folder, tmp_path, monkeypatch):
-    """Of the same seeds: the first row of the certificate."""
-    louder = {"": 1e-3, "@finer": 3e-3, "/method=midpoint_2": 3e-3}
+    """Of the same seeds: the first row of the certificate; of an arm of 1 m, with 0.12 mm more on another plant."""
+    louder = {"": 1e-4, "@finer": 3e-4, "/method=midpoint_2": 7e-4, "/delay=3+given": 7e-4, "/delay=3": 8e-4}
 
     def league(agents, names, seeds, *_):
-        vibration = louder.get(names[0].removeprefix(str(folder)), 1e-3)
+        vibration = louder.get(names[0].removeprefix(str(folder)), 1e-4)
         found = [row._replace(seed=seed) for seed in seeds for row in episodes(vibration)]
         return SimpleNamespace(cells={}, rows={(names[0], agents[0], row.seed): row for row in found})
 
     monkeypatch.setattr(certificate, "run_league", league)
     result = json.loads(certify(str(folder), SEEDS, 1, tmp_path, log=list).read_text())
-    assert result["fails"] == [f"{folder}{each}" for each in louder if each]
+    assert result["fails"] == [f"{folder}{each}" for each in ("@finer", "/method=midpoint_2", "/delay=3+given")]
 
 
 def test_another_method_takes_a_quarter_of_the_step():
