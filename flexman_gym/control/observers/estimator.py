@@ -358,6 +358,7 @@ class Estimator:
         self._information[arms] += weighted @ jacobian
         gradient = row_dots(weighted, error[:, None])
         self._change[arms] += solve_scaled(self._information[arms], gradient)
+        self._change[arms] = self._prior.constrain(self.theta[arms], self._change[arms], self._information[arms])
         self._detector.update(arms, error * np.sqrt(precision))
         if filtered.any():
             self._correct(arms[filtered], now[filtered], lost[filtered], jacobian[filtered, :, errors])
