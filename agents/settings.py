@@ -200,6 +200,15 @@ class Settings:
                 f"{short_path(folder / SETTINGS)}: {reason}; give the settings of a training run"
             ) from None
 
+    def check_run(self, folder: Path) -> None:
+        """Raise ValueError if a folder, which may be missing, holds a run with different settings."""
+        if not (folder / SETTINGS).exists():
+            return
+        own = type(self).load(folder)
+        changed = [each.name for each in fields(self) if getattr(own, each.name) != getattr(self, each.name)]
+        if changed:
+            raise value_error("folder", str(folder), f"a new one: the run in it has different {', '.join(changed)}")
+
     def plain(self) -> dict[str, Any]:
         """Return all settings as JSON-compatible data."""
         values = {each.name: getattr(self, each.name) for each in fields(self)}

@@ -338,8 +338,7 @@ def train_or_resume(cell: tuple[Settings, str, Mapping[str, Any]]) -> str:
     if not (path / SETTINGS).exists():
         train(settings, path, **keywords)
         return folder
-    if Settings.load(path) != settings:
-        raise value_error("folder", folder, "one without a run of other settings")
+    settings.check_run(path)
     if not (path / NEWEST).is_file() or _steps_done(path / NEWEST, read_npz(path / NEWEST)) < settings.steps:
         resume(path, **keywords)
     return folder

@@ -2,18 +2,22 @@
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexman_gym.commands import CommandLine, add_options
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.checks import value_error, whole_number
 
 if TYPE_CHECKING:
     from flexman_agents.settings import Settings
+    from flexman_gym.common.parallel import Workers
+    from flexman_gym.envs.config.configuration import Configuration
+    from flexman_gym.evaluation.rollout import EpisodeRecord
 
 AGENT_SETTINGS = ("base", "action_repeat", "sensors")  # settings of the agent that a recipe depends on
+MAX_RUNS = 1000  # largest number of runs of one command
 EXIT_INTERRUPTED = 130  # exit status of a process ended by Ctrl-C, as in a shell
 
 
@@ -33,7 +37,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         default=1,
-        help="number of runs, one per seed; killed runs are resumed",
+        help="number of runs, one per seed, in FOLDER/seed-N; killed runs are resumed; ends with a table of all runs",
     )
     parser.add_argument("--envs", type=int, metavar="N", help="number of parallel arms")
     parser.add_argument(
@@ -73,13 +77,14 @@ def _run(options: argparse.Namespace) -> int:
         else:
             folders = _train_runs(options)
     except Interrupted as stop:
-        print(f"{stop}; to resume: flexman train --resume --folder {options.folder}", file=sys.stderr)
+        command = "the same command" if options.seeds > 1 else f"flexman train --resume --folder {options.folder}"
+        print(f"{stop}; to resume: {command}", file=sys.stderr)
         return EXIT_INTERRUPTED
     except KeyboardInterrupt:
         print("Interrupted; the last checkpoint remains.", file=sys.stderr)
         return EXIT_INTERRUPTED
-    for folder in folders:
-        print(f"The run is in {folder}; to evaluate it: flexman evaluate {folder} pd")
+    if len(folders) == 1:
+        print(f"The run is in {folders[0]}; to evaluate it: flexman evaluate {folders[0]} pd")
     return 0
 
 
@@ -88,6 +93,8 @@ def _refuse_settings(options: argparse.Namespace) -> None:
     for name in ("recipe", "algo", "env", "set", "seed", "envs"):
         if getattr(options, name) not in (None, []):
             raise value_error(name, getattr(options, name), "no value with --resume: a run keeps its settings")
+    if options.seeds != 1:
+        raise value_error("seeds", options.seeds, "1 with --resume; without it, killed runs of seeds are resumed")
 
 
 def _warn_of_missing_settings(recipe: Mapping[str, Any], own: Mapping[str, Any], env: str) -> None:
@@ -140,20 +147,46 @@ def _make_settings(options: argparse.Namespace) -> "Settings":
 
 
 def _train_runs(options: argparse.Namespace) -> list[Path]:
-    """Train one run for each seed; return their folders."""
+    """Train one run for each seed and, for several seeds, print a table of the runs; return their folders."""
     from flexman_agents.training import train, train_or_resume
     from flexman_gym.common.parallel import Workers, parallel_map
     from flexman_gym.envs.vector_env import compile_kernels
 
     settings, keywords = _make_settings(options), _training_options(options)
-    if options.seeds == 1:
+    if whole_number("seeds", options.seeds, 1, MAX_RUNS) == 1:
         train(settings, options.folder, **keywords)
         return [options.folder]
     workers, seeds = Workers.of(options), range(settings.seed, settings.seed + options.seeds)
     if workers != Workers():
         keywords |= {"progress": False}  # progress bars of parallel runs would overwrite each other
     cells = [(settings.with_seed(seed), str(options.folder / f"seed-{seed}"), keywords) for seed in seeds]
-    return [Path(folder) for folder in parallel_map(train_or_resume, cells, workers, prepare=compile_kernels)]
+    for each, folder, _ in cells:
+        each.check_run(Path(folder))  # before hours of training, rather than at the turn of its seed
+    folders = parallel_map(train_or_resume, cells, workers, prepare=compile_kernels)
+    _print_table(folders, workers)
+    return [Path(folder) for folder in folders]
+
+
+def _print_table(folders: Sequence[str], workers: "Workers") -> None:
+    """Print the metrics of the runs in the test episodes, and the metrics over all runs."""
+    from flexman_gym.common.parallel import parallel_map
+    from flexman_gym.evaluation.agent import common_environment, find_agent
+    from flexman_gym.evaluation.metrics import metrics_table
+
+    environment = common_environment([find_agent(folder) for folder in folders])
+    results = parallel_map(_test_records, [(folder, environment) for folder in folders], workers)
+    print(metrics_table(dict(zip(folders, results, strict=True)), environment, all_seeds=True))
+
+
+def _test_records(cell: "tuple[str, Configuration]") -> "Sequence[EpisodeRecord]":
+    """Return the records of the test episodes of a run; a task for `parallel_map`.
+
+    Args:
+        cell: folder of the run, and environment of the episodes.
+    """
+    from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
+
+    return rollout(*cell, TEST_SEEDS).records
 
 
 COMMAND = CommandLine(_arguments, _run)

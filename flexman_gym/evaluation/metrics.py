@@ -166,14 +166,19 @@ def equivalent_damping(record: EpisodeRecord) -> float:
 
 MAX_NAME_LENGTH = 100  # characters of a name in the table
 CAPTION = "medians with 95 % bootstrap intervals; shares, reward, roughness and effort are means"
+ALL_SEEDS = "all seeds"  # name of the row over all training runs
 
 
-def metrics_table(results: Mapping[str, Sequence[EpisodeRecord]], environment: Configuration) -> str:
+def metrics_table(
+    results: Mapping[str, Sequence[EpisodeRecord]], environment: Configuration, all_seeds: bool = False
+) -> str:
     """Return a table, as text, with the metrics of the task and one row for each agent.
 
     Args:
         results: name of an agent -> records of its episodes; the seeds are the same for all agents.
         environment: environment of the episodes.
+        all_seeds: True if the agents are training runs that differ in the seed of the training. A last row then has the
+            metrics over all runs, with intervals that contain the spread between the runs, see `median_interval`.
 
     Returns:
         Lines of text: title, headers, one row for each agent, and a caption.
@@ -184,22 +189,30 @@ def metrics_table(results: Mapping[str, Sequence[EpisodeRecord]], environment: C
     changes = ", ".join(sorted(settings)) or "as it is"
     title = f"{len(first)} episodes of {environment.id} ({changes}), the same for all"
     headers = ["agent", *(_header(metric, first[0].band) for metric in columns)]
-    rows = [[_shorten(name), *(_cell(metric, records) for metric in columns)] for name, records in results.items()]
+    values = {metric: [metric.values(records) for records in results.values()] for metric in columns}
+    rows = [[_shorten(name), *(_cell(metric, values[metric][i]) for metric in columns)]
+            for i, name in enumerate(results)]  # fmt: skip
+    caption = [CAPTION]
+    if all_seeds:
+        rows.append([ALL_SEEDS, *(_cell(metric, np.array(values[metric])) for metric in columns)])
+        sampled = f"{len(results)} training runs and episodes"
+        caption.append(f"{ALL_SEEDS}: intervals of a hierarchical bootstrap over {sampled}")
     widths = [max(map(len, column)) for column in zip(headers, *rows, strict=True)]
-    return "\n".join([title, *(_line(row, widths) for row in (headers, *rows)), CAPTION])
+    return "\n".join([title, *(_line(row, widths) for row in (headers, *rows)), *caption])
 
 
 def _header(metric: Metric, band: float) -> str:
     return f"in {1e3 * band:.3g} mm" if metric.name == "settled" else metric.header
 
 
-def _cell(metric: Metric, records: Sequence[EpisodeRecord]) -> str:
+def _cell(metric: Metric, values: Array) -> str:
+    """Return the aggregate of the numbers (N,) of N episodes, or (S, N) of S training runs, as text."""
     if metric.statistic == MEDIAN:
         middle, low, high = (
-            f"{metric.scale * value:.3g}" if np.isfinite(value) else "-" for value in metric.interval(records)
+            f"{metric.scale * value:.3g}" if np.isfinite(value) else "-" for value in median_interval(values)
         )
         return f"{middle} ({low} to {high})"
-    result = metric.evaluate(records)
+    result = metric.aggregate(values)
     if metric.statistic == SHARE:
         return f"{result:.0%}"
     return f"{result:.1f}" if abs(result) >= 10.0 else f"{result:.3f}"

@@ -32,18 +32,24 @@ def median_interval(values: Array, level: float = 0.95, draws: int = 2000) -> tu
     The interval contains a given fraction of the medians of samples drawn with replacement (Efron and Tibshirani, An
     Introduction to the Bootstrap, chapter 13). Every call draws the same samples.
 
+    For S training runs, a sample draws S runs and N episodes, both with replacement, so that the interval contains the
+    spread between the runs (hierarchical bootstrap). The episodes of a sample are the same for all its runs, as all
+    runs are evaluated on the same episodes; the interval of equal runs is that of one run.
+
     Args:
-        values: (N,), which may be infinite.
+        values: (N,) or (S, N), which may be infinite.
         level: fraction of the medians in the interval, above 0 and below 1.
         draws: number of bootstrap samples, with at most a hundred million values in total.
     """
-    result = check_samples("values", values, 1)
+    result = np.atleast_2d(check_samples("values", values, 1, 2))
     level = _checked_level(level)
-    draws = whole_number("draws", draws, 1, max(1, MAX_DRAWN // len(result)))
-    indices = np.random.default_rng(0).integers(len(result), size=(draws, len(result)))
-    medians = np.sort(_medians(result[indices]))
+    draws = whole_number("draws", draws, 1, max(1, MAX_DRAWN // result.size))
+    random, (runs, size) = np.random.default_rng(0), result.shape
+    episodes = random.integers(size, size=(draws, 1, size))
+    samples = result[random.integers(runs, size=(draws, runs, 1)), episodes]
+    medians = np.sort(_medians(samples.reshape(draws, -1)))
     cut = round((1.0 - level) / 2.0 * (draws - 1))
-    return upper_median(result), float(medians[cut]), float(medians[-1 - cut])
+    return upper_median(result.ravel()), float(medians[cut]), float(medians[-1 - cut])
 
 
 def _checked_level(level: float) -> float:

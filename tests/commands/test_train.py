@@ -61,11 +61,24 @@ def test_an_environment_without_what_its_recipe_learned_with_is_told(run, tmp_pa
     assert "learned with" not in said
 
 
-def test_several_seeds_are_several_runs(run, tmp_path):
-    code, _, _ = run("train", "--env", "FlexOne-v0", "--set", "horizon=1.0", "--seeds", 2, "--seed", 5, *SMALL,
-                     "--folder", tmp_path)  # fmt: skip
+def test_several_seeds_are_several_runs_with_a_table_of_their_test_episodes(run, tmp_path):
+    """A row for each seed, as `flexman evaluate` prints it, and one for all; other settings are refused before a run."""
+    train = "train", "--env", "FlexOne-v0", "--set", "horizon=1.0", "--seed", 5, *SMALL, "--folder", tmp_path
+    code, out, _ = run(*train, "--seeds", 2)
     assert code == 0
     assert [json.loads((tmp_path / f"seed-{i}" / SETTINGS).read_text())["seed"] for i in (5, 6)] == [5, 6]
+    *known, everything, caption, last = out.splitlines()
+    evaluated = run("evaluate", tmp_path / "seed-5", tmp_path / "seed-6")[1]
+    assert [*known, caption] == evaluated.splitlines() and known[0].startswith("100 episodes of FlexOne-v0")
+    assert everything.startswith("all seeds ") and last.startswith("all seeds: intervals")
+    times = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/newest.npz")}
+    assert run(*train, "--seeds", 2)[:2] == (0, out), "runs that are done are evaluated again"
+    (tmp_path / "seed-5" / SETTINGS).unlink()
+    code, out, err = run(*train, "--seeds", 2, "--steps", 512, "--set", "horizon=1.5")
+    assert (code, out) == (2, "") and not (tmp_path / "seed-5" / SETTINGS).exists()
+    line = "is not allowed; give a new one: the run in it has different environment, steps"
+    assert err == f"folder: {str(tmp_path / 'seed-6')!r} {line}\n"
+    assert times == {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/newest.npz")}
 
 
 def test_a_recipe_is_a_start_and_options_go_before_it(run, tmp_path):
@@ -98,6 +111,8 @@ def test_a_recipe_is_a_start_and_options_go_before_it(run, tmp_path):
         ("train", ["--folder", "/dev/null/run"], "[Errno 20] Not a directory: '/dev/null/run"),
         ("train", ["--folder", 300 * "x"], "[Errno 36] File name too long"),
         ("train", ["--resume", "--envs", "3"], "envs: 3 is not allowed; give no value with --resume: a run keeps its"),
+        ("train", ["--seeds", "0"], "seeds: 0 is not allowed; give a whole number from 1 to 1000"),
+        ("train", ["--resume", "--seeds", "2"], "seeds: 2 is not allowed; give 1 with --resume; without it, killed"),
         ("train", ["--resume"], "no_folder/settings.json: no such file; give a folder that a training run has written"),
     ],
 )

@@ -97,6 +97,19 @@ def test_names_of_any_length_do_not_shift_the_table(name):
     assert lines[0].count("x") == name.count("x")
 
 
+def test_the_row_of_all_seeds_has_the_metrics_over_all_runs():
+    """Of two runs that settle in every episode, after 1 and after 2 s: the median is one of both, the interval both."""
+    runs = {f"seed-{i}": [record(1.0 + i, settled=1.0 + i, error=1e-3, band=BAND)] * 3 for i in range(2)}
+    title, head, *lines, caption, second = metrics_table(runs, ONE, all_seeds=True).splitlines()
+    cells = [dict(zip(re.split(r" {2,}", head), re.split(r" {2,}", line), strict=True)) for line in lines]
+    assert [cell["agent"] for cell in cells] == ["seed-0", "seed-1", "all seeds"]
+    assert [cell["settling, s"] for cell in cells] == ["1 (1 to 1)", "2 (2 to 2)", "2 (1 to 2)"]
+    assert [cell["reward"] for cell in cells] == ["1.000", "2.000", "1.500"]
+    assert second == "all seeds: intervals of a hierarchical bootstrap over 2 training runs and episodes"
+    others = [line.split() for line in (title, head, *lines[:2], caption)]
+    assert others == [line.split() for line in metrics_table(runs, ONE).splitlines()]
+
+
 def test_the_head_says_on_which_environment_all_rows_were_run():
     title, head, *_ = rows(["pd"])
     assert title == "3 episodes of FlexOne-v0 (horizon), the same for all"

@@ -68,6 +68,27 @@ def test_the_interval_covers_the_true_median_about_as_often_as_it_says():
     assert 180 <= np.sum(covered) <= 199
 
 
+def test_the_interval_of_equal_runs_is_that_of_one_run_and_wider_where_runs_differ():
+    for size in (30, 31):
+        episodes = np.random.default_rng(size).standard_normal(size)
+        one = median_interval(episodes)
+        assert median_interval(episodes[None]) == one
+        assert median_interval(np.array([episodes] * 4)) == one
+        middle, low, high = median_interval(episodes + np.array([[-0.5], [-0.2], [0.1], [0.6]]))
+        assert low < one[1] < one[2] < high and low < middle < high
+
+
+def test_the_interval_of_runs_contains_the_median_of_all_runs_about_as_often_as_it_says():
+    """200 experiments of 10 runs in the same 40 episodes; run, episode and remainder are normal with deviations 1."""
+    random, covered = np.random.default_rng(2), 0
+    for _ in range(200):
+        values = random.standard_normal((10, 1)) + random.standard_normal(40) + random.standard_normal((10, 40))
+        _, low, high = median_interval(values, draws=400)
+        covered += low <= 0.0 <= high
+    _, *pooled = median_interval(values.ravel(), draws=400)
+    assert 175 <= covered <= 200 and pooled[1] - pooled[0] < 0.7 * (high - low)
+
+
 def test_no_values_are_refused_in_one_line():
     line = "values: array([], dtype=float64) is not allowed; give an array of 1"
     assert refusal(median_interval, np.zeros(0)).startswith(line)
