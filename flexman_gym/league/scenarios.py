@@ -51,7 +51,9 @@ PLANTS: dict[str, tuple[str, Callable[[Batch], None]]] = {
 }
 """Name -> description, and function that replaces the simulation of the arms: the argument `set_plant` of `rollout`."""
 
-CONDITIONS = ("payload", "stiffness", "delay", "random-delay", "friction", "unknown", "unknown-lab")
+CONDITIONS = (
+    "payload", "stiffness", "delay", "random-delay", "friction", "unknown", "unknown-lab", "uncertain", "unmodelled",
+)  # fmt: skip
 TASKS = ("FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexRRR-Gravity-v0", "FlexPlanar-v0")
 USUAL_SCENARIOS = (DEFAULT_ID, *(f"{DEFAULT_ID}/{condition}" for condition in CONDITIONS), *TASKS)
 LAB_SCENARIO = f"{DEFAULT_ID}/unknown-lab"  # unknown arm with the sensors of a laboratory
@@ -142,7 +144,22 @@ CHANGES = {
         (0.005, 0.01, 0.02, 0.04),
         always_given=True,
     ),
-    "friction": _ParameterChange("motor friction relative to that of the condition", _friction_settings),
+    "bias": _ParameterChange(
+        "largest sensor bias relative to the range",
+        lambda environment, value: _range_settings("sensor_bias")(environment, f"-{value}:{value}"),
+        (0.0, 0.001, 0.003, 0.005),
+        background={"randomisation": {"sensor_noise": [GIVEN_NOISE, GIVEN_NOISE]}},
+        always_given=True,
+    ),
+    "lost": _ParameterChange(
+        "share of lost samples",
+        _range_settings("dropped_samples"),
+        (0.0, 0.01, 0.03, 0.1),
+        background={"randomisation": {"sensor_noise": [GIVEN_NOISE, GIVEN_NOISE]}},
+    ),
+    "friction": _ParameterChange(
+        "motor friction relative to that of the condition", _friction_settings, (0.0, 0.5, 1.0, 1.5), "friction"
+    ),
     "method": _ParameterChange("integration method, at a quarter of the step", _method_settings, always_given=True),
 }
 SWEEPS = {name: change for name, change in CHANGES.items() if change.values}

@@ -311,3 +311,17 @@ def test_equations_in_units_far_apart_are_solved():
     vectors[2, 1] = np.inf
     result = solve_scaled(matrices, vectors)
     assert result[0] * scale == pytest.approx(expected[0] * scale, rel=1e-7) and not result[1:].any()
+
+
+def test_bounded_changes_minimise_the_cost_within_the_bounds():
+    """An entry beyond its bound stays at it, and the gradient of the quadratic cost with respect to the others is 0."""
+    random = np.random.default_rng(5)
+    prior = Prior(np.zeros(3), np.ones(3), np.array([0.0, -9.0, -9.0]), np.full(3, 9.0))
+    root = random.standard_normal((2, 3, 3))
+    information = root @ root.mT + np.eye(3)
+    theta, change = np.full((2, 3), 0.5), np.array([[-2.0, 0.3, 0.4], [0.1, 0.3, -0.2]])
+    bounded = prior.constrain(theta, change, information)
+    assert bounded[0, 0] == pytest.approx(-0.5), "at the bound"
+    gradient = information[0] @ (bounded[0] - change[0])
+    assert gradient[1:] == pytest.approx(np.zeros(2), abs=1e-9) and gradient[0] > 0.1
+    assert np.array_equal(bounded[1], change[1]), "within the bounds nothing changes"

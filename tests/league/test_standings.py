@@ -142,7 +142,7 @@ def test_sweeps_go_from_the_smallest_value(tmp_path):
     (values,) = standing(scenarios=names).sweeps.values()
     assert [*values.items()] == [(names[1], 5.0), (names[0], 10.0), (names[2], 25.0)]
     more = [f"FlexRRR-v0/delay={value}+given" for value in (3, 0)]
-    others = ["FlexRRR-v0/payload=5@finer", "FlexRRR-v0/payload=5:10", "FlexRRR-v0/friction=1"]
+    others = ["FlexRRR-v0/payload=5@finer", "FlexRRR-v0/payload=5:10", "FlexRRR-v0/method=gauss_2"]
     found = standing(scenarios=[*more, *others]).sweeps
     assert {name: [*values] for name, values in found.items()} == {"FlexRRR-v0/delay+given": more[::-1]}
     assert "## Sweep: FlexRRR-v0/delay+given" in page_text(standing(scenarios=more), tmp_path)

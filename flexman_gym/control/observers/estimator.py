@@ -36,6 +36,7 @@ MAX_STATE = 1e4  # largest magnitude of an entry of the state of a model that ha
 MAX_PERTURBATION = 0.5  # rad; difference of motor angles beyond which perturbations are reduced
 SENSITIVE_PERTURBATION = 0.02  # rad; difference beyond which innovations correct the states: the motion is unstable
 DETECTION_START = 25  # control periods from the start of an episode to the start of change detection
+BOUNDED_START = 45  # control periods from the start after which entries at a bound move the others; linear by then
 CONSISTENT_MISFIT = 3.0  # dimensionless; mean square below which the estimated model explains the measurements
 FRICTION_RANGE = (0.0, 1.5)  # factors on the friction of a model; assumed range of friction without a given range
 STIFFNESS_RANGE = (0.5, 1.5)  # factors on the joint stiffness of a model; assumed range without a given range
@@ -386,7 +387,9 @@ class Estimator:
     def _apply_change(self, arms: IntArray) -> None:
         """Add the change of theta estimated since the last update to theta and to the states of arms (r,)."""
         before = self.theta[arms]
-        self.theta[arms] = self._prior.clip(before + self._change[arms])
+        change, late = self._change[arms], self._ages[arms] > BOUNDED_START
+        change[late] = self._prior.constrain(before[late], change[late], self._information[arms[late]])
+        self.theta[arms] = self._prior.clip(before + change)
         self._states[arms] += row_dots(self._state_jacobian(arms), (self.theta[arms] - before)[:, None])[:, None]
         self._change[arms] = 0.0
         self._reduce_perturbations(arms)

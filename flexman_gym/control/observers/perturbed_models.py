@@ -123,6 +123,30 @@ class Prior(NamedTuple):
         """Return parameter vectors (r, p) clipped to the bounds."""
         return np.clip(theta, self.low, self.high)
 
+    def constrain(self, theta: Array, change: Array, information: Array) -> Array:
+        """Return the most probable changes (r, p) within the bounds, for the most probable unbounded changes (r, p).
+
+        Entries beyond a bound are set to it, and the other entries to their conditional means.
+
+        Args:
+            theta: (r, p) parameter vectors.
+            change: (r, p) most probable changes without bounds.
+            information: (r, p, p) information matrices.
+
+        Returns:
+            Changes (r, p).
+        """
+        excess = self.clip(theta + change) - (theta + change)
+        rows = np.flatnonzero((excess != 0.0).any(axis=1))
+        if not len(rows):
+            return change
+        fixed = excess[rows] != 0.0
+        matrices = np.where(fixed[:, :, None] | fixed[:, None, :], np.eye(theta.shape[1]), information[rows])
+        forces = np.where(fixed, excess[rows], -row_dots(information[rows], excess[rows][:, None]))
+        result = change.copy()
+        result[rows] += solve_scaled(matrices, forces)
+        return result
+
 
 class Resimulation(NamedTuple):
     """Result of a simulation of r arms from their start, compared with the measurements.

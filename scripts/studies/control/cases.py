@@ -72,6 +72,53 @@ def _friction_arm() -> dict[str, Any]:
 
 LAB, RRR, LEARNED = "unknown-lab", "FlexRRR-v0", "lab-flexrrr"
 BIASED = {"kind": "adaptive-lqr", "biased": True}
+# Ranges of the condition unknown-lab, for the parameters of the condition uncertain
+LAB_RANGES = {
+    "payload_mass": [0, 20], "joint_stiffness_factor": [0.7, 1.3], "link_stiffness_factor": [0.7, 1.3],
+    "viscous_friction_factor": [0, 0], "coulomb_friction_factor": [0, 0], "delay": [1, 1],
+    "sensor_noise": [0.001, 0.001], "sensor_bias": [0, 0], "gauge_gain_factor": [1, 1], "dropped_samples": [0, 0],
+}  # fmt: skip
+FRICTION = ("viscous_friction_factor", "coulomb_friction_factor")
+EXTREMES = (  # of the condition uncertain: name of the row, parameters, value
+    ("payload 0 kg", ("payload_mass",), 0.0),
+    ("payload 25 kg", ("payload_mass",), 25.0),
+    ("joint stiffness x 0.5", ("joint_stiffness_factor",), 0.5),
+    ("joint stiffness x 1.5", ("joint_stiffness_factor",), 1.5),
+    ("link stiffness x 0.5", ("link_stiffness_factor",), 0.5),
+    ("link stiffness x 1.5", ("link_stiffness_factor",), 1.5),
+    ("friction x 0.5", FRICTION, 0.5),
+    ("friction x 1.5", FRICTION, 1.5),
+    ("delay 0", ("delay",), 0),
+    ("delay 3", ("delay",), 3),
+    ("noise 0.3 %", ("sensor_noise",), 0.003),
+    ("bias 0.3 %", ("sensor_bias",), 0.003),
+    ("1 % of samples lost", ("dropped_samples",), 0.01),
+)
+STICTION = {"coulomb_rate": 0.001, "stribeck_rate": 0.02}
+PARTS: tuple[tuple[str, Mapping[str, float], str, tuple[float, ...]], ...] = (
+    # of the condition unmodelled: name of the row, fixed parameters, swept parameter, its values
+    ("static excess of friction", STICTION, "static_excess", (0.0, 0.25, 0.5, 1.0)),
+    ("backlash in rad", {}, "backlash", (0.001, 0.002, 0.004)),
+    ("stiffness at small torques x", {}, "soft_stiffness", (0.7, 0.5, 0.3)),
+    ("torque ripple in N m", {}, "ripple_torque", (4.0, 8.0, 16.0, 32.0)),
+    ("torque constant x", {}, "torque_limit_factor", (0.95, 0.9, 0.8)),
+)
+UNMODELLED = ("coulomb_rate", "static_excess", "stribeck_rate", "backlash", "soft_stiffness", "ripple_torque",
+              "torque_limit_factor")  # fmt: skip
+
+
+def _extreme(names: Sequence[str], value: float) -> dict[str, Any]:
+    """Return the ranges of unknown-lab with some parameters at a fixed value; biases have either sign."""
+    span = [-value, value] if names == ("sensor_bias",) else [value, value]
+    return {"randomisation": {**LAB_RANGES, **dict.fromkeys(names, span)}}
+
+
+def _part(fixed: Mapping[str, float], name: str, value: float) -> dict[str, Any]:
+    """Return the ranges of the condition unmodelled with one part only, at a fixed value."""
+    alone = {**fixed, name: value}
+    return {"randomisation": {key: [alone[key]] * 2 if key in alone else None for key in UNMODELLED}}
+
+
 CASES = (
     *(ControlCase(f"{who}, {where}", who, f"{RRR}/{where}" if where else RRR)
       for who, where in (("privileged-lqr", "unknown"), ("adaptive-lqr", LAB), ("lqg", LAB), ("pd", LAB),
@@ -81,21 +128,29 @@ CASES = (
         ("delay of 0 to 2 periods", {"randomisation": {"delay": [0, 2]}}),
         ("friction within a half", {"arm": _friction_arm(), "randomisation": FRICTION_RANGES}),
     ) for who in ("adaptive-lqr", LEARNED)),
+    *(ControlCase(f"{who}, {where}", who, f"{RRR}/{where}")
+      for where in ("uncertain", "unmodelled") for who in ("privileged-lqr", "adaptive-lqr", LEARNED)),
     ControlCase("adaptive-lqr, biased readings", BIASED, f"{RRR}/{LAB}", sensor_errors={"bias": 0.005}),
-    ControlCase("adaptive-lqr, a finer arm", "adaptive-lqr", f"{RRR}/{LAB}", FINER, unmodelled=True),
-    ControlCase("adaptive-lqr, a load that changes", "adaptive-lqr", f"{RRR}/{LAB}", load=True),
+    ControlCase("adaptive-lqr, finer arm", "adaptive-lqr", f"{RRR}/{LAB}", FINER, unmodelled=True),
+    ControlCase("adaptive-lqr, changed payload", "adaptive-lqr", f"{RRR}/{LAB}", load=True),
     *(ControlCase(f"{who}, {task}", who, f"{task}/{LAB}")
       for task in ("FlexPlanar-v0", "FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexRRR-Gravity-v0")
       for who in ("privileged-lqr", "adaptive-lqr")),
-    ControlCase("adaptive-lqr, noise three times as large", "adaptive-lqr", f"{RRR}/{LAB}",
+    *(ControlCase(f"{who}, {task}, {where}", who, f"{task}/{where}") for task in ("FlexPlanar-v0", "FlexRRR-Gravity-v0")
+      for where in ("uncertain", "unmodelled") for who in ("privileged-lqr", "adaptive-lqr")),
+    *(ControlCase(f"adaptive-lqr, uncertain: {text}", "adaptive-lqr", f"{RRR}/uncertain", _extreme(names, value),
+         unmodelled=True) for text, names, value in EXTREMES),
+    *(ControlCase(f"adaptive-lqr, unmodelled: {text} {value:g}", "adaptive-lqr", f"{RRR}/unmodelled",
+         _part(fixed, name, value), unmodelled=True) for text, fixed, name, values in PARTS for value in values),
+    ControlCase("adaptive-lqr, three times the noise", "adaptive-lqr", f"{RRR}/{LAB}",
          {"randomisation": {"sensor_noise": [0.003, 0.003]}}),
-    ControlCase("adaptive-lqr, friction it knows nothing of", "adaptive-lqr", f"{RRR}/{LAB}", {"arm": _friction_arm()},
+    ControlCase("adaptive-lqr, unmodelled friction", "adaptive-lqr", f"{RRR}/{LAB}", {"arm": _friction_arm()},
          unmodelled=True),
-    ControlCase("adaptive-lqr, biases it knows nothing of", "adaptive-lqr", f"{RRR}/{LAB}",
+    ControlCase("adaptive-lqr, unmodelled biases", "adaptive-lqr", f"{RRR}/{LAB}",
          sensor_errors={"bias": 0.005}),
-    ControlCase("adaptive-lqr, a fifth of the samples lost", "adaptive-lqr", f"{RRR}/{LAB}",
+    ControlCase("adaptive-lqr, 20 % of samples lost", "adaptive-lqr", f"{RRR}/{LAB}",
          sensor_errors={"dropped": 0.2}),
-    ControlCase("adaptive-lqr, readings a period late", "adaptive-lqr", f"{RRR}/{LAB}", sensor_errors={"delay": 1}),
+    ControlCase("adaptive-lqr, measurements a period late", "adaptive-lqr", f"{RRR}/{LAB}", sensor_errors={"delay": 1}),
 )  # fmt: skip
 
 
