@@ -49,7 +49,16 @@ from flexman_gym.scene import (
     SineTorque,
     catalog,
 )
-from flexman_gym.simulation import METHODS, Episode, Simulator, Trajectory, generalised_alpha, simulate, simulate_all
+from flexman_gym.simulation import (
+    METHODS,
+    Episode,
+    Simulator,
+    Trajectory,
+    generalised_alpha,
+    sensitivities,
+    simulate,
+    simulate_all,
+)
 
 __all__ = [
     "METHODS",
@@ -103,6 +112,7 @@ __all__ = [
     "modes",
     "rest_state",
     "rollout",
+    "sensitivities",
     "simulate",
     "simulate_all",
     "stiffness_matrix",

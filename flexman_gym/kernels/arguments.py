@@ -33,7 +33,7 @@ from numba.extending import (
 )
 from numba.np import arrayobj
 
-from flexman_gym.kernels.lanes import ARMS, NUMBER, SEQUENCES, Lanes
+from flexman_gym.kernels.lanes import ARMS, NUMBER, SEQUENCES, TANGENTS, Lanes
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, Array, Constants, IntArray, PerArm, Period, Work
 
 
@@ -173,7 +173,8 @@ def address_table(arrays: NamedTuple, element: types.Type) -> IntArray:
 
     Args:
         arrays: the named tuple; its arrays must stay alive.
-        element: type of the elements: NUMBER, or ARMS or SEQUENCES, whose arrays have one more axis for the lanes.
+        element: type of the elements: NUMBER, or ARMS, SEQUENCES or TANGENTS, whose arrays have one more axis for the
+            lanes; with TANGENTS all constants are groups.
 
     Returns:
         (fields, 3) address, and lengths of the first and second axis; 0 for an array with one axis.
@@ -208,7 +209,7 @@ def _kind(parts: type, name: str, element: types.Type) -> types.Array:
         return types.Array(numba.from_dtype(np.dtype(_scalar(parts, name))), dimensions, "C")
     if annotation is IntArray:
         return _ArrayField(types.int64, dimensions, readonly=True)
-    if parts is Work or element == NUMBER or (element == ARMS and name in PER_ARM):
+    if parts is Work or element in (NUMBER, TANGENTS) or (element == ARMS and name in PER_ARM):
         return _ArrayField(element, dimensions)
     return _ArrayField(NUMBER, dimensions, readonly=True)
 
@@ -268,4 +269,5 @@ def _reader(parts: type, element: types.Type) -> Any:
 constants_of_arms, work_of_arms = _reader(Constants, ARMS), _reader(Work, ARMS)
 constants_of_one, work_of_one = _reader(Constants, NUMBER), _reader(Work, NUMBER)
 constants_of_sequences, work_of_sequences = _reader(Constants, SEQUENCES), _reader(Work, SEQUENCES)
+constants_of_tangents, work_of_tangents = _reader(Constants, TANGENTS), _reader(Work, TANGENTS)
 period_of_one = _reader(Period, NUMBER)

@@ -6,7 +6,14 @@ Constants that may differ between arms (`arguments.PER_ARM`) are groups as well;
 call passes tables of addresses instead of arrays, which saves microseconds.
 """
 
-from flexman_gym.kernels.arguments import constants_of_arms, constants_of_one, work_of_arms, work_of_one
+from flexman_gym.kernels.arguments import (
+    constants_of_arms,
+    constants_of_one,
+    constants_of_tangents,
+    work_of_arms,
+    work_of_one,
+    work_of_tangents,
+)
 from flexman_gym.kernels.compile import inner, released
 from flexman_gym.kernels.control_period import NOT_DONE, finish_period, start_period
 from flexman_gym.kernels.implicit import fixed_newton_step
@@ -148,29 +155,55 @@ def run_batch(tables, work_table, tableau, newton, drives, grid, rows, out, coun
     work = work_of_arms(work_table)
     for group in range(len(tables)):
         constants, first = constants_of_arms(tables[group]), group * ARMS_PER_GROUP
-        end = min(first + ARMS_PER_GROUP, len(rows))
-        _load_arms(work, drives, rows, first)
-        for arm in range(first, end):
-            counts[arm, 0], counts[arm, 1] = -1, 0
-        for r in range(rows.shape[1]):
-            for n in range(grid.substeps if r > 0 else 0):
-                span = step_start(grid, r - 1, n), grid.step
-                _fixed_step(constants, work, tableau, newton, work.drive_table, span, work.row)
-                for arm in range(first, end):
-                    if counts[arm, 0] < 0:
-                        counts[arm, 1] += 1
-                        if not _lane_in_bounds(work.new_state, arm - first):
-                            counts[arm, 0] = r - 1
-                copy(work.new_state, work.row)
-            d = len(work.row) // 2 - 1
-            compute_outputs(constants, work, work.row[:d], work.row[d : 2 * d], work.outputs)
+        given = tableau, newton, drives, grid
+        _run_group(constants, work, given, (first, min(first + ARMS_PER_GROUP, len(rows)), False), rows, out, counts)
+
+
+@released
+def run_tangents(tables, work_table, tableau, newton, drives, grid, rows, out, counts):
+    """Integrate an arm and its derivatives by fixed steps; arguments as in `run_batch`, b = ARMS_PER_GROUP * groups.
+
+    The constants and scratch arrays of each group are `lanes.TANGENTS`. Of ARMS_PER_GROUP successive drive tables, rows
+    and output rows, the first is that of the arm, and the others are derivatives with respect to one parameter each.
+    Only the arm is tested for divergence.
+    """
+    work = work_of_tangents(work_table)
+    for group in range(len(tables)):
+        constants, first = constants_of_tangents(tables[group]), group * ARMS_PER_GROUP
+        given = tableau, newton, drives, grid
+        _run_group(constants, work, given, (first, first + ARMS_PER_GROUP, True), rows, out, counts)
+
+
+@inner
+def _run_group(constants, work, given, arms, rows, out, counts):
+    """Integrate a group of arms as in `run_batch`.
+
+    given = (tableau, newton, drives, grid). arms = (first, end, tangents): indices of the arms, and True if the arms
+    after the first are derivatives, which are valid as long as the first is.
+    """
+    (tableau, newton, drives, grid), (first, end, tangents) = given, arms
+    _load_arms(work, drives, rows, first)
+    for arm in range(first, end):
+        counts[arm, 0], counts[arm, 1] = -1, 0
+    for r in range(rows.shape[1]):
+        for n in range(grid.substeps if r > 0 else 0):
+            span = step_start(grid, r - 1, n), grid.step
+            _fixed_step(constants, work, tableau, newton, work.drive_table, span, work.row)
             for arm in range(first, end):
                 if counts[arm, 0] < 0:
-                    _copy_lane(work.row, arm - first, rows[arm, r])
-                    _copy_lane(work.outputs, arm - first, out[arm, r])
+                    counts[arm, 1] += 1
+                    if not _lane_in_bounds(work.new_state, 0 if tangents else arm - first):
+                        counts[arm, 0] = r - 1
+            copy(work.new_state, work.row)
+        d = len(work.row) // 2 - 1
+        compute_outputs(constants, work, work.row[:d], work.row[d : 2 * d], work.outputs)
         for arm in range(first, end):
             if counts[arm, 0] < 0:
-                counts[arm, 0] = rows.shape[1] - 1
+                _copy_lane(work.row, arm - first, rows[arm, r])
+                _copy_lane(work.outputs, arm - first, out[arm, r])
+    for arm in range(first, end):
+        if counts[arm, 0] < 0:
+            counts[arm, 0] = rows.shape[1] - 1
 
 
 @inner

@@ -265,14 +265,20 @@ def _apply_disturbance(constants, work, v):
     drive, gravity = work.drive, constants.gravity
     force, base = (drive[n], drive[n + 1], drive[n + 2]), (drive[n + 3], drive[n + 4], drive[n + 5])
     store(work.field, 0, add_scaled((gravity[0], gravity[1], gravity[2]), -1.0, base))
-    if not is_zero(dot(force, force)):
+    if not _vanishes(force):
         for i in range(n):
             force = apply_transposed(load_matrix(work.rotation, i), force)
     store(work.tip_force, 0, force)
     power = dot(force, load(work.tip_velocity, 0))
-    if not is_zero(dot(base, base)):
+    if not _vanishes(base):
         power -= dot(base, _momentum(constants, work, v))
     return power
+
+
+@inner
+def _vanishes(vector):
+    """Return True if a vector (3,) is zero, with its derivatives, which a product with itself would omit."""
+    return is_zero(vector[0]) and is_zero(vector[1]) and is_zero(vector[2])
 
 
 @inner

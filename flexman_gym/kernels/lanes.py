@@ -1,10 +1,12 @@
 """SIMD groups of float64 as a Numba type, with arithmetic, comparisons, loads and stores.
 
-The kernels need an explicit type because Numba turns automatic vectorisation off. The lanes of a `NEIGHBOURS` group are
-neighbouring entries of an array of one arm, those of an `ARMS` group one entry for several arms, and those of a
+The kernels need an explicit type because Numba turns automatic vectorisation off. The lanes of a `NEIGHBOURS` group
+are neighbouring entries of an array of one arm, those of an `ARMS` group one entry for several arms, and those of a
 `SEQUENCES` group one entry for several sequences: the integrations of one extrapolated step with different numbers of
-substeps. A kernel has one source for all three: in scratch arrays of `ARMS` or `SEQUENCES` groups, each element is
-a group, a load of neighbours returns one element, and constants shared by the lanes are read-only arrays of numbers.
+substeps. A `TANGENTS` group is an entry of one arm and its derivatives with respect to seven parameters, see
+`tangents`. A kernel has one source for all four: in scratch arrays of `ARMS`, `SEQUENCES` or `TANGENTS` groups, each
+element is a group, a load of neighbours returns one element, and constants shared by the lanes are read-only arrays
+of numbers.
 """
 
 import math
@@ -18,6 +20,7 @@ from numba.core.typeconv import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
+from flexman_gym.kernels import tangents
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, LANES
 
 INDEX = ir.IntType(32)
@@ -41,7 +44,7 @@ class Lanes(types.Type):
 
 
 NUMBER, NEIGHBOURS, ARMS = types.float64, Lanes(LANES, "neighbours"), Lanes(ARMS_PER_GROUP, "arms")
-SEQUENCES = Lanes(LANES, "sequences")
+SEQUENCES, TANGENTS = Lanes(LANES, "sequences"), Lanes(ARMS_PER_GROUP, "tangents")
 
 
 @register_model(Lanes)
@@ -54,9 +57,11 @@ class _LanesModel(models.PrimitiveModel):
 
 @lower_cast(types.Float, Lanes)
 def _broadcast(context: Any, builder: Any, kind: Any, target: Any, value: Any) -> Any:
-    """Return a number as a group with equal lanes, and a group unchanged."""
+    """Return a number as a group with equal lanes or with derivatives of zero, and a group unchanged."""
     if kind == target:
         return value
+    if target == TANGENTS:
+        return tangents.from_number(builder, target.vector, value)
     undefined = ir.Constant(target.vector, ir.Undefined)
     one = builder.insert_element(undefined, value, ir.Constant(INDEX, 0))
     return builder.shuffle_vector(one, undefined, ir.Constant(ir.VectorType(INDEX, target.width), [0] * target.width))
@@ -80,7 +85,9 @@ class _LanesArithmetic(AbstractTemplate):
 
 
 def _call_instruction(builder: Any, name: str, kind: Any, operands: Any) -> Any:
-    """Return the call of an LLVM intrinsic function on numbers or groups."""
+    """Return the call of an LLVM intrinsic function, fma or sqrt, on numbers or groups."""
+    if kind == TANGENTS:
+        return {"fma": tangents.multiply_add, "sqrt": tangents.square_root}[name](builder, *operands)
     element, suffix = (kind.vector, f"v{kind.width}f64") if isinstance(kind, Lanes) else (ir.DoubleType(), "f64")
     function = ir.FunctionType(element, [element] * len(operands))
     return builder.call(cgutils.get_or_insert_function(builder.module, function, f"llvm.{name}.{suffix}"), operands)
@@ -90,6 +97,13 @@ def _declare(symbol: Callable) -> None:
     infer_global(symbol)(type("LanesArithmetic", (_LanesArithmetic,), {"key": symbol}))
 
 
+# instructions with a rule of their own for tangents
+PRODUCTS = {
+    "fmul": tangents.multiply,
+    "fdiv": tangents.divide,
+}
+
+
 def _operator(symbol: Callable, instruction: str) -> None:
     """Define a Python operator between groups in compiled code."""
     _declare(symbol)
@@ -97,6 +111,8 @@ def _operator(symbol: Callable, instruction: str) -> None:
     def lower(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
         pairs = zip(kinds.args, values, strict=True)
         operands = [_broadcast(context, builder, kind, kinds.return_type, value) for kind, value in pairs]
+        if kinds.return_type == TANGENTS and instruction in PRODUCTS:
+            return PRODUCTS[instruction](builder, *operands)
         return getattr(builder, instruction)(*operands)
 
     for operands in ((Lanes, Lanes), (Lanes, types.Float), (types.Float, Lanes)):
@@ -133,6 +149,12 @@ def _map_function(symbol: Callable) -> None:
     def lower(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
         function = context.get_function(symbol, NUMBER(NUMBER))
         group = values[0]
+        if kinds.return_type == TANGENTS:
+
+            def call(name: Callable, number: Any) -> Any:
+                return context.get_function(name, NUMBER(NUMBER))(builder, [number])
+
+            return tangents.apply_function(builder, symbol, call, group)
         for k in range(kinds.return_type.width):
             lane = ir.Constant(INDEX, k)
             group = builder.insert_element(group, function(builder, [builder.extract_element(values[0], lane)]), lane)
@@ -177,10 +199,12 @@ def is_zero(typing_context, a):
 
 @intrinsic
 def is_below(typing_context, a, limit):
-    """Return True if a number, or every lane of a group, is less than a limit."""
+    """Return True if a number, or every lane of a group, is less than a limit; tangents are not compared."""
 
     def generate(context, builder, kinds, values):
         kind = kinds.args[0]
+        if kind == TANGENTS:
+            return builder.fcmp_ordered("<", tangents.value_of(builder, values[0]), values[1])
         bound = _broadcast(context, builder, NUMBER, kind, values[1])
         return _all(builder, kind, builder.fcmp_ordered("<", values[0], bound))
 
@@ -189,15 +213,29 @@ def is_below(typing_context, a, limit):
 
 @intrinsic
 def select_below(typing_context, a, limit, below, otherwise):
-    """Return, lane by lane, `below` if a is less than the limit, else `otherwise`."""
+    """Return, lane by lane, `below` if a is less than the limit, else `otherwise`; tangents are not compared."""
     kind = _common_type(a, limit, below, otherwise)
 
     def generate(context, builder, kinds, values):
         pairs = zip(kinds.args, values, strict=True)
         a, bound, below, otherwise = (_broadcast(context, builder, each, kind, value) for each, value in pairs)
+        if kind == TANGENTS:
+            a, bound = tangents.value_of(builder, a), tangents.value_of(builder, bound)
         return builder.select(builder.fcmp_ordered("<", a, bound), below, otherwise)
 
     return kind(a, limit, below, otherwise), generate
+
+
+@intrinsic
+def without_tangents(typing_context, a):
+    """Return a number or group with tangents of zero; other groups are returned unchanged."""
+
+    def generate(context, builder, kinds, values):
+        if kinds.args[0] != TANGENTS:
+            return values[0]
+        return tangents.from_number(builder, TANGENTS.vector, tangents.value_of(builder, values[0]))
+
+    return a(a), generate
 
 
 def _group(flat: Any) -> Any:

@@ -222,6 +222,7 @@ class LaneIntegrator(BatchIntegrator):
     """
 
     state_fields = ("own",)
+    _element, _kernel = ARMS, staticmethod(kernels.run_batch)
 
     def __init__(
         self,
@@ -240,13 +241,13 @@ class LaneIntegrator(BatchIntegrator):
             self._constants = [constants._replace(**_own_constants(constants))]
             self._works = [make_work(constants)]
         else:
-            self._constants = [_lane_constants(constants) for _ in range(groups)]
+            self._constants = [self._group_constants(constants) for _ in range(groups)]
             self._works = [
                 make_work(constants, aligned_zeros) for _ in range(min(threads, -(-groups // GROUPS_PER_THREAD)))
             ]
         step_cost = LANE_COST_RATIO * method.evaluations
         self._max_steps = max(1, evaluations_per_call(constants) // step_cost)  # steps of a group in a kernel call
-        kind = NUMBER if self._single else ARMS
+        kind = NUMBER if self._single else self._element
         self._tables = np.array([address_table(each, kind) for each in self._constants])
         self._work_tables = [address_table(each, kind) for each in self._works]
         bounds = np.linspace(0, groups, len(self._works) + 1).round().astype(int)
@@ -255,6 +256,14 @@ class LaneIntegrator(BatchIntegrator):
         self._no_record: PeriodRecord = np.zeros((arms, 0, 1)), np.zeros((arms, 0, 1))
         self._workers: list[WorkerThread] = []
         self._process = 0  # id of the process of the worker threads
+
+    @staticmethod
+    def _group_constants(constants: Constants) -> Constants:
+        """Return the constants of a group of ARMS_PER_GROUP equal arms."""
+        own: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in PER_ARM}
+        for name, values in own.items():
+            values[:] = getattr(constants, name)[..., None]
+        return constants._replace(**own)
 
     @property
     def own(self) -> list[dict[str, Array]]:
@@ -366,7 +375,7 @@ class LaneIntegrator(BatchIntegrator):
             part, read = (np.zeros((len(rows), count + 1, each.shape[2])) for each in (rows, outputs))
             part[:, 0], now = last, np.zeros_like(counts)
             clock = whole._replace(substeps=steps, first_step=first)
-            kernels.run_batch(*given, clock, part, read, now)
+            self._kernel(*given, clock, part, read, now)
             rows[:, row + 1 : row + count + 1], outputs[:, row + 1 : row + count + 1] = part[:, 1:], read[:, 1:]
             if first == 0:
                 outputs[:, 0] = read[:, 0]
@@ -462,14 +471,6 @@ class LaneIntegrator(BatchIntegrator):
 def _arm_slice(groups: slice) -> slice:
     """Return the indices of the arms in a range of groups."""
     return slice(groups.start * ARMS_PER_GROUP, groups.stop * ARMS_PER_GROUP)
-
-
-def _lane_constants(constants: Constants) -> Constants:
-    """Return the constants of a group of ARMS_PER_GROUP equal arms."""
-    own: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in PER_ARM}
-    for name, values in own.items():
-        values[:] = getattr(constants, name)[..., None]
-    return constants._replace(**own)
 
 
 def _chunks(count: int, most: int) -> Iterator[tuple[int, int]]:

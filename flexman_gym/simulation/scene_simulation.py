@@ -169,7 +169,7 @@ def simulate(
         >>> trajectory.status, trajectory.tip.shape, trajectory.tip[-1].round(1)
         ('ok', (201, 3), array([ 1.1,  2.1, -0.6]))
     """
-    settings = _scene_settings(scene, model, method, step, rtol, atol)
+    settings = scene_settings(scene, model, method, step, rtol, atol)
     return _simulate_scene(scene, settings)
 
 
@@ -192,7 +192,7 @@ class _Settings(NamedTuple):
     rows: int
 
 
-def _scene_settings(
+def scene_settings(
     scene: Scene, model: Model | None, method: str | Method, step: float | None, rtol: float, atol: float
 ) -> _Settings:
     """Check the arguments of `simulate` and return its settings."""
@@ -209,12 +209,12 @@ def _scene_settings(
     return _Settings(model, chosen, find_tolerance(chosen, step, rtol, atol), interval, substeps, rows)
 
 
-def _initial_row(scene: Scene, model: Model) -> Array:
+def initial_row(scene: Scene, model: Model) -> Array:
     """Return the initial state (2 d) of a scene, followed by zero work and dissipation, as an array (2 d + 2,)."""
     return np.append(_initial_state(scene, model), [0.0, 0.0])
 
 
-def _prescribed_joints(scene: Scene) -> list[int]:
+def prescribed_joints(scene: Scene) -> list[int]:
     """Return the indices, from 0, of the joints with prescribed motion in a scene."""
     return [i for i, motion in enumerate(scene.prescribed or ()) if motion is not None]
 
@@ -222,7 +222,7 @@ def _prescribed_joints(scene: Scene) -> list[int]:
 def _simulate_scene(scene: Scene, settings: _Settings, constants: dict[str, Any] | None = None) -> Trajectory:
     """Simulate a scene with given settings; `constants` replace constants of the model by name."""
     model, interval, rows = settings.model, settings.interval, settings.rows
-    integrator, state = _make_integrator(scene, settings, constants), _initial_row(scene, model)
+    integrator, state = _make_integrator(scene, settings, constants), initial_row(scene, model)
     states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
     integrator.start(state, states[0], outputs[0])
     started = clock.perf_counter()
@@ -236,7 +236,7 @@ def _simulate_scene(scene: Scene, settings: _Settings, constants: dict[str, Any]
 
 def _make_integrator(scene: Scene, settings: _Settings, constants: dict[str, Any] | None = None) -> Integrator:
     """Return the integrator for given settings; `constants` replace constants of the model by name."""
-    integrator = Integrator(settings.model, settings.method, settings.tolerance, _prescribed_joints(scene))
+    integrator = Integrator(settings.model, settings.method, settings.tolerance, prescribed_joints(scene))
     integrator.constants = integrator.constants._replace(**(constants or {}))
     return integrator
 
@@ -331,7 +331,7 @@ def simulate_all(
     if not 0 < len(scenes) <= MAX_ARMS:
         raise value_error("scenes", f"{len(scenes)} scenes", f"1 to {MAX_ARMS}")
     whole_number("threads", threads, 1, MAX_THREADS)
-    settings = _scene_settings(scenes[0], model, method, step, rtol, atol)
+    settings = scene_settings(scenes[0], model, method, step, rtol, atol)
     for i, scene in enumerate(scenes):
         _check_compatible(f"scenes[{i}]", scene, scenes[0], model is None)
     varied = varied_constants(settings.model, len(scenes), parameters)
@@ -353,8 +353,8 @@ def _check_compatible(name: str, scene: object, first: Scene, built: bool) -> No
     for part in ("arm", "model") if built else ():
         if getattr(scene, part) != getattr(first, part):
             raise value_error(f"{name}.{part}", "different", "that of scenes[0], or a model for all scenes")
-    joints = _prescribed_joints(first)
-    if scene.arm.n_joints != first.arm.n_joints or _prescribed_joints(scene) != joints:
+    joints = prescribed_joints(first)
+    if scene.arm.n_joints != first.arm.n_joints or prescribed_joints(scene) != joints:
         raise value_error(name, "a scene of different joints", f"{first.arm.n_joints} joints, with {joints} prescribed")
 
 
@@ -364,15 +364,15 @@ def _simulate_in_lanes(
     """Simulate scenes by fixed steps of a linearly implicit method; the pieces of all drives have equal boundaries."""
     model, method, interval, last = settings.model, settings.method, settings.interval, settings.rows
     assert isinstance(method, LinearlyImplicit | IteratedGauss)
-    flags = prescribed_flags(model.n_joints, _prescribed_joints(scenes[0]))
+    flags = prescribed_flags(model.n_joints, prescribed_joints(scenes[0]))
     shared = model.constants._replace(prescribed=flags)
     integrator = LaneIntegrator(shared, method, (interval, settings.substeps), len(scenes), threads)
     integrator.set_constants(np.arange(len(scenes)), varied)
-    starts = np.array([_initial_row(scene, model) for scene in scenes])
+    starts = np.array([initial_row(scene, model) for scene in scenes])
     rows, outputs = (np.zeros((len(scenes), last + 1, size)) for size in (starts.shape[1], layout.OUTPUTS))
     rows[:, 0] = starts
     started = clock.perf_counter()
-    counts = _run_in_lanes(integrator, drives, settings, rows, outputs)
+    counts = run_in_lanes(integrator, drives, settings, rows, outputs)
     seconds = (clock.perf_counter() - started) / len(scenes)
     stages = method.evaluations
     result = []
@@ -385,7 +385,7 @@ def _simulate_in_lanes(
     return result
 
 
-def _run_in_lanes(
+def run_in_lanes(
     integrator: LaneIntegrator, drives: list[PiecewiseSignals], settings: _Settings, rows: Array, outputs: Array
 ) -> IntArray:
     """Fill the rows and outputs after time 0, piece by piece; return the numbers (b, 2) of valid rows and of steps."""
@@ -427,7 +427,7 @@ def tip_accelerations(scene: Scene, runs: Sequence[Trajectory], model: Model, pa
         (b, T, 6) m/s^2, columns as in TIP_ACCELERATIONS, see `Batch.tip_accelerations`; NaN after a failure.
     """
     own, size = varied_constants(model, len(runs), parameters), round(scene.duration / scene.output_step) + 1
-    flags = prescribed_flags(model.n_joints, _prescribed_joints(scene))
+    flags = prescribed_flags(model.n_joints, prescribed_joints(scene))
     pieces, d = scene.pieces, model.n_dof
     times = scene.output_step * np.arange(size)
     drives = np.array([pieces.table(p) for p in range(len(pieces.times) - 1)])

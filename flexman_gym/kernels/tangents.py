@@ -1,0 +1,105 @@
+"""Forward-mode differentiation: machine code of the arithmetic of a number with its tangents.
+
+A `TANGENTS` group of `lanes` has a number in lane 0 and its derivatives with respect to seven parameters, the
+tangents, in the other lanes (Griewank and Walther, Evaluating Derivatives, chapter 3). The functions of this file add
+instructions for the arithmetic of such groups to a function under construction. Lane 0 has the operations of a plain
+number, in the same order, so that values have the same bits as without derivatives.
+
+Comparisons test the number only. Where a function has a kink, the tangent is the derivative of the branch taken.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils
+
+INDEX, DOUBLE = ir.IntType(32), ir.DoubleType()
+VALUE = ir.Constant(INDEX, 0)  # lane of the number
+
+
+def from_number(builder: Any, vector: Any, number: Any) -> Any:
+    """Return the group of a number whose derivatives are zero."""
+    return builder.insert_element(ir.Constant(vector, [0.0] * vector.count), number, VALUE)
+
+
+def value_of(builder: Any, group: Any) -> Any:
+    """Return the number of a group."""
+    return builder.extract_element(group, VALUE)
+
+
+def multiply(builder: Any, a: Any, b: Any) -> Any:
+    """Return a b; the tangents are a b' + a' b."""
+    first = builder.fmul(_repeat(builder, a), b)
+    return _fma(builder, _tangents(builder, a), _repeat(builder, b), first)
+
+
+def multiply_add(builder: Any, a: Any, b: Any, c: Any) -> Any:
+    """Return a b + c, with one rounding of the number; the tangents are a b' + a' b + c'."""
+    first = _fma(builder, _repeat(builder, a), b, c)
+    return _fma(builder, _tangents(builder, a), _repeat(builder, b), first)
+
+
+def divide(builder: Any, a: Any, b: Any) -> Any:
+    """Return q = a / b; the tangents are (a' - q b') / b."""
+    divisor = value_of(builder, b)
+    quotient = builder.fdiv(value_of(builder, a), divisor)
+    change = builder.fmul(_repeat_number(builder, a.type, quotient), _tangents(builder, b))
+    return builder.fdiv(builder.fsub(a, change), _repeat(builder, b))
+
+
+def square_root(builder: Any, a: Any) -> Any:
+    """Return the square root r of a; the tangents are a' / (2 r)."""
+    function = ir.FunctionType(DOUBLE, [DOUBLE])
+    root = builder.call(
+        cgutils.get_or_insert_function(builder.module, function, "llvm.sqrt.f64"), [value_of(builder, a)]
+    )
+    return _chain(builder, root, builder.fdiv(ir.Constant(DOUBLE, 0.5), root), a)
+
+
+def apply_function(builder: Any, symbol: Callable, call: Callable[[Callable, Any], Any], a: Any) -> Any:
+    """Return f(a) for sine, cosine or hyperbolic tangent; the tangents are f'(a) a'.
+
+    Args:
+        builder: builder of the function under construction.
+        symbol: math.sin, math.cos or math.tanh.
+        call: function that adds the call of a mathematical function of a number.
+        a: group.
+    """
+    x = value_of(builder, a)
+    y = call(symbol, x)
+    if symbol is math.sin:
+        slope = call(math.cos, x)
+    elif symbol is math.cos:
+        slope = builder.fneg(call(math.sin, x))
+    else:
+        slope = builder.fsub(ir.Constant(DOUBLE, 1.0), builder.fmul(y, y))
+    return _chain(builder, y, slope, a)
+
+
+def _chain(builder: Any, value: Any, slope: Any, a: Any) -> Any:
+    """Return a group with the given number and the tangents of a times the slope."""
+    return builder.insert_element(builder.fmul(_repeat_number(builder, a.type, slope), a), value, VALUE)
+
+
+def _tangents(builder: Any, group: Any) -> Any:
+    """Return a group with its number set to zero."""
+    return builder.insert_element(group, ir.Constant(DOUBLE, 0.0), VALUE)
+
+
+def _repeat(builder: Any, group: Any) -> Any:
+    """Return the number of a group in all lanes."""
+    return builder.shuffle_vector(
+        group, group, ir.Constant(ir.VectorType(INDEX, group.type.count), [0] * group.type.count)
+    )
+
+
+def _repeat_number(builder: Any, vector: Any, number: Any) -> Any:
+    return _repeat(builder, from_number(builder, vector, number))
+
+
+def _fma(builder: Any, a: Any, b: Any, c: Any) -> Any:
+    function = ir.FunctionType(a.type, [a.type] * 3)
+    name = f"llvm.fma.v{a.type.count}f64"
+    return builder.call(cgutils.get_or_insert_function(builder.module, function, name), [a, b, c])

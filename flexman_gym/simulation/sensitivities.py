@@ -1,0 +1,266 @@
+"""Sensitivities: exact derivatives of the motion of a scene with respect to physical parameters and initial state.
+
+The equations of the integration method are differentiated in forward mode by the kernels of the simulation, see
+`kernels.tangents`. The derivatives are those of the computed motion, step by step, without differences of motions.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import one_of, sequence, value_error, whole_number
+from flexman_gym.kernels import layout
+from flexman_gym.kernels.layout import ARMS_PER_GROUP, STATUS
+from flexman_gym.model.dynamics import RICHARDSON
+from flexman_gym.model.linearization import OUTPUT_UNITS, LinearMeasurements, column_names
+from flexman_gym.model.model import Model
+from flexman_gym.scene.scene import Scene
+from flexman_gym.simulation.integrator import default_step, prescribed_flags
+from flexman_gym.simulation.methods import METHODS, IteratedGauss, LinearlyImplicit, Method
+from flexman_gym.simulation.parameters import JOINT, LINK, PARAMETERS
+from flexman_gym.simulation.scene_simulation import initial_row, prescribed_joints, run_in_lanes, scene_settings
+from flexman_gym.simulation.tangent_integrator import DIRECTIONS, TangentIntegrator
+
+INITIAL = {"initial_joint_angles": "rad", "initial_joint_rates": "rad/s"}  # initial conditions -> unit
+INPUTS = {"motor_torques": "N m"}  # inputs with a constant change -> unit
+RELATIVE_STEP = 1e-2  # relative step of the differences of constants
+SMALL_STEP = 1e-3  # in the unit of the parameter; step of the differences at a value of 0
+ENERGIES = {"kinetic_energy": (layout.KINETIC,), "elastic_energy": (layout.LINK_ENERGY, layout.JOINT_ENERGY),
+            "gravitational_energy": (layout.GRAVITATIONAL,)}  # fmt: skip
+TIP_OUTPUTS = {"tip": layout.TIP, "tip_velocity": layout.TIP_VELOCITY}
+OUTPUTS = {name: unit for name, unit in OUTPUT_UNITS.items() if name != "tip_acceleration"} | dict.fromkeys(
+    ENERGIES, "J"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """Outputs of a scene and their derivatives at T output times; after a failure only at those before the failure.
+
+    Attributes:
+        time: (T,) s.
+        values: (T, m) outputs.
+        jacobian: (T, m, p) derivatives of the outputs with respect to the parameters.
+        outputs: m names with units, such as "tip_x (m)".
+        parameters: p names with units, such as "joint_stiffness[0] (N m/rad)".
+        status: "ok" or "diverged".
+    """
+
+    time: Array
+    values: Array
+    jacobian: Array
+    outputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    status: str
+
+    def __repr__(self) -> str:
+        times, outputs, parameters = self.jacobian.shape
+        return (
+            f"<Sensitivities: {self.status}, {times} times, {outputs} outputs by {parameters} parameters\n"
+            f"  outputs {', '.join(self.outputs)}\n  parameters {', '.join(self.parameters)}>"
+        )
+
+
+class _Direction(NamedTuple):
+    """Parameter of a derivative: a name, and the index of its joint or link, None for a parameter of the arm."""
+
+    name: str
+    index: int | None
+
+    def label(self) -> str:
+        """Return name, index and unit."""
+        unit = INITIAL.get(self.name) or INPUTS.get(self.name) or PARAMETERS[self.name].unit
+        return f"{self.name}{'' if self.index is None else f'[{self.index}]'} ({unit})"
+
+
+def sensitivities(
+    scene: Scene,
+    of: str | Sequence[str] = ("tip",),
+    to: str | Sequence[str] = ("payload_mass",),
+    model: Model | None = None,
+    method: str | Method = "auto",
+    step: float | None = None,
+) -> Sensitivities:
+    """Simulate a scene together with the derivatives of its outputs.
+
+    Seven derivatives cost about two to three simulations. The values have the bits of `simulate` with the same step.
+    The component modes of the model do not change with a parameter, as in `simulation.parameters.varied_model`; the
+    derivative is exact for the model with these modes. Torques that begin or end at a time act as they do in the scene.
+
+    Args:
+        scene: the scene.
+        of: names of outputs: those of `linearize` without "tip_acceleration", "kinetic_energy", "elastic_energy" and
+            "gravitational_energy".
+        to: names of parameters, for all joints or links or, as in "joint_stiffness[0]", for one: those of `vary`,
+            "initial_joint_angles" and "initial_joint_rates" (of joint and motor together), and "motor_torques", a
+            constant added to the torque of a motor where its signal acts.
+        model: a model of the scene's arm; None builds the model specified by the scene.
+        method: a method of fixed steps that `simulate_all` integrates in groups; "auto" selects the default method.
+        step: integration step, s, as in `simulate`; None selects the longest step up to that of an environment.
+
+    Returns:
+        Values and derivatives.
+
+    Raises:
+        ValueError: for an unknown output or parameter, a parameter that the arm lacks, an adaptive method, and a
+            method that iterates until it converges.
+
+    Examples:
+        >>> scene = fm.catalog.paper_scene("rr")
+        >>> found = fm.sensitivities(scene, of="tip", to=("payload_mass", "viscous_friction[0]"))
+        >>> found.jacobian.shape, found.parameters
+        ((201, 3, 2), ('payload_mass (kg)', 'viscous_friction[0] (N m s/rad)'))
+    """
+    step = default_step(scene.output_step) if step is None else step
+    settings = scene_settings(scene, model, method, step, 1e-6, 1e-9)
+    chosen, model = settings.method, settings.model
+    if not isinstance(chosen, LinearlyImplicit | IteratedGauss) or settings.tolerance is not None:
+        allowed = [name for name, each in METHODS.items() if isinstance(each, LinearlyImplicit | IteratedGauss)]
+        raise value_error("method", chosen.name, f"one of fixed steps: {', '.join(allowed)}")
+    names = [one_of("of", name, OUTPUTS) for name in _names("of", of)]
+    directions = [each for name in _names("to", to) for each in _directions(name, model)]
+    flags = prescribed_flags(model.n_joints, prescribed_joints(scene))
+    period, groups = (settings.interval, settings.substeps), -(-len(directions) // DIRECTIONS)
+    integrator = TangentIntegrator(model.constants._replace(prescribed=flags), chosen, period, groups)
+    motion = _Motion.start(scene, model, directions, settings.rows)
+    for number, direction in enumerate(directions):
+        if direction.name in PARAMETERS:
+            integrator.set_derivative(number, _constant_derivatives(model, direction))
+    counts = run_in_lanes(integrator, motion.drives, settings, motion.rows, motion.outputs)
+    return motion.read(names, model, settings.interval, int(counts[0, 0]))
+
+
+@dataclass
+class _Drive:
+    """Drive table of a derivative, the same in all pieces of the drive of the scene, whose times are `times`."""
+
+    times: Array
+    values: Array
+
+    def table(self, interval: int = 0) -> Array:
+        """Return the drive table (7, n + 6)."""
+        return self.values
+
+
+class _Motion(NamedTuple):
+    """Motion of an arm and its derivatives: an arm and DIRECTIONS derivatives for each group, b together.
+
+    Attributes:
+        directions: parameters of the derivatives; unused derivatives of the last group follow them.
+        drives: drives of the arms and derivatives.
+        rows: (b, T, 2 d + 2) states and energy ledgers.
+        outputs: (b, T, OUTPUTS) columns of `kernels.layout`.
+    """
+
+    directions: list[_Direction]
+    drives: list[Any]
+    rows: Array
+    outputs: Array
+
+    @classmethod
+    def start(cls, scene: Scene, model: Model, directions: list[_Direction], last: int) -> "_Motion":
+        """Return the motion before the simulation of `last` output intervals."""
+        pieces, d, drives = scene.pieces, model.n_dof, []
+        groups = -(-len(directions) // DIRECTIONS)
+        rows = np.zeros((groups * ARMS_PER_GROUP, last + 1, 2 * d + 2))
+        for row in range(len(rows)):
+            group, lane = divmod(row, ARMS_PER_GROUP)
+            if lane == 0:
+                drives.append(pieces)
+                rows[row, 0] = initial_row(scene, model)
+                continue
+            drives.append(_Drive(pieces.times, np.zeros_like(pieces.table())))
+            number = group * DIRECTIONS + lane - 1
+            if number < len(directions):
+                name, index = directions[number]
+                if name in INPUTS:
+                    drives[-1].values[layout.OFFSET, index] = 1.0
+                elif name in INITIAL:
+                    first = d * (name == "initial_joint_rates")
+                    rows[row, 0, [first + index, first + model.motor_columns[index]]] = 1.0
+        return cls(directions, drives, rows, np.zeros((*rows.shape[:2], layout.OUTPUTS)))
+
+    def read(self, names: list[str], model: Model, interval: float, valid: int) -> Sensitivities:
+        """Return the outputs of given names and their derivatives at the valid times."""
+        parts = [_output(name, model, self.rows[:, : valid + 1], self.outputs[:, : valid + 1]) for name in names]
+        every, count = np.concatenate(parts, axis=2), len(self.directions)
+        lanes = np.arange(len(every)).reshape(-1, ARMS_PER_GROUP)[:, 1:].ravel()[:count]
+        labels = [
+            label
+            for name, part in zip(names, parts, strict=True)
+            for label in (
+                [f"{name} (J)"]
+                if name in ENERGIES
+                else column_names(name, OUTPUTS[name], part.shape[2], model.n_joints)
+            )
+        ]
+        return Sensitivities(
+            time=interval * np.arange(valid + 1), values=every[0], jacobian=np.moveaxis(every[lanes], 0, 2),
+            outputs=tuple(labels), parameters=tuple(each.label() for each in self.directions),
+            status=STATUS[layout.OK if valid + 1 == self.rows.shape[1] else layout.DIVERGED],
+        )  # fmt: skip
+
+
+def _names(argument: str, given: str | Sequence[str]) -> list[str]:
+    """Return names given as one string or several."""
+    names = [given] if isinstance(given, str) else [str(each) for each in sequence(argument, given, "names")]
+    if not names:
+        raise value_error(argument, given, "at least one name")
+    return names
+
+
+def _directions(text: str, model: Model) -> list[_Direction]:
+    """Return the parameters of a name such as "joint_stiffness" or "joint_stiffness[0]"."""
+    match = re.fullmatch(r"(\w+)(?:\[(\d{1,6})\])?", text)
+    name = one_of("to", match.group(1) if match else text, [*PARAMETERS, *INITIAL, *INPUTS])
+    assert match is not None
+    if name in PARAMETERS and PARAMETERS[name].of not in (JOINT, LINK):
+        if match.group(2):
+            raise value_error("to", text, name)
+        return [_Direction(name, None)]
+    fixed = PARAMETERS[name].fixed(model) if name in PARAMETERS else np.zeros(model.n_joints, dtype=bool)
+    indices = np.flatnonzero(~fixed).tolist()
+    if match.group(2):
+        index = whole_number("to", int(match.group(2)), 0, model.n_joints - 1)
+        indices = [index] if index in indices else []
+    if not indices:
+        raise value_error("to", text, f"a parameter that this arm has: {PARAMETERS[name].lacking} joints or links")
+    return [_Direction(name, index) for index in indices]
+
+
+def _constant_derivatives(model: Model, direction: _Direction) -> dict[str, Array]:
+    """Return the derivatives of the constants of a model with respect to a parameter, by name.
+
+    They are central differences extrapolated to order six, exact to rounding as the constants are linear or nearly so.
+    """
+    name, index = direction
+    parameter = PARAMETERS[name]
+    nominal = np.array(parameter.nominal(model), dtype=float)
+    place = () if index is None else (index,)
+    step = RELATIVE_STEP * abs(float(nominal[place])) or SMALL_STEP
+    values = np.repeat(nominal[None], 2 * len(RICHARDSON), axis=0)
+    factors = []
+    for row, (multiple, weight) in enumerate(RICHARDSON):
+        for sign in (1.0, -1.0):
+            values[(2 * row + (sign < 0.0), *place)] += sign * multiple * step
+            factors.append(sign * weight / (2.0 * multiple * step))
+    changed = parameter.constants(model, {name: values})
+    return {field: np.tensordot(factors, each, axes=1) for field, each in changed.items()}
+
+
+def _output(name: str, model: Model, rows: Array, outputs: Array) -> Array:
+    """Return an output (b, T, k) of all arms and derivatives; all outputs but energies and tip are linear."""
+    if name in ENERGIES:
+        return outputs[:, :, ENERGIES[name]].sum(axis=2, keepdims=True)
+    if name in TIP_OUTPUTS:
+        return outputs[:, :, TIP_OUTPUTS[name]]
+    states, n, d = rows[:, :, :-2], model.n_joints, model.n_dof
+    if name in ("joint_angles", "joint_rates"):
+        first = d * (name == "joint_rates")
+        return states[:, :, first : first + n]
+    measured = LinearMeasurements(model).measure(states.reshape(-1, 2 * d))[name]
+    return measured.reshape(*rows.shape[:2], -1)

@@ -1,0 +1,58 @@
+"""Integrator of an arm together with the derivatives of its motion."""
+
+from typing import Any
+
+import numpy as np
+
+from flexman_gym.common.arrays import Array
+from flexman_gym.kernels import batch as kernels
+from flexman_gym.kernels.arguments import aligned_zeros
+from flexman_gym.kernels.lanes import TANGENTS
+from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants
+from flexman_gym.simulation.batch_integrators import LaneIntegrator
+from flexman_gym.simulation.methods import IteratedGauss, LinearlyImplicit
+
+DIRECTIONS = ARMS_PER_GROUP - 1  # derivatives that one integration computes
+
+
+class TangentIntegrator(LaneIntegrator):
+    """Integrator whose groups are an arm and its derivatives with respect to DIRECTIONS parameters each.
+
+    Drive tables, rows and outputs of `run` are those of ARMS_PER_GROUP * groups arms: those of the arm, followed by
+    their derivatives, for each group.
+
+    Args:
+        constants: constants of the arm.
+        method: method of fixed steps.
+        period: output interval, s, and number of steps in it.
+        groups: number of groups.
+    """
+
+    _element, _kernel = TANGENTS, staticmethod(kernels.run_tangents)
+
+    def __init__(
+        self, constants: Constants, method: LinearlyImplicit | IteratedGauss, period: tuple[float, int], groups: int
+    ) -> None:
+        super().__init__(constants, method, period, ARMS_PER_GROUP * groups, threads=1)
+
+    @staticmethod
+    def _group_constants(constants: Constants) -> Constants:
+        """Return the constants of a group with derivatives of zero."""
+        return constants._replace(**{name: _without_derivatives(each) for name, each in _floats(constants).items()})
+
+    def set_derivative(self, direction: int, constants: dict[str, Array]) -> None:
+        """Set the derivatives of constants with respect to the parameter of a direction, by name."""
+        group, lane = divmod(direction, DIRECTIONS)
+        for name, values in constants.items():
+            getattr(self._constants[group], name)[..., 1 + lane] = values
+
+
+def _floats(constants: Constants) -> dict[str, Any]:
+    """Return the constants that are not integers, by name."""
+    return {name: each for name, each in constants._asdict().items() if each.dtype == np.float64}
+
+
+def _without_derivatives(values: Array) -> Array:
+    result = aligned_zeros(values.shape)
+    result[..., 0] = values
+    return result

@@ -1,0 +1,187 @@
+"""Tests of sensitivities: differences extrapolated to zero, Taylor remainders, closed forms, and equal values."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.simulation.parameters import PARAMETERS, nominal_parameters
+
+Z = (0.0, 0.0, 1.0)
+OUTPUTS = ("tip", "tip_velocity", "joint_angles", "motor_rates", "root_strains", "kinetic_energy", "elastic_energy",
+           "gravitational_energy")  # fmt: skip
+METHODS = ("midpoint_corrected_3", "midpoint_2", "gauss_2", "ros2", "extrapolated_euler_3")
+STEPS = 0.04 / 2.0 ** np.arange(3)  # relative steps of the differences
+TORQUES = (fm.SineTorque(0.0, 1.5, 0.8, 0.3), fm.SampledTorque([0.0, 0.11, 0.4], [0.4, -0.3, 0.2]))
+
+
+def scene(**more):
+    """A planar arm under gravity with all effects of joints, for 0.4 s."""
+    strip = fm.Link.strip(0.5, 0.04, 0.003)
+    motor = fm.Motor(gear_ratio=100.0, torque_constant=0.05, rotor_inertia=2e-6, torque_ripple=0.002, ripple_cycles=2.0)
+    friction = {"viscous_friction": 0.05, "coulomb_friction": 0.1, "coulomb_rate": 0.3, "static_friction": 0.14,
+                "stribeck_rate": 0.5}  # fmt: skip
+    first = fm.Joint(Z, stiffness=60.0, damping=0.05, motor=motor, **friction)
+    second = fm.Joint(Z, 0.01, stiffness=40.0, damping=0.02, backlash=1e-3, stiffness_pieces=((0.5, 0.6), (1.5, 0.8)))
+    arm = fm.Arm([strip, strip], [first, second], fm.Payload(0.1, offset=(0.02, 0.0, 0.0)), gravity=(0.0, -9.81, 0.0),
+                 modal_damping_ratio=0.01)  # fmt: skip
+    initial = fm.Initial(joint_angles=(0.2, -0.4), joint_rates=(0.5, 0.1))
+    return fm.Scene(arm, duration=0.4, output_step=0.02, torques=TORQUES, initial=initial,
+                    model=fm.ModelChoice(modes=2), **more)  # fmt: skip
+
+
+def outputs_of(trajectory):
+    """Return the outputs (T, m) of a trajectory, in the order of OUTPUTS."""
+    readings, states = trajectory.readings, trajectory.states
+    n = trajectory.joint_angles.shape[1]
+    energies = [trajectory.moving_energy, trajectory.energy - trajectory.moving_energy]
+    assert states.shape[1] > 2 * n
+    return np.column_stack(
+        [trajectory.tip, trajectory.tip_velocity, trajectory.joint_angles, readings["motor_rates"],
+         readings["root_strains"], *energies]
+    )  # fmt: skip
+
+
+def reduced(values):
+    """Return outputs (T, m) of sensitivities with kinetic and elastic energy added, as in `outputs_of`."""
+    return np.column_stack([values[:, :-3], values[:, -3] + values[:, -2], values[:, -1]])
+
+
+def changed(name, index, step):
+    """Return the outputs with a parameter changed by a step, and by its opposite."""
+    given, method = scene(), changed.method
+    results = []
+    for change in (step, -step):
+        current, parameters = given, {}
+        if name.startswith("initial_"):
+            field = name.removeprefix("initial_")
+            values = np.array(getattr(given.initial, field))
+            values[index] += change
+            current = replace(given, initial=replace(given.initial, **{field: tuple(values)}))
+        elif name == "motor_torques":
+            torques = [_shifted(torque, change * (row == index)) for row, torque in enumerate(given.torques)]
+            current = replace(given, torques=torques)
+        else:
+            values = np.array(nominal_parameters(fm.build_model(given.arm, modes=2))[name], dtype=float)
+            values[() if index is None else index] += change
+            parameters = {name: np.array([values, values])}
+        results.append(outputs_of(fm.simulate_all([current] * 2, method=method, step=0.005, **parameters)[0]))
+    return results
+
+
+def _shifted(torque, change):
+    """Return a torque signal with a constant added."""
+    if isinstance(torque, fm.SampledTorque):
+        return fm.SampledTorque(torque.times, np.array(torque.values) + change)
+    return replace(torque, offset=torque.offset + change)
+
+
+def extrapolated(name, index, size):
+    """Return the derivative from central differences extrapolated to order six, and an estimate of its error."""
+    first, second, third = (
+        (plus - minus) / (2.0 * step * size) for step in STEPS for plus, minus in [changed(name, index, step * size)]
+    )
+    finer, coarser = (4.0 * third - second) / 3.0, (4.0 * second - first) / 3.0
+    best = (16.0 * finer - coarser) / 15.0
+    return best, np.abs(best - finer).max()
+
+
+def every_parameter():
+    """Return name, index and typical size of each parameter of the arm."""
+    nominal = nominal_parameters(fm.build_model(scene().arm, modes=2))
+    for name in ("payload_mass", "joint_stiffness[0]", "joint_damping[1]", "rotor_inertia[1]", "viscous_friction[0]",
+                 "coulomb_friction[0]", "coulomb_rate[0]", "static_excess[0]", "stribeck_rate[0]", "backlash[1]",
+                 "soft_stiffness[1]", "ripple_torque[0]", "link_stiffness_factor[0]", "link_damping[1]"):  # fmt: skip
+        key, _, index = name.partition("[")
+        value = np.ravel(nominal[key])[int(index[:-1]) if index else 0]
+        yield key, int(index[:-1]) if index else None, float(value)
+    yield from (("initial_joint_angles", 0, 0.1), ("initial_joint_rates", 1, 0.5), ("motor_torques", 1, 0.3))
+
+
+def label(name, index):
+    return name if index is None else f"{name}[{index}]"
+
+
+def test_every_parameter_is_differentiated():
+    """Of the physical parameters none is missing from this test."""
+    assert {name for name, _, _ in every_parameter()} >= set(PARAMETERS)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_derivatives_are_those_of_extrapolated_differences(method):
+    changed.method = method
+    names = list(every_parameter())
+    found = fm.sensitivities(scene(), OUTPUTS, [label(*each[:2]) for each in names], method=method, step=0.005)
+    for column, (name, index, size) in enumerate(names):
+        exact = reduced(found.jacobian[:, :, column])
+        best, error = extrapolated(name, index, size)
+        scale = np.abs(exact).max(axis=0) + 1e-9 * np.abs(exact).max()
+        assert (np.abs(exact - best).max(axis=0) <= np.maximum(1e-8 * scale, 3.0 * error)).all(), (name, index)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_values_have_the_bits_of_a_simulation(method):
+    found = fm.sensitivities(scene(), ("tip", "joint_angles"), ("payload_mass",), method=method, step=0.005)
+    run = fm.simulate(scene(), method=method, step=0.005)
+    assert np.array_equal(found.values, np.column_stack([run.tip, run.joint_angles]))
+
+
+@pytest.mark.parametrize(
+    "name, size", [("payload_mass", 0.1), ("joint_stiffness[0]", 60.0), ("initial_joint_angles[0]", 1.0)]
+)
+def test_the_taylor_remainder_is_of_second_order(name, size):
+    """It falls by a hundred over a decade of the change, over two decades."""
+    changed.method = "midpoint_corrected_3"
+    found = fm.sensitivities(scene(), OUTPUTS, name, step=0.005)
+    key, _, index = name.partition("[")
+    base, slope = reduced(found.values), reduced(found.jacobian[:, :, 0])
+    remainders = []
+    for step in 1e-2 * size / np.array([1.0, 10.0, 100.0]):
+        plus, _ = changed(key, int(index[:-1]) if index else None, step)
+        remainders.append(np.abs(plus - base - step * slope).max())
+    orders = np.log10(remainders[:-1]) - np.log10(remainders[1:])
+    assert ((orders > 1.9) & (orders < 2.1)).all(), orders
+
+
+def test_a_rotor_under_constant_torque_has_its_closed_form():
+    """Of the angle tau t^2 / (2 J) the derivative by the torque is t^2 / (2 J), of the rate by J it is -tau t / J^2."""
+    inertia, torque = 0.4, 3.0
+    light = fm.Link.rod(1.0, 1e-4)
+    arm = fm.Arm([light], [fm.Joint(Z, inertia)])
+    one = fm.Scene(arm, duration=1.0, output_step=0.1, torques=[fm.ConstantTorque(torque)],
+                   model=fm.ModelChoice(flexible_links=False))  # fmt: skip
+    found = fm.sensitivities(one, ("motor_angles", "motor_rates"), ("motor_torques[0]", "rotor_inertia[0]"), step=0.05)
+    total = fm.mass_matrix(fm.build_model(arm, flexible_links=False), [0.0, 0.0])[0, 0]
+    np.testing.assert_allclose(found.jacobian[:, 0, 0], found.time**2 / (2.0 * total), atol=1e-12)
+    np.testing.assert_allclose(found.jacobian[:, 1, 1], -torque * found.time / total**2, atol=1e-11)
+
+
+def test_more_than_seven_parameters_take_several_passes():
+    names = [label(name, index) for name, index, _ in every_parameter()]
+    together = fm.sensitivities(scene(), "tip", names, step=0.005)
+    for column in (0, 6, 7, len(names) - 1):
+        alone = fm.sensitivities(scene(), "tip", names[column], step=0.005)
+        assert np.array_equal(alone.jacobian[:, :, 0], together.jacobian[:, :, column])
+
+
+def test_a_divergence_is_a_status():
+    strong = replace(scene(), torques=[fm.ConstantTorque(1e9), None])
+    found = fm.sensitivities(strong, "tip", "payload_mass", step=0.005)
+    assert found.status == "diverged" and np.isfinite(found.values).all() and len(found.time) < 21
+
+
+@pytest.mark.parametrize("arguments, words", [
+    ({"to": "payload"}, "to: 'payload' is not allowed"),
+    ({"to": "joint_stiffness[2]"}, "to: 2 is not allowed"),
+    ({"to": "payload_mass[0]"}, "to: 'payload_mass[0]' is not allowed"),
+    ({"to": "coulomb_friction[1]"}, "without Coulomb friction"),
+    ({"of": "tip_acceleration"}, "of: 'tip_acceleration' is not allowed"),
+    ({"to": ()}, "at least one name"),
+    ({"method": "dop853"}, "method: 'dop853' is not allowed; give one of fixed steps"),
+    ({"method": "implicit_midpoint"}, "method: 'implicit_midpoint' is not allowed"),
+])  # fmt: skip
+def test_bad_arguments_are_refused_in_one_line(arguments, words):
+    with pytest.raises(ValueError) as raised:
+        fm.sensitivities(scene(), **{"step": 0.005, **arguments})
+    assert words in str(raised.value) and "\n" not in str(raised.value)
