@@ -174,7 +174,7 @@ def address_table(arrays: NamedTuple, element: types.Type) -> IntArray:
     Args:
         arrays: the named tuple; its arrays must stay alive.
         element: type of the elements: NUMBER, or ARMS, SEQUENCES or TANGENTS, whose arrays have one more axis for the
-            lanes; with TANGENTS all constants are groups.
+            lanes.
 
     Returns:
         (fields, 3) address, and lengths of the first and second axis; 0 for an array with one axis.
@@ -209,7 +209,7 @@ def _kind(parts: type, name: str, element: types.Type) -> types.Array:
         return types.Array(numba.from_dtype(np.dtype(_scalar(parts, name))), dimensions, "C")
     if annotation is IntArray:
         return _ArrayField(types.int64, dimensions, readonly=True)
-    if parts is Work or element in (NUMBER, TANGENTS) or (element == ARMS and name in PER_ARM):
+    if parts is Work or element == NUMBER or (element in (ARMS, TANGENTS) and name in PER_ARM):
         return _ArrayField(element, dimensions)
     return _ArrayField(NUMBER, dimensions, readonly=True)
 

@@ -67,6 +67,11 @@ def _broadcast(context: Any, builder: Any, kind: Any, target: Any, value: Any) -
     return builder.shuffle_vector(one, undefined, ir.Constant(ir.VectorType(INDEX, target.width), [0] * target.width))
 
 
+def _factor(context: Any, builder: Any, kind: Any, target: Any, value: Any) -> Any:
+    """Return a number as a group, as `_broadcast`; with tangents a number, by which tangents are scaled."""
+    return value if target == TANGENTS else _broadcast(context, builder, kind, target, value)
+
+
 def _common_type(*kinds: Any) -> Any:
     """Return the type of a result: the only group type among the arguments, NUMBER without groups, None otherwise."""
     groups = {kind for kind in kinds if isinstance(kind, Lanes)}
@@ -87,7 +92,8 @@ class _LanesArithmetic(AbstractTemplate):
 def _call_instruction(builder: Any, name: str, kind: Any, operands: Any) -> Any:
     """Return the call of an LLVM intrinsic function, fma or sqrt, on numbers or groups."""
     if kind == TANGENTS:
-        return {"fma": tangents.multiply_add, "sqrt": tangents.square_root}[name](builder, *operands)
+        rule = {"fma": tangents.multiply_add, "sqrt": tangents.square_root}[name]
+        return rule(builder, kind.vector, *operands)
     element, suffix = (kind.vector, f"v{kind.width}f64") if isinstance(kind, Lanes) else (ir.DoubleType(), "f64")
     function = ir.FunctionType(element, [element] * len(operands))
     return builder.call(cgutils.get_or_insert_function(builder.module, function, f"llvm.{name}.{suffix}"), operands)
@@ -110,9 +116,9 @@ def _operator(symbol: Callable, instruction: str) -> None:
 
     def lower(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
         pairs = zip(kinds.args, values, strict=True)
-        operands = [_broadcast(context, builder, kind, kinds.return_type, value) for kind, value in pairs]
         if kinds.return_type == TANGENTS and instruction in PRODUCTS:
-            return PRODUCTS[instruction](builder, *operands)
+            return PRODUCTS[instruction](builder, TANGENTS.vector, *values)
+        operands = [_broadcast(context, builder, kind, kinds.return_type, value) for kind, value in pairs]
         return getattr(builder, instruction)(*operands)
 
     for operands in ((Lanes, Lanes), (Lanes, types.Float), (types.Float, Lanes)):
@@ -172,7 +178,7 @@ def fma(typing_context, a, b, c):
 
     def generate(context, builder, kinds, values):
         pairs = zip(kinds.args, values, strict=True)
-        operands = [_broadcast(context, builder, each, kind, value) for each, value in pairs]
+        operands = [_factor(context, builder, each, kind, value) for each, value in pairs]
         return _call_instruction(builder, "fma", kind, operands)
 
     return kind(a, b, c), generate
@@ -337,7 +343,7 @@ def add_weighted_rows(typing_context, total, factors, rows, j, stride):
     def generate(context, builder, kinds, values):
         sum_, place = _broadcast(context, builder, kinds.args[0], kind, values[0]), values[3]
         groups = zip(kinds.args[1], cgutils.unpack_tuple(builder, values[1]), strict=True)
-        groups = [_broadcast(context, builder, each, kind, value) for each, value in groups]
+        groups = [_factor(context, builder, each, kind, value) for each, value in groups]
         arrays = zip(kinds.args[2], cgutils.unpack_tuple(builder, values[2]), strict=True)
         arrays = [(each, context.make_array(each)(context, builder, value).data) for each, value in arrays]
         for k in range(size):
@@ -347,7 +353,7 @@ def add_weighted_rows(typing_context, total, factors, rows, j, stride):
                     factor = _broadcast(context, builder, NUMBER, kind, builder.extract_element(factor, _index(k)))
                     row = builder.load(builder.bitcast(pointer, kind.vector.as_pointer()), align=8)
                 else:
-                    row = _broadcast(context, builder, _group(flat), kind, builder.load(pointer))
+                    row = _factor(context, builder, _group(flat), kind, builder.load(pointer))
                 sum_ = _call_instruction(builder, "fma", kind, [factor, row, sum_])
             place = builder.add(place, values[4])
         return sum_
@@ -368,7 +374,7 @@ def add_products(typing_context, total, a, b):
             values[1:],
         )
         if kind != NEIGHBOURS:
-            factors = [_broadcast(context, builder, each, result, v) for each, v in zip(kinds_, values_, strict=True)]
+            factors = [_factor(context, builder, each, result, v) for each, v in zip(kinds_, values_, strict=True)]
             return _call_instruction(builder, "fma", result, [*factors, total])
         factors = [_broadcast(context, builder, each, kind, v) for each, v in zip(kinds_, values_, strict=True)]
         for k in range(LANES):

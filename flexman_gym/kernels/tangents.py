@@ -29,27 +29,43 @@ def value_of(builder: Any, group: Any) -> Any:
     return builder.extract_element(group, VALUE)
 
 
-def multiply(builder: Any, a: Any, b: Any) -> Any:
-    """Return a b; the tangents are a b' + a' b."""
+def multiply(builder: Any, vector: Any, a: Any, b: Any) -> Any:
+    """Return a b of groups, or of a number and a group of type `vector`; the tangents are a b' + a' b."""
+    if _is_number(b):
+        a, b = b, a
+    if _is_number(a):
+        return builder.fmul(_repeat_number(builder, vector, a), b)
     first = builder.fmul(_repeat(builder, a), b)
     return _fma(builder, _tangents(builder, a), _repeat(builder, b), first)
 
 
-def multiply_add(builder: Any, a: Any, b: Any, c: Any) -> Any:
-    """Return a b + c, with one rounding of the number; the tangents are a b' + a' b + c'."""
+def multiply_add(builder: Any, vector: Any, a: Any, b: Any, c: Any) -> Any:
+    """Return a b + c, with one rounding of the number; the tangents are a b' + a' b + c'.
+
+    Each argument is a group of type `vector` or a number.
+    """
+    if _is_number(b):
+        a, b = b, a
+    b, c = (from_number(builder, vector, each) if _is_number(each) else each for each in (b, c))
+    if _is_number(a):
+        return _fma(builder, _repeat_number(builder, vector, a), b, c)
     first = _fma(builder, _repeat(builder, a), b, c)
     return _fma(builder, _tangents(builder, a), _repeat(builder, b), first)
 
 
-def divide(builder: Any, a: Any, b: Any) -> Any:
-    """Return q = a / b; the tangents are (a' - q b') / b."""
+def divide(builder: Any, vector: Any, a: Any, b: Any) -> Any:
+    """Return q = a / b of groups, or of a number and a group of type `vector`; the tangents are (a' - q b') / b."""
+    if _is_number(b):
+        return builder.fdiv(a, _repeat_number(builder, vector, b))
+    if _is_number(a):
+        a = from_number(builder, vector, a)
     divisor = value_of(builder, b)
     quotient = builder.fdiv(value_of(builder, a), divisor)
     change = builder.fmul(_repeat_number(builder, a.type, quotient), _tangents(builder, b))
     return builder.fdiv(builder.fsub(a, change), _repeat(builder, b))
 
 
-def square_root(builder: Any, a: Any) -> Any:
+def square_root(builder: Any, vector: Any, a: Any) -> Any:
     """Return the square root r of a; the tangents are a' / (2 r)."""
     function = ir.FunctionType(DOUBLE, [DOUBLE])
     root = builder.call(
@@ -76,6 +92,10 @@ def apply_function(builder: Any, symbol: Callable, call: Callable[[Callable, Any
     else:
         slope = builder.fsub(ir.Constant(DOUBLE, 1.0), builder.fmul(y, y))
     return _chain(builder, y, slope, a)
+
+
+def _is_number(value: Any) -> bool:
+    return value.type == DOUBLE
 
 
 def _chain(builder: Any, value: Any, slope: Any, a: Any) -> Any:

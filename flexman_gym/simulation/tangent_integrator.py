@@ -2,11 +2,9 @@
 
 from typing import Any
 
-import numpy as np
-
 from flexman_gym.common.arrays import Array
 from flexman_gym.kernels import batch as kernels
-from flexman_gym.kernels.arguments import aligned_zeros
+from flexman_gym.kernels.arguments import PER_ARM, aligned_zeros
 from flexman_gym.kernels.lanes import TANGENTS
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
@@ -38,21 +36,13 @@ class TangentIntegrator(LaneIntegrator):
     @staticmethod
     def _group_constants(constants: Constants) -> Constants:
         """Return the constants of a group with derivatives of zero."""
-        return constants._replace(**{name: _without_derivatives(each) for name, each in _floats(constants).items()})
+        own: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in PER_ARM}
+        for name, values in own.items():
+            values[..., 0] = getattr(constants, name)
+        return constants._replace(**own)
 
     def set_derivative(self, direction: int, constants: dict[str, Array]) -> None:
-        """Set the derivatives of constants with respect to the parameter of a direction, by name."""
+        """Set the derivatives of constants PER_ARM with respect to the parameter of a direction, by name."""
         group, lane = divmod(direction, DIRECTIONS)
         for name, values in constants.items():
             getattr(self._constants[group], name)[..., 1 + lane] = values
-
-
-def _floats(constants: Constants) -> dict[str, Any]:
-    """Return the constants that are not integers, by name."""
-    return {name: each for name, each in constants._asdict().items() if each.dtype == np.float64}
-
-
-def _without_derivatives(values: Array) -> Array:
-    result = aligned_zeros(values.shape)
-    result[..., 0] = values
-    return result

@@ -6,17 +6,19 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
+from flexman_gym.model.model import scene_model
 from flexman_gym.simulation.parameters import PARAMETERS, nominal_parameters
 
 Z = (0.0, 0.0, 1.0)
 OUTPUTS = ("tip", "tip_velocity", "joint_angles", "motor_rates", "root_strains", "kinetic_energy", "elastic_energy",
            "gravitational_energy")  # fmt: skip
 METHODS = ("midpoint_corrected_3", "midpoint_2", "gauss_2", "ros2", "extrapolated_euler_3")
-STEPS = 0.04 / 2.0 ** np.arange(3)  # relative steps of the differences
-TORQUES = (fm.SineTorque(0.0, 1.5, 0.8, 0.3), fm.SampledTorque([0.0, 0.11, 0.4], [0.4, -0.3, 0.2]))
+STEPS = 0.004 / 2.0 ** np.arange(3)  # relative steps of the differences
+TORQUE = fm.SampledTorque((0.0, 0.11, 0.25, 0.4), ((1.2, 0.4), (-0.6, -0.3), (0.5, 0.2), (0.0, 0.1)))
+CHOICE = fm.ModelChoice(flexible_links=(True, True), elements=(2, 2), modes=(2, 2))
 
 
-def scene(**more):
+def scene():
     """A planar arm under gravity with all effects of joints, for 0.4 s."""
     strip = fm.Link.strip(0.5, 0.04, 0.003)
     motor = fm.Motor(gear_ratio=100.0, torque_constant=0.05, rotor_inertia=2e-6, torque_ripple=0.002, ripple_cycles=2.0)
@@ -27,8 +29,10 @@ def scene(**more):
     arm = fm.Arm([strip, strip], [first, second], fm.Payload(0.1, offset=(0.02, 0.0, 0.0)), gravity=(0.0, -9.81, 0.0),
                  modal_damping_ratio=0.01)  # fmt: skip
     initial = fm.Initial(joint_angles=(0.2, -0.4), joint_rates=(0.5, 0.1))
-    return fm.Scene(arm, duration=0.4, output_step=0.02, torques=TORQUES, initial=initial,
-                    model=fm.ModelChoice(modes=2), **more)  # fmt: skip
+    return fm.Scene(arm, CHOICE, TORQUE, initial, duration=0.4, output_step=0.02)
+
+
+MODEL = scene_model(scene())
 
 
 def outputs_of(trajectory):
@@ -60,21 +64,15 @@ def changed(name, index, step):
             values[index] += change
             current = replace(given, initial=replace(given.initial, **{field: tuple(values)}))
         elif name == "motor_torques":
-            torques = [_shifted(torque, change * (row == index)) for row, torque in enumerate(given.torques)]
-            current = replace(given, torques=torques)
+            values = np.array(TORQUE.values)
+            values[:, index] += change
+            current = replace(given, torque=fm.SampledTorque(TORQUE.times, values))
         else:
-            values = np.array(nominal_parameters(fm.build_model(given.arm, modes=2))[name], dtype=float)
+            values = np.array(nominal_parameters(MODEL)[name], dtype=float)
             values[() if index is None else index] += change
             parameters = {name: np.array([values, values])}
         results.append(outputs_of(fm.simulate_all([current] * 2, method=method, step=0.005, **parameters)[0]))
     return results
-
-
-def _shifted(torque, change):
-    """Return a torque signal with a constant added."""
-    if isinstance(torque, fm.SampledTorque):
-        return fm.SampledTorque(torque.times, np.array(torque.values) + change)
-    return replace(torque, offset=torque.offset + change)
 
 
 def extrapolated(name, index, size):
@@ -89,7 +87,7 @@ def extrapolated(name, index, size):
 
 def every_parameter():
     """Return name, index and typical size of each parameter of the arm."""
-    nominal = nominal_parameters(fm.build_model(scene().arm, modes=2))
+    nominal = nominal_parameters(MODEL)
     for name in ("payload_mass", "joint_stiffness[0]", "joint_damping[1]", "rotor_inertia[1]", "viscous_friction[0]",
                  "coulomb_friction[0]", "coulomb_rate[0]", "static_excess[0]", "stribeck_rate[0]", "backlash[1]",
                  "soft_stiffness[1]", "ripple_torque[0]", "link_stiffness_factor[0]", "link_damping[1]"):  # fmt: skip
@@ -149,8 +147,8 @@ def test_a_rotor_under_constant_torque_has_its_closed_form():
     inertia, torque = 0.4, 3.0
     light = fm.Link.rod(1.0, 1e-4)
     arm = fm.Arm([light], [fm.Joint(Z, inertia)])
-    one = fm.Scene(arm, duration=1.0, output_step=0.1, torques=[fm.ConstantTorque(torque)],
-                   model=fm.ModelChoice(flexible_links=False))  # fmt: skip
+    choice, start = fm.ModelChoice(flexible_links=(False,)), fm.Initial((0.0,), (0.0,))
+    one = fm.Scene(arm, choice, fm.ConstantTorque((torque,)), start, duration=1.0, output_step=0.1)
     found = fm.sensitivities(one, ("motor_angles", "motor_rates"), ("motor_torques[0]", "rotor_inertia[0]"), step=0.05)
     total = fm.mass_matrix(fm.build_model(arm, flexible_links=False), [0.0, 0.0])[0, 0]
     np.testing.assert_allclose(found.jacobian[:, 0, 0], found.time**2 / (2.0 * total), atol=1e-12)
@@ -166,7 +164,7 @@ def test_more_than_seven_parameters_take_several_passes():
 
 
 def test_a_divergence_is_a_status():
-    strong = replace(scene(), torques=[fm.ConstantTorque(1e9), None])
+    strong = replace(scene(), torque=fm.ConstantTorque((1e9, 0.0)))
     found = fm.sensitivities(strong, "tip", "payload_mass", step=0.005)
     assert found.status == "diverged" and np.isfinite(found.values).all() and len(found.time) < 21
 
