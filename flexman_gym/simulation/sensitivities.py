@@ -16,7 +16,7 @@ from flexman_gym.common.checks import one_of, sequence, value_error, whole_numbe
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, STATUS
 from flexman_gym.model.dynamics import RICHARDSON
-from flexman_gym.model.linearization import OUTPUT_UNITS, LinearMeasurements, column_names
+from flexman_gym.model.linearization import INPUT_UNITS, OUTPUT_UNITS, LinearMeasurements, column_names
 from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.integrator import default_step, prescribed_flags
@@ -26,7 +26,6 @@ from flexman_gym.simulation.scene_simulation import initial_row, prescribed_join
 from flexman_gym.simulation.tangent_integrator import DIRECTIONS, TangentIntegrator
 
 INITIAL = {"initial_joint_angles": "rad", "initial_joint_rates": "rad/s"}  # initial conditions -> unit
-INPUTS = {"motor_torques": "N m"}  # inputs with a constant change -> unit
 RELATIVE_STEP = 1e-2  # relative step of the differences of constants
 SMALL_STEP = 1e-3  # in the unit of the parameter; step of the differences at a value of 0
 ENERGIES = {"kinetic_energy": (layout.KINETIC,), "elastic_energy": (layout.LINK_ENERGY, layout.JOINT_ENERGY),
@@ -73,7 +72,7 @@ class _Direction(NamedTuple):
 
     def label(self) -> str:
         """Return name, index and unit."""
-        unit = INITIAL.get(self.name) or INPUTS.get(self.name) or PARAMETERS[self.name].unit
+        unit = INITIAL.get(self.name) or INPUT_UNITS.get(self.name) or PARAMETERS[self.name].unit
         return f"{self.name}{'' if self.index is None else f'[{self.index}]'} ({unit})"
 
 
@@ -95,9 +94,9 @@ def sensitivities(
         scene: the scene.
         of: names of outputs: those of `linearize` without "tip_acceleration", "kinetic_energy", "elastic_energy" and
             "gravitational_energy".
-        to: names of parameters, for all joints or links or, as in "joint_stiffness[0]", for one: those of `vary`,
-            "initial_joint_angles" and "initial_joint_rates" (of joint and motor together), and "motor_torques", a
-            constant added to the torque of a motor where its signal acts.
+        to: names of parameters, for all joints or links or, as in "joint_stiffness[0]", for one: those of `Batch.vary`,
+            "initial_joint_angles" and "initial_joint_rates" (of joint and motor together), and a constant added to an
+            input where its signal acts: "motor_torques", "tip_force" or "base_acceleration" (components x, y and z).
         model: a model of the scene's arm; None builds the model specified by the scene.
         method: a method of fixed steps that `simulate_all` integrates in groups; "auto" selects the default method.
         step: integration step, s, as in `simulate`; None selects the longest step up to that of an environment.
@@ -177,8 +176,8 @@ class _Motion(NamedTuple):
             number = group * DIRECTIONS + lane - 1
             if number < len(directions):
                 name, index = directions[number]
-                if name in INPUTS:
-                    drives[-1].values[layout.OFFSET, index] = 1.0
+                if name in INPUT_UNITS:
+                    drives[-1].values[layout.OFFSET, _inputs(name, model)[index]] = 1.0
                 elif name in INITIAL:
                     first = d * (name == "initial_joint_rates")
                     rows[row, 0, [first + index, first + model.motor_columns[index]]] = 1.0
@@ -216,20 +215,27 @@ def _names(argument: str, given: str | Sequence[str]) -> list[str]:
 def _directions(text: str, model: Model) -> list[_Direction]:
     """Return the parameters of a name such as "joint_stiffness" or "joint_stiffness[0]"."""
     match = re.fullmatch(r"(\w+)(?:\[(\d{1,6})\])?", text)
-    name = one_of("to", match.group(1) if match else text, [*PARAMETERS, *INITIAL, *INPUTS])
+    name = one_of("to", match.group(1) if match else text, [*PARAMETERS, *INITIAL, *INPUT_UNITS])
     assert match is not None
     if name in PARAMETERS and PARAMETERS[name].of not in (JOINT, LINK):
         if match.group(2):
             raise value_error("to", text, name)
         return [_Direction(name, None)]
-    fixed = PARAMETERS[name].fixed(model) if name in PARAMETERS else np.zeros(model.n_joints, dtype=bool)
+    count = len(_inputs(name, model)) if name in INPUT_UNITS else model.n_joints
+    fixed = PARAMETERS[name].fixed(model) if name in PARAMETERS else np.zeros(count, dtype=bool)
     indices = np.flatnonzero(~fixed).tolist()
     if match.group(2):
-        index = whole_number("to", int(match.group(2)), 0, model.n_joints - 1)
+        index = whole_number("to", int(match.group(2)), 0, count - 1)
         indices = [index] if index in indices else []
     if not indices:
         raise value_error("to", text, f"a parameter that this arm has: {PARAMETERS[name].lacking} joints or links")
     return [_Direction(name, index) for index in indices]
+
+
+def _inputs(name: str, model: Model) -> range:
+    """Return the columns of an input in a drive table."""
+    n = model.n_joints
+    return {"motor_torques": range(n), "tip_force": range(n, n + 3), "base_acceleration": range(n + 3, n + 6)}[name]
 
 
 def _constant_derivatives(model: Model, direction: _Direction) -> dict[str, Array]:

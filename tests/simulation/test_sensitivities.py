@@ -13,7 +13,8 @@ Z = (0.0, 0.0, 1.0)
 OUTPUTS = ("tip", "tip_velocity", "joint_angles", "motor_rates", "root_strains", "kinetic_energy", "elastic_energy",
            "gravitational_energy")  # fmt: skip
 METHODS = ("midpoint_corrected_3", "midpoint_2", "gauss_2", "ros2", "extrapolated_euler_3")
-STEPS = 0.004 / 2.0 ** np.arange(3)  # relative steps of the differences
+ROUNDING = 1e-14  # rounding error of an output, relative to its largest value
+STEPS = (4e-3, 5e-4, 6e-5)  # relative steps of the differences
 TORQUE = fm.SampledTorque((0.0, 0.11, 0.25, 0.4), ((1.2, 0.4), (-0.6, -0.3), (0.5, 0.2), (0.0, 0.1)))
 CHOICE = fm.ModelChoice(flexible_links=(True, True), elements=(2, 2), modes=(2, 2))
 
@@ -63,6 +64,9 @@ def changed(name, index, step):
             values = np.array(getattr(given.initial, field))
             values[index] += change
             current = replace(given, initial=replace(given.initial, **{field: tuple(values)}))
+        elif name in ("tip_force", "base_acceleration"):
+            signals = [fm.Signal(offset=change * (axis == index)) for axis in range(3)]
+            current = replace(given, **{name: signals})
         elif name == "motor_torques":
             values = np.array(TORQUE.values)
             values[:, index] += change
@@ -76,13 +80,23 @@ def changed(name, index, step):
 
 
 def extrapolated(name, index, size):
-    """Return the derivative from central differences extrapolated to order six, and an estimate of its error."""
-    first, second, third = (
-        (plus - minus) / (2.0 * step * size) for step in STEPS for plus, minus in [changed(name, index, step * size)]
-    )
-    finer, coarser = (4.0 * third - second) / 3.0, (4.0 * second - first) / 3.0
-    best = (16.0 * finer - coarser) / 15.0
-    return best, np.abs(best - finer).max()
+    """Return derivatives (3, T, m) from central differences extrapolated to order six, and estimates (3,) of errors.
+
+    Springs with knees have a second derivative that jumps: large steps of the differences cross knees.
+    """
+    results, errors = [], []
+    for largest in STEPS:
+        steps = largest * size * np.array([1.0, 0.5, 0.25])
+        plus_and_minus = np.concatenate([changed(name, index, step) for step in steps])
+        first, second, third = (
+            (plus - minus) / (2.0 * step)
+            for step, plus, minus in zip(steps, plus_and_minus[::2], plus_and_minus[1::2], strict=True)
+        )
+        finer, coarser = (4.0 * third - second) / 3.0, (4.0 * second - first) / 3.0
+        results.append((16.0 * finer - coarser) / 15.0)
+        rounding = ROUNDING * np.abs(plus_and_minus).max(axis=(0, 1)) / (0.25 * largest * size)
+        errors.append(np.abs(results[-1] - finer).max(axis=0) + rounding)
+    return np.array(results), np.array(errors)
 
 
 def every_parameter():
@@ -95,6 +109,7 @@ def every_parameter():
         value = np.ravel(nominal[key])[int(index[:-1]) if index else 0]
         yield key, int(index[:-1]) if index else None, float(value)
     yield from (("initial_joint_angles", 0, 0.1), ("initial_joint_rates", 1, 0.5), ("motor_torques", 1, 0.3))
+    yield from (("tip_force", 1, 1.0), ("base_acceleration", 0, 1.0))
 
 
 def label(name, index):
@@ -114,8 +129,9 @@ def test_derivatives_are_those_of_extrapolated_differences(method):
     for column, (name, index, size) in enumerate(names):
         exact = reduced(found.jacobian[:, :, column])
         best, error = extrapolated(name, index, size)
-        scale = np.abs(exact).max(axis=0) + 1e-9 * np.abs(exact).max()
-        assert (np.abs(exact - best).max(axis=0) <= np.maximum(1e-8 * scale, 3.0 * error)).all(), (name, index)
+        scale = np.abs(exact).max(axis=0) + 1e-6 * np.abs(exact).max()
+        deviation = np.abs(exact - best).max(axis=1)
+        assert (deviation <= np.maximum(1e-8 * scale, 3.0 * error)).any(axis=0).all(), (name, index)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -147,7 +163,7 @@ def test_a_rotor_under_constant_torque_has_its_closed_form():
     inertia, torque = 0.4, 3.0
     light = fm.Link.rod(1.0, 1e-4)
     arm = fm.Arm([light], [fm.Joint(Z, inertia)])
-    choice, start = fm.ModelChoice(flexible_links=(False,)), fm.Initial((0.0,), (0.0,))
+    choice, start = fm.ModelChoice(flexible_links=(False,), elements=(1,)), fm.Initial((0.0,), (0.0,))
     one = fm.Scene(arm, choice, fm.ConstantTorque((torque,)), start, duration=1.0, output_step=0.1)
     found = fm.sensitivities(one, ("motor_angles", "motor_rates"), ("motor_torques[0]", "rotor_inertia[0]"), step=0.05)
     total = fm.mass_matrix(fm.build_model(arm, flexible_links=False), [0.0, 0.0])[0, 0]
