@@ -18,7 +18,12 @@ KEYWORDS_HEAD = """# Keywords of environments
 given. `python scripts/keywords.py --folder docs` writes this page from the declarations in
 `flexman_gym/envs/config/settings.py`.
 """
-MIGRATION_HEAD = """# Migration to 0.3
+MIGRATION_HEAD = """---
+search:
+  exclude: true
+---
+
+# Migration to 0.3
 
 Release 0.3 renames modules, functions, arguments and keys. Old names work until release 0.4, with a
 `DeprecationWarning` that names the present one; `python -W error::DeprecationWarning` finds them in your code. Files of

@@ -20,8 +20,10 @@ def site(tmp_path_factory):
     """Return the folder of a strictly built site."""
     pytest.importorskip("zensical")
     folder = tmp_path_factory.mktemp("site")
-    shutil.copy(ROOT / "mkdocs.yml", folder)
-    shutil.copytree(ROOT / "docs", folder / "docs")
+    for name in ("mkdocs.yml", "CHANGELOG.md"):
+        shutil.copy(ROOT / name, folder)
+    for name in ("docs", "scripts/web"):
+        shutil.copytree(ROOT / name, folder / name)
     (folder / "build" / "site").mkdir(parents=True)
     for name, place in (("flexman_gym", "flexman_gym"), ("flexman_agents", "agents")):
         (folder / "build" / "site" / name).symlink_to(ROOT / place)
@@ -35,7 +37,7 @@ browser = pytest.fixture(one_browser, scope="module")
 
 
 def test_pages_ask_nobody_and_their_equations_are_drawn(site, browser):
-    for page, least in (("index", 0), ("theory", 40), ("api/models", 1)):
+    for page, least in (("index", 0), ("theory", 40), ("api/simulation", 1)):
         browser.open(f"file://{site / page}.html", "document.readyState === 'complete'")
         browser.wait("document.querySelectorAll('.arithmatex:not(:has(.katex))').length === 0")
         assert browser.run("return document.querySelectorAll('.katex').length") >= least
