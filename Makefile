@@ -25,30 +25,30 @@ site: .venv/installed
 	timeout 600 $(RUN) zensical build --strict --clean
 
 verify: .venv/installed
-	.venv/bin/python scripts/verification.py --folder docs
+	.venv/bin/python scripts/verification.py --folder docs/evidence
 
 # What a new user does, without the checkout: builds the wheel and installs it, checks, trains and evaluates.
 wheel:
 	@PYTHON=$(PYTHON) TORCH=$(TORCH) scripts/wheel.sh
 
 charts: .venv/installed
-	.venv/bin/python scripts/work_precision.py --folder docs
-	.venv/bin/python scripts/compare_peers.py --folder docs
-	.venv/bin/python scripts/stability.py --folder docs
-	.venv/bin/python scripts/ring_down.py --folder docs
-	.venv/bin/python scripts/servos.py --folder docs
+	.venv/bin/python scripts/work_precision.py --folder docs/evidence
+	.venv/bin/python scripts/compare_peers.py --folder docs/evidence
+	.venv/bin/python scripts/stability.py --folder docs/evidence
+	.venv/bin/python scripts/ring_down.py --folder docs/evidence
+	.venv/bin/python scripts/servos.py --folder docs/evidence
 	.venv/bin/python scripts/fidelity.py
-	.venv/bin/python scripts/machine.py --folder docs
+	.venv/bin/python scripts/machine.py --folder docs/evidence
 
 # Hours: every recipe and every ablation, several seeds each, and runs that are killed.
 learning: .venv/installed
 	.venv/bin/python scripts/learning.py --folder docs
-	.venv/bin/python scripts/faults.py --folder docs
+	.venv/bin/python scripts/faults.py --folder docs/evidence
 
 benchmark: export OMP_NUM_THREADS = 1
 benchmark: .venv/installed
-	.venv/bin/python scripts/benchmark.py --folder docs
-	.venv/bin/python scripts/endurance.py --folder docs
+	.venv/bin/python scripts/benchmark.py --folder docs/evidence
+	.venv/bin/python scripts/endurance.py --folder docs/evidence
 
 lint: .venv/installed
 	$(RUN) ruff check $(CODE) tests

@@ -1,4 +1,4 @@
-"""Benchmark environments, training, start-up and other simulators: python scripts/benchmark.py --folder docs"""
+"""Benchmark environments, training and other simulators: python scripts/benchmark.py --folder docs/evidence"""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""Compare our simulations of the paper's arm with other simulators: python scripts/compare_peers.py --folder docs"""
+"""Compare simulations of the paper's arm with other codes: python scripts/compare_peers.py --folder docs/evidence"""
 
 import argparse
 

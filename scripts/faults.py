@@ -1,4 +1,4 @@
-"""Test the fault tolerance of training runs and write its page: python scripts/faults.py --folder docs"""
+"""Test the fault tolerance of training runs and write its page: python scripts/faults.py --folder docs/evidence"""
 
 import argparse
 import sys
@@ -12,7 +12,7 @@ from studies.files import folder
 def main() -> int:
     """Try all faults and write the page; return 1 if a run loses its results."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--folder", type=folder, default="docs", help="output folder of the page")
+    parser.add_argument("--folder", type=folder, default="docs/evidence", help="output folder of the page")
     parser.add_argument(
         "--kills", type=int, nargs=2, default=(30, 15), help="kills per algorithm during saving and at random times"
     )

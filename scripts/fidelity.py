@@ -18,7 +18,7 @@ def main() -> None:
     parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
     parser.add_argument("--kept", type=Path, help="folder of finished cells, from which an interrupted study resumes")
     Workers.arguments(parser)
-    parser.add_argument("folder", nargs="?", type=folder, default="docs", help="output folder of rows and page")
+    parser.add_argument("folder", nargs="?", type=folder, default="docs/evidence", help="output folder")
     options = parser.parse_args()
     files = {file: make() for file, make in SCENES.items()}
     for file, cases in files.items() if not options.redraw else ():

@@ -1,4 +1,4 @@
-"""Compare our model with a real two-link flexible arm: python scripts/machine.py --folder docs"""
+"""Compare our model with a real two-link flexible arm: python scripts/machine.py --folder docs/evidence"""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Plant errors one at a time and run the tests on each: python scripts/plant.py --part kernels --folder docs"""
+"""Plant errors one at a time and run the tests: python scripts/plant.py --part kernels --folder docs/evidence"""
 
 import argparse
 import sys
@@ -17,7 +17,7 @@ def main() -> int:
     parser.add_argument("--room", choices=PARTS, help=argparse.SUPPRESS)  # deprecated name of --part
     parser.add_argument("--only", default="", help="only errors whose description or file contains this text")
     parser.add_argument("--new", action="store_true", help="skip errors that the rows record as caught")
-    parser.add_argument("--folder", type=folder, default="docs", help="folder of the page and its rows")
+    parser.add_argument("--folder", type=folder, default="docs/evidence", help="folder of the page and its rows")
     Workers.arguments(parser)
     options = parser.parse_args()
     if options.room:

@@ -1,4 +1,4 @@
-"""Compute the full verification table: python scripts/verification.py --folder docs"""
+"""Compute the full verification table: python scripts/verification.py --folder docs/evidence"""
 
 import argparse
 import sys

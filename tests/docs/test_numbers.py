@@ -21,13 +21,14 @@ from studies.ringdown.measure import Errors, methods_table
 from oracles.files import ROOT
 
 README = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
-ACCURACY = " ".join((ROOT / "docs" / "accuracy.md").read_text(encoding="utf-8").split())
+EVIDENCE = ROOT / "docs" / "evidence"
+ACCURACY = " ".join((EVIDENCE / "accuracy.md").read_text(encoding="utf-8").split())
 
 
 @pytest.fixture(scope="module")
 def errors():
     """Return the errors of the default by kind of motion, at the end and after 1 s."""
-    rows = read_rows(ROOT / "docs" / "accuracy.csv", Errors)
+    rows = read_rows(EVIDENCE / "accuracy.csv", Errors)
     return {(row.kind, row.time == 1.0): row for row in rows if row.method == rows[0].method}
 
 
@@ -46,7 +47,7 @@ def test_the_accuracy_of_the_default_is_that_of_its_rows(errors):
 
 
 def test_the_other_methods_are_those_of_their_rows():
-    rows = read_rows(ROOT / "docs" / "accuracy.csv", Errors)
+    rows = read_rows(EVIDENCE / "accuracy.csv", Errors)
     assert (rows[0].method, rows[0].step) == (DEFAULT_METHOD, 0.00667) and len(methods_table(rows)) == 2 + 6
     for line in methods_table(rows):
         assert line in ACCURACY
@@ -59,7 +60,7 @@ def test_growth_of_extrapolated_vibrations_is_that_of_the_methods():
 
 
 def test_shares_of_choices_are_those_of_the_rows():
-    plain, opened = (read_rows(ROOT / "docs" / f"{name}.csv", Choice) for name in ("fidelity", "fidelity_open"))
+    plain, opened = (read_rows(EVIDENCE / f"{name}.csv", Choice) for name in ("fidelity", "fidelity_open"))
     met, cheap = ([sum(each) for each in zip(*((row.error <= row.tolerance, row.dearer <= CHEAP) for row in rows),
                                              strict=True)] for rows in (plain, opened))  # fmt: skip
     assert f"{met[0]} of {len(plain)} choices meet their tolerance, and {met[1]} cost at most twice" in README

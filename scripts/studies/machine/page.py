@@ -51,7 +51,7 @@ cannot be compared.
 
 A Quanser 2-DoF serial flexible link was measured at the Czech Technical University in Prague: two steel strips in a
 horizontal plane, driven through gears. The records and their licence (MIT) are in `scripts/studies/machine/data`. The
-arm is `fm.catalog.quanser_2dsfl()`. `python scripts/machine.py --folder docs` rewrites this page, its plots
+arm is `fm.catalog.quanser_2dsfl()`. `python scripts/machine.py --folder docs/evidence` rewrites this page, its plots
 and its rows ([machine.csv](machine.csv)). `--data` selects another folder of runs.
 
 R2 is the share of the variance of a deflection explained by the model. The logged deflections passed a low-pass filter

@@ -81,7 +81,7 @@ The rigid arms show the cost of flexibility and the error without it.
 
 ![error over cost]({picture})
 
-Computed with {computer}, one core. The command is `python scripts/compare_peers.py --folder docs`.
+Computed with {computer}, one core. The command is `python scripts/compare_peers.py --folder docs/evidence`.
 
 {conclusion}
 """

@@ -136,8 +136,8 @@ SAYS = (
     "can increase the error. Choose by a scene that is similar to yours."
 )
 HEAD = (
-    "Every row of `work_precision.csv` is one run. `python scripts/work_precision.py --folder docs` rewrites the "
-    "rows, the charts and this page."
+    "Every row of `work_precision.csv` is one run. `python scripts/work_precision.py --folder docs/evidence` rewrites "
+    "the rows, the charts and this page."
 )
 COMPUTER = "Computed with {computer}, one core."
 EXPLANATION = (

@@ -254,7 +254,7 @@ def errors_of_default(count: int) -> list[Errors]:
 
 
 def methods_table(rows: Sequence[Errors]) -> list[str]:
-    """Return the table of methods and steps in docs/accuracy.md."""
+    """Return the table of methods and steps in docs/evidence/accuracy.md."""
     heads = ("method", "step", "cost", "slew: tip, half", "95 %", "impulse: tip, half", "release, 1 s: energy, 90 %",
              "release, 3 s: within 2 %", "tip, 90 %", "both planes, 3 s: within 2 %", "tip, 90 %")  # fmt: skip
     cases = {(row.method, row.step, row.kind, row.time): row for row in rows}

@@ -70,7 +70,8 @@ solution. The default preserves the energy of a released vibration to a few perc
 large errors, and MuJoCo's `discrete` integrator dissipates nearly all of the energy. Explicit methods fail on released
 arms at every tested step.
 
-`python scripts/ring_down.py --folder docs` rewrites this page, its plot and its rows ([ring_down.csv](ring_down.csv)).
+`python scripts/ring_down.py --folder docs/evidence` rewrites this page, its plot and its rows
+([ring_down.csv](ring_down.csv)).
 
 Arms of `FlexRRR-v0` start in random postures with free motors. In a *release* the tips of all links are deflected by up
 to 5 cm. An *impulse* of up to 50 N s acts on the tip. A *slew* has random torques up to 300 N m. The reference is

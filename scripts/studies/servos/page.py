@@ -25,8 +25,8 @@ SAYS = (
     "confirm them."
 )
 HEAD = (
-    "`python scripts/servos.py --folder docs` rewrites this page and its rows ([servos.csv](servos.csv)). A servo "
-    'acts in every control period (`actions="position"` or `"velocity"`), and an agent holds its action for '
+    "`python scripts/servos.py --folder docs/evidence` rewrites this page and its rows ([servos.csv](servos.csv)). A "
+    'servo acts in every control period (`actions="position"` or `"velocity"`), and an agent holds its action for '
     "`action_repeat` of them. Both modes have the same loop: a PD of each motor, a delay of whole periods, and a "
     "drive whose torque lags as a first-order filter (`drive_bandwidth`)."
 )

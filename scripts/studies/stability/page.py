@@ -175,7 +175,7 @@ SAYS = (
     "Extrapolations amplify undamped vibrations in a band of steps."
 )
 HEAD = (
-    "`python scripts/stability.py --folder docs` rewrites this page, its plots and its rows "
+    "`python scripts/stability.py --folder docs/evidence` rewrites this page, its plots and its rows "
     "([stability.csv](stability.csv)). All numbers below are computed from the rows or from the coefficients of the "
     "methods. [ring_down.md](ring_down.md) compares our methods with MuJoCo."
 )
