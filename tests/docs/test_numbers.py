@@ -67,7 +67,7 @@ def test_shares_of_choices_are_those_of_the_rows():
 
 
 def test_minutes_of_training_are_those_of_the_rows():
-    rows = [row for row in read_rows(ROOT / "docs" / "learning.csv", Run) if row.kind == "recipe"]
+    rows = [row for row in read_rows(ROOT / "docs" / "evidence" / "learning.csv", Run) if row.kind == "recipe"]
     minutes = sorted(row.cpu / 60 for row in rows if row.name == "ppo_on_pd_minute" and row.where == "as trained")
     told = re.search(r"\| PPO on the PD \| everything \| ([\d.]+) to ([\d.]+) minutes", README)
     assert [float(each) for each in told.groups()] == [round(minutes[0], 1), round(minutes[-1], 1)]

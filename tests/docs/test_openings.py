@@ -26,7 +26,7 @@ def test_speeds_are_as_the_opening_says():
 
 
 def test_recipes_are_as_the_opening_says():
-    rows = read_rows(DOCS / "learning.csv", Learned)
+    rows = read_rows(DOCS / "evidence" / "learning.csv", Learned)
     plain = [row for row in rows if row.where == "as trained"]
     minute = [row for row in plain if (row.kind, row.name) == ("recipe", "ppo_on_pd_minute")]
     assert all(row.settled >= 0.95 and row.cpu < 120.0 for row in minute)
@@ -48,7 +48,7 @@ def test_recipes_are_as_the_opening_says():
 
 
 def test_controllers_of_unknown_arms_are_as_the_opening_says():
-    rows = {row.case: row for row in read_rows(DOCS / "control.csv", Controlled)}
+    rows = {row.case: row for row in read_rows(DOCS / "evidence" / "control.csv", Controlled)}
     told, found = rows["privileged-lqr, unknown"], rows["adaptive-lqr, unknown-lab"]
     assert found.settled == 1.0 and found.settling_time < 1.05 * told.settling_time
     assert 0.3 < rows["lqg, unknown-lab"].settled < 0.7 and rows["pd, unknown-lab"].settled == 0.0

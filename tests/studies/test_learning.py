@@ -101,7 +101,7 @@ def test_a_run_is_trained_once_and_judged_in_three_places(tmp_path, monkeypatch)
 
 
 def test_the_published_page_is_that_of_the_published_rows():
-    file = ROOT / "docs" / "learning.csv"
+    file = ROOT / "docs" / "evidence" / "learning.csv"
     rows = read_rows(file, LearningRow)
     for kind, counts in (("recipe", SEEDS), ("ablation", dict.fromkeys(ABLATIONS, 3))):
         assert {row.name for row in rows if row.kind == kind} == counts.keys()
@@ -110,7 +110,7 @@ def test_the_published_page_is_that_of_the_published_rows():
             assert sorted(row.seed for row in result) == list(range(count))
             steps = next(case for case in cases() if (case.kind, case.name) == (kind, name)).settings.steps
             assert all(row.steps == steps for row in result), "the rows are of another recipe"
-    assert (ROOT / "docs" / "learning.md").read_text(encoding="utf-8") == page(rows, read_comment(file))
+    assert (ROOT / "docs" / "results.md").read_text(encoding="utf-8") == page(rows, read_comment(file))
     names = {row.name for row in rows if row.kind == "controller"}
     assert names == {f"{name}, {id}" for id, names in CONTROLLERS.items() for name in names}
     learned = {scenario: [name] if name in POLICIES else [] for scenario, (name, _) in TASKS.items()}
@@ -118,10 +118,10 @@ def test_the_published_page_is_that_of_the_published_rows():
         f"{name}, {scenario}" for scenario, (_, law) in TASKS.items() for name in ("pd", law, *learned[scenario])
     }
     assert {row.name for row in rows if row.kind == "task"} == expected
-    curves = read_rows(ROOT / "docs" / "learning_curves.csv", Point)
+    curves = read_rows(ROOT / "docs" / "evidence" / "learning_curves.csv", Point)
     assert {point.name for point in curves} <= SEEDS.keys()
     for id in {environment(point.name) for point in curves if adds_to_pd(point.name)}:
-        assert (ROOT / "docs" / f"learning_{id}.png").is_file()
+        assert (ROOT / "docs" / "evidence" / f"learning_{id}.png").is_file()
 
 
 def test_the_curve_of_a_run_is_that_of_its_training_rewards(tmp_path):

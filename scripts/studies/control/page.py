@@ -13,7 +13,7 @@ with the true state and parameters. A Kalman filter of the nominal arm settles a
 The adaptive LQR fails under unmodelled faults: friction, sensor biases, lost or late samples. Its weakest task is
 holding a position under disturbances.
 
-`python scripts/control.py --folder docs` rewrites this page and its rows ([control.csv](control.csv)).
+`python scripts/control.py --folder docs/evidence` rewrites this page and its rows ([control.csv](control.csv)).
 
 The condition `unknown-lab` has the instruments of a laboratory. Payload and stiffness differ from episode to episode,
 torques are delayed by one control period, every measurement is noisy, and the tip is not measured.

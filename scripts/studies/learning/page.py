@@ -35,7 +35,7 @@ as often on a finer model. Without the held action, the decreasing learning rate
 every metric is worse.
 
 `python scripts/learning.py` trains the recipes of `agents/recipes`, one run after the other, and rewrites this page and
-its rows ([learning.csv](learning.csv)). Existing runs in `runs/learning` are only evaluated again.
+its rows ([learning.csv](evidence/learning.csv)). Existing runs in `runs/learning` are only evaluated again.
 
 Computed with {computer}. CPU times are those of one core, including updates, environment and evaluation.
 
