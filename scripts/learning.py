@@ -51,9 +51,7 @@ def main() -> int:
     file = evidence / "learning.csv"
     if (evidence / CURVES).is_file():
         pictures(read_rows(evidence / CURVES, Point), evidence)
-    (options.folder / "results.md").write_text(
-        page(read_rows(file, LearningRow), read_comment(file)), encoding="utf-8"
-    )
+    (options.folder / "results.md").write_text(page(read_rows(file, LearningRow), read_comment(file)), encoding="utf-8")
     return 0
 
 

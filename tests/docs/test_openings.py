@@ -1,10 +1,14 @@
 """Tests of the first paragraphs of evidence pages: what they state holds of the rows."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from studies.benchmark.measure import OURS, PPO, VECTOR
 from studies.benchmark.measure import BenchmarkRow as Speed
+from studies.control.cases import CASES
 from studies.control.cases import ControlRow as Controlled
+from studies.control.page import page as control_page
 from studies.files import read_rows
 from studies.learning.measure import TASKS
 from studies.learning.measure import LearningRow as Learned
@@ -47,13 +51,21 @@ def test_recipes_are_as_the_opening_says():
             assert sign * worse > sign * usual, (name, figure)
 
 
-def test_controllers_of_unknown_arms_are_as_the_opening_says():
+def test_controllers_of_unknown_arms_are_as_the_page_says():
     rows = {row.case: row for row in read_rows(DOCS / "evidence" / "control.csv", Controlled)}
-    told, found = rows["privileged-lqr, unknown"], rows["adaptive-lqr, unknown-lab"]
-    assert found.settled == 1.0 and found.settling_time < 1.05 * told.settling_time
-    assert 0.3 < rows["lqg, unknown-lab"].settled < 0.7 and rows["pd, unknown-lab"].settled == 0.0
-    faults = [row for case, row in rows.items() if "knows nothing of" in case or "samples" in case or "late" in case]
-    assert len(faults) == 4 and all(row.settled < 0.1 for row in faults)
+    oracle, ours = rows["privileged-lqr, unknown"], rows["adaptive-lqr, unknown-lab"]
+    assert oracle.settling_time <= ours.settling_time < 1.1 * oracle.settling_time
+    assert rows["pd, unknown-lab"].settled < rows["lqg, unknown-lab"].settled < ours.settled
+
+
+def test_the_page_of_controllers_shows_every_case_of_the_adaptive_one():
+    """Change one row at a time; the conditions uncertain and unmodelled of other arms are in the CSV alone."""
+    names = [case.name for case in CASES if case.name.startswith("adaptive-lqr") and case.name.count(", ") == 1]
+    rows = [Controlled(name, 0.9, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0) for name in names]
+    text = control_page(rows)
+    for i, row in enumerate(rows):
+        changed = [*rows[:i], replace(row, settled=0.33, followed=0.0033), *rows[i + 1 :]]
+        assert control_page(changed) != text, row.case
 
 
 def test_methods_are_as_the_openings_say():
