@@ -83,12 +83,12 @@ def test_the_entry_to_cite_is_that_of_the_file_beside_the_package():
 FOLDER = ROOT / "docs" / "league"
 
 
-def test_the_page_concludes_what_its_rows_say(tmp_path, monkeypatch):
+def test_the_page_of_the_league_is_that_of_its_rows(tmp_path, monkeypatch):
+    published = (FOLDER / "league.md").read_text(encoding="utf-8")
+    (tmp_path / "league.md").write_text(published, encoding="utf-8")
     monkeypatch.setattr(page, "draw_charts", lambda *_: [])
     page.write_page(LeagueRows.load(FOLDER), tmp_path)
-    written, published = ((each / "league.md").read_text(encoding="utf-8") for each in (tmp_path, FOLDER))
-    start = "## Choose an agent"
-    assert published[published.index(start) :].startswith(written[written.index(start) : written.index("## Results")])
+    assert (tmp_path / "league.md").read_text(encoding="utf-8") == published
 
 
 def test_known_rows_come_out():

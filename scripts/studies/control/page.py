@@ -84,8 +84,8 @@ def _opening(by_case: Mapping[str, ControlRow]) -> str:
     if not (oracle and ours and nominal and pd):
         return ""
     return fill(
-        f"With unknown payload, stiffness and delay, an adaptive LQR settles {_settling(ours)} (median); an LQR with the "
-        f"true state and parameters takes {oracle.settling_time:.2f} s. A Kalman filter of the nominal arm settles "
+        f"With unknown payload, stiffness and delay, an adaptive LQR settles {_settling(ours)} (median); an LQR with "
+        f"the true state and parameters takes {oracle.settling_time:.2f} s. A Kalman filter of the nominal arm settles "
         f"{100 * nominal.settled:.0f} %, a PD {100 * pd.settled:.0f} % within the 10 s of an episode.",
         WIDTH,
     )
