@@ -262,9 +262,11 @@ def test_a_command_without_its_packages_names_the_extra():
 
 
 @pytest.mark.parametrize(("fails", "status", "words"), [
-    ([], 0, "recommended"), (["delay 3", "finer"], 1, "not recommended, it fails delay 3, finer"),
+    ([], 0, "within all limits"), (["delay 3", "finer"], 1, "beyond its limits in delay 3, finer"),
 ])  # fmt: skip
-def test_the_exit_status_says_whether_a_policy_is_recommended(fails, status, words, tmp_path, monkeypatch, capsys):
+def test_the_exit_status_says_whether_a_policy_is_within_its_limits(
+    fails, status, words, tmp_path, monkeypatch, capsys
+):
     path = tmp_path / "certificate.json"
     path.write_text(json.dumps({"arrays_hash": "", "fails": fails}))
     monkeypatch.setattr(certificate, "certify", lambda *_, **__: path)
