@@ -173,16 +173,21 @@ def exceeded_limits(name: str) -> list[tuple[str, str]]:
     changes = []
     for fail in certificate["fails"]:
         scenario, _, seeds = fail.partition(" on seeds ")
-        where, at, plant = scenario.partition("@")
-        change = at + plant or where.rpartition("/")[2].removesuffix("+given")
+        change = change_name(scenario)
         changes.append((f"{change}, seeds {seeds}" if seeds else change, reasons.get(scenario, "")))
     return changes
 
 
+def change_name(scenario: str) -> str:
+    """Return the change in the name of a scenario, such as "delay=3" or "@mujoco", without "+given"."""
+    where, at, plant = scenario.partition("@")
+    return at + plant or where.rpartition("/")[2].removesuffix("+given")
+
+
 def millimetres(length: float) -> str:
-    """Return a length, m, in mm with its unit; "below 0.001 mm" for small ones."""
-    if length < 1e-6:
-        return "below 0.001 mm"
+    """Return a length, m, in mm with its unit; "below 0.01 mm" for small ones."""
+    if length < 1e-5:
+        return "below 0.01 mm"
     return f"{1e3 * length:.0f} mm" if length >= 0.1 else f"{1e3 * length:.2g} mm"
 
 

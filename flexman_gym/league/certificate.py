@@ -164,7 +164,7 @@ def certificate_row(
     return {"scenario": scenario, "seeds": [seeds.start, seeds.stop], **_plain(now), "fails": ", ".join(reasons)}
 
 
-def _counts(scenario: str) -> bool:
+def is_counted(scenario: str) -> bool:
     """Return True if a scenario counts for the verdict: the controller is designed for the environment in it."""
     change, equals, value = scenario.rpartition("/")[2].partition("=")
     return not equals or value.endswith(GIVEN) or CHANGES[change].always_given
@@ -176,7 +176,7 @@ def _failed_scenarios(rows: Sequence[dict[str, Any]]) -> list[str]:
     return [
         row["scenario"] + (f" on seeds {row['seeds'][0]} to {row['seeds'][1] - 1}" if row["seeds"][0] != first else "")
         for row in rows
-        if row["fails"] and _counts(row["scenario"])
+        if row["fails"] and is_counted(row["scenario"])
     ]
 
 
@@ -220,7 +220,7 @@ def _row_text(row: dict[str, Any]) -> str:
     values = ", ".join(f"{name} {row[name]:.3g}" for name in METRIC_NAMES if row[name] is not None)
     reasons = f" ({row['fails']})" if row["fails"] else ""
     verdict = (
-        ("beyond its limits" if reasons else "within its limits") if _counts(row["scenario"]) else "does not count"
+        ("beyond its limits" if reasons else "within its limits") if is_counted(row["scenario"]) else "does not count"
     )
     return f"{row['scenario']:<42} {verdict}{reasons}: {values}"
 

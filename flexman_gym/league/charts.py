@@ -9,7 +9,8 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.plot_style import BLUE, DARK, GREEN, LIGHT, RED, new_figure
 from flexman_gym.evaluation.agent import SIMPLE_AGENTS
-from flexman_gym.league.details import INFORMATION, given_information, has_settling, short_name, sweep_text
+from flexman_gym.evaluation.agent_info import INFORMATION
+from flexman_gym.league.details import given_information, has_settling, short_name, sweep_text
 from flexman_gym.league.rows import REFERENCE_AGENTS
 from flexman_gym.league.scenarios import GIVEN, LAB_SCENARIO
 from flexman_gym.league.standings import Standings

@@ -8,7 +8,7 @@ from flexman_gym.common.checks import value_error
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.evaluation.agent import SIMPLE_AGENTS
-from flexman_gym.evaluation.agent_info import describe_agent, training_seconds
+from flexman_gym.evaluation.agent_info import describe_agent, information_kind, training_seconds
 from flexman_gym.evaluation.metrics import MEAN, MEDIAN, Metric, optimised_settling_times, task_metrics
 from flexman_gym.league.rows import DAMPING, TIME_RATIO
 from flexman_gym.league.scenarios import GIVEN, SWEEPS, find_scenario
@@ -18,14 +18,6 @@ from flexman_gym.simulation.parameters import PARAMETERS
 
 OVERALL = "overall"  # name of the table of overall scores
 BREAKDOWN_LEVEL = 0.5  # share of settled episodes (moving goals: score) below which an agent fails in a scenario
-
-INFORMATION = {  # information that is given -> entries of `information` of an agent, of which one is enough
-    "true state and parameters": ("true parameters", "its episodes"),
-    "true state": ("true state",),
-    "model, ranges of the parameters": ("structure of the model",),
-    "nominal model or data sheets": ("model", "data sheets"),
-    "motor angles and rates": (),
-}
 
 
 def league_details(standings: Standings, name: str) -> list[str]:
@@ -73,9 +65,8 @@ def information_text(agent: str) -> str:
 
 
 def given_information(agent: str) -> str:
-    """Return the key of INFORMATION for an agent."""
-    needed = set(describe_agent(agent).information)
-    return next(name for name, entries in INFORMATION.items() if needed & set(entries) or not entries)
+    """Return the kind of information that an agent is given, a key of INFORMATION."""
+    return information_kind(describe_agent(agent).information)
 
 
 def short_name(scenario: str) -> str:

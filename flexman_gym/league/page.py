@@ -10,9 +10,9 @@ import numpy as np
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.agent import SIMPLE_AGENTS
+from flexman_gym.evaluation.agent_info import INFORMATION
 from flexman_gym.league.charts import CHART, SWEEP_CHART, draw_charts, swept_agents
 from flexman_gym.league.details import (
-    INFORMATION,
     given_information,
     information_text,
     number_text,

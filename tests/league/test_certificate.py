@@ -111,7 +111,13 @@ def test_a_policy_is_described_by_its_results_and_by_the_limits_that_it_exceeds(
 
 
 def test_lengths_are_in_millimetres_as_far_as_they_count():
-    lengths = {1.09e-9: "below 0.001 mm", 6.6e-5: "0.066 mm", 1.234e-3: "1.2 mm", 0.2814: "281 mm"}
+    lengths = {
+        1.09e-9: "below 0.01 mm",
+        9.9e-6: "below 0.01 mm",
+        6.6e-5: "0.066 mm",
+        1.234e-3: "1.2 mm",
+        0.2814: "281 mm",
+    }
     assert {length: policy_files.millimetres(length) for length in lengths} == lengths
 
 

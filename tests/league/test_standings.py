@@ -5,8 +5,9 @@ import pytest
 
 from flexman_gym.common.plot_style import rgb
 from flexman_gym.evaluation.agent import AGENTS, SIMPLE_AGENTS
+from flexman_gym.evaluation.agent_info import INFORMATION
 from flexman_gym.league.charts import CHART, LABEL_DISTANCE, LINE_COLOURS, SWEEP_CHART, spread_labels, swept_agents
-from flexman_gym.league.details import INFORMATION, given_information, league_details
+from flexman_gym.league.details import given_information, league_details
 from flexman_gym.league.page import PAGE, given_values, write_page
 from flexman_gym.league.rows import VALUES, EpisodeBlock, EpisodeRow, LeagueRows
 from flexman_gym.league.scenarios import LAB_SCENARIO, SWEEPS
@@ -144,7 +145,7 @@ def test_agents_are_chosen_among_those_with_the_same_information(tmp_path):
     table = page_text(standing(rewards, settled=times), tmp_path).partition("| given |")[2].partition("\n\n")[0]
     rows = [line.split("|")[1:6] for line in table.splitlines()[2:]]
     assert [[cell.strip(" `") for cell in row] for row in rows] == [
-        ["motor angles and rates", "pd", "0 %", "0 %", "12"],
+        ["measurements only", "pd", "0 %", "0 %", "12"],
         ["nominal model or data sheets", "lqg", "100 %, 3.00 s", "100 %, 3.00 s", "12"],
         ["true state", "lqr", "100 %, 1.00 s", "0 %", "12"],
         ["true state", "lqr-tracking", "100 %, 3.00 s", "100 %, 3.00 s", "12"],
@@ -155,7 +156,7 @@ def test_agents_are_chosen_among_those_with_the_same_information(tmp_path):
 def test_every_agent_has_a_kind_of_information():
     kinds = {agent: given_information(agent) for agent in AGENTS if agent not in SIMPLE_AGENTS}
     assert set(kinds.values()) == set(INFORMATION)
-    assert kinds["pd"] == "motor angles and rates" and kinds["lqg"] == "nominal model or data sheets"
+    assert kinds["pd"] == "measurements only" and kinds["lqg"] == "nominal model or data sheets"
     assert kinds["adaptive-lqr"] == kinds["lab-flexrrr"] == "model, ranges of the parameters"
     assert kinds["mpc"] == kinds["ppo-flexrrr"] == "true state"
     assert kinds["shaping-flexrrr"] == kinds["optimised"] == "true state and parameters"
