@@ -1,4 +1,4 @@
-"""Write the pages of keywords, migration and commands from their declarations: python scripts/keywords.py --folder docs"""
+"""Write the pages of keywords, migration and commands: python scripts/keywords.py --folder docs"""
 
 import argparse
 import importlib

@@ -1,4 +1,4 @@
-"""Convert pages to notebooks, run them, and keep their plots: python scripts/notebooks.py --run --folder out/site/tutorials"""
+"""Convert pages to notebooks and run them: python scripts/notebooks.py --run --folder out/site/tutorials"""
 
 import argparse
 import json
