@@ -16,7 +16,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 PAGES = [DOCS / "concepts.md", *sorted(each for each in (DOCS / "tutorials").glob("*.md") if each.stem != "index")]
 BLOCK = re.compile(r"^```(python|sh|text)\n(.*?)^```\n?", re.MULTILINE | re.DOTALL)
 PLOT = re.compile(r"^!\[[^\]]*\]\(my_\w+\.png\)\n", re.MULTILINE)  # a notebook shows the plot below its code
-TIMEOUT = 1200  # s; longest time of a cell, the training of the first policy on a busy computer
+TIMEOUT = 3600  # s; longest time of a cell: the training of the first policy takes 100 s of CPU time
 
 
 def cells(page: str) -> list[tuple[str, str]]:
