@@ -78,6 +78,7 @@ def uncertain_environment(arm: fm.Arm) -> dict[str, Any]:
     """
     reach = sum(link.length for link in arm.links)
     period = 0.02 if reach > LARGE_REACH else 0.01
+    assert arm.payload is not None
     payload = [0.0, 2.0 * arm.payload.mass]
     return {
         "arm": arm, "sensors": "lab", "control_period": period,
