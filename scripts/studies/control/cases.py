@@ -146,7 +146,8 @@ CASES = (
     *(ControlCase(f"adaptive-lqr, uncertain: {text}", "adaptive-lqr", f"{RRR}/uncertain", _extreme(names, value),
          unmodelled=True, most=FEW) for text, names, value in EXTREMES),
     *(ControlCase(f"adaptive-lqr, unmodelled: {text} {value:g}", "adaptive-lqr", f"{RRR}/unmodelled",
-         _part(fixed, name, value), unmodelled=True, most=FEW) for text, fixed, name, values in PARTS for value in values),
+         _part(fixed, name, value), unmodelled=True, most=FEW)
+      for text, fixed, name, values in PARTS for value in values),
     ControlCase("adaptive-lqr, three times the noise", "adaptive-lqr", f"{RRR}/{LAB}",
          {"randomisation": {"sensor_noise": [0.003, 0.003]}}),
     ControlCase("adaptive-lqr, unmodelled friction", "adaptive-lqr", f"{RRR}/{LAB}", {"arm": _friction_arm()},
