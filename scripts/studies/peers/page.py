@@ -31,7 +31,7 @@ BODY = """{picture}
 {table}
 
 Each run simulates 2 s under 400 N m per joint. The error is the largest distance of the tip from that of an
-independent large-rotation code; the cost is CPU time on one core, the best of {rounds} interleaved rounds. In other
+independent large-rotation code; the cost is CPU time on one core, best of {rounds} rounds. In other
 scenes the ratios differ. Exudyn's frame has two elements per link without foreshortening; the other finest models
 agree to millimetres.
 
