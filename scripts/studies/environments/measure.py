@@ -143,23 +143,23 @@ def first(name: str) -> list[str]:
         ),
         ("number of arms", f"`{ARMS}`", "a batch costs little more than one arm"),
     ]
-    known = "There is no recipe for this environment; the recipes of [learning.md](../learning.md) have these settings."
+    known = "There is no recipe for this environment; the recipes of [results.md](../results.md) have these settings."
     if recipe:
         known = f"The recipe `{recipe}` has these settings; "
-        known += "[learning.md](../learning.md) has its results."
+        known += "[results.md](../results.md) has its results."
     words = "".join(f"    {key}={value!r},\n" for key, value in settings.items()).replace("'", '"').splitlines()
     made = [f'arms = gym.make_vec("{name}", {ARMS}, "vector_entry_point", autoreset_mode="SameStep",', *words, ")"]
     return [
         *markdown_table(("setting", "value", "reason"), rows), "", "```python", *made, "```", "",
         f"{known} The README trains on such arms in a few lines of Stable-Baselines3.",
-        *(["", *_curve(name)] if (DOCS / f"learning_{name}.png").is_file() else []),
+        *(["", *_curve(name)] if (DOCS / f"evidence/learning_{name}.png").is_file() else []),
     ]  # fmt: skip
 
 
 def _curve(name: str) -> list[str]:
     """Return the learning curves of the recipes of an environment as Markdown lines, see `studies.learning.measure`."""
     return [
-        f"![Reward while the recipes of {name} train](../learning_{name}.png)", "",
+        f"![Reward while the recipes of {name} train](../evidence/learning_{name}.png)", "",
         "Lines are medians over the seeds, bands the range from the worst to the best seed.",
     ]  # fmt: skip
 
