@@ -14,10 +14,12 @@ import sys
 from itertools import pairwise
 
 import gymnasium as gym
+import keywords
+import notebooks as converter
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.__main__ import main
+from flexman_gym.__main__ import COMMAND_GROUPS, main
 from flexman_gym.envs import FlexManEnv
 from flexman_gym.envs.config.configuration import Configuration
 
@@ -125,6 +127,11 @@ def test_commands_of_the_readme_take_these_arguments(line):
     parser.parse_args(words)
 
 
+def test_the_table_of_commands_is_that_of_their_parsers():
+    page = (DOCS / keywords.COMMANDS_PAGE).read_text(encoding="utf-8")
+    assert keywords.commands_page(page) == page and page.count("| `") >= len(sum(COMMAND_GROUPS.values(), ()))
+
+
 def test_targets_of_make_are_there():
     targets = re.findall(r"^make (\w+)", README, re.MULTILINE)
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
@@ -173,7 +180,7 @@ def test_examples_run_and_give_what_they_say(name):
         assert result.attempted and not result.failed, "".join(said)
 
 
-TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
+TUTORIALS = converter.PAGES
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +198,7 @@ def test_there_is_one_for_each_tutorial(notebooks):
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
 def test_a_notebook_is_its_page(page, notebooks):
     """Put together again, the cells are the page but for what its blocks print."""
-    written, pieces, prints = [], page.read_text(encoding="utf-8").split("```"), False
+    written, pieces, prints = [], converter.PLOT.sub("", page.read_text(encoding="utf-8")).split("```"), False
     for fence, piece in enumerate(pieces):  # every other piece is a block
         prints = fence % 2 == 1 and piece.startswith("text\n")
         if piece.startswith("sh\n") and fence % 2:

@@ -60,7 +60,7 @@ def test_minutes_of_training_are_those_of_the_rows():
 
 def test_the_entry_to_cite_is_that_of_the_file_beside_the_package():
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    page = (ROOT / "docs" / "cite.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "releases.md").read_text(encoding="utf-8")
     for name in ("title", "version", "license"):
         assert re.search(rf"{name} += {{{re.escape(str(cited[name]))}}}", page), name
 
