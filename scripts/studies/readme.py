@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -34,6 +34,7 @@ INFORMATION = {
     "its episodes": "the episodes in advance",
 }
 INDEPENDENT = "independent automatic-differentiation code"  # source of rows of the verification
+LARGE_ROTATION = "paper FF {} foreshortening, tip within 2 s, m"  # cases of the verification
 MICROMETRE = 1e-6  # m
 MOTOR_CONTROLLERS = ("pd", "pd-shaped")  # they read motor angles only
 TITLES = {
@@ -59,6 +60,18 @@ TASKS = {
     "Track": "follow a path",
     "Hold": "stay still under disturbances",
 }
+
+
+class VerificationCells(NamedTuple):
+    """Cells of a row of the page of the verification, as text."""
+
+    case: str
+    source: str
+    expected: str
+    computed: str
+    error: str
+    tolerance: str
+    verdict: str
 
 
 class Sources:
@@ -110,11 +123,11 @@ class Sources:
         return self.rows("machine.csv", FitRow)
 
     @cached_property
-    def verification(self) -> list[list[str]]:
-        """Cells (case, source, expected, computed, error, tolerance, verdict) of the rows of the verification."""
+    def verification(self) -> list[VerificationCells]:
+        """Cells of the rows of the verification."""
         lines = self.path("verification.md").read_text(encoding="utf-8").splitlines()
         table = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in lines if line.startswith("| ")]
-        return [cells for cells in table if cells[-1] in ("pass", "fail", "shown")]
+        return [VerificationCells(*cells) for cells in table if cells[-1] in ("pass", "fail", "shown")]
 
 
 class Sentence(NamedTuple):
@@ -146,14 +159,15 @@ class Sentence(NamedTuple):
 
 
 def _verification(sources: Sources) -> tuple[str, str]:
-    verdicts = [cells[-1] for cells in sources.verification]
+    verdicts = [cells.verdict for cells in sources.verification]
     return str(verdicts.count("pass")), str(verdicts.count("pass") + verdicts.count("fail"))
 
 
 def _tip_errors(sources: Sources) -> tuple[str, str]:
     """Return the tip errors with and without foreshortening relative to large rotations, mm."""
-    found = {cells[0]: 1e3 * float(cells[3]) for cells in sources.verification if "tip within 2 s" in cells[0]}
-    return tuple(f"{found[f'paper FF {each} foreshortening, tip within 2 s, m']:.2g}" for each in ("with", "without"))  # type: ignore[return-value]
+    found = {cells.case: cells.computed for cells in sources.verification}
+    near, far = (1e3 * float(found[LARGE_ROTATION.format(each)]) for each in ("with", "without"))
+    return f"{near:.2g}", f"{far:.2g}"
 
 
 def _held_out(sources: Sources) -> tuple[str, str]:
@@ -163,8 +177,8 @@ def _held_out(sources: Sources) -> tuple[str, str]:
 
 def _training_minutes(sources: Sources) -> tuple[str]:
     """Return the CPU time of the recipe of the demonstration, rounded to half minutes."""
-    minutes = [row.cpu / 60.0 for row in sources.learning if (row.kind, row.name) == ("recipe", "ppo_on_pd_minute")]
-    return (f"{round(2.0 * float(np.median(minutes))) / 2.0:g}",)
+    seconds = [row.cpu for row in sources.learning if (row.kind, row.name) == ("recipe", "ppo_on_pd_minute") and row.cpu]
+    return (f"{round(float(np.median(seconds)) / 30.0) / 2.0:g}",)
 
 
 def _compile_minutes(sources: Sources) -> tuple[str]:
@@ -179,7 +193,7 @@ def _steps(sources: Sources) -> tuple[str, str]:
     rows = [row for row in sources.benchmark if row.table == "environments" and row.threads == 1]
     one = next(row.cpu for row in rows if row.name == "FlexRRR-v0")
     many = min(row.cpu for row in rows if row.name == "FlexRRR-v0, vector environment")
-    return tuple(f"{float(f'{1.0 / each:.3g}'):,.0f}" for each in (one, many))  # type: ignore[return-value]
+    return f"{float(f'{1.0 / one:.3g}'):,.0f}", f"{float(f'{1.0 / many:.3g}'):,.0f}"
 
 
 def _pd_settles(sources: Sources) -> tuple[str]:
@@ -203,33 +217,49 @@ def _medians(sources: Sources) -> tuple[str, str]:
     return f"{VIBRATION_WINDOW:g}", str(len(sources.standings.values("pd", DEFAULT_ID, "reward")))
 
 
+def _duration(sources: Sources) -> tuple[str]:
+    """Return the duration of the comparison with large rotations, s."""
+    (case,) = (cells.case for cells in sources.verification if cells.case == LARGE_ROTATION.format("with"))
+    return (case.partition("within ")[2].partition(" s")[0],)
+
+
 def _agreement(sources: Sources) -> tuple[str]:
     """Return an upper bound of the tip distances from the independent code of the same equations, mm."""
-    largest = max(float(cells[3]) for cells in sources.verification
-                  if cells[1] == INDEPENDENT and "distance of the tip, m" in cells[0])  # fmt: skip
+    largest = max(float(cells.computed) for cells in sources.verification
+                  if cells.source == INDEPENDENT and "distance of the tip, m" in cells.case)  # fmt: skip
     if largest >= MICROMETRE:
         raise ValueError(f"tip distance: {largest} m; the sentence is true below {MICROMETRE} m")
     return (f"{1e3 * MICROMETRE:g}",)
 
 
-SENTENCES = (
+SENTENCES = (  # with numbers of stored rows
     Sentence(r"(\d+) of (\d+) comparisons", _verification),
-    Sentence(r"by ([\d.]+) mm within 2 s, and by ([\d.]+) mm without foreshortening", _tip_errors),
+    Sentence(r"differs by ([\d.]+) mm, and by ([\d.]+) mm without foreshortening", _tip_errors),
     Sentence(r"explains ([\d.]+) of the variance of the tip deflection \(median of (\d+) held-out runs\)", _held_out),
     Sentence(r"about ([\d.]+) minutes of one core", _training_minutes),
     Sentence(r"(?:in|for) about (a minute|\d+ minutes) altogether", _compile_minutes),
     Sentence(r"([\d,]+) control periods per second for one arm and ([\d,]+) for many arms", _steps),
     Sentence(r"The PD settles after ([\d.]+) s", _pd_settles),
+)
+DEFINITIONS = (  # with numbers of the named environments, of the metrics and of cases of the verification
     Sentence(r"agrees to better than a micrometre \(([\d.]+) mm\)", _agreement),
+    Sentence(r"within (\d+) s the tip of a large-rotation model", _duration),
     Sentence(r"the tip of the ([\d.]+) m arm of `FlexRRR-v0`", _reach),
     Sentence(r"\(peak to peak in the last ([\d.]+) s\) are medians of (\d+) test episodes", _medians),
     Sentence(r"within ([\d.]+) mm of its target until the end of the episode of ([\d.]+) s", _slew),
 )
 
 
+@cache
+def _information(agent: str) -> tuple[str, tuple[str, ...], bool]:
+    """Return the description of an agent, its information, and whether it does without oracle information."""
+    info = describe_agent(agent)
+    return info.description, info.information, info.realisable
+
+
 def updated(text: str, sources: Sources) -> str:
     """Return a hand-written text with the numbers of its sentences computed from rows."""
-    for sentence in SENTENCES:
+    for sentence in (*SENTENCES, *DEFINITIONS):
         text = sentence.update(text, sources)
     return text
 
@@ -278,9 +308,9 @@ def results(standings: Standings) -> list[str]:
     Agents without oracle information come first, then the agents with the largest share and the shortest time of
     settling for unknown parameters. An agent without rows in one of the two scenarios has no row.
     """
-    agents = [each for each in standings.agents
+    agents = [each for each in dict.fromkeys(agent for _, agent, _ in standings.results.cells)
               if each not in BOUNDS and not standings.why(each, DEFAULT_ID) + standings.why(each, UNKNOWN)]  # fmt: skip
-    agents.sort(key=lambda each: (describe_agent(each).realisable, standings.settled(each, UNKNOWN)), reverse=True)
+    agents.sort(key=lambda each: (_information(each)[2], standings.settled(each, UNKNOWN)), reverse=True)
     heads = ("agent", "given", "known arm: settled", "vibration", "unknown arm: settled", "vibration")
     return markdown_table(heads, ([f"`{each}`: {title(each)}", given(each), *_cells(standings, each, DEFAULT_ID),
                                    *_cells(standings, each, UNKNOWN)] for each in agents))  # fmt: skip
@@ -288,13 +318,13 @@ def results(standings: Standings) -> list[str]:
 
 def title(agent: str) -> str:
     """Return the kind of an agent."""
-    trained, _, base = describe_agent(agent).description.removeprefix("a policy trained by ").partition(", ")
+    trained, _, base = _information(agent)[0].removeprefix("a policy trained by ").partition(", ")
     return TITLES.get(agent) or f"{trained} on `{base.removeprefix('with the base controller ')}`"
 
 
 def given(agent: str) -> str:
     """Return the information that an agent is given: its sensors first."""
-    information = describe_agent(agent).information
+    information = _information(agent)[1]
     names = [each for each in INFORMATION if each in information]
     if "true parameters" in names:
         names.remove("model")  # its parameters are the true ones
