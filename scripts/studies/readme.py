@@ -177,7 +177,9 @@ def _held_out(sources: Sources) -> tuple[str, str]:
 
 def _training_minutes(sources: Sources) -> tuple[str]:
     """Return the CPU time of the recipe of the demonstration, rounded to half minutes."""
-    seconds = [row.cpu for row in sources.learning if (row.kind, row.name) == ("recipe", "ppo_on_pd_minute") and row.cpu]
+    seconds = [
+        row.cpu for row in sources.learning if (row.kind, row.name) == ("recipe", "ppo_on_pd_minute") and row.cpu
+    ]
     return (f"{round(float(np.median(seconds)) / 30.0) / 2.0:g}",)
 
 
