@@ -238,8 +238,8 @@ SENTENCES = (  # with numbers of stored rows
     Sentence(r"(\d+) of (\d+) comparisons", _verification),
     Sentence(r"differs by ([\d.]+) mm, and by ([\d.]+) mm without foreshortening", _tip_errors),
     Sentence(r"explains ([\d.]+) of the variance of the tip deflection \(median of (\d+) held-out runs\)", _held_out),
-    Sentence(r"about ([\d.]+) minutes of one core", _training_minutes),
-    Sentence(r"(?:in|for) about (a minute|\d+ minutes) altogether", _compile_minutes),
+    Sentence(r"about ([\d.]+) minutes on one core", _training_minutes),
+    Sentence(r"\(about (a minute|\d+ minutes), in parts\)", _compile_minutes),
     Sentence(r"([\d,]+) control periods per second for one arm and ([\d,]+) for many arms", _steps),
     Sentence(r"The PD settles after ([\d.]+) s", _pd_settles),
 )
@@ -299,8 +299,9 @@ def badges(settings: dict[str, Any]) -> list[str]:
     """Return the line with badges, repository and DOI; no line while all these settings are empty."""
     extra = settings.get("extra") or {}
     address, doi = settings.get("repo_url") or "", extra.get("doi") or ""
-    shown = [*(extra.get("badges") or ()), *([f"[Repository]({address})"] if address else []),
-             *([f"[DOI {doi}](https://doi.org/{doi})"] if doi else [])]  # fmt: skip
+    shown = [f"![badge]({each})" for each in extra.get("badges") or ()]
+    shown += [f"[Repository]({address})"] if address else []
+    shown += [f"[DOI {doi}](https://doi.org/{doi})"] if doi else []
     return [" ".join(shown)] if shown else []
 
 

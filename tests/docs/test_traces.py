@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+import yaml
 
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.league.rows import VALUES, EpisodeRow, LeagueRows
@@ -21,7 +22,7 @@ from studies.control.page import page as control_page
 from studies.files import read_comment
 from studies.machine.measure import FitRow
 from studies.machine.page import page as machine_page
-from studies.readme import DEFINITIONS, SENTENCES, UNKNOWN, Sources, readme, results, updated
+from studies.readme import DEFINITIONS, SENTENCES, UNKNOWN, Sources, badges, readme, results, updated
 from studies.servos.measure import FrictionRow, ServoRow
 from studies.servos.page import page as servos_page
 
@@ -218,6 +219,14 @@ def origin(page, number):
         if name == page and (found := trace(number, source)):
             return source.file, *found
     return None
+
+
+def test_address_doi_and_badges_are_hidden_while_they_are_empty():
+    assert badges(yaml.safe_load(SETTINGS.read_text(encoding="utf-8"))) == badges({}) == []
+    given = {"repo_url": "https://a.example/b", "extra": {"doi": "10.5281/zenodo.1", "badges": ["https://a.example/c.svg"]}}
+    (line,) = badges(given)
+    assert line == "![badge](https://a.example/c.svg) [Repository](https://a.example/b) " \
+        "[DOI 10.5281/zenodo.1](https://doi.org/10.5281/zenodo.1)"  # fmt: skip
 
 
 @pytest.mark.parametrize("page", DRAWN)
