@@ -223,7 +223,10 @@ def origin(page, number):
 
 def test_address_doi_and_badges_are_hidden_while_they_are_empty():
     assert badges(yaml.safe_load(SETTINGS.read_text(encoding="utf-8"))) == badges({}) == []
-    given = {"repo_url": "https://a.example/b", "extra": {"doi": "10.5281/zenodo.1", "badges": ["https://a.example/c.svg"]}}
+    given = {
+        "repo_url": "https://a.example/b",
+        "extra": {"doi": "10.5281/zenodo.1", "badges": ["https://a.example/c.svg"]},
+    }
     (line,) = badges(given)
     assert line == "![badge](https://a.example/c.svg) [Repository](https://a.example/b) " \
         "[DOI 10.5281/zenodo.1](https://doi.org/10.5281/zenodo.1)"  # fmt: skip
