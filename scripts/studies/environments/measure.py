@@ -151,7 +151,7 @@ def first(name: str) -> list[str]:
     made = [f'arms = gym.make_vec("{name}", {ARMS}, "vector_entry_point", autoreset_mode="SameStep",', *words, ")"]
     return [
         *markdown_table(("setting", "value", "reason"), rows), "", "```python", *made, "```", "",
-        f"{known} A [first policy](../tutorials/first_policy.md) takes a few lines of Stable-Baselines3.",
+        f"{known} The README trains on such arms in a few lines of Stable-Baselines3.",
         *(["", *_curve(name)] if (DOCS / f"learning_{name}.png").is_file() else []),
     ]  # fmt: skip
 
