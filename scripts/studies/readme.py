@@ -31,12 +31,15 @@ INFORMATION = {
     "true parameters": "true parameters",
     "model": "nominal model",
     "structure of the model": "structure of the model",
+    "data sheets": "data sheets",
+    "payload class": "class of the payload",
     "its episodes": "the episodes in advance",
 }
 INDEPENDENT = "independent automatic-differentiation code"  # source of rows of the verification
 LARGE_ROTATION = "paper FF {} foreshortening, tip within 2 s, m"  # cases of the verification
 MICROMETRE = 1e-6  # m
 MOTOR_CONTROLLERS = ("pd", "pd-shaped")  # they read motor angles only
+POLICY = "a policy trained by "  # first words of the description of a policy
 TITLES = {
     "adaptive-lqr": "adaptive LQR that tracks a slew",
     "lqg": "Kalman filter and LQR that tracks a slew",
@@ -45,6 +48,7 @@ TITLES = {
     "mpc": "model predictive control",
     "optimised": "fastest slews found by optimisation",
     "pd": "PD of the motors, tuned",
+    "pd-torque": "PD with joint-torque feedback",
     "pd-shaped": "the PD with input shaping (ZVD)",
     "privileged-lqr": "LQR that tracks a slew",
 }
@@ -320,9 +324,12 @@ def results(standings: Standings) -> list[str]:
 
 
 def title(agent: str) -> str:
-    """Return the kind of an agent."""
-    trained, _, base = _information(agent)[0].removeprefix("a policy trained by ").partition(", ")
-    return TITLES.get(agent) or f"{trained} on `{base.removeprefix('with the base controller ')}`"
+    """Return the kind of an agent: method of the training and base controller for a policy."""
+    description = _information(agent)[0]
+    trained, _, base = description.removeprefix(POLICY).partition(", with the base controller ")
+    if description.startswith(POLICY):
+        return f"{trained} on `{base}`" if base else trained
+    return TITLES.get(agent) or description.partition(",")[0]
 
 
 def given(agent: str) -> str:
