@@ -16,6 +16,7 @@ from flexman_gym.evaluation.agent_info import describe_agent
 from flexman_gym.league.rows import LeagueRows
 from flexman_gym.league.standings import Standings
 from flexman_gym.metrics import BAND, VIBRATION_WINDOW
+from flexman_gym.verification.table import FAIL, PASS, VerificationRow
 from studies.benchmark.measure import BenchmarkRow
 from studies.files import read_rows
 from studies.learning.measure import LearningRow
@@ -64,18 +65,6 @@ TASKS = {
     "Track": "follow a path",
     "Hold": "stay still under disturbances",
 }
-
-
-class VerificationCells(NamedTuple):
-    """Cells of a row of the page of the verification, as text."""
-
-    case: str
-    source: str
-    expected: str
-    computed: str
-    error: str
-    tolerance: str
-    verdict: str
 
 
 class Sources:
@@ -127,11 +116,9 @@ class Sources:
         return self.rows("machine.csv", FitRow)
 
     @cached_property
-    def verification(self) -> list[VerificationCells]:
-        """Cells of the rows of the verification."""
-        lines = self.path("verification.md").read_text(encoding="utf-8").splitlines()
-        table = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in lines if line.startswith("| ")]
-        return [VerificationCells(*cells) for cells in table if cells[-1] in ("pass", "fail", "shown")]
+    def verification(self) -> list[VerificationRow]:
+        """Comparisons of the verification."""
+        return self.rows("verification.csv", VerificationRow)
 
 
 class Sentence(NamedTuple):
@@ -163,14 +150,14 @@ class Sentence(NamedTuple):
 
 
 def _verification(sources: Sources) -> tuple[str, str]:
-    verdicts = [cells.verdict for cells in sources.verification]
-    return str(verdicts.count("pass")), str(verdicts.count("pass") + verdicts.count("fail"))
+    verdicts = [row.verdict for row in sources.verification]
+    return str(verdicts.count(PASS)), str(verdicts.count(PASS) + verdicts.count(FAIL))
 
 
 def _tip_errors(sources: Sources) -> tuple[str, str]:
     """Return the tip errors with and without foreshortening relative to large rotations, mm."""
-    found = {cells.case: cells.computed for cells in sources.verification}
-    near, far = (1e3 * float(found[LARGE_ROTATION.format(each)]) for each in ("with", "without"))
+    found = {row.case: row.computed for row in sources.verification}
+    near, far = (1e3 * found[LARGE_ROTATION.format(each)] for each in ("with", "without"))
     return f"{near:.2g}", f"{far:.2g}"
 
 
@@ -225,14 +212,14 @@ def _medians(sources: Sources) -> tuple[str, str]:
 
 def _duration(sources: Sources) -> tuple[str]:
     """Return the duration of the comparison with large rotations, s."""
-    (case,) = (cells.case for cells in sources.verification if cells.case == LARGE_ROTATION.format("with"))
+    (case,) = (row.case for row in sources.verification if row.case == LARGE_ROTATION.format("with"))
     return (case.partition("within ")[2].partition(" s")[0],)
 
 
 def _agreement(sources: Sources) -> tuple[str]:
     """Return an upper bound of the tip distances from the independent code of the same equations, mm."""
-    largest = max(float(cells.computed) for cells in sources.verification
-                  if cells.source == INDEPENDENT and "distance of the tip, m" in cells.case)  # fmt: skip
+    largest = max(row.computed for row in sources.verification
+                  if row.source == INDEPENDENT and "distance of the tip, m" in row.case)  # fmt: skip
     if largest >= MICROMETRE:
         raise ValueError(f"tip distance: {largest} m; the sentence is true below {MICROMETRE} m")
     return (f"{1e3 * MICROMETRE:g}",)

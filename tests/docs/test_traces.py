@@ -19,7 +19,7 @@ from flexman_gym.league.rows import VALUES, EpisodeRow, LeagueRows
 from flexman_gym.league.standings import Standings
 from studies.control.cases import ControlRow
 from studies.control.page import page as control_page
-from studies.files import read_comment
+from studies.files import read_comments
 from studies.machine.measure import FitRow
 from studies.machine.page import page as machine_page
 from studies.readme import DEFINITIONS, SENTENCES, UNKNOWN, Sources, badges, readme, results, updated
@@ -35,7 +35,7 @@ SENTENCE_FILES = {
     "learning": "learning.csv",
     "benchmark": "benchmark.csv",
     "machine": "machine.csv",
-    "verification": "verification.md",
+    "verification": "verification.csv",
 }  # attribute of the sources -> file
 NUMBER = re.compile(r"(?<![\w.`/=-])\d[\d,]*(?:\.\d+)?(?:e[+-]\d+)?(?![\w`/])")
 
@@ -177,16 +177,16 @@ def sources():
         own = [cell for cell in cells if cell.agent == agent]
         rows = [row for row in known.standings.results.rows.values() if row.agent == agent]
         result += [("README", Source("rows.csv", rows, partial(table_of_agents, own)))] if rows else []
-    files = {"learning": "csv", "benchmark": "csv", "machine": "csv", "verification": "md"}
     result += [
-        ("README", Source(f"{name}.{kind}", getattr(known, name), of_sentences(name))) for name, kind in files.items()
+        ("README", Source(file, getattr(known, name), of_sentences(name))) for name, file in SENTENCE_FILES.items()
     ]
-    comments = {name: read_comment(known.path(f"{name}.csv")) for name in ("machine", "servos")}
+    machine = read_comments(known.path("machine.csv"))
+    servos = read_comments(known.path("servos.csv"), known.path("servos_friction.csv"))
     rubbing = known.rows("servos_friction.csv", FrictionRow)
     for name, kind, text in (
         ("control", ControlRow, control_page),
-        ("machine", FitRow, lambda rows: machine_page(rows, comments["machine"])),
-        ("servos", ServoRow, lambda rows: servos_page(comments["servos"], rows, rubbing)),
+        ("machine", FitRow, lambda rows: machine_page(rows, machine)),
+        ("servos", ServoRow, lambda rows: servos_page(rows, rubbing, servos)),
     ):
         result.append((name, Source(f"{name}.csv", known.rows(f"{name}.csv", kind), text)))
     return result
