@@ -30,7 +30,7 @@ from oracles.files import ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 SETTINGS = ROOT / "mkdocs.yml"
-DRAWN = {"README": 30, "control": 10, "machine": 10, "servos": 10}  # numbers by page
+DRAWN = {"README": 40, "control": 12, "machine": 4, "servos": 12}  # numbers by page
 SENTENCE_FILES = {
     "learning": "learning.csv",
     "benchmark": "benchmark.csv",
