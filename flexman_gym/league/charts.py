@@ -21,7 +21,7 @@ ORDER = [*reversed(INFORMATION)]  # information given to the agents, from the le
 LINE_COLOURS = ("#767676", BLUE, RED, GREEN, "#8E4585")  # contrast of at least 3 on white
 LINE_WIDTHS = (4.2, 3.4, 2.6, 1.8, 1.0)  # points; lines that coincide remain visible
 COLUMNS, DPI = 2, 160.0  # panels side by side; pixels per inch, twice those of a page
-LABEL_DISTANCE = 0.085  # fraction of the height of a panel between two labels
+LABEL_DISTANCE = 0.1  # fraction of the height of a panel between two labels
 
 
 def draw_charts(standings: Standings, folder: Path, sweeps_only: bool = False) -> list[Path]:
@@ -111,7 +111,7 @@ def _draw_sweeps(standings: Standings, path: Path) -> Path:
     """Draw a panel for each sweep, with a labelled line for each agent; return the path."""
     agents, sweeps = swept_agents(standings), standings.sweeps
     rows = -(-len(sweeps) // COLUMNS)
-    figure = new_figure((9.2, 2.35 * rows), DPI, layout="constrained")
+    figure = new_figure((9.2, 2.0 * rows), DPI, layout="constrained")
     panels = np.atleast_1d(figure.subplots(rows, COLUMNS, squeeze=False)).ravel()
     for axes, (name, values) in zip(panels, sweeps.items(), strict=False):
         lines = {agent: _shares(standings, agent, values) for agent in agents}

@@ -123,7 +123,7 @@ def _overall_table(standings: Standings) -> list[str]:
             f"{count - len(standings.missed(agent))} of {count}", _share_text(won) if won else "-",
             number_text(action), number_text(1e-3 * start), "-" if trained is None else number_text(trained / 60.0),
         ])  # fmt: skip
-    heads = ["agent", "given", "score", "scenarios", "better", "action, us CPU", "start, ms CPU", "training, min CPU"]
+    heads = ["agent", "given", "score", "scenarios", "better", "action, CPU us", "start, CPU ms", "training, CPU min"]
     return [*markdown_table(heads, rows), f"scenarios: {', '.join(map(short_name, standings.counted))}"]
 
 

@@ -39,13 +39,11 @@ tip stays within {band:.0f} mm of the target for at least the last second; an ag
 
 {recommendation}
 
-The table has the best agents for each kind of information that they are given: share of settled episodes and median
-settling time.
+The best agents for each kind of information that they are given, with the share of settled episodes and the median
+settling time. *Action* is the CPU time for one action of one arm, of {block} simulated together, as the median over the
+scenarios.
 
 {choice}
-
-*Action* is the CPU time of the agent for one action of one arm, of {block} simulated together, as the median over the
-scenarios.
 
 ## Results
 
@@ -72,8 +70,8 @@ All rows are in `rows.csv` (episodes) and `cells.csv` (CPU times, reasons for mi
 scenario, the data of an agent, a sweep (`{known}/payload=`), or the scores (`overall`).
 """
 LIMITS = """Values of a parameter at which at least {well:.0f} % of the episodes settle. *Given* is the range for which
-the controllers are designed; outside of it their model is wrong. The last rows are other simulations of the same arms,
-of which the controllers are not informed: settled share, in brackets that of the same episodes in the usual simulation.
+the controllers are designed; outside of it their model is wrong. The last rows are the settled shares, %, in other
+simulations of the same episodes, of which the controllers are not informed.
 
 {table}
 
@@ -168,7 +166,7 @@ def _choice_table(standings: Standings) -> list[str]:
         for agent in dict.fromkeys(best):
             results = [settling_text(standings, agent, each) for each in columns]
             rows.append([given, f"`{agent}`", *results, number_text(standings.cost(agent, standings.scenarios)[0])])
-    return markdown_table(["given", "agent", *(f"`{short_name(each)}`" for each in columns), "action, us CPU"], rows)
+    return markdown_table(["given", "agent", *(f"`{short_name(each)}`" for each in columns), "action, CPU us"], rows)
 
 
 def _limits(standings: Standings) -> str:
@@ -179,22 +177,25 @@ def _limits(standings: Standings) -> str:
         [_sweep_name(name), given_values([*values]), *(_well_settled(standings, agent, values) for agent in agents)]
         for name, values in standings.sweeps.items()
     ]
-    for usual, *names in standings.plants.values():
-        rows += [[f"`{short_name(name)}`", "-", *(_on_plant(standings, each, usual, name) for each in agents)]
-                 for name in names]  # fmt: skip
+    for names in standings.plants.values():
+        heads = ", ".join(f"@{name.partition('@')[2] or 'usual'}" for name in names)
+        rows.append(
+            [f"`{short_name(names[0])}` {heads}", "-", *(_on_plants(standings, each, names) for each in agents)]
+        )
     table = markdown_table(["swept", "given", *(f"`{each}`" for each in agents)], rows)
     chart = SWEEPS.format(chart=SWEEP_CHART) if standings.sweeps else ""
-    plants = [f"- `@{name}`: {text}" for name, (text, _) in PLANTS.items() if name != "usual"]
-    return LIMITS.format(well=100.0 * WELL, table="\n".join(table), plants="\n".join(plants), chart=chart).rstrip()
+    plants = fill("; ".join(f"*@{name}*: {text}" for name, (text, _) in PLANTS.items()) + ".", 118)
+    return LIMITS.format(well=100.0 * WELL, table="\n".join(table), plants=plants, chart=chart).rstrip()
 
 
-def _on_plant(standings: Standings, agent: str, usual: str, name: str) -> str:
-    """Return the settled share on another plant, and of the same episodes on the usual plant in brackets."""
-    if standings.why(agent, name) or standings.why(agent, usual):
-        return "no row"
-    seeds = standings.values(agent, name, "reward").keys()
-    share, before = (100.0 * standings.settled(agent, each, seeds)[0] for each in (name, usual))
-    return f"{share:.0f} % ({before:.0f} %)"
+def _on_plants(standings: Standings, agent: str, names: Sequence[str]) -> str:
+    """Return the settled shares on all plants, %, in the episodes of the plants other than the usual one."""
+    seeds = {seed for scenario, _, seed in standings.results.rows if scenario in names[1:]}
+    shares = (
+        "-" if standings.why(agent, each) else f"{100.0 * standings.settled(agent, each, seeds)[0]:.0f}"
+        for each in names
+    )
+    return ", ".join(shares) + " %"
 
 
 def _sweep_name(name: str) -> str:

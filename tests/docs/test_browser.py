@@ -1,4 +1,4 @@
-"""Tests of the built site in a browser: search, equations, lengths, tables, and no network requests, opened from disk."""
+"""Tests of the site in Chromium: search from a disk, wide tables, length of pages, equations, and the replay page."""
 
 import shutil
 import subprocess
@@ -54,7 +54,9 @@ WANTED = {  # words -> pages, of which one is among the first two hits
     "how to install": {"start.html#how-to-install"},
     "input shaping": {"control_room.html#input-shaping"},
     "settled": {"concepts.html#settled-settling-time-and-vibration"},
-    "payload": {"own_arm.html#links-joints-and-payload", "tutorials/unknown_arms.html#randomise-payload-stiffness-and-delay"},
+    "payload": {
+        "own_arm.html#links-joints-and-payload", "tutorials/unknown_arms.html#randomise-payload-stiffness-and-delay",
+    },
     "reward": {"own_task.html#reward"},
     "urdf": {"own_arm.html#urdf-mjcf-and-mujoco"},
     "macos": {"concepts.html#supported-systems", "start.html#how-to-install"},

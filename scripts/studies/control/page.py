@@ -1,10 +1,11 @@
 """Page of the controller study: one table, and the cases of the adaptive controller in sentences."""
 
 from collections.abc import Mapping, Sequence
+from statistics import mean
 from textwrap import fill
 
 from flexman_gym.common.markdown import markdown_table
-from studies.control.cases import EXTREMES, PARTS, ControlRow
+from studies.control.cases import EXTREMES, PARTS, RANDOM_ARMS, ControlRow
 from studies.markdown import bullets
 from studies.screen import HIDDEN
 
@@ -116,7 +117,15 @@ def _cases(by_case: Mapping[str, ControlRow]) -> list[str]:
         )
     if parts := [part for each in PARTS if (part := _part(ours, *each))]:
         lines.append(f"Effects of `unmodelled`, one at a time: {'; '.join(parts)}.")
+    if random := {agent: found for agent in AGENTS[:2] if (found := _random_arms(by_case, agent))}:
+        shares = (f"`{agent}` settles {100 * mean(found):.1f} %" for agent, found in random.items())
+        lines.append(f"Random arms of two to four links, {RANDOM_ARMS} in all: {', '.join(shares)}.")
     return [fill(line, WIDTH - 2, subsequent_indent="  ") for line in lines]
+
+
+def _random_arms(by_case: Mapping[str, ControlRow], agent: str) -> list[float]:
+    """Return the settled shares of an agent for the random arms that were run."""
+    return [row.settled for case, row in by_case.items() if case.startswith(f"{agent}, random arm ")]
 
 
 def _shares(rows: Mapping[str, ControlRow]) -> str:

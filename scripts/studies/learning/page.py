@@ -143,32 +143,19 @@ def _spread(rows: Sequence[LearningRow], text: Callable[[LearningRow], str]) -> 
 
 def _slews(rows: Sequence[LearningRow]) -> list[tuple[str, ...]]:
     """Return the rows of the table of slews."""
-    policies = {_recipe(name): name for name in POLICIES}
-    lines: list[tuple[str, ...]] = []
+    lines = []
     for scenario, (controllers, recipes) in SLEWS.items():
-        found = {f"`{name}`": (_controller(rows, name, scenario), _given(name)) for name in controllers}
+        found = [(name, _controller(rows, name, scenario), describe_agent(name).information) for name in controllers]
         for name in recipes:
-            shipped = f", shipped as `{policies[name]}`" if name in policies else ""
-            result, settings = _of(rows, "recipe", name), find_recipe(name)
-            count = f" ({len(result)} seeds)" if len(result) > 1 else ""
+            settings = find_recipe(name)
             needed = policy_information(settings.environment, settings.base_in_use)
-            found[f"`{name}`{count}{shipped}"] = result, information_kind(needed)
-        for agent, (result, given) in found.items():
+            found.append((name, _of(rows, "recipe", name), needed))
+        for name, result, needed in found:
             if result:
-                cells = (_spread(result, text) for text in (_settled, _time, _vibration, _minutes))
-                lines.append((f"`{scenario}`", agent, given, *cells))
-    return [(*line[:3], f"{line[3]} %", *line[4:]) for line in lines]
-
-
-def _given(name: str) -> str:
-    return information_kind(describe_agent(name).information)
-
-
-def _recipe(policy: str) -> str:
-    """Return the recipe of a shipped policy."""
-    folder = policy_folder(policy)
-    assert folder is not None
-    return str(read_policy(folder).metadata["recipe"]["name"])
+                count = f" ({len(result)})" if len(result) > 1 else ""
+                settled, *cells = (_spread(result, text) for text in (_settled, _time, _vibration, _minutes))
+                lines.append((f"`{name}`{count}", scenario, information_kind(needed), f"{settled} %", *cells))
+    return lines
 
 
 def _footnote(rows: Sequence[LearningRow]) -> str:
