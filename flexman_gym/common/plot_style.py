@@ -8,6 +8,7 @@ from flexman_gym.common.arrays import Array
 
 # Colours that people with red-green colour blindness can distinguish (Okabe and Ito, 2008).
 BLUE, ORANGE, GREEN, SKY, YELLOW, RED = "#0072B2", "#E69F00", "#009E73", "#56B4E9", "#F0E442", "#D55E00"
+VIOLET = "#6d28d9"  # path of the tip and true tip in frames
 LINK_COLOURS = (BLUE, ORANGE, GREEN, SKY, YELLOW, RED)
 DARK, MIDDLE, LIGHT = "#222222", "#8a8f98", "#d5d8dd"
 
