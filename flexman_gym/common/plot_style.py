@@ -9,7 +9,9 @@ from flexman_gym.common.arrays import Array
 # Colours that people with red-green colour blindness can distinguish (Okabe and Ito, 2008).
 BLUE, ORANGE, GREEN, SKY, YELLOW, RED = "#0072B2", "#E69F00", "#009E73", "#56B4E9", "#F0E442", "#D55E00"
 VIOLET = "#6d28d9"  # path of the tip and true tip in frames
-LINK_COLOURS = (BLUE, ORANGE, GREEN, SKY, YELLOW, RED)
+PURPLE, BROWN, SLATE = "#c0619b", "#8a6d3b", "#767b84"
+# Colours of lines: their contrast is at least 3 on a white page and on the dark page of the documentation.
+LINK_COLOURS = (BLUE, RED, GREEN, PURPLE, BROWN, SLATE)
 DARK, MIDDLE, LIGHT = "#222222", "#8a8f98", "#d5d8dd"
 
 

@@ -187,6 +187,7 @@ class FramePainter:
         reach: sum of the lengths of the links, m.
         radii: drawn radii of the motors (n,), m.
         scale: strain at the ends of the colour scale; 0 for a rigid arm.
+        grid: spacing of the grid on the floor, m.
     """
 
     def __init__(
@@ -208,7 +209,7 @@ class FramePainter:
         self.reach = float(model.constants.length.sum())
         self._sections = section_outlines(model, POINTS)
         self.radii = np.clip([1.3 * each.radius for each in self._sections], 0.012 * self.reach, 0.05 * self.reach)
-        self._grid = round_up(self.reach / 10)
+        self.grid = round_up(self.reach / 10)
         self.scale = _strain_scale(model) if model.n_elastic else 0.0
         samples, memory = (height * SUPERSAMPLING, width * SUPERSAMPLING), (height, width)
         self._canvas = raster.Canvas(
@@ -229,7 +230,7 @@ class FramePainter:
         camera, floor = self.camera(_reachable_points(self.model) if points is None else points)
         canvas, (width, height) = self._canvas, self.size
         back, plain = np.zeros_like(canvas.back), np.zeros_like(canvas.plain)
-        raster.draw_floor(back, camera.eye, camera.axes, camera.lens * SUPERSAMPLING, floor, self.reach, self._grid)
+        raster.draw_floor(back, camera.eye, camera.axes, camera.lens * SUPERSAMPLING, floor, self.reach, self.grid)
         whole = canvas._replace(
             colour=back,
             back=back,
@@ -245,7 +246,7 @@ class FramePainter:
         floor = float(places[:, 2].min()) - FLOOR_GAP * self.reach
         turn = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
         rim = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(8)]) * BASE_RADIUS * self.radii[0]
-        plate = rim + (0.0, 0.0, floor - BASE_HALF_HEIGHT * self.radii[0])
+        plate = rim + np.array([0.0, 0.0, floor - BASE_HALF_HEIGHT * self.radii[0]])
         radii = np.repeat([self._largest_radius(), 0.0], [len(places), len(plate)])
         margins = overlay_margins(self.size[1]) if self.overlays else MARGINS
         return _fit_camera(np.concatenate([places, plate]), radii, self.direction, self.size, margins), floor
@@ -307,7 +308,7 @@ class FramePainter:
         raster.resolve(canvas, rgb(GHOST), GHOST_SHARE)
         picture = canvas.picture.copy()
         if self.overlays:
-            draw_caption(picture, caption or Caption(), self.gains, self.scale, self._grid)
+            draw_caption(picture, caption or Caption(), self.gains, self.scale, self.grid)
         return picture
 
     def _show(self, shot: Shot) -> None:

@@ -53,12 +53,12 @@ def _text_mask(text: str, size: int) -> NDArray[np.float32]:
     return np.concatenate([shapes[:, :0], *parts], axis=1).astype(np.float32) / np.float32(255.0)
 
 
-def _font_size(height: int) -> int:
+def font_size(height: int) -> int:
     """Return the size of the letters for a picture with `height` rows."""
     return max(size for size in FONT_SIZES if size <= max(height / 33.0, FONT_SIZES[0]))
 
 
-def _write_text(picture: Picture, text: str, place: tuple[int, int], size: int, colour: str = INK) -> None:
+def write_text(picture: Picture, text: str, place: tuple[int, int], size: int, colour: str = INK) -> None:
     """Write text with its upper left corner at (column, row) = place.
 
     With a column < 0, the right end of the text is -column pixels from the right edge of the picture.
@@ -74,8 +74,8 @@ def _write_text(picture: Picture, text: str, place: tuple[int, int], size: int, 
 
 def write_title(picture: Picture, text: str) -> None:
     """Write a text into the upper left corner of a picture."""
-    size = _font_size(picture.shape[0])
-    _write_text(picture, text, (size, size // 2), size)
+    size = font_size(picture.shape[0])
+    write_text(picture, text, (size, size // 2), size)
 
 
 def _blend(part: Picture, colour: str, opacity: "NDArray[np.float32] | float") -> None:
@@ -100,7 +100,7 @@ def overlay_margins(height: int) -> Array:
     Returns:
         Fractions of the picture; at most MAX_MARGIN, as a small picture would have no room for the arm.
     """
-    size, small = _font_size(height), _font_size(int(0.82 * height))
+    size, small = font_size(height), font_size(int(0.82 * height))
     top, bottom = size // 2 + 2 * round(1.45 * size), size // 2 + round(TORQUE_ROWS * small)
     return np.minimum([0.06, 0.06, top / height + TEXT_GAP, bottom / height + TEXT_GAP], MAX_MARGIN)
 
@@ -122,7 +122,7 @@ def draw_caption(picture: Picture, caption: Caption, gains: tuple[float, float],
         grid: spacing of the floor grid, m.
     """
     height, width = picture.shape[:2]
-    size, small = _font_size(height), _font_size(int(0.82 * height))
+    size, small = font_size(height), font_size(int(0.82 * height))
     edge, line = size, round(1.45 * size)
     if caption.title:
         write_title(picture, caption.title)
@@ -135,14 +135,14 @@ def draw_caption(picture: Picture, caption: Caption, gains: tuple[float, float],
     )
     for column, value, form, factor in entries:  # fixed columns: the text does not move while numbers change
         if value is not None:
-            _write_text(picture, form.format(factor * value), (edge + round(column * small), row), small)
+            write_text(picture, form.format(factor * value), (edge + round(column * small), row), small)
     if gains != (1.0, 1.0):
-        _write_text(picture, describe_gains(gains), (-edge, edge // 2), size, WARNING)
+        write_text(picture, describe_gains(gains), (-edge, edge // 2), size, WARNING)
         _write_dot_legend(picture, (-edge, edge // 2 + line), small)
     line_text = describe_scales(scale, grid)
     if scale > 0.0:
         _draw_colour_bar(picture, (edge, height - edge), small)
-    _write_text(picture, line_text, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
+    write_text(picture, line_text, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
     if caption.torques is not None:
         _draw_torque_bars(picture, caption.torques, (width - edge, height - edge // 2), small)
 
@@ -159,13 +159,13 @@ def describe_scales(scale: float, grid: float) -> str:
 
 
 def _write_dot_legend(picture: Picture, place: tuple[int, int], size: int) -> None:
-    """Write the meaning of the violet dot, with the right end at -column, as in `_write_text`."""
+    """Write the meaning of the violet dot, with the right end at -column, as in `write_text`."""
     text = "true tip"
     left = picture.shape[1] + place[0] - _text_mask(text, size).shape[1] - size
     rows, columns = np.ogrid[: picture.shape[0], : picture.shape[1]]
     dot = (rows - place[1] - 0.75 * size) ** 2 + (columns - left) ** 2 <= (0.35 * size) ** 2
     picture[dot] = rgb(VIOLET)
-    _write_text(picture, text, place, size)
+    write_text(picture, text, place, size)
 
 
 def _draw_colour_bar(picture: Picture, place: tuple[int, int], size: int) -> None:
@@ -180,7 +180,7 @@ def _draw_torque_bars(picture: Picture, torques: Array, place: tuple[int, int], 
     """Draw a numbered bar for each motor, up or down from the middle, with the lower right corner at a pixel."""
     wide, half, gap = size, round(1.5 * size), size // 2
     column, middle = place[0] - len(torques) * (wide + gap) + gap, place[1] - half - round(1.4 * size)
-    _write_text(picture, "torque / limit", (place[0] - picture.shape[1], middle - half - round(1.5 * size)), size)
+    write_text(picture, "torque / limit", (place[0] - picture.shape[1], middle - half - round(1.5 * size)), size)
     for i, torque in enumerate(np.clip(torques, -1.0, 1.0)):
         first = column + i * (wide + gap)
         _fill_rectangle(picture, (first, first + wide), (middle - half, middle + half), GREY, 0.8)
@@ -190,7 +190,7 @@ def _draw_torque_bars(picture: Picture, torques: Array, place: tuple[int, int], 
         _fill_rectangle(picture, (first - 2, first + wide + 2), (middle, middle + 1), GREY)
         number = str(i + 1)
         inset = (wide - _text_mask(number, size).shape[1]) // 2
-        _write_text(picture, number, (first + inset, middle + half + max(size // 10, 1)), size)
+        write_text(picture, number, (first + inset, middle + half + max(size // 10, 1)), size)
 
 
 def strain_colours(share: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
-from flexman_gym.common.plot_style import BLUE, DARK, GREEN, LIGHT, LINK_COLOURS, MIDDLE, ORANGE, RED, SKY, new_figure
+from flexman_gym.common.plot_style import BLUE, DARK, LIGHT, LINK_COLOURS, MIDDLE, RED, new_figure
 from flexman_gym.simulation.trajectory import Trajectory
 
 
@@ -169,7 +169,7 @@ def _unit(column: int) -> str:
     return "m" if column < 3 else "rad"
 
 
-COLOURS = (BLUE, RED, ORANGE, GREEN, SKY, MIDDLE)  # colours of the agents
+COLOURS = LINK_COLOURS  # colours of the agents
 MIN_ERROR = 1e-5  # m; lower end of the logarithmic axis of tip errors
 
 
