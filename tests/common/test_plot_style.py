@@ -2,8 +2,8 @@
 
 import pytest
 
-from flexman_gym.common.plot_style import LINK_COLOURS, SLATE, rgb
-from studies.charts import new_chart, save_chart
+from flexman_gym.common.plot_style import DARK, LINK_COLOURS, SLATE, rgb, save_figure
+from studies.charts import new_chart
 
 DARK_PAGE = "#1e2129"  # background of the dark scheme of the site
 
@@ -35,9 +35,10 @@ def test_a_chart_has_no_background_and_one_colour_of_text_and_is_the_same_again(
         figure, ((axes,),) = new_chart((3.0, 2.0))
         axes.plot([0.0, 1.0], [0.0, 1.0], color=LINK_COLOURS[0], label="line")
         axes.set(xlabel="time (s)", title="title")
+        axes.axhline(0.5, color=DARK)
+        axes.annotate("limit", (0.1, 0.5), color="black")
         axes.legend()
-        (tmp_path / name).mkdir()
-        texts.append(save_chart(figure, tmp_path / name / "chart.svg").read_text())
+        texts.append(save_figure(figure, tmp_path / name / "chart.svg").read_text())
     assert texts[0] == texts[1]
     lower = texts[0].lower()
-    assert "#ffffff" not in lower and "#000000" not in lower and lower.count(SLATE) > 3
+    assert "#ffffff" not in lower and "#000000" not in lower and DARK not in lower and lower.count(SLATE) > 3

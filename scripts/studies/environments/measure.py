@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.plot_style import BLUE, RED, SLATE
+from flexman_gym.common.plot_style import BLUE, RED, SLATE, save_figure
 from flexman_gym.draw.comparison import side_by_side, suggested_gain
 from flexman_gym.draw.video import write_video
 from flexman_gym.envs.config.configuration import Configuration
@@ -19,7 +19,7 @@ from flexman_gym.evaluation.rollout import TEST_SEEDS, Rollout, rollout
 from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.simulation.batch import Batch
-from studies.charts import new_chart, save_chart
+from studies.charts import new_chart
 
 MOTIONS, DURATION, HELD, SPREAD, PART = 8, 1.0, 0.2, 0.5, 0.5  # s, s, rad, share of the torque limits
 FINER = 8  # ratio of the numbers of steps
@@ -151,4 +151,4 @@ def draw(runs: Mapping[str, Rollout], path: Path) -> None:
             loc="lower left",
             bbox_to_anchor=(0.0, 1.0),
         )
-    save_chart(figure, path.with_suffix(".svg"))
+    save_figure(figure, path.with_suffix(".svg"))
