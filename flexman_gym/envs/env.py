@@ -92,8 +92,8 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
     Fidelity
         By default the model has two elements per link and the component modes below half the control rate, 16 of 36
         coordinates for FlexRRR-v0. The integration method is "midpoint_corrected_3", which has no numerical damping,
-        with steps of 20/3 ms; the smaller arms have shorter steps. `docs/accuracy.md` compares the energy and the tip
-        motion of this model with the model with all coordinates.
+        with steps of 20/3 ms; the smaller arms have shorter steps. `docs/evidence/accuracy.md` compares the energy and
+        the tip motion of this model with the model with all coordinates.
 
         fidelity="auto" with a tolerance (m) calls `choose_model`, which chooses modes, method and step for a slew of
         3 s with sine torques (0.5 Hz, amplitude `torque_limit`); `env.unwrapped.choice` is the result. The tolerance

@@ -18,7 +18,7 @@ DOCS = ROOT / "docs"
 
 
 def test_speeds_are_as_the_opening_says():
-    rows = read_rows(DOCS / "benchmark.csv", Speed)
+    rows = read_rows(DOCS / "evidence" / "benchmark.csv", Speed)
     (one,) = (row for row in rows if row.name == OURS)
     many = max(row.times_peer for row in rows if row.name == VECTOR and row.threads == 1)
     assert 0.5 < one.times_peer < 1.0 and 3.0 < many < 10.0
@@ -57,10 +57,10 @@ def test_controllers_of_unknown_arms_are_as_the_opening_says():
 
 
 def test_methods_are_as_the_openings_say():
-    released = [row for row in read_rows(DOCS / "ring_down.csv", Released) if row.kind == "release"]
+    released = [row for row in read_rows(DOCS / "evidence" / "ring_down.csv", Released) if row.kind == "release"]
     explicit = [row for row in released if row.method in ("semi_implicit_euler", "rk4", "dopri5")]
     assert explicit and all(row.failed == 1.0 for row in explicit)
-    runs = [row for row in read_rows(DOCS / "work_precision.csv", Run) if row.time_error is not None]
+    runs = [row for row in read_rows(DOCS / "evidence" / "work_precision.csv", Run) if row.time_error is not None]
     cheapest = {}
     for row in runs:
         case = row.scene, row.model
@@ -71,7 +71,7 @@ def test_methods_are_as_the_openings_say():
 
 
 def test_servos_are_as_the_opening_says():
-    rows = [row for row in read_rows(DOCS / "servos.csv", Servo) if row.springs == 1.0]
+    rows = [row for row in read_rows(DOCS / "evidence" / "servos.csv", Servo) if row.springs == 1.0]
     plain = [row for row in rows if not row.delay and not row.bandwidth]
     assert all(row.factor < 1.0 for row in plain if row.period == max(each.period for each in plain))
     for name in {row.environment for row in plain}:

@@ -61,7 +61,10 @@ def test_every_page_has_its_place():
         return [node] if isinstance(node, str) else [page for part in parts for page in pages(part)]
 
     settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
-    assert sorted(pages(settings["nav"])) == sorted(page[5:] for page in PAGES if page.startswith("docs/"))
+    shown, there = pages(settings["nav"]), {page[5:] for page in PAGES if page.startswith("docs/")}
+    assert len(shown) == len(set(shown)) and set(shown) <= there
+    hidden = "---\nsearch:\n  exclude: true\n---\n"
+    assert {page for page in there - set(shown) if not PAGES[f"docs/{page}"].startswith(hidden)} == set()
     local = settings["extra_css"] + settings["extra_javascript"] + settings["extra"]["polyfills"]
     assert settings["theme"]["font"] is False and all((DOCS / path).is_file() for path in local)
 
