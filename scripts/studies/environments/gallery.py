@@ -38,6 +38,14 @@ the left and the tracking LQR at the right, on the same episode; the chart below
 target.
 """
 
+REPLAY = """## An episode in the browser
+
+The episode of the [first picture of the home page](../index.md), to be turned, slowed down and magnified;
+`flexman replay` makes such a page of saved episodes ([open it alone](../replay.html)).
+
+<iframe class="replay" src="../replay.html" title="A slew under a PD controller and a policy" loading="lazy"></iframe>
+"""
+
 
 def gallery_page(baselines: Sequence[Baseline]) -> str:
     """Return the page of all environments as Markdown, with the metrics of the baselines."""
@@ -47,7 +55,7 @@ def gallery_page(baselines: Sequence[Baseline]) -> str:
         link = f"{pages[name]}.md#{name.lower()}"
         lines += [f"[![{name}: PD and tracking LQR on the same episode]({name}.gif)]({link})",
                   f"[**{name}**]({link}): {_task(name)}", ""]  # fmt: skip
-    lines += ["</div>", "", *_table(pages, baselines), "", *_definitions(), ""]
+    lines += ["</div>", "", *_table(pages, baselines), "", *_definitions(), "", *REPLAY.splitlines(), ""]
     for kind, task in TASKS.items():
         if any(type(named.task) is task for named in NAMED_ENVIRONMENTS.values()):
             lines += [f"## {kind.capitalize()}", "", *_task_text(task), ""]
