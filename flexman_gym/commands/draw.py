@@ -118,7 +118,7 @@ def _learning(options: argparse.Namespace, out: Path) -> list[Path]:
 
 
 def _league(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.league.page import draw_charts
+    from flexman_gym.league.charts import draw_charts
     from flexman_gym.league.rows import LeagueRows
     from flexman_gym.league.standings import Standings
 

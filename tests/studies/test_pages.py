@@ -79,5 +79,5 @@ def test_the_index_has_the_sentence_of_every_page():
 @pytest.mark.parametrize("name", PAGES)
 def test_a_published_page_is_made_of_its_rows(name):
     kind, page = PAGES[name]
-    text = page(read_rows(DOCS / f"{name}.csv", kind), read_comment(DOCS / f"{name}.csv"))
-    assert (DOCS / f"{name}.md").read_text(encoding="utf-8") == text
+    text = page(read_rows(EVIDENCE / f"{name}.csv", kind), read_comment(EVIDENCE / f"{name}.csv"))
+    assert (EVIDENCE / f"{name}.md").read_text(encoding="utf-8") == text

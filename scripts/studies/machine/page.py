@@ -38,7 +38,7 @@ def draw(lines: Mapping[str, Sequence[Any]], folder: Path) -> None:
     save_figure(figure, folder / STAGE_1_PICTURE)
 
 
-MESSAGE = "The computed deflection of the strip follows the measured one, except in the smallest step"
+MESSAGE = "The computed deflection follows the measured one, except in the smallest step"
 QUESTION = "Does the model predict measurements of a real arm that were not used for the fit?"
 ANSWER = """**In {count} runs of one stage, each predicted with parameters fitted to the other half of the runs, the
 median R2 of the tip deflection is {median:.3f}, and at least {large:.3f} for steps of 20 and 30 degrees.** The

@@ -20,7 +20,7 @@ FAMILIES = {  # label -> colour, marker, and part of the model names
     "MuJoCo, rods": (PURPLE, "D", "rods"), "Exudyn, floating frame": (SLATE, "P", "Exudyn"),
     "SoRoMoX, quadratic strains": (GREEN, "v", "SoRoMoX"),
 }  # fmt: skip
-MESSAGE = "At equal errors of the tip, our cheapest runs need less CPU time than five families of other codes"
+MESSAGE = "Our cheapest runs need less CPU time than the other codes"
 QUESTION = "How much CPU time do simulators need for the same arm, and how far apart are their results?"
 ANSWER = """**At the error of MuJoCo with 8 rigid pieces per link ({error:.2g} mm) our cheapest run is {exact:.3g}
 times as fast; {steady:.3g} times, if the error has to hold at all shorter steps too.** At a time error of {wanted:g}

@@ -59,7 +59,7 @@ def _lines(axes: Any, rows: Sequence[RingDownRow], column: str, default: tuple[s
             axes.plot(row.cpu, getattr(row, column), "o", **ring, linestyle="", label="default of the environments")
 
 
-MESSAGE = "Errors of energy and tip of five methods over cost, after a release; a ring marks the default"
+MESSAGE = "Errors of five methods over cost, after a release; a ring marks the default"
 QUESTION = "How well does an integration method preserve the vibration of an arm that is released, at what cost?"
 ANSWER = """**The default, `{method}` at {step:.3g} ms, has a median energy error of {energy:.2g} % and a median tip
 error of {tip:.2g} mm three seconds after a release; `ros2` at 5 ms has {old_energy:.2g} % and {old_tip:.3g} mm.**"""
