@@ -26,17 +26,17 @@ def main() -> int:
         folder = ROOT / "docs" / "evidence"
         pages = (path for path in sorted(folder.glob("*.md")) if path.name != "index.md")
         (folder / "index.md").write_text(index(pages), encoding="utf-8")
-    record, lines = read_record(), [HEAD]
+    record, lines, left = read_record(), [HEAD], []
     for study in chosen:
         own = record.get(study.name, {})
-        states = study.rows_state(own), study.drawing_state(own) if study.drawn else ""
-        minutes = own.get("minutes") or study.minutes
-        lines.append((study.name, *states, own.get("version", ""), f"{minutes:g}"))
+        state, minutes = study.rows_state(own), own.get("minutes") or study.minutes
+        left += [] if state == CURRENT else [minutes]
+        drawing = study.drawing_state(own) if study.drawn else ""
+        lines.append((study.name, state, drawing, own.get("version", ""), f"{minutes:g}"))
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:
         print("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
-    left = [study for study in chosen if study.rows_state(record.get(study.name, {})) != CURRENT]
-    print(f"{len(left)} of {len(chosen)} are not current: about {sum(each.minutes for each in left) / 60:.1f} h")
+    print(f"{len(left)} of {len(chosen)} are not current: about {sum(left) / 60:.1f} h of CPU time")
     return 0
 
 

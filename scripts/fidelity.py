@@ -30,7 +30,8 @@ def main() -> None:
         print(*result, sep="\n", flush=True)
         write_rows(result, options.folder / file, DIGITS, computer_text())
     paths = [options.folder / file for file in files]
-    text = page(*(read_rows(path, FidelityRow) for path in paths), read_comments(*paths))
+    given, opened = (read_rows(path, FidelityRow) for path in paths)
+    text = page(given, opened, read_comments(*paths))
     (options.folder / "fidelity.md").write_text(text, encoding="utf-8")
 
 

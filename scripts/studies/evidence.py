@@ -1,4 +1,4 @@
-"""Age of rows, pages, pictures and policies with respect to the code on which they depend, and how to make them again."""
+"""Age of rows, pages, pictures and policies with respect to the code on which they depend, and making them again."""
 
 import ast
 import hashlib
@@ -25,7 +25,7 @@ DIGITS = 12  # of a hash
 
 
 def code_text(path: Path) -> bytes:
-    """Return what decides the results of a file: Python without docstrings, comments and empty lines, else all bytes."""
+    """Return a file as bytes; Python without docstrings, comments and empty lines, which do not change results."""
     data = path.read_bytes()
     if path.suffix != ".py":
         return data

@@ -69,4 +69,4 @@ def _item(path: Path) -> str:
     title, *paragraphs = text.split("\n\n")
     bold = re.search(r"\*\*(.+?)\*\*", text, re.DOTALL)
     sentence = bold[1] if bold else re.split(r"(?<=\.)\s", paragraphs[0], maxsplit=1)[0]
-    return f"- [{title.removeprefix('# ').strip()}]({path.name}): {' '.join(sentence.split())}"
+    return _wrapped(f"- [{title.removeprefix('# ').strip()}]({path.name}): {sentence}")

@@ -35,7 +35,7 @@ independent large-rotation code; the cost is CPU time on one core, the best of {
 scenes the ratios differ. Exudyn's frame has two elements per link without foreshortening; the other finest models
 agree to millimetres.
 
-- A rigid arm costs {rigid:.2g} ms per simulated second ({pinocchio:.3g} ms with Pinocchio from Python) and is wrong
+- A rigid arm costs {rigid:.2g} ms per simulated second and is wrong
   by {far:.2g} m.
 - MuJoCo's `discrete` integrator takes {discrete:.0%} of the amplitude of the lowest mode per second at {step:g} ms;
   our methods and the other integrators take less than {others:.0e} of it."""
@@ -101,7 +101,7 @@ def page(every: Sequence[PrecisionRow], losses: Sequence[Decay], files: Mapping[
     body = BODY.format(
         picture=picture(MESSAGE, PICTURE),
         table="\n".join(markdown_table(HEADS, [_cells(*each) for each in shown])), rounds=ROUNDS,
-        rigid=1e3 * rigid["rigid"].cpu, pinocchio=1e3 * rigid["Pinocchio"].cpu, far=rigid["rigid"].total_error,
+        rigid=1e3 * rigid["rigid"].cpu, far=rigid["rigid"].total_error,
         discrete=lossy.loss, step=1e3 * lossy.step,
         others=max(abs(loss.loss) for loss in losses if DISCRETE not in loss.integrator) or 1e-8,
     )  # fmt: skip

@@ -20,8 +20,8 @@ SAME, TIP = "automatic-differentiation", "largest distance of the tip, m"
 WITH, WITHOUT = (f"paper FF {each} foreshortening, tip within 2 s, m" for each in ("with", "without"))
 ANSWER = """**{passed} of {judged} rows with a tolerance pass.** {far}"""
 FAR = """An independent code with the same equations of motion yields the same tip positions within {same:.2g}
-micrometres. A code for large rotations, which does not assume small deflections, differs by {with_:.2g} mm within 2 s, and
-by {without:.2g} mm from the model without foreshortening."""
+micrometres. A code for large rotations, which does not assume small deflections, differs by {with_:.2g} mm within 2 s,
+and by {without:.2g} mm from the model without foreshortening."""
 BODY = """{table}
 
 The error of a row is relative to the expected value, or absolute if this is 0. Another {shown} rows have no tolerance:
