@@ -9,7 +9,7 @@ from pathlib import Path
 
 from flexman_gym.envs import NAMED_ENVIRONMENTS
 from studies.environments.family import FAMILIES, family_page
-from studies.environments.gallery import gallery_page
+from studies.environments.gallery import gallery_page, tasks_page
 from studies.environments.measure import (
     BASELINES,
     LONG,
@@ -37,6 +37,7 @@ def main() -> None:
     baselines = read_rows(options.folder / BASELINE_FILE, Baseline)
     errors = read_rows(options.folder / ERROR_FILE, ModelError)
     (options.folder / "index.md").write_text(gallery_page(baselines), encoding="utf-8")
+    (options.folder / "tasks.md").write_text(tasks_page(), encoding="utf-8")
     for family in FAMILIES:
         text = family_page(family, baselines, errors)
         (options.folder / f"{family.file}.md").write_text(text, encoding="utf-8")

@@ -11,7 +11,7 @@ import flexman_gym as fm
 from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import TASKS
 from studies.environments.family import FAMILIES, family_page
-from studies.environments.gallery import gallery_page
+from studies.environments.gallery import gallery_page, tasks_page
 from studies.environments.measure import BASELINES, LONG_NAME, SEEDS, Baseline, ModelError, accuracy, baseline_rows, run
 from studies.environments.text import SECTIONS, baseline_table, docstring_sections, length
 from studies.files import read_rows
@@ -51,6 +51,7 @@ def test_the_page_of_a_family_is_written_from_rows_and_begins_with_tables_of_act
 def test_the_gallery_shows_every_environment_and_links_to_its_section(baselines):
     text = (PAGES / "index.md").read_text(encoding="utf-8")
     assert text == gallery_page(baselines), COMMAND
+    assert (PAGES / "tasks.md").read_text(encoding="utf-8") == tasks_page(), COMMAND
     links = dict(re.findall(r"\[\*\*(.*?)\*\*\]\((.*?)\)", text))
     assert list(links) == list(NAMED_ENVIRONMENTS) == [name for family in FAMILIES for name in family.environments]
     for name, link in links.items():

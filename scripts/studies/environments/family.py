@@ -96,12 +96,12 @@ def family_page(family: Family, baselines: Sequence[Baseline], errors: Sequence[
         "## Arm", "", *_arms(family), "",
     ]  # fmt: skip
     for name in family.environments:
-        lines += [f"## {name}", "", *_environment(name, baselines, errors), ""]
+        lines += [f"## {name}", "", *_environment(name, baselines, errors, name == first), ""]
     if "FlexQuanser-v0" in family.environments:
         lines += ["### The real machine", "", *_machine(), ""]
     lines += paragraph(
-        "Rewards, starts and ends of the tasks, sensors, conditions and the definitions of the metrics are on the page",
-        "of [all environments](index.md).",
+        "Rewards, starts and ends are on the page of the [tasks](tasks.md); sensors, conditions and the definitions of",
+        "the metrics are on the page of [all environments](index.md).",
     )
     return "\n".join(lines) + "\n"
 
@@ -165,8 +165,15 @@ def _arms(family: Family) -> list[str]:
     return markdown_table(("property", *(_short(names) for names in groups.values())), rows)
 
 
-def _environment(name: str, baselines: Sequence[Baseline], errors: Sequence[ModelError]) -> list[str]:
-    """Return the section of an environment: picture, task, baselines, error of the model, first training."""
+def _environment(name: str, baselines: Sequence[Baseline], errors: Sequence[ModelError], code: bool) -> list[str]:
+    """Return the section of an environment: picture, task, baselines, error of the model, first training.
+
+    Args:
+        name: environment.
+        baselines: metrics of the baselines.
+        errors: errors of the default models.
+        code: True for example code of the first training.
+    """
     named = NAMED_ENVIRONMENTS[name]
     kind, own = type(named.task).__name__, [row for row in errors if row.environment == name]
     values = {"kind": kind.lower()} | {key: value for key, value in vars(named.task).items() if not key.startswith("_")}
@@ -174,12 +181,12 @@ def _environment(name: str, baselines: Sequence[Baseline], errors: Sequence[Mode
     description = docstring_sections(type(named.task))["Description"]
     picture = f"{name}: PD controller at the left, tracking LQR at the right, tip errors below"
     chart = f"{name}: tip error and largest torque of an episode without torque, with the PD, and with the tracking LQR"
-    task = f"Task [{kind}](index.md#{kind.lower()}), control period {named.control_period:g} s, episodes of "
+    task = f"Task [{kind}](tasks.md#{kind.lower()}), control period {named.control_period:g} s, episodes of "
     return [
         f"![{picture}]({name}.gif){{ width=480 }}", "", *description, "",
         f"{task}{named.horizon:g} s:", "", "```python", *shown, "```", "",
         *baseline_table(name, baselines), "", f"![{chart}]({name}.svg)", "",
-        *(_model_error(own[0]) if own else []), "", *_first_training(name),
+        *(_model_error(own[0]) if own else []), "", *_first_training(name, code),
     ]  # fmt: skip
 
 
@@ -192,8 +199,8 @@ def _model_error(row: ModelError) -> list[str]:
     )
 
 
-def _first_training(name: str) -> list[str]:
-    """Return the recommended settings for a first training as example code."""
+def _first_training(name: str, code: bool) -> list[str]:
+    """Return the recommended settings for a first training: the recipe, and example code if `code` is True."""
     named, recipe = NAMED_ENVIRONMENTS[name], RECIPE.get(name)
     given = files.read_data(RECIPES / f"{recipe}.yaml")["environment"] if recipe else {}
     settings = {"base": "pd", "action_repeat": given.get("action_repeat", round(ACTION_SECONDS / named.control_period)),
@@ -203,8 +210,10 @@ def _first_training(name: str) -> list[str]:
     words = "".join(f"    {key}={value!r},\n" for key, value in settings.items()).replace("'", '"').splitlines()
     made = [f'arms = gym.make_vec("{name}", {ARMS}, "vector_entry_point", autoreset_mode="SameStep",', *words, ")"]
     known = f"the recipe `{recipe}` has them" if recipe else "there is no recipe for this environment"
-    return [f"[Settings](index.md#settings-for-a-first-training) for a first training; {known}:", "",
-            "```python", *made, "```"]  # fmt: skip
+    text = "[Settings](index.md#settings-for-a-first-training) for a first training"
+    if not code:
+        return paragraph(f"{text}: an action lasts {settings['action_repeat']} control periods, and {known}.")
+    return [f"{text}; {known}:", "", "```python", *made, "```"]
 
 
 def _drawn(task: Slew) -> dict[str, float]:

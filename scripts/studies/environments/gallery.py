@@ -56,13 +56,20 @@ def gallery_page(baselines: Sequence[Baseline]) -> str:
         lines += [f"[![{name}: PD and tracking LQR on the same episode]({name}.gif)]({link})",
                   f"[**{name}**]({link}): {_task(name)}", ""]  # fmt: skip
     lines += ["</div>", "", *_table(pages, baselines), "", *_definitions(), "", *REPLAY.splitlines(), ""]
+    lines += ["## Sensors", "", *_sensors(), "", "## Conditions", "", *_conditions(), ""]
+    lines += ["## Settings for a first training", "", *_first_training(), "", "## Further settings", ""]
+    lines += ["[Tasks](tasks.md): rewards, starts, ends and arguments.", ""]
+    lines += ["All [keywords of `gym.make`](keywords.md): arm, task, sensors, base controller, model, randomisation."]
+    return "\n".join(lines) + "\n"
+
+
+def tasks_page() -> str:
+    """Return the page of the tasks as Markdown: descriptions, rewards, starts, ends and arguments."""
+    lines = ["# Tasks", "", "Each environment has one of these tasks; the setting `task` changes it.", ""]
     for kind, task in TASKS.items():
         if any(type(named.task) is task for named in NAMED_ENVIRONMENTS.values()):
             lines += [f"## {kind.capitalize()}", "", *_task_text(task), ""]
-    lines += ["## Sensors", "", *_sensors(), "", "## Conditions", "", *_conditions(), ""]
-    lines += ["## Settings for a first training", "", *_first_training(), "", "## Further settings", ""]
-    lines += ["All [keywords of `gym.make`](keywords.md): arm, task, sensors, base controller, model, randomisation."]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines).rstrip() + "\n"
 
 
 def _task(name: str) -> str:

@@ -47,7 +47,9 @@ def front(rows: Sequence[PrecisionRow], column: str, floor: float = 0.0) -> list
 def draw_floor(axes: Any, floor: float, label: str) -> None:
     """Plot a labelled dashed line at the error (m) of the reference."""
     axes.axhline(floor, color=SLATE, linewidth=1.0, linestyle="--", zorder=1)
-    axes.annotate(label, (0.01, floor), xycoords=("axes fraction", "data"), va="bottom", fontsize=9, color=SLATE)
+    axes.annotate(
+        label, (0.99, 0.96 * floor), xycoords=("axes fraction", "data"), ha="right", va="top", fontsize=9, color=SLATE
+    )
 
 
 def finish(figure: Any, path: Path) -> None:
