@@ -21,7 +21,8 @@ from studies.control.random_arms import random_arm, uncertain_environment
 FRICTION_RANGES = {name: [0.5, 1.5] for name in ("viscous_friction_factor", "coulomb_friction_factor")}
 FINER = {"elements": 3, "modes": None, "stiffening": True, "step": 0.00125}
 CHANGE, WITHIN, LOAD = 4.0, 3.0, 10.0  # payload change: time, s; time to settle again, s; mass, kg
-RANDOM_ARMS = 20  # number of random arms
+RANDOM_ARMS, RANDOM_EPISODES = 20, 20  # numbers of random arms, and of episodes of each
+FEW = 40  # episodes of an extreme or a part
 LATER = 2.0  # s; start of the RMS tip error in tracking and holding tasks
 
 
@@ -143,9 +144,10 @@ CASES = (
     *(ControlCase(f"{who}, {task}, {where}", who, f"{task}/{where}") for task in ("FlexPlanar-v0", "FlexRRR-Gravity-v0")
       for where in ("uncertain", "unmodelled") for who in ("privileged-lqr", "adaptive-lqr")),
     *(ControlCase(f"adaptive-lqr, uncertain: {text}", "adaptive-lqr", f"{RRR}/uncertain", _extreme(names, value),
-         unmodelled=True) for text, names, value in EXTREMES),
+         unmodelled=True, most=FEW) for text, names, value in EXTREMES),
     *(ControlCase(f"adaptive-lqr, unmodelled: {text} {value:g}", "adaptive-lqr", f"{RRR}/unmodelled",
-         _part(fixed, name, value), unmodelled=True) for text, fixed, name, values in PARTS for value in values),
+         _part(fixed, name, value), unmodelled=True, most=FEW)
+      for text, fixed, name, values in PARTS for value in values),
     ControlCase("adaptive-lqr, three times the noise", "adaptive-lqr", f"{RRR}/{LAB}",
          {"randomisation": {"sensor_noise": [0.003, 0.003]}}),
     ControlCase("adaptive-lqr, unmodelled friction", "adaptive-lqr", f"{RRR}/{LAB}", {"arm": _friction_arm()},
@@ -155,7 +157,7 @@ CASES = (
     ControlCase("adaptive-lqr, 20 % of samples lost", "adaptive-lqr", f"{RRR}/{LAB}",
          sensor_errors={"dropped": 0.2}),
     ControlCase("adaptive-lqr, measurements a period late", "adaptive-lqr", f"{RRR}/{LAB}", sensor_errors={"delay": 1}),
-    *(ControlCase(f"{who}, random arm {seed}", who, RRR, uncertain_environment(random_arm(seed)), most=20)
+    *(ControlCase(f"{who}, random arm {seed}", who, RRR, uncertain_environment(random_arm(seed)), most=RANDOM_EPISODES)
       for seed in range(RANDOM_ARMS) for who in ("privileged-lqr", "adaptive-lqr")),
 )  # fmt: skip
 
