@@ -48,4 +48,7 @@ def draw(rows: Sequence[StabilityRow], folder: Path) -> None:
 def _tick(study: str, value: float) -> str:
     if study == MODES and value == FULL_MODES:
         return "full"
-    return f"$10^{{{np.log10(value):.3g}}}$" if study == SPRINGS else f"{value:g}"
+    if study == SPRINGS:  # half powers have no room
+        power = np.log10(value)
+        return f"$10^{{{power:.0f}}}$" if abs(power - round(power)) < 0.01 else ""
+    return f"{value:g}"
