@@ -18,11 +18,12 @@ test: lint
 quick: .venv/installed
 	$(RUN) pytest -q -n 2 -m "not slow"
 
-# Into out/site; it opens from a disk, and search, equations and fonts ask nobody.
+# Into out/site, with the notebooks of the tutorials and their outputs. It opens from a disk without a network.
 site: .venv/installed
 	@mkdir -p build/site && ln -sfn ../../flexman_gym build/site/flexman_gym
 	@ln -sfn ../../agents build/site/flexman_agents
 	timeout 600 $(RUN) zensical build --strict --clean
+	.venv/bin/python scripts/notebooks.py --run --folder out/site/tutorials
 
 verify: .venv/installed
 	.venv/bin/python scripts/verification.py --folder docs/evidence

@@ -35,7 +35,7 @@ def trajectory_figure(trajectory: Trajectory, path: str | Path | None = None) ->
         ValueError: for a suffix that Matplotlib does not support.
     """
     figure = new_figure((8.4, 8.0), 120.0, window=path is None, layout="constrained")
-    _draw(figure, trajectory)
+    draw_panels(figure, trajectory)
     if path is None:
         from matplotlib import pyplot
 
@@ -46,8 +46,8 @@ def trajectory_figure(trajectory: Trajectory, path: str | Path | None = None) ->
     return file
 
 
-def _draw(figure: Any, trajectory: Trajectory) -> None:
-    """Draw the four panels."""
+def draw_panels(figure: Any, trajectory: Trajectory) -> None:
+    """Draw the four panels of `trajectory_figure`."""
     time = trajectory.time
     tip, angles, twists, energy = figure.subplots(4, 1, sharex=True, height_ratios=(3, 3, 2, 2))
     for i, name in enumerate("xyz"):

@@ -61,15 +61,21 @@ def write_picture(frame: NDArray[np.uint8], path: str | Path) -> Path:
     Raises:
         OSError: if the file cannot be written.
     """
-    path, (height, width, _) = Path(path), frame.shape
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(encode_picture(frame))
+    return path
+
+
+def encode_picture(frame: NDArray[np.uint8]) -> bytes:
+    """Return the bytes of a PNG file with a frame (height, width, 3)."""
+    height, width, _ = frame.shape
     rows = np.concatenate([np.zeros((height, 1), dtype=np.uint8), frame.reshape(height, -1)], axis=1)  # unfiltered
     parts = (b"IHDR", struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0)), (b"IDAT", zlib.compress(rows.tobytes(), 9))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("wb") as file:
-        file.write(b"\x89PNG\r\n\x1a\n")
-        for name, data in (*parts, (b"IEND", b"")):
-            file.write(struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)))
-    return path
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in (*parts, (b"IEND", b""))
+    )
 
 
 def _write_mp4(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> None:

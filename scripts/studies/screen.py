@@ -22,7 +22,7 @@ computed the rows, and a link to the rows. `make evidence` lists the rows that a
 
 {items}
 """
-WIDTH = 120  # characters of a line
+WIDTH, PICTURE_WIDTH = 120, 640  # characters of a line; pixels
 
 
 def screen(title: str, question: str, answer: str, body: str, rows: Mapping[str, str], study: str) -> str:
@@ -55,8 +55,8 @@ def _wrapped(block: str) -> str:
 
 
 def picture(description: str, file: str) -> str:
-    """Return the Markdown of a picture."""
-    return f"![{description}]({file})"
+    """Return the Markdown of a picture, in a width that leaves room for the text on the same screen."""
+    return f'![{description}]({file}){{ width="{PICTURE_WIDTH}" }}'
 
 
 def index(pages: Iterable[Path]) -> str:

@@ -7,6 +7,7 @@ from textwrap import fill
 from flexman_gym.common.markdown import markdown_table
 from studies.control.cases import EXTREMES, PARTS, RANDOM_ARMS, ControlRow
 from studies.markdown import bullets
+from studies.screen import HIDDEN
 
 PAGE = """# Controllers of arms with uncertain parameters
 
@@ -52,7 +53,7 @@ def page(rows: Sequence[ControlRow]) -> str:
     """Return the page as Markdown."""
     by_case = {row.case: row for row in rows}
     table = [[arms, *(_cell(_find(by_case, agent, end)) for agent in AGENTS)] for arms, end in ARMS.items()]
-    return PAGE.format(
+    return HIDDEN + PAGE.format(
         opening=_opening(by_case),
         episodes=100,
         table="\n".join(markdown_table(["---"] * 4, table)[1:]),

@@ -31,15 +31,14 @@ BODY = """{picture}
 {table}
 
 Each run simulates 2 s under 400 N m per joint. The error is the largest distance of the tip from that of an
-independent large-rotation code; the cost is CPU time on one core, the best of {rounds} interleaved rounds. In other
-scenes the ratios differ. Exudyn's frame has two elements per link without foreshortening; the other finest models
-agree to millimetres.
+independent large-rotation code; the cost is CPU time on one core, best of {rounds} rounds. In other
+scenes the ratios differ. Exudyn's frame has two elements per link without foreshortening; ours, SoRoMoX and
+MuJoCo's pieces agree to millimetres.
 
-- A rigid arm costs {rigid:.2g} ms per simulated second and is wrong
-  by {far:.2g} m.
+- A rigid arm costs {rigid:.2g} ms and is wrong by {far:.2g} m.
 - MuJoCo's `discrete` integrator takes {discrete:.0%} of the amplitude of the lowest mode per second at {step:g} ms;
   our methods and the other integrators take less than {others:.0e} of it."""
-HEADS = ("code", "model", "method, step", "error, mm", "CPU ms per simulated second")
+HEADS = ("code", "model", "method, step", "error, mm", "CPU ms per s")
 
 
 def publish(

@@ -39,9 +39,8 @@ and an extrapolation in {extrapolated} of {count} combinations of scene and mode
 per link stays {least:.3g} to {most:.3g} mm from the best solution of its scene at any step."""
 BODY = """{picture}
 
-Time error of a few methods for one scene and model: the largest distance of the tip from the converged solution of
-the same model. The table has the cheapest method within each time error and its CPU ms per simulated second, for
-models with all coordinates.
+The time error is the largest distance of the tip from the converged solution of the same model. The table has the
+cheapest method within a time error and its CPU ms per simulated second, for models with all coordinates.
 
 {table}
 
