@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from flexman_gym.common.plot_style import BLUE, DARK, GREEN, MIDDLE, RED
+from flexman_gym.common.plot_style import LINK_COLOURS
 from flexman_gym.simulation.methods import EXPLICIT, METHODS, Method
 from flexman_gym.simulation.stability import amplification_factors, spectral_radii
 
@@ -58,9 +58,7 @@ def largest_growth(method: Method) -> tuple[float, float]:
     return float(factors.max()), float(angles[factors.argmax()])
 
 
-PLUM = "#6E1F55"
-# Colour and marker of the lines of a chart, with a contrast of at least 3 on white.
-STYLES = ((BLUE, "o"), (RED, "s"), (GREEN, "^"), (PLUM, "D"), (DARK, "v"), (MIDDLE, "P"))
+STYLES = tuple(zip(LINK_COLOURS, "os^DvP", strict=True))  # colour and marker of the lines of a chart
 
 
 def line_styles(names: Iterable[str]) -> dict[str, dict[str, str]]:

@@ -18,6 +18,7 @@ from flexman_gym.league.standings import Standings
 from flexman_gym.metrics import BAND, VIBRATION_WINDOW
 from flexman_gym.verification.table import FAIL, PASS, VerificationRow
 from studies.benchmark.measure import BenchmarkRow
+from studies.environments.family import FAMILIES
 from studies.files import read_rows
 from studies.learning.measure import LearningRow
 from studies.machine.measure import FitRow
@@ -147,6 +148,9 @@ class Sentence(NamedTuple):
             return whole
 
         return expression.sub(replaced, text)
+
+
+PAGES = {name: family.file for family in FAMILIES for name in family.environments}  # environment -> its page
 
 
 def _verification(sources: Sources) -> tuple[str, str]:
@@ -345,7 +349,7 @@ def environments() -> list[str]:
         task = type(each.task).__name__
         arm = name.removesuffix("-v0").removesuffix(f"-{task}")
         reach = sum(link.length for link in each.arm.links)
-        rows.append((f"[`{name}`](docs/environments/{name}.md)", ARMS[arm], f"{reach:.2g} m",
+        rows.append((f"[`{name}`](docs/environments/{PAGES[name]}.md#{name.lower()})", ARMS[arm], f"{reach:.2g} m",
                      f"{each.arm.payload.mass if each.arm.payload else 0:g} kg", f"{1.0 / each.control_period:.0f} Hz",
                      TASKS[task]))  # fmt: skip
     return markdown_table(("environment", "arm", "reach", "payload", "control", "task"), rows)

@@ -22,7 +22,7 @@ computed the rows, and a link to the rows. `make evidence` lists the rows that a
 
 {items}
 """
-WIDTH, PICTURE_WIDTH = 120, 480  # characters of a line; pixels
+WIDTH, PICTURE_WIDTH = 120, 640  # characters of a line; pixels
 
 
 def screen(title: str, question: str, answer: str, body: str, rows: Mapping[str, str], study: str) -> str:

@@ -6,34 +6,39 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.plot_style import BLUE, MIDDLE, new_figure
+from flexman_gym.common.plot_style import BLUE, SLATE, save_figure
+from studies.charts import new_chart
 from studies.machine.measure import COUPLED, CURRENT, FIT, SCORE, FitRow
 from studies.screen import picture, screen
 
-STAGE_1_PICTURE = "machine_stage_1.png"
+STAGE_1_PICTURE = "machine_stage_1.svg"
+SHOWN = {  # run in the plot -> step of the hub angle (degrees) and controller
+    "hinf_30deg": (30, "H-infinity"),
+    "lqg_20deg": (20, "LQG"),
+    "hinf_10deg": (10, "H-infinity"),
+    "lqg_neg_10deg": (-10, "LQG"),
+    "lqg_neg_5deg": (-5, "LQG"),
+    "hinf_neg_5deg": (-5, "H-infinity"),
+}
 MILLI = 1e3
 
 
 def draw(lines: Mapping[str, Sequence[Any]], folder: Path) -> None:
-    """Plot the runs of the first stage with held-out predictions."""
-    rows = (len(lines) + 2) // 3
-    figure = new_figure((13.0, 2.3 * rows), 100.0, layout="constrained")
-    grid = figure.subplots(rows, 3, squeeze=False).ravel()
-    for axes, (name, (times, measured, shown)) in zip(grid, sorted(lines.items()), strict=False):
-        _compare(axes, times, MILLI * measured, MILLI * shown)
-        axes.set(title=name, xlabel="time (s)", ylabel="deflection (mrad)")
-    for axes in grid[len(lines) :]:
-        axes.set_visible(False)
-    figure.savefig(folder / STAGE_1_PICTURE)
+    """Plot runs of the first stage with held-out predictions: from good ones to the worst, of a small step."""
+    figure, panels = new_chart((7.6, 4.4), 2, 3)
+    for axes, run in zip(panels.flat, [name for name in SHOWN if name in lines], strict=False):
+        times, measured, shown = lines[run]
+        axes.plot(times, MILLI * measured, color=SLATE, linewidth=2.5, alpha=0.6, label="measured")
+        axes.plot(times, MILLI * shown, color=BLUE, linewidth=1.2, label="computed, with parameters of other runs")
+        axes.set_title("Step of {}\N{DEGREE SIGN}, {} control".format(*SHOWN[run]), fontsize=9)
+        axes.tick_params(labelsize=8)
+    figure.supxlabel("time (s)", fontsize=9)
+    figure.supylabel("deflection of the strip (mrad)", fontsize=9)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False, fontsize=9)
+    save_figure(figure, folder / STAGE_1_PICTURE)
 
 
-def _compare(axes: Any, times: Any, measured: Any, shown: Any) -> None:
-    axes.plot(times, measured, color=MIDDLE, linewidth=2.5, label="measured")
-    axes.plot(times, shown, color=BLUE, linewidth=1.0, label="our model")
-    axes.legend(frameon=False, fontsize=8)
-    axes.spines[["top", "right"]].set_visible(False)
-
-
+MESSAGE = "The computed deflection follows the measured one, except in the smallest step"
 QUESTION = "Does the model predict measurements of a real arm that were not used for the fit?"
 ANSWER = """**In {count} runs of one stage, each predicted with parameters fitted to the other half of the runs, the
 median R2 of the tip deflection is {median:.3f}, and at least {large:.3f} for steps of 20 and 30 degrees.** The
@@ -67,7 +72,7 @@ def page(rows: Sequence[FitRow], files: Mapping[str, str]) -> str:
     large = [value for run, value in scores.items() if "20deg" in run or "30deg" in run]
     answer = ANSWER.format(count=len(scores), median=median, large=min(large), stiffness=np.mean(factors))
     body = BODY.format(
-        picture=picture("Measured and predicted deflection of the strip over time, one panel per run", STAGE_1_PICTURE),
+        picture=picture(MESSAGE, STAGE_1_PICTURE),
         median=median, first=coupled["link_deflection_1_y"], second=coupled["link_deflection_2_y"],
         hub_1=driven["motor_angle_1"], hub_2=driven["motor_angle_2"],
     )  # fmt: skip

@@ -4,23 +4,23 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.common.plot_style import BLUE, DARK, GREEN, MIDDLE, RED
-from studies.methods import PLUM
+from flexman_gym.common.plot_style import BLUE, BROWN, GREEN, PURPLE, RED, SLATE
 from studies.peers.measure import ROUNDS, Decay, of_peers
 from studies.precision.charts import draw_floor, draw_runs, finish, front, new_panel
 from studies.precision.measure import PLAIN, PrecisionRow, cost_at, settled
 from studies.screen import picture, screen
 
 MANY = " arms on "  # part of the scene name of batch rows
-PICTURE, TITLE = "work_precision_peers.png", "The paper's arm, everything flexible: error of the tip over cost"
+PICTURE, TITLE = "work_precision_peers.svg", "The paper's arm, everything flexible: error of the tip over cost"
 NEAR = 5e-3  # m; similar to the error of MuJoCo with 8 pieces, since the finest models agree to about 4 mm only
 WANTED = 3e-3  # m; time error at which costs are compared
 DISCRETE = "discrete"
 FAMILIES = {  # label -> colour, marker, and part of the model names
-    "MuJoCo, rigid pieces": (RED, "o", "pieces"), "MuJoCo, rigid pieces, discrete": (DARK, "^", "pieces"),
-    "MuJoCo, rods": (PLUM, "D", "rods"), "Exudyn, floating frame": (MIDDLE, "P", "Exudyn"),
+    "MuJoCo, rigid pieces": (RED, "o", "pieces"), "MuJoCo, rigid pieces, discrete": (BROWN, "^", "pieces"),
+    "MuJoCo, rods": (PURPLE, "D", "rods"), "Exudyn, floating frame": (SLATE, "P", "Exudyn"),
     "SoRoMoX, quadratic strains": (GREEN, "v", "SoRoMoX"),
 }  # fmt: skip
+MESSAGE = "Our cheapest runs need less CPU time than the other codes"
 QUESTION = "How much CPU time do simulators need for the same arm, and how far apart are their results?"
 ANSWER = """**At the error of MuJoCo with 8 rigid pieces per link ({error:.2g} mm) our cheapest run is {exact:.3g}
 times as fast; {steady:.3g} times, if the error has to hold at all shorter steps too.** At a time error of {wanted:g}
@@ -98,7 +98,7 @@ def page(every: Sequence[PrecisionRow], losses: Sequence[Decay], files: Mapping[
                            wanted=1e3 * WANTED, exudyn=costs[0] / base, default=costs[-1] / base)  # fmt: skip
     shown = [("ours", exact), ("ours", near), *(_named(row) for row in _finest(peers))]
     body = BODY.format(
-        picture=picture("Error of the tip over CPU time: our cheapest runs and other codes", PICTURE),
+        picture=picture(MESSAGE, PICTURE),
         table="\n".join(markdown_table(HEADS, [_cells(*each) for each in shown])), rounds=ROUNDS,
         rigid=1e3 * rigid["rigid"].cpu, far=rigid["rigid"].total_error,
         discrete=lossy.loss, step=1e3 * lossy.step,

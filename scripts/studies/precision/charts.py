@@ -5,25 +5,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from flexman_gym.common.plot_style import DARK, LIGHT, new_figure
+from flexman_gym.common.plot_style import SLATE, save_figure
+from studies.charts import new_chart
 from studies.methods import line_styles
 from studies.precision.measure import OK, Floor, PrecisionRow, pareto_front
 
 COST = "CPU seconds per simulated second"
 LARGEST_ERROR = 30.0  # m; larger than the arm: larger errors are not shown
-PICTURE = "work_precision.png"
+PICTURE = "work_precision.svg"
 SCENE, MODEL = "paper_ff", "2 elements a link, foreshortening"  # scene and model of the chart
 SHOWN = ("midpoint_corrected_3", "midpoint_3", "gauss_3", "extrapolated_euler_6", "ros2", "generalised_alpha")
 
 
 def new_panel(title: str) -> tuple[Any, Any]:
     """Return a figure and its log-log panel."""
-    figure = new_figure((9.0, 5.0), 110.0, layout="constrained")
-    axes = figure.subplots()
+    figure, ((axes,),) = new_chart((7.6, 4.6))
     axes.set(xscale="log", yscale="log", xlabel=COST)
-    axes.set_title(title, fontsize=12)
-    axes.grid(color=LIGHT, linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
+    axes.set_title(title, fontsize=11)
     return figure, axes
 
 
@@ -48,14 +46,16 @@ def front(rows: Sequence[PrecisionRow], column: str, floor: float = 0.0) -> list
 
 def draw_floor(axes: Any, floor: float, label: str) -> None:
     """Plot a labelled dashed line at the error (m) of the reference."""
-    axes.axhline(floor, color=DARK, linewidth=1.0, linestyle="--", zorder=1)
-    axes.annotate(label, (0.99, floor), xycoords=("axes fraction", "data"), ha="right", va="top", fontsize=9)
+    axes.axhline(floor, color=SLATE, linewidth=1.0, linestyle="--", zorder=1)
+    axes.annotate(
+        label, (0.99, 0.96 * floor), xycoords=("axes fraction", "data"), ha="right", va="top", fontsize=9, color=SLATE
+    )
 
 
 def finish(figure: Any, path: Path) -> None:
     """Add the legend and save the figure."""
-    figure.legend(loc="outside right center", frameon=False, fontsize=9)
-    figure.savefig(path)
+    figure.legend(loc="outside lower center", frameon=False, fontsize=9, ncols=3)
+    save_figure(figure, path)
 
 
 def draw(rows: Sequence[PrecisionRow], floors: Sequence[Floor], folder: Path) -> None:

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.common.plot_style import DARK, LIGHT, new_figure
+from flexman_gym.common.plot_style import SLATE, save_figure
+from studies.charts import new_chart
 from studies.methods import line_styles
 from studies.ringdown.measure import (
     BENT,
@@ -27,25 +28,23 @@ from studies.screen import picture, screen
 
 OURS, LOSSY = "flexman_gym", "discrete"  # our code, and the integrator of MuJoCo with numerical damping
 SHOWN = ("midpoint_corrected_3", "midpoint_3", "gauss_3", "extrapolated_euler_5", "ros2")  # methods of the plot
-COST = "CPU seconds per simulated second of one arm"
-PICTURE = "ring_down.png"
+COST = "CPU s per simulated s of one arm"
+PICTURE = "ring_down.svg"
 TITLES = {RELEASE: "Release", IMPULSE: "Impulse at the tip", SLEW: "Slews", UNDAMPED: "Release without damping"}
 
 
 def draw(rows: Sequence[RingDownRow], folder: Path, default: tuple[str, float]) -> None:
     """Plot a few methods, without steps at which most arms failed; a ring marks the method and step (s) `default`."""
-    figure = new_figure((10.0, 4.6), 110.0, layout="constrained")
-    panels = figure.subplots(1, 2)
+    figure, (panels,) = new_chart((7.6, 4.2), columns=2)
     released = [row for row in rows if row.kind == RELEASE]
     texts = {"energy_median": "error of the energy, relative", "tip_median": "distance of the tip (m)"}
     for axes, (column, text) in zip(panels, texts.items(), strict=True):
         _lines(axes, released, column, default)
         axes.set(xscale="log", yscale="log", xlabel=COST, ylabel=f"median {text}")
-        axes.grid(color=LIGHT, linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-    figure.suptitle("Released from deflections up to 5 cm: errors after 3 s against cost", fontsize=13)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-    figure.savefig(folder / PICTURE)
+    figure.suptitle("Released from deflections up to 5 cm: errors after 3 s against cost", fontsize=11)
+    legend = {"loc": "outside lower center", "ncols": 3, "frameon": False, "fontsize": 9}
+    figure.legend(*panels[0].get_legend_handles_labels(), **legend)
+    save_figure(figure, folder / PICTURE)
 
 
 def _lines(axes: Any, rows: Sequence[RingDownRow], column: str, default: tuple[str, float]) -> None:
@@ -56,10 +55,11 @@ def _lines(axes: Any, rows: Sequence[RingDownRow], column: str, default: tuple[s
         axes.plot(*values, **look, linewidth=1.3, markersize=6.0, label=name)
     for row in ours:
         if row.method == default[0] and isclose(row.step, default[1], rel_tol=1e-4):
-            ring = {"markersize": 15.0, "markerfacecolor": "none", "markeredgecolor": DARK, "markeredgewidth": 1.6}
+            ring = {"markersize": 15.0, "markerfacecolor": "none", "markeredgecolor": SLATE, "markeredgewidth": 1.6}
             axes.plot(row.cpu, getattr(row, column), "o", **ring, linestyle="", label="default of the environments")
 
 
+MESSAGE = "Errors of five methods over cost, after a release; a ring marks the default"
 QUESTION = "How well does an integration method preserve the vibration of an arm that is released, at what cost?"
 ANSWER = """**The default, `{method}` at {step:.3g} ms, has a median energy error of {energy:.2g} % and a median tip
 error of {tip:.2g} mm three seconds after a release; `ros2` at 5 ms has {old_energy:.2g} % and {old_tip:.3g} mm.**"""
@@ -92,7 +92,7 @@ def page(rows: Sequence[RingDownRow], default: tuple[str, float], files: Mapping
                            tip=1e3 * now.tip_median, old_energy=1e2 * before.energy_median,
                            old_tip=1e3 * before.tip_median)  # fmt: skip
     body = BODY.format(
-        picture=picture("Energy and tip errors of five methods over cost", PICTURE),
+        picture=picture(MESSAGE, PICTURE),
         free=1e2 * of(UNDAMPED, *default).energy_median, old_free=1e2 * of(UNDAMPED, "ros2", 0.005).energy_median,
         failed=min(row.failed for row in explicit),
         mujoco="" if lossy is None else MUJOCO.format(name=lossy.method, step=1e3 * lossy.step, kept=lossy.kept),

@@ -1,17 +1,17 @@
-"""Chart of the stability study (PNG): step limits of explicit methods."""
+"""Chart of the stability study: step limits of explicit methods."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.plot_style import LIGHT, new_figure
+from flexman_gym.common.plot_style import save_figure
+from studies.charts import new_chart
 from studies.methods import explicit_methods, line_styles, methods_of
 from studies.stability.measure import FULL_MODES, MODES, PAYLOAD, SPRINGS, StabilityRow, select
 from studies.stability.rows import LIMIT, LIMIT_STUDIES
 
-PICTURE = "stability_step_limit.png"
+PICTURE = "stability_step_limit.svg"
 LABELS = {
     SPRINGS: "stiffness of every joint spring (N m/rad)", MODES: "loaded modes per link", PAYLOAD: "payload (kg)",
 }  # fmt: skip
@@ -23,8 +23,9 @@ def draw(rows: Sequence[StabilityRow], folder: Path) -> None:
     Raises:
         ImportError: without Matplotlib.
     """
-    figure = new_figure((12.0, 4.6), 110.0, layout="constrained")
-    for axes, study in zip(figure.subplots(1, 3, sharey=True), LIMIT_STUDIES, strict=True):
+    figure, (panels,) = new_chart((7.6, 4.0), columns=3)
+    for axes, study in zip(panels, LIMIT_STUDIES, strict=True):
+        axes.sharey(panels[0])
         result = select(rows, study=study, quantity=LIMIT)
         places = sorted({row.parameter for row in result})
         for name in methods_of(result):
@@ -32,25 +33,22 @@ def draw(rows: Sequence[StabilityRow], folder: Path) -> None:
             x = [places.index(row.parameter) for row in own]
             look = line_styles(explicit_methods())[name]
             predicted = [1e3 * (row.expected or np.nan) for row in own]
-            axes.semilogy(x, predicted, color=look["color"], label=f"{name}, predicted")
+            axes.semilogy(x, predicted, color=look["color"], label=name)
             axes.semilogy(x, [1e3 * row.value for row in own], **look, linestyle="", label="measured")
         axes.set_xticks(range(len(places)), [_tick(study, value) for value in places])
-        axes.set_xlabel(LABELS[study])
-        _frame(axes)
+        axes.set_xlabel(LABELS[study], fontsize=9)
+        axes.tick_params(labelsize=8)
     figure.get_axes()[0].set_ylabel("largest stable step (ms)")
-    figure.suptitle(
-        "Explicit limits: predicted c / highest natural frequency, and measured over 2000 steps", fontsize=13
-    )
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
-    figure.savefig(folder / PICTURE)
+    figure.suptitle("Explicit methods: predicted limit (lines), and measured over 2000 steps (markers)", fontsize=11)
+    handles = [each for each in zip(*axes.get_legend_handles_labels(), strict=True) if each[1] != "measured"]
+    figure.legend(*zip(*handles, strict=True), loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    save_figure(figure, folder / PICTURE)
 
 
 def _tick(study: str, value: float) -> str:
     if study == MODES and value == FULL_MODES:
         return "full"
-    return f"$10^{{{np.log10(value):.3g}}}$" if study == SPRINGS else f"{value:g}"
-
-
-def _frame(axes: Any) -> None:
-    axes.grid(color=LIGHT, linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
+    if study == SPRINGS:  # half powers have no room
+        power = np.log10(value)
+        return f"$10^{{{power:.0f}}}$" if abs(power - round(power)) < 0.01 else ""
+    return f"{value:g}"

@@ -24,6 +24,7 @@ from studies.stability.rows import DAMPING, ERROR, KEPT, LIMIT, SPIN_LIMIT
 
 SHOWN = ("ros2", "generalised_alpha", "extrapolated_euler_3", "midpoint_corrected_3", "implicit_midpoint", "gauss_3")
 STEPS = (0.001, 0.005, 0.02)  # s; steps of the table
+MESSAGE = "Explicit methods: stiffer joints and more modes shorten the step, a payload does not"
 QUESTION = "How long may the step of a method be, and how much does the method damp a vibration?"
 ANSWER = """**The highest natural frequency of the model predicts the longest stable step of an explicit method:
 {right} of {count} predicted limits are correct to {tolerance}.** Implicit methods have no such limit, but some damp
@@ -63,7 +64,7 @@ def page(rows: Sequence[StabilityRow], files: Mapping[str, str]) -> str:
         right=len(select(limits, verdict=OK)), count=len(limits), tolerance=f"{100 * LIMIT_TOLERANCE:g} %"
     )
     body = BODY.format(
-        picture=picture("Longest stable step over joint stiffness, number of modes and payload", PICTURE),
+        picture=picture(MESSAGE, PICTURE),
         soft=springs[0].parameter, stiff=springs[-1].parameter, first=1e3 * springs[0].value,
         last=1e3 * springs[-1].value, two=modes[2.0], full=modes[max(modes)], table="\n".join(_table(rows)),
         growth=100 * (largest_growth(METHODS["extrapolated_euler_3"])[0] - 1),
