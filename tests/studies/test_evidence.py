@@ -126,7 +126,7 @@ def test_files_and_commands_of_a_study_exist(name):
 
 
 OTHER = {"common", "draw"}  # packages of flexman_gym with files, processes and plots, which do not change numbers
-DRAWING = {"files", "markdown", "screen", "page"}  # modules of studies that do not change numbers
+DRAWING = {"charts", "files", "markdown", "screen", "page"}  # modules of studies that do not change numbers
 
 
 def imported(file):
