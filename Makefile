@@ -3,7 +3,7 @@ TORCH := torch==2.13.0
 RUN := .venv/bin/python -m
 CODE := flexman_gym agents scripts
 
-.PHONY: demo test quick lint site verify wheel charts learning benchmark clean
+.PHONY: demo test quick lint site verify wheel evidence clean
 
 demo: .venv/installed
 	.venv/bin/flexman demo
@@ -18,37 +18,25 @@ test: lint
 quick: .venv/installed
 	$(RUN) pytest -q -n 2 -m "not slow"
 
-# Into out/site; it opens from a disk, and search, equations and fonts ask nobody.
+# Into out/site, with the notebooks of the tutorials and their outputs. It opens from a disk without a network.
 site: .venv/installed
 	@mkdir -p build/site && ln -sfn ../../flexman_gym build/site/flexman_gym
 	@ln -sfn ../../agents build/site/flexman_agents
 	timeout 600 $(RUN) zensical build --strict --clean
+	.venv/bin/python scripts/notebooks.py --run --folder out/site/tutorials
 
 verify: .venv/installed
-	.venv/bin/python scripts/verification.py --folder docs
+	.venv/bin/python scripts/verification.py --folder docs/evidence
 
 # What a new user does, without the checkout: builds the wheel and installs it, checks, trains and evaluates.
 wheel:
 	@PYTHON=$(PYTHON) TORCH=$(TORCH) scripts/wheel.sh
 
-charts: .venv/installed
-	.venv/bin/python scripts/work_precision.py --folder docs
-	.venv/bin/python scripts/compare_peers.py --folder docs
-	.venv/bin/python scripts/stability.py --folder docs
-	.venv/bin/python scripts/ring_down.py --folder docs
-	.venv/bin/python scripts/servos.py --folder docs
-	.venv/bin/python scripts/fidelity.py
-	.venv/bin/python scripts/machine.py --folder docs
-
-# Hours: every recipe and every ablation, several seeds each, and runs that are killed.
-learning: .venv/installed
-	.venv/bin/python scripts/learning.py --folder docs
-	.venv/bin/python scripts/faults.py --folder docs
-
-benchmark: export OMP_NUM_THREADS = 1
-benchmark: .venv/installed
-	.venv/bin/python scripts/benchmark.py --folder docs
-	.venv/bin/python scripts/endurance.py --folder docs
+# Lists the rows, pages, pictures and policies that are older than the code that they describe. STUDY="servos faults"
+# makes these studies, STUDY=stale all that are not current; after an interruption the same command goes on.
+evidence: export OMP_NUM_THREADS = 1
+evidence: .venv/installed
+	.venv/bin/python scripts/evidence.py $(if $(STUDY),--make $(filter-out stale,$(STUDY)))
 
 lint: .venv/installed
 	$(RUN) ruff check $(CODE) tests

@@ -5,6 +5,7 @@ import math
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import NamedTuple
 import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import CSVOutputFormat, Logger, TensorBoardOutputFormat
+from stable_baselines3.common.logger import CSVOutputFormat, KVWriter, Logger, TensorBoardOutputFormat
 from torch.utils.tensorboard import SummaryWriter
 
 from flexman_agents.settings import Schedule, Settings
@@ -22,6 +23,7 @@ from flexman_gym.common.renamed import MEMBERS, deprecated_members, deprecated_n
 from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.control.agent import Law
 from flexman_gym.evaluation.agent import AgentSpec, split_interface
+from flexman_gym.evaluation.agent_info import CPU_COLUMN
 from flexman_gym.evaluation.metrics import METRICS, evaluate
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS
 
@@ -62,6 +64,19 @@ class _Events(TensorBoardOutputFormat):
         self._is_closed = False
 
 
+class _CurveLogger(Logger):
+    """Logger of Stable-Baselines3 that adds the CPU time since its construction to each row."""
+
+    def __init__(self, folder: str | None, output_formats: list[KVWriter]) -> None:
+        super().__init__(folder, output_formats)
+        self._started = time.process_time()
+
+    def dump(self, step: int = 0) -> None:
+        """Write the recorded values and the CPU time."""
+        self.record(CPU_COLUMN, time.process_time() - self._started)
+        super().dump(step)
+
+
 def open_logger(folder: Path, before: int, steps: int) -> Logger:
     """Open the files of the learning curves of a new or resumed run.
 
@@ -84,7 +99,7 @@ def open_logger(folder: Path, before: int, steps: int) -> Logger:
     path = folder / (f"progress-{before + steps}.csv" if before + steps else "progress.csv")
     path.unlink(missing_ok=True)  # it may be a link to a file outside the folder
     events = folder / f"after-{before}" if before else folder
-    return Logger(str(folder), [CSVOutputFormat(str(path)), _Events(events, steps)])
+    return _CurveLogger(str(folder), [CSVOutputFormat(str(path)), _Events(events, steps)])
 
 
 def _remove_later_rows(path: Path, steps: int) -> None:

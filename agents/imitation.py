@@ -1,7 +1,6 @@
 """Imitation learning by DAgger: the student acts, and the teacher labels the states that it visits."""
 
 import sys
-import time
 from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -26,7 +25,6 @@ from flexman_gym.control.network import MAX_INPUT, VARIANCE_OFFSET, Network
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_base_and_mode, make_plant
 from flexman_gym.evaluation.agent import AgentSpec, observation_layout, split_interface
-from flexman_gym.evaluation.agent_info import TIME_COLUMN
 from flexman_gym.evaluation.rollout import Rollout, rollout, training_seed
 
 BETA = (1.0, 0.5, 0.25)  # dimensionless; share of the arms controlled by the teacher in iterations 0, 1 and 2; later 0
@@ -243,7 +241,7 @@ class DAggerRun:
 
     def learn(self, checkpoint_every: int, progress: bool, hook: Hook | None) -> None:
         """Train to the end of the steps and save the policy; a training that is stopped saves nothing."""
-        curves, done, started = open_logger(self._folder, 0, 0), 0, time.process_time()
+        curves, done = open_logger(self._folder, 0, 0), 0
 
         def stop(steps: int, metrics: Mapping[str, float]) -> bool:
             nonlocal done
@@ -252,7 +250,6 @@ class DAggerRun:
                 curves.record(name, value)
             if metrics:
                 curves.record(STEPS_COLUMN, steps)
-                curves.record(TIME_COLUMN, time.process_time() - started)
                 curves.dump(steps)
             if progress and metrics:
                 values = ", ".join(f"{name.split('/')[1]} {value:.3g}" for name, value in metrics.items())

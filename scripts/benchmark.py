@@ -1,12 +1,11 @@
-"""Benchmark environments, training, start-up and other simulators: python scripts/benchmark.py --folder docs"""
+"""Benchmark environments, training and other simulators: python scripts/benchmark.py --folder docs/evidence"""
 
 import argparse
 
 from flexman_gym.common.computer import computer_text
 from studies.benchmark import measure
-from studies.benchmark.measure import BenchmarkRow
-from studies.benchmark.page import publish
-from studies.files import folder, read_rows, write_rows
+from studies.benchmark.page import ROWS_FILE, publish
+from studies.files import folder, write_rows
 
 EVALUATION_ROUNDS, PART_ROUNDS, STARTS = 40, 15, 5
 PEERS = ("gymnasium", "stable-baselines3", "torch", "mujoco", "pin")
@@ -20,15 +19,14 @@ def main() -> None:
     parser.add_argument("--folder", type=folder, default="out", help="output folder of rows and page")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
-    file = options.folder / "benchmark.csv"
     if not options.redraw:
         grid = measure.QUICK if options.quick else measure.Grid()
         rows = measure.environment_rows(grid)
         rows += measure.part_rows(1 if options.quick else PART_ROUNDS)
         rows += measure.start_rows(1 if options.quick else STARTS, cold=not options.quick)
         rows += measure.evaluation_rows(2 if options.quick else EVALUATION_ROUNDS)
-        write_rows(rows, file)
-    print(publish(read_rows(file, BenchmarkRow), computer_text(PEERS), options.folder))
+        write_rows(rows, options.folder / ROWS_FILE, comment=computer_text(PEERS))
+    print(publish(options.folder))
 
 
 if __name__ == "__main__":

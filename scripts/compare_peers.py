@@ -1,15 +1,15 @@
-"""Compare our simulations of the paper's arm with other simulators: python scripts/compare_peers.py --folder docs"""
+"""Compare simulations of the paper's arm with other codes: python scripts/compare_peers.py --folder docs/evidence"""
 
 import argparse
 
-from studies.files import folder, read_rows, write_rows
+import flexman_gym as fm
+from flexman_gym.common.computer import computer_text
+from studies.files import folder, read_comments, read_rows, write_rows
 from studies.peers import measure
-from studies.peers.measure import in_turns, large_rotation_solution, ours, study, theirs
+from studies.peers.measure import PEERS, Decay, decays, in_turns, large_rotation_solution, of_peers, ours, study, theirs
 from studies.peers.page import publish
 from studies.precision.measure import PrecisionRow
 from studies.verification.motions import REFERENCE
-
-SHOWN = 5  # number of last lines of the page that are printed
 
 
 def main() -> None:
@@ -19,13 +19,16 @@ def main() -> None:
     parser.add_argument("--folder", type=folder, default="out", help="output folder of rows, chart and page")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
-    file, known = options.folder / "peers.csv", large_rotation_solution(REFERENCE)
+    file, damping = options.folder / "peers.csv", options.folder / "peers_damping.csv"
+    known = large_rotation_solution(REFERENCE)
     if not options.redraw:
         result = study(known)
         alone = in_turns(ours(result) + theirs(result))
-        write_rows(alone + measure.batch_rows(result, alone), file)
-    text = publish(read_rows(file, PrecisionRow), known.floor, options.folder)
-    print("\n".join(text.splitlines()[-SHOWN:]))
+        comment = computer_text(PEERS.values())
+        write_rows(alone + measure.batch_rows(result, alone), file, comment=comment)
+        write_rows(list(decays(fm.catalog.paper_rrr(), of_peers(alone))), damping, comment=comment)
+    rows, losses = read_rows(file, PrecisionRow), read_rows(damping, Decay)
+    print(publish(rows, losses, known.floor, options.folder, read_comments(file, damping)))
 
 
 if __name__ == "__main__":

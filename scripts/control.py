@@ -1,4 +1,4 @@
-"""Compare controllers of an arm with uncertain parameters: python scripts/control.py --folder docs"""
+"""Compare controllers of an arm with uncertain parameters: python scripts/control.py --folder docs/evidence"""
 
 import argparse
 
@@ -13,11 +13,12 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=100, help="episodes per case")
     parser.add_argument("--seed", type=int, default=9000, help="seed of the first episode")
     parser.add_argument("--only", help="prefix of the names of the cases to run")
+    parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
     parser.add_argument("--folder", type=folder, default="out/control", help="output folder of table and page")
     options = parser.parse_args()
     path = options.folder / "control.csv"
     rows = {row.case: row for row in read_rows(path, ControlRow)} if path.exists() else {}
-    for case in CASES:
+    for case in () if options.redraw else CASES:
         if not options.only or case.name.startswith(options.only):
             row = rows[case.name] = run_case(case, options.episodes, options.seed)
             print(row, flush=True)

@@ -5,9 +5,11 @@ import argparse
 from gymnasium.vector import AutoresetMode
 
 import flexman_gym as fm
+from flexman_gym.common.computer import computer_text
 from flexman_gym.envs import NAMED_ENVIRONMENTS
-from studies.benchmark.endurance import ALLOWED, SETTLED, alike, all_conditions, endure, publish
-from studies.files import folder
+from studies.benchmark.endurance import ALLOWED, SETTLED, alike, all_conditions, endurance_rows, endure
+from studies.benchmark.page import ENDURANCE_FILE, ROWS_FILE, publish
+from studies.files import folder, write_rows
 
 MOST_ALARMS = 0.005  # allowed share of steps with an energy alarm
 SENSORS = ("full", "lab", ("lab", "accelerometer", "tip"))
@@ -44,11 +46,11 @@ def compare(steps: int) -> None:
 
 
 def main() -> None:
-    """Run the test and write its section of the benchmark page; fail if memory grows."""
+    """Run the test, write its rows and the benchmark page; fail if memory grows."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=10_000_000, help="total number of steps of all arms")
     parser.add_argument("--arms", type=int, default=256, help="number of arms")
-    parser.add_argument("--folder", type=folder, default="out", help="folder of the benchmark page")
+    parser.add_argument("--folder", type=folder, default="out", help="folder of rows and of the benchmark page")
     parser.add_argument(
         "--every", action="store_true", help="test each environment and set of sensors with all conditions"
     )
@@ -64,7 +66,11 @@ def main() -> None:
         return
     count = endure(options.steps, options.arms, min(SETTLED, options.steps))
     options.folder.mkdir(parents=True, exist_ok=True)
-    print(publish(count, options.arms, options.folder))
+    rows = endurance_rows(count)
+    print(*rows, sep="\n")
+    write_rows(rows, options.folder / ENDURANCE_FILE, 9, computer_text())
+    if (options.folder / ROWS_FILE).exists():
+        publish(options.folder)
     if count.growth > ALLOWED:
         raise SystemExit(f"memory grew by {count.growth:.1%}")
 

@@ -1,26 +1,61 @@
-"""Write the pages of the named environments: python scripts/environments.py --folder docs/environments"""
+"""Write the pages of the named environments: python scripts/environments.py --folder docs/environments
+
+The metrics of the baselines are written to baselines.csv, and the errors of the default models to model_errors.csv;
+--redraw writes the pages from these rows without a simulation.
+"""
 
 import argparse
+from pathlib import Path
 
 from flexman_gym.envs import NAMED_ENVIRONMENTS
-from studies.environments.measure import BASES, draw, run
-from studies.environments.page import baselines, page
-from studies.files import folder
+from studies.environments.family import FAMILIES, family_page
+from studies.environments.gallery import gallery_page, tasks_page
+from studies.environments.measure import (
+    BASELINES,
+    LONG,
+    LONG_NAME,
+    Baseline,
+    ModelError,
+    baseline_rows,
+    draw,
+    model_error,
+    run,
+)
+from studies.files import folder, read_rows, write_rows
+
+BASELINE_FILE, ERROR_FILE = "baselines.csv", "model_errors.csv"
 
 
 def main() -> None:
-    """Run the baselines and write page, plot and animation of each environment."""
+    """Run the baselines and write rows, pictures and pages."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", choices=sorted(NAMED_ENVIRONMENTS), help="write a single environment")
-    parser.add_argument("--folder", type=folder, default="out/environments", help="output folder of pages and plots")
-    parser.add_argument("--text", action="store_true", help="write the pages and keep the existing plots")
+    parser.add_argument("--folder", type=folder, default="out/environments", help="output folder")
+    parser.add_argument("--redraw", action="store_true", help="write only the pages, from the rows in the folder")
     options = parser.parse_args()
-    for name in [options.only] if options.only else NAMED_ENVIRONMENTS:
-        runs = {base: run(name, base) for base in BASES}
-        if not options.text:
-            draw(runs, options.folder / f"{name}.png")
-        (options.folder / f"{name}.md").write_text(page(name, runs), encoding="utf-8")
-        print(name, *baselines(name, runs)[2:], sep="\n", flush=True)
+    if not options.redraw:
+        measure(options.folder)
+    baselines = read_rows(options.folder / BASELINE_FILE, Baseline)
+    errors = read_rows(options.folder / ERROR_FILE, ModelError)
+    (options.folder / "index.md").write_text(gallery_page(baselines), encoding="utf-8")
+    (options.folder / "tasks.md").write_text(tasks_page(), encoding="utf-8")
+    for family in FAMILIES:
+        text = family_page(family, baselines, errors)
+        (options.folder / f"{family.file}.md").write_text(text, encoding="utf-8")
+
+
+def measure(target: Path) -> None:
+    """Write the rows and the pictures of all environments to a folder."""
+    baselines, errors = [], []
+    for name in NAMED_ENVIRONMENTS:
+        runs = {baseline: run(name, agent) for baseline, agent in BASELINES.items()}
+        draw(runs, target / name)
+        baselines += baseline_rows(name, runs)
+        if name == "FlexRRR-v0":
+            baselines += baseline_rows(name, {LONG_NAME: run(name, "pd", LONG)})
+        errors.append(model_error(name))
+        print(name, *baselines[-len(runs) :], errors[-1], sep="\n", flush=True)
+    write_rows(baselines, target / BASELINE_FILE)
+    write_rows(errors, target / ERROR_FILE)
 
 
 if __name__ == "__main__":

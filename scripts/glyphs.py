@@ -23,9 +23,10 @@ def main() -> None:
         height = sum(font.getmetrics())
         ends = np.cumsum([0, *(round(font.getlength(letter)) for letter in LETTERS)])
         image = Image.new("L", (int(ends[-1]), height))
-        pen = ImageDraw.Draw(image)
-        for letter, start in zip(LETTERS, ends, strict=False):
-            pen.text((int(start), 0), letter, fill=255, font=font)
+        for letter, start, end in zip(LETTERS, ends[:-1], ends[1:], strict=True):
+            cell = Image.new("L", (int(end - start), height))  # its own picture, as letters reach into their neighbours
+            ImageDraw.Draw(cell).text((0, 0), letter, fill=255, font=font)
+            image.paste(cell, (int(start), 0))
         data |= {f"shape_{size}": np.asarray(image), f"start_{size}": ends}
     np.savez_compressed(GLYPHS, **data)
 

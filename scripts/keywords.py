@@ -1,9 +1,11 @@
-"""Write the reference page of environment keywords and the migration page: python scripts/keywords.py --folder docs"""
+"""Write the pages of keywords, migration and commands: python scripts/keywords.py --folder docs"""
 
 import argparse
+import importlib
 from collections.abc import Mapping
 from pathlib import Path
 
+from flexman_gym.__main__ import COMMAND_GROUPS
 from flexman_gym.common import renamed
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.settings import SETTINGS
@@ -11,6 +13,8 @@ from flexman_gym.simulation.parameters import UNCERTAIN
 from studies.files import folder
 
 KEYWORDS_PAGE, MIGRATION_PAGE = Path("environments", "keywords.md"), Path("migration.md")
+COMMANDS_PAGE = Path("command_line.md")
+BEGIN, END = "<!-- commands: begin -->\n", "<!-- commands: end -->\n"
 KEYWORDS_HEAD = """# Keywords of environments
 
 `gym.make` and `gym.make_vec` take these keywords, the same for every environment; so do files of environments and
@@ -18,7 +22,12 @@ KEYWORDS_HEAD = """# Keywords of environments
 given. `python scripts/keywords.py --folder docs` writes this page from the declarations in
 `flexman_gym/envs/config/settings.py`.
 """
-MIGRATION_HEAD = """# Migration to 0.3
+MIGRATION_HEAD = """---
+search:
+  exclude: true
+---
+
+# Migration to 0.3
 
 Release 0.3 renames modules, functions, arguments and keys. Old names work until release 0.4, with a
 `DeprecationWarning` that names the present one; `python -W error::DeprecationWarning` finds them in your code. Files of
@@ -68,14 +77,38 @@ def migration_page() -> str:
     return "\n".join(lines)
 
 
+def commands_table() -> str:
+    """Return the commands of `flexman` by group, with their summaries and arguments, as a Markdown table."""
+    rows = []
+    for group, names in COMMAND_GROUPS.items():
+        rows.append([f"**{group}**", "", ""])
+        for name in names:
+            module = importlib.import_module(f"flexman_gym.commands.{name}")
+            parser = argparse.ArgumentParser(add_help=False)
+            module.COMMAND.arguments(parser)
+            shown = [each for each in parser._actions if each.help != argparse.SUPPRESS]
+            words = [each.option_strings[-1] if each.option_strings else each.dest.upper() for each in shown]
+            summary = (module.__doc__ or "").partition("\n")[0].rstrip(".")
+            rows.append([f"`{name}`", summary, " ".join(f"`{word}`" for word in words)])
+    return "\n".join([*markdown_table(["command", "purpose", "arguments"], rows), ""])
+
+
+def commands_page(page: str) -> str:
+    """Return the page of the command line with its present table of commands."""
+    before, _, rest = page.partition(BEGIN)
+    return before + BEGIN + commands_table() + END + rest.partition(END)[2]
+
+
 def main() -> None:
-    """Write both pages."""
+    """Write the pages; that of the commands must exist."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=folder, default="out", help="output folder of the pages")
     target: Path = parser.parse_args().folder
     (target / KEYWORDS_PAGE).parent.mkdir(parents=True, exist_ok=True)
     (target / KEYWORDS_PAGE).write_text(keywords_page(), encoding="utf-8")
     (target / MIGRATION_PAGE).write_text(migration_page(), encoding="utf-8")
+    if (path := target / COMMANDS_PAGE).exists():
+        path.write_text(commands_page(path.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 if __name__ == "__main__":

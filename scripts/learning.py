@@ -33,9 +33,10 @@ def main() -> int:
     parser.add_argument("case", nargs="*", help=f"cases to run, from {', '.join([*ALONE, *known])}; default: all")
     parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
     parser.add_argument("--runs", type=folder, default="runs/learning", help="folder of the training runs")
-    parser.add_argument("--folder", type=folder, default="docs", help="output folder of rows and page")
+    parser.add_argument("--folder", type=folder, default="docs", help="folder of the page and of evidence/, the rows")
     Workers.arguments(parser)
     options = parser.parse_args()
+    evidence = folder(str(options.folder / "evidence"))
     if unknown := sorted(set(options.case) - {*ALONE, *known}):
         print(f"case: {unknown[0]} is not allowed; give {', '.join([*ALONE, *known])}", file=sys.stderr)
         return 2
@@ -44,15 +45,13 @@ def main() -> int:
         for row in ALONE[name]() if name in ALONE else runs(known[name], options.runs, Workers.of(options)):
             print(row, flush=True)
             result.append(row)
-        _keep(result, options.folder / "learning.csv")
+        _keep(result, evidence / "learning.csv")
         if name in known and known[name].kind == "recipe":
-            _keep(_curves(known[name], options.runs), options.folder / CURVES)
-    file = options.folder / "learning.csv"
-    if (options.folder / CURVES).is_file():
-        pictures(read_rows(options.folder / CURVES, Point), options.folder)
-    (options.folder / "learning.md").write_text(
-        page(read_rows(file, LearningRow), read_comment(file)), encoding="utf-8"
-    )
+            _keep(_curves(known[name], options.runs), evidence / CURVES)
+    file = evidence / "learning.csv"
+    if (evidence / CURVES).is_file():
+        pictures(read_rows(evidence / CURVES, Point), evidence)
+    (options.folder / "results.md").write_text(page(read_rows(file, LearningRow), read_comment(file)), encoding="utf-8")
     return 0
 
 

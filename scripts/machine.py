@@ -1,11 +1,11 @@
-"""Compare our model with a real two-link flexible arm: python scripts/machine.py --folder docs"""
+"""Compare our model with a real two-link flexible arm: python scripts/machine.py --folder docs/evidence"""
 
 import argparse
 from pathlib import Path
 
 from flexman_gym.common.computer import computer_text
-from studies.files import folder, write_rows
-from studies.machine.measure import DATA, coverage, stage_1, stages
+from studies.files import folder, read_comments, read_rows, write_rows
+from studies.machine.measure import DATA, FitRow, coverage, stage_1, stages
 from studies.machine.page import draw, page
 
 
@@ -16,6 +16,7 @@ def main() -> None:
         "--data", type=Path, default=DATA, help="folder of the single-stage runs, for example lqg_10deg.csv"
     )
     parser.add_argument("--stages", type=Path, help="record of both stages; default: two_stages.csv in the data folder")
+    parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
     parser.add_argument("--folder", type=folder, default="out", help="output folder of rows, plots and page")
     parser.add_argument(
         "--made-up",
@@ -31,11 +32,13 @@ def main() -> None:
             f"{unknown} are reported as undetermined"
         )
         return
-    rows, lines = stage_1(options.data)
-    more, record = stages(options.stages or options.data / "two_stages.csv")
-    write_rows([*rows, *more], options.folder / "machine.csv", comment=computer_text(("mujoco",)))
-    draw(lines, record, options.folder)
-    text = page([*rows, *more], computer_text(("mujoco",)))
+    file = options.folder / "machine.csv"
+    if not options.redraw:
+        rows, lines = stage_1(options.data)
+        more = stages(options.stages or options.data / "two_stages.csv")
+        write_rows([*rows, *more], file, comment=computer_text(("mujoco",)))
+        draw(lines, options.folder)
+    text = page(read_rows(file, FitRow), read_comments(file))
     (options.folder / "machine.md").write_text(text, encoding="utf-8")
     print(text)
 

@@ -1,12 +1,14 @@
-"""Plant errors one at a time and run the tests on each: python scripts/plant.py --part kernels --folder docs"""
+"""Plant errors one at a time and run the tests: python scripts/plant.py --part kernels --folder docs/evidence"""
 
 import argparse
 import sys
+from pathlib import Path
 
+from flexman_gym.common.computer import computer_text
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
 from flexman_gym.common.renamed import warn_deprecated
-from studies.files import folder, write_rows
-from studies.planted.measure import CAUGHT, CHECKOUT, PARTS, SURVIVED, kept, misplaced, planted
+from studies.files import folder, read_comments, read_rows, write_rows
+from studies.planted.measure import CAUGHT, CHECKOUT, PARTS, SURVIVED, Planted, kept, misplaced, planted
 from studies.planted.page import counts, page
 
 
@@ -17,13 +19,17 @@ def main() -> int:
     parser.add_argument("--room", choices=PARTS, help=argparse.SUPPRESS)  # deprecated name of --part
     parser.add_argument("--only", default="", help="only errors whose description or file contains this text")
     parser.add_argument("--new", action="store_true", help="skip errors that the rows record as caught")
-    parser.add_argument("--folder", type=folder, default="docs", help="folder of the page and its rows")
+    parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
+    parser.add_argument("--folder", type=folder, default="docs/evidence", help="folder of the page and its rows")
     Workers.arguments(parser)
     options = parser.parse_args()
     if options.room:
         warn_deprecated("plant.py: --room is --part now")
         options.part = options.room
     file = options.folder / "planted.csv"
+    if options.redraw:
+        _write_page(file)
+        return 0
     rows = kept(file)
     known = {(row.part, row.error) for row in rows.values() if row.outcome == CAUGHT} if options.new else set()
     chosen = [
@@ -38,14 +44,18 @@ def main() -> int:
         rows[row.part, row.error] = row
         result = [rows[change.part, change.error] for every in PARTS.values() for change in every
                  if (change.part, change.error) in rows]  # fmt: skip
-        write_rows(result, file, digits=2)
-        (options.folder / "planted.md").write_text(page(result), encoding="utf-8")
+        write_rows(result, file, 2, computer_text())
+        _write_page(file)
     if not chosen:
         print("no error matches the options")
         return 0
     for part, *numbers in counts(result):
         print(part, *numbers)
     return int(any(row.outcome == SURVIVED for row in result))
+
+
+def _write_page(file: Path) -> None:
+    file.with_suffix(".md").write_text(page(read_rows(file, Planted), read_comments(file)), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,13 +1,13 @@
-"""Measure errors of integration methods on released vibrations: python scripts/ring_down.py --folder docs"""
+"""Measure errors of integration methods on released vibrations: python scripts/ring_down.py --folder docs/evidence"""
 
 import argparse
 
 from flexman_gym.common.computer import computer_text
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from studies.files import folder, read_comment, read_rows, write_rows
-from studies.ringdown.measure import RingDownRow, errors_of_default, rows
-from studies.ringdown.page import TITLES, draw, page
+from studies.files import folder, read_comments, read_rows, write_rows
+from studies.ringdown.measure import Errors, RingDownRow, errors_of_default, rows
+from studies.ringdown.page import TITLES, accuracy_page, draw, page
 
 ARMS, FEW, THEIRS, MANY = 128, 12, 6, 300  # arms per case: batched methods, other methods, MuJoCo, default
 
@@ -36,7 +36,11 @@ def main() -> None:
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     if options.default:
-        write_rows(errors_of_default(2 if options.quick else MANY), options.folder / "accuracy.csv", 3, computer_text())
+        file = options.folder / "accuracy.csv"
+        if not options.redraw:
+            write_rows(errors_of_default(2 if options.quick else MANY), file, 3, computer_text())
+        text = accuracy_page(read_rows(file, Errors), read_comments(file))
+        (options.folder / "accuracy.md").write_text(text, encoding="utf-8")
         return
     file = options.folder / "ring_down.csv"
     if not options.redraw:
@@ -44,7 +48,7 @@ def main() -> None:
     chosen, result = resolve_fidelity(Configuration()), read_rows(file, RingDownRow)
     default = str(chosen.method), chosen.step
     draw(result, options.folder, default)
-    (options.folder / "ring_down.md").write_text(page(result, read_comment(file), default), encoding="utf-8")
+    (options.folder / "ring_down.md").write_text(page(result, default, read_comments(file)), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""Compute gain limits of joint servos: python scripts/servos.py --folder docs"""
+"""Compute gain limits of joint servos: python scripts/servos.py --folder docs/evidence"""
 
 import argparse
 import warnings
 
 from flexman_gym.common.computer import computer_text
-from studies.files import folder, read_comment, read_rows, write_rows
+from studies.files import folder, read_comments, read_rows, write_rows
 from studies.servos.measure import FrictionRow, ServoRow, friction_rows, rows
 from studies.servos.page import page
 
@@ -20,7 +20,7 @@ def main() -> None:
         warnings.filterwarnings("ignore", "actions: a servo", UserWarning)  # unstable servos are intended here
         write_rows(list(rows()), file, 6, computer_text())
         write_rows(list(friction_rows()), rubbing, 12, computer_text())
-    text = page(read_comment(file), read_rows(file, ServoRow), read_rows(rubbing, FrictionRow))
+    text = page(read_rows(file, ServoRow), read_rows(rubbing, FrictionRow), read_comments(file, rubbing))
     (options.folder / "servos.md").write_text(text, encoding="utf-8")
 
 

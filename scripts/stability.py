@@ -1,4 +1,4 @@
-"""Measure stability limits and numerical damping of all methods: python scripts/stability.py --folder docs"""
+"""Measure stability limits and numerical damping of all methods: python scripts/stability.py --folder docs/evidence"""
 
 import argparse
 import sys
@@ -8,7 +8,7 @@ from time import perf_counter
 
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.parallel import Workers
-from studies.files import folder, read_comment, read_rows, write_rows
+from studies.files import folder, read_comments, read_rows, write_rows
 from studies.stability.measure import StabilityRow
 from studies.stability.page import page, summary
 from studies.stability.rows import all_rows
@@ -23,9 +23,7 @@ def main() -> int:
         "--quick", action="store_true", help="run a small grid, which takes less than 30 s after compilation"
     )
     parser.add_argument("--csv", type=Path, help="output file of the rows")
-    parser.add_argument(
-        "--folder", type=folder, help="output folder of rows, plots and page: stability.csv, *.png, *.md"
-    )
+    parser.add_argument("--folder", type=folder, help="output folder of rows, plot and page")
     parser.add_argument("--rows", type=Path, help="read the rows from this file instead of measuring")
     parser.add_argument("--kept", type=Path, help="folder of finished cells, from which an interrupted study resumes")
     Workers.arguments(parser)
@@ -54,7 +52,7 @@ def main() -> int:
             write_rows(result, file, DIGITS, computer_text())
         result = read_rows(file, StabilityRow)
         draw(result, options.folder)
-        (options.folder / "stability.md").write_text(page(read_comment(file), result), encoding="utf-8")
+        (options.folder / "stability.md").write_text(page(result, read_comments(file)), encoding="utf-8")
     return 0
 
 

@@ -1,27 +1,34 @@
-"""Compute the full verification table: python scripts/verification.py --folder docs"""
+"""Compute the full verification table: python scripts/verification.py --folder docs/evidence"""
 
 import argparse
 import sys
 import warnings
 
-from flexman_gym.verification.table import exit_code, format_table
-from studies.files import folder
+from flexman_gym.common.computer import computer_text
+from flexman_gym.verification.table import VerificationRow, exit_code, format_table
+from studies.files import folder, read_comments, read_rows, write_rows
 from studies.verification.motions import REFERENCE, rows
-from studies.verification.page import markdown_page
+from studies.verification.page import page
+
+FILE = "verification.csv"
 
 
 def main() -> int:
-    """Print the verification table and write its page; return 1 if a row fails."""
+    """Print the verification table and write rows and page; return 1 if a row fails."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="skip the motions that take minutes")
-    parser.add_argument("--folder", type=folder, default="out", help="output folder of the page")
+    parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
+    parser.add_argument("--folder", type=folder, default="out", help="output folder of rows and page")
     options = parser.parse_args()
     warnings.filterwarnings(
         "ignore", "Link.second_moment_y", UserWarning
     )  # raised by the printed area of link 1 of the paper
-    result = rows(REFERENCE, options.quick)
+    file = options.folder / FILE
+    if not options.redraw:
+        write_rows(rows(REFERENCE, options.quick), file, 12, computer_text())
+    result = read_rows(file, VerificationRow)
     print(format_table(result))
-    (options.folder / "verification.md").write_text(markdown_page(result), encoding="utf-8")
+    (options.folder / "verification.md").write_text(page(result, read_comments(file)), encoding="utf-8")
     return exit_code(result)
 
 

@@ -5,6 +5,7 @@ learning (folders of runs); league, robustness (the folder of a league); episode
 """
 
 import argparse
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -117,7 +118,7 @@ def _learning(options: argparse.Namespace, out: Path) -> list[Path]:
 
 
 def _league(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.league.page import draw_charts
+    from flexman_gym.league.charts import draw_charts
     from flexman_gym.league.rows import LeagueRows
     from flexman_gym.league.standings import Standings
 
@@ -145,13 +146,16 @@ def _episode(options: argparse.Namespace, out: Path) -> list[Path]:
 
 
 def _side(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.draw.video import side_by_side, write_video
+    from flexman_gym.draw.comparison import side_by_side
+    from flexman_gym.draw.video import write_video
     from flexman_gym.simulation.episode import Episode
 
-    frames, fps = side_by_side([Episode.load(path) for path in options.subject], out.suffix == ".gif")
-    return [write_video(frames, out, fps)]
+    size, rate, seconds, hold = GIF if out.suffix == ".gif" else VIDEO
+    frames = side_by_side([Episode.load(path) for path in options.subject], size, rate, seconds, hold)
+    return [write_video(frames, out, rate)]
 
 
+GIF, VIDEO = ((480, 360), 10.0, 5.0, 2.0), ((1280, 720), 50.0, math.inf, 0.0)  # arguments of `side_by_side`
 PLOTS: dict[str, Callable[[argparse.Namespace, Path], list[Path]]] = {
     "modes": _modes, "map": _map, "bode": _bode, "campbell": _campbell, "learning": _learning, "league": _league,
     "robustness": _league, "episode": _episode, "side": _side,

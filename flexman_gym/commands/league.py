@@ -48,15 +48,23 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     )
     Workers.arguments(parser)
     parser.add_argument("--folder", type=Path, help=f"folder of rows, page and charts (default: {DEFAULT_FOLDER})")
+    parser.add_argument("--redraw", action="store_true", help="write page and charts of the folder without any run")
+    parser.add_argument(
+        "--details", nargs="+", metavar="NAME",
+        help="print, without any run, all metrics of a scenario, an agent, a sweep such as FlexRRR-v0/payload=, "
+        "or the scores (overall)",
+    )  # fmt: skip
     parser.add_argument("--add", nargs="+", metavar="AGENT", help="run these agents in the scenarios of the folder")
 
 
 def _run(options: argparse.Namespace) -> int:
     """Run the missing episodes of the league and write its page; return the exit status."""
+    from flexman_gym.common.computer import computer_text
     from flexman_gym.common.markdown import markdown_table
     from flexman_gym.common.parallel import Workers
     from flexman_gym.evaluation.agent import AGENTS
-    from flexman_gym.league.page import PAGE, summary_rows, write_page
+    from flexman_gym.league.details import league_details, summary_rows
+    from flexman_gym.league.page import PAGE, write_page
     from flexman_gym.league.rows import LeagueRows, run_league
     from flexman_gym.league.standings import Standings
 
@@ -68,14 +76,20 @@ def _run(options: argparse.Namespace) -> int:
     if options.agent:
         return certify.COMMAND.run(argparse.Namespace(policy=options.agent, workers=workers))
     agents, folder = options.add or options.agents or AGENTS, options.folder or DEFAULT_FOLDER
-    groups = _scenarios(options, LeagueRows.load(folder))
+    results = LeagueRows.load(folder)
+    if (options.redraw or options.details) and not results.cells:
+        options.parser.error(f"--folder: {folder} is not allowed; give the folder of a league with rows")
+    if options.details:
+        print("\n\n".join("\n".join(league_details(Standings(results), name)) for name in options.details))
+        return 0
+    groups = {} if options.redraw else _scenarios(options, results)
     for episodes, scenarios in groups.items():
         seeds = range(options.seed, options.seed + episodes)
         results = run_league(agents, scenarios, seeds, folder, workers, lambda line: print(line, flush=True))
-    names = [name for scenarios in groups.values() for name in scenarios]
+    names = [name for scenarios in groups.values() for name in scenarios] or Standings(results).scenarios
     print("\n".join(markdown_table(["agent", *names], summary_rows(Standings(results), names))))
-    write_page(results, folder)
-    print(f"{folder / PAGE} has all tables." if (folder / PAGE).exists() else f"{folder} has the rows.")
+    write_page(results, folder, None if options.redraw else computer_text())
+    print(f"{folder / PAGE} has the results.")
     return 0
 
 

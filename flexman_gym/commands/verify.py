@@ -8,7 +8,7 @@ from flexman_gym.commands import CommandLine
 
 FULL_TABLE_HINT = (
     "These are the closed-form cases. The full table, with trajectories of independent codes, is in "
-    "docs/verification.md; `make verify` in the repository computes it."
+    "docs/evidence/verification.md; `make verify` in the repository computes it."
 )
 
 

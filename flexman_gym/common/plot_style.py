@@ -1,5 +1,6 @@
 """Style of plots: colours of all plots and pictures, and Matplotlib figures without a window."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,11 @@ from flexman_gym.common.arrays import Array
 
 # Colours that people with red-green colour blindness can distinguish (Okabe and Ito, 2008).
 BLUE, ORANGE, GREEN, SKY, YELLOW, RED = "#0072B2", "#E69F00", "#009E73", "#56B4E9", "#F0E442", "#D55E00"
-LINK_COLOURS = (BLUE, ORANGE, GREEN, SKY, YELLOW, RED)
+VIOLET = "#6d28d9"  # path of the tip and true tip in frames
+PURPLE, BROWN, SLATE = "#c0619b", "#8a6d3b", "#767b84"
+GRID_OPACITY = 0.25  # opacity, 0 to 1, of grid lines in an SVG
+# Colours of lines: their contrast is at least 3 on a white page and on the dark page of the documentation.
+LINK_COLOURS = (BLUE, RED, GREEN, PURPLE, BROWN, SLATE)
 DARK, MIDDLE, LIGHT = "#222222", "#8a8f98", "#d5d8dd"
 
 
@@ -51,3 +56,42 @@ def new_figure(inches: tuple[float, float], dpi: float, window: bool = False, **
     figure = Figure(figsize=inches, dpi=dpi, **options)
     FigureCanvasAgg(figure)
     return figure
+
+
+def save_figure(figure: Any, path: Path) -> Path:
+    """Write a Matplotlib figure and return its path; an SVG is legible on a white and on a dark page.
+
+    The background of an SVG is transparent, and its texts and axes are grey. Equal figures give equal files: ids in an
+    SVG do not depend on chance, and it has no date.
+
+    Args:
+        figure: the figure.
+        path: path of the file; its folder is created if it does not exist.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix != ".svg":
+        figure.savefig(path)
+        return path
+    import matplotlib
+    from matplotlib.colors import to_hex
+
+    legends = [*figure.legends, *(axes.get_legend() for axes in figure.axes if axes.get_legend())]
+    for axes in figure.axes:
+        axes.set_facecolor("none")
+        axes.tick_params(which="both", color=SLATE, labelcolor=SLATE)
+        for spine in axes.spines.values():
+            spine.set_edgecolor(SLATE)
+        for line in (*axes.get_xgridlines(), *axes.get_ygridlines()):
+            line.set(color=SLATE, alpha=GRID_OPACITY)
+        for part in (*axes.texts, *axes.lines):  # what would vanish on a dark page
+            if to_hex(part.get_color()) in (DARK, "#000000"):
+                part.set_color(SLATE)
+    titles = [text for axes in figure.axes for text in (axes.xaxis.label, axes.yaxis.label, axes.title)]
+    entries = [text for legend in legends for text in (*legend.get_texts(), legend.get_title())]
+    for legend in legends:
+        legend.set_frame_on(False)
+    for text in (*titles, *entries, *figure.texts):
+        text.set_color(SLATE)
+    with matplotlib.rc_context({"svg.hashsalt": path.stem}):
+        figure.savefig(path, transparent=True, metadata={"Date": None})
+    return path

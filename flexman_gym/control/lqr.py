@@ -71,6 +71,7 @@ def performance_outputs(linear: LinearModel, motors: Array, weights: CostWeights
 
 
 def _riccati_gain(linear: LinearModel, motors: Array, limits: Array, weights: CostWeights, period: float) -> Array:
+    """Solve the Riccati equation; `scipy.linalg.solve_discrete_are` may fail with, but not without balancing."""
     from scipy.linalg import solve_discrete_are
 
     transition, inputs = discretize(linear.A, linear.B, period)
@@ -78,7 +79,11 @@ def _riccati_gain(linear: LinearModel, motors: Array, limits: Array, weights: Co
     cost = np.diag(1.0 / limits**2)
     # torques as fractions of their limits, for a well-scaled equation
     scaled = inputs * limits
-    solution = solve_discrete_are(transition, scaled, outputs.T @ outputs, cost * np.outer(limits, limits))
+    equation = transition, scaled, outputs.T @ outputs, cost * np.outer(limits, limits)
+    try:
+        solution = solve_discrete_are(*equation)
+    except (ValueError, np.linalg.LinAlgError):
+        solution = solve_discrete_are(*equation, balanced=False)
     gain = np.linalg.solve(np.eye(n) + scaled.T @ solution @ scaled, scaled.T @ solution @ transition)
     return limits[:, None] * gain
 

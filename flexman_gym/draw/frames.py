@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import flag, non_negative, number_array, positive, value_error, vector, whole_number
-from flexman_gym.common.plot_style import rgb, round_up
+from flexman_gym.common.plot_style import VIOLET, rgb, round_up
 from flexman_gym.draw.mesh import (
     CYLINDER,
     RING,
@@ -18,7 +18,7 @@ from flexman_gym.draw.mesh import (
     section_outlines,
     tube_surfaces,
 )
-from flexman_gym.draw.overlay import Caption, draw_caption, strain_colours
+from flexman_gym.draw.overlay import Caption, draw_caption, overlay_margins, strain_colours
 from flexman_gym.kernels import raster
 from flexman_gym.model.deformation import curves
 from flexman_gym.model.model import Model, check_model
@@ -77,11 +77,14 @@ def _camera_direction(model: Model, angles: object = None) -> tuple[float, float
     return along + SIDE_ANGLE, LOW_ELEVATION, 1.0
 
 
-def _fit_camera(points: Array, direction: tuple[float, float, float], size: tuple[int, int], margins: Array) -> _Camera:
-    """Return the nearest camera in a direction whose picture contains all points.
+def _fit_camera(
+    points: Array, radii: Array, direction: tuple[float, float, float], size: tuple[int, int], margins: Array
+) -> _Camera:
+    """Return the nearest camera in a direction whose picture contains discs around all points.
 
     Args:
         points: points (p, 3) in the base frame, m.
+        radii: radii (p,) of discs around the points that face the camera, m.
         direction: azimuth and elevation, degrees, and zoom (dimensionless).
         size: width and height of the picture, pixels.
         margins: margins (4,) at the left, right, top and bottom as fractions of the picture.
@@ -98,8 +101,9 @@ def _fit_camera(points: Array, direction: tuple[float, float, float], size: tupl
     low, high = half * (2.0 * margins[[0, 3]] - 1.0), half * (1.0 - 2.0 * margins[[1, 2]])
     local = points @ axes.T
     across, depth = local[:, :2], local[:, 2:]
-    # low (depth - eye) <= across - eye <= high (depth - eye) for all points: the eye lies between two lines
-    least, most = (across - high * depth).max(axis=0), (across - low * depth).min(axis=0)
+    # low (depth - eye) <= across -+ radius - eye <= high (depth - eye) for all points: the eye lies between two lines
+    wide = radii[:, None]
+    least, most = (across + wide - high * depth).max(axis=0), (across - wide - low * depth).min(axis=0)
     nearest = min(((most - least) / (high - low)).min(), depth.min() - MIN_CLEARANCE * np.ptp(depth) - 1e-9)
     place = nearest - DISTANCE_SLACK * (depth.mean() - nearest)
     eye = np.append((least + high * place + most + low * place) / 2, place)
@@ -131,14 +135,13 @@ def _reachable_points(model: Model) -> Array:
 POINTS = 24  # number of drawn points on the centreline of a link
 SUPERSAMPLING = 2  # samples of a pixel in each direction
 MAX_SIDE = 4096  # pixels; largest width and height
-MARGINS, OVERLAY_MARGINS = (
-    np.full(4, 0.06),
-    np.array([0.06, 0.06, 0.15, 0.15]),
-)  # fractions of the picture: left, right, top, bottom
+MARGINS = np.full(4, 0.06)  # fractions of the picture without overlays: left, right, top, bottom
+BASE_RADIUS, BASE_HALF_HEIGHT = 2.0, 0.25  # radius and half height of the base plate / radius of the first motor
+MOTOR_HALF_LENGTH, RING_RADIUS = 1.15, 2.0  # half length / radius of a motor; radius of the ring / of the last motor
 FLOOR_GAP = 0.05  # dimensionless; distance of the floor from the lowest point as a fraction of the reach
 REFERENCE_DEFLECTION = 0.01  # deflection / length of a link with the largest strain of the colours, if no torque limit
 GHOST, MOTOR, TIP, TARGET, POST = "#5b6b82", "#334155", "#1e293b", "#e11d48", "#64748b"
-PAYLOAD, TRAIL, PLUMB_LINE = "#8a6d3b", "#6d28d9", "#e58ba0"
+PAYLOAD, TRAIL, PLUMB_LINE = "#8a6d3b", VIOLET, "#e58ba0"
 GHOST_SHARE, SHADOW_SHARE, TRAIL_START = 0.42, 0.34, 0.05  # opacities, 0 to 1: rigid arm, shadow, oldest path point
 PAYLOAD_DENSITY = 7800.0  # kg/m^3; steel; sets the size of the sphere of a payload
 
@@ -170,17 +173,21 @@ class FramePainter:
         model: model of the arm.
         size: width and height, pixels.
         camera: azimuth and elevation, degrees, and optionally a zoom; None for a direction chosen from the joint axes.
-        gain: magnification of the drawn deflection, shown in the overlay.
+        gain: magnification of the deflection of the links, or of the deflection of the links and the twist of the
+            joints, shown in the overlay; the twist of the joints has its true scale by default, because it moves all
+            outboard links, and a large magnification would throw them out of the frame.
         overlays: True to draw numbers over the picture.
         shadow: True to draw the shadow; a GIF without shadow is a third smaller.
 
     Attributes:
         model: model of the arm.
         size: width and height, pixels.
+        gains: magnifications of the deflection of the links and of the twist of the joints.
         direction: azimuth and elevation of the camera, degrees, and its zoom (dimensionless).
         reach: sum of the lengths of the links, m.
         radii: drawn radii of the motors (n,), m.
         scale: strain at the ends of the colour scale; 0 for a rigid arm.
+        grid: spacing of the grid on the floor, m.
     """
 
     def __init__(
@@ -188,7 +195,7 @@ class FramePainter:
         model: Model,
         size: tuple[int, int] = (480, 360),
         camera: Vector | None = None,
-        gain: float = 1.0,
+        gain: float | Vector = 1.0,
         overlays: bool = True,
         shadow: bool = True,
     ) -> None:
@@ -196,13 +203,13 @@ class FramePainter:
             raise value_error("size", size, "two numbers of pixels, width and height")
         width, height = (whole_number(f"size[{i}]", side, 16, MAX_SIDE) for i, side in enumerate(size))
         self.model, self.size = check_model(model), (width, height)
-        self.gain, self.overlays = non_negative("gain", gain), flag("overlays", overlays)
+        self.gains, self.overlays = _gains(gain), flag("overlays", overlays)
         self._shadow = flag("shadow", shadow)
         self.direction = _camera_direction(model, camera)
         self.reach = float(model.constants.length.sum())
         self._sections = section_outlines(model, POINTS)
         self.radii = np.clip([1.3 * each.radius for each in self._sections], 0.012 * self.reach, 0.05 * self.reach)
-        self._grid = round_up(self.reach / 10)
+        self.grid = round_up(self.reach / 10)
         self.scale = _strain_scale(model) if model.n_elastic else 0.0
         samples, memory = (height * SUPERSAMPLING, width * SUPERSAMPLING), (height, width)
         self._canvas = raster.Canvas(
@@ -223,7 +230,7 @@ class FramePainter:
         camera, floor = self.camera(_reachable_points(self.model) if points is None else points)
         canvas, (width, height) = self._canvas, self.size
         back, plain = np.zeros_like(canvas.back), np.zeros_like(canvas.plain)
-        raster.draw_floor(back, camera.eye, camera.axes, camera.lens * SUPERSAMPLING, floor, self.reach, self._grid)
+        raster.draw_floor(back, camera.eye, camera.axes, camera.lens * SUPERSAMPLING, floor, self.reach, self.grid)
         whole = canvas._replace(
             colour=back,
             back=back,
@@ -237,8 +244,24 @@ class FramePainter:
         """Return the camera for points (p, 3), m, and the z coordinate of the floor, m; see `shot`."""
         places = np.concatenate([np.asarray(points, dtype=float).reshape(-1, 3), np.zeros((1, 3))])
         floor = float(places[:, 2].min()) - FLOOR_GAP * self.reach
-        places = np.concatenate([places, [[0.0, 0.0, floor]]])
-        return _fit_camera(places, self.direction, self.size, OVERLAY_MARGINS if self.overlays else MARGINS), floor
+        turn = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
+        rim = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(8)]) * BASE_RADIUS * self.radii[0]
+        plate = rim + np.array([0.0, 0.0, floor - BASE_HALF_HEIGHT * self.radii[0]])
+        radii = np.repeat([self._largest_radius(), 0.0], [len(places), len(plate)])
+        margins = overlay_margins(self.size[1]) if self.overlays else MARGINS
+        return _fit_camera(np.concatenate([places, plate]), radii, self.direction, self.size, margins), floor
+
+    def _largest_radius(self) -> float:
+        """Return the largest distance, m, of a drawn point of a motor, the target or the payload from its centre."""
+        motor, ring = np.hypot(1.0, MOTOR_HALF_LENGTH) * self.radii.max(), RING_RADIUS * self.radii[-1]
+        return float(max(motor, ring, self._payload_radius()))
+
+    def _payload_radius(self) -> float:
+        """Return the radius of the sphere of the payload, m; 0 without a payload."""
+        load = self.model.arm.payload
+        if load is None:
+            return 0.0
+        return float(max((load.mass / PAYLOAD_DENSITY * 0.75 / np.pi) ** (1 / 3), self.radii[-1]))
 
     def paint(
         self,
@@ -265,7 +288,7 @@ class FramePainter:
         place = None if target is None else np.array(vector("target", target, 3, "m"))
         self._show(shot or self._shown or self.shot())
         assert self._shown is not None
-        bent, rigid = (curves(self.model, x, POINTS, gain) for gain in (self.gain, 0.0))
+        bent, rigid = (curves(self.model, x, POINTS, *gains) for gains in (self.gains, (0.0, 0.0)))
         tubes, strain = tube_surfaces(bent, self._sections)
         links = strain_colours(strain / self.scale) if self.scale else np.tile(rgb("#b8bec8"), (len(strain), 1))
         parts = self._parts(bent.positions, bent.frames, place)
@@ -277,7 +300,7 @@ class FramePainter:
             self._line(path, 1.2, TRAIL_START, TRAIL)
         if place is not None:
             self._line(np.array([[*place[:2], self._shown.floor], place]), 0.5, 1.0, PLUMB_LINE)
-        if self.gain != 1.0:
+        if self.gains != (1.0, 1.0):
             true = curves(self.model, x, 2).positions[-1, -1]
             self._line(np.array([true, true + 1e-6]), 3.0, 1.0, TRAIL)
         canvas, ghost = self._canvas, self._project(tube_surfaces(rigid, self._sections)[0].points, SUPERSAMPLING)
@@ -285,7 +308,7 @@ class FramePainter:
         raster.resolve(canvas, rgb(GHOST), GHOST_SHARE)
         picture = canvas.picture.copy()
         if self.overlays:
-            draw_caption(picture, caption or Caption(), self.gain, self.scale, self._grid)
+            draw_caption(picture, caption or Caption(), self.gains, self.scale, self.grid)
         return picture
 
     def _show(self, shot: Shot) -> None:
@@ -339,25 +362,31 @@ class FramePainter:
         result = []
         for i in range(model.n_joints):
             axis = frames[i, 0] @ model.constants.axis[i]
-            result.append((CYLINDER.transformed(positions[i, 0], axis, radii[i], 1.15 * radii[i]), MOTOR))
+            result.append((CYLINDER.transformed(positions[i, 0], axis, radii[i], MOTOR_HALF_LENGTH * radii[i]), MOTOR))
         foot, half = np.array([0.0, 0.0, floor / 2]), -floor / 2
         result.append((SHARP_CYLINDER.transformed(foot, up, 0.8 * radii[0], half), POST))
-        result.append((CYLINDER.transformed(np.array([0.0, 0.0, floor]), up, 2.0 * radii[0], 0.25 * radii[0]), POST))
+        plate = BASE_RADIUS * radii[0], BASE_HALF_HEIGHT * radii[0]
+        result.append((CYLINDER.transformed(np.array([0.0, 0.0, floor]), up, *plate), POST))
         load, end = model.arm.payload, positions[-1, -1]
         result.append((SPHERE.transformed(end, up, radii[-1], radii[-1]), TIP))
         if load is not None:
-            ball = max((load.mass / PAYLOAD_DENSITY * 0.75 / np.pi) ** (1 / 3), radii[-1])
+            ball = self._payload_radius()
             held = frames[-1, -1] @ (np.array(model.arm.links[-1].orientation).T @ (load.offset or np.zeros(3)))
             result.append((SPHERE.transformed(end + held, up, ball, ball), PAYLOAD))
         if target is not None:
             result.append((SPHERE.transformed(target, up, 0.55 * radii[-1], 0.55 * radii[-1]), TARGET))
             facing = -self._shown.camera.axes[2]
-            result.append((RING.transformed(target, facing, 2.0 * radii[-1], 2.0 * radii[-1]), TARGET))
+            ring = RING_RADIUS * radii[-1]
+            result.append((RING.transformed(target, facing, ring, ring), TARGET))
         return result
 
 
 def arm_frame(
-    model: Model, state: Vector, target: Vector | None = None, size: tuple[int, int] = (480, 360)
+    model: Model,
+    state: Vector,
+    target: Vector | None = None,
+    size: tuple[int, int] = (480, 360),
+    gain: float | Vector = 1.0,
 ) -> NDArray[np.uint8]:
     """Return one frame (height, width, 3) that shows an arm as large as possible; for many frames use a FramePainter.
 
@@ -366,12 +395,13 @@ def arm_frame(
         state: state (2 d,).
         target: target of the tip (3,) in the base frame, m; None for no target.
         size: width and height, pixels.
+        gain: magnification of the deflection of the links, or of links and joints, see `FramePainter`.
 
     Returns:
         Pixels (height, width, 3), uint8.
     """
-    painter = FramePainter(model, size)
-    points = curves(model, state, POINTS).positions.reshape(-1, 3)
+    painter = FramePainter(model, size, gain=gain)
+    points = curves(model, state, POINTS, *painter.gains).positions.reshape(-1, 3)
     if target is not None:
         points = np.vstack([points, vector("target", target, 3, "m")])
     return painter.paint(state, target, shot=painter.shot(points))
@@ -397,6 +427,14 @@ def grid(frames: Sequence[NDArray[np.uint8]], across: int | None = None) -> NDAr
         row, column = divmod(i, across)
         result[row * height : (row + 1) * height, column * width : (column + 1) * width] = frame
     return result
+
+
+def _gains(gain: object) -> tuple[float, float]:
+    """Return the magnifications of the deflection of the links and of the twist of the joints, at least 0."""
+    if isinstance(gain, tuple | list | np.ndarray):
+        links, joints = vector("gain", gain, 2)
+        return non_negative("gain[0]", links), non_negative("gain[1]", joints)
+    return non_negative("gain", gain), 1.0
 
 
 def _strain_scale(model: Model) -> float:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import value_error, vector, whole_number
-from flexman_gym.common.plot_style import DARK, LIGHT, LINK_COLOURS, MIDDLE, new_figure
+from flexman_gym.common.plot_style import DARK, LIGHT, LINK_COLOURS, MIDDLE, new_figure, save_figure
 from flexman_gym.draw.frames import POINTS, FramePainter, grid
 from flexman_gym.draw.overlay import write_title
 from flexman_gym.model.deformation import curves
@@ -107,8 +107,7 @@ def frequency_map(model: Model, path: str | Path, mode: int = 1, span: float = n
         figure.colorbar(image, label="frequency (Hz)", shrink=0.9)
         axes.set(xlabel=f"joint {n - 1} (degrees)", ylabel=f"joint {n} (degrees)")
     axes.set_title(f"natural frequency {mode}, motors held", fontsize=11)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    save_figure(figure, path)
     return path
 
 
@@ -144,8 +143,7 @@ def campbell_diagram(model: Model, rates: Vector, path: str | Path, count: int =
     axes.set_title(f"Campbell diagram: motors at constant rates{words}", fontsize=11)
     axes.grid(color=LIGHT, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    save_figure(figure, path)
     return path
 
 
@@ -223,6 +221,5 @@ def bode_diagram(frequencies: Array, responses: dict[str, _Response], path: str 
         axes.spines[["top", "right"]].set_visible(False)
     gain.set_title(title, fontsize=11, color=DARK)
     figure.legend(*gain.get_legend_handles_labels(), loc="outside lower center", frameon=False, fontsize=9)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    save_figure(figure, path)
     return path

@@ -8,7 +8,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import short_path, value_error
-from flexman_gym.common.plot_style import LIGHT, LINK_COLOURS, new_figure
+from flexman_gym.common.plot_style import LIGHT, LINK_COLOURS, new_figure, save_figure
 from flexman_gym.common.time_series import read_csv_rows
 
 STEPS_COLUMN = "time/total_timesteps"  # environment steps of the training
@@ -82,6 +82,5 @@ def draw_learning_curves(runs: Mapping[str, Sequence[tuple[Array, Array]]], path
     axes.grid(color=LIGHT, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, title="recipe (seeds)", fontsize=9)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    save_figure(figure, path)
     return path

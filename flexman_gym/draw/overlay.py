@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.plot_style import LINK_COLOURS, rgb
+from flexman_gym.common.plot_style import LINK_COLOURS, VIOLET, rgb
 
 GLYPHS = Path(__file__).parent / "glyphs.npz"  # shapes of letters, written by scripts/glyphs.py
 FONT_SIZES = (10, 12, 14, 18, 24, 32)  # pixels; heights of the letters in GLYPHS
 TIMES = "\N{MULTIPLICATION SIGN}"
+TORQUE_ROWS = 6.1  # heights of letters; label, bars and numbers of the torques
+TEXT_GAP, MAX_MARGIN = 0.02, 0.25  # fractions of the height; gap of text and arm, largest margin
 INK, GREY, WARNING = "#1f2937", "#6b7280", "#b91c1c"
 Picture = NDArray[np.uint8]
 
@@ -51,12 +53,12 @@ def _text_mask(text: str, size: int) -> NDArray[np.float32]:
     return np.concatenate([shapes[:, :0], *parts], axis=1).astype(np.float32) / np.float32(255.0)
 
 
-def _font_size(height: int) -> int:
+def font_size(height: int) -> int:
     """Return the size of the letters for a picture with `height` rows."""
     return max(size for size in FONT_SIZES if size <= max(height / 33.0, FONT_SIZES[0]))
 
 
-def _write_text(picture: Picture, text: str, place: tuple[int, int], size: int, colour: str = INK) -> None:
+def write_text(picture: Picture, text: str, place: tuple[int, int], size: int, colour: str = INK) -> None:
     """Write text with its upper left corner at (column, row) = place.
 
     With a column < 0, the right end of the text is -column pixels from the right edge of the picture.
@@ -72,8 +74,8 @@ def _write_text(picture: Picture, text: str, place: tuple[int, int], size: int, 
 
 def write_title(picture: Picture, text: str) -> None:
     """Write a text into the upper left corner of a picture."""
-    size = _font_size(picture.shape[0])
-    _write_text(picture, text, (size, size // 2), size)
+    size = font_size(picture.shape[0])
+    write_text(picture, text, (size, size // 2), size)
 
 
 def _blend(part: Picture, colour: str, opacity: "NDArray[np.float32] | float") -> None:
@@ -89,18 +91,38 @@ def _fill_rectangle(
     _blend(picture[rows[0] : rows[1], columns[0] : columns[1]], colour, opacity)
 
 
-def draw_caption(picture: Picture, caption: Caption, gain: float, scale: float, grid: float) -> None:
+def overlay_margins(height: int) -> Array:
+    """Return the margins (4,) at the left, right, top and bottom that the overlay of a frame needs.
+
+    Args:
+        height: height of the frame, pixels.
+
+    Returns:
+        Fractions of the picture; at most MAX_MARGIN, as a small picture would have no room for the arm.
+    """
+    size, small = font_size(height), font_size(int(0.82 * height))
+    top, bottom = size // 2 + 2 * round(1.45 * size), size // 2 + round(TORQUE_ROWS * small)
+    return np.minimum([0.06, 0.06, top / height + TEXT_GAP, bottom / height + TEXT_GAP], MAX_MARGIN)
+
+
+def describe_gains(gains: tuple[float, float]) -> str:
+    """Return the text on the magnification of links and joints in a frame; "" at true scale."""
+    words = zip(("link deflection", "joint twist"), gains, strict=True)
+    return ", ".join(f"{word} {TIMES} {gain:g}" for word, gain in words if gain != 1.0)
+
+
+def draw_caption(picture: Picture, caption: Caption, gains: tuple[float, float], scale: float, grid: float) -> None:
     """Draw the overlay of a frame: title, time and error at the top, strain scale and torques at the bottom.
 
     Args:
         picture: frame (height, width, 3), changed in place.
         caption: text and numbers.
-        gain: magnification of the drawn deflection, shown unless it is 1.
+        gains: magnifications of the deflection of the links and of the twist of the joints, shown unless they are 1.
         scale: strain at the ends of the colour scale; 0 for a rigid arm.
         grid: spacing of the floor grid, m.
     """
     height, width = picture.shape[:2]
-    size, small = _font_size(height), _font_size(int(0.82 * height))
+    size, small = font_size(height), font_size(int(0.82 * height))
     edge, line = size, round(1.45 * size)
     if caption.title:
         write_title(picture, caption.title)
@@ -113,17 +135,37 @@ def draw_caption(picture: Picture, caption: Caption, gain: float, scale: float, 
     )
     for column, value, form, factor in entries:  # fixed columns: the text does not move while numbers change
         if value is not None:
-            _write_text(picture, form.format(factor * value), (edge + round(column * small), row), small)
-    if gain != 1.0:
-        _write_text(picture, f"deflection {TIMES} {gain:g}", (-edge, edge // 2), size, WARNING)
-    line_text = f"grid {grid:g} m"
+            write_text(picture, form.format(factor * value), (edge + round(column * small), row), small)
+    if gains != (1.0, 1.0):
+        write_text(picture, describe_gains(gains), (-edge, edge // 2), size, WARNING)
+        _write_dot_legend(picture, (-edge, edge // 2 + line), small)
+    line_text = describe_scales(scale, grid)
     if scale > 0.0:
-        unit, factor = ("µε", 1e6) if scale < 1e-3 else ("%", 1e2)
-        line_text = f"strain ±{factor * scale:g} {unit}   {line_text}"
         _draw_colour_bar(picture, (edge, height - edge), small)
-    _write_text(picture, line_text, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
+    write_text(picture, line_text, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
     if caption.torques is not None:
-        _draw_torque_bars(picture, caption.torques, (width - edge, height - edge), small)
+        _draw_torque_bars(picture, caption.torques, (width - edge, height - edge // 2), small)
+
+
+def describe_scales(scale: float, grid: float) -> str:
+    """Return the text on the scales of a frame.
+
+    Args:
+        scale: strain at the ends of the colour scale; 0 for a rigid arm.
+        grid: spacing of the floor grid, m.
+    """
+    unit, factor = ("µε", 1e6) if scale < 1e-3 else ("%", 1e2)
+    return (f"strain ±{factor * scale:g} {unit}   " if scale > 0.0 else "") + f"grid {grid:g} m"
+
+
+def _write_dot_legend(picture: Picture, place: tuple[int, int], size: int) -> None:
+    """Write the meaning of the violet dot, with the right end at -column, as in `write_text`."""
+    text = "true tip"
+    left = picture.shape[1] + place[0] - _text_mask(text, size).shape[1] - size
+    rows, columns = np.ogrid[: picture.shape[0], : picture.shape[1]]
+    dot = (rows - place[1] - 0.75 * size) ** 2 + (columns - left) ** 2 <= (0.35 * size) ** 2
+    picture[dot] = rgb(VIOLET)
+    write_text(picture, text, place, size)
 
 
 def _draw_colour_bar(picture: Picture, place: tuple[int, int], size: int) -> None:
@@ -135,10 +177,10 @@ def _draw_colour_bar(picture: Picture, place: tuple[int, int], size: int) -> Non
 
 
 def _draw_torque_bars(picture: Picture, torques: Array, place: tuple[int, int], size: int) -> None:
-    """Draw a bar for each motor, up or down from the middle, with the lower right corner at a pixel."""
-    wide, half, gap = size, round(2.3 * size), size // 2
-    column, middle = place[0] - len(torques) * (wide + gap) + gap, place[1] - half
-    _write_text(picture, "torque / limit", (place[0] - picture.shape[1], middle - half - round(1.5 * size)), size)
+    """Draw a numbered bar for each motor, up or down from the middle, with the lower right corner at a pixel."""
+    wide, half, gap = size, round(1.5 * size), size // 2
+    column, middle = place[0] - len(torques) * (wide + gap) + gap, place[1] - half - round(1.4 * size)
+    write_text(picture, "torque / limit", (place[0] - picture.shape[1], middle - half - round(1.5 * size)), size)
     for i, torque in enumerate(np.clip(torques, -1.0, 1.0)):
         first = column + i * (wide + gap)
         _fill_rectangle(picture, (first, first + wide), (middle - half, middle + half), GREY, 0.8)
@@ -146,6 +188,9 @@ def _draw_torque_bars(picture: Picture, torques: Array, place: tuple[int, int], 
         rows = sorted((middle, middle - round(half * torque)))
         _fill_rectangle(picture, (first + 1, first + wide - 1), (rows[0], rows[1]), LINK_COLOURS[i % len(LINK_COLOURS)])
         _fill_rectangle(picture, (first - 2, first + wide + 2), (middle, middle + 1), GREY)
+        number = str(i + 1)
+        inset = (wide - _text_mask(number, size).shape[1]) // 2
+        write_text(picture, number, (first + inset, middle + half + max(size // 10, 1)), size)
 
 
 def strain_colours(share: Array) -> Array:

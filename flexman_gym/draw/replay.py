@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
-from flexman_gym.common.plot_style import BLUE, GREEN, ORANGE, RED, SKY, round_up
+from flexman_gym.common.plot_style import BLUE, DARK, LINK_COLOURS, VIOLET, round_up
+from flexman_gym.draw.comparison import suggested_gain
 from flexman_gym.draw.frames import FLOOR_GAP, FramePainter
 from flexman_gym.draw.mesh import section_outlines
 from flexman_gym.model.deformation import curves, link_shapes
@@ -27,7 +28,7 @@ from flexman_gym.simulation.episode import Episode
 
 TEMPLATE_FOLDER = Path(__file__).parent
 POINTS = 24  # number of drawn points on the centreline of a link
-COLOURS = (BLUE, RED, GREEN, ORANGE, SKY, "#CC79A7", "#555555", "#8a6d3b")
+COLOURS = (*LINK_COLOURS, VIOLET, DARK)
 VIEW_STATES = 60  # number of states of an episode from which camera and scales are computed
 QUANTISATION_STEPS = 2**15 - 1  # int16; steps of a reading from the middle of its range to each end
 MISSING_VALUE = -QUANTISATION_STEPS - 1  # int16; step of a reading that is not finite, a gap in its curve
@@ -102,13 +103,14 @@ def _arm_data(model: Model) -> dict[str, Any]:
     return {"points": POINTS, "width": model.n_dof, "links": links, "radii": painter.radii.tolist()}
 
 
-def _view_data(models: Sequence[Model], points: Array, strain: float) -> dict[str, Any]:
+def _view_data(models: Sequence[Model], points: Array, strain: float, gain: float = 1.0) -> dict[str, Any]:
     """Return camera, floor and scale of the page as JSON-compatible data.
 
     Args:
         models: models of the arms.
         points: points (p, 3), m, in the picture.
         strain: strain at the ends of the colour scale; 0 for rigid arms.
+        gain: magnification of the deflection of the links at the start.
 
     Returns:
         Reach, points, camera, floor and scale.
@@ -121,7 +123,7 @@ def _view_data(models: Sequence[Model], points: Array, strain: float) -> dict[st
     towards = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     return {"reach": reach, "points": np.round(points, 6).tolist(), "distance": 3.0 * size, "floor": floor,
-            "towards": towards.tolist(), "step": round_up(reach / 10), "strain": strain}  # fmt: skip
+            "towards": towards.tolist(), "step": round_up(reach / 10), "strain": strain, "gain": gain}  # fmt: skip
 
 
 def _encode_array(values: NDArray[Any], kind: str = "<f4") -> str:
@@ -155,14 +157,16 @@ def _reading_data(name: str, values: Array) -> dict[str, Any]:
 
 def _episodes_view(episodes: Sequence[Episode]) -> dict[str, Any]:
     """Return camera, floor and scale of the page for several episodes, as JSON-compatible data."""
-    points, largest = [], 0.0
+    points, largest, gain = [], 0.0, suggested_gain(episodes)
     for episode in episodes:
         some = np.unique(np.linspace(0, len(episode.time) - 1, VIEW_STATES).astype(int))
         bent = curves(episode.model, episode.states[some], POINTS)
-        points += [bent.positions[:, :, -1].reshape(-1, 3), episode.targets[some]]
+        drawn = curves(episode.model, episode.states[some], 2, gain, 1.0).positions[:, :, -1]
+        points += [drawn.reshape(-1, 3), bent.positions[:, -1, -1], episode.targets[some]]
         largest = max(largest, 2.0 * float(np.percentile(np.abs(bent.strains[..., :3]).max(axis=(1, 2, 3)), 90)))
     strain = round_up(largest) if largest > 0.0 else 0.0
-    return _view_data([episode.model for episode in episodes], _outermost_points(np.concatenate(points)), strain)
+    models = [episode.model for episode in episodes]
+    return _view_data(models, _outermost_points(np.concatenate(points)), strain, gain)
 
 
 def _outermost_points(points: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
-from flexman_gym.common.plot_style import BLUE, DARK, GREEN, LIGHT, LINK_COLOURS, MIDDLE, ORANGE, RED, SKY, new_figure
+from flexman_gym.common.plot_style import BLUE, DARK, LIGHT, LINK_COLOURS, MIDDLE, RED, new_figure, save_figure
 from flexman_gym.simulation.trajectory import Trajectory
 
 
@@ -35,20 +35,19 @@ def trajectory_figure(trajectory: Trajectory, path: str | Path | None = None) ->
         ValueError: for a suffix that Matplotlib does not support.
     """
     figure = new_figure((8.4, 8.0), 120.0, window=path is None, layout="constrained")
-    _draw(figure, trajectory)
+    draw_panels(figure, trajectory)
     if path is None:
         from matplotlib import pyplot
 
         pyplot.show()
         return None
     file = Path(path)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(file)
+    save_figure(figure, file)
     return file
 
 
-def _draw(figure: Any, trajectory: Trajectory) -> None:
-    """Draw the four panels."""
+def draw_panels(figure: Any, trajectory: Trajectory) -> None:
+    """Draw the four panels of `trajectory_figure`."""
     time = trajectory.time
     tip, angles, twists, energy = figure.subplots(4, 1, sharex=True, height_ratios=(3, 3, 2, 2))
     for i, name in enumerate("xyz"):
@@ -127,7 +126,7 @@ def paper_figures(
         axes.set_title(f"{axes.get_title()}, under 400 N m at every joint")
         axes.set(xlabel="time (s)", ylabel=f"difference to the rigid arm ({_unit(column)})")
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
-        figure.savefig(path)
+        save_figure(figure, path)
     return [*paths, _all_figures(rigid, cases, folder / "paper_figures.png")]
 
 
@@ -142,7 +141,7 @@ def _all_figures(rigid: Trajectory, cases: dict[str, Trajectory], path: Path) ->
         axes.set_xlabel("time (s)")
     figure.suptitle("Difference between the flexible and the rigid arm under 400 N m at every joint", fontsize=13)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=11)
-    figure.savefig(path)
+    save_figure(figure, path)
     return path
 
 
@@ -169,7 +168,7 @@ def _unit(column: int) -> str:
     return "m" if column < 3 else "rad"
 
 
-COLOURS = (BLUE, RED, ORANGE, GREEN, SKY, MIDDLE)  # colours of the agents
+COLOURS = LINK_COLOURS  # colours of the agents
 MIN_ERROR = 1e-5  # m; lower end of the logarithmic axis of tip errors
 
 
@@ -223,5 +222,4 @@ def draw_episodes(records: Mapping[str, _RecordedEpisode], path: Path) -> None:
     for each in axes:
         each.grid(color=LIGHT, linewidth=0.6)
         each.spines[["top", "right"]].set_visible(False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    save_figure(figure, path)

@@ -12,18 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.checks import positive, value_error
-from flexman_gym.draw.frames import FramePainter, grid
-from flexman_gym.draw.overlay import Caption
-from flexman_gym.model.deformation import curves
-from flexman_gym.simulation.episode import Episode
 
 COLOUR_TOLERANCE = 6  # levels of 255; largest colour error for which a pixel of a GIF stays as in the previous frame
-COLOURS, COLOUR_STEP = 64, 4  # number of colours of a GIF; levels of a channel merged for their selection
+COLOURS, COLOUR_STEP = 128, 4  # number of colours of a GIF; levels of a channel merged for their selection
 SUFFIXES = (".mp4", ".gif")
 
 
 def write_video(frames: Sequence[NDArray[np.uint8]], path: str | Path, fps: float = 50.0) -> Path:
-    """Write frames of one size as an MP4 (H.264) or as a repeating GIF of 64 colours; return the path.
+    """Write frames of one size as an MP4 (H.264) or as a repeating GIF of 128 colours; return the path.
 
     An MP4 needs the package imageio-ffmpeg, a GIF needs Pillow. MP4 has even widths and heights: an odd last row or
     column is dropped.
@@ -65,15 +61,21 @@ def write_picture(frame: NDArray[np.uint8], path: str | Path) -> Path:
     Raises:
         OSError: if the file cannot be written.
     """
-    path, (height, width, _) = Path(path), frame.shape
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(encode_picture(frame))
+    return path
+
+
+def encode_picture(frame: NDArray[np.uint8]) -> bytes:
+    """Return the bytes of a PNG file with a frame (height, width, 3)."""
+    height, width, _ = frame.shape
     rows = np.concatenate([np.zeros((height, 1), dtype=np.uint8), frame.reshape(height, -1)], axis=1)  # unfiltered
     parts = (b"IHDR", struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0)), (b"IDAT", zlib.compress(rows.tobytes(), 9))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("wb") as file:
-        file.write(b"\x89PNG\r\n\x1a\n")
-        for name, data in (*parts, (b"IEND", b"")):
-            file.write(struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)))
-    return path
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in (*parts, (b"IEND", b""))
+    )
 
 
 def _write_mp4(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> None:
@@ -157,54 +159,3 @@ class Window:
         self._pygame.display.quit()
         if self.late:
             print(f"{self.late} of {self.shown} frames came late", file=sys.stderr)
-
-
-GIF_SIZE, VIDEO_SIZE = (480, 360), (1280, 720)  # pixels; default width and height of a GIF and of a video
-GIF_SECONDS = 5.0  # s; duration of a GIF
-GIF_RATE, VIDEO_RATE = 10.0, 50.0  # frames per second
-TRAIL_SECONDS = 1.5  # s; duration of the drawn path of the tip
-
-
-def side_by_side(
-    episodes: Sequence[Episode], small: bool = False, size: tuple[int, int] | None = None
-) -> tuple[list[NDArray[np.uint8]], float]:
-    """Return frames of several episodes side by side, with equal camera directions and scales.
-
-    Args:
-        episodes: at least one episode.
-        small: True for the frames of a GIF of 5 s at 10 frames per second; False for the whole episodes at 50.
-        size: width and height of the picture, pixels; None for 480 x 360 (small) or 1280 x 720.
-
-    Returns:
-        Frames (height, width, 3), uint8, and the number of frames per second.
-    """
-    if not episodes:
-        raise value_error("episodes", episodes, "at least one")
-    picture_size = size or (GIF_SIZE if small else VIDEO_SIZE)
-    frame_size, rate = (picture_size[0] // len(episodes), picture_size[1]), GIF_RATE if small else VIDEO_RATE
-    end = min(max(float(each.time[-1]) for each in episodes), GIF_SECONDS if small else np.inf)
-    points = np.concatenate([
-        part for each in episodes
-        for part in (curves(each.model, each.states[:: max(1, len(each.time) // 60)], 4).positions.reshape(-1, 3),
-                       each.targets[np.isfinite(each.targets).all(axis=1)])
-    ])  # fmt: skip
-    painters = [FramePainter(each.model, frame_size, shadow=not small) for each in episodes]
-    shots = [painter.shot(points) for painter in painters]
-    frames = []
-    for time in np.arange(0.0, end - 0.5 / rate, 1.0 / rate):
-        row = [min(round(time / each.period), len(each.time) - 1) for each in episodes]
-        frames.append(grid([
-            painter.paint(each.states[k], each.targets[k] if np.isfinite(each.targets[k]).all() else None,
-                          _caption(each, k), each.tips[max(0, k - round(TRAIL_SECONDS / each.period)) : k + 1], shot)
-            for painter, each, k, shot in zip(painters, episodes, row, shots, strict=True)
-        ], len(episodes)))  # fmt: skip
-    return frames, rate
-
-
-def _caption(episode: Episode, row: int) -> Caption:
-    """Return the caption of an episode at a row: name, time (s), tip error (m), torques as fractions of the limits."""
-    error, torques = float(episode.errors[row]), episode.actions[max(row - 1, 0)] if len(episode.actions) else None
-    finite = torques is not None and bool(np.isfinite(torques).all())
-    return Caption(
-        episode.name, float(episode.time[row]), error if np.isfinite(error) else None, None, torques if finite else None
-    )

@@ -92,8 +92,8 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
     Fidelity
         By default the model has two elements per link and the component modes below half the control rate, 16 of 36
         coordinates for FlexRRR-v0. The integration method is "midpoint_corrected_3", which has no numerical damping,
-        with steps of 20/3 ms; the smaller arms have shorter steps. `docs/accuracy.md` compares the energy and the tip
-        motion of this model with the model with all coordinates.
+        with steps of 20/3 ms; the smaller arms have shorter steps. `docs/evidence/accuracy.md` compares the energy and
+        the tip motion of this model with the model with all coordinates.
 
         fidelity="auto" with a tolerance (m) calls `choose_model`, which chooses modes, method and step for a slew of
         3 s with sine torques (0.5 Hz, amplitude `torque_limit`); `env.unwrapped.choice` is the result. The tolerance
@@ -110,7 +110,8 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         render_size: width and height of a frame, pixels.
         render_camera: azimuth and elevation in degrees, and an optional zoom; None chooses them from the joint axes. A
             frame always contains the arm at start and goal, and the target.
-        render_gain: factor by which frames exaggerate the deflection; it is printed in the frame.
+        render_gain: magnification of the deflection of the links in frames, or a pair: of the deflection of the links
+            and of the twist of the joints, which by default has its true scale. It is printed in the frame.
         render_overlays: True to print time, tip error, reward, torques and scales in each frame.
         **settings: the attributes of `Configuration` (arm, task, limits, fidelity and so on), and "condition", one of
             `envs.config.named_environments.CONDITIONS`, which changes the defaults of some settings.
@@ -134,7 +135,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         render_mode: str | None = None,
         render_size: tuple[int, int] = (480, 360),
         render_camera: Vector | None = None,
-        render_gain: float = 1.0,
+        render_gain: float | Vector = 1.0,
         render_overlays: bool = True,
         **settings: Any,
     ) -> None:

@@ -27,7 +27,7 @@ class _Renderer:
     Args:
         episodes: episodes of the arms.
         title: title of the frames.
-        look: tuple of frame size, camera, gain of the deflection and overlays, see `FramePainter`.
+        look: tuple of frame size, camera, gains of the deflection and overlays, see `FramePainter`.
 
     Attributes:
         screen: window or web page that shows the first arm; None before the first frame.
@@ -93,7 +93,7 @@ class _Renderer:
         postures = start + np.linspace(0.0, 1.0, POSTURES)[:, None] * (goal.angles[0] - start)
         states = [view.state[arm : arm + 1], view.rest_states(np.array([start, goal.angles[-1]]))]
         states += [model.at_rest(np.concatenate([postures, goal.angles]))]
-        points = curves(model, np.concatenate(states), LINK_POINTS).positions.reshape(-1, 3)
+        points = curves(model, np.concatenate(states), LINK_POINTS, *self._painter.gains).positions.reshape(-1, 3)
         return np.concatenate([points, goal.target, view.target[arm : arm + 1]])
 
 

@@ -109,7 +109,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         render_mode: str | None = None,
         render_size: tuple[int, int] = (480, 360),
         render_camera: Vector | None = None,
-        render_gain: float = 1.0,
+        render_gain: float | Vector = 1.0,
         render_overlays: bool = True,
         **settings: Any,
     ) -> None:

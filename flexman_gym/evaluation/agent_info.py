@@ -1,6 +1,6 @@
 """Information on an agent: description, required information, training time, and the seeds used for training."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,16 @@ from flexman_gym.evaluation.rollout import SELECTION_SEEDS, training_seed
 
 # information not available on hardware; "its episodes": start, goal and parameters of the episodes before they begin
 ORACLE_INFORMATION = ("true state", "true parameters", "its episodes")
+INFORMATION = {  # information that is given -> entries of `information` of an agent, of which one is enough
+    "true state and parameters": ("true parameters", "its episodes"),
+    "true state": ("true state",),
+    "model, ranges of the parameters": ("structure of the model",),
+    "nominal model or data sheets": ("model", "data sheets"),
+    "measurements only": (),
+}
 TRUE_SENSORS = ("full", "fine", "state")  # sensors that read the true state
-TIME_COLUMN = "time/time_elapsed"  # column of the training time (s) in the curves of Stable-Baselines3
+# columns of the training time, s, in learning curves: CPU time, and elapsed time for runs of earlier versions
+CPU_COLUMN, TIME_COLUMN = "time/cpu_seconds", "time/time_elapsed"
 
 
 @dataclass(frozen=True)
@@ -61,25 +69,44 @@ def describe_agent(agent: str) -> _AgentInfo:
     kind = base.get("kind") if isinstance(base, dict) else base
     described = f"a policy trained by {str(settings.get('algo', 'a recipe')).upper()}"
     described += f", with the base controller {kind}" if kind else ""
-    trained = "for a time missing in its curves" if seconds is None else f"for {seconds / 60.0:.3g} minutes"
+    trained = "for a time missing in its curves" if seconds is None else f"for {seconds / 60.0:.3g} minutes of CPU time"
+    return _AgentInfo(described, trained, policy_information(environment, base))
+
+
+def policy_information(environment: Configuration, base: object = None) -> tuple[str, ...]:
+    """Return the information that a policy needs, from its sensors and its base controller.
+
+    Args:
+        environment: environment of the training.
+        base: base controller in place of that of the environment; None to keep it.
+    """
+    base = base or environment.base
+    kind = base.get("kind") if isinstance(base, dict) else base
     sensors = {each["kind"] if isinstance(each, dict) else each for each in plain_sensors(environment.sensors)}
     needed = ["training", *(["true state"] if sensors & set(TRUE_SENSORS) else [])]
     of_base = BASES[kind].information if isinstance(kind, str) else ()
-    return _AgentInfo(described, trained, tuple(dict.fromkeys([*needed, *of_base])))
+    return tuple(dict.fromkeys([*needed, *of_base]))
+
+
+def information_kind(needed: Iterable[str]) -> str:
+    """Return the key of INFORMATION for the information that an agent needs."""
+    found = set(needed)
+    return next(name for name, entries in INFORMATION.items() if found & set(entries) or not entries)
 
 
 def training_seconds(agent: str) -> float | None:
-    """Return the training time, s, of a policy or a training run; None for a run without learning curves."""
+    """Return the CPU time of the training, s, of a policy or a run; None for a run without learning curves."""
     if folder := policy_folder(agent):
         return float(read_policy(folder).metadata["training_seconds"])
     result = None
     for path in () if agent in BASELINES else sorted(Path(agent).glob("progress*.csv")):
         names, *rows = [*read_csv_rows(path)] or [[]]
-        column = names.index(TIME_COLUMN) if TIME_COLUMN in names else len(names)
+        head = CPU_COLUMN if CPU_COLUMN in names else TIME_COLUMN
+        column = names.index(head) if head in names else len(names)
         try:
             times = [float(row[column]) for row in rows if row[column:] and row[column]]
         except ValueError:
-            raise ValueError(f"{short_path(path)}: {TIME_COLUMN} is not a number in each row") from None
+            raise ValueError(f"{short_path(path)}: {head} is not a number in each row") from None
         result = (result or 0.0) + max(times, default=0.0)
     return result
 

@@ -142,12 +142,53 @@ def _present_keys(data: Any) -> Any:
 
 
 def describe_policy(name: str) -> str:
-    """Return the description of a shipped policy and the result of its certificate, as text."""
+    """Return the description of a shipped policy, its results, and the limits that it exceeds in its certificate."""
     metadata, certificate = _parse_json(_read_bytes(FOLDER / name / METADATA)), read_certificate(FOLDER / name)
+    text, row = f"{metadata['words']} ", metadata["league"]
+    if row:
+        text += f"{row['environment']}: {row['settled']:.0%} settle, median {row['settling_time']:.2f} s, "
+        text += f"vibration {millimetres(row['vibration'])}. "
     if certificate is None:
-        return f"{metadata['words']} It has no certificate."
-    fails = ", ".join(map(str, certificate["fails"]))
-    return f"{metadata['words']} {f'Not recommended: it fails {fails}.' if fails else 'Recommended.'}"
+        return text + "It has no certificate."
+    exceeded = [
+        f"{change}{': ' * bool(reasons)}{reasons.partition(', ')[0]}" for change, reasons in exceeded_limits(name)
+    ]
+    return text + (
+        f"Beyond its limits: {'; '.join(exceeded)}." if exceeded else "Within all limits of its certificate."
+    )
+
+
+def exceeded_limits(name: str) -> list[tuple[str, str]]:
+    """Return the changes of the environment that exceed limits in the certificate of a shipped policy.
+
+    Args:
+        name: name of the policy.
+
+    Returns:
+        Changes that are given to the controller, such as "delay=3" or "@mujoco", with the values beyond a limit and the
+        limits ("" in certificates of version 0.2); [] without a certificate.
+    """
+    certificate = read_certificate(FOLDER / name) or {"fails": [], "rows": []}
+    reasons = {row["scenario"]: str(row["fails"]) for row in certificate["rows"][::-1] if row.get("fails")}
+    changes = []
+    for fail in certificate["fails"]:
+        scenario, _, seeds = fail.partition(" on seeds ")
+        change = change_name(scenario)
+        changes.append((f"{change}, seeds {seeds}" if seeds else change, reasons.get(scenario, "")))
+    return changes
+
+
+def change_name(scenario: str) -> str:
+    """Return the change in the name of a scenario, such as "delay=3" or "@mujoco", without "+given"."""
+    where, at, plant = scenario.partition("@")
+    return at + plant or where.rpartition("/")[2].removesuffix("+given")
+
+
+def millimetres(length: float) -> str:
+    """Return a length, m, in mm with its unit; "below 0.01 mm" for small ones."""
+    if length < 1e-5:
+        return "below 0.01 mm"
+    return f"{1e3 * length:.0f} mm" if length >= 0.1 else f"{1e3 * length:.2g} mm"
 
 
 def _read_bytes(path: Path) -> bytes:

@@ -23,7 +23,7 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS, NOMIN
 from flexman_gym.envs.tasks import plain_task
 from flexman_gym.evaluation.agent import INTERFACE, find_agent
 from flexman_gym.evaluation.metrics import METRICS, task_metrics
-from flexman_gym.evaluation.policy_files import CERTIFICATE, policy_folder, read_policy
+from flexman_gym.evaluation.policy_files import CERTIFICATE, millimetres, policy_folder, read_policy
 from flexman_gym.evaluation.rollout import TEST_SEEDS
 from flexman_gym.league.rows import VALUES, EpisodeRow, run_league
 from flexman_gym.league.scenarios import CHANGES, GIVEN, PLANTS, find_scenario, randomised_ranges
@@ -51,10 +51,10 @@ def certify(
 ) -> Path:  # fmt: skip
     """Run a policy in the scenarios of its certificate and write `certificate.json` to its folder; return the path.
 
-    The entry "rows" has the metrics of each scenario, and under "fails" of a row the limits that it exceeds. The entry
-    "fails" has the names of the scenarios that count and exceed a limit, with their seeds; the policy is recommended if
-    it is empty. All scenarios count but for changes without "+given", where the controller is designed for the
-    environment before the change.
+    The entry "rows" has the metrics of each scenario, and under "fails" of a row its values beyond a limit, with the
+    limits. The entry "fails" has the names of the scenarios that count and exceed a limit, with their seeds. All
+    scenarios count but for changes without "+given", where the controller is designed for the environment before the
+    change.
 
     Limits of each scenario: at least 95 % of the episodes settle; no episode ends at a limit of the environment; the
     median settling time is at most 1.3 times that in the environment of the training; the median vibration (peak to
@@ -136,7 +136,7 @@ def _environment_name(name: str) -> str:
 def certificate_row(
     scenario: str, seeds: range, rows: Sequence[EpisodeRow], reference: Sequence[EpisodeRow], reach: float
 ) -> dict[str, Any]:
-    """Return the metrics of a scenario, and under "fails" the limits that it exceeds, as text; "" for none.
+    """Return the metrics of a scenario, and under "fails" its values beyond a limit with the limits, as text.
 
     Args:
         scenario: name of the scenario.
@@ -150,21 +150,21 @@ def certificate_row(
     """
     now, trained = _aggregates(METRIC_NAMES, rows), _aggregates(METRIC_NAMES, reference)
     reasons = []
-    if now["failed"]:
-        reasons.append("an episode ended at a limit")
     if not now["settled"] >= MIN_SETTLED:
-        reasons.append(f"less than {MIN_SETTLED:.0%} settle")
+        reasons.append(f"{now['settled']:.0%} settle (limit {MIN_SETTLED:.0%})")
+    if now["failed"]:
+        reasons.append(f"{now['failed']:.0%} end at a limit of the environment")
     if now["settling_time"] > (limit := MAX_SETTLING_RATIO * trained["settling_time"]):
-        reasons.append(f"settling takes more than {limit:.3g} s")
+        reasons.append(f"settling in {now['settling_time']:.2f} s (limit {limit:.2f} s)")
     limit = MAX_VIBRATION * reach
     if "@" in scenario:
         limit = min(limit, trained["vibration"] + MAX_VIBRATION_INCREASE * reach)
     if now["vibration"] > limit:
-        reasons.append(f"the tip moves by more than {1e3 * limit:.2g} mm")
+        reasons.append(f"vibration {millimetres(now['vibration'])} (limit {millimetres(limit)})")
     return {"scenario": scenario, "seeds": [seeds.start, seeds.stop], **_plain(now), "fails": ", ".join(reasons)}
 
 
-def _counts(scenario: str) -> bool:
+def is_counted(scenario: str) -> bool:
     """Return True if a scenario counts for the verdict: the controller is designed for the environment in it."""
     change, equals, value = scenario.rpartition("/")[2].partition("=")
     return not equals or value.endswith(GIVEN) or CHANGES[change].always_given
@@ -176,7 +176,7 @@ def _failed_scenarios(rows: Sequence[dict[str, Any]]) -> list[str]:
     return [
         row["scenario"] + (f" on seeds {row['seeds'][0]} to {row['seeds'][1] - 1}" if row["seeds"][0] != first else "")
         for row in rows
-        if row["fails"] and _counts(row["scenario"])
+        if row["fails"] and is_counted(row["scenario"])
     ]
 
 
@@ -219,7 +219,9 @@ def _row_text(row: dict[str, Any]) -> str:
     """Return the result of a scenario as a line of text."""
     values = ", ".join(f"{name} {row[name]:.3g}" for name in METRIC_NAMES if row[name] is not None)
     reasons = f" ({row['fails']})" if row["fails"] else ""
-    verdict = ("FAILS" if reasons else "passes") if _counts(row["scenario"]) else "does not count"
+    verdict = (
+        ("beyond its limits" if reasons else "within its limits") if is_counted(row["scenario"]) else "does not count"
+    )
     return f"{row['scenario']:<42} {verdict}{reasons}: {values}"
 
 

@@ -1,395 +1,226 @@
-"""League page: recommendation, tables and charts of the rows."""
+"""League page: recommended agents by the information given, heat map, limits in sweeps, and rules."""
 
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple
+from textwrap import fill
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array
-from flexman_gym.common.computer import computer_text
-from flexman_gym.common.plot_style import LIGHT, LINK_COLOURS, MIDDLE, new_figure
-from flexman_gym.envs.config.named_environments import DEFAULT_ID
-from flexman_gym.evaluation.agent import BASELINES, SIMPLE_AGENTS
-from flexman_gym.evaluation.agent_info import describe_agent, training_seconds
-from flexman_gym.evaluation.metrics import MEAN, MEDIAN, Metric, optimised_settling_times, task_metrics
-from flexman_gym.league.rows import DAMPING, REFERENCE_AGENTS, TIME_RATIO, LeagueRows
-from flexman_gym.league.scenarios import GIVEN, LAB_SCENARIO, PLANTS, SWEEPS, find_scenario
-from flexman_gym.league.standings import Interval, Standings
-from flexman_gym.metrics import mean, median_interval, performance_profile, stratified_interval
-from flexman_gym.simulation.parameters import PARAMETERS
+from flexman_gym.common.markdown import markdown_table
+from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
+from flexman_gym.evaluation.agent import SIMPLE_AGENTS
+from flexman_gym.evaluation.agent_info import INFORMATION
+from flexman_gym.league.charts import CHART, SWEEP_CHART, draw_charts, swept_agents
+from flexman_gym.league.details import (
+    given_information,
+    information_text,
+    number_text,
+    settling_text,
+    short_name,
+    sweep_text,
+)
+from flexman_gym.league.rows import BLOCK, REFERENCE_AGENTS, LeagueRows
+from flexman_gym.league.scenarios import GIVEN, LAB_SCENARIO, PLANTS, find_scenario, randomised_ranges
+from flexman_gym.league.standings import Standings
+from flexman_gym.metrics.signals import BAND
 
-PAGE, CHART = "league.md", "league.png"
-PAYLOAD_SCENARIO = f"{DEFAULT_ID}/payload"
-BREAKDOWN_LEVEL = 0.5  # share of settled episodes (moving goals: score) below which an agent fails in a scenario
-THRESHOLDS = np.linspace(-0.2, 1.4, 81)  # dimensionless; scores at which performance profiles are evaluated
-TEMPLATE = Path(__file__).parent / "league.md"  # Jinja2
-Section = dict[str, Any]  # values for a part of the template
-MARKERS = "osD^vP"  # Matplotlib markers of the agents
-MARKER_SPACING = 0.05  # dimensionless; horizontal distance of the markers of two agents / of two scenarios
+PAGE, COMPUTED = "league.md", "Computed with "
+KNOWN, UNKNOWN = DEFAULT_ID, f"{DEFAULT_ID}/unknown"  # scenarios by which agents are chosen
+COMPARED = (KNOWN, UNKNOWN, f"{DEFAULT_ID}/uncertain", f"{DEFAULT_ID}/unmodelled")  # columns of the first table
+WELL = 0.95  # share of settled episodes at which an agent copes with a value of a sweep
+TEXT = """# League of controllers and policies
+
+All agents are evaluated in the same {episodes} episodes of each scenario. In `{known}`, an arm with flexible links, of
+{reach:g} m in total, moves its tip to a target and stops there. An episode lasts {horizon:g} s. It is settled if the
+tip stays within {band:.0f} mm of the target for at least the last second; an agent that needs longer settles nothing.
+
+## Choose an agent
+
+{recommendation}
+
+The best agents for each kind of information that they are given, with the share of settled episodes and the median
+settling time. *Action* is the CPU time for one action of one arm, of {block} simulated together, as the median over the
+scenarios.
+
+{choice}
+
+## Results
+
+![Share of settled episodes of each agent in each scenario]({chart})
+
+Upper number: settled episodes, %. Lower number: median settling time. For moving goals (Track, Hold) the number is the
+median RMS tip error in mm, and the shade the error of `{oracle}` relative to it. Grey: not run, because the agent
+needs another arm, or information that cannot be measured there. A name such as `payload` is a condition of `{known}`.
+
+## Limits
+
+{limits}
+
+## Rules
+
+- Test episodes have the seeds 9000 to 9099. Nothing is selected on them; `flexman league` rejects a run that used one.
+  Seeds below 100 and from 5000 on are for tuning and selection, those from 1000000 on for training.
+- One agent for all scenarios, with the sensors of its training. `flexman league --add FOLDER` adds a training run.
+- A controller may be tuned with as much CPU time as the training of the policy with which it is compared.
+- Rows have a hash of scenario, agent, code and package versions, and are equal to the bit in every repetition.
+
+All rows are in `rows.csv` (episodes) and `cells.csv` (CPU times, reasons for missing rows) beside this page.
+`flexman league --redraw --folder FOLDER` writes page and charts from them; `--details` prints all metrics of a
+scenario, the data of an agent, a sweep (`{known}/payload=`), or the scores (`overall`).
+"""
+LIMITS = """Values of a parameter at which at least {well:.0f} % of the episodes settle. *Given* is the range for which
+the controllers are designed; outside of it their model is wrong. The last rows are the settled shares, %, in other
+simulations of the same episodes, of which the controllers are not informed.
+
+{table}
+
+{plants}
+{chart}
+"""
+SWEEPS = """
+![Settled episodes over the values of each parameter]({chart})
+"""
 
 
-class _ScoreCurve(NamedTuple):
-    """Scores of an agent at k abscissae and the ends of their intervals, (k,) each; nan for no score."""
+def write_page(results: LeagueRows, folder: Path, computer: str | None = None) -> None:
+    """Write the page and its charts to a folder; without Matplotlib only the page.
 
-    abscissae: Array
-    scores: Array
-    low: Array
-    high: Array
-
-
-def write_page(results: LeagueRows, folder: Path) -> None:
-    """Write the page and its charts to a folder; without Jinja2 only the charts, without Matplotlib only the page."""
+    Args:
+        results: rows and cells.
+        folder: folder of page and charts.
+        computer: computer and versions that made the rows; None for those of the present page, "" if there is none.
+    """
     standings = Standings(results)
+    page = folder / PAGE
+    if computer is None:
+        lines = page.read_text(encoding="utf-8").splitlines() if page.is_file() else []
+        computer = next((line for line in lines if line.startswith(COMPUTED)), "").removeprefix(COMPUTED).rstrip(".")
     try:
         draw_charts(standings, folder)
     except ImportError as error:
         print(f"no charts: {error}")
-    try:
-        (folder / PAGE).write_text(_page_text(standings), encoding="utf-8")
-    except ImportError as error:
-        print(f"no page: {error}")
+    page.write_text(_page_text(standings) + f"\n{COMPUTED}{computer}.\n" * bool(computer), encoding="utf-8")
 
 
 def _page_text(standings: Standings) -> str:
-    """Return the page in Markdown, made from TEMPLATE.
-
-    Args:
-        standings: comparison of the agents.
-
-    Returns:
-        Markdown.
-
-    Raises:
-        ImportError: without Jinja2.
-    """
-    try:
-        from jinja2 import Environment, StrictUndefined
-    except ImportError:
-        raise ImportError("it needs Jinja2: pip install 'flexman_gym[render]'") from None
-    environment = Environment(
-        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
-    )
-    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+    """Return the page in Markdown, without the computer that made the rows."""
+    reach = sum(link.length for link in NAMED_ENVIRONMENTS[DEFAULT_ID].arm.links)
+    return TEXT.format(
+        episodes=max((len(standings.values(each, KNOWN, "reward")) for each in standings.agents), default=0),
+        known=KNOWN,
+        oracle=REFERENCE_AGENTS[1],
+        reach=reach,
+        band=1e3 * BAND * reach,
+        horizon=NAMED_ENVIRONMENTS[DEFAULT_ID].horizon,
         recommendation=_recommendation(standings),
-        block=max((cell.end - cell.first for cell in standings.results.cells.values()), default=0),
-        summary=summary_rows(standings, standings.scenarios),
-        absent=[f"`{each}`" for each in BASELINES if each not in standings.overall],
-        agents=[_agent_section(standings, agent) for agent in standings.agents],
-        counted=[f"`{scenario}`" for scenario in standings.counted],
-        overall=_overall_rows(standings),
+        choice="\n".join(_choice_table(standings)),
+        block=BLOCK,
         chart=CHART,
-        scenarios=[_scenario_section(standings, scenario) for scenario in standings.scenarios],
-        sweeps=[_sweep_section(standings, name) for name in standings.sweeps],
-        plants=PLANTS,
-        plant_results=[_plant_section(standings, *each) for each in standings.plants.items()],
-        computer=computer_text(),
+        limits=_limits(standings),
     )
 
 
 def _recommendation(standings: Standings) -> str:
-    """Return the recommended agent for an arm with uncertain parameters, its cost, and the scenarios where it fails."""
+    """Return the recommended agent for an arm with uncertain parameters, with its settling, information and cost."""
     if not (agents := standings.realisable(LAB_SCENARIO)):
         return f"No agent that is realisable on hardware was run in `{LAB_SCENARIO}`."
     best, *others = agents
-    lines = [
+    action, start = standings.cost(best, standings.scenarios)
+    sentences = [
         f"For an arm with unknown payload, stiffness and delay (`{LAB_SCENARIO}`), use `{best}`.",
-        _settling_sentence(standings, best, LAB_SCENARIO),
-        f"It needs: {_needs(best)}.",
-        _cost_sentence(standings, best, [LAB_SCENARIO]),
-        *_breakdown_sentences(standings, best),
+        _settling_sentence(standings, best),
+        f"It needs: {information_text(best)}.",
+        f"An action takes {number_text(action)} us of CPU time, and the start of an episode "
+        f"{number_text(1e-3 * start)} ms.",
     ]
     if others:
-        won = standings.improvement_probability(best, others[0], [LAB_SCENARIO])
-        lines += [f"The second is `{others[0]}`. {_settling_sentence(standings, others[0], LAB_SCENARIO)}"]
-        lines += [f"The first has the larger reward in {_share(won)} of the same episodes."] if won else []
-    if reference := standings.values(REFERENCE_AGENTS[1], LAB_SCENARIO, "settling_time"):
-        time = median_interval(np.array([*reference.values()]))[0]
-        lines.append(f"The median settling time of an LQR with the true state and parameters is {time:.2f} s.")
-    if not standings.why(best, PAYLOAD_SCENARIO):
-        lines.append(f"If only the payload is unknown (`{PAYLOAD_SCENARIO}`), use `{best}` too.")
-        lines.append(_settling_sentence(standings, best, PAYLOAD_SCENARIO))
-    return "\n".join(lines)
+        sentences.append(f"The second is `{others[0]}`. {_settling_sentence(standings, others[0])}")
+        if won := standings.improvement_probability(best, others[0], [LAB_SCENARIO]):
+            sentences.append(f"The first has the larger reward in {100.0 * won[0]:.0f} % of the same episodes.")
+    if not standings.why(REFERENCE_AGENTS[1], LAB_SCENARIO):
+        time = -standings.settled(REFERENCE_AGENTS[1], LAB_SCENARIO)[1]
+        sentences.append(f"The median settling time of an LQR with the true state and parameters is {time:.2f} s.")
+    return fill(" ".join(sentences), 118, break_long_words=False, break_on_hyphens=False)
 
 
-def _settling_sentence(standings: Standings, agent: str, scenario: str) -> str:
-    settled, time = standings.settled(agent, scenario)
+def _settling_sentence(standings: Standings, agent: str) -> str:
+    settled, time = standings.settled(agent, LAB_SCENARIO)
     when = f", half of them within {-time:.2f} s" if np.isfinite(time) else ""
     return f"It settles {100.0 * settled:.0f} % of the episodes{when}."
 
 
-def _cost_sentence(standings: Standings, agent: str, scenarios: list[str]) -> str:
-    action, start = standings.cost(agent, scenarios)
-    return f"An action takes {_number(action)} microseconds, and the start of an episode {_number(1e-3 * start)} ms."
-
-
-def _breakdown_sentences(standings: Standings, agent: str) -> list[str]:
-    """Return sentences on the scenarios where an agent fails, and on the scenarios where it was not run."""
-    names = _all_scenarios(standings)
-    failing = [f"`{_short_name(each)}`" for each in names if _is_failing(standings, agent, each)]
-    missing = [f"`{_short_name(each)}`" for each in names if standings.why(agent, each)]
-    first = f"It fails in {', '.join(failing)}." if failing else "It fails in none of its scenarios."
-    return [first, *([f"It was not run in: {', '.join(missing)}."] if missing else [])]
-
-
-def _agent_section(standings: Standings, agent: str) -> Section:
-    info = describe_agent(agent)
-    costs = [] if agent in SIMPLE_AGENTS else [_cost_sentence(standings, agent, standings.scenarios)]
-    notes = [*costs, *_breakdown_sentences(standings, agent)]
-    return {"agent": agent, "description": info.description, "needs": _needs(agent), "tuning": info.tuning,
-            "notes": notes}  # fmt: skip
-
-
-def summary_rows(standings: Standings, scenarios: list[str]) -> list[list[str]]:
-    """Return a row of a table for each agent: name, and result in each scenario."""
-    return [[f"`{each}`", *(_result(standings, each, name) for name in scenarios)] for each in standings.agents]
-
-
-def _result(standings: Standings, agent: str, scenario: str, seeds: frozenset[int] | None = None) -> str:
-    """Return the share of settled episodes and the median settling time, or the score for a moving goal."""
-    if standings.why(agent, scenario):
-        return "no row"
-    if "settling_time" in {each.name for each in _scenario_metrics(scenario)}:
-        settled, time = standings.settled(agent, scenario, seeds)
-        return f"{100.0 * settled:.0f} %" + (f", {-time:.2f} s" if np.isfinite(time) else "")
-    score = standings.score(agent, scenario)
-    return "no scale" if score is None else f"score {_number(score[0])}"
-
-
-def _plant_section(standings: Standings, scenario: str, names: list[str]) -> Section:
-    """Return the section of a scenario on other plants, with the same episodes on the usual plant."""
-    heads = ["agent", *(name.partition("@")[2] or "usual" for name in names)]
-    compared = _comparison(standings, names, names[1:], dict.fromkeys(names, "on another plant"))
-    return {"name": scenario, "heads": heads, **compared}
-
-
-def _sweep_section(standings: Standings, name: str) -> Section:
-    values = {scenario: f"{value:g}" for scenario, value in standings.sweeps[name].items()}
-    compared = _comparison(standings, [*values], [*values], {each: f"at {value}" for each, value in values.items()})
-    return {"name": name, "heads": [_sweep_label(name), *values.values()], "chart": _chart_name(name), **compared}
-
-
-def _sweep_label(name: str) -> str:
-    """Return quantity and unit of a sweep."""
-    return SWEEPS[name.removesuffix(GIVEN).rpartition("/")[2]].text
-
-
-def _comparison(standings: Standings, scenarios: list[str], own: list[str], places: dict[str, str]) -> Section:
-    """Return the results of all agents in several scenarios.
-
-    Args:
-        standings: comparison of the agents.
-        scenarios: names of the scenarios.
-        own: scenarios whose agents and episodes are selected for the comparison.
-        places: scenario -> its description in notes.
-
-    Returns:
-        Number of episodes, rows of the table, and notes.
-    """
-    seeds = frozenset(seed for name, _, seed in standings.results.rows if name in own)
-    agents = [each for each in standings.agents if any(not standings.why(each, name) for name in own)]
-    why = {(each, standings.why(each, name)): places[name] for each in agents for name in scenarios}
-    absent = ", ".join(f"`{each}`" for each in standings.agents if each not in agents)
-    return {
-        "episodes": len(seeds),
-        "rows": [[f"`{each}`", *(_result(standings, each, name, seeds) for name in scenarios)] for each in agents],
-        "notes": [f"`{each}` has no row {place}: {words}." for (each, words), place in why.items() if words]
-        + [f"Not run at all: {absent}."] * bool(absent),
-    }
-
-
-def _all_scenarios(standings: Standings) -> list[str]:
-    return [*standings.scenarios, *(scenario for each in standings.sweeps.values() for scenario in each)]
-
-
-def _is_failing(standings: Standings, agent: str, scenario: str) -> bool:
-    if standings.why(agent, scenario):
-        return False
-    if "settling_time" in {each.name for each in _scenario_metrics(scenario)}:
-        return standings.settled(agent, scenario)[0] < BREAKDOWN_LEVEL
-    score = standings.score(agent, scenario)
-    return score is not None and score[0] < BREAKDOWN_LEVEL
-
-
-def _overall_rows(standings: Standings) -> list[list[str]]:
-    """Return a row for each agent with its overall score and cost."""
-    count, rows = len(standings.counted), []
-    for agent, after in zip(standings.agents, [*standings.agents[1:], ""], strict=True):
-        won = standings.improvement_probability(agent, after, standings.counted) if after else None
-        action, start = standings.cost(agent, standings.scenarios)
-        trained = training_seconds(agent)
-        rows.append([
-            f"`{agent}`", _needs(agent), _interval(standings.overall[agent]),
-            f"{count - len(standings.missed(agent))} of {count}", _share(won) if won else "-",
-            _number(action), _number(1e-3 * start), "-" if trained is None else _number(trained / 60.0),
-        ])  # fmt: skip
-    return rows
-
-
-def _scenario_section(standings: Standings, scenario: str) -> Section:
-    metrics, times = _scenario_metrics(scenario), optimised_settling_times(find_scenario(scenario).environment)
-    agents = [each for each in standings.agents if not standings.why(each, scenario)]
-    scores = {each: standings.score(each, scenario) or (np.nan,) * 3 for each in agents}
-    agents.sort(key=lambda each: -np.nan_to_num(scores[each][0], nan=0.0))
-    slews = "settling_time" in {metric.name for metric in metrics}
+def _choice_table(standings: Standings) -> list[str]:
+    """Return a table of the best agents of each kind of information, in the known and in the unknown arm."""
+    columns = [each for each in COMPARED if each in standings.scenarios]
+    groups: dict[str, list[str]] = {name: [] for name in reversed(INFORMATION)}
+    for agent in standings.agents:
+        if agent not in SIMPLE_AGENTS:
+            groups[given_information(agent)].append(agent)
     rows = []
-    for agent in agents:
-        cells = [_cell(metric, standings.values(agent, scenario, metric.name)) for metric in metrics]
-        for name in [DAMPING] * slews + [TIME_RATIO] * bool(times):
-            cells.append(_interval(median_interval(np.array([*standings.values(agent, scenario, name).values()]))))
-        rows.append([f"`{agent}`", _interval(scores[agent]), *cells, _number(standings.cost(agent, [scenario])[0])])
-    return {
-        "name": scenario,
-        "short": _short_name(scenario),
-        "episodes": len({seed for place, _, seed in standings.results.rows if place == scenario}),
-        "heads": ["agent", "score", *(metric.header for metric in metrics), *["damping"] * slews,
-                  *["times optimised"] * bool(times), "action, us"],
-        "rows": rows,
-        "notes": _notes(standings, scenario, bool(times)),
-    }  # fmt: skip
+    for given, agents in groups.items():
+        best = []
+        for scenario in (each for each in (KNOWN, UNKNOWN) if each in columns):
+            run = [each for each in agents if not standings.why(each, scenario)]
+            best += [max(run, key=lambda each: standings.settled(each, scenario))] if run else []
+        for agent in dict.fromkeys(best):
+            results = [settling_text(standings, agent, each) for each in columns]
+            rows.append([given, f"`{agent}`", *results, number_text(standings.cost(agent, standings.scenarios)[0])])
+    return markdown_table(["given", "agent", *(f"`{short_name(each)}`" for each in columns), "action, CPU us"], rows)
 
 
-def _notes(standings: Standings, scenario: str, times: bool) -> list[str]:
-    """Return notes on missing entries of a scenario, and on agents designed for the nominal arm."""
-    notes = [f"`{each}` has no row: {standings.why(each, scenario)}."
-             for each in standings.agents if standings.why(each, scenario)]  # fmt: skip
-    if not standings.scale(scenario):
-        notes.append("There is no score: the mean rewards of the scores 0 and 1 are missing or too close.")
-    if not times:
-        notes.append("There is no ratio to the optimised slew: no table has slews of this scenario.")
-    drawn = find_scenario(scenario).environment.disturbances
-    if drawn is not None and set(drawn.effects) & set(PARAMETERS):
-        agents = [each for each in standings.agents if not standings.why(each, scenario)]
-        wrong = [
-            f"`{each}`" for each in agents
-            if {"model"} == {"model", "true parameters"} & set(describe_agent(each).information)
-        ]  # fmt: skip
-        notes += [f"Designed for the nominal arm, a wrong one here: {', '.join(wrong)}."] if wrong else []
-    return [*notes, "A dash stands for no number: more than half of the episodes did not settle, or failed.",
-            "As a damping it stands for a tip that does not oscillate in more than half of the episodes."]  # fmt: skip
+def _limits(standings: Standings) -> str:
+    """Return the table of limits and the chart of the sweeps."""
+    if not (agents := swept_agents(standings)):
+        return "No sweep of a parameter and no other simulation was run."
+    rows = [
+        [_sweep_name(name), given_values([*values]), *(_well_settled(standings, agent, values) for agent in agents)]
+        for name, values in standings.sweeps.items()
+    ]
+    for names in standings.plants.values():
+        heads = ", ".join(f"@{name.partition('@')[2] or 'usual'}" for name in names)
+        rows.append(
+            [f"`{short_name(names[0])}` {heads}", "-", *(_on_plants(standings, each, names) for each in agents)]
+        )
+    table = markdown_table(["swept", "given", *(f"`{each}`" for each in agents)], rows)
+    chart = SWEEPS.format(chart=SWEEP_CHART) if standings.sweeps else ""
+    plants = fill("; ".join(f"*@{name}*: {text}" for name, (text, _) in PLANTS.items()) + ".", 118)
+    return LIMITS.format(well=100.0 * WELL, table="\n".join(table), plants=plants, chart=chart).rstrip()
 
 
-def draw_charts(standings: Standings, folder: Path, sweeps_only: bool = False) -> list[Path]:
-    """Draw the chart of the scenarios and a chart for each sweep; return their paths.
-
-    Args:
-        standings: comparison of the agents.
-        folder: folder of the pictures.
-        sweeps_only: True to leave out the chart of the scenarios.
-
-    Returns:
-        Paths of the pictures.
-
-    Raises:
-        ImportError: without Matplotlib.
-    """
-    counted, paths = [] if sweeps_only else standings.counted, []
-    curves = {each: _score_curve(standings, each, counted, np.arange(float(len(counted)))) for each in standings.agents}
-    if counted:
-        scores = {each: standings.scores([each], counted)[0] for each in standings.agents if not standings.missed(each)}
-        profiles = {
-            each: (THRESHOLDS, performance_profile(own, THRESHOLDS)) for each, own in scores.items() if own.size
-        }
-        _score_chart(curves, "", folder / CHART, counted, profiles)
-        paths.append(folder / CHART)
-    for name, values in standings.sweeps.items():
-        scenarios, abscissae = [*values], np.array([*values.values()])
-        agents = [each for each in standings.agents if any(standings.score(each, scenario) for scenario in scenarios)]
-        curves = {each: _score_curve(standings, each, scenarios, abscissae) for each in agents}
-        paths.append(folder / _chart_name(name))
-        _score_chart(curves, _sweep_label(name), paths[-1])
-    return paths
+def _on_plants(standings: Standings, agent: str, names: Sequence[str]) -> str:
+    """Return the settled shares on all plants, %, in the episodes of the plants other than the usual one."""
+    seeds = {seed for scenario, _, seed in standings.results.rows if scenario in names[1:]}
+    shares = (
+        "-" if standings.why(agent, each) else f"{100.0 * standings.settled(agent, each, seeds)[0]:.0f}"
+        for each in names
+    )
+    return ", ".join(shares) + " %"
 
 
-def _score_curve(standings: Standings, agent: str, scenarios: list[str], abscissae: Array) -> _ScoreCurve:
-    found = np.array([standings.score(agent, scenario) or (np.nan,) * 3 for scenario in scenarios]).reshape(-1, 3)
-    return _ScoreCurve(abscissae, *found.T)
+def _sweep_name(name: str) -> str:
+    where = short_name(name.removesuffix(GIVEN)).rpartition("/")[0]
+    return sweep_text(name) + (f" (`{where}`)" if where else "")
 
 
-def _scenario_metrics(scenario: str) -> tuple[Metric, ...]:
-    metrics = task_metrics(find_scenario(scenario).environment.task)
-    return tuple(each for each in metrics if each.name != "reward")  # the score stands for the reward
+def given_values(scenarios: Sequence[str]) -> str:
+    """Return the values for which the controllers of a sweep are designed: the value itself, a range, or nominal."""
+    environment, given = find_scenario(scenarios[0])[:2]
+    if environment == given:
+        return "the value"
+    known = randomised_ranges(given)
+    changed = [known.get(name) for name, span in randomised_ranges(environment).items() if known.get(name) != span]
+    if not changed:
+        return "nominal"
+    low, high = changed[0] or (0.0, 0.0)
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
-def _cell(metric: Metric, values: dict[int, float]) -> str:
-    numbers = metric.scale * np.array([*values.values()])
-    if metric.statistic == MEDIAN:
-        return _interval(median_interval(numbers))
-    if metric.statistic == MEAN:
-        return _number(float(numbers.mean()))
-    return _share((float(numbers.mean()), *stratified_interval(numbers[:, None], mean)))
-
-
-def _interval(numbers: Interval) -> str:
-    middle, low, high = map(_number, numbers)
-    return middle if middle == low == high else f"{middle} ({low} to {high})"
-
-
-def _number(value: float) -> str:
-    if not np.isfinite(value):
-        return "-"
-    return f"{value:.0f}" if abs(value) >= 100.0 else f"{round(value, 3) + 0.0:.3g}"
-
-
-def _share(numbers: Interval) -> str:
-    middle, low, high = (f"{100.0 * each:.0f}" for each in numbers)
-    return f"{middle} %" if low == high else f"{middle} % ({low} to {high})"
-
-
-def _needs(agent: str) -> str:
-    return ", ".join(describe_agent(agent).information) or ("nothing" if agent in SIMPLE_AGENTS else "its motors")
-
-
-def _short_name(scenario: str) -> str:
-    """Return the name of a scenario without the default environment."""
-    return scenario.removeprefix(f"{DEFAULT_ID}/")
-
-
-def _chart_name(name: str) -> str:
-    return f"league-{name.replace('/', '-')}.png"
-
-
-def _score_chart(
-    curves: Mapping[str, _ScoreCurve], label: str, path: str | Path, names: Sequence[str] = (),
-    profiles: Mapping[str, tuple[Array, Array]] | None = None,
-) -> None:  # fmt: skip
-    """Draw the scores of agents, with their performance profiles if there are any.
-
-    Args:
-        curves: agent -> scores.
-        label: label of the horizontal axis.
-        path: path of the picture.
-        names: labels of the abscissae 0, 1, ...; without labels the abscissae are numbers, joined by lines.
-        profiles: agent -> performance profile: thresholds, and share of episodes with a score above each threshold.
-
-    Raises:
-        ImportError: without Matplotlib.
-    """
-    figure = new_figure((11.0 if profiles else 7.5, 5.0), 120.0, layout="constrained")
-    panels = figure.subplots(1, 2, width_ratios=(2.0, 1.0)) if profiles else [figure.add_subplot()]
-    for number, (agent, curve) in enumerate(curves.items()):
-        style, shift = _line_style(number), MARKER_SPACING * (number - 0.5 * (len(curves) - 1)) if names else 0.0
-        spread = [curve.scores - curve.low, curve.high - curve.scores]
-        line = {"linestyle": "none"} if names else {}
-        panels[0].errorbar(curve.abscissae + shift, curve.scores, spread, label=agent, capsize=2, **(style | line))
-        if profiles and agent in profiles:
-            panels[1].plot(*profiles[agent], **(style | {"marker": ""}))
-    panels[0].set(ylabel="score: 0 no torque, 1 true state and parameters", xlabel=label)
-    if names:
-        panels[0].set_xticks(range(len(names)), names, rotation=30, ha="right", rotation_mode="anchor")
-    if profiles:
-        panels[1].set(xlabel="score", ylabel="share of the episodes above it", ylim=(0.0, 1.02))
-    for axes in panels:
-        axes.grid(color=LIGHT, linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-    for level in (0.0, 1.0):
-        panels[0].axhline(level, color=MIDDLE, linewidth=0.8)
-    panels[0].set_ylim(bottom=max(-1.0, panels[0].get_ylim()[0]))  # failed agents have scores far below
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False)
-    figure.savefig(path)
-
-
-def _line_style(number: int) -> dict[str, Any]:
-    again, colour = divmod(number, len(LINK_COLOURS))
-    style = {"color": LINK_COLOURS[colour], "marker": MARKERS[(colour + again) % len(MARKERS)]}
-    return style | {"linestyle": ("-", "--", ":")[again % 3], "linewidth": 1.4, "markersize": 5}
+def _well_settled(standings: Standings, agent: str, values: Mapping[str, float]) -> str:
+    """Return the values of a sweep at which an agent settles WELL, as ranges of neighbouring values."""
+    if all(standings.why(agent, each) for each in values):
+        return "no row"
+    well = [(not standings.why(agent, each) and standings.settled(agent, each)[0] >= WELL, value)
+            for each, value in values.items()]  # fmt: skip
+    runs = [[value for _, value in run] for passed, run in groupby(well, key=lambda each: each[0]) if passed]
+    return ", ".join(f"{run[0]:g}" if len(run) == 1 else f"{run[0]:g} to {run[-1]:g}" for run in runs) or "none"

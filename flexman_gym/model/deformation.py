@@ -159,7 +159,7 @@ class _LinkShapes(NamedTuple):
     radii: Array
 
 
-def curves(model: Model, states: Vector, points: int, gain: float = 1.0) -> Curves:
+def curves(model: Model, states: Vector, points: int, gain: float = 1.0, joint_gain: float | None = None) -> Curves:
     """Return the centrelines of all links at equally spaced points, for any number of states.
 
     A cross-section is rotated relative to the beam frame of its link by the rotation vector (phi, -w', v'), as the tip
@@ -170,9 +170,10 @@ def curves(model: Model, states: Vector, points: int, gain: float = 1.0) -> Curv
         model: model of the arm.
         states: (..., 2 d) coordinates and speeds.
         points: number P of points on each link, from 2 to 1000.
-        gain: magnification, 1, of elastic displacements and joint twists (elastic deflections of the joints: motor
-            angles minus link-side angles) in positions and frames, at least 0; curvatures and strains are not
-            magnified.
+        gain: magnification, 1, of the elastic displacements and rotations of the links in positions and frames, at
+            least 0; curvatures and strains are not magnified.
+        joint_gain: magnification, 1, of the joint twists (elastic deflections of the joints: motor angles minus
+            link-side angles), at least 0; None for that of the links.
 
     Examples:
         >>> model = fm.build_model(fm.catalog.one_joint())
@@ -184,6 +185,7 @@ def curves(model: Model, states: Vector, points: int, gain: float = 1.0) -> Curv
     shape = (*np.shape(states)[:-1], 2 * d)
     x = number_array("states", states, shape, f"numbers (..., {2 * d}), 2 d for each state").reshape(-1, 2 * d)
     count, gain = whole_number("points", points, 2, MAX_POINTS), non_negative("gain", gain)
+    twist_gain = gain if joint_gain is None else non_negative("joint_gain", joint_gain)
     constants, n = model.constants, model.n_joints
     mounts = constants.mount.reshape(n, 3, 3)
     positions, frames = np.zeros((len(x), n, count, 3)), np.zeros((len(x), n, count, 3, 3))
@@ -191,7 +193,7 @@ def curves(model: Model, states: Vector, points: int, gain: float = 1.0) -> Curv
     rotation, origin = np.broadcast_to(np.eye(3), (len(x), 3, 3)), np.zeros((len(x), 3))
     for i, link in enumerate(link_shapes(model, count)):
         motor = x[:, model.motor_columns[i]]
-        angle = motor + gain * (x[:, i] - motor)
+        angle = motor + twist_gain * (x[:, i] - motor)
         rotation = rotation @ mounts[i] @ _rotation_matrices(angle[:, None] * constants.axis[i])
         elastic = x[:, model.elastic_columns(i)]
         deformation = np.einsum("pck,tk->tpc", link.rows, elastic)

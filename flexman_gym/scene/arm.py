@@ -14,6 +14,7 @@ from flexman_gym.common.checks import (
     value_error,
     vector,
 )
+from flexman_gym.common.markdown import text_table
 from flexman_gym.scene.input_checks import check_keywords, warn_caller, warn_unusual_units
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link, NonUniformLink
@@ -105,6 +106,32 @@ class Arm:
         if not all(0.0 <= ratio < 1.0 for ratio in ratios):
             raise value_error(field, value, "numbers >= 0 and < 1" if per_link else "a number >= 0 and < 1")
         return ratios if per_link else ratios[0]
+
+    def __str__(self) -> str:
+        """Return a table of the links and a table of the joints."""
+        links, joints = [], []
+        for number, (link, joint) in enumerate(zip(self.links, self.joints, strict=True), 1):
+            bending = [
+                (part.youngs_modulus * part.second_moment_y, part.youngs_modulus * part.second_moment_z)
+                for part in link.sections
+            ]
+            axes = (
+                f"{min(axis):.4g}" + f" to {max(axis):.4g}" * (max(axis) > min(axis))
+                for axis in zip(*bending, strict=True)
+            )
+            links.append((number, float(link.length), float(link.mass), *axes))
+            limit = "none" if joint.torque_limit is None else f"{joint.torque_limit:.4g}"
+            spring = "rigid" if joint.stiffness is None else f"{joint.stiffness:.4g}"
+            axis = "({:.3g}, {:.3g}, {:.3g})".format(*joint.axis)
+            joints.append((number, axis, spring, float(joint.damping), float(joint.rotor_inertia), limit))
+        gravity = "({:g}, {:g}, {:g}) m/s^2".format(*self.gravity)
+        return "\n".join([
+            f"Arm with {self.n_joints} joints, reach {sum(link.length for link in self.links):.4g} m, payload "
+            f"{self.payload.mass if self.payload else 0.0:.4g} kg, gravity {gravity}",
+            *text_table(("link", "length (m)", "mass (kg)", "E I_y (N m^2)", "E I_z (N m^2)"), links),
+            *text_table(("joint", "axis", "stiffness (N m/rad)", "damping (N m s/rad)", "rotor (kg m^2)",
+                         "limit (N m)"), joints),
+        ])  # fmt: skip
 
     @property
     def damping_ratios(self) -> tuple[float, ...]:

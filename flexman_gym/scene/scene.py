@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
@@ -26,6 +26,7 @@ from flexman_gym.common.checks import (
     whole_number,
 )
 from flexman_gym.common.files import read_data, write_data
+from flexman_gym.common.markdown import text_fields
 from flexman_gym.common.time_series import TimeSeries, read_time_series, write_csv
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import check_keywords
@@ -222,6 +223,11 @@ class Scene:
         self._check_samples()
         if any(isinstance(motion, SampledAngles) for motion in self.prescribed or ()):
             set_fields(self, initial=self._initial_state())
+
+    def __str__(self) -> str:
+        """Return the tables of the arm, and each further field."""
+        rest = ((each.name, getattr(self, each.name)) for each in fields(self)[1:])
+        return "\n".join([str(self.arm), *text_fields(entry for entry in rest if entry[1] not in (None, ""))])
 
     def _check_part(self, part: str, *kinds: type) -> None:
         """Check the type of a field, and its number of joints."""

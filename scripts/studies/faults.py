@@ -9,9 +9,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ import numpy as np
 from flexman_gym.common import files
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.common.run_folder import NEWEST, SETTINGS, read_npz
+from studies.screen import screen
 
 TRAIN = "-m", "flexman_gym", "train"
 PART = f".{NEWEST}.part"
@@ -36,23 +37,14 @@ RECIPES: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 EVERY = {"ppo": 160, "sac": 64}  # steps between checkpoints, short so that saving takes much of the time
 HEADS = ("fault", "tried", "survived", "lost")
-PAGE = """# Fault tolerance of training runs
+QUESTION = "What is lost if a training is killed, interrupted, started twice or runs on a full disk?"
+ANSWER = """**{survived} of {tried} trainings that were disturbed could be resumed, and all of these end bitwise
+equal to an undisturbed training.** A kill costs the steps since the last checkpoint."""
+BODY = """{table}
 
-Training runs were killed, interrupted, run on a full disk and started twice in one folder. All of them could be
-resumed. A run that was killed and resumed ends bitwise equal to an uninterrupted run. A kill costs the steps since the
-last checkpoint.
-
-`python scripts/faults.py` rewrites this page. Each fault is tested on processes that train `FlexOne-v0` with randomised
-payloads, delays and noise and write a checkpoint every few rollouts.
-
-A killed run is resumed from its newest checkpoint. It survives if this file can be read and the run ends bitwise equal
-to an uninterrupted one in networks, optimiser, normalisation, replay buffer, random generators and arms.
-
-{table}
-
-Damaged, foreign and full folders of compiled kernels, and files that attempt to run code, are covered by tests
-(`tests/kernels/test_cache.py`, `tests/common/test_run_folder.py`).
-"""
+The trainings run `FlexOne-v0` with randomised payloads, delays and noise, with a checkpoint every few rollouts. *Equal*
+refers to networks, optimiser, normalisation, replay buffer, random generators and arms. Damaged caches of kernels and
+files that attempt to run code are covered by `tests/kernels/test_cache.py` and `tests/common/test_run_folder.py`."""
 
 
 @dataclass(frozen=True)
@@ -65,9 +57,13 @@ class Fault:
     lost: str
 
 
-def page(faults: list[Fault]) -> str:
-    """Return the page as Markdown."""
-    return PAGE.format(table="\n".join(markdown_table(HEADS, map(astuple, faults))))
+def page(faults: Sequence[Fault], comments: Mapping[str, str]) -> str:
+    """Return the page as Markdown; `comments` is the file of the rows with its comment."""
+    survived, tried = (sum(getattr(row, name) for row in faults) for name in ("survived", "tried"))
+    answer = ANSWER.format(survived=f"{survived:g}", tried=f"{tried:g}")
+    cells = [(row.fault, f"{row.tried:g}", f"{row.survived:g}", row.lost) for row in faults]
+    body = BODY.format(table="\n".join(markdown_table(HEADS, cells)))
+    return screen("Fault tolerance of training", QUESTION, answer, body, comments, "faults")
 
 
 def faults(folder: Path, kills: tuple[int, int]) -> Iterator[Fault]:

@@ -60,6 +60,11 @@ def read_comment(path: Path) -> str:
         return file.readline().removeprefix(COMMENT).strip()
 
 
+def read_comments(*paths: Path) -> dict[str, str]:
+    """Return file name -> comment of CSV files."""
+    return {path.name: read_comment(path) for path in paths}
+
+
 def _value(text: str, is_text: bool) -> Any:
     if is_text:
         return current_methods(text)

@@ -1,11 +1,11 @@
-"""Integration methods of the studies, with line colours and markers."""
+"""Integration methods of the studies, and line colours and markers."""
 
 from collections.abc import Iterable
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from flexman_gym.common.plot_style import BLUE, GREEN, ORANGE, RED, SKY
+from flexman_gym.common.plot_style import LINK_COLOURS
 from flexman_gym.simulation.methods import EXPLICIT, METHODS, Method
 from flexman_gym.simulation.stability import amplification_factors, spectral_radii
 
@@ -58,26 +58,9 @@ def largest_growth(method: Method) -> tuple[float, float]:
     return float(factors.max()), float(angles[factors.argmax()])
 
 
-TEAL, PINE, PURPLE, PINK, PLUM, BLACK = "#66C2A5", "#004D3A", "#CC79A7", "#EBBAD6", "#6E1F55", "#000000"
-COLOURS = (ORANGE, BLUE, SKY, RED, TEAL, GREEN, PINE, PURPLE, PINK, PLUM, BLACK)
-MARKERS = "voDs^<>PX*p"  # one marker per colour, for readers with colour vision deficiency
+STYLES = tuple(zip(LINK_COLOURS, "os^DvP", strict=True))  # colour and marker of the lines of a chart
 
 
-class _LineStyle(NamedTuple):
-    """Colour and marker of a line."""
-
-    colour: str
-    marker: str
-
-
-def line_styles() -> dict[str, _LineStyle]:
-    """Return the line style of each method, fixed-step methods first.
-
-    When all colours are used they repeat with shifted markers, so that no two methods share both.
-    """
-    names = sorted(METHODS, key=lambda name: METHODS[name].adaptive)
-    return {name: _line_style(*divmod(i, len(COLOURS))) for i, name in enumerate(names)}
-
-
-def _line_style(turn: int, place: int) -> _LineStyle:
-    return _LineStyle(COLOURS[place], MARKERS[(place + turn) % len(MARKERS)])
+def line_styles(names: Iterable[str]) -> dict[str, dict[str, str]]:
+    """Return the colour and the marker of each of at most six lines, as keywords of Matplotlib's `plot`."""
+    return {name: {"color": colour, "marker": marker} for name, (colour, marker) in zip(names, STYLES, strict=False)}

@@ -21,12 +21,12 @@ export const memory = arm => {
     axis: new Float64Array(3 * arm.links.length) };
 };
 
-// Fill the buffers for coordinates q, with elastic motion and joint wind-up multiplied by the gain.
-export function curves(arm, q, gain, out) {
+// Fill the buffers for coordinates q, with the deflection of the links and the twist of the joints magnified by gains.
+export function curves(arm, q, [gain, twist], out) {
   const P = arm.points, moved = new Float64Array(10);
   let turned = [1, 0, 0, 0, 1, 0, 0, 0, 1], origin = [0, 0, 0];
   arm.links.forEach((link, i) => {
-    const motor = q[link.motor], angle = motor + gain * (q[i] - motor), axis = link.axis;
+    const motor = q[link.motor], angle = motor + twist * (q[i] - motor), axis = link.axis;
     turned = product(turned, link.mount);
     for (let a = 0; a < 3; a++)
       out.axis[3 * i + a] = turned[3 * a] * axis[0] + turned[3 * a + 1] * axis[1] + turned[3 * a + 2] * axis[2];

@@ -8,7 +8,7 @@ import { Stage, View } from './scene.js';
 const $ = id => document.getElementById(id), data = JSON.parse($('data').textContent);
 const arms = data.arms.map(readArm), runs = data.runs.map(run => new Run(run, arms[run.arm]));
 const show = { ghost: true, strain: true, trace: true };
-let time = 0, gain = 1, playing = false, speed = 1, dirty = true, views = [], stage = null, following = data.live;
+let time = 0, gains = [data.stage.gain, 1], playing = false, speed = 1, dirty = true, views = [], stage = null, following = data.live;
 const last = () => Math.max(...runs.map(run => run.last));
 const lines = runs.length > 3 ? 2 : 1, columns = Math.ceil(runs.length / lines);
 
@@ -35,7 +35,7 @@ const millimetres = e => Number.isFinite(e) ? `tip error ${(1e3 * e).toPrecision
 
 function pose() {
   runs.forEach((run, k) => {
-    if (run.rows && views[k]) views[k].pose(Math.min(time, run.last), gain, show, data.stage.strain, stage.camera);
+    if (run.rows && views[k]) views[k].pose(Math.min(time, run.last), gains, show, data.stage.strain, stage.camera);
     labels[k].said.textContent = [run.rows ? millimetres(run.at('error', 0, time)) : 'waiting', time > run.last ? run.note : ''].filter(Boolean).join(', ');
   });
   $('clock').textContent = time.toFixed(2) + ' s';
@@ -65,8 +65,20 @@ $('reading').onchange = () => { plots[2].show(times(), parts[2]()); plots[2].mar
 
 // Controls
 
-const said = () => { $('gaintext').textContent = gain === 1 ? 'true scale' : `deflection \u00d7 ${gain.toFixed(gain < 10 ? 1 : 0)}, dot: true tip`; };
-$('gain').oninput = event => { gain = 10 ** +event.target.value; if (Math.abs(gain - 1) < 0.03) gain = 1; said(); pose(); };
+const magnified = ['link deflection', 'joint twist'], sliders = ['gain', 'twist'];
+const said = () => {
+  const texts = magnified.map((name, k) => `${name} \u00d7 ${+gains[k].toPrecision(2)}`).filter((_, k) => gains[k] !== 1);
+  $('gaintext').textContent = texts.length ? `${texts.join(', ')}; violet dot: true tip` : 'true scale';
+};
+sliders.forEach((name, k) => {
+  $(name).value = Math.log10(gains[k]);
+  $(name).oninput = event => {
+    gains[k] = 10 ** +event.target.value;
+    if (Math.abs(gains[k] - 1) < 0.03) gains[k] = 1;
+    said();
+    pose();
+  };
+});
 $('time').oninput = event => seek(+event.target.value);
 $('play').onclick = () => {
   if (data.live) { following = !following; return; }
@@ -131,6 +143,6 @@ requestAnimationFrame(function loop(now) {
 // For tests and the console: tips in metres at the displayed time.
 window.replay = {
   seek, runs, rows: () => runs.map(run => run.rows),
-  tips: (g = 1) => runs.map(run => Array.from(tip(curves(run.arm, run.coordinates(time, new Float64Array(run.arm.width)), g, memory(run.arm))))),
+  tips: (g = 1, j = 1) => runs.map(run => Array.from(tip(curves(run.arm, run.coordinates(time, new Float64Array(run.arm.width)), [g, j], memory(run.arm))))),
   drawn: () => views.map(view => view.tip.position.toArray()),
 };

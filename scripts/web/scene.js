@@ -86,30 +86,30 @@ export class View {
     scene.add(floor, grid, this.body, this.ghost, post, ...this.joints, this.tip, this.mark, this.target, this.trace);
   }
 
-  // Set the pose of all objects at a time.
-  pose(time, gain, show, scale, camera) {
+  // Set the pose of all objects at a time; gains of links and joints.
+  pose(time, gains, show, scale, camera) {
     const { run, out, other, q } = this, arm = run.arm, P = arm.points;
     const end = each => each.position.slice(-3);
-    curves(arm, run.coordinates(time, q), gain, out);
+    curves(arm, run.coordinates(time, q), gains, out);
     bend(this.body, arm, out, show.strain ? scale : 0);
     this.ghost.visible = show.ghost;
-    if (show.ghost) bend(this.ghost, arm, curves(arm, q, 0, other), 0);
+    if (show.ghost) bend(this.ghost, arm, curves(arm, q, [0, 0], other), 0);
     this.joints.forEach((mesh, j) => {
       mesh.position.fromArray(out.position, 3 * j * P);
       mesh.quaternion.setFromUnitVectors(UP, new Vector3().fromArray(out.axis, 3 * j));
     });
     this.tip.position.fromArray(end(out));
-    this.mark.visible = gain !== 1;
-    this.mark.position.fromArray(end(curves(arm, q, 1, other)));
+    this.mark.visible = gains.some(gain => gain !== 1);
+    this.mark.position.fromArray(end(curves(arm, q, [1, 1], other)));
     const target = [0, 1, 2].map(c => run.at('target', c, time));
     this.target.visible = target.every(Number.isFinite);
     if (this.target.visible) this.target.position.fromArray(target);
     this.target.quaternion.copy(camera.quaternion);
     this.trace.visible = show.trace;
-    if (show.trace) {
+    if (show.trace) {  // true path of the tip
       const way = this.trace.geometry.attributes.position;
       for (let j = 0; j < TRACE; j++) {
-        curves(arm, run.coordinates(Math.max(0, time - (TRACE - 1 - j) * TRACE_STEP), q), gain, other);
+        curves(arm, run.coordinates(Math.max(0, time - (TRACE - 1 - j) * TRACE_STEP), q), [1, 1], other);
         way.setXYZ(j, ...end(other));
       }
       way.needsUpdate = true;

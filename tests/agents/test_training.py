@@ -18,6 +18,7 @@ from flexman_agents.training import resume, train
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, write_npz
 from flexman_gym.evaluation import METRICS, rollout
 from flexman_gym.evaluation.agent import find_agent
+from flexman_gym.evaluation.agent_info import CPU_COLUMN, training_seconds
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, training_seed
 from flexman_gym.league.rows import run_league
 
@@ -86,6 +87,7 @@ def test_curves_are_in_a_csv_and_in_events(trained):
         "settled", "settling_time_s", "vibration_m", "error_m", "roughness", "reward", "failed")}  # fmt: skip
     assert all(rows[-1][name] for name in columns)
     assert "rollout/ep_rew_mean" in rows[0]
+    assert 0.0 < float(rows[0][CPU_COLUMN]) < float(rows[1][CPU_COLUMN]) == training_seconds(str(folder))
 
 
 def test_a_finished_run_goes_on_as_another_run(trained, tmp_path, capsys):

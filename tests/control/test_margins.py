@@ -175,7 +175,7 @@ def test_margins_are_those_of_the_worst_set_of_motors_that_stick():
 
 
 def test_a_loop_that_is_stable_comes_to_rest_with_friction():
-    """A few of the random loops of docs/servos.md, which has 200 of them."""
+    """A few of the random loops of docs/evidence/servos.md, which has 200 of them."""
     rows = list(friction_rows(6))
     assert all(row.left < AT_REST for row in rows if row.is_stable)
     assert sum(row.is_stable for row in rows) == 6

@@ -1,10 +1,11 @@
-"""Tests of the built site in a browser: search, equations, and no network requests, opened from disk."""
+"""Tests of the site in Chromium: search from a disk, wide tables, length of pages, equations, and the replay page."""
 
 import shutil
 import subprocess
 import sys
 
 import pytest
+import site_counts
 import yaml
 
 from oracles.browser import one_browser
@@ -13,6 +14,9 @@ from oracles.files import ROOT
 AWAY = (
     "return performance.getEntriesByType('resource').map(each => each.name).filter(each => !each.startsWith('file:'))"
 )
+INSIDE = "[...document.querySelectorAll('*')].flatMap(each => [...each.shadowRoot?.querySelectorAll('%s') ?? []])"
+READING = [page for tab in site_counts.counts().values() for page in tab if not page.startswith(site_counts.REFERENCE)]
+SCREEN, SCREENS = 900, 8  # pixels; longest page in screens of 1280 x 900
 
 
 @pytest.fixture(scope="module")
@@ -20,8 +24,10 @@ def site(tmp_path_factory):
     """Return the folder of a strictly built site."""
     pytest.importorskip("zensical")
     folder = tmp_path_factory.mktemp("site")
-    shutil.copy(ROOT / "mkdocs.yml", folder)
-    shutil.copytree(ROOT / "docs", folder / "docs")
+    for name in ("mkdocs.yml", "CHANGELOG.md"):
+        shutil.copy(ROOT / name, folder)
+    for name in ("docs", "scripts/web"):
+        shutil.copytree(ROOT / name, folder / name)
     (folder / "build" / "site").mkdir(parents=True)
     for name, place in (("flexman_gym", "flexman_gym"), ("flexman_agents", "agents")):
         (folder / "build" / "site" / name).symlink_to(ROOT / place)
@@ -35,7 +41,7 @@ browser = pytest.fixture(one_browser, scope="module")
 
 
 def test_pages_ask_nobody_and_their_equations_are_drawn(site, browser):
-    for page, least in (("index", 0), ("theory", 40), ("api/models", 1)):
+    for page, least in (("index", 0), ("theory", 40), ("integration", 10), ("api/simulation", 1)):
         browser.open(f"file://{site / page}.html", "document.readyState === 'complete'")
         browser.wait("document.querySelectorAll('.arithmatex:not(:has(.katex))').length === 0")
         assert browser.run("return document.querySelectorAll('.katex').length") >= least
@@ -44,11 +50,60 @@ def test_pages_ask_nobody_and_their_equations_are_drawn(site, browser):
         assert browser.run(AWAY) == [] and browser.said() == []
 
 
-def test_the_search_finds_a_word(site, browser):
+WANTED = {  # words -> pages, of which one is among the first two hits
+    "how to install": {"start.html#how-to-install"},
+    "input shaping": {"control_room.html#input-shaping"},
+    "settled": {"concepts.html#settled-settling-time-and-vibration"},
+    "payload": {
+        "own_arm.html#links-joints-and-payload", "tutorials/unknown_arms.html#randomise-payload-stiffness-and-delay",
+    },
+    "reward": {"own_task.html#reward"},
+    "urdf": {"own_arm.html#urdf-mjcf-and-mujoco"},
+    "macos": {"concepts.html#supported-systems", "start.html#how-to-install"},
+    "simulink": {"control_room.html#matlab-simulink-and-python-control"},
+    "noise": {"own_task.html#sensor-noise-and-other-errors"},
+    "friction": {"own_arm.html#friction-backlash-and-torque-ripple", "control_room.html#friction-in-the-loop"},
+    "foreshortening": {"theory.html#foreshortening"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", WANTED)
+def test_the_search_finds_the_page_among_the_first_two_hits(words, site, browser):
     browser.open(f"file://{site / 'index.html'}", "document.querySelector('.md-search__button')")
     browser.run("document.querySelector('.md-search__button').click()")
-    inside = "[...document.querySelectorAll('*')].flatMap(each => [...each.shadowRoot?.querySelectorAll('%s') ?? []])"
-    browser.wait(f"{inside % 'input'}.length === 1")
-    browser.write("foreshortening")
-    browser.wait(f"{inside % 'a'}.some(each => /theory.html.*#foreshortening$/.test(each.href))")
+    browser.wait(f"{INSIDE % 'input'}.length === 1")
+    browser.write(words)
+    first = f"{INSIDE % 'a'}.slice(0, 2).map(each => each.href.replace(/[?][^#]*/, ''))"
+    found = " || ".join(f"each.endsWith('/{page}')" for page in WANTED[words])
+    browser.wait(f"{first}.some(each => {found})", 20)
     assert browser.run(AWAY) == [] and browser.said() == []
+
+
+def test_no_page_to_read_is_longer_than_eight_screens(site, browser):
+    browser.run("window.resizeTo(1280, 900)")
+    heights = {}
+    for page in READING:
+        browser.open(f"file://{site / page}.html", "document.readyState === 'complete'")
+        browser.wait("document.querySelectorAll('.arithmatex:not(:has(.katex))').length === 0")
+        heights[page] = browser.run("return document.querySelector('article').scrollHeight") / SCREEN
+    longest = max(heights, key=heights.get)
+    print(f"longest page: {longest}, {heights[longest]:.1f} screens")
+    assert {page: height for page, height in heights.items() if height > SCREENS} == {}
+
+
+def test_pages_that_teach_have_most_of_the_words():
+    assert site_counts.share(site_counts.counts()) >= 0.55
+
+
+def test_a_wide_table_scrolls_beside_its_first_column(site, browser):
+    browser.open(f"file://{site / 'environments/keywords.html'}", "document.readyState === 'complete'")
+    browser.run("document.querySelector('article').style.width = '300px'")
+    moved = """
+        const wrap = document.querySelector('.md-typeset__scrollwrap'), cell = wrap.querySelector('tbody td');
+        const before = cell.getBoundingClientRect().left, next = cell.nextElementSibling.getBoundingClientRect().left;
+        wrap.scrollLeft = 80;
+        return [wrap.scrollWidth > wrap.clientWidth, Math.abs(cell.getBoundingClientRect().left - before),
+                next - cell.nextElementSibling.getBoundingClientRect().left];
+    """
+    wider, first, others = browser.run(moved)
+    assert wider and first < 40 < others and browser.said() == []

@@ -1,13 +1,18 @@
 """Tests of the first paragraphs of evidence pages: what they state holds of the rows."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from studies.benchmark.measure import OURS, PPO, VECTOR
 from studies.benchmark.measure import BenchmarkRow as Speed
+from studies.control.cases import CASES
 from studies.control.cases import ControlRow as Controlled
+from studies.control.page import page as control_page
 from studies.files import read_rows
 from studies.learning.measure import TASKS
 from studies.learning.measure import LearningRow as Learned
+from studies.learning.page import MOVING, SLEWS
 from studies.precision.measure import PrecisionRow as Run
 from studies.ringdown.measure import RingDownRow as Released
 from studies.servos.measure import ServoRow as Servo
@@ -18,27 +23,25 @@ DOCS = ROOT / "docs"
 
 
 def test_speeds_are_as_the_opening_says():
-    rows = read_rows(DOCS / "benchmark.csv", Speed)
+    rows = read_rows(DOCS / "evidence" / "benchmark.csv", Speed)
     (one,) = (row for row in rows if row.name == OURS)
     many = max(row.times_peer for row in rows if row.name == VECTOR and row.threads == 1)
     assert 0.5 < one.times_peer < 1.0 and 3.0 < many < 10.0
     assert all(row.share < 0.5 for row in rows if row.name == PPO)
 
 
-def test_recipes_are_as_the_opening_says():
-    rows = read_rows(DOCS / "learning.csv", Learned)
+def test_recipes_are_as_the_page_says():
+    rows = read_rows(DOCS / "evidence" / "learning.csv", Learned)
     plain = [row for row in rows if row.where == "as trained"]
     minute = [row for row in plain if (row.kind, row.name) == ("recipe", "ppo_on_pd_minute")]
-    assert all(row.settled >= 0.95 and row.cpu < 120.0 for row in minute)
-    (pd,) = (row for row in plain if (row.kind, row.name) == ("controller", "pd, FlexRRR-v0"))
-    assert pd.settled == 0.0
     shaped = max(row.time for row in plain if row.name == "ppo_shaping")
-    elsewhere = {learned for learned, _ in TASKS.values()}
-    others = [row for row in plain if row.kind == "recipe" and row.name not in {"ppo_shaping", *elsewhere}]
-    assert all(row.time > shaped for row in others)
-    told = {name: [row for row in others if row.name == name] for name in ("lab_student", "lab_ppo_shaping")}
-    assert all(row.settled > 0.9 for row in told["lab_student"])
-    assert min(row.time for row in told["lab_student"]) > 1.5 * max(row.time for row in told["lab_ppo_shaping"])
+    others = [row for _, names in SLEWS.values() for row in plain if row.name in set(names) - {"ppo_shaping"}]
+    assert all(row.time > shaped for row in others if "planar" not in row.name and "gravity" not in row.name)
+    for scenario in MOVING:
+        learned, law = TASKS[scenario]
+        policies = [row.rms for row in plain if row.name == learned]
+        (best,) = (row.rms for row in plain if row.name == f"{law}, {scenario}")
+        assert min(policies) > 1.5 * best, scenario
     ablations = {row.name for row in plain if row.kind == "ablation"}
     for name in ablations - {"nothing"}:
         own = [row for row in plain if row.kind == "ablation" and row.name == name]
@@ -47,20 +50,28 @@ def test_recipes_are_as_the_opening_says():
             assert sign * worse > sign * usual, (name, figure)
 
 
-def test_controllers_of_unknown_arms_are_as_the_opening_says():
-    rows = {row.case: row for row in read_rows(DOCS / "control.csv", Controlled)}
-    told, found = rows["privileged-lqr, unknown"], rows["adaptive-lqr, unknown-lab"]
-    assert found.settled == 1.0 and found.settling_time < 1.05 * told.settling_time
-    assert 0.3 < rows["lqg, unknown-lab"].settled < 0.7 and rows["pd, unknown-lab"].settled == 0.0
-    faults = [row for case, row in rows.items() if "knows nothing of" in case or "samples" in case or "late" in case]
-    assert len(faults) == 4 and all(row.settled < 0.1 for row in faults)
+def test_controllers_of_unknown_arms_are_as_the_page_says():
+    rows = {row.case: row for row in read_rows(DOCS / "evidence" / "control.csv", Controlled)}
+    oracle, ours = rows["privileged-lqr, unknown"], rows["adaptive-lqr, unknown-lab"]
+    assert oracle.settling_time <= ours.settling_time < 1.1 * oracle.settling_time
+    assert rows["pd, unknown-lab"].settled < rows["lqg, unknown-lab"].settled < ours.settled
+
+
+def test_the_page_of_controllers_shows_every_case_of_the_adaptive_one():
+    """Change one row at a time; the conditions uncertain and unmodelled of other arms are in the CSV alone."""
+    names = [case.name for case in CASES if case.name.startswith("adaptive-lqr") and case.name.count(", ") == 1]
+    rows = [Controlled(name, 0.9, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0) for name in names]
+    text = control_page(rows)
+    for i, row in enumerate(rows):
+        changed = [*rows[:i], replace(row, settled=0.33, followed=0.0033), *rows[i + 1 :]]
+        assert control_page(changed) != text, row.case
 
 
 def test_methods_are_as_the_openings_say():
-    released = [row for row in read_rows(DOCS / "ring_down.csv", Released) if row.kind == "release"]
+    released = [row for row in read_rows(DOCS / "evidence" / "ring_down.csv", Released) if row.kind == "release"]
     explicit = [row for row in released if row.method in ("semi_implicit_euler", "rk4", "dopri5")]
     assert explicit and all(row.failed == 1.0 for row in explicit)
-    runs = [row for row in read_rows(DOCS / "work_precision.csv", Run) if row.time_error is not None]
+    runs = [row for row in read_rows(DOCS / "evidence" / "work_precision.csv", Run) if row.time_error is not None]
     cheapest = {}
     for row in runs:
         case = row.scene, row.model
@@ -71,7 +82,7 @@ def test_methods_are_as_the_openings_say():
 
 
 def test_servos_are_as_the_opening_says():
-    rows = [row for row in read_rows(DOCS / "servos.csv", Servo) if row.springs == 1.0]
+    rows = [row for row in read_rows(DOCS / "evidence" / "servos.csv", Servo) if row.springs == 1.0]
     plain = [row for row in rows if not row.delay and not row.bandwidth]
     assert all(row.factor < 1.0 for row in plain if row.period == max(each.period for each in plain))
     for name in {row.environment for row in plain}:

@@ -50,6 +50,7 @@ def wrong_links(page, texts=PAGES):
         address, _, anchor = target.partition("#")
         path = Path(os.path.normpath((ROOT / page).parent / address)) if address else ROOT / page
         inside = not page.startswith("docs/") or DOCS in path.parents
+        path = path.with_suffix(".md") if path.suffix == ".ipynb" else path  # `make site` writes notebooks of pages
         known = texts.get(str(path.relative_to(ROOT))) if inside and ROOT in path.parents else None
         if not inside or not path.exists() or (anchor and (known is None or anchor not in anchors(known))):
             yield target
@@ -61,8 +62,13 @@ def test_every_page_has_its_place():
         return [node] if isinstance(node, str) else [page for part in parts for page in pages(part)]
 
     settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
-    assert sorted(pages(settings["nav"])) == sorted(page[5:] for page in PAGES if page.startswith("docs/"))
+    shown, there = pages(settings["nav"]), {page[5:] for page in PAGES if page.startswith("docs/")}
+    assert len(shown) == len(set(shown)) and set(shown) <= there
+    hidden = "---\nsearch:\n  exclude: true\n---\n"
+    assert {page for page in there - set(shown) if not PAGES[f"docs/{page}"].startswith(hidden)} == set()
+    assert settings["extra"]["release"] == fm.__version__
     local = settings["extra_css"] + settings["extra_javascript"] + settings["extra"]["polyfills"]
+    local += [settings["theme"]["logo"], settings["theme"]["favicon"]]
     assert settings["theme"]["font"] is False and all((DOCS / path).is_file() for path in local)
 
 

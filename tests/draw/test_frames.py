@@ -10,13 +10,16 @@ import flexman_gym as fm
 from flexman_gym.common.plot_style import rgb
 from flexman_gym.draw.frames import GHOST, GHOST_SHARE, PAYLOAD, TARGET, TIP, FramePainter, arm_frame, grid
 from flexman_gym.draw.mesh import CYLINDER, RING, SPHERE, section_outlines, tube_surfaces
-from flexman_gym.draw.overlay import Caption, strain_colours, write_title
+from flexman_gym.draw.overlay import Caption, overlay_margins, strain_colours, write_title
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import resolve_fidelity
 
 ARM = fm.catalog.paper_rrr()
 MODEL = fm.build_model(ARM, modes=4)
 BENT = MODEL.initial_state((0.4, 0.5, -0.8))
 BENT[MODEL.elastic_columns(1)] = 2.0
 TARGET_AT = (5.0, 1.0, 2.0)
+CAPTION = Caption("title", 1.0, 0.1, 0.5, np.array([0.5, -0.5, 1.0]))
 ONE = fm.build_model(fm.catalog.one_link())
 
 
@@ -91,6 +94,43 @@ def test_the_tip_is_drawn_where_the_gain_puts_it(gain):
     assert picture[row, column].mean() > 120.0
 
 
+def twisted():
+    """A state whose second joint is wound up by 0.1 rad, and whose links are straight."""
+    state = MODEL.initial_state((0.4, 0.5, -0.8))
+    state[1] -= 0.1
+    return state
+
+
+def test_joints_are_wound_up_at_true_scale_unless_a_second_gain_is_given():
+    drawn = []
+    for gain in (1.0, 10.0, (10.0, 3.0)):
+        painter = FramePainter(MODEL, (320, 240), gain=gain, overlays=False)
+        drawn.append(painter.shot())
+        picture, turned = painter.paint(twisted(), shot=drawn[-1]), 3.0 if isinstance(gain, tuple) else 1.0
+        there = drawn[-1].camera.project(fm.curves(MODEL, twisted(), 2, 1.0, turned).positions[-1, -1])
+        assert picture[tuple(np.rint(there[::-1]).astype(int))].max() < 120.0, gain
+    same = [FramePainter(MODEL, (320, 240), gain=gain, overlays=False).paint(BENT) for gain in (4.0, (4.0, 9.0))]
+    assert np.array_equal(*same), "no joint is wound up"
+
+
+@pytest.mark.parametrize("name", ["FlexRRR-v0", "FlexPlanar-v0", "FlexQuanser-v0"])
+def test_the_arm_its_base_and_target_leave_the_margins_of_the_text_free(name):
+    """At gain 5 too: what differs from the background lies between the texts."""
+    model = resolve_fidelity(Configuration.find(name)).model
+    n = model.n_joints
+    states = np.array([fm.rest_state(model, angles) for angles in (np.zeros(n), np.full(n, 0.7))])
+    texts, bare = (FramePainter(model, gain=5.0, overlays=each, shadow=False) for each in (True, False))
+    bent = fm.curves(model, states, 9, 5.0, 1.0)
+    target = bent.positions[1, -1, -1]
+    shot = texts.shot(bent.positions.reshape(-1, 3))
+    above, below = (np.array([1.0, -1.0]) * overlay_margins(360)[2:] * 360 + (0, 360)).astype(int)
+    for state in states:
+        rows = np.flatnonzero((bare.paint(state, target, shot=shot) != shot.plain).any(axis=(1, 2)))
+        assert above - 2 <= rows.min() and rows.max() <= below + 2, "a disc in perspective is a little larger"
+        written = (texts.paint(state, target, CAPTION, shot=shot) != bare.paint(state, target, shot=shot)).any(axis=2)
+        assert not written[above:below].any() and written.any()
+
+
 def test_the_axes_of_the_base_point_right_away_and_up(painter):
     camera = painter.shot().camera
     origin, x, y, z = camera.project(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]))
@@ -106,11 +146,13 @@ def test_all_points_are_between_the_edges_and_two_of_them_touch(size):
     points = np.random.default_rng(0).normal(size=(40, 3)) * (3.0, 1.0, 2.0)
     painter = FramePainter(MODEL, size, (30.0, 20.0), overlays=False)
     camera, floor = painter.camera(points)
-    parts = camera.project(np.vstack([points, np.zeros(3), [0.0, 0.0, floor]])) / size
+    discs = np.concatenate([points + turn * painter._largest_radius() * axis
+                            for axis in camera.axes[:2] for turn in (-1.0, 1.0)])  # fmt: skip
+    parts = camera.project(np.vstack([discs, np.zeros(3), [0.0, 0.0, floor]])) / size
     assert floor < points[:, 2].min() and (parts > 0.06 - 1e-9).all() and (parts < 0.94 + 1e-9).all()
     assert ((parts.min(axis=0) < 0.065) & (parts.max(axis=0) > 0.935)).any()
     nearer = painter.camera(points)[0].eye, FramePainter(MODEL, size, (30.0, 20.0, 2.0)).camera(points)[0].eye
-    assert np.linalg.norm(nearer[1] - points.mean(axis=0)) < 0.7 * np.linalg.norm(nearer[0] - points.mean(axis=0))
+    assert np.linalg.norm(nearer[1] - points.mean(axis=0)) < 0.75 * np.linalg.norm(nearer[0] - points.mean(axis=0))
 
 
 # Surfaces and their colours
@@ -254,6 +296,7 @@ def test_bad_input_is_refused_in_one_line(painter):
         "camera[1]": lambda: FramePainter(MODEL, camera=(1.0, 90.0)),
         "camera[2]": lambda: FramePainter(MODEL, camera=(1.0, 80.0, 0.0)),
         "gain": lambda: FramePainter(MODEL, gain=-1.0),
+        "gain[1]": lambda: FramePainter(MODEL, gain=(1.0, -1.0)),
         "overlays": lambda: FramePainter(MODEL, overlays=1),
         "model": lambda: arm_frame(ARM, BENT),
     }.items():

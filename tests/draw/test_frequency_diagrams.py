@@ -8,13 +8,14 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control.margins import margins, open_loop_responses, sampled_loops
 from flexman_gym.draw import frequency_diagrams
+from flexman_gym.draw.comparison import side_by_side
 from flexman_gym.draw.frequency_diagrams import (
     bode_diagram,
     campbell_diagram,
     draw_mode_shapes,
     frequency_map,
 )
-from flexman_gym.draw.video import side_by_side, write_picture
+from flexman_gym.draw.video import write_picture
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.model.vibration import rotating_frequencies
@@ -142,10 +143,11 @@ def test_episodes_side_by_side_share_the_camera_and_stay_at_their_ends():
         PLANAR.arm, PLANAR.choice, fm.ConstantTorque((2.0, 0.0)), fm.Initial((0.1, 0.2), (0.0, 0.0)), 0.4, 0.1
     )
     one = Episode.from_trajectory(fm.simulate(scene), "push")
-    frames, rate = side_by_side([one, one], small=True, size=(160, 60))
-    assert (len(frames), rate) == (4, 10.0) and frames[0].shape == (60, 160, 3)
+    frames = side_by_side([one, one], size=(240, 120), rate=10.0, hold=0.3)
+    assert len(frames) == 5 + 3 and frames[0].shape == (120, 240, 3)
     for frame in frames:
-        assert np.array_equal(frame[:, :80], frame[:, 80:])
+        assert np.array_equal(frame[40:100, :120], frame[40:100, 120:])
+    assert all(np.array_equal(frame, frames[4]) for frame in frames[5:])
     assert (frames[0] != frames[-1]).any()
     with pytest.raises(ValueError, match=r"^episodes: "):
         side_by_side([])

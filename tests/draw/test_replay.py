@@ -130,7 +130,7 @@ def test_every_run_moves_its_own_arm():
     assert len(page["arms"]) == 2 and [run["arm"] for run in page["runs"]] == [0, 1, 0]
 
 
-def drawn_tip(arm, q, gain):
+def drawn_tip(arm, q, gain, twist):
     """The tip (3,) by what a page holds of an arm: rotations and shapes of one link after the other."""
     turned, origin = Rotation.identity(), np.zeros(3)
     for i, link in enumerate(arm["links"]):
@@ -140,7 +140,7 @@ def drawn_tip(arm, q, gain):
             for name, each in (("rows", 10), ("slopes", 2))
         )
         turned *= Rotation.from_matrix(np.reshape(link["mount"], (3, 3)))
-        turned *= Rotation.from_rotvec((motor + gain * (q[i] - motor)) * np.array(link["axis"]))
+        turned *= Rotation.from_rotvec((motor + twist * (q[i] - motor)) * np.array(link["axis"]))
         place = gain * rows[-1, :3] + (link["length"] - gain**2 * (slopes[: link["before"][-1]] ** 2).sum(), 0.0, 0.0)
         origin, turned = origin + turned.apply(place), turned * Rotation.from_rotvec(gain * rows[-1, 3:6])
     return origin
@@ -151,10 +151,26 @@ def test_a_page_holds_all_that_places_the_tip(stiffening):
     """With joints that wind up, axes that lie across one another, and foreshortening; three times enlarged, too."""
     one, random = episode(stiffening=stiffening), np.random.default_rng(0)
     model, (page,) = one.model, embedded(replay_page([one]))["arms"]
-    for gain in (1.0, 3.0):
+    for gain, twist in ((1.0, 1.0), (3.0, 3.0), (3.0, 1.0)):
         state = 0.1 * random.normal(size=2 * model.n_dof)
-        tip = fm.curves(model, state, 2, gain).positions[-1, -1]
-        assert drawn_tip(page, state, gain) == pytest.approx(tip, abs=1e-5)
+        tip = fm.curves(model, state, 2, gain, twist).positions[-1, -1]
+        assert drawn_tip(page, state, gain, twist) == pytest.approx(tip, abs=1e-5)
+
+
+def test_a_page_begins_at_a_gain_that_shows_the_deflection():
+    """A tip is drawn within a quarter of the reach of where rigid links would have it, and at most 100 times as far."""
+    one, gains = episode(), {}
+    for size in (1e-6, 0.1, 0.05, 0.3, 10.0):
+        states = one.states.copy()
+        states[:, one.model.n_joints + one.model.n_motors : one.model.n_dof] *= size
+        page = embedded(replay_page([replace(one, states=states)]))["stage"]
+        gain = gains[size] = page["gain"]
+        bent, rigid = (fm.curves(one.model, states, 2, each, 1.0).positions[:, -1, -1] for each in (gain, 0.0))
+        away = np.linalg.norm(bent - rigid, axis=1).max() / one.model.constants.length.sum()
+        assert away < 0.27 or gain == 1.0
+        assert away > 0.25 / 2.7 or gain in (1.0, 100.0), "the next step would be too large"
+    assert gains[1e-6] == 100.0 and gains[10.0] == 1.0 and len(set(gains.values())) > 3
+    assert embedded(replay_page([one, replace(one, states=states)]))["stage"]["gain"] == 1.0, "the smallest of all"
 
 
 def test_floor_and_colours_are_chosen_by_all_episodes():
@@ -235,7 +251,7 @@ def test_numbers_are_packed_little_endian():
 @pytest.mark.skipif(not (ROOT / "scripts" / "web" / "node_modules").is_dir(), reason="needs npm ci in scripts/web")
 def test_the_bundle_is_what_its_sources_say():
     done = subprocess.run([sys.executable, ROOT / "scripts" / "bundle.py", "--check"], capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (0, "as its sources say\n"), done.stderr
+    assert (done.returncode, done.stdout) == (0, "up to date\n"), done.stderr
 
 
 # In a browser
@@ -248,6 +264,7 @@ def test_the_page_draws_moves_and_asks_nobody(browser, tmp_path):
     episodes = [episode(EVIL), episode("stiff", stiffening=True, seed=1)]
     (tmp_path / "page.html").write_text(replay_page(episodes, EVIL))
     browser.open(f"file://{tmp_path / 'page.html'}")
+    assert browser.run("return document.getElementById('gaintext').textContent") == "true scale", "of arms that wave"
     for row in (0, 37, 100):
         browser.run("replay.seek(arguments[0])", 0.02 * row)
         tips = np.array([each.tips[row] for each in episodes])
@@ -261,11 +278,41 @@ def test_the_page_draws_moves_and_asks_nobody(browser, tmp_path):
     assert gain > 3.0
     for drawn, each in zip(browser.run("return replay.drawn()"), episodes, strict=True):
         between = np.array([np.interp(there, each.time, column) for column in each.states.T])
-        assert drawn == pytest.approx(fm.curves(each.model, between, 2, gain).positions[-1, -1], abs=2e-6 * gain**2)
+        assert drawn == pytest.approx(
+            fm.curves(each.model, between, 2, gain, 1.0).positions[-1, -1], abs=2e-6 * gain**2
+        )
+    browser.press("twist", 0.5)
+    twist = 10 ** float(browser.run("return document.getElementById('twist').value"))
+    said = browser.run("return document.getElementById('gaintext').textContent")
+    assert 2.0 < twist < 5.0 and "link deflection" in said and "joint twist" in said and "true tip" in said
+    for drawn, each in zip(browser.run("return replay.drawn()"), episodes, strict=True):
+        between = np.array([np.interp(there, each.time, column) for column in each.states.T])
+        tip = fm.curves(each.model, between, 2, gain, twist).positions[-1, -1]
+        assert drawn == pytest.approx(tip, abs=2e-6 * (gain**2 + twist))
     assert browser.run("return window.harm") is None and browser.run("return document.title") == EVIL
     assert browser.run("return performance.getEntriesByType('resource').length") == 0
     assert browser.said() == []
     assert shutil.which("chromium") and len(base64.b64decode(browser.picture())) > 20_000
+
+
+def test_a_page_begins_with_its_gain_and_fits_a_phone(browser, tmp_path):
+    """390 pixels wide: nothing sticks out, and the arms have half of the height of the screen."""
+    one = episode()
+    states = one.states.copy()
+    states[:, one.model.n_joints + one.model.n_motors : one.model.n_dof] *= 0.01
+    (tmp_path / "page.html").write_text(replay_page([replace(one, states=states)]))
+    browser.size(390, 800)
+    browser.open(f"file://{tmp_path / 'page.html'}")
+    gain = embedded((tmp_path / "page.html").read_text())["stage"]["gain"]
+    said = browser.run("return document.getElementById('gaintext').textContent")
+    assert gain > 1.0 and f"link deflection \N{MULTIPLICATION SIGN} {gain:g};" in said
+    wide, high = browser.run(
+        "return [document.documentElement.scrollWidth, document.getElementById('gl').clientHeight]"
+    )
+    assert wide <= 390 and high > 350
+    plots = browser.run("return [...document.querySelectorAll('.plot')].map(each => each.clientHeight)")
+    assert len(plots) == 3 and min(plots) > 120
+    browser.size(1280, 720)
 
 
 def test_without_webgl_the_page_says_so_and_has_its_curves(tmp_path):

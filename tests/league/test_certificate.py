@@ -39,7 +39,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder, tmp_path):
-    assert policy_files.describe_policy("still") == "Made up. It has no certificate."
+    assert policy_files.describe_policy("still").endswith("Made up. It has no certificate.")
     said = []
     path = certify(str(folder), SEEDS, 6, tmp_path / "rows", log=said.append)
     result = json.loads(path.read_text())
@@ -71,7 +71,8 @@ def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder,
     lines = {line.split()[0].removeprefix(str(folder)): line for line in said}
     assert "does not count" in lines["/delay=3"] and "does not count" not in lines["/delay=3+given"]
     assert f"{folder} on seeds 50000 to 50005" in result["fails"]
-    assert policy_files.describe_policy("still").startswith("Made up. Not recommended: it fails ")
+    assert ("delay=3", found["/delay=3+given"]["fails"]) in policy_files.exceeded_limits("still")
+    assert f"; delay=3: {found['/delay=3+given']['fails'].split(',')[0]}" in policy_files.describe_policy("still")
 
 
 def test_rows_of_a_certificate_are_kept_and_a_refused_cell_says_why(folder, tmp_path, monkeypatch):
@@ -90,13 +91,34 @@ def test_rows_of_a_certificate_are_kept_and_a_refused_cell_says_why(folder, tmp_
     assert line == f"{folder}@finer: plant: only a plant that is installed"
 
 
-def test_a_policy_without_failures_is_recommended_and_another_has_no_certificate_of_it(folder):
+def test_a_policy_is_described_by_its_results_and_by_the_limits_that_it_exceeds(folder):
     about = json.loads((folder / METADATA).read_text())
     empty = {"arrays_hash": about["arrays_hash"], "fails": [], "rows": []}
     (folder / CERTIFICATE).write_text(json.dumps(empty))
-    assert policy_files.describe_policy("still") == "Made up. Recommended."
+    row = {"environment": "FlexRRR-v0", "settled": 0.986, "settling_time": 3.184, "vibration": 6.6e-5}
+    (folder / METADATA).write_text(json.dumps({**about, "league": row}))
+    reached = "Made up. FlexRRR-v0: 99% settle, median 3.18 s, vibration 0.066 mm. "
+    assert policy_files.describe_policy("still") == reached + "Within all limits of its certificate."
+    fails = ["FlexRRR-v0@mujoco", "FlexRRR-v0/nominal/delay=2+given"]
+    reasons = ["vibration 3 mm (limit 2 mm)", "80% settle (limit 95%), settling in 3.00 s (limit 2.60 s)"]
+    rows = [{"scenario": name, "fails": text} for name, text in zip(fails, reasons, strict=True)]
+    (folder / CERTIFICATE).write_text(json.dumps({**empty, "fails": fails, "rows": rows}))
+    assert policy_files.exceeded_limits("still") == [("@mujoco", reasons[0]), ("delay=2", reasons[1])]
+    text = "Beyond its limits: @mujoco: vibration 3 mm (limit 2 mm); delay=2: 80% settle (limit 95%)."
+    assert policy_files.describe_policy("still").endswith(text)
     (folder / CERTIFICATE).write_text(json.dumps({**empty, "arrays_hash": "another"}))
-    assert policy_files.describe_policy("still") == "Made up. It has no certificate."
+    assert policy_files.describe_policy("still").endswith(" It has no certificate.")
+
+
+def test_lengths_are_in_millimetres_as_far_as_they_count():
+    lengths = {
+        1.09e-9: "below 0.01 mm",
+        9.9e-6: "below 0.01 mm",
+        6.6e-5: "0.066 mm",
+        1.234e-3: "1.2 mm",
+        0.2814: "281 mm",
+    }
+    assert {length: policy_files.millimetres(length) for length in lengths} == lengths
 
 
 def test_a_certificate_of_version_0_2_is_read(folder):
@@ -104,7 +126,7 @@ def test_a_certificate_of_version_0_2_is_read(folder):
     old = {"arrays_hash": about["arrays_hash"], "fails": ["finer"], "trials": [{"name": "finer", "settled": 1.0}]}
     (folder / CERTIFICATE).write_text(json.dumps(old))
     assert read_certificate(folder)["rows"] == [{"scenario": "finer", "settled": 1.0}]
-    assert policy_files.describe_policy("still") == "Made up. Not recommended: it fails finer."
+    assert policy_files.describe_policy("still").endswith("Beyond its limits: finer.")
 
 
 @pytest.mark.parametrize("row", [{}, 3, {"scenario": 3}, {"settled": 1.0}])
@@ -126,21 +148,21 @@ def episodes(vibration=0.0, failed=0.0, settled=1.0, count=1, time=2.0):
     ("scenario", "found", "said"),
     [
         ("a", episodes(count=20), ""),
-        ("a", episodes(count=18) + episodes(settled=0.0, count=2), "less than 95% settle"),
+        ("a", episodes(count=18) + episodes(settled=0.0, count=2), "90% settle (limit 95%)"),
         ("a/delay=3", episodes(count=19) + episodes(settled=0.0), ""),
-        ("a/delay=3", episodes(count=18) + episodes(settled=0.0, count=2), "less than 95% settle"),
-        ("a/delay=3", episodes(count=99) + episodes(failed=1.0), "an episode ended at a limit"),
+        ("a/delay=3", episodes(count=18) + episodes(settled=0.0, count=2), "90% settle (limit 95%)"),
+        ("a/delay=3", episodes(count=99) + episodes(failed=1.0), "1% end at a limit of the environment"),
         ("a/delay=3+given", episodes(time=2.59), ""),
-        ("a/delay=3+given", episodes(time=2.61), "settling takes more than 2.6 s"),
-        ("a/delay=3+given", episodes(settled=0.0), "less than 95% settle, settling takes more than 2.6 s"),
+        ("a/delay=3+given", episodes(time=2.61), "settling in 2.61 s (limit 2.60 s)"),
+        ("a/delay=3+given", episodes(settled=0.0), "0% settle (limit 95%), settling in inf s (limit 2.60 s)"),
         ("a/payload=3+given", episodes(4.9e-3), ""),
-        ("a/payload=3+given", episodes(5.1e-3), "the tip moves by more than 5 mm"),
-        ("a", episodes(5.1e-3), "the tip moves by more than 5 mm"),
+        ("a/payload=3+given", episodes(5.1e-3), "vibration 5.1 mm (limit 5 mm)"),
+        ("a", episodes(5.1e-3), "vibration 5.1 mm (limit 5 mm)"),
         ("a@finer", episodes(1.9e-3), ""),
-        ("a@finer", episodes(2.1e-3), "the tip moves by more than 2 mm"),
-        ("a@mujoco", episodes(3e-3), "the tip moves by more than 2 mm"),
+        ("a@finer", episodes(2.1e-3), "vibration 2.1 mm (limit 2 mm)"),
+        ("a@mujoco", episodes(3e-3), "vibration 3 mm (limit 2 mm)"),
         ("a/method=gauss_2", episodes(3e-3), ""),
-        ("a/method=gauss_2", episodes(np.inf), "the tip moves by more than 5 mm"),
+        ("a/method=gauss_2", episodes(np.inf), "vibration inf mm (limit 5 mm)"),
     ],
 )
 def test_a_row_fails_for_what_it_says(scenario, found, said):

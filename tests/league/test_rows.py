@@ -399,7 +399,7 @@ def test_every_baseline_says_what_it_is_and_a_run_who_trained_it(tmp_path):
         "for a time missing in its curves",
     )
     (tmp_path / "progress.csv").write_text("time/time_elapsed\n90\n")
-    assert describe_agent(str(tmp_path)).tuning == "for 1.5 minutes"
+    assert describe_agent(str(tmp_path)).tuning == "for 1.5 minutes of CPU time"
 
 
 def test_only_who_is_not_given_the_truth_could_be_built():
@@ -480,3 +480,5 @@ def test_a_run_tells_what_it_sees_and_how_long_it_took(tmp_path):
     (tmp_path / "progress.csv").write_text("time/time_elapsed,time/fps\n10,1\n25,1\n")
     (tmp_path / "progress-400.csv").write_text("time/fps,time/time_elapsed\n1,\n1,7\n")
     assert training_seconds(str(tmp_path)) == 32.0
+    (tmp_path / "progress.csv").write_text("time/cpu_seconds,time/time_elapsed\n3,10\n9,25\n")
+    assert training_seconds(str(tmp_path)) == 16.0, "CPU time where the curves have it"

@@ -3,10 +3,14 @@
 import numpy as np
 import pytest
 
-from flexman_gym.evaluation.agent import BASELINES
-from flexman_gym.league.page import CHART, PAGE, write_page
+from flexman_gym.common.plot_style import rgb
+from flexman_gym.evaluation.agent import AGENTS, SIMPLE_AGENTS
+from flexman_gym.evaluation.agent_info import INFORMATION
+from flexman_gym.league.charts import CHART, LABEL_DISTANCE, LINE_COLOURS, SWEEP_CHART, spread_labels, swept_agents
+from flexman_gym.league.details import given_information, league_details
+from flexman_gym.league.page import PAGE, given_values, write_page
 from flexman_gym.league.rows import VALUES, EpisodeBlock, EpisodeRow, LeagueRows
-from flexman_gym.league.scenarios import LAB_SCENARIO
+from flexman_gym.league.scenarios import LAB_SCENARIO, SWEEPS
 from flexman_gym.league.standings import Standings
 
 NOMINAL, UNKNOWN, FRICTION = "FlexRRR-v0", "FlexRRR-v0/unknown", "FlexRRR-v0/friction"
@@ -20,8 +24,9 @@ def page_text(standings, folder):
 
 
 def recommended(standings, folder):
-    """Return the recommendation of the page."""
-    return page_text(standings, folder).partition("## Choose an agent\n")[2].partition("\n## ")[0].strip()
+    """Return the recommendation of the page on one line."""
+    text = page_text(standings, folder).partition("## Choose an agent\n")[2].partition("\n\nThe table")[0]
+    return " ".join(text.split())
 
 
 def book(rewards=REWARDS, scenarios=(NOMINAL, UNKNOWN, LAB_SCENARIO), settled=None, count=12, spread=10.0):
@@ -59,13 +64,13 @@ def test_of_two_scenarios_with_the_same_episodes_one_counts():
     assert standing().scenarios == [NOMINAL, UNKNOWN, LAB_SCENARIO] and standing().counted == [NOMINAL, UNKNOWN]
 
 
-def test_there_is_no_scale_where_its_ends_are_close_or_missing(tmp_path):
+def test_there_is_no_scale_where_its_ends_are_close_or_missing():
     """A slew has 500 control periods, each worth 1 at most."""
     assert standing(REWARDS | {"privileged-lqr": 124.0}).scale(NOMINAL) is None
     assert standing(REWARDS | {"privileged-lqr": 126.0}).scale(NOMINAL) == pytest.approx((100.0, 126.0))
     missing = standing({"pd": 1.0, "zero": 2.0})
     assert missing.scale(NOMINAL) is None and missing.counted == [] and missing.score("pd", NOMINAL) is None
-    assert "There is no score" in page_text(missing, tmp_path)
+    assert "no score: the mean rewards" in league_details(missing, NOMINAL)[-1]
 
 
 def test_better_is_asked_in_the_same_episode():
@@ -88,7 +93,7 @@ def test_agents_without_common_episodes_are_not_compared(tmp_path):
     moved = [row._replace(seed=row.seed + 1000) for row in two.rows.values()]
     known = Standings(LeagueRows([*one.rows.values(), *moved], [*one.cells.values(), *two.cells.values()]))
     assert known.score("pd", NOMINAL) is None and known.improvement_probability("pd", "zero", [NOMINAL]) is None
-    assert "| `pd` |" in page_text(known, tmp_path)
+    assert "| `pd` |" in page_text(known, tmp_path) and "| `pd` | - |" in "\n".join(league_details(known, NOMINAL))
 
 
 def test_the_one_to_take_settles_most_and_first_and_is_given_no_truth(tmp_path):
@@ -99,45 +104,119 @@ def test_the_one_to_take_settles_most_and_first_and_is_given_no_truth(tmp_path):
     said = recommended(known, tmp_path)
     assert said.startswith("For an arm with unknown payload, stiffness and delay (`FlexRRR-v0/unknown-lab`), use `lqg`")
     for words in ("settles 100 % of the episodes, half of them within 4.00 s", "needs: model",
-                  "An action takes 12 microseconds, and the start of an episode 3 ms", "is `pd`. It settles 0 % of",
-                  "true state and parameters is 3.00 s", "fails in `friction`"):  # fmt: skip
+                  "An action takes 12 us of CPU time, and the start of an episode 3 ms", "is `pd`. It settles 0 % of",
+                  "true state and parameters is 3.00 s"):  # fmt: skip
         assert words in said, words
+    assert "fails in: friction" in league_details(known, "lqg")
     quicker = standing(settled={("pd", LAB_SCENARIO): 2.9})
-    assert quicker.realisable(LAB_SCENARIO) == ["pd", "lqg"] and "fails in none" in recommended(quicker, tmp_path)
+    assert quicker.realisable(LAB_SCENARIO) == ["pd", "lqg"]
+    assert "use `pd`" in recommended(quicker, tmp_path) and "fails in: no scenario" in league_details(quicker, "lqg")
     assert "No agent that is realisable on hardware" in recommended(standing(scenarios=(NOMINAL,)), tmp_path)
 
 
-def test_no_cell_of_the_page_is_empty_without_a_sentence(tmp_path):
-    rows = book(REWARDS | {"lqr-tracking": None}, [NOMINAL, LAB_SCENARIO, "FlexRRR-Track-v0", "FlexRRR-v0/payload=25"])
-    write_page(rows, tmp_path)
-    text = (tmp_path / PAGE).read_text()
-    for scenario in (NOMINAL, LAB_SCENARIO, "FlexRRR-Track-v0"):
-        section = text.split(f"### {scenario}\n")[1].split("\n#")[0]
-        for agent in REWARDS:
-            assert f"| `{agent}` |" in section
-        assert "`lqr-tracking` has no row: it has no model." in section
-    assert "Not run at all: `lqr-tracking`." in text.split("## Sweep: FlexRRR-v0/payload")[1]
-    cells = [cell.strip() for line in text.splitlines() if line.startswith("|") for cell in line.split("|")[1:-1]]
-    assert cells and all(cells) and "nan" not in cells
-    known = text.split("a wrong one here: ")[1].split(".")[0]
-    assert "`lqg`" in known and "`privileged-lqr`" not in known and "`pd`" not in known
+def cells_of(text):
+    """Return the cells of the tables of a text."""
+    return [cell.strip() for line in text.splitlines() if line.startswith("|") for cell in line.split("|")[1:-1]]
 
 
-def test_each_is_compared_with_the_next(tmp_path):
-    lines = page_text(standing(REWARDS | {"lqg": 280.0}), tmp_path).split("| agent | needs |")[1].splitlines()[2:7]
+def test_no_cell_of_a_table_is_empty(tmp_path):
+    scenarios = [NOMINAL, UNKNOWN, LAB_SCENARIO, "FlexRRR-Track-v0", "FlexRRR-v0/payload=25"]
+    known = standing(REWARDS | {"lqr-tracking": None}, scenarios)
+    details = {name: "\n".join(league_details(known, name)) for name in [*scenarios, "overall", "FlexRRR-v0/payload="]}
+    for text in (page_text(known, tmp_path), *details.values()):
+        assert cells_of(text) and all(cells_of(text)) and "nan" not in cells_of(text)
+    for scenario in scenarios:
+        assert all(f"| `{agent}` |" in details[scenario] for agent in REWARDS)
+        assert "no row of lqr-tracking: it has no model" in details[scenario]
+    wrong = details[UNKNOWN].split("designed for the nominal arm: ")[1]
+    assert "lqg" in wrong and "privileged-lqr" not in wrong and "pd" not in wrong
+
+
+def test_each_is_compared_with_the_next():
+    lines = league_details(standing(REWARDS | {"lqg": 280.0}), "overall")[2:7]
     assert [line.split("|")[1].strip(" `") for line in lines] == ["privileged-lqr", "lqg", "lqr", "pd", "zero"]
     assert [line.split("|")[5].strip() for line in lines] == ["100 %", "50 %", "100 %", "100 %", "-"]
 
 
+def test_agents_are_chosen_among_those_with_the_same_information(tmp_path):
+    """lqr is faster in the known arm, lqr-tracking settles in the unknown one; pd is alone."""
+    rewards = REWARDS | {"lqr-tracking": 290.0}
+    times = {("lqr", NOMINAL): 1.0, ("lqr", UNKNOWN): np.inf, ("pd", NOMINAL): np.inf, ("pd", UNKNOWN): np.inf}
+    table = page_text(standing(rewards, settled=times), tmp_path).partition("| given |")[2].partition("\n\n")[0]
+    rows = [line.split("|")[1:6] for line in table.splitlines()[2:]]
+    assert [[cell.strip(" `") for cell in row] for row in rows] == [
+        ["measurements only", "pd", "0 %", "0 %", "12"],
+        ["nominal model or data sheets", "lqg", "100 %, 3.00 s", "100 %, 3.00 s", "12"],
+        ["true state", "lqr", "100 %, 1.00 s", "0 %", "12"],
+        ["true state", "lqr-tracking", "100 %, 3.00 s", "100 %, 3.00 s", "12"],
+        ["true state and parameters", "privileged-lqr", "100 %, 3.00 s", "100 %, 3.00 s", "12"],
+    ]
+
+
+def test_every_agent_has_a_kind_of_information():
+    kinds = {agent: given_information(agent) for agent in AGENTS if agent not in SIMPLE_AGENTS}
+    assert set(kinds.values()) == set(INFORMATION)
+    assert kinds["pd"] == "measurements only" and kinds["lqg"] == "nominal model or data sheets"
+    assert kinds["adaptive-lqr"] == kinds["lab-flexrrr"] == "model, ranges of the parameters"
+    assert kinds["mpc"] == kinds["ppo-flexrrr"] == "true state"
+    assert kinds["shaping-flexrrr"] == kinds["optimised"] == "true state and parameters"
+
+
 def test_the_charts_are_there(tmp_path):
     pytest.importorskip("matplotlib")
-    write_page(book(scenarios=(NOMINAL, UNKNOWN, "FlexRRR-v0/delay=0", "FlexRRR-v0/delay=1")), tmp_path)
-    assert {path.name for path in tmp_path.glob("*.png")} == {CHART, "league-FlexRRR-v0-delay.png"}
+    known = book(scenarios=(NOMINAL, "FlexRRR-Track-v0", "FlexRRR-v0/delay=0", "FlexRRR-v0/delay=1"))
+    write_page(known, tmp_path)
+    assert {path.name for path in tmp_path.glob("*.png")} == {CHART, SWEEP_CHART}
     text = (tmp_path / PAGE).read_text()
     assert all(f"]({path.name})" in text for path in tmp_path.glob("*.png"))
 
 
-def test_sweeps_go_from_the_smallest_value(tmp_path):
+def test_lines_of_sweeps_are_told_apart_on_white():
+    """Contrast ratios of WCAG 2, at least 3, and labels at a distance."""
+    for colour in LINE_COLOURS:
+        part = rgb(colour) / 255.0
+        linear = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
+        assert 1.05 / (linear @ [0.2126, 0.7152, 0.0722] + 0.05) >= 3.0, colour
+    for heights in ([1.0, 1.0, 0.97, 0.0, 0.0], [0.0] * 5, [1.0] * 5, [0.1, 0.5, 0.9, 0.5, 0.3]):
+        placed = spread_labels(np.array(heights), LABEL_DISTANCE)
+        assert np.diff(np.sort(placed)).min() >= LABEL_DISTANCE - 1e-12
+        assert placed.min() >= 0.0 and placed.max() <= 1.0
+    assert spread_labels(np.array([1.0, 0.2]), 0.1).tolist() == [1.0, 0.2]
+    assert np.argsort(spread_labels(np.array([1.0, 1.0, 0.0]), 0.1)).tolist() == [2, 1, 0], "the first is at the top"
+
+
+def test_limits_of_a_sweep_are_the_values_at_which_most_episodes_settle(tmp_path):
+    names = {f"FlexRRR-v0/payload={value}": value for value in (0, 5, 10, 15, 20)}
+    times = {("pd", name): np.inf for name, value in names.items() if value in (0, 10)}
+    times |= {("lqg", name): np.inf for name in names}
+    known = standing(scenarios=[LAB_SCENARIO, *names], settled=times)
+    agents = swept_agents(known)
+    assert agents[0] == "privileged-lqr" and len(agents) == 4 and "zero" not in agents
+    heads, _, line = page_text(known, tmp_path).partition("| swept ")[2].splitlines()[:3]
+    found = dict(zip(heads.split("|")[1:], line.split("|")[2:], strict=False))
+    found = {head.strip(" `"): cell.strip() for head, cell in found.items()}
+    assert found["given"] == "0 to 20" and found["privileged-lqr"] == "0 to 20"
+    assert found["pd"] == "5, 15 to 20" and found["lqg"] == "none"
+
+
+def test_values_given_to_the_controllers_of_a_sweep():
+    first = {name: f"FlexRRR-v0/{name}={change.values[0]:g}" for name, change in SWEEPS.items()}
+    given = {name: given_values([scenario]) for name, scenario in first.items()}
+    assert given == {"payload": "0 to 20", "stiffness": "0.7 to 1.3", "delay": "0 to 2", "noise": "0.001",
+                     "period": "the value", "bias": "the value", "lost": "0", "friction": "nominal"}  # fmt: skip
+    assert given_values(["FlexRRR-v0/delay=3+given"]) == "the value"
+
+
+def test_a_page_without_a_run_keeps_the_computer_of_its_rows(tmp_path):
+    write_page(book(), tmp_path, "processor A, numpy 1.2.3")
+    text = (tmp_path / PAGE).read_text(encoding="utf-8")
+    assert text.endswith("\nComputed with processor A, numpy 1.2.3.\n")
+    assert page_text(standing(), tmp_path) == text
+    (tmp_path / PAGE).unlink()
+    assert "Computed with" not in page_text(standing(), tmp_path)
+
+
+def test_sweeps_go_from_the_smallest_value():
     names = [f"FlexRRR-v0/payload={value}" for value in (10, 5, 25)]
     (values,) = standing(scenarios=names).sweeps.values()
     assert [*values.items()] == [(names[1], 5.0), (names[0], 10.0), (names[2], 25.0)]
@@ -145,7 +224,9 @@ def test_sweeps_go_from_the_smallest_value(tmp_path):
     others = ["FlexRRR-v0/payload=5@finer", "FlexRRR-v0/payload=5:10", "FlexRRR-v0/method=gauss_2"]
     found = standing(scenarios=[*more, *others]).sweeps
     assert {name: [*values] for name, values in found.items()} == {"FlexRRR-v0/delay+given": more[::-1]}
-    assert "## Sweep: FlexRRR-v0/delay+given" in page_text(standing(scenarios=more), tmp_path)
+    assert (
+        league_details(standing(scenarios=more), "FlexRRR-v0/delay+given=")[0] == "| delay, control periods | 0 | 3 |"
+    )
 
 
 def test_other_plants_stand_beside_the_same_episodes_and_count_nowhere(tmp_path):
@@ -158,23 +239,9 @@ def test_other_plants_stand_beside_the_same_episodes_and_count_nowhere(tmp_path)
     known = Standings(LeagueRows([*one.rows.values(), *two.rows.values()], [*one.cells.values(), *two.cells.values()]))
     assert known.scenarios == known.counted == [NOMINAL] and known.sweeps == {}
     assert known.plants == {NOMINAL: [NOMINAL, names[1], names[0]]}
-    text = page_text(known, tmp_path).split("## Other plants")[1]
-    assert "| agent | usual | method | finer |" in text and "4 episodes." in text
-    assert "| `lqr` | 0 % | 100 %, 3.00 s | 100 %, 3.00 s |" in text
-    assert "| `pd` | 100 %, 3.00 s | 100 %, 3.00 s | 100 %, 3.00 s |" in text
-    assert "Not run yet." in page_text(standing(), tmp_path)
-
-
-def test_baselines_without_a_row_are_named(tmp_path):
-    glance = page_text(standing(), tmp_path).split("## Results at a glance")[1].split("## Agents")[0]
-    absent = glance.split("Not run yet: ")[1].split(".")[0].split(", ")
-    assert set(absent) == {f"`{each}`" for each in BASELINES if each not in REWARDS}
-
-
-def test_every_agent_has_a_section(tmp_path):
-    text = page_text(standing(), tmp_path).split("## Agents")[1].split("## Overall score")[0]
-    for agent in REWARDS:
-        card = text.split(f"### Agent: {agent}\n")[1].split("###")[0]
-        for words in ("Kind: ", "Information needed: ", "Tuning or training: ", "It fails in"):
-            assert words in card, (agent, words)
-        assert ("An action takes" in card) == (agent != "zero")
+    table = page_text(known, tmp_path).partition("| swept |")[2].splitlines()
+    heads = [head.strip(" `") for head in table[0].split("|")]
+    found = dict(zip(heads, [cell.strip() for cell in table[2].split("|")[2:]], strict=True))
+    assert table[2].startswith(f"| `{NOMINAL}` @usual, @method, @finer | - |")
+    assert found["pd"] == "100, 100, 100 %" and found["lqr"] == "0, 100, 100 %"
+    assert "No sweep of a parameter" in page_text(standing(), tmp_path)

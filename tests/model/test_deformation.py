@@ -190,8 +190,12 @@ def test_a_gain_multiplies_deflection_twist_and_wind_up_and_leaves_strains():
     model = fm.build_model(fm.catalog.planar_2r(joint_stiffness=50.0), elements=1)
     state = np.random.default_rng(2).normal(0.0, 1e-4, 2 * model.n_dof)
     rigid, plain, more = (fm.curves(model, state, 5, gain) for gain in (0.0, 1.0, 3.0))
+    links, joints = (fm.curves(model, state, 5, *gains) for gains in ((3.0, 1.0), (1.0, 3.0)))
     moved = [each.positions - rigid.positions for each in (plain, more)]
     assert moved[1] == pytest.approx(3.0 * moved[0], rel=1e-3, abs=1e-9) and np.abs(moved[0]).max() > 1e-5
+    apart = [each.positions - plain.positions for each in (links, joints)]
+    assert sum(apart) == pytest.approx(2.0 * moved[0], rel=1e-3, abs=1e-9), "links and joints add up"
+    assert min(np.abs(each).max() for each in apart) > 1e-5
     arm = model.initial_state(state[model.motor_columns])
     assert np.allclose(rigid.positions, fm.curves(model, arm, 5).positions, atol=1e-15), "motors, undeformed"
     assert np.array_equal(plain.strains, more.strains) and np.array_equal(plain.curvatures, more.curvatures)

@@ -79,6 +79,12 @@ class Browser:
         mouse = {"type": "pointer", "id": "mouse", "parameters": {"pointerType": "mouse"}, "actions": steps}
         self._ask("POST", "/actions", {"actions": [mouse]})
 
+    def size(self, width, height):
+        """Set the size of the viewport, pixels, as on a phone below 500 pixels."""
+        sizes = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
+        order = {"cmd": "Emulation.setDeviceMetricsOverride", "params": sizes}
+        self._ask("POST", "/goog/cdp/execute", order)
+
     def write(self, text):
         """Type a text."""
         keys = [{"type": kind, "value": letter} for letter in text for kind in ("keyDown", "keyUp")]

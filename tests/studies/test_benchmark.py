@@ -8,7 +8,7 @@ import pytest
 
 from studies.benchmark import measure
 from studies.benchmark import page as page_of
-from studies.benchmark.endurance import endure
+from studies.benchmark.endurance import ALARMS, DIVERGED, MEMORY, STEPS, WARM_MEMORY, endurance_rows, endure
 from studies.benchmark.measure import BenchmarkRow
 from studies.files import read_rows
 
@@ -17,17 +17,18 @@ from oracles.files import command
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
-    """Return rows and page of a quick run."""
+    """Return the rows of a quick run."""
     folder = tmp_path_factory.mktemp("benchmark")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["benchmark.py", "--quick", "--folder", str(folder)])
         command("benchmark").main()
-    return read_rows(folder / "benchmark.csv", BenchmarkRow), (folder / "benchmark.md").read_text()
+    assert (folder / "benchmark.md").read_text(encoding="utf-8").count("| ") > 20
+    return read_rows(folder / "benchmark.csv", BenchmarkRow)
 
 
 def test_every_row_has_its_cost_and_a_finite_ratio(quick):
-    rows, _ = quick
-    assert {row.table for row in rows} == set(page_of.TABLES)
+    rows = quick
+    assert {row.table for row in rows} == {measure.ENVIRONMENTS, measure.PARTS, measure.STARTS, measure.EVALUATIONS}
     for row in rows:
         assert 0.0 < row.cpu < 100.0 and 0.0 < row.wall < 100.0, row.name
         assert row.times_peer is None or 0.0 < row.times_peer < math.inf, row.name
@@ -36,15 +37,15 @@ def test_every_row_has_its_cost_and_a_finite_ratio(quick):
 
 
 def test_arms_and_threads_are_those_of_the_grid(quick):
-    result = [(row.arms, row.threads) for row in quick[0] if row.name == measure.VECTOR]
+    result = [(row.arms, row.threads) for row in quick if row.name == measure.VECTOR]
     assert result == [(arms, 1) for arms in measure.QUICK.arms] + [(arms, 2) for arms in measure.QUICK.arms if arms > 1]
-    assert (measure.PPO in {row.name for row in quick[0]}) == bool(find_spec("stable_baselines3"))
+    assert (measure.PPO in {row.name for row in quick}) == bool(find_spec("stable_baselines3"))
 
 
 def test_a_row_is_its_own_peer_once(quick):
-    peers = {row.peer for row in quick[0]} - {""}
+    peers = {row.peer for row in quick} - {""}
     for peer in peers:
-        (row,) = [row for row in quick[0] if row.name == peer]
+        (row,) = [row for row in quick if row.name == peer]
         assert row.peer != row.name or row.times_peer == 1.0
 
 
@@ -58,10 +59,12 @@ def test_peers_that_are_missing_are_named_and_left_out(monkeypatch, capsys):
     assert measure.ABA not in timers and measure.PLAIN in timers
     result = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert result == ["Stable-Baselines3", "MuJoCo", "Pinocchio"]
-    assert page_of.conclusions(rows)
+    assert page_of.page(rows, [], {})
 
 
 def test_every_episode_of_an_endurance_run_is_counted_once():
     count = endure(3000, 8, settled=1000)
     assert count.steps >= 3000 and count.episodes == count.truncated + sum(count.failures.values()) > 0
     assert count.diverged == 0 and min(count.memory) > 0.0
+    rows = {row.quantity: row.value for row in endurance_rows(count)}
+    assert rows["episodes"] == count.episodes and {STEPS, DIVERGED, ALARMS, MEMORY, WARM_MEMORY} <= rows.keys()

@@ -1,25 +1,31 @@
-"""Tests of the environment pages against docstrings and environments."""
+"""Tests of the environment pages against docstrings, stored rows and environments."""
 
 import inspect
 import re
 
 import numpy as np
 import pytest
+from environments import BASELINE_FILE, ERROR_FILE
 
 import flexman_gym as fm
 from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import TASKS
-from studies.environments.measure import BASES, SEEDS, accuracy, run
-from studies.environments.page import SECTIONS, STEP, baselines, docstring_sections, page
+from studies.environments.family import FAMILIES, family_page
+from studies.environments.gallery import gallery_page, tasks_page
+from studies.environments.measure import BASELINES, LONG_NAME, SEEDS, Baseline, ModelError, accuracy, baseline_rows, run
+from studies.environments.text import SECTIONS, baseline_table, docstring_sections, length
+from studies.files import read_rows
 
 from oracles.files import ROOT
 
 PAGES = ROOT / "docs" / "environments"
+COMMAND = "python scripts/environments.py --folder docs/environments --redraw"
 
 
-def without_figures(text):
-    """Return a page without the results of its baselines, which take minutes to compute, and without times."""
-    return re.sub(rf"\| (no torque|PD|tracking LQR|{STEP}) \|[^\n]*", r"| \1 |", text)
+@pytest.fixture(scope="module")
+def baselines():
+    """Return the stored metrics of the baselines."""
+    return read_rows(PAGES / BASELINE_FILE, Baseline)
 
 
 @pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
@@ -29,45 +35,68 @@ def test_a_task_has_the_sections_of_gymnasium_in_their_order(task):
     assert all(docstring_sections(task).values()), "none is empty"
 
 
-@pytest.fixture(scope="module")
-def hold():
-    """Return short episodes of each baseline."""
-    return {base: run("FlexPlanar-Hold-v0", base) for base in BASES}
+@pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.file)
+def test_the_page_of_a_family_is_written_from_rows_and_begins_with_tables_of_actions_and_observations(
+    family, baselines
+):
+    text = (PAGES / f"{family.file}.md").read_text(encoding="utf-8")
+    assert text == family_page(family, baselines, read_rows(PAGES / ERROR_FILE, ModelError)), COMMAND
+    titles = re.findall(r"^## (.*)$", text, re.MULTILINE)
+    assert titles == ["Actions", "Observations", "Arm", *family.environments]
+    for name in family.environments:
+        for suffix, least, most in (("svg", 20_000, 150_000), ("gif", 50_000, 400_000)):
+            assert least < (PAGES / f"{name}.{suffix}").stat().st_size < most and f"({name}.{suffix})" in text
+
+
+def test_the_gallery_shows_every_environment_and_links_to_its_section(baselines):
+    text = (PAGES / "index.md").read_text(encoding="utf-8")
+    assert text == gallery_page(baselines), COMMAND
+    assert (PAGES / "tasks.md").read_text(encoding="utf-8") == tasks_page(), COMMAND
+    links = dict(re.findall(r"\[\*\*(.*?)\*\*\]\((.*?)\)", text))
+    assert list(links) == list(NAMED_ENVIRONMENTS) == [name for family in FAMILIES for name in family.environments]
+    for name, link in links.items():
+        file, section = link.split("#")
+        assert f"## {name}\n" in (PAGES / file).read_text(encoding="utf-8") and section == name.lower()
+        assert f"]({name}.gif)]({link})" in text
 
 
 @pytest.mark.parametrize("name", NAMED_ENVIRONMENTS)
-def test_a_page_is_made_of_what_there_is_now(name, hold):
-    result = (PAGES / f"{name}.md").read_text(encoding="utf-8")
-    assert without_figures(result) == without_figures(page(name, hold)), (
-        "python scripts/environments.py --folder docs/environments"
-    )
-    for suffix, least in (("png", 10_000), ("gif", 20_000)):
-        assert least < (PAGES / f"{name}.{suffix}").stat().st_size < 180_000 and f"{name}.{suffix}" in result
+def test_a_moving_picture_is_480_pixels_wide_and_holds_its_last_frame(name):
+    image = pytest.importorskip("PIL.Image")
+    with image.open(PAGES / f"{name}.gif") as read:
+        read.seek(read.n_frames - 1)
+        assert read.size == (480, 360) and read.info["duration"] >= 2000, "ms"
 
 
-def cells(lines):
-    """Return the cells of a table of baselines: base -> head -> text."""
-    rows = [[cell.strip() for cell in line.strip("| ").split("|")] for line in lines if line.startswith("|")]
-    heads, _, *bases = rows
-    return {base: dict(zip(heads[-len(values) :], values, strict=True)) for base, *values in bases}
+@pytest.mark.parametrize("baseline", ["PD", "tracking LQR"])
+def test_a_row_of_a_slew_has_what_evaluate_gives(baseline, baselines):
+    (row,) = [each for each in baselines if (each.environment, each.baseline) == ("FlexRRR-v0", baseline)]
+    found = fm.evaluate(BASELINES[baseline], "FlexRRR-v0", SEEDS)
+    assert (row.settled, row.failed) == (found["settled"], found["failed"])
+    assert row.vibration == pytest.approx(found["vibration"], rel=0.01)
 
 
-@pytest.mark.parametrize("base", ["pd", "lqr-tracking"])
-def test_the_page_of_a_slew_has_what_evaluate_gives(base):
-    lines = (PAGES / "FlexRRR-v0.md").read_text(encoding="utf-8").split("## Baselines")[1].splitlines()[:12]
-    found = fm.evaluate(base, "FlexRRR-v0", SEEDS)
-    row = cells(lines)[BASES[base]]
-    assert (row["settled"], row["failed"]) == (f"{found['settled']:.0%}", f"{found['failed']:.0%}")
+def test_the_pd_that_does_not_settle_in_its_episodes_settles_in_longer_ones(baselines):
+    short, long = ([row for row in baselines if (row.environment, row.baseline) == ("FlexRRR-v0", name)]
+                   for name in ("PD", LONG_NAME))  # fmt: skip
+    assert short[0].settled == 0.0 and long[0].settled == 1.0 and 10.0 < long[0].settling_time < 30.0
 
 
-def test_runs_are_what_the_table_says(hold):
-    told = cells(baselines("FlexPlanar-Hold-v0", hold))
-    errors = {}
-    for base, each in hold.items():
-        errors[base] = np.quantile(np.sqrt(np.nanmean(each.errors**2, axis=1)), 0.5, method="higher")
+def test_metrics_of_a_task_without_settling_are_those_of_its_records():
+    runs = {baseline: run("FlexPlanar-Hold-v0", agent) for baseline, agent in BASELINES.items()}
+    rows = baseline_rows("FlexPlanar-Hold-v0", runs)
+    table = baseline_table("FlexPlanar-Hold-v0", rows)
+    for row, each in zip(rows, runs.values(), strict=True):
+        error = np.quantile(np.sqrt(np.nanmean(each.errors**2, axis=1)), 0.5, method="higher")
         failed = np.mean([failure != "" for failure in each.failures])
-        assert told[BASES[base]] == {"RMS error, mm": f"{1e3 * errors[base]:.3g}", "failed": f"{failed:.0%}"}
-    assert errors["lqr-tracking"] < errors["pd"] < errors[None]
+        assert f"| {row.baseline} | {length(error)} | {failed:.0%} |" in table
+    assert rows[2].rms_error < rows[1].rms_error < rows[0].rms_error
+
+
+def test_lengths_have_units_that_a_reader_can_imagine():
+    assert [length(value) for value in (12.53, 1.0, 0.4567, 1e-6, 4e-7, 0.0, np.inf)] == [
+        "12.5 m", "1 m", "457 mm", "0.001 mm", "< 0.001 mm", "0 mm", "-",
+    ]  # fmt: skip
 
 
 def test_the_default_is_judged_by_finer_steps_and_a_finer_model():

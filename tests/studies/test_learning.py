@@ -12,6 +12,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.policy_files import POLICIES
 from studies.files import read_comment, read_rows
 from studies.learning import measure
+from studies.learning import page as learning_page
 from studies.learning.measure import (
     ABLATED,
     ABLATIONS,
@@ -101,7 +102,7 @@ def test_a_run_is_trained_once_and_judged_in_three_places(tmp_path, monkeypatch)
 
 
 def test_the_published_page_is_that_of_the_published_rows():
-    file = ROOT / "docs" / "learning.csv"
+    file = ROOT / "docs" / "evidence" / "learning.csv"
     rows = read_rows(file, LearningRow)
     for kind, counts in (("recipe", SEEDS), ("ablation", dict.fromkeys(ABLATIONS, 3))):
         assert {row.name for row in rows if row.kind == kind} == counts.keys()
@@ -110,7 +111,7 @@ def test_the_published_page_is_that_of_the_published_rows():
             assert sorted(row.seed for row in result) == list(range(count))
             steps = next(case for case in cases() if (case.kind, case.name) == (kind, name)).settings.steps
             assert all(row.steps == steps for row in result), "the rows are of another recipe"
-    assert (ROOT / "docs" / "learning.md").read_text(encoding="utf-8") == page(rows, read_comment(file))
+    assert (ROOT / "docs" / "results.md").read_text(encoding="utf-8") == page(rows, read_comment(file))
     names = {row.name for row in rows if row.kind == "controller"}
     assert names == {f"{name}, {id}" for id, names in CONTROLLERS.items() for name in names}
     learned = {scenario: [name] if name in POLICIES else [] for scenario, (name, _) in TASKS.items()}
@@ -118,10 +119,23 @@ def test_the_published_page_is_that_of_the_published_rows():
         f"{name}, {scenario}" for scenario, (_, law) in TASKS.items() for name in ("pd", law, *learned[scenario])
     }
     assert {row.name for row in rows if row.kind == "task"} == expected
-    curves = read_rows(ROOT / "docs" / "learning_curves.csv", Point)
+    curves = read_rows(ROOT / "docs" / "evidence" / "learning_curves.csv", Point)
     assert {point.name for point in curves} <= SEEDS.keys()
     for id in {environment(point.name) for point in curves if adds_to_pd(point.name)}:
-        assert (ROOT / "docs" / f"learning_{id}.png").is_file()
+        assert (ROOT / "docs" / "evidence" / f"learning_{id}.png").is_file()
+
+
+def test_spreads_are_medians_and_ranges_over_the_seeds():
+    row = next(row for row in read_rows(ROOT / "docs" / "evidence" / "learning.csv", LearningRow) if row.cpu)
+    seeds = [replace(row, time=time, vibration=size) for time, size in ((3.2, 9e-5), (np.inf, 1e-9), (3.0, 1.2e-3))]
+    assert learning_page._spread(seeds, learning_page._time) == "3.20 (3.00 to -)"
+    assert learning_page._spread(seeds, learning_page._vibration) == "0.09 (below 0.01 to 1.2)"
+    assert learning_page._spread(seeds[:1] * 3, learning_page._time) == "3.20"
+
+
+def test_every_recipe_and_policy_is_on_the_page():
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    assert all(f"`{name}`" in text for name in (*SEEDS, *POLICIES))
 
 
 def test_the_curve_of_a_run_is_that_of_its_training_rewards(tmp_path):

@@ -1,14 +1,18 @@
-"""Tests of a new entry of `METHODS`: it is in every grid, table and chart of the studies, with its own line style."""
+"""Tests of a new entry of `METHODS`: it is in every grid of the studies; and of the line styles of charts."""
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from flexman_gym.common.plot_style import rgb
 from flexman_gym.scene import catalog
 from flexman_gym.simulation.methods import METHODS
-from studies.methods import COLOURS, MARKERS, line_styles
+from studies.methods import explicit_methods, line_styles
+from studies.precision.charts import SHOWN as precision
 from studies.precision.measure import PrecisionRow as Run
 from studies.precision.measure import ReferenceSolution, Study, grid
+from studies.ringdown.page import SHOWN as ring_down
 from studies.stability.rows import amplification_rows, drift_rows, limit_rows
 
 NEW, MODEL = "a_new_method", "2 elements a link"
@@ -51,12 +55,17 @@ def test_a_new_method_is_measured_by_the_study_of_stability(monkeypatch):
     assert NEW in {row.method for row in limit_rows("payload", quick=True)}
 
 
-def test_no_two_methods_have_the_same_look(monkeypatch):
-    before = line_styles()
-    assert len(set(before.values())) == len(before) == len(METHODS) and len(COLOURS) == len(MARKERS)
-    for number in range(50):
-        monkeypatch.setitem(METHODS, f"{NEW}_{number}", METHODS["ros2"])
-    after = line_styles()
-    assert len(set(after.values())) == len(after) == len(METHODS)
-    fixed = [name for name in before if not METHODS[name].adaptive]
-    assert [after[name] for name in fixed] == [before[name] for name in fixed]  # the old ones keep theirs
+@pytest.mark.parametrize("shown", [precision, ring_down, explicit_methods()])
+def test_no_two_lines_of_a_chart_have_the_same_style(shown):
+    styles = line_styles(shown)
+    assert list(styles) == list(shown) and set(shown) <= set(METHODS)
+    for key in ("color", "marker"):
+        assert len({style[key] for style in styles.values()}) == len(shown)
+    assert all(contrast(style["color"]) >= 3.0 for style in styles.values())
+
+
+def contrast(colour):
+    """Return the contrast of a colour on white, after WCAG 2."""
+    parts = rgb(colour) / 255.0
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return 1.05 / (linear @ (0.2126, 0.7152, 0.0722) + 0.05)

@@ -2,41 +2,82 @@
 
 import pytest
 
+from flexman_gym.verification.table import VerificationRow
+from studies.benchmark.endurance import EnduranceRow
+from studies.benchmark.measure import BenchmarkRow
+from studies.benchmark.page import page as benchmark_page
 from studies.control.cases import ControlRow
 from studies.control.page import page as control_page
+from studies.faults import Fault
+from studies.faults import page as faults_page
 from studies.fidelity.measure import FidelityRow
 from studies.fidelity.page import page as fidelity_page
-from studies.files import read_comment, read_rows
+from studies.files import read_comment, read_comments, read_rows
 from studies.machine.measure import FitRow
 from studies.machine.page import page as machine_page
-from studies.ringdown.measure import PERIOD, RingDownRow
+from studies.peers.measure import Decay
+from studies.peers.page import page as peers_page
+from studies.planted.measure import Planted
+from studies.planted.page import page as planted_page
+from studies.precision.measure import Floor, PrecisionRow
+from studies.precision.page import page as precision_page
+from studies.ringdown.measure import PERIOD, Errors, RingDownRow
+from studies.ringdown.page import accuracy_page
 from studies.ringdown.page import page as ringdown_page
+from studies.screen import HIDDEN, index
 from studies.servos.measure import FrictionRow, ServoRow
 from studies.servos.page import page as servos_page
 from studies.stability.measure import StabilityRow
 from studies.stability.page import page as stability_page
+from studies.verification.page import page as verification_page
 
 from oracles.files import ROOT
 
-DOCS = ROOT / "docs"
+DOCS, EVIDENCE = ROOT / "docs", ROOT / "docs" / "evidence"
 DEFAULT = "midpoint_corrected_3", PERIOD / 3  # method and step, s
 PAGES = {
     "control": (ControlRow, lambda rows, computer: control_page(rows)),
-    "fidelity": (FidelityRow, lambda rows, computer: fidelity_page(rows, more("fidelity_open", FidelityRow))),
-    "machine": (FitRow, machine_page),
-    "ring_down": (RingDownRow, lambda rows, computer: ringdown_page(rows, computer, DEFAULT)),
-    "servos": (ServoRow, lambda rows, computer: servos_page(computer, rows, more("servos_friction", FrictionRow))),
-    "stability": (StabilityRow, lambda rows, computer: stability_page(computer, rows)),
 }
+SCREENS = {  # page -> function of its rows, and files and types of the rows
+    "accuracy": (accuracy_page, {"accuracy": Errors}),
+    "benchmark": (benchmark_page, {"benchmark": BenchmarkRow, "endurance": EnduranceRow}),
+    "faults": (faults_page, {"faults": Fault}),
+    "fidelity": (fidelity_page, {"fidelity": FidelityRow, "fidelity_open": FidelityRow}),
+    "machine": (machine_page, {"machine": FitRow}),
+    "peers": (peers_page, {"peers": PrecisionRow, "peers_damping": Decay}),
+    "planted": (planted_page, {"planted": Planted}),
+    "ring_down": (lambda rows, files: ringdown_page(rows, DEFAULT, files), {"ring_down": RingDownRow}),
+    "servos": (servos_page, {"servos": ServoRow, "servos_friction": FrictionRow}),
+    "stability": (stability_page, {"stability": StabilityRow}),
+    "verification": (verification_page, {"verification": VerificationRow}),
+    "work_precision": (precision_page, {"work_precision": PrecisionRow, "work_precision_truths": Floor}),
+}
+WORDS, TABLE_ROWS, CHARTS = 250, 8, 1  # limits of a page of one screen
 
 
-def more(name, kind):
-    """Read the rows of a published file."""
-    return read_rows(DOCS / f"{name}.csv", kind)
+@pytest.mark.parametrize("name", SCREENS)
+def test_a_page_of_evidence_is_made_of_its_rows_and_fits_a_screen(name):
+    page, files = SCREENS[name]
+    paths = [EVIDENCE / f"{file}.csv" for file in files]
+    text = page(
+        *(read_rows(path, kind) for path, kind in zip(paths, files.values(), strict=True)), read_comments(*paths)
+    )
+    assert (EVIDENCE / f"{name}.md").read_text(encoding="utf-8") == text
+    assert text.startswith(HIDDEN) and "flexman_gym 0." in " ".join(text.split())
+    table = [line for line in text.splitlines() if line.startswith("|")]
+    prose = text.removeprefix(HIDDEN).replace("\n".join(table), "")
+    assert len(prose.split()) <= WORDS and len(table) <= 2 + TABLE_ROWS and text.count("](") - CHARTS <= 8
+    assert prose.count("![") <= CHARTS and max(len(line) for line in prose.splitlines() if line[:2] != "![") <= 120
+
+
+def test_the_index_has_the_sentence_of_every_page():
+    published = (EVIDENCE / "index.md").read_text(encoding="utf-8")
+    assert published == index(path for path in sorted(EVIDENCE.glob("*.md")) if path.name != "index.md")
+    assert all(f"]({name}.md): " in published for name in SCREENS)
 
 
 @pytest.mark.parametrize("name", PAGES)
 def test_a_published_page_is_made_of_its_rows(name):
     kind, page = PAGES[name]
-    text = page(more(name, kind), read_comment(DOCS / f"{name}.csv"))
-    assert (DOCS / f"{name}.md").read_text(encoding="utf-8") == text
+    text = page(read_rows(EVIDENCE / f"{name}.csv", kind), read_comment(EVIDENCE / f"{name}.csv"))
+    assert (EVIDENCE / f"{name}.md").read_text(encoding="utf-8") == text

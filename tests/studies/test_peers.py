@@ -9,7 +9,7 @@ from scipy.linalg import eigh
 
 import flexman_gym as fm
 from flexman_gym.model.mjcf import to_mjcf
-from studies.peers import measure, newton
+from studies.peers import measure
 from studies.peers.measure import decay, decays, with_rigid_joints
 from studies.precision.measure import PrecisionRow, cost_at
 
@@ -89,15 +89,15 @@ def test_a_short_run_of_mujoco_is_near_ours(mujoco_peer):
 def test_integrators_of_mujoco_take_from_the_lowest_mode_what_their_formulas_say(mujoco_peer, integrator):
     step = 1e-3 if integrator == "discrete" else 5e-5
     rows = [replace(ROW, model="MuJoCo, 4 pieces", method=integrator, step=step)]
-    *_, (name, known, share) = decays(ARM, rows)
-    assert (name, known) == (f"MuJoCo, 4 pieces, {integrator}", step)
+    *_, last = decays(ARM, rows)
+    assert (last.integrator, last.step) == (f"MuJoCo, 4 pieces, {integrator}", step)
     omega = 2 * np.pi * 4.4945  # of four pieces
     expected = 1.0 - (1.0 + (omega * step) ** 2) ** (-0.5 / step) if integrator == "discrete" else 0.0
-    assert share == pytest.approx(expected, rel=1e-3, abs=1e-8)
+    assert last.loss == pytest.approx(expected, rel=1e-3, abs=1e-8)
 
 
 def test_our_methods_take_nothing_from_the_lowest_mode():
-    shares = {name: share for name, _, share in decays(ARM, [])}
+    shares = {row.integrator: row.loss for row in decays(ARM, [])}
     assert list(shares) == ["ours, midpoint_2", "ours, gauss_3"]
     assert max(abs(share) for share in shares.values()) < 1e-8
 
@@ -125,11 +125,6 @@ def test_soromox_moves_nearly_as_we_do():
     scene = short(ARM, 0.2)
     result = importlib.import_module("studies.peers.soromox").run(scene)
     assert result.distance(ours(scene, elements=3, stiffening=True, step=1e-3)) < 5e-4
-
-
-def test_cables_are_skipped_without_a_gpu(monkeypatch):
-    monkeypatch.setattr(newton, "import_module", lambda name: __import__("no_such_peer"))
-    assert newton.cables() == newton.SKIPPED
 
 
 def test_rigid_links_of_mujoco_move_as_ours(mujoco_peer):

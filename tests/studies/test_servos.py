@@ -24,7 +24,7 @@ from studies.servos.measure import (
 
 from oracles.files import ROOT
 
-DOCS = ROOT / "docs"
+DOCS = ROOT / "docs" / "evidence"
 
 
 @pytest.mark.parametrize("late", [0, 1, 2, 4])

@@ -45,7 +45,7 @@ def test_the_command_names_the_full_table_and_writes_the_rows(monkeypatch, tmp_p
     monkeypatch.setattr(cases, "closed_form_rows", lambda: [ROW])
     assert flexman(["verify", "--quick"]) == 0 and "make verify" not in capsys.readouterr().out
     assert flexman(["verify", "--json", str(tmp_path / "rows.json")]) == 0
-    assert "is in docs/verification.md" in capsys.readouterr().out
+    assert "is in docs/evidence/verification.md" in capsys.readouterr().out
     assert (tmp_path / "rows.json").read_text() == format_json([ROW])
 
 

@@ -8,6 +8,7 @@ from typing import Any, NoReturn, Self
 
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of, positive, sequence, short_path, text, value_error, vector
+from flexman_gym.common.markdown import text_fields
 from flexman_gym.common.renamed import current_methods, deprecated_names, rename_keys
 from flexman_gym.control.margins import first_order_lag
 from flexman_gym.control.pd import torque_limits
@@ -74,6 +75,15 @@ class Configuration(EnvironmentSettings):
 
     def __repr__(self) -> str:
         return f"Configuration({self.id!r}, {self._given!r})"
+
+    def __str__(self) -> str:
+        """Return the id, the arm in one line, and each setting that has a value."""
+        shown = ((name, getattr(self, name)) for name in SETTINGS if name != "arm")
+        lines = text_fields(
+            [("id", self.id), ("arm", str(self.arm).partition("\n")[0])]
+            + [each for each in shown if each[1] not in (None, ())]
+        )
+        return "\n".join(lines)
 
     def _check_together(self) -> None:
         """Check the settings whose allowed values depend on other settings, and store torque limits and gains."""

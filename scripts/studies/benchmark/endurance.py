@@ -11,9 +11,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.configuration import Configuration
-from studies.benchmark.page import ENDURANCE, PAGE, without_endurance
 
 PARTS = ("observations", "rewards", "terminated", "truncated")
 HELD = 7  # steps for which a random action is held, long enough to exceed limits
@@ -57,12 +55,22 @@ RANDOMISATION = {
     "tip_impulse": (0.0, 20.0),
     "impulse_gap": 1.0,
 }
+STEPS, DIVERGED, ALARMS = "steps", "divergences", "steps with an energy alarm"
+WARM_MEMORY, MEMORY = "memory after 100000 steps, MB", "memory at the end, MB"
+
+
+@dataclass(frozen=True)
+class EnduranceRow:
+    """Quantity of an endurance run and its value."""
+
+    quantity: str
+    value: float
+
+
 SETTLED = 100_000  # steps; warm-up, after which the memory should stay constant
 ALLOWED = 0.05  # allowed relative growth of the memory
 HOLDS = (1, 5, 25)  # control periods for which an action is held; longer holds lead to faster motion
 BLOCK = 200  # steps whose actions are drawn at once
-NOTE = """Random actions on {arms} arms with all randomisations. Each arm holds an action for {holds} control periods.
-All observations and rewards were finite."""
 
 
 @dataclass
@@ -153,26 +161,12 @@ def endure(steps: int, arms: int, settled: int = SETTLED, name: str = "FlexRRR-v
     return count
 
 
-def _section(count: _Count, arms: int) -> str:
-    """Return the section of the benchmark page."""
-    rows = {
-        "steps": f"{count.steps:,}",
-        "steps per CPU second": f"{count.steps / count.cpu:,.0f}",
-        "episodes": f"{count.episodes:,}",
-        "ended by their time limit": f"{count.truncated:,}",
-        **{f"ended by a failure of {name}": f"{number:,}" for name, number in count.failures.most_common()},
-        "divergences": f"{count.diverged:,}",
-        "steps with an energy alarm": f"{count.alarms:,}",
-        f"memory after {SETTLED:,} steps": f"{count.memory[0]:.1f} MB",
-        "memory at the end": f"{count.memory[1]:.1f} MB ({count.growth:+.1%})",
-    }
-    *some, last = map(str, HOLDS)
-    note = NOTE.format(arms=arms, holds=f"{', '.join(some)} or {last}")
-    return "\n".join([ENDURANCE, "", note, "", *markdown_table(("quantity", "value"), rows.items())]) + "\n"
-
-
-def publish(count: _Count, arms: int, folder: Path) -> str:
-    """Write the section into the benchmark page and return its text."""
-    page, text = folder / PAGE, _section(count, arms)
-    page.write_text("\n".join([*without_endurance(page)[0], text]), encoding="utf-8")
-    return text
+def endurance_rows(count: _Count) -> list[EnduranceRow]:
+    """Return the counts of a run as rows."""
+    values = {
+        STEPS: count.steps, "steps per CPU second": round(count.steps / count.cpu), "episodes": count.episodes,
+        "ended by their time limit": count.truncated,
+        **{f"ended by a failure of {name}": number for name, number in count.failures.most_common()},
+        DIVERGED: count.diverged, ALARMS: count.alarms, WARM_MEMORY: count.memory[0], MEMORY: count.memory[1],
+    }  # fmt: skip
+    return [EnduranceRow(name, float(value)) for name, value in values.items()]

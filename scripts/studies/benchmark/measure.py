@@ -202,9 +202,6 @@ def _row(entry: _BenchmarkEntry, cost: Array, peer: Array | None) -> BenchmarkRo
 
 BATCHES, STEPS = 3, 250
 ABA, PLAIN = "Pinocchio aba, rigid arm, from Python", "evaluation, 12 coordinates a link"
-EVALUATIONS_NOTE = f"""Medians over rounds of the fastest of {BATCHES} batches. An evaluation is a quarter of an RK4
-step, {4 * STEPS} of them in one compiled call. The time of Pinocchio's `aba` includes a call from Python. Rows that
-begin with "with" are compared with 12 coordinates per link without this option, all others with `aba`."""
 I3 = tuple(map(tuple, np.eye(3)))
 
 
@@ -282,13 +279,14 @@ def evaluation_rows(rounds: int) -> list[BenchmarkRow]:
 
 ARMS, CALLS = (1, 64), 400
 WHOLE, HANDED = "a step of the vector environment", "an empty task for another thread, and back"
-PARTS_NOTE = """A step of the vector environment of `FlexRRR-v0`, and some of its calls, each repeated in isolation. The
-remaining calls check actions and limits and copy results for the caller. The last row is the overhead of a second
-thread, for which the wall-clock time is relevant."""
 
 
 def part_rows(rounds: int, arms: Sequence[int] = ARMS, calls: int = CALLS) -> list[BenchmarkRow]:
-    """Measure the parts of a step for each number of arms and return their rows."""
+    """Measure the parts of a step for each number of arms, each repeated in isolation, and return their rows.
+
+    The remaining parts of a step check actions and limits and copy results. The last row is the overhead of a second
+    thread, for which the wall-clock time is relevant.
+    """
     parts = {(name, count): call for count in arms for name, call in _calls(count).items()}
     helper = WorkerThread()
 

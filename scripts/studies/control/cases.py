@@ -16,10 +16,13 @@ from flexman_gym.envs.episodes import Episodes
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollout import Rollout, rollout
+from studies.control.random_arms import random_arm, uncertain_environment
 
 FRICTION_RANGES = {name: [0.5, 1.5] for name in ("viscous_friction_factor", "coulomb_friction_factor")}
 FINER = {"elements": 3, "modes": None, "stiffening": True, "step": 0.00125}
 CHANGE, WITHIN, LOAD = 4.0, 3.0, 10.0  # payload change: time, s; time to settle again, s; mass, kg
+RANDOM_ARMS, RANDOM_EPISODES = 20, 20  # numbers of random arms, and of episodes of each
+FEW = 40  # episodes of an extreme or a part
 LATER = 2.0  # s; start of the RMS tip error in tracking and holding tasks
 
 
@@ -35,6 +38,7 @@ class ControlCase:
         sensor_errors: errors of the instruments that are not given to the agent.
         unmodelled: design the agent for the environment without the changes.
         load: change the payload during the episode.
+        most: largest number of episodes.
     """
 
     name: str
@@ -44,6 +48,7 @@ class ControlCase:
     sensor_errors: Mapping[str, float] = field(default_factory=dict)
     unmodelled: bool = False
     load: bool = False
+    most: int = 1000
 
 
 @dataclass(frozen=True)
@@ -139,9 +144,10 @@ CASES = (
     *(ControlCase(f"{who}, {task}, {where}", who, f"{task}/{where}") for task in ("FlexPlanar-v0", "FlexRRR-Gravity-v0")
       for where in ("uncertain", "unmodelled") for who in ("privileged-lqr", "adaptive-lqr")),
     *(ControlCase(f"adaptive-lqr, uncertain: {text}", "adaptive-lqr", f"{RRR}/uncertain", _extreme(names, value),
-         unmodelled=True) for text, names, value in EXTREMES),
+         unmodelled=True, most=FEW) for text, names, value in EXTREMES),
     *(ControlCase(f"adaptive-lqr, unmodelled: {text} {value:g}", "adaptive-lqr", f"{RRR}/unmodelled",
-         _part(fixed, name, value), unmodelled=True) for text, fixed, name, values in PARTS for value in values),
+         _part(fixed, name, value), unmodelled=True, most=FEW)
+      for text, fixed, name, values in PARTS for value in values),
     ControlCase("adaptive-lqr, three times the noise", "adaptive-lqr", f"{RRR}/{LAB}",
          {"randomisation": {"sensor_noise": [0.003, 0.003]}}),
     ControlCase("adaptive-lqr, unmodelled friction", "adaptive-lqr", f"{RRR}/{LAB}", {"arm": _friction_arm()},
@@ -151,6 +157,8 @@ CASES = (
     ControlCase("adaptive-lqr, 20 % of samples lost", "adaptive-lqr", f"{RRR}/{LAB}",
          sensor_errors={"dropped": 0.2}),
     ControlCase("adaptive-lqr, measurements a period late", "adaptive-lqr", f"{RRR}/{LAB}", sensor_errors={"delay": 1}),
+    *(ControlCase(f"{who}, random arm {seed}", who, RRR, uncertain_environment(random_arm(seed)), most=RANDOM_EPISODES)
+      for seed in range(RANDOM_ARMS) for who in ("privileged-lqr", "adaptive-lqr")),
 )  # fmt: skip
 
 
@@ -159,14 +167,15 @@ def run_case(case: ControlCase, episodes: int, seed: int) -> ControlRow:
     known = Configuration.find(case.environment)
     settings = deepcopy(known.settings)
     for name, change in case.changes.items():
-        settings[name] = settings[name] | change if name == "randomisation" else change
+        settings[name] = settings.get(name, {}) | change if name == "randomisation" else change
     environment, setup = Configuration(known.id, settings), known
     base = make_base(case.agent, make_plant(setup, resolve_fidelity(setup).model)) if case.unmodelled else case.agent
     sensors = {"sensors": {"kind": "lab", **case.sensor_errors}} if case.sensor_errors else {}
     found = find_agent(base)
     agent = replace(found, name=case.name, interface={**(found.interface or {}), **sensors})
     started = time.process_time()
-    result = rollout(agent, environment, range(seed, seed + episodes), _loader(setup.control_period, case.load))
+    seeds = range(seed, seed + min(episodes, case.most))
+    result = rollout(agent, environment, seeds, _loader(setup.control_period, case.load))
     cost = (time.process_time() - started) / float(np.sum(result.lengths))
     values = {metric.name: metric.evaluate(result.records) for metric in METRICS.values()}
     few = {name: values[name] for name in ("settled", "settling_time", "vibration", "error", "failed", "roughness")}

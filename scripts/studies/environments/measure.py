@@ -1,23 +1,25 @@
-"""Measurements of the named environments: accuracy of the default model, baselines, first training."""
+"""Measurements of the named environments: errors of the default model, metrics and pictures of the baselines."""
 
 import time
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 
-from flexman_gym.common import files
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.markdown import markdown_table
-from flexman_gym.common.plot_style import BLUE, LIGHT, MIDDLE, ORANGE, RED, new_figure
-from flexman_gym.draw.video import side_by_side, write_video
-from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-from flexman_gym.envs.tasks import Slew
+from flexman_gym.common.plot_style import BLUE, RED, SLATE, save_figure
+from flexman_gym.draw.comparison import side_by_side, suggested_gain
+from flexman_gym.draw.video import write_video
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollout import TEST_SEEDS, Rollout, rollout
 from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.simulation.batch import Batch
+from studies.charts import new_chart
 
 MOTIONS, DURATION, HELD, SPREAD, PART = 8, 1.0, 0.2, 0.5, 0.5  # s, s, rad, share of the torque limits
 FINER = 8  # ratio of the numbers of steps
@@ -63,108 +65,90 @@ def accuracy(name: str, **arguments: Any) -> Accuracy:
     return Accuracy(by_steps, by_model, slow / quick)
 
 
-BASES = {
-    None: "no torque",
-    "pd": "PD",
-    "lqr-tracking": "tracking LQR",
-}  # the tracking LQR is given the arm's parameters and state
+BASELINES = {"no torque": "zero", "PD": "pd", "tracking LQR": "lqr-tracking"}
+"""Name of a baseline on the pages -> agent. The tracking LQR is given the parameters and the state of the arm."""
+LONG, LONG_NAME = 30.0, "PD, episodes of 30 s"  # s; horizon in which the PD of FlexRRR-v0 settles; name of its row
 SEEDS = TEST_SEEDS[:20]
-SIZE, BROADER, LEAST = (280, 210), 1.5, 1e-5
+SIZE, RATE, SECONDS, HOLD = (480, 360), 10.0, 5.0, 2.0  # pixels, 1/s, s, s
+LEAST = 0.01  # mm; smaller tip errors are drawn at this value of the logarithmic axis
 
 
-def run(name: str, base: str | None) -> Rollout:
-    """Run one episode of a baseline per seed."""
-    return rollout(base or "zero", name, SEEDS)
+@dataclass(frozen=True)
+class Baseline:
+    """Metrics of a baseline over SEEDS: medians (s, m) and shares of the episodes; see `evaluation.metrics.METRICS`."""
+
+    environment: str
+    baseline: str
+    settled: float
+    settling_time: float
+    vibration: float
+    rms_error: float
+    failed: float
 
 
-def draw(runs: dict[str | None, Rollout], path: Path) -> None:
-    """Plot tip error and torques of an episode under each baseline, and record the tracking LQR as a GIF."""
-    frames, rate = side_by_side([runs["lqr-tracking"].episode(0)], small=True, size=SIZE)
-    write_video(frames, path.with_suffix(".gif"), rate)
-    figure = new_figure((11.0, 2.9), 110.0, layout="constrained")
-    left, right = figure.subplots(1, 2)
-    looks = {None: (MIDDLE, "-"), "pd": (BLUE, "-"), "lqr-tracking": (RED, "-")}
-    for base, each in runs.items():
-        colour, style = looks[base]
-        episode = each.episode(0)
-        times, errors = episode.time, 1e3 * np.maximum(episode.errors, LEAST)
-        left.semilogy(times, errors, style, color=colour, label=BASES[base])
-        if base is not None:
+@dataclass(frozen=True)
+class ModelError:
+    """Largest tip errors (m) of the default model: median and maximum over the motions, see `Accuracy`."""
+
+    environment: str
+    steps_median: float
+    steps_largest: float
+    model_median: float
+    model_largest: float
+    cost: float
+
+
+def run(name: str, agent: str, horizon: float | None = None) -> Rollout:
+    """Run one episode of an agent per seed.
+
+    Args:
+        name: environment.
+        agent: name of the agent.
+        horizon: duration of the episodes, s; None for that of the environment.
+    """
+    environment = Configuration.find(name)
+    return rollout(agent, environment.replace(horizon=horizon) if horizon else environment, SEEDS)
+
+
+def baseline_rows(name: str, runs: Mapping[str, Rollout]) -> list[Baseline]:
+    """Return the metrics of the baselines, by their names, in an environment."""
+    shown = ("settled", "settling_time", "vibration", "rms_error", "failed")
+    return [
+        Baseline(name, baseline, *(METRICS[metric].evaluate(each.records) for metric in shown))
+        for baseline, each in runs.items()
+    ]
+
+
+def model_error(name: str) -> ModelError:
+    """Return the errors of the default model of an environment."""
+    each = accuracy(name)
+    numbers = (float(number) for errors in (each.steps, each.model) for number in (np.median(errors), errors.max()))
+    return ModelError(name, *numbers, each.cost)
+
+
+def draw(runs: Mapping[str, Rollout], path: Path) -> None:
+    """Plot tip error and torques of an episode under each baseline, and record PD and tracking LQR as a GIF."""
+    pair = [runs[baseline].episode(0) for baseline in ("PD", "tracking LQR")]
+    frames = side_by_side(pair, SIZE, RATE, SECONDS, HOLD, suggested_gain(pair))
+    write_video(frames, path.with_suffix(".gif"), RATE)
+    figure, ((left, right),) = new_chart((7.6, 2.7), columns=2)
+    for baseline, colour in (("no torque", SLATE), ("PD", BLUE), ("tracking LQR", RED)):
+        episode = runs[baseline].episode(0)
+        left.semilogy(episode.time, np.maximum(1e3 * episode.errors, LEAST), color=colour, label=baseline)
+        if baseline != "no torque":
             torques = np.abs(episode.actions).max(axis=1)
-            right.plot(times[1:], torques, style, color=colour, linewidth=BROADER, label=BASES[base])
+            right.plot(episode.time[1:], torques, color=colour, label=baseline)
     left.set(xlabel="time (s)", ylabel="tip error (mm)")
+    right.axhline(1.0, color=SLATE, linestyle="--", label="torque limit")
     right.set(xlabel="time (s)", ylabel="largest torque / its limit", ylim=(0.0, 1.05))
-    right.axhline(1.0, color=ORANGE, linewidth=0.8)
     for axes in (left, right):
-        axes.grid(color=LIGHT, linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(frameon=False, fontsize=9, ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0))
-    figure.savefig(path)
-
-
-ROOT = Path(__file__).parents[3]
-RECIPES, DOCS = ROOT / "agents" / "recipes", ROOT / "docs"
-RECIPE = {
-    "FlexRRR-v0": "ppo_on_pd", "FlexRRR-Track-v0": "track_ppo_on_pd", "FlexRRR-Hold-v0": "hold_ppo_on_pd",
-    "FlexRRR-Gravity-v0": "gravity_ppo_on_pd", "FlexPlanar-v0": "planar_ppo_on_pd",
-    "FlexPlanar-Track-v0": "planar_track_ppo_on_pd", "FlexPlanar-Hold-v0": "planar_hold_ppo_on_pd",
-}  # fmt: skip
-"""Environment -> its recipe."""
-LASTS, GAMMA, ARMS = (
-    0.1,
-    0.95,
-    256,
-)  # action duration without a recipe, s; discount factor and number of arms of all recipes
-
-
-def first(name: str) -> list[str]:
-    """Return a table of recommended settings for training, with reasons and example code, as Markdown lines."""
-    named = NAMED_ENVIRONMENTS[name]
-    recipe = RECIPE.get(name)
-    given = files.read_data(RECIPES / f"{recipe}.yaml")["environment"] if recipe else {}
-    hold = given.get("action_repeat", round(LASTS / named.control_period))
-    seconds = hold * named.control_period
-    settings = {"base": "pd", "action_repeat": hold, "sensors": ("full", "fine")}
-    rows = [
-        ("`base`", '`"pd"`', "the agent adds to a controller that moves the arm close to its goal"),
-        ("`action_repeat`", f"`{hold}`", f"an action lasts {seconds:g} s, so that exploration excites less vibration"),
-        ("`sensors`", '`("full", "fine")`', "the state, and the state scaled to millimetres"),
-    ]
-    if isinstance(named.task, Slew):
-        settings["task"] = {"kind": "slew", "reward": "distance", **_drawn(named.task)}
-        rows.append(("`task`", '`"reward": "distance"`', "a gradient at every scale, from metres to millimetres"))
-    horizon = seconds / (1.0 - GAMMA)
-    rows += [
-        ("discount of PPO or SAC", f"`{GAMMA}`", f"a horizon of {horizon:g} s, about the duration of a motion"),
-        (
-            "`log_std_init`",
-            "`-1.6`, or `-1.3` decreasing to `-3.5`",
-            "little exploration noise, since strong vibration prevents learning",
-        ),
-        ("number of arms", f"`{ARMS}`", "a batch costs little more than one arm"),
-    ]
-    known = "There is no recipe for this environment; the recipes of [learning.md](../learning.md) have these settings."
-    if recipe:
-        known = f"The recipe `{recipe}` has these settings; "
-        known += "[learning.md](../learning.md) has its results."
-    words = "".join(f"    {key}={value!r},\n" for key, value in settings.items()).replace("'", '"').splitlines()
-    made = [f'arms = gym.make_vec("{name}", {ARMS}, "vector_entry_point", autoreset_mode="SameStep",', *words, ")"]
-    return [
-        *markdown_table(("setting", "value", "reason"), rows), "", "```python", *made, "```", "",
-        f"{known} The README trains on such arms in a few lines of Stable-Baselines3.",
-        *(["", *_curve(name)] if (DOCS / f"learning_{name}.png").is_file() else []),
-    ]  # fmt: skip
-
-
-def _curve(name: str) -> list[str]:
-    """Return the learning curves of the recipes of an environment as Markdown lines, see `studies.learning.measure`."""
-    return [
-        f"![Reward while the recipes of {name} train](../learning_{name}.png)", "",
-        "Lines are medians over the seeds, bands the range from the worst to the best seed.",
-    ]  # fmt: skip
-
-
-def _drawn(task: Slew) -> dict[str, float]:
-    """Return the initial conditions of a slew task that differ from the default slew."""
-    plain = Slew()
-    return {name: getattr(task, name) for name in ("start", "slew") if getattr(task, name) != getattr(plain, name)}
+        axes.legend(
+            frameon=False,
+            fontsize=8,
+            ncols=3,
+            handlelength=1.2,
+            columnspacing=1.0,
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),
+        )
+    save_figure(figure, path.with_suffix(".svg"))

@@ -195,16 +195,11 @@ def _by_mujoco(found: fm.Fit, runs: Mapping[str, fm.Measurement]) -> list[FitRow
     return rows
 
 
-def stages(path: Path) -> tuple[list[FitRow], list[Any]]:
-    """Fit the first half of a record of both stages and predict the second half, from hub angles and from currents.
-
-    Returns:
-        Rows, and times, measured and predicted deflections.
-    """
+def stages(path: Path) -> list[FitRow]:
+    """Fit the first half of a record of both stages and predict the second half, from hub angles and from currents."""
     record, arm = both_stages(path), fm.catalog.quanser_2dsfl()
     found = fm.fit(arm, FACTORS, records=[record.part(0.0, HALF)], **TWO)  # type: ignore[arg-type]
-    comparison = [np.asarray(record.times), dict(record.outputs), found.predicted(record)]
-    return [*_coupled(found, record, COUPLED), *_currents(found, path)], comparison
+    return [*_coupled(found, record, COUPLED), *_currents(found, path)]
 
 
 def _coupled(found: fm.Fit, record: fm.Measurement, part: str) -> Iterator[FitRow]:

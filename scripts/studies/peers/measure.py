@@ -231,14 +231,29 @@ def decay(factor: complex, step: float) -> float:
     return 1.0 - float(abs(factor)) ** (1.0 / step)
 
 
-def decays(arm: fm.Arm, rows: Sequence[PrecisionRow]) -> Iterator[tuple[str, float, float]]:
-    """Yield name, step (s) and decay of our methods, and of MuJoCo's integrators at the steps of their runs."""
+@dataclass(frozen=True)
+class Decay:
+    """Numerical damping of an integrator.
+
+    Attributes:
+        integrator: code or model, and method.
+        step: step, s.
+        loss: share of the amplitude of the lowest mode lost per second, for an arm without damping.
+    """
+
+    integrator: str
+    step: float
+    loss: float
+
+
+def decays(arm: fm.Arm, rows: Sequence[PrecisionRow]) -> Iterator[Decay]:
+    """Yield the numerical damping of our methods, and of MuJoCo's integrators at the steps of their runs."""
     omega = 2.0 * np.pi * float(fm.frequencies(fm.build_model(arm, elements=3))[len(arm.joints)])
     for name, step in OURS.items():
-        yield f"ours, {name}", step, decay(vibration_factor(fm.METHODS[name], omega * step), step)
+        yield Decay(f"ours, {name}", step, decay(vibration_factor(fm.METHODS[name], omega * step), step))
     for name, step in ((row.method, row.step or 0.0) for row in rows if row.model == MODEL):
         from studies.peers.mujoco import step_factors
 
         factors = step_factors(arm, DECAY_PIECES, name, step)
         factor = factors[np.abs(factors - np.exp(1j * omega * step)).argmin()]  # factor of the lowest mode
-        yield f"{MODEL}, {name}", step, decay(factor, step)
+        yield Decay(f"{MODEL}, {name}", step, decay(factor, step))

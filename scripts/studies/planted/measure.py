@@ -64,7 +64,7 @@ FAILED, NOTHING_FAILED, INTERRUPTED = 1, 0, 2  # exit statuses of pytest
 
 @dataclass(frozen=True)
 class Planted:
-    """Outcome of a planted error: a row of docs/planted.csv.
+    """Outcome of a planted error: a row of docs/evidence/planted.csv.
 
     Attributes:
         part, error, file: see `Change`.

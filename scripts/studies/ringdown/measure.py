@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray
-from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.effects.signals import static_shape
@@ -251,25 +250,3 @@ def errors_of_default(count: int) -> list[Errors]:
                 within = float((energy <= WITHIN).mean())
                 result.append(Errors(method, step, kind, end, float(count), cpu, within, **percentiles(energy, tip)))
     return result
-
-
-def methods_table(rows: Sequence[Errors]) -> list[str]:
-    """Return the table of methods and steps in docs/accuracy.md."""
-    heads = ("method", "step", "cost", "slew: tip, half", "95 %", "impulse: tip, half", "release, 1 s: energy, 90 %",
-             "release, 3 s: within 2 %", "tip, 90 %", "both planes, 3 s: within 2 %", "tip, 90 %")  # fmt: skip
-    cases = {(row.method, row.step, row.kind, row.time): row for row in rows}
-    kinds = [(kind, time) for kind in KINDS for time in (EARLY, DURATION[kind])]
-    variants = list(dict.fromkeys((row.method, row.step) for row in rows))
-    lines = []
-    for variant in variants:
-        slew, impulse, released, bent = (
-            cases[*variant, kind, DURATION[kind]] for kind in (SLEW, IMPULSE, RELEASE, BENT)
-        )
-        cost = np.median([cases[*variant, *case].cpu / cases[*variants[0], *case].cpu for case in kinds])
-        tips = slew.tip_median, slew.tip_95, impulse.tip_median, released.tip_90, bent.tip_90
-        half, most, hit, free, both = (f"{1e3 * tip:.3g} mm" for tip in tips)
-        early = f"{100 * cases[*variant, RELEASE, EARLY].energy_90:.1f} %"
-        shares = f"{released.within:.0%}", f"{bent.within:.0%}"
-        step = f"{1e3 * variant[1]:.3g} ms"
-        lines.append((f"`{variant[0]}`", step, f"{cost:.2f}", half, most, hit, early, shares[0], free, shares[1], both))
-    return markdown_table(heads, lines)

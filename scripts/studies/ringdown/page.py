@@ -1,6 +1,6 @@
-"""Page and plot of the ring-down study."""
+"""Pages and plot of the ring-down study: methods and steps, and the accuracy of the default."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import isclose
 from pathlib import Path
 from typing import Any
@@ -8,152 +8,137 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.common.plot_style import DARK, LIGHT, MIDDLE, new_figure
-from studies.methods import line_styles, methods_of
-from studies.ringdown.measure import IMPULSE, RELEASE, SLEW, UNDAMPED, RingDownRow
+from flexman_gym.common.plot_style import SLATE, save_figure
+from studies.charts import new_chart
+from studies.methods import line_styles
+from studies.ringdown.measure import (
+    BENT,
+    DURATION,
+    EARLY,
+    IMPULSE,
+    KINDS,
+    RELEASE,
+    SLEW,
+    UNDAMPED,
+    WITHIN,
+    Errors,
+    RingDownRow,
+)
+from studies.screen import picture, screen
 
-COST = "CPU seconds per simulated second of one arm"
-GREYS = {"Euler": "x", "RK4": "d", "implicitfast": "+", "discrete": "."}  # markers of MuJoCo's integrators
-PICTURE = "ring_down.png"
+OURS, LOSSY = "flexman_gym", "discrete"  # our code, and the integrator of MuJoCo with numerical damping
+SHOWN = ("midpoint_corrected_3", "midpoint_3", "gauss_3", "extrapolated_euler_5", "ros2")  # methods of the plot
+COST = "CPU s per simulated s of one arm"
+PICTURE = "ring_down.svg"
+TITLES = {RELEASE: "Release", IMPULSE: "Impulse at the tip", SLEW: "Slews", UNDAMPED: "Release without damping"}
 
 
 def draw(rows: Sequence[RingDownRow], folder: Path, default: tuple[str, float]) -> None:
-    """Plot the study; `default` is the method and step (s) of the environments, marked with a ring."""
-    figure = new_figure((13.0, 5.2), 110.0, layout="constrained")
-    panels = figure.subplots(1, 3)
+    """Plot a few methods, without steps at which most arms failed; a ring marks the method and step (s) `default`."""
+    figure, (panels,) = new_chart((7.6, 4.2), columns=2)
     released = [row for row in rows if row.kind == RELEASE]
-    _lines(panels[0], released, "energy_median", default)
-    panels[0].set(title="Energy after 3 s", ylabel="median error, relative to the reference energy")
-    _lines(panels[1], released, "tip_median", default)
-    panels[1].set(title="Tip after 3 s", ylabel="median distance from the reference (m)")
-    undamped = [row for row in rows if row.kind == UNDAMPED]
-    _lines(panels[2], undamped, "energy_median", default)
-    panels[2].set(title="Energy of an arm without damping, after 3 s", ylabel="median error, relative to the start")
-    figure.suptitle("Released from deflections up to 5 cm: errors after 3 s against cost", fontsize=13)
-    entries: dict[str, Any] = {}
-    for axes in panels:
-        axes.set(xscale="log", yscale="log", xlabel=COST)
-        axes.grid(color=LIGHT, linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-        entries |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    figure.legend(entries.values(), entries.keys(), loc="outside right center", frameon=False, fontsize=8)
-    figure.savefig(folder / PICTURE)
+    texts = {"energy_median": "error of the energy, relative", "tip_median": "distance of the tip (m)"}
+    for axes, (column, text) in zip(panels, texts.items(), strict=True):
+        _lines(axes, released, column, default)
+        axes.set(xscale="log", yscale="log", xlabel=COST, ylabel=f"median {text}")
+    figure.suptitle("Released from deflections up to 5 cm: errors after 3 s against cost", fontsize=11)
+    legend = {"loc": "outside lower center", "ncols": 3, "frameon": False, "fontsize": 9}
+    figure.legend(*panels[0].get_legend_handles_labels(), **legend)
+    save_figure(figure, folder / PICTURE)
 
 
 def _lines(axes: Any, rows: Sequence[RingDownRow], column: str, default: tuple[str, float]) -> None:
-    ours = [row for row in rows if row.code == "flexman_gym"]
-    for name in methods_of(ours):
-        look = line_styles()[name]
-        _line(axes, [row for row in ours if row.method == name], column, name, look.colour, look.marker)
+    ours = [row for row in rows if row.code == OURS]
+    for name, look in line_styles(SHOWN).items():
+        own = [row for row in ours if row.method == name and np.isfinite(getattr(row, column)) and row.failed < 0.5]
+        values = [row.cpu for row in own], [getattr(row, column) for row in own]
+        axes.plot(*values, **look, linewidth=1.3, markersize=6.0, label=name)
     for row in ours:
         if row.method == default[0] and isclose(row.step, default[1], rel_tol=1e-4):
-            ring = {"markersize": 15.0, "markerfacecolor": "none", "markeredgecolor": DARK, "markeredgewidth": 1.6}
+            ring = {"markersize": 15.0, "markerfacecolor": "none", "markeredgecolor": SLATE, "markeredgewidth": 1.6}
             axes.plot(row.cpu, getattr(row, column), "o", **ring, linestyle="", label="default of the environments")
-    for name, marker in GREYS.items():
-        theirs = [row for row in rows if row.code != "flexman_gym" and row.method == name]
-        label = f"{theirs[0].code}, {name}" if theirs else name
-        _line(axes, theirs, column, label, MIDDLE, marker)
 
 
-def _line(axes: Any, rows: Sequence[RingDownRow], column: str, label: str, colour: str, marker: str) -> None:
-    """Plot the runs of one method over their cost, without those in which most arms failed."""
-    good = [row for row in rows if np.isfinite(getattr(row, column)) and row.failed < 0.5]
-    if good:
-        values = [row.cpu for row in good], [getattr(row, column) for row in good]
-        axes.plot(*values, marker=marker, color=colour, linewidth=1.0, markersize=6.0, label=label)
+MESSAGE = "Errors of five methods over cost, after a release; a ring marks the default"
+QUESTION = "How well does an integration method preserve the vibration of an arm that is released, at what cost?"
+ANSWER = """**The default, `{method}` at {step:.3g} ms, has a median energy error of {energy:.2g} % and a median tip
+error of {tip:.2g} mm three seconds after a release; `ros2` at 5 ms has {old_energy:.2g} % and {old_tip:.3g} mm.**"""
+BODY = """{picture}
 
+Arms of `FlexRRR-v0` start in random postures with free motors; the tips of all links are deflected by up to 5 cm.
+The reference is `dop853` at a tolerance of 1e-8 with the same model. The energy error is relative to the energy of
+the reference at the end or, if this is larger, to 2 % of the energy at the start.
 
-PAGE = """# Ring-down: energy errors of integration methods
+- Without damping of the arm the median energy error of the default is {free:.2g} %, that of `ros2` {old_free:.2g} %.
+- Explicit methods fail on at least {failed:.0%} of the released arms at every tested step.{mujoco}
 
-Arms are released from a deflection, hit or driven, and after a few seconds each method is compared with a reference
-solution. The default preserves the energy of a released vibration to a few percent in most cases. `ros2` at 5 ms has
-large errors, and MuJoCo's `discrete` integrator dissipates nearly all of the energy. Explicit methods fail on released
-arms at every tested step.
-
-`python scripts/ring_down.py --folder docs` rewrites this page, its plot and its rows ([ring_down.csv](ring_down.csv)).
-
-Arms of `FlexRRR-v0` start in random postures with free motors. In a *release* the tips of all links are deflected by up
-to 5 cm. An *impulse* of up to 50 N s acts on the tip. A *slew* has random torques up to 300 N m. The reference is
-`dop853` at a tolerance of 1e-8 with the same model, so that the method alone causes the errors. The energy error is
-relative to the reference energy at the end or, if this is larger, to 2 % of the energy at the start.
-
-![energy and tip over cost]({picture})
-
-{conclusion}
-
-{tables}
-"""
-CONCLUSION = """- **The default, `{method}` at {step:.3g} ms,** is evaluated on more arms in [accuracy.md](accuracy.md).
-  The number of arms here is too small for the worst 10 %.
-- **`ros2` at 5 ms** has median errors of {old:.3g} mm at the tip and {old_energy:.3g} % in the energy after a release.
-- **Without damping** the median energy error of the default is {free:.2g} %, and {failed:.0%} of its arms fail.
-  With `ros2` at 5 ms it is {old_free:.2g} %, and {old_failed:.0%} fail.{mujoco}"""
+The rows also have impulses at the tip and slews, all methods, and percentiles. [Accuracy](accuracy.md) has the
+default on more arms."""
 MUJOCO = """
-- **MuJoCo's `{name}`** at {step:.3g} ms retains {kept:.2g} of the energy of its arm of rigid pieces (exact: 1)."""
-HEADS = (
-    "method",
-    "step, ms",
-    "CPU, us",
-    "energy, %",
-    "90 %",
-    "99 %",
-    "tip, mm",
-    "90 %",
-    "95 %",
-    "99 %",
-    "kept",
-    "failed",
-)
-TITLES = {
-    RELEASE: "Release", IMPULSE: "Impulse at the tip", SLEW: "Slews", UNDAMPED: "Release without damping",
-}  # fmt: skip
+- MuJoCo's `{name}` at {step:.3g} ms retains {kept:.2g} of the energy of an undamped arm of rigid pieces (exact: 1)."""
 
 
-def page(rows: Sequence[RingDownRow], computer: str, default: tuple[str, float]) -> str:
-    """Return the page as Markdown."""
-    tables = [
-        f"Computed with {computer}, one core. CPU is the CPU time of one arm per simulated second. That of the "
-        "corrected midpoint rules is the CPU time of the midpoint rules times 1.18, the ratio measured in turns."
-    ]
-    for kind, title in TITLES.items():
-        result = [_cells(row) for row in rows if row.kind == kind]
-        tables += [f"## {title}", "\n".join(markdown_table(HEADS, result))]
-    return PAGE.format(picture=PICTURE, conclusion=_conclusion(rows, default), tables="\n\n".join(tables))
-
-
-def _conclusion(rows: Sequence[RingDownRow], default: tuple[str, float]) -> str:
-    """Return the conclusions about the default, ros2 and MuJoCo's integrators."""
+def page(rows: Sequence[RingDownRow], default: tuple[str, float], files: Mapping[str, str]) -> str:
+    """Return the page of all methods as Markdown; `files` is the file of the rows with its comment."""
 
     def of(kind: str, method: str, step: float) -> RingDownRow:
         named = [row for row in rows if (row.kind, row.method) == (kind, method)]
         return next(row for row in named if isclose(row.step, step, rel_tol=1e-4))
 
-    now = {kind: of(kind, *default) for kind in TITLES}
-    before, worn = of(RELEASE, "ros2", 0.005), of(UNDAMPED, "ros2", 0.005)
-    lossy = min((row for row in rows if row.method == "discrete" and row.failed == 0.0), key=_kept, default=None)
-    mujoco = "" if lossy is None else MUJOCO.format(name=lossy.method, step=1e3 * lossy.step, kept=lossy.kept)
-    return CONCLUSION.format(
-        method=default[0], step=1e3 * default[1],
-        old=1e3 * before.tip_median, old_energy=1e2 * before.energy_median,
-        free=1e2 * now[UNDAMPED].energy_median, failed=now[UNDAMPED].failed,
-        old_free=1e2 * worn.energy_median, old_failed=worn.failed, mujoco=mujoco,
+    now, before = of(RELEASE, *default), of(RELEASE, "ros2", 0.005)
+    explicit = [row for row in rows if row.kind == RELEASE and row.method in ("semi_implicit_euler", "rk4", "dopri5")]
+    lossy = min((row for row in rows if row.method == LOSSY and row.failed == 0.0), key=_kept, default=None)
+    answer = ANSWER.format(method=default[0], step=1e3 * default[1], energy=1e2 * now.energy_median,
+                           tip=1e3 * now.tip_median, old_energy=1e2 * before.energy_median,
+                           old_tip=1e3 * before.tip_median)  # fmt: skip
+    body = BODY.format(
+        picture=picture(MESSAGE, PICTURE),
+        free=1e2 * of(UNDAMPED, *default).energy_median, old_free=1e2 * of(UNDAMPED, "ros2", 0.005).energy_median,
+        failed=min(row.failed for row in explicit),
+        mujoco="" if lossy is None else MUJOCO.format(name=lossy.method, step=1e3 * lossy.step, kept=lossy.kept),
     )  # fmt: skip
+    return screen("Released vibrations", QUESTION, answer, body, files, "ring_down")
 
 
 def _kept(row: RingDownRow) -> float:
     return row.kept
 
 
-def _cells(row: RingDownRow) -> list[str]:
-    name = row.method if row.code == "flexman_gym" else f"{row.code}, {row.method}"
-    energies = [f"{1e2 * value:.3g}" for value in (row.energy_median, row.energy_90, row.energy_99)]
-    tips = [f"{1e3 * value:.3g}" for value in (row.tip_median, row.tip_90, row.tip_95, row.tip_99)]
-    return [
-        name,
-        f"{1e3 * row.step:.3g}",
-        f"{1e6 * row.cpu:.4g}",
-        *energies,
-        *tips,
-        f"{row.kept:.4g}",
-        f"{row.failed:.0%}",
-    ]
+ACCURACY_QUESTION = "How accurate are the method and the step that an environment uses by default?"
+ACCURACY_ANSWER = """**With `{method}` at {step:.3g} ms the tip of half of the arms is within {slew:.2g} mm after a
+slew and within {impulse:.2g} mm after an impulse; a strong release costs {released:.2g} to {bent:.2g} mm.** The
+energy is within {limit:.0%} for {least:.0%} of the arms or more, 3 s after a release."""
+ACCURACY_BODY = """{table}
+
+{arms:g} arms of `FlexRRR-v0` for each motion. *Release*: the tips of all links from up to 5 cm, in any posture.
+*Both planes*: up to 5 cm in each plane, nearly stretched. *Impulse*: up to 50 N s. *Slew*: random torques up to 300
+N m. The errors are those of the method alone; the reference is `dop853` with the same model. They are larger after 1
+s than after 3 s where the damping of fast modes matters.
+
+The method has no numerical damping. Its correction of the phase error does not contain Coulomb friction or
+centrifugal softening, and the energy of an undamped vibration oscillates by (omega h)^2 / 6. `gym.make("FlexRRR-v0",
+step=0.005)` shortens the step, and `fidelity="auto"` with a tolerance chooses anew: [choices](fidelity.md). The rows
+also have {others} other methods and steps."""
+ACCURACY_HEADS = ("motion", "after", "energy within 2 %", "tip, half of the arms", "90 %", "95 %")
+
+
+def accuracy_page(rows: Sequence[Errors], files: Mapping[str, str]) -> str:
+    """Return the page of the default as Markdown; `files` is the file of the rows with its comment."""
+    first, names = rows[0], {(row.method, row.step) for row in rows}
+    own = {(row.kind, row.time): row for row in rows if (row.method, row.step) == (first.method, first.step)}
+    cells = [_accuracy(own[kind, time]) for kind in KINDS for time in (EARLY, DURATION[kind])
+             if kind in (RELEASE, BENT) or time > EARLY]  # fmt: skip
+    slew, impulse, released, bent = (own[kind, DURATION[kind]] for kind in (SLEW, IMPULSE, RELEASE, BENT))
+    answer = ACCURACY_ANSWER.format(
+        method=first.method, step=1e3 * first.step, slew=1e3 * slew.tip_median, impulse=1e3 * impulse.tip_median,
+        released=1e3 * released.tip_median, bent=1e3 * bent.tip_median, limit=WITHIN,
+        least=min(released.within, bent.within),
+    )  # fmt: skip
+    table = "\n".join(markdown_table(ACCURACY_HEADS, cells))
+    body = ACCURACY_BODY.format(table=table, arms=first.arms, others=len(names) - 1)
+    return screen("Accuracy of the default", ACCURACY_QUESTION, answer, body, files, "accuracy")
+
+
+def _accuracy(row: Errors) -> tuple[str, ...]:
+    tips = (f"{1e3 * tip:.2g} mm" for tip in (row.tip_median, row.tip_90, row.tip_95))
+    return row.kind, f"{row.time:g} s", f"{row.within:.0%}", *tips

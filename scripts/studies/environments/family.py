@@ -1,0 +1,241 @@
+"""Page of the environments of a family of arms."""
+
+import json
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from flexman_gym.common import files
+from flexman_gym.common.markdown import markdown_table
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+from flexman_gym.envs.tasks import Slew
+from studies.environments.measure import DURATION, Baseline, ModelError
+from studies.environments.text import (
+    arm_facts,
+    baseline_table,
+    docstring_sections,
+    is_slew,
+    length,
+    make,
+    observation_rows,
+    paragraph,
+)
+from studies.files import read_rows
+from studies.machine.measure import SCORE, SHEET, FitRow
+
+ROOT = Path(__file__).parents[3]
+RECIPES, EVIDENCE = ROOT / "agents" / "recipes", ROOT / "docs" / "evidence"
+RECIPE = {
+    "FlexRRR-v0": "ppo_on_pd", "FlexRRR-Track-v0": "track_ppo_on_pd", "FlexRRR-Hold-v0": "hold_ppo_on_pd",
+    "FlexRRR-Gravity-v0": "gravity_ppo_on_pd", "FlexPlanar-v0": "planar_ppo_on_pd",
+    "FlexPlanar-Track-v0": "planar_track_ppo_on_pd", "FlexPlanar-Hold-v0": "planar_hold_ppo_on_pd",
+}  # fmt: skip
+"""Environment -> its recipe."""
+ACTION_SECONDS, ARMS = 0.1, 256  # s, 1; duration of an action without a recipe; number of arms of a training
+
+
+class Family(NamedTuple):
+    """Environments that share a page.
+
+    Attributes:
+        file: name of the page without suffix.
+        title: title of the page.
+        text: introduction.
+        environments: ids of the environments, the first of which is the plainest.
+    """
+
+    file: str
+    title: str
+    text: str
+    environments: tuple[str, ...]
+
+
+FAMILIES = (
+    Family(
+        "FlexRRR",
+        "FlexRRR: a spatial arm with three joints",
+        "The arm of the paper moves in space. All links and joints are flexible, and its reach is 8.5 m. Three "
+        "environments have no gravity. In the fourth the arm carries a payload on earth, with stiffer joints and "
+        "stronger motors.",
+        ("FlexRRR-v0", "FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexRRR-Gravity-v0"),
+    ),
+    Family(
+        "FlexPlanar",
+        "FlexPlanar: two strips in a vertical plane",
+        "Two aluminium strips on elastic joints lift a payload in a vertical plane. Gravity deforms the arm at rest, "
+        "and the motors have to hold its weight.",
+        ("FlexPlanar-v0", "FlexPlanar-Track-v0", "FlexPlanar-Hold-v0"),
+    ),
+    Family(
+        "FlexOne-FlexQuanser",
+        "FlexOne and FlexQuanser: one joint, and a laboratory arm",
+        "FlexOne is the textbook case: one strip on one elastic joint in a horizontal plane. FlexQuanser is a model of "
+        "a laboratory arm that can be bought, with its motors, encoders and strain gauges.",
+        ("FlexOne-v0", "FlexQuanser-v0"),
+    ),
+)
+
+
+def family_page(family: Family, baselines: Sequence[Baseline], errors: Sequence[ModelError]) -> str:
+    """Return the page of a family of environments as Markdown.
+
+    Args:
+        family: the family.
+        baselines: metrics of the baselines of all environments.
+        errors: errors of the default models of all environments.
+    """
+    first = family.environments[0]
+    lines = [
+        f"# {family.title}", "", *paragraph(family.text), "",
+        "```python", "import gymnasium as gym", "import flexman_gym", "", f'env = gym.make("{first}")', "```", "",
+        "## Actions", "", *_actions(family), "",
+        "## Observations", "", *_observations(family),
+        "## Arm", "", *_arms(family), "",
+    ]  # fmt: skip
+    for name in family.environments:
+        lines += [f"## {name}", "", *_environment(name, baselines, errors, name == first), ""]
+    if "FlexQuanser-v0" in family.environments:
+        lines += ["### The real machine", "", *_machine(), ""]
+    lines += paragraph(
+        "Rewards, starts and ends are on the page of the [tasks](tasks.md); sensors, conditions and the definitions of",
+        "the metrics are on the page of [all environments](index.md).",
+    )
+    return "\n".join(lines) + "\n"
+
+
+def _actions(family: Family) -> list[str]:
+    """Return the table of the actions, with the torque limits of each environment."""
+    limits = {name: tuple(make(name).configuration.torque_limit) for name in family.environments}
+    groups = _groups(limits)
+    rows = []
+    for i in range(max(map(len, groups))):
+        cells = [f"{limit[i]:g} N m" if i < len(limit) else "-" for limit in groups]
+        rows.append((i, f"torque of motor {i + 1} / its limit", "-1 to 1", *cells))
+    rates = [f"{1.0 / NAMED_ENVIRONMENTS[name].control_period:g} Hz in {name}" for name in family.environments]
+    heads = ("entry", "meaning", "range", *(f"limit in {_short(names)}" for names in groups.values()))
+    text = paragraph(f"A torque is constant during a control period: {', '.join(rates)}.")
+    return [*markdown_table(heads, rows), "", *text]
+
+
+def _groups(values: dict[str, tuple]) -> dict[tuple, list[str]]:
+    """Return the names of equal values: value -> names."""
+    result: dict[tuple, list[str]] = {}
+    for name, value in values.items():
+        result.setdefault(value, []).append(name)
+    return result
+
+
+def _short(names: Sequence[str]) -> str:
+    """Return environments as text without their versions; a family's first three names share a start."""
+    return ", ".join(name.removesuffix("-v0") for name in names)
+
+
+def _observations(family: Family) -> list[str]:
+    """Return the tables of the observations: those of the first environment, then what the others add or change."""
+    first, *others = family.environments
+    heads = ("slice", "entries", "unit", "largest")
+    known = observation_rows(first)
+    lines = [f"{first}, Box ({_size(known)},):", "", *markdown_table(heads, known), ""]
+    for name in others:
+        rows = observation_rows(name)
+        more = [row for row in rows if row not in known]
+        if not more:
+            lines += [f"{name}: the same.", ""]
+            continue
+        added = set(known) <= set(rows)
+        lines += [f"{name}, Box ({_size(rows)},){', in addition' if added else ''}:", ""]
+        lines += [*markdown_table(heads, more if added else rows), ""]
+    rows = observation_rows(first, "lab")
+    return [*lines, f'With `sensors="lab"`, the sensors of a laboratory, {first} has Box ({_size(rows)},):', "",
+            *markdown_table(heads, rows), ""]  # fmt: skip
+
+
+def _size(rows: Sequence[tuple[str, ...]]) -> int:
+    return 1 + int(rows[-1][1].split("-")[1])
+
+
+def _arms(family: Family) -> list[str]:
+    """Return the table of the arms of a family, a column for each different arm."""
+    groups = _groups({name: tuple(arm_facts(name).items()) for name in family.environments})
+    facts = [dict(group) for group in groups]
+    rows = [(key, *(each[key] for each in facts)) for key in facts[0]]
+    return markdown_table(("property", *(_short(names) for names in groups.values())), rows)
+
+
+def _environment(name: str, baselines: Sequence[Baseline], errors: Sequence[ModelError], code: bool) -> list[str]:
+    """Return the section of an environment: picture, task, baselines, error of the model, first training.
+
+    Args:
+        name: environment.
+        baselines: metrics of the baselines.
+        errors: errors of the default models.
+        code: True for example code of the first training.
+    """
+    named = NAMED_ENVIRONMENTS[name]
+    kind, own = type(named.task).__name__, [row for row in errors if row.environment == name]
+    values = {"kind": kind.lower()} | {key: value for key, value in vars(named.task).items() if not key.startswith("_")}
+    shown = textwrap.wrap(f"task = {json.dumps(values)}", 100, subsequent_indent=8 * " ")
+    description = docstring_sections(type(named.task))["Description"]
+    picture = f"{name}: PD controller at the left, tracking LQR at the right, tip errors below"
+    chart = f"{name}: tip error and largest torque of an episode without torque, with the PD, and with the tracking LQR"
+    task = f"Task [{kind}](tasks.md#{kind.lower()}), control period {named.control_period:g} s, episodes of "
+    return [
+        f"![{picture}]({name}.gif){{ width=480 }}", "", *description, "",
+        f"{task}{named.horizon:g} s:", "", "```python", *shown, "```", "",
+        *baseline_table(name, baselines), "", f"![{chart}]({name}.svg)", "",
+        *(_model_error(own[0]) if own else []), "", *_first_training(name, code),
+    ]  # fmt: skip
+
+
+def _model_error(row: ModelError) -> list[str]:
+    """Return the error of the default model in a sentence."""
+    return paragraph(
+        "Under random torques of up to half the limits the tip of the default model is off by at most",
+        f"{length(row.model_largest)} within {DURATION:g} s; {length(row.steps_largest)} are due to the integration",
+        f"steps. A step of the finer model takes {row.cost:.2g} times as long.",
+    )
+
+
+def _first_training(name: str, code: bool) -> list[str]:
+    """Return the recommended settings for a first training: the recipe, and example code if `code` is True."""
+    named, recipe = NAMED_ENVIRONMENTS[name], RECIPE.get(name)
+    given = files.read_data(RECIPES / f"{recipe}.yaml")["environment"] if recipe else {}
+    settings = {"base": "pd", "action_repeat": given.get("action_repeat", round(ACTION_SECONDS / named.control_period)),
+                "sensors": ("full", "fine")}  # fmt: skip
+    if is_slew(name):
+        settings["task"] = {"kind": "slew", "reward": "distance", **_drawn(named.task)}
+    words = "".join(f"    {key}={value!r},\n" for key, value in settings.items()).replace("'", '"').splitlines()
+    made = [f'arms = gym.make_vec("{name}", {ARMS}, "vector_entry_point", autoreset_mode="SameStep",', *words, ")"]
+    known = f"the recipe `{recipe}` has them" if recipe else "there is no recipe for this environment"
+    text = "[Settings](index.md#settings-for-a-first-training) for a first training"
+    if not code:
+        return paragraph(f"{text}: an action lasts {settings['action_repeat']} control periods, and {known}.")
+    return [f"{text}; {known}:", "", "```python", *made, "```"]
+
+
+def _drawn(task: Slew) -> dict[str, float]:
+    """Return the initial conditions of a slew task that differ from the default slew."""
+    plain = Slew()
+    return {name: getattr(task, name) for name in ("start", "slew") if getattr(task, name) != getattr(plain, name)}
+
+
+def _machine() -> list[str]:
+    """Return what is known of the arm of FlexQuanser-v0 as a machine, with numbers of the study of its records."""
+    rows = read_rows(EVIDENCE / "machine.csv", FitRow)
+    held_out, sheet = ([row.value for row in rows if row.part == part] for part in (SCORE, SHEET))
+    items = (
+        "Quanser's 2-DoF Serial Flexible Link: two steel strips in a horizontal plane on geared DC motors.",
+        "An aluminium block between the strips carries the second motor; a load is fixed to the end of strip 2.",
+        "Each motor has an encoder, and each strip a strain gauge at its root. The tip is not measured.",
+        "Lengths, sections, inertias and torque limits of the model are those of the manufacturer's data file.",
+        f"The Czech Technical University in Prague published records of its machine; {len(held_out)} runs are",
+        f"compared. With two fitted parameters the model explains {np.median(held_out):.3f} of the variance of the "
+        f"deflection in held-out runs (median), with the data sheet alone {np.median(sheet):.3f}.",
+        "Friction of the gears dominates small steps: from motor currents alone the angle of the second hub drifts.",
+        "The environment has no friction by default; the setting `randomisation` adds it.",
+        "[Comparison with the records](../evidence/machine.md); the arm itself is `fm.catalog.quanser_2dsfl()`.",
+    )
+    return [line for item in items for line in paragraph(f"- {item}", indent="  ")]

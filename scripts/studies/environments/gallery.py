@@ -1,0 +1,177 @@
+"""Page of all environments: gallery, table, and the text that they share."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from flexman_gym.common.markdown import markdown_table
+from flexman_gym.envs.config.named_environments import CONDITION_FOLDER, CONDITIONS, NAMED_ENVIRONMENTS, NOMINAL
+from flexman_gym.envs.sensors import SENSOR_NAMES
+from flexman_gym.envs.tasks import TASKS
+from flexman_gym.metrics import BAND, SETTLING_WINDOW, VIBRATION_WINDOW
+from studies.environments.family import ACTION_SECONDS, ARMS, FAMILIES, RECIPE
+from studies.environments.measure import DURATION, FINER, LONG, MOTIONS, SEEDS, Baseline
+from studies.environments.text import docstring_sections, is_slew, length, make, paragraph, task_arguments
+
+DISCOUNT = 0.95  # discount factor of all recipes
+ARMS_TEXT = {
+    "FlexRRR": "three links in space, 8.5 m",
+    "FlexPlanar": "two strips in a vertical plane, 1 m",
+    "FlexOne": "one strip, 0.8 m, in a horizontal plane",
+    "FlexQuanser": "laboratory arm with two strips, 0.56 m",
+}
+TASKS_TEXT = {
+    "Slew": "move the tip to a target and stop it there",
+    "Track": "follow a closed path",
+    "Hold": "keep the tip in place under disturbances",
+}
+HEAD = """---
+hide:
+  - toc
+---
+
+# Environments
+
+Nine environments differ in the arm and in the task. Each is made by `gym.make(id)`;
+`gym.make_vec(id, 256, "vector_entry_point")` simulates 256 arms at once. In each picture the PD controller acts at
+the left and the tracking LQR at the right, on the same episode; the chart below shows the distance of the tip from its
+target.
+"""
+
+REPLAY = """## An episode in the browser
+
+The episode of the [first picture of the home page](../index.md), to be turned, slowed down and magnified;
+`flexman replay` makes such a page of saved episodes ([open it alone](../replay.html)).
+
+<iframe class="replay" src="../replay.html" title="A slew under a PD controller and a policy" loading="lazy"></iframe>
+"""
+
+
+def gallery_page(baselines: Sequence[Baseline]) -> str:
+    """Return the page of all environments as Markdown, with the metrics of the baselines."""
+    lines = [*HEAD.splitlines(), "", '<div class="gallery" markdown>', ""]
+    pages = {name: family.file for family in FAMILIES for name in family.environments}
+    for name in NAMED_ENVIRONMENTS:
+        link = f"{pages[name]}.md#{name.lower()}"
+        lines += [f"[![{name}: PD and tracking LQR on the same episode]({name}.gif)]({link})",
+                  f"[**{name}**]({link}): {_task(name)}", ""]  # fmt: skip
+    lines += ["</div>", "", *_table(pages, baselines), "", *_definitions(), "", *REPLAY.splitlines(), ""]
+    lines += ["## Sensors", "", *_sensors(), "", "## Conditions", "", *_conditions(), ""]
+    lines += ["## Settings for a first training", "", *_first_training(), "", "## Further settings", ""]
+    lines += ["[Tasks](tasks.md): rewards, starts, ends and arguments.", ""]
+    lines += ["All [keywords of `gym.make`](keywords.md): arm, task, sensors, base controller, model, randomisation."]
+    return "\n".join(lines) + "\n"
+
+
+def tasks_page() -> str:
+    """Return the page of the tasks as Markdown: descriptions, rewards, starts, ends and arguments."""
+    lines = ["# Tasks", "", "Each environment has one of these tasks; the setting `task` changes it.", ""]
+    for kind, task in TASKS.items():
+        if any(type(named.task) is task for named in NAMED_ENVIRONMENTS.values()):
+            lines += [f"## {kind.capitalize()}", "", *_task_text(task), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _task(name: str) -> str:
+    return TASKS_TEXT[type(NAMED_ENVIRONMENTS[name].task).__name__]
+
+
+def _table(pages: dict[str, str], baselines: Sequence[Baseline]) -> list[str]:
+    """Return the table of all environments, with the results of PD and tracking LQR."""
+    rows = []
+    for name, named in NAMED_ENVIRONMENTS.items():
+        sizes = f"{len(make(name).sensors.bound)} / {len(make(name).configuration.torque_limit)}"
+        arm = ARMS_TEXT[name.split("-")[0]] + (", on earth" if "Gravity" in name else "")
+        results = [_result(row) for row in baselines
+                   if row.environment == name and row.baseline in ("PD", "tracking LQR")]  # fmt: skip
+        rate = f"{1.0 / named.control_period:g} Hz"
+        rows.append((f"[{name}]({pages[name]}.md#{name.lower()})", arm, type(named.task).__name__.lower(), rate, sizes,
+                     *results))  # fmt: skip
+    heads = ("id", "arm", "task", "rate", "observations / actions", "PD", "tracking LQR")
+    return markdown_table(heads, rows)
+
+
+def _result(row: Baseline) -> str:
+    """Return the result of a baseline in a few words."""
+    if not is_slew(row.environment):
+        return f"RMS error {length(row.rms_error)}"
+    time = f" after {row.settling_time:.3g} s" if np.isfinite(row.settling_time) else ""
+    return f"settles in {row.settled:.0%}{time}"
+
+
+def _definitions() -> list[str]:
+    """Return the definitions of the metrics and of the baselines."""
+    results = paragraph(
+        f"The results are those of {len(SEEDS)} test episodes (seeds {SEEDS[0]} to {SEEDS[-1]}). The PD reads the",
+        "motor angles only; the tracking LQR is given the parameters and the full state of the arm. The tip has",
+        f"**settled** when it stays within {BAND:.3g} of the reach of its target until the end of the episode, for at",
+        f"least {SETTLING_WINDOW:g} s. Settling time and vibration are medians over the episodes; the settling time of",
+        "an episode that does not settle is infinite. **Vibration** is the motion of the tip from peak to peak in the",
+        f"last {VIBRATION_WINDOW:g} s. The tuned PD of FlexRRR-v0 is too slow for episodes of 10 s and settles in",
+        f"episodes of {LONG:g} s. In the tasks track and hold the target starts at the tip, and the metric is the RMS",
+        "tip error over the episode (median).",
+    )
+    error = paragraph(
+        f"The **error of the model** is measured with {MOTIONS} arms under random torques of up to half the limits for",
+        f"{DURATION:g} s, as the largest distance of the tip from that of a finer model, which has {FINER} times as",
+        "many steps, all coordinates of the elements, and foreshortening.",
+    )
+    return [*results, "", *error]
+
+
+def _task_text(task: type) -> list[str]:
+    """Return the sections of a task that all its environments share."""
+    sections = docstring_sections(task)
+    lines = [*sections["Description"], ""]
+    for title in ("Reward", "Start", "End"):
+        lines += [f"**{title}.** {sections[title][0]}", *sections[title][1:], ""]
+    extra = [] if sections["Arguments"] == ["The attributes below."] else sections["Arguments"]
+    return [*lines, "**Arguments.**", *extra, "", *task_arguments(task)]
+
+
+def _sensors() -> list[str]:
+    """Return the table of the sensors of FlexRRR-v0."""
+    rows = []
+    for name in SENSOR_NAMES:
+        slices = make("FlexRRR-v0", sensors=name).sensors.slices
+        size = max(place.stop for place in slices.values())
+        rows.append((f"`{name}`", size, ", ".join(f"`{part}`" for part in slices)))
+    text = paragraph(
+        "The agent reads the sensors named by the setting `sensors`, one name or several:",
+        '`sensors=("lab", "action")`. A mapping adds flaws to a sensor, for example',
+        '`{"kind": "strain", "noise": 1e-6}`. Sizes are those of FlexRRR-v0.',
+    )
+    return [*text, "", *markdown_table(("name", "entries", "slices"), rows)]
+
+
+def _conditions() -> list[str]:
+    """Return the table of the conditions."""
+    folders = {named.conditions for named in NAMED_ENVIRONMENTS.values() if named.conditions}
+    without = [name for name, named in NAMED_ENVIRONMENTS.items() if not named.conditions]
+    rows = [(f"`{NOMINAL}`", "The environment without changes.")]
+    for each in CONDITIONS[1:]:
+        path = CONDITION_FOLDER / sorted(folders)[-1] / f"{each}.yaml"
+        rows.append((f"`{each}`", path.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")))
+    text = paragraph(
+        'A condition makes an environment harder: `gym.make("FlexRRR-v0", condition="unknown")`, or',
+        f"`FlexRRR-v0/unknown` as the environment of a command. {' and '.join(without)} have none.",
+    )
+    return [*text, "", *markdown_table(("condition", "change"), rows)]
+
+
+def _first_training() -> list[str]:
+    """Return the recommended settings for a first training, with reasons."""
+    rows = [
+        ("`base`", '`"pd"`', "the agent adds to a controller that moves the arm close to its goal"),
+        ("`action_repeat`", f"{ACTION_SECONDS:g} s", "exploration excites less vibration"),
+        ("`sensors`", '`("full", "fine")`', "the state, and the state scaled to millimetres"),
+        ("`task` of a slew", '`"reward": "distance"`', "a gradient at every scale, from metres to millimetres"),
+        ("discount of PPO or SAC", f"`{DISCOUNT}`", "the horizon is about the duration of a motion"),
+        ("`log_std_init`", "`-1.6`, or `-1.3` decreasing to `-3.5`", "strong vibration prevents learning"),
+        ("number of arms", f"`{ARMS}`", "a batch costs little more than one arm"),
+    ]
+    recipes = ", ".join(f"`{recipe}` for {name}" for name, recipe in RECIPE.items())
+    text = paragraph(
+        f"Recipes have these settings: {recipes}. Their results are on the page of [results](../results.md)."
+    )
+    return [*markdown_table(("setting", "value", "reason"), rows), "", *text]

@@ -1,0 +1,355 @@
+"""Numbers of the README and of hand-written pages, computed from the stored rows."""
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import yaml
+
+from flexman_gym.common.markdown import markdown_table
+from flexman_gym.envs import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import DEFAULT_ID
+from flexman_gym.evaluation.agent_info import describe_agent
+from flexman_gym.league.rows import LeagueRows
+from flexman_gym.league.standings import Standings
+from flexman_gym.metrics import BAND, VIBRATION_WINDOW
+from flexman_gym.verification.table import FAIL, PASS, VerificationRow
+from studies.benchmark.measure import BenchmarkRow
+from studies.environments.family import FAMILIES
+from studies.files import read_rows
+from studies.learning.measure import LearningRow
+from studies.machine.measure import FitRow
+
+Kind = TypeVar("Kind")
+UNKNOWN = f"{DEFAULT_ID}/unknown"  # scenario with unknown payload, stiffness and delay
+BOUNDS = ("zero", "random")  # agents of the league that are no controllers
+MARKERS = "<!-- {name} -->", "<!-- end of {name} -->"  # lines above and below a generated part of the README
+# information of `describe_agent` -> words of the README; a training is no information about the arm
+INFORMATION = {
+    "true state": "true state",
+    "true parameters": "true parameters",
+    "model": "nominal model",
+    "structure of the model": "structure of the model",
+    "data sheets": "data sheets",
+    "payload class": "class of the payload",
+    "its episodes": "the episodes in advance",
+}
+INDEPENDENT = "independent automatic-differentiation code"  # source of rows of the verification
+LARGE_ROTATION = "paper FF {} foreshortening, tip within 2 s, m"  # cases of the verification
+MICROMETRE = 1e-6  # m
+MOTOR_CONTROLLERS = ("pd", "pd-shaped")  # they read motor angles only
+POLICY = "a policy trained by "  # first words of the description of a policy
+TITLES = {
+    "adaptive-lqr": "adaptive LQR that tracks a slew",
+    "lqg": "Kalman filter and LQR that tracks a slew",
+    "lqr": "LQR at the target",
+    "lqr-tracking": "LQR that tracks a slew",
+    "mpc": "model predictive control",
+    "optimised": "fastest slews found by optimisation",
+    "pd": "PD of the motors, tuned",
+    "pd-torque": "PD with joint-torque feedback",
+    "pd-shaped": "the PD with input shaping (ZVD)",
+    "privileged-lqr": "LQR that tracks a slew",
+}
+ARMS = {
+    "FlexRRR": "three flexible links, flexible joints, the paper's arm",
+    "FlexRRR-Gravity": "the same under gravity, stiffer joints",
+    "FlexPlanar": "two flexible links, flexible joints, vertical plane",
+    "FlexOne": "one flexible link, one flexible joint, the textbook case",
+    "FlexQuanser": "two flexible links, horizontal plane, a real machine",
+}
+TASKS = {
+    "Slew": "move to a target and settle",
+    "Track": "follow a path",
+    "Hold": "stay still under disturbances",
+}
+
+
+class Sources:
+    """Stored rows of the documentation.
+
+    Args:
+        docs: folder of the documentation; the rows may be in any folder below it.
+
+    Attributes:
+        docs: folder of the documentation.
+    """
+
+    def __init__(self, docs: Path) -> None:
+        self.docs = docs
+
+    def path(self, name: str) -> Path:
+        """Return the path of the file with a name.
+
+        Raises:
+            FileNotFoundError: without such a file.
+        """
+        found = sorted(self.docs.rglob(name))
+        if not found:
+            raise FileNotFoundError(f"{name}: no such file below {self.docs}")
+        return found[0]
+
+    def rows(self, name: str, kind: type[Kind]) -> list[Kind]:
+        """Return the rows of a CSV file as instances of a dataclass."""
+        return read_rows(self.path(name), kind)
+
+    @cached_property
+    def standings(self) -> Standings:
+        """Comparison of the agents of the league."""
+        return Standings(LeagueRows.load(self.path("cells.csv").parent))
+
+    @cached_property
+    def learning(self) -> list[LearningRow]:
+        """Results of training and of the baselines."""
+        return self.rows("learning.csv", LearningRow)
+
+    @cached_property
+    def benchmark(self) -> list[BenchmarkRow]:
+        """Computing times."""
+        return self.rows("benchmark.csv", BenchmarkRow)
+
+    @cached_property
+    def machine(self) -> list[FitRow]:
+        """Comparison with measurements of a real arm."""
+        return self.rows("machine.csv", FitRow)
+
+    @cached_property
+    def verification(self) -> list[VerificationRow]:
+        """Comparisons of the verification."""
+        return self.rows("verification.csv", VerificationRow)
+
+
+class Sentence(NamedTuple):
+    """Sentence with numbers that are computed from rows.
+
+    Attributes:
+        pattern: regular expression; each group matches a number of the sentence, in any line breaks.
+        numbers: function: rows -> text of each group.
+    """
+
+    pattern: str
+    numbers: Callable[[Sources], Sequence[str]]
+
+    def update(self, text: str, sources: Sources) -> str:
+        """Return a text in which each occurrence of the sentence has the numbers of the rows."""
+        expression = re.compile(self.pattern.replace(" ", r"\s+"))
+        if not expression.search(text):
+            return text
+        numbers = self.numbers(sources)
+
+        def replaced(match: re.Match[str]) -> str:
+            whole, start = match.group(0), match.start()
+            for group in range(len(numbers), 0, -1):
+                first, last = (at - start for at in match.span(group))
+                whole = whole[:first] + numbers[group - 1] + whole[last:]
+            return whole
+
+        return expression.sub(replaced, text)
+
+
+PAGES = {name: family.file for family in FAMILIES for name in family.environments}  # environment -> its page
+
+
+def _verification(sources: Sources) -> tuple[str, str]:
+    verdicts = [row.verdict for row in sources.verification]
+    return str(verdicts.count(PASS)), str(verdicts.count(PASS) + verdicts.count(FAIL))
+
+
+def _tip_errors(sources: Sources) -> tuple[str, str]:
+    """Return the tip errors with and without foreshortening relative to large rotations, mm."""
+    found = {row.case: row.computed for row in sources.verification}
+    near, far = (1e3 * found[LARGE_ROTATION.format(each)] for each in ("with", "without"))
+    return f"{near:.2g}", f"{far:.2g}"
+
+
+def _held_out(sources: Sources) -> tuple[str, str]:
+    scores = [row.value for row in sources.machine if row.part == "score"]
+    return f"{np.median(scores):.2f}", str(len(scores))
+
+
+def _training_minutes(sources: Sources) -> tuple[str]:
+    """Return the CPU time of the recipe of the demonstration, rounded to half minutes."""
+    seconds = [
+        row.cpu for row in sources.learning if (row.kind, row.name) == ("recipe", "ppo_on_pd_minute") and row.cpu
+    ]
+    return (f"{round(float(np.median(seconds)) / 30.0) / 2.0:g}",)
+
+
+def _compile_minutes(sources: Sources) -> tuple[str]:
+    """Return the CPU time of the first start, rounded to minutes, in words."""
+    seconds = sum(row.cpu for row in sources.benchmark if row.table == "starts" and "nothing compiled yet" in row.name)
+    minutes = round(seconds / 60.0)
+    return ("a minute" if minutes == 1 else f"{minutes} minutes",)
+
+
+def _steps(sources: Sources) -> tuple[str, str]:
+    """Return the steps per CPU second of one arm, and of the fastest vector environment on one thread."""
+    rows = [row for row in sources.benchmark if row.table == "environments" and row.threads == 1]
+    one = next(row.cpu for row in rows if row.name == "FlexRRR-v0")
+    many = min(row.cpu for row in rows if row.name == "FlexRRR-v0, vector environment")
+    return f"{float(f'{1.0 / one:.3g}'):,.0f}", f"{float(f'{1.0 / many:.3g}'):,.0f}"
+
+
+def _pd_settles(sources: Sources) -> tuple[str]:
+    """Return the median settling time of the PD in longer episodes, s."""
+    case = ("pd, FlexRRR-v0", "longer episodes")
+    return (f"{next(row.time for row in sources.learning if (row.name, row.where) == case):.0f}",)
+
+
+def _reach(sources: Sources) -> tuple[str]:
+    """Return the reach of the arm of the default environment, m."""
+    return (f"{sum(link.length for link in NAMED_ENVIRONMENTS[DEFAULT_ID].arm.links):g}",)
+
+
+def _slew(sources: Sources) -> tuple[str, str]:
+    """Return the tolerance of a slew of the default environment, mm, and the length of an episode, s."""
+    return f"{1e3 * BAND * float(_reach(sources)[0]):.3g}", f"{NAMED_ENVIRONMENTS[DEFAULT_ID].horizon:g}"
+
+
+def _medians(sources: Sources) -> tuple[str, str]:
+    """Return the window of the vibration, s, and the number of test episodes."""
+    return f"{VIBRATION_WINDOW:g}", str(len(sources.standings.values("pd", DEFAULT_ID, "reward")))
+
+
+def _duration(sources: Sources) -> tuple[str]:
+    """Return the duration of the comparison with large rotations, s."""
+    (case,) = (row.case for row in sources.verification if row.case == LARGE_ROTATION.format("with"))
+    return (case.partition("within ")[2].partition(" s")[0],)
+
+
+def _agreement(sources: Sources) -> tuple[str]:
+    """Return an upper bound of the tip distances from the independent code of the same equations, mm."""
+    largest = max(row.computed for row in sources.verification
+                  if row.source == INDEPENDENT and "distance of the tip, m" in row.case)  # fmt: skip
+    if largest >= MICROMETRE:
+        raise ValueError(f"tip distance: {largest} m; the sentence is true below {MICROMETRE} m")
+    return (f"{1e3 * MICROMETRE:g}",)
+
+
+SENTENCES = (  # with numbers of stored rows
+    Sentence(r"(\d+) of (\d+) comparisons", _verification),
+    Sentence(r"differs by ([\d.]+) mm, and by ([\d.]+) mm without foreshortening", _tip_errors),
+    Sentence(r"explains ([\d.]+) of the variance of the tip deflection \(median of (\d+) held-out runs\)", _held_out),
+    Sentence(r"about ([\d.]+) minutes on one core", _training_minutes),
+    Sentence(r"\(about (a minute|\d+ minutes), in parts\)", _compile_minutes),
+    Sentence(r"([\d,]+) control periods per second for one arm and ([\d,]+) for many arms", _steps),
+    Sentence(r"The PD settles after ([\d.]+) s", _pd_settles),
+)
+DEFINITIONS = (  # with numbers of the named environments, of the metrics and of cases of the verification
+    Sentence(r"agrees to better than a micrometre \(([\d.]+) mm\)", _agreement),
+    Sentence(r"within (\d+) s the tip of a large-rotation model", _duration),
+    Sentence(r"the tip of the ([\d.]+) m arm of `FlexRRR-v0`", _reach),
+    Sentence(r"\(peak to peak in the last ([\d.]+) s\) are medians of (\d+) test episodes", _medians),
+    Sentence(r"within ([\d.]+) mm of its target until the end of the episode of ([\d.]+) s", _slew),
+)
+
+
+@cache
+def _information(agent: str) -> tuple[str, tuple[str, ...], bool]:
+    """Return the description of an agent, its information, and whether it does without oracle information."""
+    info = describe_agent(agent)
+    return info.description, info.information, info.realisable
+
+
+def updated(text: str, sources: Sources) -> str:
+    """Return a hand-written text with the numbers of its sentences computed from rows."""
+    for sentence in (*SENTENCES, *DEFINITIONS):
+        text = sentence.update(text, sources)
+    return text
+
+
+def readme(text: str, sources: Sources, settings: Path) -> str:
+    """Return the README with its generated parts and the numbers of its sentences.
+
+    Args:
+        text: the README.
+        sources: stored rows.
+        settings: mkdocs.yml, with the address of the repository, the DOI and the badges.
+
+    Returns:
+        The README.
+
+    Raises:
+        ValueError: if the markers of a generated part are missing.
+    """
+    parts = {
+        "badges": badges(yaml.safe_load(settings.read_text(encoding="utf-8"))),
+        "results": results(sources.standings),
+        "environments": environments(),
+    }
+    for name, lines in parts.items():
+        above, below = (marker.format(name=name) for marker in MARKERS)
+        head, first, rest = text.partition(above)
+        _, last, tail = rest.partition(below)
+        if not (first and last):
+            raise ValueError(f"README.md: no lines {above} and {below}")
+        text = "\n".join([head + above, *lines, below + tail])
+    return updated(text, sources)
+
+
+def badges(settings: dict[str, Any]) -> list[str]:
+    """Return the line with badges, repository and DOI; no line while all these settings are empty."""
+    extra = settings.get("extra") or {}
+    address, doi = settings.get("repo_url") or "", extra.get("doi") or ""
+    shown = [f"![badge]({each})" for each in extra.get("badges") or ()]
+    shown += [f"[Repository]({address})"] if address else []
+    shown += [f"[DOI {doi}](https://doi.org/{doi})"] if doi else []
+    return [" ".join(shown)] if shown else []
+
+
+def results(standings: Standings) -> list[str]:
+    """Return the table of the agents in the default environment, with known and with unknown parameters.
+
+    Agents without oracle information come first, then the agents with the largest share and the shortest time of
+    settling for unknown parameters. An agent without rows in one of the two scenarios has no row.
+    """
+    agents = [each for each in dict.fromkeys(agent for _, agent, _ in standings.results.cells)
+              if each not in BOUNDS and not standings.why(each, DEFAULT_ID) + standings.why(each, UNKNOWN)]  # fmt: skip
+    agents.sort(key=lambda each: (_information(each)[2], standings.settled(each, UNKNOWN)), reverse=True)
+    heads = ("agent", "given", "known arm: settled", "vibration", "unknown arm: settled", "vibration")
+    return markdown_table(heads, ([f"`{each}`: {title(each)}", given(each), *_cells(standings, each, DEFAULT_ID),
+                                   *_cells(standings, each, UNKNOWN)] for each in agents))  # fmt: skip
+
+
+def title(agent: str) -> str:
+    """Return the kind of an agent: method of the training and base controller for a policy."""
+    description = _information(agent)[0]
+    trained, _, base = description.removeprefix(POLICY).partition(", with the base controller ")
+    if description.startswith(POLICY):
+        return f"{trained} on `{base}`" if base else trained
+    return TITLES.get(agent) or description.partition(",")[0]
+
+
+def given(agent: str) -> str:
+    """Return the information that an agent is given: its sensors first."""
+    information = _information(agent)[1]
+    names = [each for each in INFORMATION if each in information]
+    if "true parameters" in names:
+        names.remove("model")  # its parameters are the true ones
+    sensors = "laboratory sensors" if information and agent not in MOTOR_CONTROLLERS else "motor angles"
+    return ", ".join([*([] if "true state" in names else [sensors]), *(INFORMATION[each] for each in names)])
+
+
+def _cells(standings: Standings, agent: str, scenario: str) -> Iterable[str]:
+    """Return share of settled episodes with the median settling time, and the median vibration."""
+    settled, time = standings.settled(agent, scenario)
+    vibration = 1e3 * float(np.median([*standings.values(agent, scenario, "vibration").values()]))
+    after = f", {-time:.2f} s" if np.isfinite(time) else ""
+    shown = f"{vibration:.0f}" if vibration >= 100.0 else f"{vibration:.1g}" if vibration < 1.0 else f"{vibration:.2g}"
+    return f"{100.0 * settled:.0f} %{after}", f"{shown} mm"
+
+
+def environments() -> list[str]:
+    """Return the table of the named environments."""
+    rows = []
+    for name, each in NAMED_ENVIRONMENTS.items():
+        task = type(each.task).__name__
+        arm = name.removesuffix("-v0").removesuffix(f"-{task}")
+        reach = sum(link.length for link in each.arm.links)
+        rows.append((f"[`{name}`](docs/environments/{PAGES[name]}.md#{name.lower()})", ARMS[arm], f"{reach:.2g} m",
+                     f"{each.arm.payload.mass if each.arm.payload else 0:g} kg", f"{1.0 / each.control_period:.0f} Hz",
+                     TASKS[task]))  # fmt: skip
+    return markdown_table(("environment", "arm", "reach", "payload", "control", "task"), rows)
