@@ -55,8 +55,9 @@ def executed(page: Path, plots: Path | None) -> dict[str, Any]:
         shutil.copytree(DOCS / "examples", folder / "docs" / "examples")
         content = nbformat.reads(json.dumps(notebook(page.read_text(encoding="utf-8"))), as_version=4)
         NotebookClient(content, timeout=TIMEOUT, resources={"metadata": {"path": name}}).execute()
-        for path in folder.glob("my_*.png") if plots else ():
-            shutil.copy(path, plots)
+        if plots is not None:
+            for path in folder.glob("my_*.png"):
+                shutil.copy(path, plots)
     return dict(content)
 
 
