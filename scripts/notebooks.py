@@ -53,10 +53,12 @@ def executed(page: Path, plots: Path | None) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         shutil.copytree(DOCS / "examples", folder / "docs" / "examples")
-        content = nbformat.reads(json.dumps(notebook(page.read_text(encoding="utf-8"))), as_version=4)
+        text = json.dumps(notebook(page.read_text(encoding="utf-8")))
+        content = nbformat.reads(text, as_version=4)  # type: ignore[no-untyped-call]
         NotebookClient(content, timeout=TIMEOUT, resources={"metadata": {"path": name}}).execute()
-        for path in folder.glob("my_*.png") if plots else ():
-            shutil.copy(path, plots)
+        if plots is not None:
+            for path in folder.glob("my_*.png"):
+                shutil.copy(path, plots)
     return dict(content)
 
 

@@ -48,16 +48,14 @@ def main() -> None:
 def pd_that_arrives(time: float) -> tuple[float, Episode]:
     """Return the PD whose tip is nearest to the target closest to a time (s): its stiffness factor, and its episode."""
     environment = Configuration.find(ENVIRONMENT)
-    gains, best = environment.pd_gains, (np.inf, 0.0, None)
+    gains, found = environment.pd_gains, []
     for factor in FACTORS:
         stiffer = gains | {"stiffness": [factor * each for each in gains["stiffness"]]}
         episode = rollout("pd", environment.replace(gains=stiffer), [SEED]).episode(0)
         first = np.flatnonzero(np.diff(episode.errors) > 0.0)
         late = abs(episode.time[first[episode.errors[first] < 0.5 * episode.errors[0]][0]] - time)
-        if late < best[0]:
-            best = late, float(factor), episode
-    assert best[2] is not None
-    return best[1:]
+        found.append((late, float(factor), episode))
+    return min(found, key=lambda each: each[0])[1:]
 
 
 def draw_arm(episode: Episode, path: Path) -> None:

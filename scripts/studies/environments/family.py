@@ -4,7 +4,7 @@ import json
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -216,7 +216,7 @@ def _first_training(name: str, code: bool) -> list[str]:
     return [f"{text}; {known}:", "", "```python", *made, "```"]
 
 
-def _drawn(task: Slew) -> dict[str, float]:
+def _drawn(task: Any) -> dict[str, float]:
     """Return the initial conditions of a slew task that differ from the default slew."""
     plain = Slew()
     return {name: getattr(task, name) for name in ("start", "slew") if getattr(task, name) != getattr(plain, name)}

@@ -122,8 +122,8 @@ def baseline_rows(name: str, runs: Mapping[str, Rollout]) -> list[Baseline]:
 def model_error(name: str) -> ModelError:
     """Return the errors of the default model of an environment."""
     each = accuracy(name)
-    numbers = (float(number) for errors in (each.steps, each.model) for number in (np.median(errors), errors.max()))
-    return ModelError(name, *numbers, each.cost)
+    steps, model = ((float(np.median(errors)), float(errors.max())) for errors in (each.steps, each.model))
+    return ModelError(name, *steps, *model, each.cost)
 
 
 def draw(runs: Mapping[str, Rollout], path: Path) -> None:

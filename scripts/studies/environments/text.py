@@ -87,7 +87,7 @@ def observation_rows(name: str, sensors: object = None) -> list[tuple[str, ...]]
         sensors: sensors of the agent; None for those of the environment.
     """
     found = make(name, **({"sensors": sensors} if sensors else {})).sensors
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for part, place in found.slices.items():
         bound = np.unique(found.bound[place].round(12))
         span = f"{bound[0]:.3g}" if len(bound) == 1 else f"{bound[0]:.3g} to {bound[-1]:.3g}"

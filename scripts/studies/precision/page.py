@@ -32,7 +32,7 @@ from studies.screen import picture, screen
 ERRORS = (1e-2, 1e-3, 1e-4)  # m; columns of the table
 COUNTED = 1e-4  # m; time error at which the cheapest methods are counted
 FEW, MESH = "4 modes a link", "elements"  # the model with few modes; word in the names of models with all coordinates
-MESSAGE = "Error over CPU time of five methods: Gauss and extrapolation methods lie lowest below 10 mm"
+MESSAGE = "Gauss and extrapolation methods cost least at errors below 10 mm"
 QUESTION = "Which integration method and which model reach a given error of the tip at the lowest cost?"
 ANSWER = """**No method is the cheapest everywhere: at a time error of {counted:g} mm a Gauss method is in {gauss}
 and an extrapolation in {extrapolated} of {count} combinations of scene and model.** A model with the 4 lowest modes

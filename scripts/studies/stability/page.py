@@ -24,7 +24,7 @@ from studies.stability.rows import DAMPING, ERROR, KEPT, LIMIT, SPIN_LIMIT
 
 SHOWN = ("ros2", "generalised_alpha", "extrapolated_euler_3", "midpoint_corrected_3", "implicit_midpoint", "gauss_3")
 STEPS = (0.001, 0.005, 0.02)  # s; steps of the table
-MESSAGE = "Explicit methods: stiffer joints and more modes shorten the step, a payload does not"
+MESSAGE = "Stiffer joints and more modes shorten the stable step, a payload does not"
 QUESTION = "How long may the step of a method be, and how much does the method damp a vibration?"
 ANSWER = """**The highest natural frequency of the model predicts the longest stable step of an explicit method:
 {right} of {count} predicted limits are correct to {tolerance}.** Implicit methods have no such limit, but some damp
