@@ -92,8 +92,9 @@ class _LanesArithmetic(AbstractTemplate):
 def _call_instruction(builder: Any, name: str, kind: Any, operands: Any) -> Any:
     """Return the call of an LLVM intrinsic function, fma or sqrt, on numbers or groups."""
     if kind == TANGENTS:
-        rule = {"fma": tangents.multiply_add, "sqrt": tangents.square_root}[name]
-        return rule(builder, kind.vector, *operands)
+        if name == "fma":
+            return tangents.multiply_add(builder, kind.vector, *operands)
+        return tangents.square_root(builder, kind.vector, *operands)
     element, suffix = (kind.vector, f"v{kind.width}f64") if isinstance(kind, Lanes) else (ir.DoubleType(), "f64")
     function = ir.FunctionType(element, [element] * len(operands))
     return builder.call(cgutils.get_or_insert_function(builder.module, function, f"llvm.{name}.{suffix}"), operands)

@@ -65,15 +65,15 @@ class Sensitivities:
 
 
 class _Direction(NamedTuple):
-    """Parameter of a derivative: a name, and the index of its joint or link, None for a parameter of the arm."""
+    """Parameter of a derivative: a name, and the index of its joint, link or axis; None for a parameter of the arm."""
 
     name: str
-    index: int | None
+    part: int | None
 
     def label(self) -> str:
         """Return name, index and unit."""
         unit = INITIAL.get(self.name) or INPUT_UNITS.get(self.name) or PARAMETERS[self.name].unit
-        return f"{self.name}{'' if self.index is None else f'[{self.index}]'} ({unit})"
+        return f"{self.name}{'' if self.part is None else f'[{self.part}]'} ({unit})"
 
 
 def sensitivities(
@@ -163,7 +163,8 @@ class _Motion(NamedTuple):
     @classmethod
     def start(cls, scene: Scene, model: Model, directions: list[_Direction], last: int) -> "_Motion":
         """Return the motion before the simulation of `last` output intervals."""
-        pieces, d, drives = scene.pieces, model.n_dof, []
+        pieces, d = scene.pieces, model.n_dof
+        drives: list[Any] = []
         groups = -(-len(directions) // DIRECTIONS)
         rows = np.zeros((groups * ARMS_PER_GROUP, last + 1, 2 * d + 2))
         for row in range(len(rows)):
@@ -172,15 +173,17 @@ class _Motion(NamedTuple):
                 drives.append(pieces)
                 rows[row, 0] = initial_row(scene, model)
                 continue
-            drives.append(_Drive(pieces.times, np.zeros_like(pieces.table())))
+            drive = _Drive(pieces.times, np.zeros_like(pieces.table()))
+            drives.append(drive)
             number = group * DIRECTIONS + lane - 1
             if number < len(directions):
-                name, index = directions[number]
+                name, part = directions[number].name, directions[number].part or 0
                 if name in INPUT_UNITS:
-                    drives[-1].values[layout.OFFSET, _inputs(name, model)[index]] = 1.0
+                    drive.values[layout.OFFSET, _inputs(name, model)[part]] = 1.0
                 elif name in INITIAL:
                     first = d * (name == "initial_joint_rates")
-                    rows[row, 0, [first + index, first + model.motor_columns[index]]] = 1.0
+                    for column in (part, int(model.motor_columns[part])):
+                        rows[row, 0, first + column] = 1.0
         return cls(directions, drives, rows, np.zeros((*rows.shape[:2], layout.OUTPUTS)))
 
     def read(self, names: list[str], model: Model, interval: float, valid: int) -> Sensitivities:
@@ -198,7 +201,8 @@ class _Motion(NamedTuple):
             )
         ]
         return Sensitivities(
-            time=interval * np.arange(valid + 1), values=every[0], jacobian=np.moveaxis(every[lanes], 0, 2),
+            time=interval * np.arange(valid + 1, dtype=np.float64),
+            values=every[0], jacobian=np.moveaxis(every[lanes], 0, 2),
             outputs=tuple(labels), parameters=tuple(each.label() for each in self.directions),
             status=STATUS[layout.OK if valid + 1 == self.rows.shape[1] else layout.DIVERGED],
         )  # fmt: skip
