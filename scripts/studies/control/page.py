@@ -5,7 +5,7 @@ from statistics import mean
 from textwrap import fill
 
 from flexman_gym.common.markdown import markdown_table
-from studies.control.cases import EXTREMES, PARTS, RANDOM_ARMS, ControlRow
+from studies.control.cases import EXTREMES, FEW, PARTS, RANDOM_ARMS, RANDOM_EPISODES, ControlRow
 from studies.markdown import bullets
 from studies.screen import HIDDEN
 
@@ -28,8 +28,9 @@ Settled shares of `adaptive-lqr` in other cases:
 
 {cases}
 
-No setting was tuned on these episodes. CPU times of an action are in the [league](../league/league.md). Rows:
-[control.csv](control.csv), by `python scripts/control.py --folder docs/evidence`; with `--redraw` only the page.
+Extremes and single effects have {few} episodes, random arms {random}. No setting was tuned on these episodes. CPU
+times of an action are in the [league](../league/league.md). Rows: [control.csv](control.csv), by
+`python scripts/control.py --folder docs/evidence`; with `--redraw` only the page.
 """
 AGENTS = ("privileged-lqr", "adaptive-lqr", "lab-flexrrr")
 LAB = "unknown-lab"
@@ -56,6 +57,8 @@ def page(rows: Sequence[ControlRow]) -> str:
     return HIDDEN + PAGE.format(
         opening=_opening(by_case),
         episodes=100,
+        few=FEW,
+        random=RANDOM_EPISODES,
         table="\n".join(markdown_table(["---"] * 4, table)[1:]),
         cases="\n".join(bullets(_cases(by_case))),
     )
@@ -118,8 +121,12 @@ def _cases(by_case: Mapping[str, ControlRow]) -> list[str]:
     if parts := [part for each in PARTS if (part := _part(ours, *each))]:
         lines.append(f"Effects of `unmodelled`, one at a time: {'; '.join(parts)}.")
     if random := {agent: found for agent in AGENTS[:2] if (found := _random_arms(by_case, agent))}:
-        shares = (f"`{agent}` settles {100 * mean(found):.1f} %" for agent, found in random.items())
-        lines.append(f"Random arms of two to four links, {RANDOM_ARMS} in all: {', '.join(shares)}.")
+        shares = (f"`{agent}` settles {100 * mean(found):.1f} %, and at least 90 % with "
+                  f"{sum(share >= 0.9 for share in found)} of the arms" for agent, found in random.items())  # fmt: skip
+        lines.append(
+            f"{RANDOM_ARMS} random arms of two to four links, with and without gravity, each with the uncertainty of "
+            f"`uncertain`: {'; '.join(shares)}."
+        )
     return [fill(line, WIDTH - 2, subsequent_indent="  ") for line in lines]
 
 
