@@ -123,9 +123,11 @@ def _cases(by_case: Mapping[str, ControlRow]) -> list[str]:
     if random := {agent: found for agent in AGENTS[:2] if (found := _random_arms(by_case, agent))}:
         shares = (f"`{agent}` settles {100 * mean(found):.1f} %, and at least 90 % with "
                   f"{sum(share >= 0.9 for share in found)} of the arms" for agent, found in random.items())  # fmt: skip
+        count = min(map(len, random.values()))
+        missing = f" ({RANDOM_ARMS - count} more: no gains of a regulator within rounding)" * (count < RANDOM_ARMS)
         lines.append(
-            f"{RANDOM_ARMS} random arms of two to four links, with and without gravity, each with the uncertainty of "
-            f"`uncertain`: {'; '.join(shares)}."
+            f"{count} random arms of two to four links, with and without gravity, each with the uncertainty of "
+            f"`uncertain`{missing}: {'; '.join(shares)}."
         )
     return [fill(line, WIDTH - 2, subsequent_indent="  ") for line in lines]
 
