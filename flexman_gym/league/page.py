@@ -60,7 +60,7 @@ needs another arm, or information that cannot be measured there. A name such as 
 ## Rules
 
 - Test episodes have the seeds 9000 to 9099. Nothing is selected on them; `flexman league` rejects a run that used one.
-  Seeds below 100 and from 5000 on are for tuning and selection, those from 1000000 on for training.
+  Seeds below 100 and from 5000 to 8999 are for tuning and selection, those from 1000000 on for training.
 - One agent for all scenarios, with the sensors of its training. `flexman league --add FOLDER` adds a training run.
 - A controller may be tuned with as much CPU time as the training of the policy with which it is compared.
 - Rows have a hash of scenario, agent, code and package versions, and are equal to the bit in every repetition.
@@ -128,9 +128,9 @@ def _recommendation(standings: Standings) -> str:
     best, *others = agents
     action, start = standings.cost(best, standings.scenarios)
     sentences = [
-        f"For an arm with unknown payload, stiffness and delay (`{LAB_SCENARIO}`), use `{best}`.",
+        f"For an arm with unknown payload and stiffness and a known delay (`{LAB_SCENARIO}`), use `{best}`.",
         _settling_sentence(standings, best),
-        f"It needs: {information_text(best)}.",
+        f"It needs: {information_text(best)}".replace("of the model", "of the model, ranges of the parameters") + ".",
         f"An action takes {number_text(action)} us of CPU time, and the start of an episode "
         f"{number_text(1e-3 * start)} ms.",
     ]

@@ -24,7 +24,7 @@ from studies.learning.measure import LearningRow
 from studies.machine.measure import FitRow
 
 Kind = TypeVar("Kind")
-UNKNOWN = f"{DEFAULT_ID}/unknown"  # scenario with unknown payload, stiffness and delay
+UNKNOWN = f"{DEFAULT_ID}/unknown"  # scenario with unknown payload and stiffness, and a delay
 BOUNDS = ("zero", "random")  # agents of the league that are no controllers
 MARKERS = "<!-- {name} -->", "<!-- end of {name} -->"  # lines above and below a generated part of the README
 # information of `describe_agent` -> words of the README; a training is no information about the arm

@@ -17,7 +17,7 @@ PAGE = """# Controllers of arms with uncertain parameters
 {table}
 
 Slews: share of the {episodes} test episodes that settle, and median settling time. *Track* and *Hold*: RMS tip error
-after 2 s. A dash: not run, no policy is trained for the task.
+after 2 s. A dash: not run in this study.
 
 - `privileged-lqr` is given the true state and parameters, which hardware cannot measure.
 - `adaptive-lqr` is given the model, the ranges of the uncertain parameters and the noise. It estimates the parameters
@@ -35,7 +35,7 @@ times of an action are in the [league](../league/league.md). Rows: [control.csv]
 AGENTS = ("privileged-lqr", "adaptive-lqr", "lab-flexrrr")
 LAB = "unknown-lab"
 ARMS = {  # row of the table -> end of the names of its cases
-    "`FlexRRR-v0/unknown-lab`: payload, stiffness and delay unknown": LAB,
+    "`FlexRRR-v0/unknown-lab`: payload and stiffness unknown, one period of delay": LAB,
     "`.../uncertain`: also friction, biases, lost samples": "uncertain",
     "`.../unmodelled`: backlash, ripple and other effects in no model": "unmodelled",
     "`FlexPlanar-v0/unknown-lab`": "FlexPlanar-v0",
@@ -89,7 +89,7 @@ def _opening(by_case: Mapping[str, ControlRow]) -> str:
     if not (oracle and ours and nominal and pd):
         return ""
     return fill(
-        f"With unknown payload, stiffness and delay, an adaptive LQR settles {_settling(ours)} (median); an LQR with "
+        f"With unknown payload and stiffness, an adaptive LQR settles {_settling(ours)} (median); an LQR with "
         f"the true state and parameters takes {oracle.settling_time:.2f} s. A Kalman filter of the nominal arm settles "
         f"{100 * nominal.settled:.0f} %, a PD {100 * pd.settled:.0f} % within the 10 s of an episode.",
         WIDTH,
