@@ -44,15 +44,14 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         default=TEST_SEEDS.start,
-        help="seed of the first episode; later episodes have the next seeds",
+        help="seed of the first episode",
     )
     Workers.arguments(parser)
     parser.add_argument("--folder", type=Path, help=f"folder of rows, page and charts (default: {DEFAULT_FOLDER})")
     parser.add_argument("--redraw", action="store_true", help="write page and charts of the folder without any run")
     parser.add_argument(
         "--details", nargs="+", metavar="NAME",
-        help="print, without any run, all metrics of a scenario, an agent, a sweep such as FlexRRR-v0/payload=, "
-        "or the scores (overall)",
+        help="print stored metrics of scenarios, agents, sweeps, or overall",
     )  # fmt: skip
     parser.add_argument("--add", nargs="+", metavar="AGENT", help="run these agents in the scenarios of the folder")
 

@@ -85,6 +85,7 @@ try:
         raster,
         rigid_arm,
         runge_kutta,
+        tangents,
         thread_sync,
     )
 finally:
@@ -92,5 +93,5 @@ finally:
 
 __all__ = [
     "arguments", "batch", "compile", "control_period", "dynamics", "forces", "implicit", "inverse", "kinematics",
-    "lanes", "layout", "linalg", "outputs", "raster", "rigid_arm", "runge_kutta", "thread_sync",
+    "lanes", "layout", "linalg", "outputs", "raster", "rigid_arm", "runge_kutta", "tangents", "thread_sync",
 ]  # fmt: skip

@@ -1,10 +1,10 @@
 """Simulation: time integration of one or many arms, and the table of integration methods."""
 
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.differentiation import Sensitivities, sensitivities
 from flexman_gym.simulation.episode import Episode
 from flexman_gym.simulation.methods import METHODS, generalised_alpha
 from flexman_gym.simulation.scene_simulation import simulate, simulate_all
-from flexman_gym.simulation.sensitivities import Sensitivities, sensitivities
 from flexman_gym.simulation.simulator import Simulator
 from flexman_gym.simulation.trajectory import Trajectory
 

@@ -139,12 +139,11 @@ def _observations(family: Family) -> list[str]:
     heads = ("slice", "entries", "unit", "largest")
     known = observation_rows(first)
     lines = [f"{first}, Box ({_size(known)},):", "", *markdown_table(heads, known), ""]
-    for name in others:
-        rows = observation_rows(name)
+    different = {name: rows for name in others if (rows := observation_rows(name)) != known}
+    if len(different) < len(others):
+        lines += [f"The same in {', '.join(name for name in others if name not in different)}.", ""]
+    for name, rows in different.items():
         more = [row for row in rows if row not in known]
-        if not more:
-            lines += [f"{name}: the same.", ""]
-            continue
         added = set(known) <= set(rows)
         lines += [f"{name}, Box ({_size(rows)},){', in addition' if added else ''}:", ""]
         lines += [*markdown_table(heads, more if added else rows), ""]
