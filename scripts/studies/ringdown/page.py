@@ -112,8 +112,8 @@ ACCURACY_BODY = """{table}
 
 {arms:g} arms of `FlexRRR-v0` for each motion. *Release*: the tips of all links from up to 5 cm, in any posture.
 *Both planes*: up to 5 cm in each plane, nearly stretched. *Impulse*: up to 50 N s. *Slew*: random torques up to 300
-N m. The errors are those of the method alone; the reference is `dop853` with the same model. They are larger after 1
-s than after 3 s where the damping of fast modes matters.
+N m. The errors are those of the method alone; the reference is `dop853` with the same model. Errors of the
+energy are larger after 1 s than after 3 s, those of the tip smaller.
 
 The method has no numerical damping. Its correction of the phase error does not contain Coulomb friction or
 centrifugal softening, and the energy of an undamped vibration oscillates by (omega h)^2 / 6. `gym.make("FlexRRR-v0",
