@@ -37,7 +37,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         default=1,
-        help="number of runs, one per seed, in FOLDER/seed-N; killed runs are resumed; ends with a table of all runs",
+        help="number of runs, one per seed, in FOLDER/seed-N, and a table of all; resumable",
     )
     parser.add_argument("--envs", type=int, metavar="N", help="number of parallel arms")
     parser.add_argument(
@@ -49,7 +49,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         default=100_000,
-        help="environment steps between checkpoints; 0: at the end only",
+        help="environment steps between checkpoints; 0: one at the end",
     )
     parser.add_argument("--eval-every", type=int, metavar="N", help="environment steps between evaluations; 0: none")
     parser.add_argument("--device", default="cpu", help="device of the networks (default: %(default)s)")

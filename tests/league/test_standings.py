@@ -102,7 +102,9 @@ def test_the_one_to_take_settles_most_and_first_and_is_given_no_truth(tmp_path):
     known = standing(scenarios=(NOMINAL, UNKNOWN, LAB_SCENARIO, FRICTION), settled=times)
     assert known.realisable(LAB_SCENARIO) == ["lqg", "pd"]
     said = recommended(known, tmp_path)
-    assert said.startswith("For an arm with unknown payload, stiffness and delay (`FlexRRR-v0/unknown-lab`), use `lqg`")
+    assert said.startswith(
+        "For an arm with unknown payload and stiffness and a known delay (`FlexRRR-v0/unknown-lab`), use `lqg`"
+    )
     for words in ("settles 100 % of the episodes, half of them within 4.00 s", "needs: model",
                   "An action takes 12 us of CPU time, and the start of an episode 3 ms", "is `pd`. It settles 0 % of",
                   "true state and parameters is 3.00 s"):  # fmt: skip
