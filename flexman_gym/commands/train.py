@@ -49,7 +49,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         default=100_000,
-        help="environment steps between checkpoints; 0: one at the end",
+        help="steps between checkpoints; 0: one at the end",
     )
     parser.add_argument("--eval-every", type=int, metavar="N", help="environment steps between evaluations; 0: none")
     parser.add_argument("--device", default="cpu", help="device of the networks (default: %(default)s)")
