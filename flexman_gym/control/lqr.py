@@ -71,7 +71,7 @@ def performance_outputs(linear: LinearModel, motors: Array, weights: CostWeights
 
 
 def _riccati_gain(linear: LinearModel, motors: Array, limits: Array, weights: CostWeights, period: float) -> Array:
-    """Solve the Riccati equation; `scipy.linalg.solve_discrete_are` may fail with, but not without balancing."""
+    """Solve the Riccati equation; where balancing it makes the solution fail, solve it without balancing."""
     from scipy.linalg import solve_discrete_are
 
     transition, inputs = discretize(linear.A, linear.B, period)

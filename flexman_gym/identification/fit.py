@@ -421,9 +421,9 @@ def _by_name(free: FreeParameters, parameters: Mapping[str, Array]) -> dict[str,
     """Return values by the names passed to `fit`."""
     result: dict[str, Any] = {}
     for name, numbers in free.by_name.items():
-        kind, scalar = numbers[0].parameter, "[" in name or PARAMETERS[numbers[0].parameter].of == ARM
+        kind, scalar = numbers[0].name, "[" in name or PARAMETERS[numbers[0].name].of == ARM
         values = np.ravel(parameters[kind])
-        result[name] = float(values[numbers[0].joint or 0]) if scalar else values
+        result[name] = float(values[numbers[0].part or 0]) if scalar else values
     return result
 
 

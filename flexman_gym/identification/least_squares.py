@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import is_decimal_integer, one_of, value_error, whole_number
+from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.progress import Progress
 from flexman_gym.common.renamed import PARAMETER_KEYS, rename_keys
 from flexman_gym.identification.measurement import Filter, SimulatedResponse
@@ -14,7 +14,14 @@ from flexman_gym.identification.ringing import Ringing
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
-from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters, varied_arm
+from flexman_gym.simulation.parameters import (
+    ARM,
+    PARAMETERS,
+    ScalarParameter,
+    nominal_parameters,
+    select_parts,
+    varied_arm,
+)
 
 MAX_LOG_CHANGE = 7.0  # largest change of the logarithm of a parameter from its start: a factor of 1100
 MAX_DAMPING_RATIO = 0.99  # dimensionless; largest modal damping ratio of a link
@@ -32,16 +39,6 @@ TYPICAL_VALUES: dict[str, Callable[[Model, Array], Array | float]] = {
     "ripple_torque": lambda model, inertia: 0.01 * TYPICAL_RATE**2 * inertia,
     "link_damping": lambda model, inertia: np.full(model.n_joints, 0.01),
 }
-
-
-class _FreeNumber(NamedTuple):
-    """Free scalar: a parameter in PARAMETERS and the index of its joint or link, None for a parameter of the arm."""
-
-    parameter: str
-    joint: int | None
-
-    def __str__(self) -> str:
-        return self.parameter if self.joint is None else f"{self.parameter}[{self.joint}]"
 
 
 class FreeParameters:
@@ -71,21 +68,21 @@ class FreeParameters:
         start = self.select(self._base)
         for i in np.flatnonzero(start == 0.0):
             number = self.numbers[i]
-            typical = np.ravel(TYPICAL_VALUES[number.parameter](model, inertia))
-            start[i] = typical[number.joint or 0]
+            typical = np.ravel(TYPICAL_VALUES[number.name](model, inertia))
+            start[i] = typical[number.part or 0]
         self.start, self.arm = start, self.build_arm(start)
-        ratios = np.array([number.parameter == "link_damping" for number in self.numbers])
+        ratios = np.array([number.name == "link_damping" for number in self.numbers])
         self.highest = np.where(ratios, np.log(MAX_DAMPING_RATIO / start), MAX_LOG_CHANGE)
 
     def select(self, parameters: Mapping[str, Any]) -> Array:
         """Return the values (p,) of the free scalars from parameters by name."""
-        return np.array([np.ravel(parameters[each.parameter])[each.joint or 0] for each in self.numbers], dtype=float)
+        return np.array([np.ravel(parameters[each.name])[each.part or 0] for each in self.numbers], dtype=float)
 
     def parameters(self, values: Array, rest: float = 1.0) -> dict[str, Array]:
         """Return parameters by name: free values (p,), and `rest` times the initial values for all other entries."""
-        result = {each.parameter: rest * np.array(self._base[each.parameter], ndmin=1) for each in self.numbers}
+        result = {each.name: rest * np.array(self._base[each.name], ndmin=1) for each in self.numbers}
         for number, value in zip(self.numbers, values, strict=True):
-            result[number.parameter][number.joint or 0] = value
+            result[number.name][number.part or 0] = value
         return {name: each if PARAMETERS[name].of != ARM else each[0] for name, each in result.items()}
 
     def build_arm(self, values: Array) -> Arm:
@@ -105,32 +102,29 @@ class FreeParameters:
             the arms with its increased and its decreased value.
         """
         count, nominal = 1 + 2 * len(self.numbers), nominal_parameters(model)
-        result = {each.parameter: np.array([nominal[each.parameter]] * count) for each in self.numbers}
+        result = {each.name: np.array([nominal[each.name]] * count) for each in self.numbers}
         for i, number in enumerate(self.numbers):
             logarithms = np.full(count, departures[i])
             logarithms[1 + 2 * i : 3 + 2 * i] += LOG_STEP, -LOG_STEP
-            column = () if number.joint is None else (number.joint,)
-            result[number.parameter][(slice(None), *column)] *= np.exp(logarithms)
+            column = () if number.part is None else (number.part,)
+            result[number.name][(slice(None), *column)] *= np.exp(logarithms)
         return result
 
 
-def _numbers(name: str, model: Model) -> list[_FreeNumber]:
+def _numbers(name: str, model: Model) -> list[ScalarParameter]:
     """Return the free scalars of a name passed to `fit`, such as joint_stiffness or joint_stiffness[1]."""
     kind, _, index = name.partition("[")
     kind = next(iter(rename_keys({kind: None}, PARAMETER_KEYS, field="free")))
     if PARAMETERS[one_of("free", kind, PARAMETERS)].of == ARM:
         if index:
             raise value_error("free", name, kind)
-        return [_FreeNumber(kind, None)]
+        return [ScalarParameter(kind, None)]
     elastic = kind in ("joint_stiffness", "joint_damping")
     indices = np.flatnonzero(model.constants.motor >= 0).tolist() if elastic else list(range(model.n_joints))
-    if index:
-        if not (index.endswith("]") and is_decimal_integer(index[:-1])):
-            raise value_error("free", name, f"{kind}, or {kind}[0] and so on")
-        indices = [each for each in indices if each == whole_number("free", int(index[:-1]), 0, model.n_joints - 1)]
+    indices = select_parts("free", name, indices, model.n_joints)
     if not indices:
         raise value_error("free", name, "a parameter that this arm has: the joint is rigid")
-    return [_FreeNumber(kind, each) for each in indices]
+    return [ScalarParameter(kind, each) for each in indices]
 
 
 INITIAL_NOISE = 0.1  # dimensionless; standard deviation of noise before the first fit, relative to the signal's

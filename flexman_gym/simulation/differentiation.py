@@ -4,7 +4,6 @@ The equations of the integration method are differentiated in forward mode by th
 `kernels.tangents`. The derivatives are those of the computed motion, step by step, without differences of motions.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -12,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import one_of, sequence, value_error, whole_number
+from flexman_gym.common.checks import one_of, sequence, value_error
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, STATUS
 from flexman_gym.model.dynamics import RICHARDSON
@@ -21,7 +20,7 @@ from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.integrator import default_step, prescribed_flags
 from flexman_gym.simulation.methods import METHODS, IteratedGauss, LinearlyImplicit, Method
-from flexman_gym.simulation.parameters import JOINT, LINK, PARAMETERS
+from flexman_gym.simulation.parameters import ARM, PARAMETERS, ScalarParameter, select_parts
 from flexman_gym.simulation.scene_simulation import initial_row, prescribed_joints, run_in_lanes, scene_settings
 from flexman_gym.simulation.tangent_integrator import DIRECTIONS, TangentIntegrator
 
@@ -64,18 +63,6 @@ class Sensitivities:
         )
 
 
-class _Direction(NamedTuple):
-    """Parameter of a derivative: a name, and the index of its joint, link or axis; None for a parameter of the arm."""
-
-    name: str
-    part: int | None
-
-    def label(self) -> str:
-        """Return name, index and unit."""
-        unit = INITIAL.get(self.name) or INPUT_UNITS.get(self.name) or PARAMETERS[self.name].unit
-        return f"{self.name}{'' if self.part is None else f'[{self.part}]'} ({unit})"
-
-
 def sensitivities(
     scene: Scene,
     of: str | Sequence[str] = ("tip",),
@@ -86,7 +73,7 @@ def sensitivities(
 ) -> Sensitivities:
     """Simulate a scene together with the derivatives of its outputs.
 
-    Seven derivatives cost about two to three simulations. The values have the bits of `simulate` with the same step.
+    Seven derivatives cost about three simulations. The values have the bits of `simulate` with the same step.
     The component modes of the model do not change with a parameter, as in `simulation.parameters.varied_model`; the
     derivative is exact for the model with these modes. Torques that begin or end at a time act as they do in the scene.
 
@@ -121,8 +108,9 @@ def sensitivities(
         allowed = [name for name, each in METHODS.items() if isinstance(each, LinearlyImplicit | IteratedGauss)]
         raise value_error("method", chosen.name, f"one of fixed steps: {', '.join(allowed)}")
     names = [one_of("of", name, OUTPUTS) for name in _names("of", of)]
-    directions = [each for name in _names("to", to) for each in _directions(name, model)]
-    flags = prescribed_flags(model.n_joints, prescribed_joints(scene))
+    prescribed = prescribed_joints(scene)
+    directions = [each for name in _names("to", to) for each in _directions(name, model, prescribed)]
+    flags = prescribed_flags(model.n_joints, prescribed)
     period, groups = (settings.interval, settings.substeps), -(-len(directions) // DIRECTIONS)
     integrator = TangentIntegrator(model.constants._replace(prescribed=flags), chosen, period, groups)
     motion = _Motion.start(scene, model, directions, settings.rows)
@@ -155,13 +143,13 @@ class _Motion(NamedTuple):
         outputs: (b, T, OUTPUTS) columns of `kernels.layout`.
     """
 
-    directions: list[_Direction]
+    directions: list[ScalarParameter]
     drives: list[Any]
     rows: Array
     outputs: Array
 
     @classmethod
-    def start(cls, scene: Scene, model: Model, directions: list[_Direction], last: int) -> "_Motion":
+    def start(cls, scene: Scene, model: Model, directions: list[ScalarParameter], last: int) -> "_Motion":
         """Return the motion before the simulation of `last` output intervals."""
         pieces, d = scene.pieces, model.n_dof
         drives: list[Any] = []
@@ -191,19 +179,11 @@ class _Motion(NamedTuple):
         parts = [_output(name, model, self.rows[:, : valid + 1], self.outputs[:, : valid + 1]) for name in names]
         every, count = np.concatenate(parts, axis=2), len(self.directions)
         lanes = np.arange(len(every)).reshape(-1, ARMS_PER_GROUP)[:, 1:].ravel()[:count]
-        labels = [
-            label
-            for name, part in zip(names, parts, strict=True)
-            for label in (
-                [f"{name} (J)"]
-                if name in ENERGIES
-                else column_names(name, OUTPUTS[name], part.shape[2], model.n_joints)
-            )
-        ]
+        labels = [label for name, part in zip(names, parts, strict=True) for label in _labels(name, part, model)]
         return Sensitivities(
             time=interval * np.arange(valid + 1, dtype=np.float64),
             values=every[0], jacobian=np.moveaxis(every[lanes], 0, 2),
-            outputs=tuple(labels), parameters=tuple(each.label() for each in self.directions),
+            outputs=tuple(labels), parameters=tuple(f"{each} ({_unit(each.name)})" for each in self.directions),
             status=STATUS[layout.OK if valid + 1 == self.rows.shape[1] else layout.DIVERGED],
         )  # fmt: skip
 
@@ -216,24 +196,35 @@ def _names(argument: str, given: str | Sequence[str]) -> list[str]:
     return names
 
 
-def _directions(text: str, model: Model) -> list[_Direction]:
+def _directions(text: str, model: Model, prescribed: Sequence[int]) -> list[ScalarParameter]:
     """Return the parameters of a name such as "joint_stiffness" or "joint_stiffness[0]"."""
-    match = re.fullmatch(r"(\w+)(?:\[(\d{1,6})\])?", text)
-    name = one_of("to", match.group(1) if match else text, [*PARAMETERS, *INITIAL, *INPUT_UNITS])
-    assert match is not None
-    if name in PARAMETERS and PARAMETERS[name].of not in (JOINT, LINK):
-        if match.group(2):
+    name = one_of("to", text.partition("[")[0], [*PARAMETERS, *INITIAL, *INPUT_UNITS])
+    parameter = PARAMETERS.get(name)
+    if parameter and parameter.of == ARM:
+        if name != text:
             raise value_error("to", text, name)
-        return [_Direction(name, None)]
+        return [ScalarParameter(name, None)]
+    lacking = parameter.lacking if parameter else "with prescribed motion"
     count = len(_inputs(name, model)) if name in INPUT_UNITS else model.n_joints
-    fixed = PARAMETERS[name].fixed(model) if name in PARAMETERS else np.zeros(count, dtype=bool)
-    indices = np.flatnonzero(~fixed).tolist()
-    if match.group(2):
-        index = whole_number("to", int(match.group(2)), 0, count - 1)
-        indices = [index] if index in indices else []
-    if not indices:
-        raise value_error("to", text, f"a parameter that this arm has: {PARAMETERS[name].lacking} joints or links")
-    return [_Direction(name, index) for index in indices]
+    fixed = parameter.fixed(model) if parameter else np.zeros(count, dtype=bool)
+    if name == "motor_torques":
+        fixed[list(prescribed)] = True
+    parts = select_parts("to", text, np.flatnonzero(~fixed).tolist(), count)
+    if not parts:
+        raise value_error("to", text, f"a parameter that this arm has: {lacking} joints or links")
+    return [ScalarParameter(name, part) for part in parts]
+
+
+def _unit(name: str) -> str:
+    """Return the unit of a parameter."""
+    return INITIAL.get(name) or INPUT_UNITS.get(name) or PARAMETERS[name].unit
+
+
+def _labels(name: str, part: Array, model: Model) -> list[str]:
+    """Return the names with units of an output (b, T, k)."""
+    if name in ENERGIES:
+        return [f"{name} ({OUTPUTS[name]})"]
+    return column_names(name, OUTPUTS[name], part.shape[2], model.n_joints)
 
 
 def _inputs(name: str, model: Model) -> range:
@@ -242,7 +233,7 @@ def _inputs(name: str, model: Model) -> range:
     return {"motor_torques": range(n), "tip_force": range(n, n + 3), "base_acceleration": range(n + 3, n + 6)}[name]
 
 
-def _constant_derivatives(model: Model, direction: _Direction) -> dict[str, Array]:
+def _constant_derivatives(model: Model, direction: ScalarParameter) -> dict[str, Array]:
     """Return the derivatives of the constants of a model with respect to a parameter, by name.
 
     They are central differences extrapolated to order six, exact to rounding as the constants are linear or nearly so.

@@ -1,14 +1,21 @@
 """Physical parameters in which the arms of a batch may differ: table, checks, and their model constants."""
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray
-from flexman_gym.common.checks import MAX_SIZE, number_array, one_of, value_error
+from flexman_gym.common.checks import (
+    MAX_SIZE,
+    is_decimal_integer,
+    number_array,
+    one_of,
+    value_error,
+    whole_number,
+)
 from flexman_gym.common.renamed import PARAMETER_KEYS, rename_keys
 from flexman_gym.model.joint_constants import spring_knees
 from flexman_gym.model.model import Model
@@ -258,6 +265,40 @@ UNMODELLED = frozenset(
 """Parameters whose drawn values and ranges are given to no controller: shape of friction, knees of springs, ripple."""
 UNCERTAIN = {f"{name.removesuffix('_factor')}_factor" if row.factor else name: name for name, row in PARAMETERS.items()}
 """Name of a range of an uncertain parameter -> parameter; NAME_factor is a range of factors on the nominal value."""
+
+
+class ScalarParameter(NamedTuple):
+    """One number of a parameter: its name, and the index of its joint, link or axis, None for one of the arm."""
+
+    name: str
+    part: int | None
+
+    def __str__(self) -> str:
+        return self.name if self.part is None else f"{self.name}[{self.part}]"
+
+
+def select_parts(argument: str, text: str, parts: Sequence[int], count: int) -> list[int]:
+    """Return the indices that a text such as "joint_stiffness" or "joint_stiffness[0]" selects.
+
+    Args:
+        argument: name of the argument with the text, for the error.
+        text: name of a parameter, for all parts, or with the index of one part.
+        parts: indices of the parts with this parameter.
+        count: number of joints, links or axes.
+
+    Returns:
+        All parts, the part with the index, or none if it lacks the parameter.
+
+    Raises:
+        ValueError: for an index that is no whole number from 0 to count - 1.
+    """
+    name, bracket, index = text.partition("[")
+    if not bracket:
+        return list(parts)
+    if not (index.endswith("]") and is_decimal_integer(index[:-1])):
+        raise value_error(argument, text, f"{name}, or {name}[0] and so on")
+    part = whole_number(argument, int(index[:-1]), 0, count - 1)
+    return [part] if part in parts else []
 
 
 def nominal_parameters(model: Model) -> dict[str, Array]:

@@ -179,6 +179,13 @@ def test_more_than_seven_parameters_take_several_passes():
         assert np.array_equal(alone.jacobian[:, :, 0], together.jacobian[:, :, column])
 
 
+def test_a_motor_with_prescribed_motion_has_no_torque_to_change():
+    held = replace(scene(), torque=fm.ConstantTorque((0.0, 0.4)), prescribed=[fm.Signal(), None])
+    assert fm.sensitivities(held, "tip", "motor_torques", step=0.005).parameters == ("motor_torques[1] (N m)",)
+    with pytest.raises(ValueError, match="with prescribed motion"):
+        fm.sensitivities(held, "tip", "motor_torques[0]", step=0.005)
+
+
 def test_a_divergence_is_a_status():
     strong = replace(scene(), torque=fm.ConstantTorque((1e9, 0.0)))
     found = fm.sensitivities(strong, "tip", "payload_mass", step=0.005)

@@ -281,15 +281,15 @@ def draws(seed: int, count: int) -> list[tuple[str, float, bool]]:
             for name, values in record.outputs.items()
         }
         found = fm.fit(start, FREE, records=[replace(record, outputs=noisy)], **CHOICE)
-        scale = np.where([number.parameter == "link_stiffness_factor" for number in free.numbers], 1.0, free.start)
+        scale = np.where([number.name == "link_stiffness_factor" for number in free.numbers], 1.0, free.start)
         moduli = [
             a.sections[0].youngs_modulus / b.sections[0].youngs_modulus
             for a, b in zip(arm.links, start.links, strict=True)
         ]
         for number, true in zip(free.numbers, scale, strict=True):
-            place = number.joint or 0
-            value, deviation = (np.ravel(each[number.parameter])[place] for each in (found.values, found.deviations))
-            right = moduli[place] if number.parameter == "link_stiffness_factor" else true
+            place = number.part or 0
+            value, deviation = (np.ravel(each[number.name])[place] for each in (found.values, found.deviations))
+            right = moduli[place] if number.name == "link_stiffness_factor" else true
             result.append((str(number), float((value - right) / deviation), str(number) not in found.undetermined))
     return result
 
