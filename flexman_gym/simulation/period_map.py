@@ -1,0 +1,109 @@
+"""State of an arm after a control period of constant inputs, with exact derivatives."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import value_error
+from flexman_gym.kernels import layout
+from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants
+from flexman_gym.model.model import Model
+from flexman_gym.scene.signals import signal_table
+from flexman_gym.simulation.methods import IteratedGauss, LinearlyImplicit, Method
+from flexman_gym.simulation.tangent_integrator import DIRECTIONS, TangentIntegrator
+
+
+class PeriodEnd(NamedTuple):
+    """End of a control period, with p derivatives.
+
+    Attributes:
+        row: (2 d + 2,) state and energy ledger of the arm.
+        outputs: (OUTPUTS,) columns of `kernels.layout`.
+        rows: (p, 2 d + 2) derivatives of the row.
+        derivatives: (p, OUTPUTS) derivatives of the outputs.
+        diverged: True if the integration diverged; the other attributes are then undefined.
+    """
+
+    row: Array
+    outputs: Array
+    rows: Array
+    derivatives: Array
+    diverged: bool
+
+
+class PeriodMap:
+    """Map from state and inputs at the start of a control period to the state at its end, with p derivatives.
+
+    The integration method is differentiated exactly, see `kernels.tangents`; the values have the bits of `Batch.step`.
+
+    Args:
+        model: model of the arm.
+        method: method of fixed steps.
+        period: control period, s, and number of steps in it.
+        parameters: derivatives of the constants `kernels.arguments.PER_ARM`, by name, with respect to the parameter of
+            each of the p directions; an empty dict for directions of states and inputs.
+        constants: constants of the arm; None takes those of the model.
+    """
+
+    def __init__(
+        self, model: Model, method: Method, period: tuple[float, int], parameters: Sequence[dict[str, Array]],
+        constants: Constants | None = None,
+    ) -> None:  # fmt: skip
+        if not isinstance(method, LinearlyImplicit | IteratedGauss):
+            raise value_error("method", method.name, "one of fixed steps that `simulate_all` integrates in groups")
+        groups = max(1, -(-len(parameters) // DIRECTIONS))
+        self.model, self._grid = model, (0.0, period[0] / period[1], period[1])
+        self._integrator = TangentIntegrator(constants or model.constants, method, period, groups)
+        for direction, derivatives in enumerate(parameters):
+            self._integrator.set_derivative(direction, derivatives)
+        count, n = groups * ARMS_PER_GROUP, model.n_joints
+        self._lanes = np.arange(count).reshape(-1, ARMS_PER_GROUP)[:, 1:].ravel()[: len(parameters)]
+        self._drives = np.zeros((count, 7, n + 6))
+        self._drives[::ARMS_PER_GROUP] = signal_table([None] * (n + 6))
+        self._rows, self._outputs = np.zeros((count, 2, 2 * model.n_dof + 2)), np.zeros((count, 2, layout.OUTPUTS))
+        self._counts = np.zeros((count, 2), dtype=np.int64)
+
+    def advance(self, row: Array, drive: Array, rows: Array, drives: Array) -> PeriodEnd:
+        """Integrate the arm and its derivatives over a control period.
+
+        Args:
+            row: (2 d + 2,) state and energy ledger at the start.
+            drive: (n + 6,) inputs: motor torques (N m), tip force (3, N) and base acceleration (3, m/s^2).
+            rows: (p, 2 d + 2) derivatives of the row at the start.
+            drives: (p, n + 6) derivatives of the inputs.
+
+        Returns:
+            The end of the period.
+        """
+        self._rows[::ARMS_PER_GROUP, 0], self._rows[self._lanes, 0] = row, rows
+        self._drives[::ARMS_PER_GROUP, layout.OFFSET], self._drives[self._lanes, layout.OFFSET] = drive, drives
+        self._integrator.run(self._drives, self._rows, self._outputs, self._counts, self._grid)
+        end, outputs = self._rows[:, 1], self._outputs[:, 1]
+        return PeriodEnd(
+            end[0].copy(), outputs[0].copy(), end[self._lanes], outputs[self._lanes], bool(self._counts[0, 0] < 1)
+        )
+
+
+def period_jacobian(model: Model, method: Method, period: tuple[float, int], state: Array, drive: Array) -> Array:
+    """Return the Jacobian (2 d, 2 d + n + 6) of the state after a control period with respect to state and inputs.
+
+    Args:
+        model: model of the arm.
+        method: method of fixed steps.
+        period: control period, s, and number of steps in it.
+        state: (2 d,) at the start.
+        drive: (n + 6,) inputs as in `PeriodMap.advance`.
+
+    Raises:
+        ValueError: if the integration diverges.
+    """
+    size, inputs = 2 * model.n_dof, model.n_joints + 6
+    directions = np.eye(size + inputs)
+    rows = np.hstack([directions[:, :size], np.zeros((size + inputs, 2))])
+    mapped = PeriodMap(model, method, period, [{}] * (size + inputs))
+    end = mapped.advance(np.append(state, (0.0, 0.0)), drive, rows, directions[:, size:])
+    if end.diverged:
+        raise value_error("state", "a state from which the integration diverges", "a shorter step or another state")
+    return end.rows[:, :size].T
