@@ -301,7 +301,7 @@ class TorqueMode:
         joints: n, number of joints.
         base: controller whose torques are added; None for no base controller.
         strength: fraction of the torque limits at an action of 1, for all joints or for each joint (n,).
-        quantity: "torque", or "current" for motor currents as fractions of the current limits.
+        quantity: "torque"; "current" or "voltage" for motor currents or voltages as fractions of their limits.
     """
 
     def __init__(
@@ -340,10 +340,11 @@ class _ActionModeEntry:
     arguments: tuple[str, ...] = ()
 
 
-def _make_current(plant: Plant, base: Controller | None) -> TorqueMode:
-    """Make the mode of motor currents.
+def _make_motor_input(quantity: str, plant: Plant, base: Controller | None) -> TorqueMode:
+    """Make the mode of motor currents or voltages.
 
     Args:
+        quantity: "current" or "voltage".
         plant: plant model.
         base: controller whose torques are added; None for no base controller.
 
@@ -351,20 +352,24 @@ def _make_current(plant: Plant, base: Controller | None) -> TorqueMode:
         Action mode.
 
     Raises:
-        ValueError: for an arm with a joint without motor or current limit.
+        ValueError: for an arm with a joint without a motor of this input, or without its limit.
     """
-    motors = [joint.motor for joint in plant.model.arm.joints]
-    limits = [motor.joint_torque_limit if motor else None for motor in motors]
+    motors, voltage = [joint.motor for joint in plant.model.arm.joints], quantity == "voltage"
+    given = [motor if motor and (motor.resistance is not None) == voltage else None for motor in motors]
+    limits = [motor.joint_torque_limit if motor else None for motor in given]
     if None in limits:
-        allowed = "current for an arm with a motor (fm.Motor) with a current_limit at each joint"
-        raise value_error("actions", "current", allowed)
-    return TorqueMode(len(limits), base, np.array(limits) / plant.torque_limit, "current")
+        needed = "resistance and voltage_limit" if voltage else "current_limit, without resistance,"
+        raise value_error(
+            "actions", quantity, f"{quantity} for an arm with a motor (fm.Motor) with {needed} at each joint"
+        )
+    return TorqueMode(len(limits), base, np.array(limits) / plant.torque_limit, quantity)
 
 
 SERVO_ARGUMENTS = ("stiffness", "damping", "range")
 ACTIONS: dict[str, _ActionModeEntry] = {
     "torque": _ActionModeEntry(lambda plant, base: TorqueMode(len(plant.torque_limit), base)),
-    "current": _ActionModeEntry(_make_current),
+    "current": _ActionModeEntry(partial(_make_motor_input, "current")),
+    "voltage": _ActionModeEntry(partial(_make_motor_input, "voltage")),
     "velocity": _ActionModeEntry(partial(_make_servo, "velocity"), SERVO_ARGUMENTS),
     "position": _ActionModeEntry(partial(_make_servo, "position"), SERVO_ARGUMENTS),
     "shaping": _ActionModeEntry(_ReferenceShapingMode, ShapingLimits._fields),

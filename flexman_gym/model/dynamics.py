@@ -98,7 +98,10 @@ def stiffness_matrix(model: Model, coordinates: Array | None = None) -> Array:
     if coordinates is not None:
         values = np.zeros(model.n_joints)
         inverse.spring_slopes(model.constants, coordinates, values)
-    return _assemble(model, values, model.constants.stiffness)
+    matrix = _assemble(model, values, model.constants.stiffness)
+    passive = np.flatnonzero(model.constants.passive)
+    matrix[passive, passive] = model.constants.passive_stiffness[passive]
+    return matrix
 
 
 def elastic_forces(model: Model, coordinates: Array) -> Array:
@@ -136,7 +139,7 @@ def frequencies(model: Model, joint_angles: Vector | Matrix | None = None, lock_
         joint_angles: (n,) rad, zero by default, or (k, n) for k postures.
         lock_joints: False leaves the motors free and returns d frequencies; the first n, of the rigid rotations about
             the joints, are zero. True locks the motors, and rigid joints, and returns the d - n frequencies of the
-            remaining coordinates.
+            remaining coordinates. Passive joints are never locked, and do not count in n.
 
     Returns:
         Frequencies (d,) or (d - n,), with a leading axis of length k for k postures.
@@ -153,14 +156,14 @@ def frequencies(model: Model, joint_angles: Vector | Matrix | None = None, lock_
     rows = angles if _has_rows(angles) else [angles]
     free = np.arange(model.n_dof)
     if flag("lock_joints", lock_joints):
-        free = np.setdiff1d(free, model.motor_columns)
+        free = np.setdiff1d(free, model.driven_columns)
     stiffness, result = stiffness_matrix(model)[np.ix_(free, free)], np.zeros((len(rows), len(free)))
     forces = inertial_forces(model, np.zeros(3))
     for row, posture in zip(result, rows, strict=True):
         mass = _mass_matrix(model, forces, split_state(model, model.initial_state(posture))[0])[np.ix_(free, free)]
         row[:] = natural_modes(mass, stiffness)[0] if len(free) else 0.0
     if not lock_joints:
-        result[:, :n] = 0.0
+        result[:, : len(model.driven_columns)] = 0.0
     result = np.sqrt(np.maximum(result, 0.0)) / (2 * np.pi)
     return result if rows is angles else result[0]
 

@@ -221,7 +221,7 @@ def _input_columns(model: Model, x: Array, names: object) -> tuple[Array, list[s
     """
     n, d = model.n_joints, model.n_dof
     makers: dict[str, Callable[[], Array]] = {
-        "motor_torques": lambda: np.eye(d)[:, model.motor_columns],
+        "motor_torques": lambda: np.eye(d)[:, model.driven_columns],
         "tip_force": lambda: tip_jacobian(model, x).T,
         "base_acceleration": lambda: np.transpose([_base_acceleration_forces(model, x, axis) for axis in np.eye(3)]),
     }
@@ -229,9 +229,9 @@ def _input_columns(model: Model, x: Array, names: object) -> tuple[Array, list[s
     if not kinds:
         raise value_error("inputs", names, f"at least one of {', '.join(INPUT_UNITS)}")
     columns = [makers[name]() for name in kinds]
-    labels = [
-        column_names(name, INPUT_UNITS[name], part.shape[1], n) for name, part in zip(kinds, columns, strict=True)
-    ]
+    motors = np.array(column_names("motor_torques", INPUT_UNITS["motor_torques"], n, n))[model.constants.passive == 0]
+    names = {"motor_torques": motors.tolist()}
+    labels = [names.get(kind) or column_names(kind, INPUT_UNITS[kind], 3, n) for kind in kinds]
     return np.hstack(columns), [label for each in labels for label in each]
 
 
@@ -272,7 +272,7 @@ def linearize(
             deflections of the joints: motor angles minus link-side angles, rad), "joint_twist_rates" (n each),
             "link_deflections", "link_deflection_rates" (2 n), "root_strains" (3 n). "tip_acceleration" requires a state
             with zero speeds.
-        inputs: names of u: "motor_torques" (n), "tip_force" (3) and "base_acceleration" (3).
+        inputs: names of u: "motor_torques" (n, without passive joints), "tip_force" (3), "base_acceleration" (3).
         friction: treatment of Coulomb friction. "sliding": a constant torque, which does not contribute to A. "at
             rest": a damper with the slope of the smoothed friction law at the motor rates of the state, for motors that
             hardly move.

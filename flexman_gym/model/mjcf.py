@@ -145,7 +145,7 @@ def _has_coulomb_friction(arm: Arm) -> bool:
 def _add_joint(body: Any, actuators: Any, joint: Joint, i: int) -> None:
     """Add the hinges of joint i to its body, and its motor to the actuators."""
     axis = _numbers(joint.axis)
-    friction = {"damping": repr(joint.viscous_friction), "frictionloss": repr(joint.coulomb_friction)}
+    friction = {"damping": repr(joint.rotor_damping), "frictionloss": repr(joint.coulomb_friction)}
     _add(body, "joint", friction, name=f"motor {i}", axis=axis, armature=repr(joint.rotor_inertia))
     limit = joint.torque_limit
     limits = {} if limit is None else {"ctrlrange": _numbers((-limit, limit))}

@@ -316,6 +316,11 @@ class Model:
         """Indices (n,) of the motor angles among the coordinates x; for a rigid joint the index of the joint angle."""
         return np.where(self.constants.motor >= 0, self.constants.motor, np.arange(self.n_joints))
 
+    @property
+    def driven_columns(self) -> np.ndarray:
+        """Indices of the motor angles of all joints but the passive ones, as in `motor_columns`."""
+        return self.motor_columns[self.constants.passive == 0]
+
     def elastic_columns(self, link: int) -> slice:
         """Return the slice of the coordinates x with the elastic coordinates of a link (index from 0)."""
         first = self.n_joints + self.n_motors

@@ -164,7 +164,7 @@ def equilibrium_matrices(model: Model, motor_angles: Vector) -> EquilibriumMatri
         (damping + damping.T) / 2.0,
         (stiffness + stiffness.T) / 2.0,
         linear.C[:, :d],
-        model.motor_columns,
+        model.driven_columns,
     )
 
 
@@ -213,6 +213,7 @@ def elastic_energies(model: Model, coordinates: Array) -> Array:
         deflection, twist = coordinates[:, columns], coordinates[:, model.motor_columns[i]] - coordinates[:, i]
         energies[:, i] = np.einsum("ka,ab,kb->k", deflection.conj(), stiffness[columns, columns], deflection).real
         energies[:, n + i] = constants.joint_stiffness[i] * np.abs(twist) ** 2
+        energies[:, n + i] += constants.passive_stiffness[i] * np.abs(coordinates[:, i]) ** 2
     return energies
 
 
@@ -237,7 +238,7 @@ def rotating_frequencies(model: Model, rates: Vector, joint_angles: Vector | Non
     """
     d, n, result = check_model(model).n_dof, model.n_joints, []
     weightless = replace(model, constants=model.constants._replace(gravity=np.zeros(3)))
-    free = np.setdiff1d(np.arange(d), model.motor_columns)
+    free = np.setdiff1d(np.arange(d), model.driven_columns)
     columns, k = np.concatenate([free, d + free]), len(free)
     for rate in vector("rates", rates, unit="rad/s"):
         row = np.full(k, np.nan)

@@ -33,9 +33,9 @@ OPTIONAL_KEYS: dict[str, tuple[str, ...]] = {
     "Outline": ("wall",),
     "Payload": ("inertia", "offset"),
     "Joint": ("viscous_friction", "coulomb_friction", "coulomb_rate", "torque_limit", "motor", "static_friction",
-              "stribeck_rate", "backlash", "stiffness_pieces", "knee_width"),
+              "stribeck_rate", "backlash", "stiffness_pieces", "knee_width", "passive"),
     "Motor": ("current_limit", "speed_limit", "efficiency", "encoder_resolution", "torque_ripple", "ripple_cycles",
-              "ripple_phase"),
+              "ripple_phase", "resistance", "back_emf_constant", "voltage_limit"),
     "ModelChoice": ("modes", "spinning_rotors", "rotary_inertia"),
     "Initial": ("state",),
     "Signal": tuple(field.name for field in fields(Signal)),
@@ -179,7 +179,7 @@ def to_plain(value: Any) -> Any:
             entries[field.name] = to_plain(entry)
     if isinstance(value, Joint) and value.motor:
         del entries["rotor_inertia"]
-        if value.motor.current_limit is not None:
+        if value.motor.joint_torque_limit is not None:
             del entries["torque_limit"]
     if isinstance(value, NonUniformLink):
         for section in entries["sections"]:

@@ -375,6 +375,8 @@ def _varied_joint(joint: Any, values: Mapping[str, Array], i: int) -> Any:
         own |= {"stiffness": "joint_stiffness", "damping": "joint_damping"}
         own |= {"backlash": "backlash"} if joint.backlash is not None else {}
     changes: dict[str, Any] = {field: float(values[name][i]) for field, name in own.items() if name in values}
+    if "viscous_friction" in changes:
+        changes["viscous_friction"] -= joint.rotor_damping - joint.viscous_friction
     if joint.stiffness_pieces and "soft_stiffness" in values:
         (torque, _), *rest = joint.stiffness_pieces
         changes["stiffness_pieces"] = ((torque, float(values["soft_stiffness"][i])), *rest)

@@ -195,9 +195,10 @@ class EnvironmentSettings:
     )
     actions: Any = _setting(
         "Meaning of an action. A name in control.actions.ACTIONS: 'torque', motor torques as fractions of the torque "
-        "limits; 'current', motor currents; 'position' or 'velocity', references of servos; 'shaping', changes of the "
-        "reference of the base controller; or a mapping with a name at 'kind' and its arguments. A servo acts in every "
-        "control period: with control_period=0.002 and action_repeat=10 at 500 Hz, below an agent at 50 Hz.",
+        "limits; 'current' or 'voltage', motor currents or voltages; 'position' or 'velocity', references of servos; "
+        "'shaping', changes of the reference of the base controller; or a mapping with a name at 'kind' and its "
+        "arguments. A servo acts in every control period: with control_period=0.002 and action_repeat=10 at 500 Hz, "
+        "below an agent at 50 Hz.",
         _actions_setting, "torque",
     )
     drive_bandwidth: float | None = _setting(
