@@ -392,7 +392,8 @@ def build_model(
     arm = find_arm(arm)
     choice = ModelChoice(flexible_links, elements, modes, flexible_joints, stiffening, spinning_rotors, rotary_inertia)
     n = arm.n_joints
-    flexible = _each("flexible_links", choice.flexible_links, n)
+    given = _each("flexible_links", choice.flexible_links, n)
+    flexible = tuple(one and link.flexible for one, link in zip(given, arm.links, strict=True))
     counts = _each("elements", choice.elements, n)
     retained = _each("modes", choice.modes, n)
     for i, (link, count) in enumerate(zip(arm.links, counts, strict=True)):

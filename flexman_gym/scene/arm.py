@@ -87,11 +87,11 @@ class Arm:
         warn_unusual_units("Arm", vars(self))
         _warn_of_gravity(tuple(self.gravity))
         length = sum(link.length for link in self.links)
-        beam_mass = sum(link.mass - sum(body.mass for body in link.masses) for link in self.links)
+        beam_mass = sum(link.mass - link.flexible * sum(body.mass for body in link.masses) for link in self.links)
         bodies: list[tuple[str, LumpedMass | Payload]] = [
             (f"Arm.links[{i}].masses[{j}]", body)
             for i, link in enumerate(self.links)
-            for j, body in enumerate(link.masses)
+            for j, body in enumerate(link.masses if link.flexible else ())
         ]
         if self.payload:
             bodies.append(("Arm.payload", self.payload))

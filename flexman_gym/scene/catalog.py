@@ -20,9 +20,12 @@ from flexman_gym.scene.signals import ConstantTorque
 __all__ = [
     "LIGHT_TOOL",
     "TOOL",
+    "apkarian_1998",
     "de_luca_siciliano",
     "flexarm_rome",
     "gifu_2link",
+    "gu_2005",
+    "moberg_2005",
     "nasa_beam",
     "one_joint",
     "one_link",
@@ -30,6 +33,8 @@ __all__ = [
     "paper_scene",
     "planar_2r",
     "quanser_2dsfl",
+    "quanser_rotary",
+    "rotary_joint",
     "vertical_2r",
 ]
 
@@ -53,6 +58,16 @@ gifu_2link = named_arm("gifu_2link")
 """Arm of Gifu University: three joints, two flexible rods of 0.44 m."""
 nasa_beam = named_arm("nasa_beam")
 """Pinned beam with a tip mass, published by NASA's Johnson Space Center."""
+quanser_rotary = named_arm("quanser_rotary")
+"""Quanser rotary flexible link: a steel strip on a hub, with a motor driven by its voltage."""
+rotary_joint = named_arm("rotary_joint")
+"""Rotary flexible joint: hub, spring and a hanging arm, with a motor driven by its voltage."""
+gu_2005 = named_arm("gu_2005")
+"""Flexible-link manipulator of Gu, Petkov and Konstantinov, an example of robust control."""
+moberg_2005 = named_arm("moberg_2005")
+"""Motor, gear and arm of the ABB benchmark of Moberg, Ohr and Gunnarsson: four inertias in a chain."""
+apkarian_1998 = named_arm("apkarian_1998")
+"""Flexible two-link manipulator of Apkarian and Adams, with two passive joints."""
 TOOL = Payload(0.1)
 """Payload of `vertical_2r`, 0.1 kg."""
 LIGHT_TOOL = Payload(0.05)

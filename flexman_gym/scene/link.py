@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple, Self
 
-from flexman_gym.common.arrays import Matrix
+from flexman_gym.common.arrays import Matrix, Vector
 from flexman_gym.common.checks import (
+    flag,
     instance,
     instances,
     mapping,
@@ -16,6 +17,7 @@ from flexman_gym.common.checks import (
     sequence,
     set_fields,
     value_error,
+    vector,
 )
 from flexman_gym.scene.input_checks import check_keywords, warn_caller, warn_unusual_units
 from flexman_gym.scene.rigid_body import LumpedMass
@@ -188,6 +190,7 @@ def _total_mass(masses: Sequence[LumpedMass]) -> float:
 
 MAX_WIDTH = 5.0  # dimensionless; width of a cross-section / length of its link; above it the unit is probably wrong
 MAX_TORSION = 10.0  # dimensionless; torsion constant / polar moment of area; above it the unit is probably wrong
+NO_DENSITY = 1e-20  # kg/m^3; density of the beam of `Link.rigid`, whose mass is that of its lumped mass
 MAX_SECTIONS = 64  # largest number of sections of a link; each needs a finite element, and a link has at most 64
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -225,6 +228,7 @@ class Link:
             frame; stored as rows of floats.
         masses: lumped masses on the link, a sequence of LumpedMass; stored as a tuple.
         outline: outline of the cross-section for plots; None if only the numbers above are known.
+        flexible: False for a link that is rigid in every model, see `Link.rigid`.
 
     Raises:
         ValueError: for a number outside 1e-30 to 1e30, for an invalid rotation matrix, for a mass beyond the tip, and
@@ -247,16 +251,18 @@ class Link:
     orientation: Matrix = IDENTITY
     masses: Sequence[LumpedMass] = ()
     outline: Outline | None = None
+    flexible: bool = True
 
     def __post_init__(self) -> None:
         set_fields(
             self, **{name: physical(f"Link.{name}", getattr(self, name), unit) for name, unit in _LINK_UNITS.items()}
         )
+        set_fields(self, flexible=flag("Link.flexible", self.flexible))
         set_fields(self, orientation=rotation("Link.orientation", self.orientation))
         set_fields(self, masses=_lumped_masses("Link.masses", self.masses, self.length))
         if self.outline is not None:
             _check_outline(self.outline, vars(self))
-        warn_unusual_units("Link", vars(self))
+        warn_unusual_units("Link", vars(self) if self.flexible else {"length": self.length})
         polar, least = self.second_moment_y + self.second_moment_z, self.area * self.area / (2.0 * math.pi)
         if polar < (1.0 - 1e-9) * least:
             warn_caller(
@@ -355,6 +361,37 @@ class Link:
         return cls._from_outline(length, _round_outline(diameter), material, orientation, masses)
 
     @classmethod
+    def rigid(
+        cls, length: float, mass: float, centre: Vector, inertia: Matrix | None = None, orientation: Matrix = IDENTITY
+    ) -> Self:
+        """Build a rigid link of given mass, centre of mass and inertia.
+
+        Args:
+            length: distance between its joint and its tip, along x, m.
+            mass: kg.
+            centre: (3,) centre of mass in the link frame, m, with an x from 0 to the length.
+            inertia: inertia matrix (3, 3) about the centre of mass, kg m^2; None for a point mass.
+            orientation: rotation matrix (3, 3), see `Link`.
+
+        Returns:
+            The link, drawn as a rod.
+
+        Examples:
+            >>> upper_arm = fm.Link.rigid(0.4, 3.0, (0.2, 0.0, 0.0), [[0.01, 0, 0], [0, 0.05, 0], [0, 0, 0.05]])
+            >>> upper_arm.mass
+            3.0
+        """
+        x, y, z = vector("Link.rigid.centre", centre, 3, "m")
+        body = LumpedMass(mass, x, inertia, (0.0, y, z) if y or z else None)
+        outline = _round_outline(physical("Link.rigid.length", length, "m") / 20.0)
+        names = ("area", "second_moment_y", "second_moment_z", "torsion_constant")
+        numbers = {name: getattr(outline, name) for name in names}
+        material = _find_material("steel")._replace(density=NO_DENSITY)._asdict()
+        return cls(
+            length, orientation=orientation, masses=(body,), outline=outline, flexible=False, **numbers, **material
+        )
+
+    @classmethod
     def _from_outline(
         cls, length: float, outline: Outline, material: Any, orientation: Matrix, masses: Sequence[LumpedMass]
     ) -> Self:
@@ -446,6 +483,11 @@ class NonUniformLink:
                 raise value_error(f"NonUniformLink.sections[{i}].masses", section.masses, allowed)
         set_fields(self, sections=sections, orientation=rotation("NonUniformLink.orientation", self.orientation))
         set_fields(self, masses=_lumped_masses("NonUniformLink.masses", self.masses, self.length))
+
+    @property
+    def flexible(self) -> bool:
+        """True: a link of sections is rigid only in a model with flexible_links=False."""
+        return True
 
     @property
     def length(self) -> float:

@@ -27,7 +27,7 @@ IMPOSSIBLE_SECTIONS = ((0.028, 8.33e-7, 8.33e-7), (4e-4, 1.3e-8, 4e-9))
 # are also optional, but always written.
 OPTIONAL_KEYS: dict[str, tuple[str, ...]] = {
     "Arm": ("modal_damping_ratio",),
-    "Link": ("masses", "outline"),
+    "Link": ("masses", "outline", "flexible"),
     "NonUniformLink": ("masses",),
     "LumpedMass": ("inertia", "offset"),
     "Outline": ("wall",),
@@ -65,11 +65,11 @@ def _optional(kind: type[Part], path: str) -> Callable[[object], Part | None]:
 def _link(path: str, data: object) -> Link | NonUniformLink:
     """Return a Link from a mapping, or a NonUniformLink from a mapping with `sections`.
 
-    A mapping with a `shape` holds the arguments of `Link.strip`, `Link.tube` or `Link.rod`.
+    A mapping with a `shape` holds the arguments of `Link.strip`, `Link.tube`, `Link.rod` or `Link.rigid`.
     """
     entries = _with_masses(path, data)
     if "shape" in entries:
-        build = getattr(Link, one_of(f"{path}.shape", entries.pop("shape"), SHAPES))
+        build = getattr(Link, one_of(f"{path}.shape", entries.pop("shape"), (*SHAPES, "rigid")))
         mapping(path, entries, list(signature(build).parameters))
         try:
             link: Link = build(**entries)
@@ -107,7 +107,9 @@ def _uniform_link(path: str, data: object, *excluded: str) -> Link:
 
 
 def _joint(path: str, data: object) -> Joint:
-    """Return a Joint from a mapping; its rotor inertia may be missing if it has a motor."""
+    """Return a Joint from a mapping; its rotor inertia may be missing if it has a motor or is passive."""
+    if isinstance(data, dict) and data.get("passive") is True:
+        data = {"rotor_inertia": 0.0} | data
     if not isinstance(data, dict) or data.get("motor") is None:
         return from_plain(Joint, path, data)
     motor = partial(from_plain, Motor, f"{path}.motor")
