@@ -1,4 +1,4 @@
-"""Verify the model against closed-form solutions."""
+"""Verify the model against closed-form solutions, or against results of papers."""
 
 import argparse
 from pathlib import Path
@@ -14,20 +14,33 @@ FULL_TABLE_HINT = (
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
+    parser.add_argument(
+        "table", nargs="?", choices=("closed-forms", "papers"), default="closed-forms",
+        help="closed-forms, or papers: printed, measured and computed results of published arms (default: %(default)s)",
+    )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="print no reference to the full table")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows to a JSON file")
 
 
 def _run(options: argparse.Namespace) -> int:
     """Print the table; return 0, or 1 if a row fails."""
+    from flexman_gym.verification import papers
     from flexman_gym.verification.cases import closed_form_rows
-    from flexman_gym.verification.table import exit_code, format_json, format_table
+    from flexman_gym.verification.table import PASS, exit_code, format_json, format_table
 
     started = perf_counter()
-    result = closed_form_rows()
-    print(format_table(result))
+    if options.table == "papers":
+        tables = [papers.printed_rows(), papers.computed_rows()]
+        result = [row for table in tables for row in table]
+        print(f"{format_table(tables[0])}\n\n{format_table(tables[1])}")
+        explained = [row for row in result if row.verdict != PASS and row.case in papers.REASONS]
+        print(*(f"{row.case}: {papers.REASONS[row.case]}" for row in explained), sep="\n")
+        result = [row for row in result if row not in explained]
+    else:
+        result = closed_form_rows()
+        print(format_table(result))
     print(f"{perf_counter() - started:.0f} s")
-    if not options.quick:
+    if not options.quick and options.table != "papers":
         print(FULL_TABLE_HINT)
     if options.json is not None:
         options.json.write_text(format_json(result), encoding="utf-8")
