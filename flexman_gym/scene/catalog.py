@@ -67,7 +67,7 @@ gu_2005 = named_arm("gu_2005")
 moberg_2005 = named_arm("moberg_2005")
 """Motor, gear and arm of the ABB benchmark of Moberg, Ohr and Gunnarsson: four inertias in a chain."""
 apkarian_1998 = named_arm("apkarian_1998")
-"""Flexible two-link manipulator of Apkarian and Adams, with two passive joints."""
+"""Flexible two-link manipulator of Apkarian and Adams, an example of gain scheduling over the posture of the elbow."""
 TOOL = Payload(0.1)
 """Payload of `vertical_2r`, 0.1 kg."""
 LIGHT_TOOL = Payload(0.05)

@@ -33,6 +33,7 @@ class _NamedEnvironment:
         horizon: time after which an episode is truncated, s.
         longest_step: longest step of the default method, s; random torques then cause no energy alarm.
         conditions: name of the folder with the conditions of the environment; "" for an environment without conditions.
+        actions: see `Configuration`.
     """
 
     arm: Arm
@@ -44,6 +45,7 @@ class _NamedEnvironment:
     horizon: float = 10.0
     longest_step: float = 0.02 / 3.0
     conditions: str = ""
+    actions: Any = "torque"
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -121,6 +123,7 @@ NAMED_ENVIRONMENTS = {
         "FlexPlanar-Hold-v0",
         "FlexOne-v0",
         "FlexQuanser-v0",
+        "FlexRotary-v0",
     )
 }
 """Named environments: id -> default settings; each id has a file in ENVIRONMENT_FOLDER."""

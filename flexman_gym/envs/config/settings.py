@@ -199,7 +199,7 @@ class EnvironmentSettings:
         "'shaping', changes of the reference of the base controller; or a mapping with a name at 'kind' and its "
         "arguments. A servo acts in every control period: with control_period=0.002 and action_repeat=10 at 500 Hz, "
         "below an agent at 50 Hz.",
-        _actions_setting, "torque",
+        _actions_setting, named=True,
     )
     drive_bandwidth: float | None = _setting(
         "Bandwidth of the drives, a first-order lag between commanded and applied torque. None for no lag.",
