@@ -59,13 +59,13 @@ gifu_2link = named_arm("gifu_2link")
 nasa_beam = named_arm("nasa_beam")
 """Pinned beam with a tip mass, published by NASA's Johnson Space Center."""
 quanser_rotary = named_arm("quanser_rotary")
-"""Quanser rotary flexible link: a steel strip on a hub, with a motor driven by its voltage."""
+"""Quanser rotary flexible link: a steel strip on a hub that a geared motor turns about a vertical axis."""
 rotary_joint = named_arm("rotary_joint")
-"""Rotary flexible joint: hub, spring and a hanging arm, with a motor driven by its voltage."""
+"""Rotary flexible joint: a hub that a geared motor turns, a spring, and an arm that hangs in a vertical plane."""
 gu_2005 = named_arm("gu_2005")
 """Flexible-link manipulator of Gu, Petkov and Konstantinov, an example of robust control."""
 moberg_2005 = named_arm("moberg_2005")
-"""Motor, gear and arm of the ABB benchmark of Moberg, Ohr and Gunnarsson: four inertias in a chain."""
+"""ABB benchmark of Moberg, Ohr and Gunnarsson: motor, gear and arm as four inertias in a chain, on the motor side."""
 apkarian_1998 = named_arm("apkarian_1998")
 """Flexible two-link manipulator of Apkarian and Adams, an example of gain scheduling over the posture of the elbow."""
 TOOL = Payload(0.1)
