@@ -18,6 +18,10 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         "table", nargs="?", choices=("closed-forms", "papers"), default="closed-forms",
         help="closed-forms, or papers: printed, measured and computed results of published arms (default: %(default)s)",
     )  # fmt: skip
+    parser.add_argument(
+        "--data", type=Path, metavar="FILE", help="fit the rotary flexible link to a measured response of hub angle to "
+        "voltage, a CSV file with frequency (Hz), real (rad/V) and imaginary (rad/V)",
+    )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="print no reference to the full table")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows to a JSON file")
 
@@ -28,6 +32,14 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_gym.verification.cases import closed_form_rows
     from flexman_gym.verification.table import PASS, exit_code, format_json, format_table
 
+    if options.data is not None:
+        from flexman_gym.verification.response import describe, fit_response, read_response
+
+        try:
+            print(describe(fit_response(*read_response(options.data))))
+        except (ValueError, OSError) as error:
+            options.parser.error(str(error))
+        return 0
     started = perf_counter()
     if options.table == "papers":
         tables = [papers.printed_rows(), papers.computed_rows()]

@@ -82,7 +82,7 @@ def read_time_series(path: str | Path) -> TimeSeries:
         raise value_error(f"{file}: the header", names, "a column time (s) and other columns, each name once")
     for number, row in enumerate(rows, 2):
         if row:
-            numbers.extend(_numbers(file, number, row, len(names)))
+            numbers.extend(numbers_of_line(file, number, row, len(names)))
     count = len(numbers) // len(names)
     if not 0 < count <= MAX_ENTRIES:
         raise value_error(file, f"{count} lines", f"1 to {MAX_ENTRIES} of numbers")
@@ -169,7 +169,7 @@ def _split_header(header: str) -> tuple[str, str]:
     return whole[:start].strip(), " ".join(unit.split())
 
 
-def _numbers(file: str, line: int, row: Sequence[str], count: int) -> list[float]:
+def numbers_of_line(file: str, line: int, row: Sequence[str], count: int) -> list[float]:
     """Return the numbers of a line."""
     try:
         numbers = [float(entry) for entry in row]
