@@ -36,6 +36,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         FlexPlanar-v0  two strips, 1 m in total, that lift 0.1 kg in a vertical plane under gravity, 100 Hz
         FlexOne-v0     textbook case: one strip of 0.8 m on one flexible joint, in a horizontal plane, 50 Hz
         FlexQuanser-v0 laboratory arm: two steel strips in a horizontal plane with its motors and sensors, 100 Hz
+        FlexRotary-v0  laboratory arm: a strip on a motor driven by its voltage, 500 Hz
         `envs.NAMED_ENVIRONMENTS` has the settings of each. The last three have the reward "distance" (see `Slew`).
 
     Arm

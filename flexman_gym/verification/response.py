@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
@@ -37,7 +38,7 @@ class ResponseFit(NamedTuple):
     clamped: Array
 
 
-def read_response(path: Path) -> tuple[Array, Array]:
+def read_response(path: Path) -> tuple[Array, NDArray[np.complex128]]:
     """Return frequencies (f,), Hz, and responses (f,) of the hub angle to the voltage, rad/V, of a CSV file.
 
     Args:
@@ -59,7 +60,7 @@ def read_response(path: Path) -> tuple[Array, Array]:
     return hertz, response
 
 
-def hub_response(model: Model, hertz: Array) -> Array:
+def hub_response(model: Model, hertz: Array) -> NDArray[np.complex128]:
     """Return the response (f,) of the motor angle to a voltage at frequencies (f,) Hz, rad/V."""
     linear = linearize(model, outputs=("motor_angles",))
     motor = model.arm.joints[0].motor
@@ -67,11 +68,11 @@ def hub_response(model: Model, hertz: Array) -> Array:
     poles, vectors = np.linalg.eig(linear.A)
     left, right = linear.C @ vectors, np.linalg.solve(vectors, linear.B.astype(complex))
     residues = left[0] * right[:, 0] * motor.torque_per_volt
-    result: Array = (residues / (2j * np.pi * hertz[:, None] - poles)).sum(axis=1)
+    result: NDArray[np.complex128] = (residues / (2j * np.pi * hertz[:, None] - poles)).sum(axis=1)
     return result
 
 
-def fit_response(hertz: Array, response: Array) -> ResponseFit:
+def fit_response(hertz: Array, response: NDArray[np.complex128]) -> ResponseFit:
     """Fit stiffness, inertia, friction and damping of the rotary link and the torque per volt to a response.
 
     Every second frequency is fitted; the others are left out and score the fit. Errors are relative, so that resonances

@@ -26,8 +26,8 @@ within 4 %, the grid of the measurement.
 
 {reasons}
 
-The response that was measured at Kyoto University has no licence, so it is not part of this package. `flexman verify papers
---data FILE` reads a response of your own, as CSV with frequency (Hz), real (rad/V) and imaginary part (rad/V) of
+The response that was measured at Kyoto University has no licence, so it is not part of this package. `flexman verify
+papers --data FILE` reads a response of your own, as CSV with frequency (Hz), real (rad/V) and imaginary part (rad/V) of
 hub angle to voltage, fits stiffness, inertia, friction, damping and the torque per volt to every second frequency, and
 prints the error at the others.
 
