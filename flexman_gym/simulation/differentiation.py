@@ -234,7 +234,7 @@ def _inputs(name: str, model: Model) -> range:
 
 
 def constant_derivatives(
-    model: Model, direction: ScalarParameter, values: Mapping[str, Array] | None = None
+    model: Model, direction: ScalarParameter, given: Mapping[str, Array] | None = None
 ) -> dict[str, Array]:
     """Return the derivatives of the constants of a model with respect to a parameter, by name.
 
@@ -243,21 +243,22 @@ def constant_derivatives(
     Args:
         model: the model.
         direction: the parameter.
-        values: values of parameters, this one among them, by name; None for the value in the model.
+        given: values of parameters, by name, that replace those of the model.
     """
     name, index = direction
-    parameter = PARAMETERS[name]
-    given = {name: parameter.nominal(model)} if values is None else values
-    perturbed = {each: np.repeat(np.array(value, dtype=float)[None], 2 * len(RICHARDSON), axis=0)
-                 for each, value in given.items()}  # fmt: skip
+    parameter, given = PARAMETERS[name], given or {}
+    nominal = np.array(given.get(name, parameter.nominal(model)), dtype=float)
     place = () if index is None else (index,)
-    step = RELATIVE_STEP * abs(float(perturbed[name][(0, *place)])) or SMALL_STEP
+    step = RELATIVE_STEP * abs(float(nominal[place])) or SMALL_STEP
+    values = np.repeat(nominal[None], 2 * len(RICHARDSON), axis=0)
     factors = []
     for row, (multiple, weight) in enumerate(RICHARDSON):
         for sign in (1.0, -1.0):
-            perturbed[name][(2 * row + (sign < 0.0), *place)] += sign * multiple * step
+            values[(2 * row + (sign < 0.0), *place)] += sign * multiple * step
             factors.append(sign * weight / (2.0 * multiple * step))
-    changed = parameter.constants(model, perturbed)
+    others = {each: np.repeat(value[None], len(values), axis=0) for each, value in given.items()
+              if PARAMETERS[each].constants is parameter.constants}  # fmt: skip
+    changed = parameter.constants(model, others | {name: values})
     return {field: np.tensordot(factors, each, axes=1) for field, each in changed.items()}
 
 
