@@ -4,7 +4,7 @@ The equations of the integration method are differentiated in forward mode by th
 `kernels.tangents`. The derivatives are those of the computed motion, step by step, without differences of motions.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -116,7 +116,7 @@ def sensitivities(
     motion = _Motion.start(scene, model, directions, settings.rows)
     for number, direction in enumerate(directions):
         if direction.name in PARAMETERS:
-            integrator.set_derivative(number, _constant_derivatives(model, direction))
+            integrator.set_derivative(number, constant_derivatives(model, direction))
     counts = run_in_lanes(integrator, motion.drives, settings, motion.rows, motion.outputs)
     return motion.read(names, model, settings.interval, int(counts[0, 0]))
 
@@ -233,14 +233,21 @@ def _inputs(name: str, model: Model) -> range:
     return {"motor_torques": range(n), "tip_force": range(n, n + 3), "base_acceleration": range(n + 3, n + 6)}[name]
 
 
-def _constant_derivatives(model: Model, direction: ScalarParameter) -> dict[str, Array]:
+def constant_derivatives(
+    model: Model, direction: ScalarParameter, given: Mapping[str, Array] | None = None
+) -> dict[str, Array]:
     """Return the derivatives of the constants of a model with respect to a parameter, by name.
 
     They are central differences extrapolated to order six, exact to rounding as the constants are linear or nearly so.
+
+    Args:
+        model: the model.
+        direction: the parameter.
+        given: values of parameters, by name, that replace those of the model.
     """
     name, index = direction
-    parameter = PARAMETERS[name]
-    nominal = np.array(parameter.nominal(model), dtype=float)
+    parameter, given = PARAMETERS[name], given or {}
+    nominal = np.array(given.get(name, parameter.nominal(model)), dtype=float)
     place = () if index is None else (index,)
     step = RELATIVE_STEP * abs(float(nominal[place])) or SMALL_STEP
     values = np.repeat(nominal[None], 2 * len(RICHARDSON), axis=0)
@@ -249,7 +256,9 @@ def _constant_derivatives(model: Model, direction: ScalarParameter) -> dict[str,
         for sign in (1.0, -1.0):
             values[(2 * row + (sign < 0.0), *place)] += sign * multiple * step
             factors.append(sign * weight / (2.0 * multiple * step))
-    changed = parameter.constants(model, {name: values})
+    others = {each: np.repeat(value[None], len(values), axis=0) for each, value in given.items()
+              if PARAMETERS[each].constants is parameter.constants}  # fmt: skip
+    changed = parameter.constants(model, others | {name: values})
     return {field: np.tensordot(factors, each, axes=1) for field, each in changed.items()}
 
 
