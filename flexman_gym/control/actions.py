@@ -48,7 +48,7 @@ class _ServoMode:
         self.joints = len(self._span)
         self.names = tuple(f"{kind}_{joint + 1}" for joint in range(self.joints))
         self._reference = np.zeros((1, self.joints))  # rad; reference of each arm
-        self._reference_changes = np.zeros((1, self.joints))  # derivatives of the reference of an arm, see `derivatives`
+        self._reference_changes = np.zeros((1, self.joints))  # (p, n) derivatives of the reference of an arm
         zero = gains.stiffness == 0.0
         self._max_error = np.where(zero, np.inf, gains.torque_limit / np.where(zero, 1.0, gains.stiffness))
 
@@ -72,7 +72,7 @@ class _ServoMode:
         return result
 
     def derivatives(self, actions: Array, readings: Readings, changes: Readings) -> Array:
-        """Return the derivatives (p, n) of the torques, see `ActionMode`; those of the reference advance by a period."""
+        """Return the derivatives (p, n) of the torques, and advance those of the reference; see `ActionMode`."""
         gains, angles, turned = self._gains, readings["motor_angles"], changes["motor_angles"]
         command, change = actions * self._span, changes["actions"] * self._span
         if self._integrates:

@@ -95,8 +95,8 @@ class Controller(Protocol):
     `estimates`, {} by default, maps names to estimates (b, ...), which are added to `info`. `derivatives(readings,
     changes)` is called before `act` for an episode of one arm, and returns the actions (1, n) of this period and their
     derivatives (p, n) with respect to p parameters, for the readings and their derivatives, name -> (p, size). The
-    parameters may include the gains of the controller, if an attribute `gain_units`, name -> unit, names them: `changes`
-    then has their derivatives (p, n), too.
+    parameters may include gains of the controller, named by an attribute `gain_units`, name -> unit: `changes` then has
+    their derivatives (p, n), too.
 
     Attributes:
         sensors: names of the sensors that the controller reads.

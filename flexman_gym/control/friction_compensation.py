@@ -167,7 +167,7 @@ class FrictionCompensation:
         Returns:
             Derivatives (p, n); 0 for a model without friction.
         """
-        (torques, torque_changes), (state, changes), n = commands, states, self.model.n_joints
+        (torques, torque_changes), (state, changes) = commands, states
         if self.model is self._rubbing_model:
             return np.zeros_like(torque_changes)
         batch, inside = self._models("look-ahead", 1), np.abs(torques) < self._limits

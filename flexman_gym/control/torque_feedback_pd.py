@@ -119,7 +119,7 @@ class TorqueFeedbackPD:
         return saturated(torques / self._limits, change / self._limits)
 
     def _torques(self, readings: Readings) -> tuple[Array, Array, Array]:
-        """Return the torques without friction (b, n), N m, and the motor rates at start and end of the period, rad/s."""
+        """Return the torques without friction, N m, and the motor rates at both ends of the period, rad/s, (b, n)."""
         rates, twists = np.asarray(readings["motor_rates"], dtype=float), readings["joint_twists"]
         durations = self._scales[self._classes] * np.sqrt(np.abs(self._rotation).max(axis=1) + SMALL_ANGLE)
         timing = TIMING_LAWS["minimum-jerk"].at(self._ages * self._period / durations)

@@ -83,9 +83,9 @@ def sensitivities(
     Args:
         scene: a scene; or an environment: id, id and condition, path of a file, or Configuration.
         of: names of outputs: those of `linearize` without "tip_acceleration", "kinetic_energy", "elastic_energy" and
-            "gravitational_energy". Of an episode also "tip_error", "tip_vibration", "readings" (of the agent's sensors),
-            and at the end of each control period "actions" (commanded torques as fractions of the limits), "torques"
-            (that act), "reward_terms", "reward" and "return" (sum of the rewards); they are 0 at the start.
+            "gravitational_energy". Of an episode also "tip_error", "tip_vibration", "readings" (of the agent's
+            sensors), and at the end of each control period "actions" (commanded torques as fractions of the limits),
+            "torques" (applied torques), "reward_terms", "reward" and "return" (sum of the rewards), 0 at the start.
         to: names of parameters, for all joints or links or, as in "joint_stiffness[0]", for one: those of `Batch.vary`,
             "initial_joint_angles" and "initial_joint_rates" (of joint and motor together), and a constant added to an
             input where its signal acts: "motor_torques", "tip_force" or "base_acceleration" (components x, y and z). Of
@@ -117,8 +117,8 @@ def sensitivities(
             raise value_error("agent", agent, "None: a scene has no agent")
         return differentiation.sensitivities(scene, of, to, **simulation)
     if agent is None or simulation:
-        given = next(iter(simulation.items()), ("agent", None))
-        raise value_error(*given, f"an agent and no model, method and step for an environment: {DIFFERENTIATED}")
+        name, value = next(iter(simulation.items()), ("agent", agent))
+        raise value_error(name, value, f"for an environment an agent alone: {DIFFERENTIATED}")
     environment, spec = Configuration.find(scene), find_agent(agent)
     derivatives = _Derivatives(spec, environment, (_names("of", of), _names("to", to)))
     return derivatives.result(rollout(spec, environment, [seed], derivatives))
@@ -149,12 +149,14 @@ class _Derivatives:
         if not rewarded and any(name.startswith("reward") or name == "return" for name in self._of):
             raise value_error("reward", environment.reward or environment.task, "a reward of a task of this library")
         self._mode: Any = None
+        self._agent: Any = None
         self._records: dict[str, list[Array]] = {}
         self._diverged = False
 
     def __call__(self, episodes: Episodes) -> None:
         """Begin after the reset, and continue after each control period."""
         if self._mode is None:
+            self._episodes, self._agent, self._mode = episodes, episodes.agent, episodes.agent.mode
             self._begin(episodes)
         elif not self._diverged:
             self._advance(episodes)
@@ -164,12 +166,9 @@ class _Derivatives:
 
     def _begin(self, episodes: Episodes) -> None:
         """Prepare the derivatives at the start, and take the place of the action mode."""
-        agent, batch, model = episodes.agent, episodes.batch, episodes.batch.model
-        law = self._spec.law
-        self._mode, self._agent, self._episodes = agent.mode, agent, episodes
-        if not (hasattr(agent.mode, "derivatives") and _differentiable(agent.base)) or (
-            law is not None and not hasattr(law, "derivatives")
-        ):
+        agent, batch, model, law = self._agent, episodes.batch, episodes.batch.model, self._spec.law
+        able = hasattr(agent.mode, "derivatives") and _differentiable(agent.base)
+        if not able or not (law is None or hasattr(law, "derivatives")):
             raise value_error("agent", self._spec.name, f"one with derivatives: {DIFFERENTIATED}")
         self.joints, self.names, self.sensors = agent.mode.joints, agent.mode.names, agent.mode.sensors
         self._directions = [each for text in self._to for each in self._find(text, episodes)]
@@ -184,7 +183,8 @@ class _Derivatives:
         self._rows, self._inputs = unit_changes(self._directions, model)
         self._outputs = self._map.outputs(batch.rows[0], self._rows)
         self._drives, self._actions = np.zeros((count, n + 6)), np.zeros((count, n))
-        self._command, self._reached, self._sum = np.zeros((count, len(self.names))), np.zeros((count, n)), 0.0
+        self._command, self._reached = np.zeros((count, len(self.names))), np.zeros((count, n))
+        self._return = np.zeros((1 + count, 1))
         self._gains = {name: np.zeros((count, n)) for name in agent.mode.gain_units}
         for number, (name, part) in enumerate(self._directions):
             if name in self._gains:
@@ -197,7 +197,7 @@ class _Derivatives:
 
     def _find(self, text: str, episodes: Episodes) -> list[ScalarParameter]:
         """Return the parameters of a name such as "stiffness" or "torque_1[3]"."""
-        name, mode = text.partition("[")[0], episodes.agent.mode
+        name, mode = text.partition("[")[0], self._mode
         if name in mode.gain_units:
             count = mode.joints
         elif name in mode.names:
@@ -209,13 +209,14 @@ class _Derivatives:
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Compute the derivatives of the torques of this control period, and return the torques (1, n)."""
-        agent, sensing, every = self._agent, self._sensing, np.arange(len(self._rows))
-        if self._periods % agent.action_repeat == 0 and len(every):
+        agent, sensing, law = self._agent, self._sensing, self._spec.law
+        if self._periods % agent.action_repeat == 0:
             step = self._periods // agent.action_repeat
-            history = self._history.add if step else self._history.begin
-            observed = history(sensing.observation(self._episodes), every)
-            law: Any = self._spec.law
-            self._command = np.zeros_like(self._command) if law is None else law.derivatives(agent.observations, observed)
+            self._command = np.zeros_like(self._command)
+            if law is not None:
+                update = self._history.add if step else self._history.begin
+                observed = update(sensing.observation(self._episodes), np.arange(len(self._rows)))
+                self._command = law.derivatives(agent.observations, observed)  # type: ignore[attr-defined]
             for number, (name, part) in enumerate(self._directions):
                 if part == step and name in self.names:
                     self._command[number, self.names.index(name)] += 1.0
@@ -240,8 +241,8 @@ class _Derivatives:
         self._sensing.sample(self._rows, self._outputs, self._actions)
 
     def _record(self, episodes: Episodes) -> None:
-        """Record values and derivatives (1 + p, ...) of all outputs."""
-        view, batch, outputs = episodes.view, episodes.batch, self._outputs
+        """Record values and derivatives (1 + p, ...) of the outputs."""
+        view, outputs, begun = episodes.view, self._outputs, self._periods > 0
         changes = {
             "tip_error": -_norm_changes(view.target_error[0], outputs[:, layout.TIP]),
             "tip_vibration": _norm_changes(view.deflection_rate[0], outputs[:, layout.DEFLECTION_RATE]),
@@ -249,14 +250,15 @@ class _Derivatives:
             "tip_velocity": outputs[:, layout.TIP_VELOCITY],
         }
         values: dict[str, tuple[Any, Array]] = {
-            "rows": (batch.rows[0], self._rows), "outputs": (batch.outputs[0], outputs),
+            "rows": (episodes.batch.rows[0], self._rows), "outputs": (episodes.batch.outputs[0], outputs),
             "tip_error": (view.tip_error, changes["tip_error"][:, None]),
             "tip_vibration": (view.tip_vibration, changes["tip_vibration"][:, None]),
-            "readings": (episodes.sensors.observations[0], self._sensing.observation(episodes)),
-            "actions": (view.action[0] * (self._periods > 0), self._actions),
-            "torques": (episodes.motors.torques[0] * (self._periods > 0), self._drives[:, : self.joints]),
+            "actions": (begun * view.action[0], self._actions),
+            "torques": (begun * episodes.motors.torques[0], self._drives[:, : self.joints]),
         }  # fmt: skip
-        if any(name in ("reward", "reward_terms", "return") for name in self._of):
+        if "readings" in self._of:
+            values["readings"] = episodes.measurements.read()[0], self._sensing.observation(episodes)
+        if not {"reward", "reward_terms", "return"}.isdisjoint(self._of):
             values |= self._rewards(episodes, changes)
         for name, (value, change) in values.items():
             self._records.setdefault(name, []).append(np.vstack([value, change]))
@@ -272,11 +274,11 @@ class _Derivatives:
         none = np.zeros(len(self._rows))
         change = begun * np.transpose([weights.get(name, 1.0) * derivatives.get(name, none) for name in terms])
         reward = np.vstack([begun * episodes.rewards()[:, None], change.sum(axis=1, keepdims=True)])
-        self._sum = self._sum + reward
+        self._return = self._return + reward
         value = begun * np.array([np.ravel(each)[0] for each in terms.values()])
         return {
             "reward_terms": (value, change), "reward": (reward[:1], reward[1:]),
-            "return": (self._sum[:1], self._sum[1:]),
+            "return": (self._return[:1], self._return[1:]),
         }  # fmt: skip
 
     def result(self, record: Rollout) -> Sensitivities:

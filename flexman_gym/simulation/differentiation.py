@@ -46,12 +46,13 @@ class Sensitivities:
         jacobian: (T, m, p) derivatives of the outputs with respect to the parameters.
         outputs: m names with units, such as "tip_x (m)".
         parameters: p names with units, such as "joint_stiffness[0] (N m/rad)".
-        status: "ok" or "diverged".
+        status: "ok" or "diverged"; of an episode "ok" or the cause of its failure.
         kinks: number of output intervals in which the motion passed a kink, by name and joint: the rate of a motor with
             Coulomb friction changed its sign ("coulomb_friction[0]"), or the twist of a joint passed a knee of its
             spring, such as an end of its backlash ("joint_stiffness[0]"). The model rounds these kinks over
             `coulomb_rate` and `knee_width`; within them derivatives change fast, and beyond them those of either side
-            hold. Several passages in an interval count once, and two that cancel out are not seen.
+            hold. Several passages in an interval count once, and two that cancel out are not seen. In an episode also
+            the command of a motor reached or left its torque limit ("torque_limit[0]"), beyond which derivatives are 0.
     """
 
     time: Array
@@ -241,7 +242,7 @@ def find_directions(text: str, model: Model, prescribed: Sequence[int]) -> list[
 
 
 def unit_changes(directions: Sequence[ScalarParameter], model: Model) -> tuple[Array, Array]:
-    """Return the derivatives of the initial row (p, 2 d + 2) and of the inputs (p, n + 6) with respect to p parameters."""
+    """Return the derivatives of initial row (p, 2 d + 2) and inputs (p, n + 6) with respect to p parameters."""
     rows, inputs = np.zeros((len(directions), 2 * model.n_dof + 2)), np.zeros((len(directions), model.n_joints + 6))
     for number, (name, part) in enumerate(directions):
         if name in INPUT_UNITS:

@@ -114,7 +114,7 @@ def outputs_of(agent, world, count, set_plant=None):
             "readings": episodes.measurements.read(),
             "actions": begun * view.action,
             "torques": begun * episodes.motors.torques,
-            "reward_terms": begun * np.transpose([np.ravel(each) * np.ones(count) for each in episodes.reward_terms.values()]),
+            "reward_terms": begun * np.transpose([each * np.ones(count) for each in episodes.reward_terms.values()]),
             "return": reward + (parts["return"][-1] if begun else 0.0),
         }
         for name, values in now.items():
@@ -136,7 +136,7 @@ def changed(agent, world, text, steps):
 
 
 def extrapolated(agent, world, text):
-    """Return derivatives (3, T, m) from central differences extrapolated to order six, and estimates of their errors."""
+    """Return derivatives (3, T, m) from central differences extrapolated to order six, and estimates of errors."""
     size = SIZES.get(text.partition("[")[0], 0.5)
     steps = size * STEPS[:, None] * np.array([1.0, 0.5, 0.25])
     every = changed(agent, world, text, np.concatenate([steps.ravel(), -steps.ravel()]))
@@ -188,3 +188,119 @@ def test_derivatives_are_those_of_extrapolated_differences(name, unrounded):
         deviation = np.abs(exact - best).max(axis=1)
         good = (deviation <= np.maximum(1e-8 * scale, 3.0 * error)).any(axis=0)
         assert good.all(), (text, np.array(found.outputs)[~good], (deviation / scale).min(axis=0)[~good])
+
+
+def test_values_have_the_bits_of_a_rollout():
+    world = environment(sensors="lab", randomisation={"delay": (1, 1), "sensor_noise": (0.001, 0.001)}, **LIMIT)
+    names = ("tip", "tip_error", "readings", "actions", "torques", "return")
+    found = fm.sensitivities(world, names, "payload_mass", agent=PD, seed=SEED)
+    run = fm.rollout(PD, world, [SEED])
+    ends = np.column_stack([run.actions[0], run.torques[0], np.cumsum(run.rewards[0])])
+    expected = np.column_stack([run.tips[0], run.errors[0], run.readings[0], np.vstack([0.0 * ends[:1], ends])])
+    assert np.array_equal(found.values, expected)
+    assert np.array_equal(found.time, run.period * np.arange(len(expected)))
+    at_limit = np.abs(run.actions[0]) == 1.0
+    counts = [int(np.count_nonzero(at_limit[1:, i] != at_limit[:-1, i])) for i in range(2)]
+    assert found.kinks == {f"torque_limit[{i}]": count for i, count in enumerate(counts)} and sum(counts) > 0
+
+
+def test_derivatives_hold_at_drawn_parameters_and_for_flawed_measurements(unrounded):
+    """Payload and stiffness are drawn; noise and bias do not depend on them, gain errors of gauges multiply."""
+    agent = policy(24, 2, sensors="lab", base=PD)
+
+    def drawn(payload, factor):
+        flaws = {"sensor_noise": (0.002, 0.002), "sensor_bias": (0.002, 0.002), "gauge_gain_factor": (1.1, 1.1)}
+        ranges = {"payload_mass": (payload,) * 2, "joint_stiffness_factor": (factor,) * 2, "delay": (1, 1)}
+        return environment(randomisation=flaws | ranges)
+
+    names = ("payload_mass", "joint_stiffness[0]", "joint_stiffness[1]")
+    found = fm.sensitivities(drawn(0.2, 1.3), ("readings", "return"), names, agent=agent, seed=SEED)
+    stiffness = np.array([joint.stiffness for joint in ARM.joints])
+    by_factor = found.jacobian[:, :, 1:] @ stiffness
+
+    def difference(step):
+        changed_worlds = [drawn(0.2 + step * a, 1.3 + step * b) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+        every = [fm.sensitivities(each, ("readings", "return"), "payload_mass", agent=agent, seed=SEED).values
+                 for each in changed_worlds]  # fmt: skip
+        return np.array([every[0] - every[1], every[2] - every[3]]) / (2.0 * step)
+
+    coarse, fine = difference(2e-3), difference(1e-3)
+    best = (4.0 * fine - coarse) / 3.0
+    for exact, expected in zip((found.jacobian[:, :, 0], by_factor), best, strict=True):
+        np.testing.assert_allclose(exact, expected, atol=1e-6 * np.abs(exact).max(axis=0).max())
+
+
+@pytest.mark.parametrize("text", ["payload_mass", "stiffness[0]"])
+def test_the_taylor_remainder_is_of_second_order(text, unrounded):
+    """It falls by a hundred over a decade of the change, over two decades."""
+    world, steps = environment(), 1e-2 * SIZES[text.partition("[")[0]] / np.array([1.0, 10.0, 100.0])
+    found = fm.sensitivities(world, OUTPUTS, text, agent=PD, seed=SEED)
+    linear = found.values + steps[:, None, None] * found.jacobian[:, :, 0]
+    remainders = np.abs(changed(PD, world, text, steps) - linear).max(axis=(1, 2))
+    orders = np.log10(remainders[:-1]) - np.log10(remainders[1:])
+    assert ((orders > 1.9) & (orders < 2.1)).all(), orders
+
+
+def test_the_compliance_of_a_settled_pd_is_the_reciprocal_of_its_stiffness():
+    world = environment("FlexOne-v0", 400, elements=1)
+    names = ("motor_torques", "initial_joint_rates", "damping")
+    found = fm.sensitivities(world, ("motor_angles", "actions"), names, agent="pd")
+    expected = np.zeros((2, 3))
+    expected[:, 0] = 1.0 / world.pd_gains["stiffness"][0], -1.0 / world.torque_limit[0]
+    np.testing.assert_allclose(found.jacobian[-1], expected, atol=1e-10)
+
+
+def test_a_step_along_the_gradient_changes_the_return_as_the_gradient_says():
+    world = Configuration("FlexRRR-v0", {"horizon": 2.0})
+    found = fm.sensitivities(world, "return", ("stiffness", "damping"), agent="pd")
+    gains = np.concatenate([world.pd_gains["stiffness"], world.pd_gains["damping"]])
+    step = 1e-3 * found.jacobian[-1, 0] * gains**2
+    predicted = found.jacobian[-1, 0] @ step
+    stiffness, damping = (gains + step).reshape(2, 3).tolist()
+    run = fm.rollout({"kind": "pd", "stiffness": stiffness, "damping": damping}, world, [9000])
+    assert predicted > 0.0
+    assert run.rewards.sum() - found.values[-1, 0] == pytest.approx(predicted, rel=0.01)
+
+
+def test_an_episode_that_fails_has_the_cause_as_status():
+    found = fm.sensitivities(environment(limits={"rate": 0.5}), "return", "payload_mass", agent=PD, seed=SEED)
+    assert "motor_rates" in found.status and 1 < len(found.time) < 21 and np.isfinite(found.jacobian).all()
+
+
+OPEN = AgentSpec("open", None, None)  # no torques, with the sensors of the environment
+
+
+class Heavy:
+    """Sensor of the user."""
+
+    measures = ()
+
+    def entries(self, view, limits):
+        return [("weight", 1, "N", 1.0)]
+
+    def read(self, view, out):
+        out[:] = 0.5
+
+
+@pytest.mark.parametrize("arguments, words", [
+    ({"agent": "adaptive-lqr"}, "agent: 'adaptive-lqr' is not allowed; give one with derivatives: zero, pd, pd-shaped"),
+    ({"agent": "mpc"}, "one with derivatives"),
+    ({"agent": None}, "agent: None is not allowed; give for an environment an agent alone: zero, pd"),
+    ({"step": 0.001}, "step: 0.001 is not allowed; give for an environment an agent alone"),
+    ({"of": "strain"}, "of: 'strain' is not allowed"),
+    ({"to": "gain"}, "to: 'gain' is not allowed; give one of payload_mass"),
+    ({"to": "stiffness[2]", "agent": PD}, "to: 2 is not allowed"),
+    ({"to": "torque_1[20]"}, "to: 20 is not allowed"),
+    ({"to": "coulomb_friction"}, "without Coulomb friction"),
+    ({"scene": environment(sensors="accelerometer")}, "sensors of this library without accelerations"),
+    ({"scene": environment(sensors=[Heavy()])}, "sensors of this library without accelerations"),
+    ({"scene": environment(sensors={"kind": "strain", "dropped": 0.1})}, "sensors.dropped: 0.1 is not allowed"),
+    ({"scene": environment(randomisation={"dropped_samples": (0.1, 0.1)})}, "lost samples have no derivatives"),
+    ({"scene": environment(reward=lambda view: view.tip_error), "of": "return"}, "a reward of a task of this library"),
+    ({"scene": environment(method="dop853", step=0.001)}, "method: 'dop853' is not allowed"),
+    ({"scene": fm.catalog.paper_scene("rr"), "agent": "pd"}, "agent: 'pd' is not allowed; give None: a scene has no agent"),
+])  # fmt: skip
+def test_bad_arguments_are_refused_in_one_line(arguments, words):
+    with pytest.raises(ValueError) as raised:
+        fm.sensitivities(**{"scene": environment(), "agent": OPEN, **arguments})
+    assert words in str(raised.value) and "\n" not in str(raised.value)
