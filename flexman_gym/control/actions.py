@@ -11,7 +11,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows
 from flexman_gym.common.checks import non_negative, physical, value_error, vector
 from flexman_gym.control.base_controllers import make_base, parse_kind
-from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings
+from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings, saturated
 from flexman_gym.control.margins import describe_stuck_motors, sampled_loops, spectral_radius
 from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.pd import PD
@@ -41,19 +41,21 @@ class _ServoMode:
 
     state_fields = ("_reference",)
     sensors: tuple[object, ...] = ("motor_encoders",)
+    gain_units: Mapping[str, str] = PD.gain_units
 
     def __init__(self, kind: str, gains: PD, span: Vector, period: float) -> None:
         self._integrates, self._gains, self._span, self._period = kind == "velocity", gains, np.array(span), period
         self.joints = len(self._span)
         self.names = tuple(f"{kind}_{joint + 1}" for joint in range(self.joints))
         self._reference = np.zeros((1, self.joints))  # rad; reference of each arm
+        self._reference_changes = np.zeros((1, self.joints))  # (p, n) derivatives of the reference of an arm
         zero = gains.stiffness == 0.0
         self._max_error = np.where(zero, np.inf, gains.torque_limit / np.where(zero, 1.0, gains.stiffness))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes, with the reference at the joint angles; arguments as in `Controller.reset`."""
         self._reference = pad_rows(self._reference, count)
-        self._reference[arms] = episode.start
+        self._reference[arms], self._reference_changes = episode.start, np.zeros((1, self.joints))
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the torques (b, n) for reference actions (b, n), as fractions of the torque limits from -1 to 1."""
@@ -68,6 +70,25 @@ class _ServoMode:
         torque = self._gains.stiffness * error + self._gains.damping * (target_rate - readings["motor_rates"])
         result: Array = np.clip(torque / self._gains.torque_limit, -1.0, 1.0)
         return result
+
+    def derivatives(self, actions: Array, readings: Readings, changes: Readings) -> Array:
+        """Return the derivatives (p, n) of the torques, and advance those of the reference; see `ActionMode`."""
+        gains, angles, turned = self._gains, readings["motor_angles"], changes["motor_angles"]
+        command, change = actions * self._span, changes["actions"] * self._span
+        if self._integrates:
+            error, error_change, rate = self._reference - angles, self._reference_changes - turned, command
+            integral = self._reference + command * self._period - angles
+            step = np.square(np.where(gains.stiffness > 0.0, gains.stiffness, np.inf))
+            clamped = turned - np.sign(integral) * gains.torque_limit / step * changes["stiffness"]
+            free = np.abs(integral) < self._max_error
+            self._reference_changes = np.where(free, self._reference_changes + change * self._period, clamped)
+        else:
+            error, error_change, rate, change = command - angles, change - turned, 0.0, 0.0
+        slip, slip_change = rate - readings["motor_rates"], change - changes["motor_rates"]
+        torque = gains.stiffness * error + gains.damping * slip
+        torque_change = gains.stiffness * error_change + gains.damping * slip_change
+        torque_change += changes["stiffness"] * error + changes["damping"] * slip
+        return saturated(torque / gains.torque_limit, torque_change / gains.torque_limit)[1]
 
 
 def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) -> _ServoMode:
@@ -252,7 +273,9 @@ class ActionMode(Protocol):
     of 1 adds, for all joints or for each joint (n,). A mode with observed quantities beyond the sensors has
     `observation_sizes`, name -> number of values, and `observe(readings, applied, active)`, which updates the
     quantities of the active arms and returns the quantities of all arms, concatenated to (b, size). `observe` is called
-    before the agent acts, in the same control period.
+    before the agent acts, in the same control period. `derivatives(actions, readings, changes)` and `gain_units` are
+    those of `Controller`, with the actions (1, k), and their derivatives (p, k) in `changes["actions"]`; the result is
+    the derivatives (p, n) only.
 
     Attributes:
         joints: n, number of joints.
@@ -325,6 +348,21 @@ class TorqueMode:
         base_torques = np.asarray(self._base.act(readings, applied, active), dtype=np.float64)
         result: Array = np.clip(base_torques + actions, -1.0, 1.0)
         return result
+
+    @property
+    def gain_units(self) -> Mapping[str, str]:
+        """Units of the gains of the base controller, by name, see `Controller`."""
+        return getattr(self._base, "gain_units", {})
+
+    def derivatives(self, actions: Array, readings: Readings, changes: Readings) -> Array:
+        """Return the derivatives (p, n) of the torques, see `ActionMode`."""
+        change: Array = changes["actions"]
+        if isinstance(self.strength, np.ndarray):
+            actions, change = saturated(actions * self.strength, change * self.strength)
+        if self._base is None:
+            return change
+        base_torques, base_change = self._base.derivatives(readings, changes)  # type: ignore[attr-defined]
+        return saturated(base_torques + actions, base_change + change)[1]
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_ro
 from flexman_gym.common.checks import check_solvable, one_of, positive
 from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
-from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
+from flexman_gym.control.controller import EpisodeInfo, Plant, Readings, saturated
 from flexman_gym.control.friction_compensation import FrictionCompensation, frictionless
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import TIMING_LAWS, plan_path, plan_slew
@@ -298,6 +298,18 @@ class LQR:
         """Return the torques (b, n) for states (b, 2 d), N m; products are computed arm by arm."""
         return self.compensated(self._holding_torques - row_dots(self._gains, (states - self._rest)[:, None]), states)
 
+    def derivatives(self, readings: Readings, changes: Readings) -> tuple[Array, Array]:
+        """Return the actions (1, n) of an arm and their derivatives (p, n), see `Controller`."""
+        gain, reference, forward = self._feedback(0)
+        states, state_changes = np.asarray(readings["state"], dtype=np.float64), changes["state"]
+        torques, change = forward - row_dots(gain, (states - reference)[:, None]), -(state_changes @ gain.T)
+        change = change + self._compensation.derivatives((torques, change), (states, state_changes))
+        return saturated(self.compensated(torques, states) / self.limits, change / self.limits)
+
+    def _feedback(self, arm: int) -> tuple[Array, Array, Array]:
+        """Return gain K (n, 2 d), reference state (2 d,) and feed-forward torques (n,) of an arm in this period."""
+        return self._gains[arm], self._rest[arm], self._holding_torques[arm]
+
     def compensated(self, torques: Array, states: Array) -> Array:
         """Return torques (b, n), N m, with the friction at states (b, 2 d) compensated, see `FrictionCompensation`."""
         return torques + self._compensation(torques, states, np.arange(len(states)), len(states))
@@ -398,11 +410,16 @@ class TrackingLQR(LQR):
         """Return the torques (b, n) for states (b, 2 d), N m, and advance by a control period."""
         result = np.zeros((len(states), self.model.n_joints))
         for arm, state in enumerate(states):
-            schedule = self._schedules[arm]
-            row, gains = min(self._now[arm], len(schedule.states) - 1), schedule.gains
-            lower = min(int(schedule.positions[row]), max(len(gains) - 2, 0))
-            upper, part = min(lower + 1, len(gains) - 1), schedule.positions[row] - lower
-            gain = gains[lower] + part * (gains[upper] - gains[lower])
-            result[arm] = schedule.torques[row] - row_dots(gain, state - schedule.states[row])
+            gain, reference, torque = self._feedback(arm)
+            result[arm] = torque - row_dots(gain, state - reference)
         self._now += 1
         return self.compensated(result, states)
+
+    def _feedback(self, arm: int) -> tuple[Array, Array, Array]:
+        """Return gain K (n, 2 d), reference state (2 d,) and feed-forward torques (n,) of an arm in this period."""
+        schedule = self._schedules[arm]
+        row, gains = min(self._now[arm], len(schedule.states) - 1), schedule.gains
+        lower = min(int(schedule.positions[row]), max(len(gains) - 2, 0))
+        upper, part = min(lower + 1, len(gains) - 1), schedule.positions[row] - lower
+        gain = gains[lower] + part * (gains[upper] - gains[lower])
+        return gain, schedule.states[row], schedule.torques[row]

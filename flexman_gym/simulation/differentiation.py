@@ -27,6 +27,7 @@ from flexman_gym.simulation.tangent_integrator import DIRECTIONS, TangentIntegra
 INITIAL = {"initial_joint_angles": "rad", "initial_joint_rates": "rad/s"}  # initial conditions -> unit
 RELATIVE_STEP = 1e-2  # relative step of the differences of constants
 SMALL_STEP = 1e-3  # in the unit of the parameter; step of the differences at a value of 0
+INPUTS = {name: row.unit for name, row in PARAMETERS.items()} | INITIAL | INPUT_UNITS  # parameters -> unit
 ENERGIES = {"kinetic_energy": (layout.KINETIC,), "elastic_energy": (layout.LINK_ENERGY, layout.JOINT_ENERGY),
             "gravitational_energy": (layout.GRAVITATIONAL,)}  # fmt: skip
 TIP_OUTPUTS = {"tip": layout.TIP, "tip_velocity": layout.TIP_VELOCITY}
@@ -45,7 +46,13 @@ class Sensitivities:
         jacobian: (T, m, p) derivatives of the outputs with respect to the parameters.
         outputs: m names with units, such as "tip_x (m)".
         parameters: p names with units, such as "joint_stiffness[0] (N m/rad)".
-        status: "ok" or "diverged".
+        status: "ok" or "diverged"; of an episode "ok" or the cause of its failure.
+        kinks: number of output intervals in which the motion passed a kink, by name and joint: the rate of a motor with
+            Coulomb friction changed its sign ("coulomb_friction[0]"), or the twist of a joint passed a knee of its
+            spring, such as an end of its backlash ("joint_stiffness[0]"). The model rounds these kinks over
+            `coulomb_rate` and `knee_width`; within them derivatives change fast, and beyond them those of either side
+            hold. Several passages in an interval count once, and two that cancel out are not seen. In an episode also
+            the command of a motor reached or left its torque limit ("torque_limit[0]"), beyond which derivatives are 0.
     """
 
     time: Array
@@ -54,12 +61,15 @@ class Sensitivities:
     outputs: tuple[str, ...]
     parameters: tuple[str, ...]
     status: str
+    kinks: dict[str, int]
 
     def __repr__(self) -> str:
         times, outputs, parameters = self.jacobian.shape
+        kinks = ", ".join(f"{name} {count}" for name, count in self.kinks.items())
         return (
             f"<Sensitivities: {self.status}, {times} times, {outputs} outputs by {parameters} parameters\n"
-            f"  outputs {', '.join(self.outputs)}\n  parameters {', '.join(self.parameters)}>"
+            f"  outputs {', '.join(self.outputs)}\n  parameters {', '.join(self.parameters)}"
+            + (f"\n  kinks {kinks}>" if kinks else ">")
         )
 
 
@@ -109,7 +119,7 @@ def sensitivities(
         raise value_error("method", chosen.name, f"one of fixed steps: {', '.join(allowed)}")
     names = [one_of("of", name, OUTPUTS) for name in _names("of", of)]
     prescribed = prescribed_joints(scene)
-    directions = [each for name in _names("to", to) for each in _directions(name, model, prescribed)]
+    directions = [each for name in _names("to", to) for each in find_directions(name, model, prescribed)]
     flags = prescribed_flags(model.n_joints, prescribed)
     period, groups = (settings.interval, settings.substeps), -(-len(directions) // DIRECTIONS)
     integrator = TangentIntegrator(model.constants._replace(prescribed=flags), chosen, period, groups)
@@ -154,6 +164,7 @@ class _Motion(NamedTuple):
         pieces, d = scene.pieces, model.n_dof
         drives: list[Any] = []
         groups = -(-len(directions) // DIRECTIONS)
+        starts, inputs = unit_changes(directions, model)
         rows = np.zeros((groups * ARMS_PER_GROUP, last + 1, 2 * d + 2))
         for row in range(len(rows)):
             group, lane = divmod(row, ARMS_PER_GROUP)
@@ -165,27 +176,42 @@ class _Motion(NamedTuple):
             drives.append(drive)
             number = group * DIRECTIONS + lane - 1
             if number < len(directions):
-                name, part = directions[number].name, directions[number].part or 0
-                if name in INPUT_UNITS:
-                    drive.values[layout.OFFSET, _inputs(name, model)[part]] = 1.0
-                elif name in INITIAL:
-                    first = d * (name == "initial_joint_rates")
-                    for column in (part, int(model.motor_columns[part])):
-                        rows[row, 0, first + column] = 1.0
+                rows[row, 0], drive.values[layout.OFFSET] = starts[number], inputs[number]
         return cls(directions, drives, rows, np.zeros((*rows.shape[:2], layout.OUTPUTS)))
 
     def read(self, names: list[str], model: Model, interval: float, valid: int) -> Sensitivities:
         """Return the outputs of given names and their derivatives at the valid times."""
-        parts = [_output(name, model, self.rows[:, : valid + 1], self.outputs[:, : valid + 1]) for name in names]
+        motion = self.rows[:, : valid + 1], self.outputs[:, : valid + 1]
+        parts, labels = zip(*(motion_output(name, model, *motion) for name in names), strict=True)
         every, count = np.concatenate(parts, axis=2), len(self.directions)
         lanes = np.arange(len(every)).reshape(-1, ARMS_PER_GROUP)[:, 1:].ravel()[:count]
-        labels = [label for name, part in zip(names, parts, strict=True) for label in _labels(name, part, model)]
         return Sensitivities(
             time=interval * np.arange(valid + 1, dtype=np.float64),
             values=every[0], jacobian=np.moveaxis(every[lanes], 0, 2),
-            outputs=tuple(labels), parameters=tuple(f"{each} ({_unit(each.name)})" for each in self.directions),
+            outputs=sum(labels, ()), parameters=tuple(f"{each} ({INPUTS[each.name]})" for each in self.directions),
             status=STATUS[layout.OK if valid + 1 == self.rows.shape[1] else layout.DIVERGED],
+            kinks=count_kinks(model, self.rows[0, : valid + 1]),
         )  # fmt: skip
+
+
+def count_kinks(model: Model, rows: Array) -> dict[str, int]:
+    """Return the numbers of intervals between rows (T, 2 d + 2) with a kink, see `Sensitivities.kinks`."""
+    constants, n, d, motors = model.constants, model.n_joints, model.n_dof, model.motor_columns
+    result = {}
+    for i in np.flatnonzero(constants.has_coulomb_friction):
+        result[f"coulomb_friction[{i}]"] = _passages(rows[:, d + motors[i]], np.zeros(1))
+    for i in range(n):
+        knees = constants.knee_twist[constants.knee_start[i] : constants.knee_start[i + 1]]
+        if knees.any():  # a knee at zero, with its mirror image, is none
+            knees = knees[knees > 0.0]
+            result[f"joint_stiffness[{i}]"] = _passages(rows[:, motors[i]] - rows[:, i], np.append(-knees, knees))
+    return result
+
+
+def _passages(values: Array, levels: Array) -> int:
+    """Return the number of steps between successive values (T,) that pass one of several levels."""
+    sides = np.sign(values[:, None] - levels)
+    return int((sides[1:] * sides[:-1] < 0.0).any(axis=1).sum())
 
 
 def _names(argument: str, given: str | Sequence[str]) -> list[str]:
@@ -196,9 +222,9 @@ def _names(argument: str, given: str | Sequence[str]) -> list[str]:
     return names
 
 
-def _directions(text: str, model: Model, prescribed: Sequence[int]) -> list[ScalarParameter]:
+def find_directions(text: str, model: Model, prescribed: Sequence[int]) -> list[ScalarParameter]:
     """Return the parameters of a name such as "joint_stiffness" or "joint_stiffness[0]"."""
-    name = one_of("to", text.partition("[")[0], [*PARAMETERS, *INITIAL, *INPUT_UNITS])
+    name = one_of("to", text.partition("[")[0], INPUTS)
     parameter = PARAMETERS.get(name)
     if parameter and parameter.of == ARM:
         if name != text:
@@ -215,16 +241,16 @@ def _directions(text: str, model: Model, prescribed: Sequence[int]) -> list[Scal
     return [ScalarParameter(name, part) for part in parts]
 
 
-def _unit(name: str) -> str:
-    """Return the unit of a parameter."""
-    return INITIAL.get(name) or INPUT_UNITS.get(name) or PARAMETERS[name].unit
-
-
-def _labels(name: str, part: Array, model: Model) -> list[str]:
-    """Return the names with units of an output (b, T, k)."""
-    if name in ENERGIES:
-        return [f"{name} ({OUTPUTS[name]})"]
-    return column_names(name, OUTPUTS[name], part.shape[2], model.n_joints)
+def unit_changes(directions: Sequence[ScalarParameter], model: Model) -> tuple[Array, Array]:
+    """Return the derivatives of initial row (p, 2 d + 2) and inputs (p, n + 6) with respect to p parameters."""
+    rows, inputs = np.zeros((len(directions), 2 * model.n_dof + 2)), np.zeros((len(directions), model.n_joints + 6))
+    for number, (name, part) in enumerate(directions):
+        if name in INPUT_UNITS:
+            inputs[number, _inputs(name, model)[part or 0]] = 1.0
+        elif name in INITIAL:
+            first = model.n_dof * (name == "initial_joint_rates")
+            rows[number, [first + (part or 0), first + model.motor_columns[part or 0]]] = 1.0
+    return rows, inputs
 
 
 def _inputs(name: str, model: Model) -> range:
@@ -262,15 +288,26 @@ def constant_derivatives(
     return {field: np.tensordot(factors, each, axes=1) for field, each in changed.items()}
 
 
-def _output(name: str, model: Model, rows: Array, outputs: Array) -> Array:
-    """Return an output (b, T, k) of all arms and derivatives; all outputs but energies and tip are linear."""
-    if name in ENERGIES:
-        return outputs[:, :, ENERGIES[name]].sum(axis=2, keepdims=True)
-    if name in TIP_OUTPUTS:
-        return outputs[:, :, TIP_OUTPUTS[name]]
+def motion_output(name: str, model: Model, rows: Array, outputs: Array) -> tuple[Array, tuple[str, ...]]:
+    """Return an output of arms and derivatives, and its names with units; all outputs but energies and tip are linear.
+
+    Args:
+        name: name of the output.
+        model: the model.
+        rows: (b, T, 2 d + 2) states and energy ledgers, or their derivatives.
+        outputs: (b, T, OUTPUTS) columns of `kernels.layout`, or their derivatives.
+
+    Returns:
+        Output (b, T, k) and k names.
+    """
     states, n, d = rows[:, :, :-2], model.n_joints, model.n_dof
-    if name in ("joint_angles", "joint_rates"):
+    if name in ENERGIES:
+        return outputs[:, :, ENERGIES[name]].sum(axis=2, keepdims=True), (f"{name} ({OUTPUTS[name]})",)
+    if name in TIP_OUTPUTS:
+        result = outputs[:, :, TIP_OUTPUTS[name]]
+    elif name in ("joint_angles", "joint_rates"):
         first = d * (name == "joint_rates")
-        return states[:, :, first : first + n]
-    measured = LinearMeasurements(model).measure(states.reshape(-1, 2 * d))[name]
-    return measured.reshape(*rows.shape[:2], -1)
+        result = states[:, :, first : first + n]
+    else:
+        result = LinearMeasurements(model).measure(states.reshape(-1, 2 * d))[name].reshape(*rows.shape[:2], -1)
+    return result, tuple(column_names(name, OUTPUTS[name], result.shape[2], n))

@@ -45,6 +45,9 @@ class PeriodMap:
         parameters: derivatives of the constants `kernels.arguments.PER_ARM`, by name, with respect to the parameter of
             each of the p directions; an empty dict for directions of states and inputs.
         constants: constants of the arm; None takes those of the model.
+
+    Attributes:
+        count: number of derivatives p.
     """
 
     def __init__(
@@ -54,7 +57,7 @@ class PeriodMap:
         if not isinstance(method, LinearlyImplicit | IteratedGauss):
             raise value_error("method", method.name, "one of fixed steps that `simulate_all` integrates in groups")
         groups = max(1, -(-len(parameters) // DIRECTIONS))
-        self.model, self._grid = model, (0.0, period[0] / period[1], period[1])
+        self.model, self.count, self._grid = model, len(parameters), (0.0, period[0] / period[1], period[1])
         self._integrator = TangentIntegrator(constants or model.constants, method, period, groups)
         for direction, derivatives in enumerate(parameters):
             self._integrator.set_derivative(direction, derivatives)
@@ -84,6 +87,12 @@ class PeriodMap:
         return PeriodEnd(
             end[0].copy(), outputs[0].copy(), end[self._lanes], outputs[self._lanes], bool(self._counts[0, 0] < 1)
         )
+
+    def outputs(self, row: Array, rows: Array) -> Array:
+        """Return the derivatives (p, OUTPUTS) of the outputs at a row (2 d + 2,) with derivatives (p, 2 d + 2)."""
+        inputs = np.zeros((len(rows) + 1, self.model.n_joints + 6))
+        self.advance(row, inputs[0], rows, inputs[1:])
+        return self._outputs[self._lanes, 0]
 
 
 def period_jacobian(model: Model, method: Method, period: tuple[float, int], state: Array, drive: Array) -> Array:

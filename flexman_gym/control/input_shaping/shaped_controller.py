@@ -1,5 +1,6 @@
 """Controller with an input shaper for its command."""
 
+from collections.abc import Mapping
 from functools import reduce
 from typing import Any
 
@@ -106,6 +107,22 @@ class InputShapedController:
         Raises:
             ValueError: for a reading of the goal that cannot be shaped.
         """
+        shaped = self._shaped(readings)
+        self._now += active
+        return self.inner.act(shaped, applied, active)
+
+    @property
+    def gain_units(self) -> Mapping[str, str]:
+        """Units of the gains of the inner controller, by name, see `Controller`."""
+        return getattr(self.inner, "gain_units", {})
+
+    def derivatives(self, readings: Readings, changes: Readings) -> tuple[Array, Array]:
+        """Return the actions (1, n) of an arm and their derivatives (p, n), see `Controller`."""
+        result: tuple[Array, Array] = self.inner.derivatives(self._shaped(readings), changes)  # type: ignore[attr-defined]
+        return result
+
+    def _shaped(self, readings: Readings) -> Readings:
+        """Return the readings for the shaped command of this period."""
         shaped = dict(readings)
         for name, values in readings.items():
             if name in REFUSED_QUANTITIES:
@@ -117,8 +134,7 @@ class InputShapedController:
             if name in SHIFTED_QUANTITIES or (name == "state" and type(self.inner) is LQR):
                 commands = zip(self._commands, self._now.tolist(), strict=True)
                 shaped[name] = values + np.array([each.offset(name)[min(now, each.last)] for each, now in commands])
-        self._now += active
-        return self.inner.act(shaped, applied, active)
+        return shaped
 
     def combined(self, postures: Array) -> Shaper:
         """Return the shaper for all shaped modes; the modes are averaged over postures (p, n) rad."""

@@ -1,7 +1,7 @@
 """Rewards: compiled reward terms, and the reward terms of a task with weights or a user's function."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
 
@@ -63,6 +63,33 @@ def compiled_terms(reward: str, view: View, velocity: Array | None = None) -> di
     out = np.empty((kernels.REWARD_TERMS, len(errors)))
     kernels.reward_terms(kind, reward_parameters(reward, view.reach), errors, vibrations, efforts, velocities, out)
     return dict(zip(names, out if np.ndim(view.tip_error) else out[:, 0].tolist(), strict=False))
+
+
+def term_derivatives(reward: str, view: View, velocity: Array, changes: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the derivatives (p,) of the terms of a reward in REWARDS with respect to p parameters, by name.
+
+    Args:
+        reward: key of REWARDS.
+        view: view of one arm.
+        velocity: (1, 3) as in `distance_reward`, m/s.
+        changes: derivatives of "tip_error", "tip_vibration", "effort", (p,) each, and of "tip_velocity" (p, 3).
+    """
+    (kind, names), p = REWARDS[reward], reward_parameters(reward, view.reach)
+    error, change = view.tip_error, changes["tip_error"]
+    terms: list[Array]
+    if kind == kernels.DISTANCE:
+        total = error**2 + p[2] ** 2 * (velocity**2).sum()
+        total_change = 2.0 * (error * change + p[2] ** 2 * (changes["tip_velocity"] @ velocity[0]))
+        terms = [-total_change / ((p[0] + total) * p[1])]
+    elif kind == kernels.EXPONENTIAL:
+        terms = [-(p[j] / p[3 + j]) * np.exp(-error / p[3 + j]) * change for j in range(3)]
+    else:
+        vibration = view.tip_vibration
+        near = (p[:3] / (p[:3] + error**2) ** 2).sum()
+        terms = [-0.7 / 3.0 * near * 2.0 * error * change]
+        terms += [-0.2 * p[3] / (p[3] + vibration**2) ** 2 * 2.0 * vibration * changes["tip_vibration"]]
+        terms += [-0.1 * changes["effort"]]
+    return dict(zip(names, terms, strict=False))
 
 
 @cache
