@@ -298,7 +298,8 @@ class Heavy:
     ({"scene": environment(randomisation={"dropped_samples": (0.1, 0.1)})}, "lost samples have no derivatives"),
     ({"scene": environment(reward=lambda view: view.tip_error), "of": "return"}, "a reward of a task of this library"),
     ({"scene": environment(method="dop853", step=0.001)}, "method: 'dop853' is not allowed"),
-    ({"scene": fm.catalog.paper_scene("rr"), "agent": "pd"}, "agent: 'pd' is not allowed; give None: a scene has no agent"),
+    ({"scene": fm.catalog.paper_scene("rr"), "agent": "pd"},
+     "agent: 'pd' is not allowed; give None: a scene has no agent"),
 ])  # fmt: skip
 def test_bad_arguments_are_refused_in_one_line(arguments, words):
     with pytest.raises(ValueError) as raised:

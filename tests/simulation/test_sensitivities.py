@@ -216,7 +216,10 @@ def swinging(output_step):
     strip = fm.Link.strip(0.5, 0.04, 0.003)
     inertia = fm.mass_matrix(fm.build_model(fm.Arm([strip], [fm.Joint(Z)]), flexible_links=False), [0.0, 0.0])[0, 0]
     joint = fm.Joint(Z, 0.01, stiffness=inertia * (10.0 * np.pi) ** 2, backlash=0.019, knee_width=1e-5)
-    choice, start = fm.ModelChoice(flexible_links=(False,), elements=(1,)), fm.Initial((0.0,), (0.0,), state=(0.0, 0.0, 0.1, 0.0))
+    choice, start = (
+        fm.ModelChoice(flexible_links=(False,), elements=(1,)),
+        fm.Initial((0.0,), (0.0,), state=(0.0, 0.0, 0.1, 0.0)),
+    )
     return fm.Scene(fm.Arm([strip], [joint]), choice, fm.ConstantTorque((0.0,)), start, duration=0.9,
                     output_step=output_step, prescribed=[fm.Signal()])  # fmt: skip
 
