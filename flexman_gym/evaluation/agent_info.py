@@ -49,6 +49,11 @@ class _AgentInfo:
         """True if the agent uses measurable signals only, without ORACLE_INFORMATION, and so could act on hardware."""
         return not set(self.information) & set(ORACLE_INFORMATION)
 
+    @property
+    def kind(self) -> str:
+        """Kind of the required information, a key of INFORMATION."""
+        return information_kind(self.information)
+
 
 def describe_agent(agent: str) -> _AgentInfo:
     """Return the description of an agent given by its name or its folder.

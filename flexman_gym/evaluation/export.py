@@ -14,7 +14,7 @@ from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.common.run_folder import BEST, NEWEST, read_npz, read_settings
 from flexman_gym.control.network import MAX_INPUT, Network, policy_parameters
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import check_settings, find_agent, network_agent, observation_layout, split_interface
+from flexman_gym.evaluation.agent import AgentSpec, check_settings, find_agent, observation_layout, split_interface
 from flexman_gym.evaluation.agent_info import training_seconds
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.policy_files import CHECK_ROWS, write_policy
@@ -104,7 +104,7 @@ def _check_observations(network: Network, environment: Configuration, base_in_us
     The exported policy stores them with its actions, which are compared after loading.
     """
     recorded = _RecordedNetwork(network)
-    policy = network_agent("", recorded, environment, base_in_use)
+    policy = AgentSpec.from_network("", recorded, environment, base_in_use)
     rollout(policy, split_interface(environment)[0], CHECK_SEEDS)
     rows = np.concatenate(recorded.inputs)
     result: NDArray[np.float32] = rows[np.linspace(0, len(rows) - 1, CHECK_ROWS).astype(int)]

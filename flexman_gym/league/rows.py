@@ -22,7 +22,7 @@ from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS
 from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.vector_env import compile_kernels
-from flexman_gym.evaluation.agent import BASELINES, find_agent, timed_agent
+from flexman_gym.evaluation.agent import BASELINES, find_agent
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent
 from flexman_gym.evaluation.metrics import METRICS, equivalent_damping, optimised_settling_times
 from flexman_gym.evaluation.policy_files import ARRAYS, METADATA, policy_folder
@@ -82,6 +82,28 @@ class EpisodeBlock(NamedTuple):
     action: float = np.nan
     design: float = np.nan
     why: str = ""
+
+    def run(self) -> tuple["EpisodeBlock", list[EpisodeRow]]:
+        """Run the episodes; return the cell with CPU times, or with the reason for no rows, and its rows."""
+        try:
+            scenario, agent = find_scenario(self.scenario), find_agent(self.agent)
+            lab = _is_lab(self.scenario) and self.agent not in REFERENCE_AGENTS
+            if lab and not describe_agent(self.agent).realisable:
+                return self._replace(why="it needs information that a laboratory cannot measure"), []
+            seeds, (agent, clock) = range(self.first, self.end), agent.timed(scenario.given)
+            result = rollout(agent, scenario.environment, seeds, set_plant=PLANTS[scenario.plant][1])
+        except ValueError as error:
+            words, _, allowed = str(error).splitlines()[0].partition(" is not allowed; give ")
+            return self._replace(why=f"{words.split(':')[0]}: only {allowed}" if allowed else words), []
+        times, rows = optimised_settling_times(scenario.environment), []
+        for seed, record in zip(seeds, result.records, strict=True):
+            values = {name: metric.function(record) for name, metric in METRICS.items()}
+            multiple = values["settling_time"] / times.get(seed, np.nan)
+            values |= {TIME_RATIO: multiple, DAMPING: equivalent_damping(record)}
+            rows.append(EpisodeRow(self.key, self.agent, self.scenario, seed, tuple(values.values())))
+        action, design = (clock.action_seconds, clock.start_seconds) if clock else (0.0, 0.0)
+        action = 1e6 * action / float(np.sum(result.lengths))
+        return self._replace(action=action, design=1e6 * design / len(seeds)), rows
 
 
 class LeagueRows:
@@ -175,35 +197,13 @@ def run_league(
     missing = [cell for cell in cells if not results.has(cell)]
     folder.mkdir(parents=True, exist_ok=True)
     for count, (_, (cell, rows)) in enumerate(
-        parallel_map_unordered(run_block, missing, jobs, prepare=compile_kernels), 1
+        parallel_map_unordered(EpisodeBlock.run, missing, jobs, prepare=compile_kernels), 1
     ):
         results.add(cell, rows)
         results.save(folder)
         result = cell.why or f"{cell.action:.0f} us an action"
         log(f"{count} of {len(missing)}: {cell.agent} on {cell.scenario}, {cell.first} to {cell.end - 1}: {result}")
     return results
-
-
-def run_block(cell: EpisodeBlock) -> tuple[EpisodeBlock, list[EpisodeRow]]:
-    """Run the episodes of a cell; return its rows and the cell with CPU times, or with the reason for no rows."""
-    try:
-        scenario, agent = find_scenario(cell.scenario), find_agent(cell.agent)
-        lab = _is_lab(cell.scenario) and cell.agent not in REFERENCE_AGENTS
-        if lab and not describe_agent(cell.agent).realisable:
-            return cell._replace(why="it needs information that a laboratory cannot measure"), []
-        seeds, (agent, clock) = range(cell.first, cell.end), timed_agent(agent, scenario.given)
-        result = rollout(agent, scenario.environment, seeds, set_plant=PLANTS[scenario.plant][1])
-    except ValueError as error:
-        words, _, allowed = str(error).splitlines()[0].partition(" is not allowed; give ")
-        return cell._replace(why=f"{words.split(':')[0]}: only {allowed}" if allowed else words), []
-    times, rows = optimised_settling_times(scenario.environment), []
-    for seed, record in zip(seeds, result.records, strict=True):
-        values = {name: metric.function(record) for name, metric in METRICS.items()}
-        multiple = values["settling_time"] / times.get(seed, np.nan)
-        values |= {TIME_RATIO: multiple, DAMPING: equivalent_damping(record)}
-        rows.append(EpisodeRow(cell.key, cell.agent, cell.scenario, seed, tuple(values.values())))
-    action, design = (clock.action_seconds, clock.start_seconds) if clock else (0.0, 0.0)
-    return cell._replace(action=1e6 * action / float(np.sum(result.lengths)), design=1e6 * design / len(seeds)), rows
 
 
 @cache

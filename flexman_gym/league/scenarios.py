@@ -8,6 +8,7 @@ from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS, NOMINAL
 from flexman_gym.evaluation.agent import INTERFACE
+from flexman_gym.evaluation.metrics import task_metrics
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import SequentialIntegrator
@@ -177,6 +178,22 @@ class Scenario(NamedTuple):
     environment: Configuration
     given: Configuration
     plant: str = "usual"
+
+    @property
+    def has_settling(self) -> bool:
+        """True if the goal is at rest, so that the episodes have a settling time."""
+        return "settling_time" in {each.name for each in task_metrics(self.environment.task)}
+
+    def given_values(self) -> str:
+        """Return the values for which the controllers of a sweep are designed: the value, a range, or nominal."""
+        if self.environment == self.given:
+            return "the value"
+        known, ranges = randomised_ranges(self.given), randomised_ranges(self.environment)
+        changed = [known.get(name) for name, span in ranges.items() if known.get(name) != span]
+        if not changed:
+            return "nominal"
+        low, high = changed[0] or (0.0, 0.0)
+        return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
 def find_scenario(name: str) -> Scenario:

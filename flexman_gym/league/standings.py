@@ -8,9 +8,10 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.renamed import MEMBERS, deprecated_members
+from flexman_gym.evaluation.agent import SIMPLE_AGENTS
 from flexman_gym.evaluation.agent_info import describe_agent
 from flexman_gym.league.rows import REFERENCE_AGENTS, VALUES, EpisodeRow, LeagueRows
-from flexman_gym.league.scenarios import GIVEN, PLANTS, SWEEPS, USUAL_SCENARIOS, find_scenario
+from flexman_gym.league.scenarios import GIVEN, LAB_SCENARIO, PLANTS, SWEEPS, USUAL_SCENARIOS, find_scenario
 from flexman_gym.metrics import (
     improvements,
     interquartile_mean,
@@ -20,6 +21,7 @@ from flexman_gym.metrics import (
     stratified_interval,
 )
 
+SWEPT_AGENTS = ("privileged-lqr", "lab-flexrrr", "adaptive-lqr", "lqg", "pd-torque")  # agents of the sweeps, if run
 Interval = tuple[float, float, float]  # estimate, and the ends of its bootstrap interval
 
 
@@ -166,9 +168,17 @@ class Standings:
 
     def realisable(self, scenario: str) -> list[str]:
         """Return the agents with rows in a scenario that use measurable signals only, the recommended agent first."""
-        agents = [each for each in self.agents if each not in ("zero", "random") and not self.why(each, scenario)]
+        agents = [each for each in self.agents if each not in SIMPLE_AGENTS and not self.why(each, scenario)]
         agents = [each for each in agents if describe_agent(each).realisable]
         return sorted(agents, key=lambda each: self.settled(each, scenario), reverse=True)
+
+    def swept_agents(self) -> list[str]:
+        """Return at most five agents with rows in sweeps or on other plants: SWEPT_AGENTS and realisable ones first."""
+        scenarios = [scenario for values in self.sweeps.values() for scenario in values]
+        scenarios += [scenario for names in self.plants.values() for scenario in names[1:]]
+        names = dict.fromkeys([*SWEPT_AGENTS, *self.realisable(LAB_SCENARIO), *self.agents])
+        found = [each for each in names if any(not self.why(each, scenario) for scenario in scenarios)]
+        return [each for each in found if each not in SIMPLE_AGENTS][: len(SWEPT_AGENTS)]
 
     def cost(self, agent: str, scenarios: Sequence[str]) -> tuple[float, float]:
         """Return the CPU times (microseconds) of an action and of the start of an episode, medians over cells."""

@@ -13,12 +13,12 @@ from flexman_gym.envs.config import specification
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.evaluation import METRICS, policy_files
-from flexman_gym.evaluation.agent import find_agent, timed_agent
+from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.policy_files import CERTIFICATE, FOLDER, METADATA, POLICIES, read_certificate, write_policy
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.league import certificate, rows, scenarios
 from flexman_gym.league.certificate import METRIC_NAMES, certificate_row, certificate_scenarios, certify
-from flexman_gym.league.rows import VALUES, EpisodeBlock, EpisodeRow, run_block
+from flexman_gym.league.rows import VALUES, EpisodeBlock, EpisodeRow
 from flexman_gym.league.scenarios import PLANTS, find_scenario
 
 from oracles.assertions import refusal
@@ -242,7 +242,7 @@ def test_a_controller_is_designed_for_the_delay_that_is_given_and_else_for_its_o
         raise ValueError("that is enough")
 
     monkeypatch.setattr(rows, "rollout", stop)
-    run_block(EpisodeBlock("", "lab-flexrrr", f"FlexRRR-v0/unknown-lab/delay=3{end}", 9000, 9001))
+    EpisodeBlock("", "lab-flexrrr", f"FlexRRR-v0/unknown-lab/delay=3{end}", 9000, 9001).run()
     assert plants[-1].delay == delay
 
 
@@ -303,8 +303,8 @@ def test_a_cell_of_a_certificate_is_the_episode_of_the_policy_in_its_own_changed
         changed = own.replace(**settings)
     given = changed if scenario.endswith("+given") or "method" in change else own
     set_plant = PLANTS[scenario.partition("@")[2] or "usual"][1]
-    (record,) = rollout(timed_agent(agent, given)[0], changed, [seed], set_plant=set_plant).records
-    _, (row,) = run_block(EpisodeBlock("", name, scenario, seed, seed + 1))
+    (record,) = rollout(agent.timed(given)[0], changed, [seed], set_plant=set_plant).records
+    _, (row,) = EpisodeBlock("", name, scenario, seed, seed + 1).run()
     values = dict(zip(VALUES, row.values, strict=True))
     assert {each: values[each] for each in METRIC_NAMES} == {
         each: METRICS[each].function(record) for each in METRIC_NAMES
