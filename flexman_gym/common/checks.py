@@ -224,21 +224,6 @@ def vector(name: str, value: object, length: int | None = None, unit: str = "") 
     return tuple(finite(f"{name}[{i}]", entry, unit) for i, entry in enumerate(entries))
 
 
-def rotation(name: str, value: object) -> tuple[tuple[float, ...], ...]:
-    """Return a rotation matrix (3, 3), orthonormal within 1e-9 with determinant +1, as a tuple of rows."""
-    rows = sequence(name, value, "3 rows of 3 numbers")
-    if len(rows) != 3:
-        raise value_error(name, value, "3 rows of 3 numbers")
-    rows = tuple(vector(f"{name}[{i}]", row, 3) for i, row in enumerate(rows))
-    matrix = np.array(rows)
-    with np.errstate(over="ignore", invalid="ignore"):
-        error = np.abs(matrix @ matrix.T - np.eye(3)).max()
-    # Reflections are orthonormal, too, with determinant -1.
-    if not error <= UNIT_TOLERANCE or np.linalg.det(matrix) < 0.0:
-        raise value_error(name, value, "a rotation matrix: orthonormal within 1e-9, determinant +1")
-    return rows
-
-
 def check_member_names(field: str, value: object, optional: Collection[str], others: Collection[str]) -> None:
     """Raise a ValueError for a probably misspelt optional member, which would silently be ignored.
 

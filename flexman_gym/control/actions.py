@@ -12,7 +12,7 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_ro
 from flexman_gym.common.checks import non_negative, physical, value_error, vector
 from flexman_gym.control.base_controllers import make_base, parse_kind
 from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings, saturated
-from flexman_gym.control.margins import describe_stuck_motors, sampled_loops, spectral_radius
+from flexman_gym.control.margins import describe_stuck_motors, sampled_loops
 from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.pd import PD
 from flexman_gym.control.reference_shaping import ReferenceShaping, ShapingLimits
@@ -122,7 +122,7 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
     gains = make_base({"kind": "pd", **given}, plant)
     assert isinstance(gains, PD)
     loops = sampled_loops(plant.model, np.zeros(n), plant.period, plant.delay[1], plant.bandwidth)
-    radii = [spectral_radius(loop, gains.stiffness, gains.damping) for loop in loops]
+    radii = [loop.spectral_radius(gains.stiffness, gains.damping) for loop in loops]
     radius, stuck = max(radii), loops[int(np.argmax(radii))].stuck
     if radius > UNSTABLE_RADIUS:
         warnings.warn(

@@ -10,7 +10,7 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_ro
 from flexman_gym.common.checks import value_error
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.friction_compensation import FrictionCompensation
-from flexman_gym.control.lqr import MOTOR_WEIGHT, CostWeights, performance_outputs
+from flexman_gym.control.lqr import MOTOR_WEIGHT, CostWeights
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import plan_slew
 from flexman_gym.kernels.layout import TIP, TIP_VELOCITY
@@ -59,7 +59,7 @@ def _design_horizon(
     linear = linearize(model, state=rest_state(model, posture), torque=holding_torques(model, posture))
     transition, inputs = discretize(linear.A, linear.B, period)
     inputs, d, n = inputs * limits, model.n_dof, len(limits)
-    outputs = performance_outputs(linear, model.motor_columns, weights)
+    outputs = weights.outputs(linear, model.motor_columns)
     squares, axes = np.linalg.eigh(solve_discrete_are(transition, inputs, outputs.T @ outputs, np.eye(n)))
     terminal = np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T
     state, rows = np.zeros((2 * d, n * len(blocks))), []

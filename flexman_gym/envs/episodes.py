@@ -15,7 +15,7 @@ from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import Controller, EpisodeInfo
 from flexman_gym.envs.active_effects import ActiveEffects
-from flexman_gym.envs.compiled_period import CompiledPeriod, compiled_reward, is_compiled
+from flexman_gym.envs.compiled_period import CompiledPeriod
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.reset_options import TIP_OPTIONS, inverse_kinematics, parse_reset_options
 from flexman_gym.envs.config.specification import make_base_and_mode
@@ -144,11 +144,10 @@ class Episodes:
     def _compile_period(self, configuration: Configuration, sensors: list[object]) -> CompiledPeriod | None:
         """Return the compiled control period of a single arm; None where a control period needs Python code."""
         acts = self.effects is not None and self.effects.acts
-        if len(self.over) > 1 or acts or not is_compiled(configuration, sensors, self.agent.mode):
+        if len(self.over) > 1 or acts or not CompiledPeriod.supports(configuration, sensors, self.agent.mode):
             return None
         motors, ends = (self.motors.limits, self.motors.drive), (self._limits, self._violated, self._ages)
-        reward = compiled_reward(configuration)
-        result = CompiledPeriod(reward, self.batch, self.view, self.sensors, self.agent, motors, ends)
+        result = CompiledPeriod(configuration, self.batch, self.view, self.sensors, self.agent, motors, ends)
         return result if result.arguments else None
 
     def _make_effects(self, configuration: Configuration, sensors: Sequence[object]) -> ActiveEffects | None:

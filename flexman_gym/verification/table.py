@@ -5,6 +5,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 from flexman_gym.common.computer import computer_info
 
@@ -42,6 +43,22 @@ class VerificationRow:
             return SHOWN
         return PASS if self.error <= self.tolerance else FAIL
 
+    @classmethod
+    def series(
+        cls, case: str, source: str, expected: Iterable[float], computed: Iterable[float], tolerance: float
+    ) -> list[Self]:
+        """Return the rows of a series of values, such as successive frequencies.
+
+        Args:
+            case: description of the quantity with its unit; {} is replaced by 1, 2, 3, ...
+            source: source of the expected values.
+            expected: expected values.
+            computed: computed values, of the same number.
+            tolerance: largest accepted relative error, 1.
+        """
+        pairs = enumerate(zip(expected, computed, strict=True), start=1)
+        return [cls(case.format(i), source, float(e), float(c), tolerance) for i, (e, c) in pairs]
+
     def values(self) -> dict[str, str | float | None]:
         """Return column name -> entry of the row, see COLUMNS."""
         return {name: getattr(self, name) for name in COLUMNS}
@@ -51,22 +68,6 @@ class VerificationRow:
         tolerance = "" if self.tolerance is None else f"{self.tolerance:.1e}"
         numbers = [f"{self.expected:.9g}", f"{self.computed:.9g}", f"{self.error:.1e}", tolerance]
         return [self.case, self.source, *numbers, self.verdict]
-
-
-def series_rows(
-    case: str, source: str, expected: Iterable[float], computed: Iterable[float], tolerance: float
-) -> list[VerificationRow]:
-    """Return the rows of a series of values, such as successive frequencies.
-
-    Args:
-        case: description of the quantity with its unit; {} is replaced by 1, 2, 3, ...
-        source: source of the expected values.
-        expected: expected values.
-        computed: computed values, of the same number.
-        tolerance: largest accepted relative error, 1.
-    """
-    pairs = enumerate(zip(expected, computed, strict=True), start=1)
-    return [VerificationRow(case.format(i), source, float(e), float(c), tolerance) for i, (e, c) in pairs]
 
 
 def exit_code(rows: Sequence[VerificationRow]) -> int:
@@ -81,7 +82,7 @@ RULE = (
 SUMMARY = "{passed} of {evaluated} rows pass, {failed} fail; another {shown} rows have no tolerance."
 
 
-def summary(rows: Sequence[VerificationRow]) -> str:
+def _summary(rows: Sequence[VerificationRow]) -> str:
     """Return a sentence with the numbers of rows that pass, that fail, and that have no tolerance."""
     count = Counter(row.verdict for row in rows)
     passed, failed = count[PASS], count[FAIL]
@@ -93,7 +94,7 @@ def format_table(rows: Sequence[VerificationRow]) -> str:
     lines = [list(COLUMNS), *(row.cells() for row in rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(COLUMNS))]
     texts = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
-    return "\n".join([*(text.rstrip() for text in texts), summary(rows)])
+    return "\n".join([*(text.rstrip() for text in texts), _summary(rows)])
 
 
 def format_json(rows: Sequence[VerificationRow]) -> str:

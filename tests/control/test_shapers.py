@@ -11,11 +11,9 @@ from flexman_gym.control.input_shaping.shapers import (
     OperatingPoint,
     Shaper,
     compare_shapers,
-    convolve_shapers,
     design_shaper,
     excited_modes,
     find_operating_points,
-    sample_shaper,
     shaper_residual,
 )
 from flexman_gym.control.references.trajectories import TIMING_LAWS
@@ -98,7 +96,7 @@ def test_the_insensitivity_is_that_which_was_published(name):
 
 def test_two_shapers_kill_both_modes():
     first, second = design_shaper("zv", 0.5, 0.02), design_shaper("ei", 1.7, 0.01, 0.03)
-    shaper = convolve_shapers(first, second)
+    shaper = first.convolve(second)
     assert shaper.amplitudes.sum() == pytest.approx(1.0) and (np.diff(shaper.times) >= 0.0).all()
     assert shaper.times[-1] == pytest.approx(first.times[-1] + second.times[-1])
     assert shaper_residual(shaper, 0.5, 0.02) == pytest.approx(0.0, abs=1e-10)
@@ -111,7 +109,7 @@ def test_samples_cost_what_is_said(name):
     """At 0.3 Hz and 20 ms less than 0.02 %; each sample sums to one, and lies in the mean where the impulses do."""
     frequency, period = 0.31, 0.02
     shaper = design_shaper(name, frequency)
-    parts = sample_shaper(shaper, period)
+    parts = shaper.sample(period)
     times = period * np.arange(len(parts))
     assert parts.sum() == pytest.approx(1.0) and parts @ times == pytest.approx(shaper.amplitudes @ shaper.times)
     price = abs(shaper_residual(Shaper(times, parts), frequency) - shaper_residual(shaper, frequency))
@@ -144,7 +142,7 @@ def test_an_arm_rings_after_a_shaped_command_as_the_closed_form_says():
     for name in ("zv", "zvd", "ei"):
         for error in (0.8, 1.15):
             shaper = design_shaper(name, frequency * error, ratio)
-            left = 100.0 * swing(sample_shaper(shaper, period)) / plain
+            left = 100.0 * swing(shaper.sample(period)) / plain
             assert left == pytest.approx(float(shaper_residual(shaper, frequency, ratio)), rel=0.05, abs=0.4), (
                 name,
                 error,
@@ -161,7 +159,7 @@ def test_a_design_that_cannot_be_is_refused_in_one_line():
         "ratio: 0.8 is not allowed; give a mode with less damping, or no"
     )
     assert refusal(design_shaper, "ei", 1.0, 0.0, 1.0).startswith("tolerance: 1.0 ")
-    assert refusal(sample_shaper, design_shaper("zv", 1.0), 0.0).startswith("period: 0.0 ")
+    assert refusal(design_shaper("zv", 1.0).sample, 0.0).startswith("period: 0.0 ")
     assert shaper_residual(design_shaper("zv", 1.0, 0.8), 1.0, 0.8) == pytest.approx(0.0, abs=1e-10), (
         "others bear any damping"
     )
