@@ -200,7 +200,7 @@ class MPC:
             mean = (np.add.reduceat(planned, firsts) / np.array(MOVE_BLOCKS)[:, None]).ravel()
             gradient = row_dots(horizon.jacobian, residuals) + torque_residuals
             low, high = np.maximum(-1.0 - mean, -MAX_CHANGE), np.minimum(1.0 - mean, MAX_CHANGE)
-            changes = solve_quadratic_program(self._daqp, horizon.curvature, gradient, low, high)
+            changes = _solve_quadratic_program(self._daqp, horizon.curvature, gradient, low, high)
             planned = np.clip(planned + np.repeat(changes.reshape(-1, n), MOVE_BLOCKS, axis=0), -1.0, 1.0)
         self._planned[arm] = np.vstack([planned[1:], np.clip(plan.torques[rows[-1]], -1.0, 1.0)])
         self._now[arm] += 1
@@ -227,7 +227,7 @@ class MPC:
         return np.concatenate([np.hstack(running).ravel(), row_dots(horizon.terminal, states[-1])])
 
 
-def solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array, low: Array, high: Array) -> Array:
+def _solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array, low: Array, high: Array) -> Array:
     """Return x (m,) between low and high with least x H x / 2 + g x, curvature H (m, m), gradient g; 0 on failure."""
     changes, _, status, _ = daqp.solve(curvature, gradient, np.zeros((0, len(gradient))), high, low)
     return np.array(changes) if status > 0 else np.clip(np.zeros(len(gradient)), low, high)

@@ -18,7 +18,7 @@ from flexman_gym.draw.mesh import (
     section_outlines,
     tube_surfaces,
 )
-from flexman_gym.draw.overlay import Caption, draw_caption, overlay_margins, strain_colours
+from flexman_gym.draw.overlay import Caption, strain_colours
 from flexman_gym.kernels import raster
 from flexman_gym.model.deformation import curves
 from flexman_gym.model.model import Model, check_model
@@ -248,7 +248,7 @@ class FramePainter:
         rim = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(8)]) * BASE_RADIUS * self.radii[0]
         plate = rim + np.array([0.0, 0.0, floor - BASE_HALF_HEIGHT * self.radii[0]])
         radii = np.repeat([self._largest_radius(), 0.0], [len(places), len(plate)])
-        margins = overlay_margins(self.size[1]) if self.overlays else MARGINS
+        margins = Caption.margins(self.size[1]) if self.overlays else MARGINS
         return _fit_camera(np.concatenate([places, plate]), radii, self.direction, self.size, margins), floor
 
     def _largest_radius(self) -> float:
@@ -308,7 +308,7 @@ class FramePainter:
         raster.resolve(canvas, rgb(GHOST), GHOST_SHARE)
         picture = canvas.picture.copy()
         if self.overlays:
-            draw_caption(picture, caption or Caption(), self.gains, self.scale, self.grid)
+            (caption or Caption()).draw(picture, self.gains, self.scale, self.grid)
         return picture
 
     def _show(self, shot: Shot) -> None:

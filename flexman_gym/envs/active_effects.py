@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import check_member_names, value_error
 from flexman_gym.common.renamed import PARAMETER_KEYS
-from flexman_gym.envs.config.randomisation import Randomisation, range_name
+from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.effects import HOOKS, SIGNALS, EffectContext
 from flexman_gym.envs.random_streams import RandomStreams
 from flexman_gym.model.model import Model
@@ -169,7 +169,7 @@ def _stream_name(effect: str) -> str:
 
 def _check_parameter(name: str, span: tuple[float, float], model: Model) -> None:
     """Raise ValueError if the model lacks the parameter or its nominal value is zero."""
-    row, field = PARAMETERS[name], f"Randomisation.{range_name(name)}"
+    row, field = PARAMETERS[name], f"Randomisation.{Randomisation.range_name(name)}"
     if row.of == LINK and not (np.diff(model.constants.elastic_start) > 0).any():
         raise value_error(field, span, "None: every link of this arm is rigid")
     if row.shape(model.n_joints) and row.fixed(model).all():

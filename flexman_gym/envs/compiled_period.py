@@ -11,7 +11,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import FullState, SensorArray
 from flexman_gym.envs.sensors.ideal import NEAR
 from flexman_gym.envs.tasks import Hold, Slew
-from flexman_gym.envs.tasks.rewards import REWARDS, reward_parameters
+from flexman_gym.envs.tasks.rewards import REWARDS
 from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels.control_period import REWARD_TERMS
 from flexman_gym.kernels.layout import Period
@@ -48,16 +48,19 @@ class CompiledPeriod:
     ) -> None:
         n, (limits, violated, ages) = view.n_joints, ends
         reward = _compiled_reward(configuration)
-        kind, names = REWARDS[reward or "distance"]
+        compiled = REWARDS[reward or "distance"]
         self._action, self.command, terms = np.zeros((1, n)), np.zeros((1, n)), np.zeros((REWARD_TERMS + 1, 1))
-        self._terms, self._names = terms[: len(names) + 1, 0], (*names, "failure")  # the last one stays 0
+        self._terms, self._names = (
+            terms[: len(compiled.names) + 1, 0],
+            (*compiled.names, "failure"),
+        )  # the last one stays 0
         self._given, self._shape = reward is not None, (n,)
         own: dict[str, Any] = {
             "action": self._action, "command": self.command, "torque_limits": motors[0], "drive": motors[1],
             "active": np.ones(1, dtype=bool), "readings": sensors.observations, "bound": sensors.bound,
             "observations": agent.observations, "nearness_offset": np.array([NEAR * view.reach]), "limits": limits,
-            "violated": violated, "ages": ages, "reward": np.array([kind]), "reward_terms": terms,
-            "reward_parameters": reward_parameters(reward or "distance", view.reach),
+            "violated": violated, "ages": ages, "reward": np.array([compiled.kind]), "reward_terms": terms,
+            "reward_parameters": compiled.parameters(view.reach),
         }  # fmt: skip
         self._arrays = Period(**own, **view.period_arrays(), **batch.period_arrays())  # kept alive for the kernel
         self.arguments = batch.bind_period(motors[1], self._arrays) or ()

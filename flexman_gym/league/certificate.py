@@ -82,7 +82,7 @@ def certify(
     task = find_scenario(environment).environment.task
     if "settling_time" not in {metric.name for metric in task_metrics(task)}:
         raise value_error("name", name, "a policy for a task with the metric settling_time")
-    runs = [(each, seeds[: OTHER_PLANTS.get(each.partition("@")[2])]) for each in certificate_scenarios(name)]
+    runs = [(each, seeds[: OTHER_PLANTS.get(each.partition("@")[2])]) for each in _certificate_scenarios(name)]
     runs.append((environment, range(SEARCH_SEED, SEARCH_SEED + draws)))
     reach = sum(link.length for link in find_scenario(environment).environment.arm.links)
     result: list[dict[str, Any]] = []
@@ -90,7 +90,7 @@ def certify(
     for scenario, each in runs:
         rows = _run(name, scenario, each, folder / path.name, jobs)
         reference = reference or rows
-        result.append(certificate_row(scenario, each, rows, reference[: len(rows)], reach))
+        result.append(_certificate_row(scenario, each, rows, reference[: len(rows)], reach))
         log(_row_text(result[-1]))
     result[-1]["worst"] = _worst_episodes(rows)
     about = {
@@ -103,7 +103,7 @@ def certify(
     return path / CERTIFICATE
 
 
-def certificate_scenarios(name: str) -> list[str]:
+def _certificate_scenarios(name: str) -> list[str]:
     """Return the names of the scenarios of a policy: its environment, other simulations of it, and changed arms."""
     about, where = read_policy(policy_folder(name) or Path(name)).metadata, _environment_name(name)
     environment = find_scenario(where).environment
@@ -133,7 +133,7 @@ def _environment_name(name: str) -> str:
     return str(named) if same else name
 
 
-def certificate_row(
+def _certificate_row(
     scenario: str, seeds: range, rows: Sequence[EpisodeRow], reference: Sequence[EpisodeRow], reach: float
 ) -> dict[str, Any]:
     """Return the metrics of a scenario, and under "fails" its values beyond a limit with the limits, as text.

@@ -131,7 +131,7 @@ def _draw_sweep(axes: Any, values: Array, lines: dict[str, Array]) -> None:
             axes.plot(places, shares, color=colour, marker="o", markersize=width + 1.0, linewidth=width, label=agent)
     drawn = axes.get_lines()
     ends = np.array([line.get_ydata()[np.isfinite(line.get_ydata())][-1] for line in drawn])
-    for line, height in zip(drawn, spread_labels(ends / 100.0, LABEL_DISTANCE), strict=True):
+    for line, height in zip(drawn, _spread_labels(ends / 100.0, LABEL_DISTANCE), strict=True):
         place = {"transform": axes.get_yaxis_transform(), "va": "center", "fontsize": 7.5}
         axes.text(1.02, 100.0 * height, line.get_label(), color=line.get_color(), **place)
     axes.set(ylim=(-4.0, 104.0), xlim=(-0.2, len(values) - 0.8))
@@ -141,7 +141,7 @@ def _draw_sweep(axes: Any, values: Array, lines: dict[str, Array]) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def spread_labels(heights: Array, distance: float) -> Array:
+def _spread_labels(heights: Array, distance: float) -> Array:
     """Return heights (k,) between 0 and 1 at least a distance apart, near the given heights (k,) and in their order."""
     order = np.lexsort((-np.arange(len(heights)), heights))  # of equal heights, the first is at the top
     result, top = np.array(heights, dtype=float), 1.0

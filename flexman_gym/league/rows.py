@@ -48,7 +48,7 @@ class EpisodeRow(NamedTuple):
     """Results of one episode.
 
     Attributes:
-        key: hash of all inputs of the results, see `row_key`.
+        key: hash of all inputs of the results, see `_row_key`.
         agent: name of the agent.
         scenario: name of the scenario.
         seed: seed of the episode.
@@ -66,7 +66,7 @@ class EpisodeBlock(NamedTuple):
     """Cell of a league: a block of episodes of one agent in one scenario, simulated together as one batch.
 
     Attributes:
-        key: hash of all inputs of the results, see `row_key`.
+        key: hash of all inputs of the results, see `_row_key`.
         agent: name of the agent.
         scenario: name of the scenario.
         first, end: first seed, and last seed + 1.
@@ -191,7 +191,7 @@ def run_league(
         check_seeds_unseen(agent, seeds)
         describe_agent(agent)
     results = LeagueRows.load(folder)
-    keys = {(agent, scenario): row_key(agent, scenario) for scenario in scenarios for agent in agents}
+    keys = {(agent, scenario): _row_key(agent, scenario) for scenario in scenarios for agent in agents}
     blocks = [(first, min(first + BLOCK, seeds.stop)) for first in range(seeds.start, seeds.stop, BLOCK)]
     cells = [EpisodeBlock(key, *pair, *block) for pair, key in keys.items() for block in blocks]
     missing = [cell for cell in cells if not results.has(cell)]
@@ -231,7 +231,7 @@ def _is_text(statement: ast.stmt) -> bool:
     return isinstance(statement, ast.Expr) and isinstance(getattr(statement.value, "value", None), str)
 
 
-def row_key(agent: str, scenario: str) -> str:
+def _row_key(agent: str, scenario: str) -> str:
     """Return a hash of all inputs of the results: scenario, agent, files of a run, code and package versions."""
     *both, plant = find_scenario(scenario)
     parts: list[Any] = [*(each.to_plain() for each in both), plant, _code_hash(PACKAGE, SOURCES)]

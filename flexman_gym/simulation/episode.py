@@ -2,10 +2,8 @@
 
 import hashlib
 import json
-import platform
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Self
 
@@ -13,6 +11,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import short_path
+from flexman_gym.common.computer import computer_info
 from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.common.time_series import write_csv
@@ -237,27 +236,17 @@ def episode_metadata(model: Model, settings: dict[str, Any] | None = None, **mor
         settings: settings of environment and agent.
         **more: further entries, such as name, seed and failure.
     """
+    versions = {name: value for name, value in computer_info().items() if name not in ("processor", "scipy")}
     text = json.dumps(settings or {}, sort_keys=True, default=_plain_value)
     return {
         "format": FORMAT, "settings": json.loads(text), "hash": hashlib.sha256(text.encode()).hexdigest()[:16],
-        "arm": to_plain(model.arm), "model": to_plain(model.choice), "versions": _versions(), **more,
+        "arm": to_plain(model.arm), "model": to_plain(model.choice), "versions": versions, **more,
     }  # fmt: skip
 
 
 def _plain_value(value: Any) -> Any:
     """Return an array as lists, and any other object as the name of its class."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else type(value).__name__
-
-
-def _versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that determine the results."""
-    result = {"python": platform.python_version()}
-    for name in ("flexman_gym", "numpy", "numba"):
-        try:
-            result[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return result
 
 
 def _shift_to_period_ends(values: Array) -> Array:

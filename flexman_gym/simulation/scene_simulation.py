@@ -66,7 +66,9 @@ class _Interval(NamedTuple):
     complete: bool
 
 
-def integration_intervals(pieces: PiecewiseSignals, interval: float, substeps: int, rows: range) -> Iterator[_Interval]:
+def _integration_intervals(
+    pieces: PiecewiseSignals, interval: float, substeps: int, rows: range
+) -> Iterator[_Interval]:
     """Divide a range of output intervals at the boundaries of the pieces of a drive.
 
     A part shorter than an output interval has equal steps, none longer than the steps of a whole output interval.
@@ -125,7 +127,7 @@ def _run_pieces(
     """
     row, result = np.zeros((1, len(state))), np.zeros((1, layout.OUTPUTS))
     status, valid, evaluations, last_call = layout.OK, 0, 0, (pieces.table(), (0.0, *spacing), state.copy())
-    for call in integration_intervals(pieces, *spacing, range(first, first + len(rows))):
+    for call in _integration_intervals(pieces, *spacing, range(first, first + len(rows))):
         last_call, at = (pieces.table(call.piece), call.grid, state.copy()), call.row - first
         some = slice(at, at + call.rows)
         new_rows, new_outputs = (rows[some], outputs[some]) if call.rows else (row, result)
@@ -390,7 +392,7 @@ def run_in_lanes(
 ) -> IntArray:
     """Fill the rows and outputs after time 0, piece by piece; return the numbers (b, 2) of valid rows and of steps."""
     counts, ok, last = np.zeros((len(rows), 2), dtype=np.int64), np.ones(len(rows), dtype=bool), rows[:, 0]
-    for call in integration_intervals(drives[0], settings.interval, settings.substeps, range(settings.rows)):
+    for call in _integration_intervals(drives[0], settings.interval, settings.substeps, range(settings.rows)):
         part, read, now = (
             rows[:, call.row :][:, : call.rows + 1],
             outputs[:, call.row :][:, : call.rows + 1],

@@ -146,7 +146,9 @@ def _chain_rows() -> Iterator[VerificationRow]:
     for stiffness, (free, locked) in limits.items():
         model, name = build_model(catalog.moberg_2005(stiffness)), f"gear spring {stiffness:g} N m/rad"
         source = f"{MOBERG}; {CHAIN}"
-        yield from VerificationRow.series(f"{name}, free f_{{}}, Hz", source, free, frequencies(model)[1:], CHAIN_OF_MASSES)
+        yield from VerificationRow.series(
+            f"{name}, free f_{{}}, Hz", source, free, frequencies(model)[1:], CHAIN_OF_MASSES
+        )
         yield from VerificationRow.series(f"{name}, motor locked f_{{}}, Hz", source, locked, frequencies(model, lock_joints=True),
                                CHAIN_OF_MASSES)  # fmt: skip
     model, source = build_model(catalog.apkarian_1998()), f"{APKARIAN}; {CHAIN}"

@@ -150,7 +150,7 @@ def test_the_hash_of_the_code_is_that_of_what_runs(tmp_path, tmp_path_factory, m
     def digest():
         """Return the key of a row with the code of a copy: a hash of a folder is computed once."""
         monkeypatch.setattr(league, "PACKAGE", shutil.copytree(tmp_path, copies / str(len([*copies.iterdir()]))))
-        return league.row_key("pd", "FlexOne-v0")
+        return league._row_key("pd", "FlexOne-v0")
 
     known = digest()
     (tmp_path / "league/page.py").write_text("another page")
@@ -328,17 +328,17 @@ def test_rows_follow_from_what_is_run_and_from_what_controllers_are_given(monkey
     keys = set()
     for scenario in (Scenario(one, one), Scenario(one, other), Scenario(other, one), Scenario(one, one, "finer")):
         monkeypatch.setattr(league, "find_scenario", lambda name: scenario)  # noqa: B023
-        keys.add(league.row_key("pd", "FlexOne-v0"))
+        keys.add(league._row_key("pd", "FlexOne-v0"))
     assert len(keys) == 4
 
 
 def test_rows_follow_from_every_file_of_a_run(scenario, tmp_path, monkeypatch):
     monkeypatch.setattr(league, "_code_hash", lambda *_: "")
-    keys = [league.row_key(str(tmp_path), scenario)]
+    keys = [league._row_key(str(tmp_path), scenario)]
     for name in (league.SETTINGS, league.BEST, league.NEWEST):
         for content in (b"one", b"two"):
             (tmp_path / name).write_bytes(content)
-            keys.append(league.row_key(str(tmp_path), scenario))
+            keys.append(league._row_key(str(tmp_path), scenario))
     assert len(set(keys)) == 7
 
 
@@ -348,7 +348,7 @@ def test_rows_of_another_processor_count(scenario, monkeypatch):
     keys = set()
     for processor, version in (("one", "1"), ("two", "1"), ("one", "2")):
         monkeypatch.setattr(league, "computer_info", lambda *_: {"processor": processor, "numpy": version})  # noqa: B023
-        keys.add(league.row_key("pd", scenario))
+        keys.add(league._row_key("pd", scenario))
     assert len(keys) == 2
 
 

@@ -6,7 +6,8 @@ import pytest
 from flexman_gym.common.plot_style import rgb
 from flexman_gym.evaluation.agent import AGENTS, SIMPLE_AGENTS
 from flexman_gym.evaluation.agent_info import INFORMATION, describe_agent
-from flexman_gym.league.charts import CHART, LABEL_DISTANCE, LINE_COLOURS, SWEEP_CHART, spread_labels
+from flexman_gym.league import charts
+from flexman_gym.league.charts import CHART, LABEL_DISTANCE, LINE_COLOURS, SWEEP_CHART
 from flexman_gym.league.details import league_details
 from flexman_gym.league.page import PAGE, write_page
 from flexman_gym.league.rows import VALUES, EpisodeBlock, EpisodeRow, LeagueRows
@@ -180,11 +181,13 @@ def test_lines_of_sweeps_are_told_apart_on_white():
         linear = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
         assert 1.05 / (linear @ [0.2126, 0.7152, 0.0722] + 0.05) >= 3.0, colour
     for heights in ([1.0, 1.0, 0.97, 0.0, 0.0], [0.0] * 5, [1.0] * 5, [0.1, 0.5, 0.9, 0.5, 0.3]):
-        placed = spread_labels(np.array(heights), LABEL_DISTANCE)
+        placed = charts._spread_labels(np.array(heights), LABEL_DISTANCE)
         assert np.diff(np.sort(placed)).min() >= LABEL_DISTANCE - 1e-12
         assert placed.min() >= 0.0 and placed.max() <= 1.0
-    assert spread_labels(np.array([1.0, 0.2]), 0.1).tolist() == [1.0, 0.2]
-    assert np.argsort(spread_labels(np.array([1.0, 1.0, 0.0]), 0.1)).tolist() == [2, 1, 0], "the first is at the top"
+    assert charts._spread_labels(np.array([1.0, 0.2]), 0.1).tolist() == [1.0, 0.2]
+    assert np.argsort(charts._spread_labels(np.array([1.0, 1.0, 0.0]), 0.1)).tolist() == [2, 1, 0], (
+        "the first is at the top"
+    )
 
 
 def test_limits_of_a_sweep_are_the_values_at_which_most_episodes_settle(tmp_path):

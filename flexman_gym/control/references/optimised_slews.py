@@ -71,7 +71,7 @@ def _interpolate_torques(knots: Array, periods: int) -> Array:
     return result
 
 
-def broyden_update(jacobian: Array, step: Array, change: Array) -> Array:
+def _broyden_update(jacobian: Array, step: Array, change: Array) -> Array:
     """Return the Jacobian (m, ...) after Broyden's rank-one update (Mathematics of Computation 19, 1965, 577).
 
     Args:
@@ -207,7 +207,7 @@ class SingleShooting:
             better = costs[best] < MAX_COST_RATIO * costs[-1]
             if better:
                 step = ((tried[best] - knots) / self._regulator.limits).ravel()
-                jacobian = broyden_update(jacobian, step, candidate_errors[best] - errors)
+                jacobian = _broyden_update(jacobian, step, candidate_errors[best] - errors)
                 knots, errors, updates = tried[best], candidate_errors[best], updates + 1
                 damping = float(np.clip(damping * DAMPING_FACTORS[best], MIN_DAMPING, MAX_DAMPING))
             elif updates == 0:

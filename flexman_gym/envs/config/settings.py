@@ -13,7 +13,7 @@ from flexman_gym.control.agent import MAX_HISTORY
 from flexman_gym.control.base_controllers import BASES, parse_kind
 from flexman_gym.control.controller import checked_controller
 from flexman_gym.envs.config.randomisation import Randomisation
-from flexman_gym.envs.limits import Limits, find_limits
+from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors import find_sensors, plain_sensors
 from flexman_gym.envs.tasks import Task, find_task, plain_task
 from flexman_gym.scene.arm import Arm
@@ -166,7 +166,7 @@ class EnvironmentSettings:
     )
     limits: Limits = _setting(
         "Limits of the motion, beyond which an episode terminates. A Limits object, or a mapping of its arguments.",
-        find_limits, named=True, plain=asdict,
+        Limits.find, named=True, plain=asdict,
     )
     torque_limit: tuple[float, ...] = _setting(
         "Torque limits of the motors. One number, or one for each joint; None for those in the joints of the arm.",

@@ -7,7 +7,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import finite, non_negative, positive, value_error, whole_number
 from flexman_gym.envs.effects.effect import EffectContext, Range
-from flexman_gym.envs.random_streams import TruncatedNoise, uniform_numbers
+from flexman_gym.envs.random_streams import TruncatedNoise
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model
 
@@ -174,7 +174,7 @@ class _DroppedSamples:
 
     def measure(self, values: Array, arms: IntArray) -> Array:
         """Return the values (r, size) of the arms (r,), those of lost samples replaced by the previous ones."""
-        lost = uniform_numbers(self._noise.sample(arms)) < self._probability[arms]
+        lost = TruncatedNoise.uniform(self._noise.sample(arms)) < self._probability[arms]
         lost &= ~self._first[arms, None]
         result = np.where(lost[:, self._instruments], self._held[arms], values)
         self._held[arms], self._first[arms] = result, False
