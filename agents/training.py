@@ -66,7 +66,10 @@ def _training_state(model: BaseAlgorithm) -> dict[str, Any]:
     result: dict[str, Any] = {
         "counts": {name: getattr(model, name) for name in _counts(model)},
         "last": {name: get_state(getattr(model, name)) for name in LAST_FIELDS},
-        "optimizers": {name: _optimizer_state(each) for name, each in _optimizers(model).items()},
+        "optimizers": {  # states by parameter; hyperparameters belong to the model
+            name: {str(key): _tensor_state(each) for key, each in optimizer.state_dict()["state"].items()}
+            for name, optimizer in _optimizers(model).items()
+        },
         "episodes": [[float(each[key]) for key in "rlt"] for each in model.ep_info_buffer or ()],
         "random": _random_state(),
     }
@@ -173,11 +176,6 @@ def _optimizers(model: BaseAlgorithm) -> dict[str, torch.optim.Optimizer]:
         return {"policy": model.policy.optimizer}
     result = {"actor": model.actor.optimizer, "critic": model.critic.optimizer}
     return result | ({"entropy": model.ent_coef_optimizer} if model.ent_coef_optimizer else {})
-
-
-def _optimizer_state(optimizer: torch.optim.Optimizer) -> dict[str, Any]:
-    """Return the state of an optimiser by parameter; its hyperparameters belong to the model."""
-    return {str(key): _tensor_state(each) for key, each in optimizer.state_dict()["state"].items()}
 
 
 def _set_optimizer_state(field: str, optimizer: torch.optim.Optimizer, data: Any) -> None:

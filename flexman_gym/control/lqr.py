@@ -130,7 +130,9 @@ class GainTable:
 
     def __call__(self, arms: IntArray, postures: Array, payloads: Array) -> Array:
         """Return the gains (r, n, 2 d) of the arms (r,) at motor angles (r, n) rad and payloads (r,) kg."""
-        positions = np.column_stack([self._payload_positions(payloads), postures[:, self._joints] / POSTURE_SPACING])
+        count = len(self._payloads)
+        places = np.interp(payloads, self._payloads, np.arange(count)) if count > 1 else np.zeros(len(payloads))
+        positions = np.column_stack([places, postures[:, self._joints] / POSTURE_SPACING])
         cells = np.floor(positions).astype(np.int64)
         cells[:, 0] = np.minimum(cells[:, 0], max(len(self._payloads) - 2, 0))
         self._find(arms, cells)
@@ -143,12 +145,6 @@ class GainTable:
         for corner in range(len(self._steps)):
             result += weights[:, corner, None, None] * self._gains[self._corners[arms, corner]]
         return result
-
-    def _payload_positions(self, payloads: Array) -> Array:
-        """Return the positions (r,) of payloads (r,) kg among the payloads of the grid, from 0 to p - 1."""
-        if len(self._payloads) == 1:
-            return np.zeros(len(payloads))
-        return np.interp(payloads, self._payloads, np.arange(len(self._payloads)))
 
     def _find(self, arms: IntArray, cells: IntArray) -> None:
         """Update the corner gains of the arms (r,) whose grid cell changed to the cell given in `cells` (r, axes)."""

@@ -60,7 +60,8 @@ class ActiveEffects:
         kinds = {name: signal.kind for name, signal in self._signals.items()}
         self.drawn = {name: np.zeros((arms, *shape), dtype=kinds.get(name, float)) for name, shape in shapes.items()}
         self._streams = RandomStreams([_stream_name(name) for name in self._ranges], arms)
-        self._hooks = {hook: self._find_hooks(hook) for hook in HOOKS}
+        self._hooks = {hook: [getattr(each, hook) for each in self._signals.values() if hasattr(each, hook)]
+                       for hook in HOOKS}  # fmt: skip
 
     @property
     def drawn(self) -> dict[str, NDArray[Any]]:
@@ -71,11 +72,6 @@ class ActiveEffects:
     def drawn(self, values: dict[str, NDArray[Any]]) -> None:
         # saved states of release 0.2 have old names
         self._drawn = {PARAMETER_KEYS.get(name, name): each for name, each in values.items()}
-
-    def _find_hooks(self, hook: str) -> list[Any]:
-        """Return the methods of all effects for a hook; for "begin", pairs of the name of an effect and its method."""
-        result = [(name, getattr(signal, hook)) for name, signal in self._signals.items() if hasattr(signal, hook)]
-        return result if hook == "begin" else [method for _, method in result]
 
     def draw(
         self, arms: IntArray, randoms: Sequence[np.random.Generator], given: Mapping[str, Array]
@@ -98,8 +94,9 @@ class ActiveEffects:
                 value = self._value(name, arm, streams[_stream_name(name)])
                 if name in self.drawn:
                     self.drawn[name][arm] = given[name][row] if name in given else value
-        for name, begin in self._hooks["begin"]:
-            begin(arms, self.drawn[name])
+        for name, signal in self._signals.items():
+            if hasattr(signal, "begin"):
+                signal.begin(arms, self.drawn[name])
         return {name: self.drawn[name][arms] for name in PARAMETERS if name in self.drawn} | dict(given)
 
     def _value(self, name: str, arm: int, stream: np.random.Generator) -> Any:

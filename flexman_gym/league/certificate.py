@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import computer_info
 from flexman_gym.common.files import write_atomically
@@ -234,13 +233,10 @@ def _worst_episodes(rows: Sequence[EpisodeRow]) -> list[dict[str, Any]]:
 
 def _aggregates(names: Sequence[str], rows: Sequence[EpisodeRow]) -> dict[str, float]:
     """Return the metrics over all rows by name."""
-    return {name: float(METRICS[name].aggregate(_values(name, rows))) for name in names}
+    values = {name: np.array([row.values[VALUES.index(name)] for row in rows]) for name in names}
+    return {name: float(METRICS[name].aggregate(values[name])) for name in names}
 
 
 def _plain(metrics: dict[str, float]) -> dict[str, float | None]:
     """Return metrics with None for an infinite value, which JSON cannot represent."""
     return {name: value if np.isfinite(value) else None for name, value in metrics.items()}
-
-
-def _values(name: str, rows: Sequence[EpisodeRow]) -> Array:
-    return np.array([row.values[VALUES.index(name)] for row in rows])

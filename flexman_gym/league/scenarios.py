@@ -25,10 +25,6 @@ def _set_method_plant(batch: Batch) -> None:
     batch.replace_integrator(lambda _: SequentialIntegrator(runs, (batch.control_period, 1)))
 
 
-def _set_finer_plant(batch: Batch) -> None:
-    _set_external_plant(batch, RefinedSimulator(batch, ELEMENTS, STEP_DIVISOR))
-
-
 def _set_mujoco_plant(batch: Batch) -> None:
     if find_spec("mujoco") is None:
         raise value_error("plant", "mujoco", "a plant that is installed (pip install mujoco)")
@@ -46,7 +42,7 @@ PLANTS: dict[str, tuple[str, Callable[[Batch], None]]] = {
     "method": (f"the same model, integrated by {METHOD} with adaptive steps", _set_method_plant),
     "finer": (
         f"{ELEMENTS} elements for each link, all coordinates, foreshortening, a step {STEP_DIVISOR} times shorter",
-        _set_finer_plant,
+        lambda batch: _set_external_plant(batch, RefinedSimulator(batch, ELEMENTS, STEP_DIVISOR)),
     ),
     "mujoco": ("MuJoCo, each link as 3 rigid bodies connected by springs", _set_mujoco_plant),
 }

@@ -19,11 +19,6 @@ from flexman_gym.model.model import Model
 ENERGY_ALARM = 0.01  # dimensionless; fraction of `energy_turnover` above which the energy residual is too large
 
 
-def _energy_turnover(moving_energy: Array | float, work: Array | float, dissipation: Array | float) -> Array:
-    """Return the largest of kinetic + elastic energy, |work| and |dissipation|, J: the scale of the energy residual."""
-    return np.maximum(np.maximum(moving_energy, np.abs(work)), np.abs(dissipation))
-
-
 class Kinetics(NamedTuple):
     """Model with the constants of a simulation, and its accelerations (T, d) and inputs (T, n + 6) at T times.
 
@@ -186,7 +181,7 @@ class Trajectory:
     @property
     def energy_turnover(self) -> Array:
         """Largest of kinetic + elastic energy, |work|, |dissipation| so far (T,), J: scale of the energy residual."""
-        parts = _energy_turnover(self.moving_energy, self.work, self.dissipation)
+        parts = np.maximum(np.maximum(self.moving_energy, np.abs(self.work)), np.abs(self.dissipation))
         return np.maximum.accumulate(parts)
 
     def columns(self) -> dict[str, Array]:

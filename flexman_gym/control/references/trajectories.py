@@ -218,12 +218,8 @@ def _slew_path(model: Model, start: Array, goal: Array, timing_law: str = "minim
         return first + progress * (last - first), speed * (last - first), acceleration * (last - first)
 
     jumps = timing.begins[1:]
-    return _JointPath(QuasiStaticDeflection(model), ends, motion, _check_points(jumps - JUMP_MARGIN, jumps))
-
-
-def _check_points(*fractions: Array) -> Array:
-    """Return equidistant fractions of a duration, merged in ascending order with fractions of extreme acceleration."""
-    return np.sort(np.concatenate([np.linspace(0.0, 1.0, PATH_SAMPLES), *fractions]))
+    points = np.sort(np.concatenate([np.linspace(0.0, 1.0, PATH_SAMPLES), jumps - JUMP_MARGIN, jumps]))
+    return _JointPath(QuasiStaticDeflection(model), ends, motion, points)
 
 
 def plan_slew(
