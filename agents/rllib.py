@@ -214,9 +214,6 @@ def ppo_config(settings: Settings, runners: int) -> PPOConfig:
     Args:
         settings: settings of the run; SAC, evaluations, value warm-up and some hyperparameters are not supported.
         runners: processes that step environments; 0 for the learning process itself.
-
-    Returns:
-        Configuration of PPO.
     """
     if settings.algo != "ppo":
         raise value_error("algo", settings.algo, "ppo with RLlib")

@@ -48,9 +48,6 @@ def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
     Args:
         settings: settings of the run.
         device: PyTorch device of the networks, such as "cpu".
-
-    Returns:
-        New model of Stable-Baselines3.
     """
     try:
         torch.zeros(1, device=device)
@@ -133,9 +130,6 @@ def load_sb3(path: Path, environment: Configuration | None = None) -> AgentSpec:
         path: zip, or folder with model.zip, normalisation.pkl and settings.json.
         environment: environment in which the policy of a zip was trained, with the settings of its agent; None if it is
             the environment of the evaluation.
-
-    Returns:
-        The policy as an agent.
 
     Raises:
         FileNotFoundError: if a file is missing.

@@ -36,9 +36,6 @@ def read_npz(path: Path) -> Any:
     Args:
         path: path of the file.
 
-    Returns:
-        The data.
-
     Raises:
         FileNotFoundError: if the file does not exist.
         ValueError: for a damaged file, another kind of file, or arrays larger than the file, with a one-line message.
@@ -81,9 +78,6 @@ def _read_settings_text(folder: Path) -> str:
     Args:
         folder: folder of the run.
 
-    Returns:
-        The text.
-
     Raises:
         FileNotFoundError: if there are no settings.
         ValueError: for a file of more than 1 MB, with a one-line message.
@@ -100,9 +94,6 @@ def read_settings(folder: Path) -> dict[str, Any]:
 
     Args:
         folder: folder of the run.
-
-    Returns:
-        The settings.
 
     Raises:
         FileNotFoundError: if there are no settings.

@@ -104,9 +104,6 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
         **given: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each; "range", the angle (rad) or rate (rad/s) at
             an action of 1, for all joints or for each joint (n,). The default range is pi, for kind="velocity" the
             speed limit of the motor.
-
-    Returns:
-        Servo mode.
     """
     if base is not None:
         raise value_error("base", base, f'None: with actions="{kind}" the servo commands the motors')
@@ -175,12 +172,7 @@ class _ReferenceShapingMode:
         self._observed = np.zeros((0, sum(sizes.values())))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,).
-
-        Args:
-            arms: (r,) indices.
-            episode: start and goal of these episodes.
-            count: total number of arms.
+        """Start new episodes; arguments as in `Controller.reset`.
 
         Raises:
             ValueError: for a moving goal.
@@ -310,9 +302,6 @@ class ActionMode(Protocol):
             readings: as in `Controller.act`.
             applied: as in `Controller.act`.
             active: as in `Controller.act`.
-
-        Returns:
-            Torques (b, n).
         """
         ...
 
@@ -385,9 +374,6 @@ def _make_motor_input(quantity: str, plant: Plant, base: Controller | None) -> T
         quantity: "current" or "voltage".
         plant: plant model.
         base: controller whose torques are added; None for no base controller.
-
-    Returns:
-        Action mode.
 
     Raises:
         ValueError: for an arm with a joint without a motor of this input, or without its limit.

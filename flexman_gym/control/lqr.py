@@ -55,9 +55,6 @@ class CostWeights(NamedTuple):
             limits: (n,) torque limits, N m.
             period: control period, s.
 
-        Returns:
-            Gain K (n, 2 d).
-
         Raises:
             ValueError: for an arm whose Riccati equation has no solution within rounding.
         """

@@ -101,9 +101,6 @@ def sampled_loops(
         period: control period, s.
         delay: delay of the torques, whole control periods.
         bandwidth: bandwidth of a first-order lag of the drives, Hz, see `first_order_lag`; None for no lag.
-
-    Returns:
-        Loops, the first without sticking motors.
     """
     linear = _at_rest(model, joint_angles)
     return [_loop(model, linear, stuck, period, delay, bandwidth) for stuck in _stuck_sets(model)]

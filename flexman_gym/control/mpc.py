@@ -180,15 +180,12 @@ class MPC:
         return actions
 
     def _step(self, arm: int, states: Array, outputs: Array) -> Array:
-        """Return the action (n,) of an arm.
+        """Return the action (n,) of an arm, from -1 to 1.
 
         Args:
             arm: index of the arm.
             states: (N, 2 d) states predicted for the planned torques.
             outputs: (N, OUTPUTS) outputs predicted for the planned torques.
-
-        Returns:
-            Action (n,) from -1 to 1.
         """
         plan, now, n = self._plans[arm], int(self._now[arm]), len(self.limits)
         rows = np.minimum(now + np.arange(sum(MOVE_BLOCKS) + 1), len(plan.states) - 1)

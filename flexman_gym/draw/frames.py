@@ -57,9 +57,6 @@ def _camera_direction(model: Model, angles: object = None) -> tuple[float, float
     Args:
         model: model of the arm; the default direction for an arm with parallel joint axes is close to these axes.
         angles: azimuth, elevation and, optionally, zoom chosen by the user; None for the default.
-
-    Returns:
-        Azimuth and elevation, degrees, and zoom (dimensionless).
     """
     if angles is not None:
         given = vector("camera", angles)
@@ -88,9 +85,6 @@ def _fit_camera(
         direction: azimuth and elevation, degrees, and zoom (dimensionless).
         size: width and height of the picture, pixels.
         margins: margins (4,) at the left, right, top and bottom as fractions of the picture.
-
-    Returns:
-        The camera.
     """
     azimuth, elevation = np.radians(direction[:2])
     back = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
@@ -223,9 +217,6 @@ class FramePainter:
 
         Args:
             points: points (p, 3) in the base frame, m; None for the whole workspace.
-
-        Returns:
-            Camera and background.
         """
         camera, floor = self.camera(_reachable_points(self.model) if points is None else points)
         canvas, (width, height) = self._canvas, self.size
@@ -280,9 +271,6 @@ class FramePainter:
             trail: past positions of the tip (t, 3), m, the oldest first.
             shot: camera and background; None for camera and background of the previous frame, at first for the whole
                 workspace.
-
-        Returns:
-            Pixels (height, width, 3), uint8.
         """
         x = np.array(vector("state", state, 2 * self.model.n_dof))
         place = None if target is None else np.array(vector("target", target, 3, "m"))

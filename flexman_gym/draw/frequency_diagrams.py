@@ -78,9 +78,6 @@ def frequency_map(model: Model, path: str | Path, mode: int = 1, span: float = n
         mode: number of the mode; 1 is the lowest.
         span: largest joint angle in both directions, rad.
 
-    Returns:
-        Path of the picture.
-
     Raises:
         ImportError: without Matplotlib.
         ValueError: for a mode that does not exist, and for a rigid arm.
@@ -119,9 +116,6 @@ def campbell_diagram(model: Model, rates: Vector, path: str | Path, count: int =
         rates: spin rates (r,), rad/s.
         path: path of the picture.
         count: largest number of frequencies.
-
-    Returns:
-        Path of the picture.
 
     Raises:
         ImportError: without Matplotlib.
@@ -191,9 +185,6 @@ def bode_diagram(frequencies: Array, responses: dict[str, _Response], path: str 
         responses: name of a loop -> its complex frequency response (f,).
         path: path of the picture.
         title: title of the picture.
-
-    Returns:
-        Path of the picture.
 
     Raises:
         ImportError: without Matplotlib.

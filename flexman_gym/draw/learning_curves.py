@@ -59,9 +59,6 @@ def draw_learning_curves(runs: Mapping[str, Sequence[tuple[Array, Array]]], path
         path: path of the picture.
         label: label of the values.
 
-    Returns:
-        Path of the picture.
-
     Raises:
         ImportError: without Matplotlib.
     """

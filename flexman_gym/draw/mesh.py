@@ -37,9 +37,6 @@ class Mesh(NamedTuple):
             axis: direction of the z axis of the mesh (3,), a unit vector.
             radius: scale of x and y, m.
             half: scale of z, half of the length, m.
-
-        Returns:
-            The transformed mesh.
         """
         x, y, z = axis
         side = np.array([0.0, z, -y] if abs(x) < 0.6 else [-z, 0.0, x]) / np.hypot(z, y if abs(x) < 0.6 else x)
@@ -75,9 +72,6 @@ def section_outlines(model: Model, places: int) -> tuple[_SectionOutlines, ...]:
     Args:
         model: model of the arm.
         places: number of points on each link.
-
-    Returns:
-        Section outlines of each link.
     """
     reach, result = float(model.constants.length.sum()), []
     for i, link in enumerate(model.arm.links):
@@ -144,9 +138,6 @@ def _surface_of_revolution(profile: tuple[tuple[float, float, float, float], ...
     Args:
         profile: radius, height, and the two components of the normal, from below to above.
         sides: number of points around the axis.
-
-    Returns:
-        The mesh.
     """
     turn = np.linspace(0.0, 2 * np.pi, sides + 1)
     radius, height, out, up = np.array(profile).T[..., None]

@@ -40,9 +40,6 @@ def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
     Args:
         episodes: 1 to 8 episodes, shown side by side; the arms may differ.
         title: title of the page; "" for a title of environment and agents.
-
-    Returns:
-        HTML.
     """
     if not 1 <= len(episodes) <= len(COLOURS):
         raise value_error("episodes", len(episodes), f"1 to {len(COLOURS)} of them")
@@ -71,9 +68,6 @@ def _html_page(data: dict[str, Any], title: str, words: str) -> str:
         data: mapping with "arms", "runs", "stage" and "live".
         title: title of the page.
         words: text next to the title.
-
-    Returns:
-        HTML.
     """
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     script, style, frame = (

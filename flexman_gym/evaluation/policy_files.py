@@ -111,9 +111,6 @@ def read_certificate(folder: Path) -> dict[str, Any] | None:
     Args:
         folder: folder of the policy.
 
-    Returns:
-        The certificate under the current names of its keys, or None.
-
     Raises:
         ValueError: for a damaged file, and for a file without the keys `arrays_hash` (hash of the network), `fails`
             (names of failed scenarios) and `rows` (metrics of each scenario).

@@ -382,9 +382,6 @@ class ModelSearch:
             start: the candidate to reduce.
             limit: largest tip error, m.
             order: modes (link, mode number).
-
-        Returns:
-            The reduced candidate.
         """
         low, high = 0, len(order) + 1
         while high - low > 1:

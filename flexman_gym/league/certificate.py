@@ -68,9 +68,6 @@ def certify(
         jobs: see `run_league`.
         log: function of one line of text for each scenario.
 
-    Returns:
-        Path of the certificate.
-
     Raises:
         ValueError: for anything other than an exported policy, and for a task without the metric "settling_time".
     """

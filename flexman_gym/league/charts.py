@@ -31,9 +31,6 @@ def draw_charts(standings: Standings, folder: Path, sweeps_only: bool = False) -
         folder: folder of the pictures.
         sweeps_only: True to leave out the heat map.
 
-    Returns:
-        Paths of the pictures.
-
     Raises:
         ImportError: without Matplotlib.
     """

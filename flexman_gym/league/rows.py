@@ -132,9 +132,6 @@ class LeagueRows:
         Args:
             folder: folder of the files.
 
-        Returns:
-            Rows and cells.
-
         Raises:
             FileNotFoundError: for cells without rows.
             ValueError: for unknown, missing and repeated heads, for a line with too few or too many entries, and for

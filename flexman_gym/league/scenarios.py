@@ -205,9 +205,6 @@ def find_scenario(name: str) -> Scenario:
     Args:
         name: name of the scenario.
 
-    Returns:
-        Environment, information given to the agent, and plant.
-
     Raises:
         FileNotFoundError: for an unknown environment.
     """

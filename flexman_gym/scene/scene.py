@@ -313,9 +313,6 @@ class Scene:
         Args:
             path: path of the file.
 
-        Returns:
-            The scene.
-
         Raises:
             FileNotFoundError: if the file does not exist.
             ValueError: for any other error in the file, with a one-line message: the file, the field (such as
@@ -346,9 +343,6 @@ class Scene:
         Args:
             data: mapping as in a scene file.
             folder: folder to which the paths of CSV files are relative.
-
-        Returns:
-            The scene.
 
         Raises:
             FileNotFoundError: if a CSV file does not exist.

@@ -133,9 +133,6 @@ class Episode:
         Args:
             path: the file.
 
-        Returns:
-            The episode.
-
         Raises:
             FileNotFoundError: if the file does not exist.
             ValueError: for a file that is no saved episode.

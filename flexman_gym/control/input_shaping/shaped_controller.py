@@ -92,15 +92,7 @@ class InputShapedController:
             self.inner.reset(np.array([arm]), EpisodeInfo(start[None], goal[None], episode.period, command.path), count)
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> NDArray[Any]:
-        """Return the actions (b, n) of the inner controller for the shaped command.
-
-        Args:
-            readings: as in `Controller.act`.
-            applied: as in `Controller.act`.
-            active: as in `Controller.act`.
-
-        Returns:
-            Actions (b, n).
+        """Return the actions (b, n) of the inner controller for the shaped command; arguments as in `Controller.act`.
 
         Raises:
             ValueError: for a reading of the goal that cannot be shaped.

@@ -36,9 +36,6 @@ def excited_modes(model: Model, posture: Vector, held: bool = True) -> Array:
         posture: (n,) motor angles, rad.
         held: True for motors held in position; False for motors free to turn under constant holding torques.
 
-    Returns:
-        Frequency (Hz), damping ratio and tip amplitude of each mode, (k, 3).
-
     Raises:
         ValueError: for a posture of wrong shape, and for an arm without an equilibrium.
     """
@@ -149,9 +146,6 @@ def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: fl
         frequency: natural frequency of the mode, Hz.
         ratio: damping ratio of the mode, 0 <= ratio < 1.
         tolerance: residual vibration tolerated by EI and two-hump EI, as a fraction.
-
-    Returns:
-        Shaper whose first impulse is at 0 s.
 
     Raises:
         ValueError: for arguments out of range, and for a damping ratio with negative EI impulses.

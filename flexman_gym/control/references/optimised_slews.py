@@ -78,9 +78,6 @@ def _broyden_update(jacobian: Array, step: Array, change: Array) -> Array:
         jacobian: (m, ...) Jacobian before the step, a row for each variable.
         step: (m,) change of the variables.
         change: (...) change of the function by the step.
-
-    Returns:
-        Jacobian (m, ...) that maps the step to the change.
     """
     error = change - np.tensordot(step, jacobian, 1)
     result: Array = jacobian + np.multiply.outer(step / (step @ step), error)
@@ -291,9 +288,6 @@ class SlewTable:
             start: (n,) initial motor angles, rad.
             goal: (n,) final motor angles, rad.
 
-        Returns:
-            Torques (T, n), N m.
-
         Raises:
             ValueError: if the table has no such slew.
         """
@@ -308,9 +302,6 @@ class SlewTable:
 
         Args:
             seed: seed of the episode.
-
-        Returns:
-            Settling time, s.
 
         Raises:
             ValueError: if the table has no such episode.
@@ -358,9 +349,6 @@ class SlewTable:
 
         Args:
             path: path of the file.
-
-        Returns:
-            The table.
 
         Raises:
             FileNotFoundError: if there is no file.

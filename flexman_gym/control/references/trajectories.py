@@ -46,9 +46,6 @@ def quintic_coefficients(progress: Array, speed: Array, acceleration: Array, dur
         speed: (...) initial speed, 1/s.
         acceleration: (...) initial acceleration, 1/s^2.
         durations: (...) s.
-
-    Returns:
-        Coefficients (..., 6).
     """
     remaining, squared = 1.0 - progress, durations**2
     cubic = (20.0 * remaining - 12.0 * speed * durations - 3.0 * acceleration * squared) / (2.0 * durations**3)
@@ -145,9 +142,6 @@ class QuasiStaticDeflection:
         Args:
             guess: (d,) coordinates with the initial deflection of the iteration.
             motion: angles, rates and accelerations of the link sides of the joints, (n,) each, rad, rad/s and rad/s^2.
-
-        Returns:
-            Coordinates (d,) and torques (n,), N m.
         """
         n, d = self.model.n_joints, self.model.n_dof
         x, rates, accelerations = guess.copy(), np.zeros(d), np.zeros(d)
@@ -242,9 +236,6 @@ def plan_slew(
         period: control period, s.
         timing_law: name in `TIMING_LAWS`.
 
-    Returns:
-        Reference trajectory.
-
     Raises:
         ValueError: for a goal at which holding torques alone exceed the fraction, and for an unknown timing law.
     """
@@ -305,9 +296,6 @@ def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTraject
         model: model of the arm.
         postures: (T + 1, n) motor angles with continuous second derivatives, rad.
         period: control period, s.
-
-    Returns:
-        Reference trajectory.
     """
     from scipy.interpolate import CubicSpline
 
