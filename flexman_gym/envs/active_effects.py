@@ -57,7 +57,7 @@ class ActiveEffects:
                 check_member_names(name, signal, HOOKS, ("checked", "shape", "draw"))
                 if signal.shape is not None:
                     shapes[name] = signal.shape
-        kinds = {name: signal.kind for name, signal in self._signals.items()}
+        kinds = {name: getattr(signal, "kind", float) for name, signal in self._signals.items()}
         self.drawn = {name: np.zeros((arms, *shape), dtype=kinds.get(name, float)) for name, shape in shapes.items()}
         self._streams = RandomStreams([_stream_name(name) for name in self._ranges], arms)
         self._hooks = {hook: [getattr(each, hook) for each in self._signals.values() if hasattr(each, hook)]
