@@ -8,7 +8,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.model.deformation import Curves
-from flexman_gym.model.element import find_element
+from flexman_gym.model.element import Element
 from flexman_gym.model.model import Model
 
 SIDES = 16  # number of points on the outline of a section
@@ -77,7 +77,7 @@ def section_outlines(model: Model, places: int) -> tuple[_SectionOutlines, ...]:
     for i, link in enumerate(model.arm.links):
         elements = model.elements(i)
         parts = [
-            _section(find_element(elements, place)[0].section, reach) for place in np.linspace(0.0, link.length, places)
+            _section(Element.find(elements, place)[0].section, reach) for place in np.linspace(0.0, link.length, places)
         ]
         result.append(_SectionOutlines(*(np.array(each) for each in zip(*parts, strict=True))))
     return tuple(result)

@@ -20,7 +20,7 @@ from flexman_gym.kernels.layout import (
     make_work,
 )
 from flexman_gym.model.model import Model, check_model
-from flexman_gym.model.natural_modes import natural_modes
+from flexman_gym.model.state_space import natural_modes
 
 Forces = Callable[[Array, Array, Array], Array]  # generalised forces of coordinates, speeds and accelerations
 
