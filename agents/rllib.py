@@ -18,7 +18,7 @@ from ray.rllib.env.single_agent_episode import SingleAgentEpisode
 from ray.rllib.env.utils.infinite_lookback_buffer import InfiniteLookbackBuffer
 from ray.tune.registry import register_env
 
-from flexman_agents.settings import DEFAULT_HYPERPARAMETERS, EXPLORATION_SCHEDULES, Settings, write_settings
+from flexman_agents.settings import DEFAULT_HYPERPARAMETERS, EXPLORATION_SCHEDULES, Settings
 from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.parallel import ray_cluster
 from flexman_gym.common.run_folder import NEWEST, lock_folder, write_npz
@@ -289,7 +289,7 @@ def train_rllib(settings: Settings, folder: Path, runners: int = 0, every: int =
         raise value_error("folder", folder, "a new one, or resume the run in it")
     place.mkdir(parents=True, exist_ok=True)
     with ray_cluster(runners + 1, OMP_NUM_THREADS="1"), lock_folder(folder):
-        write_settings(settings, folder, 0)
+        settings.write(folder, 0)
         _train(config.build_algo(), settings, place, every, int(checkpoints[-1].name) if resume else 0)
 
 

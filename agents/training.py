@@ -29,7 +29,7 @@ from flexman_agents.callbacks import (
 )
 from flexman_agents.imitation import DAggerRun
 from flexman_agents.sb3 import action_function, make_model
-from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings, write_settings
+from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
@@ -259,7 +259,7 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     with lock_folder(folder):
         _check_new_folder(folder)  # another process may have trained there meanwhile
-        write_settings(settings, folder, 0)
+        settings.write(folder, 0)
         return run.learn(checkpoint_every, progress, hook)
 
 
@@ -315,7 +315,7 @@ def resume(
             print(f"Nothing was saved in {folder} yet: the run starts from scratch.", file=sys.stderr)
         else:
             run.set_state(data, finished)
-        write_settings(settings, folder, run.done)
+        settings.write(folder, run.done)
         return run.learn(checkpoint_every, progress, hook)
 
 

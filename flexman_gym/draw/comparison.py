@@ -10,7 +10,7 @@ from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.plot_style import BLUE, DARK, GREEN, LIGHT, MIDDLE, RED, VIOLET, new_figure
 from flexman_gym.draw.frames import FramePainter
-from flexman_gym.draw.overlay import WARNING, describe_gains, describe_scales, font_size, write_text
+from flexman_gym.draw.overlay import WARNING, describe_frame, font_size, write_text
 from flexman_gym.model.deformation import curves
 from flexman_gym.simulation.episode import Episode
 
@@ -142,8 +142,8 @@ class _Panels:
     def _write_note(self, picture: Picture) -> None:
         """Write the scales below the arms: that of the deflection in red, at the right."""
         row, painter = self._head + self._painters[0].size[1], self._painters[0]
-        write_text(picture, describe_scales(painter.scale, painter.grid), (self._font, row), self._font)
-        magnified = describe_gains(painter.gains)
+        magnified, scales = describe_frame(painter.gains, painter.scale, painter.grid)
+        write_text(picture, scales, (self._font, row), self._font)
         if magnified:
             write_text(picture, f"{magnified} (violet dot: true tip)", (-self._font, row), self._font, WARNING)
 

@@ -140,7 +140,7 @@ GHOST_SHARE, SHADOW_SHARE, TRAIL_START = 0.42, 0.34, 0.05  # opacities, 0 to 1: 
 PAYLOAD_DENSITY = 7800.0  # kg/m^3; steel; sets the size of the sphere of a payload
 
 
-class Shot(NamedTuple):
+class _Shot(NamedTuple):
     """View of a scene for its frames: a fixed camera, and the background as seen from it.
 
     Attributes:
@@ -210,9 +210,9 @@ class FramePainter:
             *(np.zeros(each, dtype=kind) for each, kind in (
                 ((*samples, 3), "u1"), (samples, "f4"), (samples, "u1"), ((*samples, 3), "u1"), (memory, "f4"),
                 (memory, "f4"), ((*memory, 3), "u1"), ((*memory, 3), "u1"), (4, "i8"))))  # fmt: skip
-        self._shown: Shot | None = None
+        self._shown: _Shot | None = None
 
-    def shot(self, points: Array | None = None) -> Shot:
+    def shot(self, points: Array | None = None) -> _Shot:
         """Return a camera whose picture contains points and the base, with the background.
 
         Args:
@@ -229,7 +229,7 @@ class FramePainter:
             box=np.array([0, SUPERSAMPLING * width - 1, 0, SUPERSAMPLING * height - 1]),
         )
         raster.resolve(whole._replace(mask=np.zeros_like(canvas.mask)), np.zeros(3), 0.0)
-        return Shot(camera, floor, back, plain)
+        return _Shot(camera, floor, back, plain)
 
     def camera(self, points: Array) -> tuple[_Camera, float]:
         """Return the camera for points (p, 3), m, and the z coordinate of the floor, m; see `shot`."""
@@ -260,7 +260,7 @@ class FramePainter:
         target: Vector | None = None,
         caption: Caption | None = None,
         trail: Array | None = None,
-        shot: Shot | None = None,
+        shot: _Shot | None = None,
     ) -> NDArray[np.uint8]:
         """Return a frame (height, width, 3) uint8 of the arm at a state.
 
@@ -299,7 +299,7 @@ class FramePainter:
             (caption or Caption()).draw(picture, self.gains, self.scale, self.grid)
         return picture
 
-    def _show(self, shot: Shot) -> None:
+    def _show(self, shot: _Shot) -> None:
         """Restore the background where the last frame was drawn, or everywhere if the shot changed."""
         canvas = self._canvas
         if shot is not self._shown:

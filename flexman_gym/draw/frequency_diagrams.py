@@ -10,7 +10,7 @@ from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import value_error, vector, whole_number
 from flexman_gym.common.plot_style import DARK, LIGHT, LINK_COLOURS, MIDDLE, new_figure, save_figure
 from flexman_gym.draw.frames import POINTS, FramePainter, grid
-from flexman_gym.draw.overlay import write_title
+from flexman_gym.draw.overlay import font_size, write_text
 from flexman_gym.model.deformation import curves
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, check_model
@@ -52,13 +52,13 @@ def draw_mode_shapes(
         largest = np.linalg.norm(away, axis=-1).max()
         states.append(rest + np.append(small * AMPLITUDE * reach / largest * shape, 0.0 * shape))
     shot = painter.shot(curves(model, np.array([rest, *states]), POINTS).positions.reshape(-1, 3))
-    frames = []
+    frames, letters = [], font_size(size[1])
     for i, state in enumerate(states):
         strains = np.abs(curves(model, state, POINTS).strains[..., :3]).max()
         painter.scale = float(max(2.0 * strains, 1e-12))
         title = f"mode {i + 1}: {found.frequencies[i]:.3g} Hz, damping {100 * found.damping_ratios[i]:.2g} %"
         frames.append(painter.paint(state, shot=shot))
-        write_title(frames[-1], title)
+        write_text(frames[-1], title, (letters, letters // 2), letters)
     return grid(frames)
 
 

@@ -64,7 +64,7 @@ class Caption(NamedTuple):
         size, small = font_size(height), font_size(int(0.82 * height))
         edge, line = size, round(1.45 * size)
         if self.title:
-            write_title(picture, self.title)
+            write_text(picture, self.title, (size, size // 2), size)
         row = edge // 2 + line * bool(self.title)
         error = "tip error {:.2f} m" if (self.error or 0.0) >= 1.0 else "tip error {:.1f} mm"
         entries = (
@@ -75,10 +75,10 @@ class Caption(NamedTuple):
         for column, value, form, factor in entries:  # fixed columns: the text does not move while numbers change
             if value is not None:
                 write_text(picture, form.format(factor * value), (edge + round(column * small), row), small)
-        if gains != (1.0, 1.0):
-            write_text(picture, describe_gains(gains), (-edge, edge // 2), size, WARNING)
+        magnified, line_text = describe_frame(gains, scale, grid)
+        if magnified:
+            write_text(picture, magnified, (-edge, edge // 2), size, WARNING)
             _write_dot_legend(picture, (-edge, edge // 2 + line), small)
-        line_text = describe_scales(scale, grid)
         if scale > 0.0:
             _draw_colour_bar(picture, (edge, height - edge), small)
         write_text(picture, line_text, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
@@ -121,12 +121,6 @@ def write_text(picture: Picture, text: str, place: tuple[int, int], size: int, c
     _blend(part, colour, shape[top : top + part.shape[0], left : left + part.shape[1], None])
 
 
-def write_title(picture: Picture, text: str) -> None:
-    """Write a text into the upper left corner of a picture."""
-    size = font_size(picture.shape[0])
-    write_text(picture, text, (size, size // 2), size)
-
-
 def _blend(part: Picture, colour: str, opacity: "NDArray[np.float32] | float") -> None:
     """Blend a colour into a part of a picture with an opacity from 0 to 1."""
     base = part.astype(np.float32)
@@ -140,21 +134,18 @@ def _fill_rectangle(
     _blend(picture[rows[0] : rows[1], columns[0] : columns[1]], colour, opacity)
 
 
-def describe_gains(gains: tuple[float, float]) -> str:
-    """Return the text on the magnification of links and joints in a frame; "" at true scale."""
-    words = zip(("link deflection", "joint twist"), gains, strict=True)
-    return ", ".join(f"{word} {TIMES} {gain:g}" for word, gain in words if gain != 1.0)
-
-
-def describe_scales(scale: float, grid: float) -> str:
-    """Return the text on the scales of a frame.
+def describe_frame(gains: tuple[float, float], scale: float, grid: float) -> tuple[str, str]:
+    """Return the texts on the magnification ("" at true scale) and on the scales of a frame.
 
     Args:
+        gains: magnifications of the deflection of the links and of the twist of the joints.
         scale: strain at the ends of the colour scale; 0 for a rigid arm.
         grid: spacing of the floor grid, m.
     """
+    words = zip(("link deflection", "joint twist"), gains, strict=True)
+    magnified = ", ".join(f"{word} {TIMES} {gain:g}" for word, gain in words if gain != 1.0)
     unit, factor = ("µε", 1e6) if scale < 1e-3 else ("%", 1e2)
-    return (f"strain ±{factor * scale:g} {unit}   " if scale > 0.0 else "") + f"grid {grid:g} m"
+    return magnified, (f"strain ±{factor * scale:g} {unit}   " if scale > 0.0 else "") + f"grid {grid:g} m"
 
 
 def _write_dot_legend(picture: Picture, place: tuple[int, int], size: int) -> None:

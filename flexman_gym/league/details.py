@@ -7,7 +7,6 @@ import numpy as np
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
-from flexman_gym.evaluation.agent import SIMPLE_AGENTS
 from flexman_gym.evaluation.agent_info import describe_agent, training_seconds
 from flexman_gym.evaluation.metrics import MEAN, MEDIAN, Metric, optimised_settling_times, task_metrics
 from flexman_gym.league.rows import DAMPING, TIME_RATIO
@@ -56,11 +55,6 @@ def settling_text(standings: Standings, agent: str, scenario: str) -> str:
     return "no scale" if score is None else f"score {number_text(score[0])}"
 
 
-def information_text(agent: str) -> str:
-    """Return the information that an agent needs."""
-    return ", ".join(describe_agent(agent).information) or ("nothing" if agent in SIMPLE_AGENTS else "its motors")
-
-
 def short_name(scenario: str) -> str:
     """Return the name of a scenario without the default environment."""
     return scenario.removeprefix(f"{DEFAULT_ID}/")
@@ -86,7 +80,7 @@ def _agent_lines(standings: Standings, agent: str) -> list[str]:
     missing = [short_name(each) for each in names if standings.why(agent, each)]
     return [
         f"{agent}: {info.description}",
-        f"information: {information_text(agent)}",
+        f"information: {info.needs}",
         f"tuning or training: {info.tuning}",
         f"CPU time: {number_text(action)} us an action, {number_text(1e-3 * start)} ms at the start of an episode",
         f"fails in: {', '.join(failing) or 'no scenario'}",
@@ -111,7 +105,7 @@ def _overall_table(standings: Standings) -> list[str]:
         action, start = standings.cost(agent, standings.scenarios)
         trained = training_seconds(agent)
         rows.append([
-            f"`{agent}`", information_text(agent), _interval_text(standings.overall[agent]),
+            f"`{agent}`", describe_agent(agent).needs, _interval_text(standings.overall[agent]),
             f"{count - len(standings.missed(agent))} of {count}", _share_text(won) if won else "-",
             number_text(action), number_text(1e-3 * start), "-" if trained is None else number_text(trained / 60.0),
         ])  # fmt: skip

@@ -13,7 +13,6 @@ from flexman_gym.evaluation.agent import SIMPLE_AGENTS
 from flexman_gym.evaluation.agent_info import INFORMATION, describe_agent
 from flexman_gym.league.charts import CHART, SWEEP_CHART, draw_charts
 from flexman_gym.league.details import (
-    information_text,
     number_text,
     settling_text,
     short_name,
@@ -129,7 +128,8 @@ def _recommendation(standings: Standings) -> str:
     sentences = [
         f"For an arm with unknown payload and stiffness and a known delay (`{LAB_SCENARIO}`), use `{best}`.",
         _settling_sentence(standings, best),
-        f"It needs: {information_text(best)}".replace("of the model", "of the model, ranges of the parameters") + ".",
+        f"It needs: {describe_agent(best).needs}".replace("of the model", "of the model, ranges of the parameters")
+        + ".",
         f"An action takes {number_text(action)} us of CPU time, and the start of an episode "
         f"{number_text(1e-3 * start)} ms.",
     ]

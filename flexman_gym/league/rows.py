@@ -24,7 +24,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.agent import BASELINES, find_agent
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent
-from flexman_gym.evaluation.metrics import METRICS, equivalent_damping, optimised_settling_times
+from flexman_gym.evaluation.metrics import METRICS, optimised_settling_times
 from flexman_gym.evaluation.policy_files import ARRAYS, METADATA, policy_folder
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.league.scenarios import PLANTS, find_scenario
@@ -99,7 +99,7 @@ class EpisodeBlock(NamedTuple):
         for seed, record in zip(seeds, result.records, strict=True):
             values = {name: metric.function(record) for name, metric in METRICS.items()}
             multiple = values["settling_time"] / times.get(seed, np.nan)
-            values |= {TIME_RATIO: multiple, DAMPING: equivalent_damping(record)}
+            values |= {TIME_RATIO: multiple, DAMPING: record.equivalent_damping()}
             rows.append(EpisodeRow(self.key, self.agent, self.scenario, seed, tuple(values.values())))
         action, design = (clock.action_seconds, clock.start_seconds) if clock else (0.0, 0.0)
         action = 1e6 * action / float(np.sum(result.lengths))

@@ -78,9 +78,25 @@ class Episode:
         failure = "" if trajectory.status == "ok" else trajectory.status
         return cls(
             trajectory.time, trajectory.states, trajectory.tip, readings=trajectory.readings,
-            about=episode_metadata(trajectory.model, name=name, failure=failure),
+            about=cls.metadata(trajectory.model, name=name, failure=failure),
             **{each: np.full(shape, np.nan) for each, shape in missing.items()},
         )  # fmt: skip
+
+    @staticmethod
+    def metadata(model: Model, settings: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
+        """Return the metadata of an episode as JSON-compatible data: arm, model, versions, settings and their hash.
+
+        Args:
+            model: the model of the simulation.
+            settings: settings of environment and agent.
+            **more: further entries, such as name, seed and failure.
+        """
+        versions = {name: value for name, value in computer_info().items() if name not in ("processor", "scipy")}
+        text = json.dumps(settings or {}, sort_keys=True, default=_plain_value)
+        return {
+            "format": FORMAT, "settings": json.loads(text), "hash": hashlib.sha256(text.encode()).hexdigest()[:16],
+            "arm": to_plain(model.arm), "model": to_plain(model.choice), "versions": versions, **more,
+        }  # fmt: skip
 
     @cached_property
     def model(self) -> Model:
@@ -223,22 +239,6 @@ class Episode:
         data |= {name: (("time", f"{name}_part"), values) for name, values in self.readings.items()}
         coordinates = {"time": self.time, "axis": list(AXES), "period": self.time[1:]}
         return xarray.Dataset(data, coordinates, attrs=self.about)
-
-
-def episode_metadata(model: Model, settings: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
-    """Return the metadata of an episode as JSON-compatible data: arm, model, versions, settings and their hash.
-
-    Args:
-        model: the model of the simulation.
-        settings: settings of environment and agent.
-        **more: further entries, such as name, seed and failure.
-    """
-    versions = {name: value for name, value in computer_info().items() if name not in ("processor", "scipy")}
-    text = json.dumps(settings or {}, sort_keys=True, default=_plain_value)
-    return {
-        "format": FORMAT, "settings": json.loads(text), "hash": hashlib.sha256(text.encode()).hexdigest()[:16],
-        "arm": to_plain(model.arm), "model": to_plain(model.choice), "versions": versions, **more,
-    }  # fmt: skip
 
 
 def _plain_value(value: Any) -> Any:

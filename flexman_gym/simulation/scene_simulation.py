@@ -39,7 +39,7 @@ from flexman_gym.simulation.diagnostics import explain_energy, explain_failure
 from flexman_gym.simulation.integrator import MAX_STEPS, Integrator, find_method, find_tolerance, prescribed_flags
 from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
 from flexman_gym.simulation.parameters import varied_constants
-from flexman_gym.simulation.trajectory import Kinetics, Trajectory, build_trajectory
+from flexman_gym.simulation.trajectory import Kinetics, Trajectory
 
 TIP_ACCELERATIONS = {  # name of a component -> column of `tip_accelerations`
     f"{name}_{axis}": part.start + i
@@ -233,7 +233,7 @@ def _simulate_scene(scene: Scene, settings: _Settings, constants: dict[str, Any]
     elapsed = clock.perf_counter() - started
     outcome = (STATUS[status], evaluations, elapsed)
     sources = partial(_explanation, scene, settings, constants), partial(_kinetics, scene, settings, constants)
-    return build_trajectory(model, interval, states[: valid + 1], outputs[: valid + 1], outcome, *sources)
+    return Trajectory.from_rows(model, interval, states[: valid + 1], outputs[: valid + 1], outcome, *sources)
 
 
 def _make_integrator(scene: Scene, settings: _Settings, constants: dict[str, Any] | None = None) -> Integrator:
@@ -383,7 +383,7 @@ def _simulate_in_lanes(
         outcome = status, steps * stages, seconds
         own = scenes[i], settings, _constants_of(varied, i)
         sources = partial(_explanation, *own), partial(_kinetics, *own)
-        result.append(build_trajectory(model, interval, states[: valid + 1], read[: valid + 1], outcome, *sources))
+        result.append(Trajectory.from_rows(model, interval, states[: valid + 1], read[: valid + 1], outcome, *sources))
     return result
 
 

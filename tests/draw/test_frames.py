@@ -10,7 +10,7 @@ import flexman_gym as fm
 from flexman_gym.common.plot_style import rgb
 from flexman_gym.draw.frames import GHOST, GHOST_SHARE, PAYLOAD, TARGET, TIP, FramePainter, arm_frame, grid
 from flexman_gym.draw.mesh import CYLINDER, RING, SPHERE, section_outlines, tube_surfaces
-from flexman_gym.draw.overlay import Caption, strain_colours, write_title
+from flexman_gym.draw.overlay import Caption, font_size, strain_colours, write_text
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 
@@ -256,7 +256,8 @@ def test_overlays_say_time_error_torques_and_a_gain_and_can_be_left_out():
 def test_letters_have_shapes_and_unknown_ones_are_question_marks():
     def written(text):
         picture = np.full((20, 60, 3), 255, dtype=np.uint8)
-        write_title(picture, text)
+        size = font_size(len(picture))
+        write_text(picture, text, (size, size // 2), size)
         return picture
 
     def width(text):

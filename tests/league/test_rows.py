@@ -17,7 +17,7 @@ from flexman_gym.evaluation import METRICS, rollout
 from flexman_gym.evaluation import agent as agent_module
 from flexman_gym.evaluation.agent import BASELINES, AgentSpec
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent, training_seconds
-from flexman_gym.evaluation.metrics import equivalent_damping, optimised_settling_times
+from flexman_gym.evaluation.metrics import optimised_settling_times
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, EpisodeRecord, training_seed
 from flexman_gym.league.rows import (
     ROWS,
@@ -175,7 +175,7 @@ def test_the_equivalent_damping_is_that_of_the_swings_after_the_arrival():
 
     def damping(tips, failure=""):
         errors = np.linalg.norm(tips, axis=1)
-        return equivalent_damping(EpisodeRecord(tips, errors, tips[1:], errors[1:], failure, 0.02, 0.02))
+        return EpisodeRecord(tips, errors, tips[1:], errors[1:], failure, 0.02, 0.02).equivalent_damping()
 
     assert damping(tips) == pytest.approx(ratio, rel=0.01)
     assert damping(tips, "joint 1") == 0.0 and damping(tips + np.array([0.0, 0.0, 1.0])) == 0.0
