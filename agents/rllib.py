@@ -29,7 +29,7 @@ from flexman_gym.evaluation.rollout import training_seed
 CLIP = 10.0  # dimensionless; largest magnitude of normalised observations and rewards
 
 
-class NormalisationConnector(ConnectorV2):
+class _NormalisationConnector(ConnectorV2):
     """RLlib connector with the running means and variances of observations and returns.
 
     Args:
@@ -73,7 +73,7 @@ class NormalisationConnector(ConnectorV2):
 
     def merge_states(self, states: list[dict[str, Any]]) -> dict[str, Any]:
         """Merge the states of all runners; the shared statistics are counted once."""
-        result = NormalisationConnector(len(self.own["observations"].mean))
+        result = _NormalisationConnector(len(self.own["observations"].mean))
         for part, several in (("shared", states[:1]), ("own", states)):
             for name, moments in result.shared.items():
                 for state in several:
@@ -100,7 +100,7 @@ class _ArrayEnvRunner(SingleAgentEnvRunner):
         steps = -(-num_timesteps // self.num_envs)
         if self._needs_initial_reset or force_reset:
             self._begin()
-        connector = next(each for each in self._env_to_module if isinstance(each, NormalisationConnector))
+        connector = next(each for each in self._env_to_module if isinstance(each, _NormalisationConnector))
         normalisation, deviation = connector.merged("observations"), connector.merged("returns").deviation
         scale = deviation if self.config.env_config["normalise_reward"] else 1.0
         rows: dict[str, list[Any]] = {name: [] for name in ("raw", "actions", "logits", "logp", "rewards", "returns")}
@@ -259,9 +259,9 @@ def ppo_config(settings: Settings, runners: int) -> PPOConfig:
     )  # fmt: skip
 
 
-def _make_normalisation(env: Any, spaces: Any, device: Any) -> NormalisationConnector:
+def _make_normalisation(env: Any, spaces: Any, device: Any) -> _NormalisationConnector:
     space = env.single_observation_space if env is not None else spaces["__env_single__"][0]
-    return NormalisationConnector(space.shape[0])
+    return _NormalisationConnector(space.shape[0])
 
 
 def train_rllib(settings: Settings, folder: Path, runners: int = 0, every: int = 100_000, resume: bool = False) -> None:
@@ -337,7 +337,7 @@ def _save(algorithm: Any, settings: Settings, place: Path, done: int) -> None:
     policy = {ours + name.removeprefix(theirs): np.asarray(values) for name, values in state.items()
               for theirs, ours in SB3_PREFIXES.items() if name.startswith(theirs)}  # fmt: skip
     moments = next(
-        each for each in algorithm.env_runner._env_to_module if isinstance(each, NormalisationConnector)
+        each for each in algorithm.env_runner._env_to_module if isinstance(each, _NormalisationConnector)
     ).merged("observations")
     statistics = {"mean": moments.mean, "var": moments.squares / moments.count, "count": np.array(moments.count)}
     write_npz(place.parent / NEWEST, {"policy": policy, "statistics": statistics, "settings": settings.plain()})

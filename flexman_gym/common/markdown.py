@@ -1,6 +1,7 @@
 """Tables as text: Markdown tables of generated pages, and tables of `print` with aligned columns."""
 
 from collections.abc import Iterable, Sequence
+from math import isfinite
 from textwrap import wrap
 
 WIDTH = 100  # characters of a line of `print`
@@ -35,3 +36,10 @@ def text_fields(entries: Iterable[tuple[str, object]]) -> list[str]:
         lines = wrap(text[: (MAX_LINES + 1) * WIDTH], WIDTH - width, max_lines=MAX_LINES, placeholder=" ...") or [""]
         result += [head.ljust(width) + line for head, line in zip([name, *[""] * (len(lines) - 1)], lines, strict=True)]
     return result
+
+
+def number_text(value: float) -> str:
+    """Return a number with three digits, "-" if it is not finite."""
+    if not isfinite(value):
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{round(value, 3) + 0.0:.3g}"

@@ -25,7 +25,7 @@ from flexman_gym.evaluation.metrics import METRICS, task_metrics
 from flexman_gym.evaluation.policy_files import CERTIFICATE, millimetres, policy_folder, read_policy
 from flexman_gym.evaluation.rollout import TEST_SEEDS
 from flexman_gym.league.rows import VALUES, EpisodeRow, run_league
-from flexman_gym.league.scenarios import CHANGES, GIVEN, PLANTS, find_scenario, randomised_ranges
+from flexman_gym.league.scenarios import CHANGES, GIVEN, PLANTS, find_scenario
 
 FOLDER = Path("out/certificates")  # rows of the scenarios, in a folder for each policy
 MIN_SETTLED = 0.95  # required share of settled episodes
@@ -198,9 +198,9 @@ def _changes_beyond_training(environment: Configuration, trained: Configuration)
     A parameter that the training randomised gets the range next to its range in the training, any other parameter the
     range of its condition.
     """
-    trained_ranges, result = randomised_ranges(trained), []
+    trained_ranges, result = trained.randomised_ranges, []
     for condition in ("payload", "stiffness") if NAMED_ENVIRONMENTS[environment.id].conditions else ():
-        spans = randomised_ranges(Configuration(environment.id, {"condition": condition}))
+        spans = Configuration(environment.id, {"condition": condition}).randomised_ranges
         ranges = [trained_ranges[name] for name in spans if name in trained_ranges]
         low, high = next(iter(spans.values()))
         if ranges:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from flexman_gym.common.checks import value_error
-from flexman_gym.common.markdown import markdown_table
+from flexman_gym.common.markdown import markdown_table, number_text
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.evaluation.agent_info import describe_agent, training_seconds
 from flexman_gym.evaluation.metrics import MEAN, MEDIAN, Metric, optimised_settling_times, task_metrics
@@ -40,19 +40,8 @@ def settling_table(
     standings: Standings, agents: Iterable[str], scenarios: Iterable[str], heads: Sequence[str]
 ) -> list[str]:
     """Return a table with these heads, and a row for each agent: name, and result in each scenario."""
-    rows = [[f"`{each}`", *(settling_text(standings, each, name) for name in scenarios)] for each in agents]
+    rows = [[f"`{each}`", *(standings.settling_text(each, name) for name in scenarios)] for each in agents]
     return markdown_table(heads, rows)
-
-
-def settling_text(standings: Standings, agent: str, scenario: str) -> str:
-    """Return the share of settled episodes and the median settling time, or the score for a moving goal."""
-    if standings.why(agent, scenario):
-        return "no row"
-    if find_scenario(scenario).has_settling:
-        settled, time = standings.settled(agent, scenario)
-        return f"{100.0 * settled:.0f} %" + (f", {-time:.2f} s" if np.isfinite(time) else "")
-    score = standings.score(agent, scenario)
-    return "no scale" if score is None else f"score {number_text(score[0])}"
 
 
 def short_name(scenario: str) -> str:
@@ -63,13 +52,6 @@ def short_name(scenario: str) -> str:
 def sweep_text(name: str) -> str:
     """Return quantity and unit of a sweep."""
     return SWEEPS[name.removesuffix(GIVEN).rpartition("/")[2]].text
-
-
-def number_text(value: float) -> str:
-    """Return a number with three digits, "-" if it is not finite."""
-    if not np.isfinite(value):
-        return "-"
-    return f"{value:.0f}" if abs(value) >= 100.0 else f"{round(value, 3) + 0.0:.3g}"
 
 
 def _agent_lines(standings: Standings, agent: str) -> list[str]:

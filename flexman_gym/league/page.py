@@ -7,14 +7,12 @@ from textwrap import fill
 
 import numpy as np
 
-from flexman_gym.common.markdown import markdown_table
+from flexman_gym.common.markdown import markdown_table, number_text
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.agent import SIMPLE_AGENTS
 from flexman_gym.evaluation.agent_info import INFORMATION, describe_agent
 from flexman_gym.league.charts import CHART, SWEEP_CHART, draw_charts
 from flexman_gym.league.details import (
-    number_text,
-    settling_text,
     short_name,
     sweep_text,
 )
@@ -163,7 +161,7 @@ def _choice_table(standings: Standings) -> list[str]:
             run = [each for each in agents if not standings.why(each, scenario)]
             best += [max(run, key=lambda each: standings.settled(each, scenario))] if run else []
         for agent in dict.fromkeys(best):
-            results = [settling_text(standings, agent, each) for each in columns]
+            results = [standings.settling_text(agent, each) for each in columns]
             rows.append([given, f"`{agent}`", *results, number_text(standings.cost(agent, standings.scenarios)[0])])
     return markdown_table(["given", "agent", *(f"`{short_name(each)}`" for each in columns), "action, CPU us"], rows)
 

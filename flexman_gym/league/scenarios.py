@@ -83,19 +83,13 @@ def _number(text: str) -> int | float:
     return int(text) if text.isdecimal() else float(text)
 
 
-def randomised_ranges(environment: Configuration) -> dict[str, Any]:
-    """Return the ranges of the randomised parameters of an environment by name."""
-    own = environment.randomisation
-    return dict(own.given) if own else {}
-
-
 def _range_settings(*names: str) -> Callable[[Configuration, str], dict[str, Any]]:
     """Return the function `settings` of a change of randomised parameters to "value" or "low:high"."""
 
     def settings(environment: Configuration, value: str) -> dict[str, Any]:
         low, colon, high = value.partition(":")
         span = [_number(low), _number(high if colon else low)]
-        return {"randomisation": {**randomised_ranges(environment), **{name: list(span) for name in names}}}
+        return {"randomisation": {**environment.randomised_ranges, **{name: list(span) for name in names}}}
 
     return settings
 
@@ -184,7 +178,7 @@ class Scenario(NamedTuple):
         """Return the values for which the controllers of a sweep are designed: the value, a range, or nominal."""
         if self.environment == self.given:
             return "the value"
-        known, ranges = randomised_ranges(self.given), randomised_ranges(self.environment)
+        known, ranges = self.given.randomised_ranges, self.environment.randomised_ranges
         changed = [known.get(name) for name, span in ranges.items() if known.get(name) != span]
         if not changed:
             return "nominal"

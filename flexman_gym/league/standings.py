@@ -7,6 +7,7 @@ from functools import cache, cached_property
 import numpy as np
 
 from flexman_gym.common.arrays import Array
+from flexman_gym.common.markdown import number_text
 from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.evaluation.agent import SIMPLE_AGENTS
 from flexman_gym.evaluation.agent_info import describe_agent
@@ -165,6 +166,16 @@ class Standings:
         values = self.values(agent, scenario, "settling_time")
         times = np.sort([time for seed, time in values.items() if seeds is None or seed in seeds])
         return float(np.mean(np.isfinite(times))), -float(times[len(times) // 2])
+
+    def settling_text(self, agent: str, scenario: str) -> str:
+        """Return the share of settled episodes and the median settling time, or the score for a moving goal."""
+        if self.why(agent, scenario):
+            return "no row"
+        if find_scenario(scenario).has_settling:
+            settled, time = self.settled(agent, scenario)
+            return f"{100.0 * settled:.0f} %" + (f", {-time:.2f} s" if np.isfinite(time) else "")
+        score = self.score(agent, scenario)
+        return "no scale" if score is None else f"score {number_text(score[0])}"
 
     def realisable(self, scenario: str) -> list[str]:
         """Return the agents with rows in a scenario that use measurable signals only, the recommended agent first."""

@@ -3,7 +3,7 @@
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Self
 
@@ -70,11 +70,6 @@ class VerificationRow:
         return [self.case, self.source, *numbers, self.verdict]
 
 
-def exit_code(rows: Sequence[VerificationRow]) -> int:
-    """Return the exit status of a command: 1 if a row fails or there is no row, else 0."""
-    return int(not rows or any(row.verdict == FAIL for row in rows))
-
-
 RULE = (
     "Errors are relative to the expected value, or absolute if it is 0. A row without a tolerance has no verdict. "
     'The command computes the values of the source "closed form" itself.'
@@ -82,25 +77,28 @@ RULE = (
 SUMMARY = "{passed} of {evaluated} rows pass, {failed} fail; another {shown} rows have no tolerance."
 
 
-def _summary(rows: Sequence[VerificationRow]) -> str:
-    """Return a sentence with the numbers of rows that pass, that fail, and that have no tolerance."""
-    count = Counter(row.verdict for row in rows)
-    passed, failed = count[PASS], count[FAIL]
-    return SUMMARY.format(passed=passed, evaluated=passed + failed, failed=failed, shown=count[SHOWN])
+class VerificationTable(list[VerificationRow]):
+    """Rows of a verification, as text and JSON."""
 
+    @property
+    def exit_code(self) -> int:
+        """Exit status of a command: 1 if a row fails or there is no row, else 0."""
+        return int(not self or any(row.verdict == FAIL for row in self))
 
-def format_table(rows: Sequence[VerificationRow]) -> str:
-    """Return the rows as a table for the terminal."""
-    lines = [list(COLUMNS), *(row.cells() for row in rows)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(COLUMNS))]
-    texts = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
-    return "\n".join([*(text.rstrip() for text in texts), _summary(rows)])
+    def __str__(self) -> str:
+        """Return a table for the terminal, and the numbers of rows that pass, that fail, and without a tolerance."""
+        lines = [list(COLUMNS), *(row.cells() for row in self)]
+        widths = [max(len(line[i]) for line in lines) for i in range(len(COLUMNS))]
+        texts = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
+        count = Counter(row.verdict for row in self)
+        passed, failed = count[PASS], count[FAIL]
+        summary = SUMMARY.format(passed=passed, evaluated=passed + failed, failed=failed, shown=count[SHOWN])
+        return "\n".join([*(text.rstrip() for text in texts), summary])
 
-
-def format_json(rows: Sequence[VerificationRow]) -> str:
-    """Return rows, computer and versions of the software as JSON; infinite numbers and NaN become null."""
-    clean = [{name: _finite(value) for name, value in row.values().items()} for row in rows]
-    return json.dumps({"machine": computer_info(), "rule": RULE, "rows": clean}, indent=1, allow_nan=False) + "\n"
+    def to_json(self) -> str:
+        """Return rows, computer and versions of the software as JSON; infinite numbers and NaN become null."""
+        clean = [{name: _finite(value) for name, value in row.values().items()} for row in self]
+        return json.dumps({"machine": computer_info(), "rule": RULE, "rows": clean}, indent=1, allow_nan=False) + "\n"
 
 
 def _finite(value: str | float | None) -> str | float | None:

@@ -13,7 +13,6 @@ from flexman_gym.control.input_shaping.shapers import (
     compare_shapers,
     design_shaper,
     excited_modes,
-    find_operating_points,
     shaper_residual,
 )
 from flexman_gym.control.references.trajectories import TIMING_LAWS
@@ -188,7 +187,7 @@ def test_a_payload_changes_the_model_as_a_payload_of_the_arm_does():
 
 
 def test_cases_are_all_postures_with_all_payloads():
-    cases = find_operating_points(MODEL, POSTURES, [0.0, 0.4])
+    cases = OperatingPoint.find(MODEL, POSTURES, [0.0, 0.4])
     assert [case.payload for case in cases] == [0.0] * 3 + [0.4] * 3
     for case in cases:
         loaded = varied_model(MODEL, payload_mass=case.payload)
@@ -203,7 +202,7 @@ def test_the_middle_case_has_the_middle_frequency():
 
 def test_what_is_left_is_the_closed_form_of_each_case():
     """Of one mode a shaper for it leaves its residual, weighed by how far each mode moves the tip."""
-    cases = find_operating_points(MODEL, POSTURES, [0.1, 0.4])
+    cases = OperatingPoint.find(MODEL, POSTURES, [0.1, 0.4])
     median, answers, _ = compare_shapers(cases)
     middle = median.held
     assert [(each.name, each.modes) for each in answers] == [(name, count) for count in (1, 2) for name in SHAPERS]

@@ -16,7 +16,7 @@ from flexman_gym.evaluation import METRICS, policy_files
 from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.policy_files import CERTIFICATE, FOLDER, METADATA, POLICIES, read_certificate, write_policy
 from flexman_gym.evaluation.rollout import rollout
-from flexman_gym.league import certificate, rows, scenarios
+from flexman_gym.league import certificate, rows
 from flexman_gym.league.certificate import METRIC_NAMES, certify
 from flexman_gym.league.rows import VALUES, EpisodeBlock, EpisodeRow
 from flexman_gym.league.scenarios import PLANTS, find_scenario
@@ -302,7 +302,7 @@ def test_a_cell_of_a_certificate_is_the_episode_of_the_policy_in_its_own_changed
         settings = {"friction": lambda: {"arm": Configuration.find(f"{own.id}/friction").settings["arm"]},
                     "method": lambda: {"method": value, "step": find_scenario(scenario).environment.step},
                     }.get(known, lambda: {"randomisation":
-                        scenarios.randomised_ranges(own) | dict.fromkeys(ranges[known], span)})()  # fmt: skip
+                        own.randomised_ranges | dict.fromkeys(ranges[known], span)})()  # fmt: skip
         changed = own.replace(**settings)
     given = changed if scenario.endswith("+given") or "method" in change else own
     set_plant = PLANTS[scenario.partition("@")[2] or "usual"][1]

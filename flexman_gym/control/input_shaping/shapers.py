@@ -211,6 +211,17 @@ class OperatingPoint(NamedTuple):
     held: Array
     free: Array
 
+    @classmethod
+    def find(cls, model: Model, postures: Array, payloads: Sequence[float]) -> list[Self]:
+        """Return the operating point, with its lowest modes, of each posture (p, n) rad and payload (kg)."""
+        result = []
+        for payload in payloads:
+            loaded = varied_model(model, payload_mass=non_negative("payload_mass", payload, "kg"))
+            for posture in postures:
+                modes = (excited_modes(loaded, posture, held)[:EVALUATED_MODES] for held in (True, False))
+                result.append(cls(posture, float(payload), *modes))
+        return result
+
 
 class ShaperEvaluation(NamedTuple):
     """Residual vibration, over all operating points, of a shaper designed for one or two modes of one operating point.
@@ -231,17 +242,6 @@ class ShaperEvaluation(NamedTuple):
     tolerated_errors: tuple[float, float]
     residuals: Array
     tip: Array
-
-
-def find_operating_points(model: Model, postures: Array, payloads: Sequence[float]) -> list[OperatingPoint]:
-    """Return an operating point, with its lowest modes, for each pair of a posture (p, n) rad and a payload (kg)."""
-    result = []
-    for payload in payloads:
-        loaded = varied_model(model, payload_mass=non_negative("payload_mass", payload, "kg"))
-        for posture in postures:
-            modes = (excited_modes(loaded, posture, held)[:EVALUATED_MODES] for held in (True, False))
-            result.append(OperatingPoint(posture, float(payload), *modes))
-    return result
 
 
 class _ShaperComparison(NamedTuple):
