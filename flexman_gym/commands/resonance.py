@@ -50,7 +50,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Print modes, shapers and a recommendation; return 0."""
-    from flexman_gym.control.input_shaping.shapers import OperatingPoint, compare_shapers
+    from flexman_gym.control.input_shaping.shapers import OperatingPoint, ShaperEvaluation
 
     if options.postures < 1:
         options.parser.error(f"--postures: {options.postures} is not allowed; give a whole number > 0")
@@ -62,7 +62,7 @@ def _run(options: argparse.Namespace) -> int:
     if not all(len(case.held) for case in cases):
         print("recommendation: none, as the motors excite no vibration")
         return 0
-    median, evaluations, best = compare_shapers(cases)
+    median, evaluations, best = ShaperEvaluation.compare(cases)
     sentence = _recommendation(cases, evaluations, median, best)
     print("\n".join([*_mode_lines(cases), "", *_shaper_lines(evaluations), "", sentence]))
     if options.csv:

@@ -5,7 +5,6 @@ from math import isfinite
 from textwrap import wrap
 
 WIDTH = 100  # characters of a line of `print`
-MAX_ROWS = 10  # rows of a table of `print`
 MAX_LINES = 3  # lines of a value of `print`
 
 
@@ -16,15 +15,6 @@ def markdown_table(heads: Sequence[object], rows: Iterable[Iterable[object]]) ->
 
 def _line(cells: Iterable[object]) -> str:
     return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
-
-
-def text_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
-    """Return the lines of a table with right-aligned columns; of many rows only the first ones and the last one."""
-    cells = [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
-    if len(cells) > MAX_ROWS:
-        cells = [*cells[: MAX_ROWS - 2], ["..."] * len(heads), cells[-1]]
-    widths = [max(map(len, column)) for column in zip(heads, *cells, strict=True)]
-    return ["  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in (heads, *cells)]
 
 
 def text_fields(entries: Iterable[tuple[str, object]]) -> list[str]:

@@ -12,7 +12,7 @@ from flexman_gym.control.friction_compensation import FrictionCompensation
 from flexman_gym.control.lqr import FEEDFORWARD_FRACTION, HOLDING_FACTOR, CostWeights, GainTable
 from flexman_gym.control.observers.observer import Estimate, Observer
 from flexman_gym.control.reference_shaping import ReferenceShaping
-from flexman_gym.control.references.adaptive_references import PathReferences, SlewReferences, estimated_payloads
+from flexman_gym.control.references.adaptive_references import PathReferences, SlewReferences
 
 RETIMING_PERIODS = (6, 12, 20, 30, 45)  # control periods since the start of an episode at which timing is replanned
 LAST_RETIMING = 0.75  # path parameter beyond which the timing is not replanned
@@ -88,7 +88,7 @@ class Tracking:
             self.shaping.update_time_scaling(arms)
         now = self.clock(estimate, arms)
         states, (reference, forward) = estimate.states[arms], self._reference(now, arms)
-        payloads = estimated_payloads(self.slews.model, estimate.parameters, arms)
+        payloads = self.slews.payloads(estimate.parameters, arms)
         gains = np.zeros((len(arms), len(self.limits), states.shape[1]))
         for table, chosen in zip(self._gains, (~self._holding[arms], self._holding[arms]), strict=True):
             if chosen.any():

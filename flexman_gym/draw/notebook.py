@@ -65,9 +65,5 @@ PICTURES: dict[type, Callable[[Any], bytes | None]] = {
     Trajectory: _trajectory_picture,
     Episode: _episode_picture,
 }
-
-
-def register() -> None:
-    """Add the display method to the classes of PICTURES."""
-    for kind, picture in PICTURES.items():
-        setattr(kind, "_repr_png_", picture)  # noqa: B010 (the attribute is not declared in the class)
+for kind, picture in PICTURES.items():
+    setattr(kind, "_repr_png_", picture)  # noqa: B010 (the attribute is not declared in the class)

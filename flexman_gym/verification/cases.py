@@ -196,8 +196,3 @@ def _elastic_joint_rows() -> Iterator[VerificationRow]:
 
 
 CLOSED_FORMS = (_cantilever_rows, _hub_rows, _static_rows, _stepped_rows, _bar_rows, _elastic_joint_rows)
-
-
-def closed_form_rows() -> list[VerificationRow]:
-    """Return the rows of all closed-form cases; after compilation this takes a few seconds."""
-    return [row for case in CLOSED_FORMS for row in case()]

@@ -10,7 +10,7 @@ from flexman_gym.control.input_shaping.shapers import (
     TIP_VIBRATION_LIMIT,
     OperatingPoint,
     Shaper,
-    compare_shapers,
+    ShaperEvaluation,
     design_shaper,
     excited_modes,
     shaper_residual,
@@ -197,13 +197,13 @@ def test_cases_are_all_postures_with_all_payloads():
 
 
 def test_the_middle_case_has_the_middle_frequency():
-    assert compare_shapers(cases_of(3.0, 1.0, 2.0)).median.held[0, 0] == 2.0
+    assert ShaperEvaluation.compare(cases_of(3.0, 1.0, 2.0)).median.held[0, 0] == 2.0
 
 
 def test_what_is_left_is_the_closed_form_of_each_case():
     """Of one mode a shaper for it leaves its residual, weighed by how far each mode moves the tip."""
     cases = OperatingPoint.find(MODEL, POSTURES, [0.1, 0.4])
-    median, answers, _ = compare_shapers(cases)
+    median, answers, _ = ShaperEvaluation.compare(cases)
     middle = median.held
     assert [(each.name, each.modes) for each in answers] == [(name, count) for count in (1, 2) for name in SHAPERS]
     one = next(each for each in answers if (each.name, each.modes) == ("ei", 1))
@@ -220,7 +220,9 @@ def test_what_is_left_is_the_closed_form_of_each_case():
 
 @pytest.mark.parametrize(("name", "width"), [("zv", 0.06), ("zvd", 0.286), ("ei", 0.399), ("two-hump-ei", 0.726)])
 def test_the_errors_that_are_borne_are_the_published_insensitivity(name, width):
-    low, high = next(each.tolerated_errors for each in compare_shapers(cases_of(3.0)).evaluations if each.name == name)
+    low, high = next(
+        each.tolerated_errors for each in ShaperEvaluation.compare(cases_of(3.0)).evaluations if each.name == name
+    )
     assert high - low == pytest.approx(width, abs=0.008) and low < 0.0 < high
     assert max(shaper_residual(design_shaper(name, 3.0), 3.0 * (1.0 + np.array([low, high])))) <= 5.1
 
@@ -228,17 +230,19 @@ def test_the_errors_that_are_borne_are_the_published_insensitivity(name, width):
 def test_with_damping_the_errors_to_both_sides_differ_and_each_is_the_last_that_is_borne():
     shaper = design_shaper("zvd", 3.0, 0.1)
     cases = [OperatingPoint(np.zeros(1), 0.0, mode(3.0, 0.1), mode(6.0))]
-    low, high = next(each.tolerated_errors for each in compare_shapers(cases).evaluations if each.name == "zvd")
+    low, high = next(
+        each.tolerated_errors for each in ShaperEvaluation.compare(cases).evaluations if each.name == "zvd"
+    )
     assert shaper_residual(shaper, 3.0 * (1.0 + np.array([low, high])), 0.1) == pytest.approx([5.1, 5.1], abs=0.06)
     assert high > -low + 0.005
 
 
 def test_the_recommendation_is_the_quickest_that_is_good_enough():
     spread = 0.045  # to either side: ZV leaves 7 %, MZV 4 %
-    quick = compare_shapers(cases_of(1.0 - spread, 1.0, 1.0 + spread)).recommended
+    quick = ShaperEvaluation.compare(cases_of(1.0 - spread, 1.0, 1.0 + spread)).recommended
     assert (quick.name, quick.modes) == ("zv", 1) and quick.tip.max() <= TIP_VIBRATION_LIMIT
-    _, answers, best = compare_shapers(cases_of(0.88, 1.0, 1.12))
+    _, answers, best = ShaperEvaluation.compare(cases_of(0.88, 1.0, 1.12))
     assert best.name == "zvd" and all(
         each.tip.max() > TIP_VIBRATION_LIMIT for each in answers if each.delay < best.delay
     )
-    assert compare_shapers(cases_of(0.5, 1.0, 1.5)).recommended is None
+    assert ShaperEvaluation.compare(cases_of(0.5, 1.0, 1.5)).recommended is None

@@ -17,7 +17,7 @@ ROW = VerificationRow("a number, m", "a book", 2.0, 2.001, 1e-3)
 @pytest.fixture(scope="module")
 def rows():
     """Rows of the verify command."""
-    return cases.closed_form_rows()
+    return [row for case in cases.CLOSED_FORMS for row in case()]
 
 
 def test_the_closed_forms_pass(rows):
@@ -36,13 +36,13 @@ def test_a_wrong_expected_value_fails(rows):
 
 def test_a_wrong_expected_value_ends_the_command_with_1(monkeypatch, capsys):
     for row, code in ((ROW, 0), (replace(ROW, expected=3.0), 1)):
-        monkeypatch.setattr(cases, "closed_form_rows", lambda row=row: [row])
+        monkeypatch.setattr(cases, "CLOSED_FORMS", [lambda row=row: [row]])
         assert flexman(["verify", "--quick"]) == code
         assert row.verdict in capsys.readouterr().out
 
 
 def test_the_command_names_the_full_table_and_writes_the_rows(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(cases, "closed_form_rows", lambda: [ROW])
+    monkeypatch.setattr(cases, "CLOSED_FORMS", [lambda: [ROW]])
     assert flexman(["verify", "--quick"]) == 0 and "make verify" not in capsys.readouterr().out
     assert flexman(["verify", "--json", str(tmp_path / "rows.json")]) == 0
     assert "is in docs/evidence/verification.md" in capsys.readouterr().out

@@ -243,6 +243,15 @@ class ShaperEvaluation(NamedTuple):
     residuals: Array
     tip: Array
 
+    @staticmethod
+    def compare(points: Sequence[OperatingPoint]) -> "_ShaperComparison":
+        """Evaluate all shapers over operating points, each with a mode with held motors; recommend a shaper."""
+        median = sorted(points, key=lambda point: float(point.held[0, 0]))[len(points) // 2]
+        counts = [count for count in (1, 2) if count <= len(median.held)]
+        found = [_evaluate_shaper(name, median.held[:count], points) for count in counts for name in SHAPERS]
+        feasible = [evaluation for evaluation in found if evaluation.tip.max() <= TIP_VIBRATION_LIMIT]
+        return _ShaperComparison(median, found, min(feasible, key=lambda evaluation: evaluation.delay, default=None))
+
 
 class _ShaperComparison(NamedTuple):
     """Comparison of all shapers.
@@ -256,15 +265,6 @@ class _ShaperComparison(NamedTuple):
     median: OperatingPoint
     evaluations: list[ShaperEvaluation]
     recommended: ShaperEvaluation | None
-
-
-def compare_shapers(points: Sequence[OperatingPoint]) -> _ShaperComparison:
-    """Evaluate all shapers over operating points, each with at least one mode with held motors; recommend a shaper."""
-    median = sorted(points, key=lambda point: float(point.held[0, 0]))[len(points) // 2]
-    counts = [count for count in (1, 2) if count <= len(median.held)]
-    found = [_evaluate_shaper(name, median.held[:count], points) for count in counts for name in SHAPERS]
-    feasible = [evaluation for evaluation in found if evaluation.tip.max() <= TIP_VIBRATION_LIMIT]
-    return _ShaperComparison(median, found, min(feasible, key=lambda evaluation: evaluation.delay, default=None))
 
 
 def _evaluate_shaper(name: str, modes: Array, points: Sequence[OperatingPoint]) -> ShaperEvaluation:
