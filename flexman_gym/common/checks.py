@@ -159,15 +159,12 @@ def mapping(name: str, value: object, keys: Collection[str]) -> dict[str, Any]:
 
 
 def sequence(name: str, value: object, items: str = "values") -> Sequence[Any]:
-    """Check a list, a tuple or an array.
+    """Check a list, a tuple or an array; an array is returned as a list.
 
     Args:
         name: field, for errors.
         value: the value.
         items: description of the entries, for errors.
-
-    Returns:
-        The value; an array is returned as a list.
     """
     if isinstance(value, np.ndarray) and value.ndim > 0 and value.size <= MAX_ENTRIES:
         return list(value.tolist())
@@ -177,16 +174,13 @@ def sequence(name: str, value: object, items: str = "values") -> Sequence[Any]:
 
 
 def number_array(name: str, value: object, shape: tuple[int, ...], allowed: str) -> NDArray[np.float64]:
-    """Check an array-like of finite numbers; its length is checked before it is converted.
+    """Return an array-like of finite numbers as a float array; its length is checked before it is converted.
 
     Args:
         name: field, for errors.
         value: the array-like.
         shape: required shape.
         allowed: allowed values, for errors.
-
-    Returns:
-        The numbers as a float array.
     """
     try:
         values = np.asarray(value) if len(value) == shape[0] else None  # type: ignore[arg-type]

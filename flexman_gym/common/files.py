@@ -69,14 +69,11 @@ for _class in (_Loader, _PackageLoader):
 
 
 def regular_file(path: str | Path, most: int | None = MAX_TEXT_BYTES) -> Path:
-    """Check that a path is a regular file, without opening it: reading a device or a pipe may never end.
+    """Return a path if it is a regular file, without opening it: reading a device or a pipe may never end.
 
     Args:
         path: the path.
         most: largest size in bytes; None for any size.
-
-    Returns:
-        The path.
 
     Raises:
         FileNotFoundError: if the file does not exist.

@@ -51,16 +51,13 @@ class SampledLoop(NamedTuple):
         return float(np.abs(np.linalg.eigvals(self.transition - self.inputs @ _gain(self, stiffness, damping))).max())
 
     def open_loop_responses(self, stiffness: Vector, damping: Vector, frequencies: Vector, period: float) -> Response:
-        """Return the open-loop responses (n, f) of a PD: the loop of one motor is opened, all others are closed.
+        """Return complex open-loop responses (n, f) of a PD: the loop of one motor is opened, all others are closed.
 
         Args:
             stiffness: (n,) proportional gains, N m/rad.
             damping: (n,) derivative gains, N m s/rad.
             frequencies: (f,) Hz, below half the sampling frequency.
             period: sampling period, s.
-
-        Returns:
-            Complex responses (n, f).
         """
         n, size = self.inputs.shape[1], len(self.transition)
         gain, result = _gain(self, stiffness, damping), []
@@ -167,7 +164,7 @@ def first_order_lag(period: float, bandwidth: float) -> tuple[float, float]:
 
 
 def margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector) -> Margins:
-    """Return the smallest margins of a PD over several loops; gain 1 and phase 0 if a loop is unstable.
+    """Return the least gain margin (1) and phase margin (degrees) of a PD over loops and motors; 1 and 0 if unstable.
 
     A margin is the smallest change of the torques for which an eigenvalue of the closed loop leaves the unit circle.
     The torques of any one motor, or of all motors, are multiplied by a factor >= 1, or by exp(+-i phase).
@@ -176,9 +173,6 @@ def margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector) ->
         loops: from `sampled_loops`.
         stiffness: (n,) proportional gains, N m/rad.
         damping: (n,) derivative gains, N m s/rad.
-
-    Returns:
-        The smallest gain margin (factor, 1) and the smallest phase margin (degrees) over all loops and motors.
     """
     smallest, stable = [], np.ones(len(loops), dtype=bool)
     for values, changes in ((GAIN_FACTORS, GAIN_FACTORS), (PHASE_SHIFTS, np.exp(IMAGINARY_DEGREE * PHASE_SHIFTS))):

@@ -31,7 +31,7 @@ def side_by_side(
     hold: float = 0.0,
     gain: float | Vector = 1.0,
 ) -> list[Picture]:
-    """Return frames of several episodes side by side, with equal camera directions and scales.
+    """Return frames (height, width, 3), uint8, of episodes side by side, with equal camera directions and scales.
 
     The names of the agents and their tip errors stand above the arms. If the episodes have targets, a strip chart below
     shows the tip errors up to the time of the frame. The violet line is the path of the tip since the start.
@@ -43,9 +43,6 @@ def side_by_side(
         seconds: duration of the motion that is shown, s.
         hold: time for which the last frame is repeated, s.
         gain: magnification of the deflection of the links, or of links and joints, see `FramePainter`.
-
-    Returns:
-        Frames (height, width, 3), uint8.
 
     Raises:
         ImportError: for episodes with targets without Matplotlib.

@@ -376,7 +376,7 @@ def arm_frame(
     size: tuple[int, int] = (480, 360),
     gain: float | Vector = 1.0,
 ) -> NDArray[np.uint8]:
-    """Return one frame (height, width, 3) that shows an arm as large as possible; for many frames use a FramePainter.
+    """Return one frame (height, width, 3), uint8, with an arm as large as possible; for many frames use a FramePainter.
 
     Args:
         model: model of the arm.
@@ -384,9 +384,6 @@ def arm_frame(
         target: target of the tip (3,) in the base frame, m; None for no target.
         size: width and height, pixels.
         gain: magnification of the deflection of the links, or of links and joints, see `FramePainter`.
-
-    Returns:
-        Pixels (height, width, 3), uint8.
     """
     painter = FramePainter(model, size, gain=gain)
     points = curves(model, state, POINTS, *painter.gains).positions.reshape(-1, 3)
@@ -396,14 +393,11 @@ def arm_frame(
 
 
 def grid(frames: Sequence[NDArray[np.uint8]], across: int | None = None) -> NDArray[np.uint8]:
-    """Return several frames of one size as one picture, in rows.
+    """Return several frames of one size as one picture (height, width, 3), uint8, in rows.
 
     Args:
         frames: frames (height, width, 3) uint8, such as the frames rendered by a vector environment.
         across: number of frames in a row; None for about as many columns as rows.
-
-    Returns:
-        Pixels (height, width, 3), uint8.
     """
     if not len(frames) or len({each.shape for each in frames}) > 1:
         raise value_error("frames", [each.shape for each in frames], "at least one, all of one size")

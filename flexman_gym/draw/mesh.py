@@ -114,14 +114,11 @@ def _tube_faces(links: int, places: int) -> IntArray:
 
 
 def tube_surfaces(curves: Curves, sections: Sequence[_SectionOutlines]) -> tuple[Mesh, Array]:
-    """Return the surface of all links at one state, and the axial strain (v,) at its vertices.
+    """Return the surface of all links at one state, with v vertices, and the axial strain (v,) at its vertices.
 
     Args:
         curves: centrelines of the n links at P points each.
         sections: section outlines of each link.
-
-    Returns:
-        Mesh with v vertices, and axial strains (v,), 1.
     """
     points, normals, gauges = (np.array([section[k] for section in sections]) for k in range(3))
     across = curves.frames[..., 1:]

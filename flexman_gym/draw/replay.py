@@ -98,16 +98,13 @@ def _arm_data(model: Model) -> dict[str, Any]:
 
 
 def _view_data(models: Sequence[Model], points: Array, strain: float, gain: float = 1.0) -> dict[str, Any]:
-    """Return camera, floor and scale of the page as JSON-compatible data.
+    """Return reach, points, camera, floor and scale of the page as JSON-compatible data.
 
     Args:
         models: models of the arms.
         points: points (p, 3), m, in the picture.
         strain: strain at the ends of the colour scale; 0 for rigid arms.
         gain: magnification of the deflection of the links at the start.
-
-    Returns:
-        Reach, points, camera, floor and scale.
     """
     reach = max(float(model.constants.length.sum()) for model in models)
     points = np.concatenate([points[np.isfinite(points).all(axis=1)], np.zeros((1, 3))])

@@ -76,16 +76,13 @@ class ActiveEffects:
     def draw(
         self, arms: IntArray, randoms: Sequence[np.random.Generator], given: Mapping[str, Array]
     ) -> dict[str, Array]:
-        """Draw the values of all effects for new episodes.
+        """Draw the values of all effects for new episodes; return physical parameters (r, ...) by name.
 
         Args:
             arms: (r,) indices of the arms.
             randoms: random generator of each of these arms.
             given: physical parameters (r, ...) by name that replace drawn values. The values are drawn nevertheless,
                 so that later draws do not change.
-
-        Returns:
-            Physical parameters (r, ...) by name, for `Batch.vary`.
         """
         self.drawn = {name: values.copy() for name, values in self.drawn.items()}
         for row, (arm, random) in enumerate(zip(arms.tolist(), randoms, strict=True)):

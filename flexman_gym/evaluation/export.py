@@ -28,7 +28,7 @@ CHECK_SEEDS = SELECTION_SEEDS[:16]  # seeds of the episodes whose observations a
 def export_policy(
     run: Path, folder: Path, description: str, recipe: str, environment: str = "", licence: str = DEFAULT_LICENCE
 ) -> dict[str, float]:
-    """Export the best policy of a training run and evaluate it in the test episodes.
+    """Export the best policy of a training run; return its metrics in the test episodes by name, see `evaluate`.
 
     Args:
         run: folder of the run.
@@ -38,9 +38,6 @@ def export_policy(
         environment: id, id and condition, or file of the environment for which the policy is recommended; "" for the
             environment of the training. The settings of the agent, such as sensors and base controller, do not change.
         licence: licence of the policy.
-
-    Returns:
-        Metrics of the exported policy by name, see `evaluate`.
 
     Raises:
         FileNotFoundError: if a file of the run is missing.

@@ -48,13 +48,10 @@ def policy_folder(name: str) -> Path | None:
 
 
 def read_policy(folder: Path) -> _ExportedPolicy:
-    """Read an exported policy without executing code of its files.
+    """Return metadata and network of an exported policy without executing code of its files.
 
     Args:
         folder: folder of the policy.
-
-    Returns:
-        Metadata and network.
 
     Raises:
         FileNotFoundError: if a file is missing.

@@ -130,13 +130,10 @@ class Rollout:
         return Episode(self.period * np.arange(end + 1.0), **arrays, readings=readings, about=metadata)
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write each episode to a file NAME-SEED.npz, which `fm.Episode.load` reads.
+        """Write each episode to a file NAME-SEED.npz, which `fm.Episode.load` reads; return the paths.
 
         Args:
             folder: folder of the files; it is created if it does not exist.
-
-        Returns:
-            Paths of the files.
 
         Raises:
             OSError: if a file cannot be written.

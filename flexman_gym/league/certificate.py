@@ -132,7 +132,7 @@ def _environment_name(name: str) -> str:
 def _certificate_row(
     scenario: str, seeds: range, rows: Sequence[EpisodeRow], reference: Sequence[EpisodeRow], reach: float
 ) -> dict[str, Any]:
-    """Return the metrics of a scenario, and under "fails" its values beyond a limit with the limits, as text.
+    """Return name, seeds and metrics of a scenario, and under "fails" its values beyond a limit with limits, as text.
 
     Args:
         scenario: name of the scenario.
@@ -140,9 +140,6 @@ def _certificate_row(
         rows: rows of the scenario.
         reference: rows of the same seeds in the environment of the policy.
         reach: sum of the lengths of the links, m.
-
-    Returns:
-        Name, seeds, metrics and "fails" of the scenario.
     """
     now, trained = _aggregates(METRIC_NAMES, rows), _aggregates(METRIC_NAMES, reference)
     reasons = []

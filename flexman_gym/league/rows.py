@@ -167,7 +167,7 @@ def run_league(
     agents: Sequence[str], scenarios: Sequence[str], seeds: range, folder: Path, jobs: Workers | int = 1,
     log: Callable[[str], None] = print,
 ) -> LeagueRows:  # fmt: skip
-    """Run the cells that a folder lacks, and write the files of the folder after each cell.
+    """Run the cells that a folder lacks, and write its files after each cell; return all its rows and cells.
 
     Args:
         agents: names of agents, see `find_agent`.
@@ -176,9 +176,6 @@ def run_league(
         folder: folder of the files.
         jobs: `Workers`, or a number of processes; the rows do not depend on this choice.
         log: function of one line of text for each cell.
-
-    Returns:
-        All rows and cells of the folder.
 
     Raises:
         FileNotFoundError: for an unknown agent or environment.

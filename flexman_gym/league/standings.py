@@ -153,15 +153,12 @@ class Standings:
         return float(won.mean()), *stratified_interval(won, mean)
 
     def settled(self, agent: str, scenario: str, seeds: Collection[int] | None = None) -> tuple[float, float]:
-        """Return share of settled episodes and minus the median settling time; the better agent has the larger tuple.
+        """Return share of settled episodes (0 to 1), minus median settling time (s); the better has the larger tuple.
 
         Args:
             agent: name of an agent with rows in the scenario.
             scenario: name of the scenario.
             seeds: seeds of the episodes; None for all.
-
-        Returns:
-            Share of settled episodes (from 0 to 1), and minus the median settling time (s).
         """
         values = self.values(agent, scenario, "settling_time")
         times = np.sort([time for seed, time in values.items() if seeds is None or seed in seeds])

@@ -226,7 +226,7 @@ def discretize(A: Array, B: Array, period: float) -> tuple[Array, Array]:
 
 
 def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
-    """Return squared natural frequencies (d,) in rad^2/s^2, ascending, and mass-normalised mode shapes (d, d).
+    """Return squared natural frequencies (d,), rad^2/s^2, ascending, and mass-normalised mode shapes as columns (d, d).
 
     The error of a general eigenvalue solver is proportional to the largest squared frequency, which is huge for finite
     elements. Here the inverse frequencies are the singular values of L_M^T L_K^-T, with the Cholesky factors L_M and
@@ -236,9 +236,6 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     Args:
         mass: mass matrix (d, d), positive definite, in SI units.
         stiffness: stiffness matrix (d, d), symmetric, in SI units.
-
-    Returns:
-        Squared frequencies, and shapes as columns with shapes^T M shapes = 1.
 
     Raises:
         ValueError: for matrices without Cholesky factors in double precision.

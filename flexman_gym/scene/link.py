@@ -299,7 +299,7 @@ class Link:
         orientation: Matrix = IDENTITY,
         masses: Sequence[LumpedMass] = (),
     ) -> Self:
-        """Build a flat strip of rectangular cross-section.
+        """Build a flat strip of rectangular cross-section, with its outline.
 
         With thin="y" the width is along z, and the strip bends easily in the x-y plane, like a ruler on its edge. With
         thin="z" the width is along y, and the strip bends easily in the x-z plane, like a diving board.
@@ -314,9 +314,6 @@ class Link:
                 (kg/m^3).
             orientation: rotation matrix (3, 3), see `Link`.
             masses: lumped masses, see `Link`.
-
-        Returns:
-            The link, with its outline.
 
         Examples:
             >>> ruler = fm.Link.strip(length=0.8, width=0.05, thickness=0.001)
@@ -335,7 +332,7 @@ class Link:
         orientation: Matrix = IDENTITY,
         masses: Sequence[LumpedMass] = (),
     ) -> Self:
-        """Build a round tube.
+        """Build a round tube, with its outline.
 
         Args:
             length: length, m.
@@ -344,9 +341,6 @@ class Link:
             material: name, or moduli and density, see `strip`.
             orientation: rotation matrix (3, 3), see `Link`.
             masses: lumped masses, see `Link`.
-
-        Returns:
-            The link, with its outline.
 
         Examples:
             >>> round(fm.Link.tube(1.0, diameter=0.05, wall=0.002).mass, 3)
@@ -363,7 +357,7 @@ class Link:
         orientation: Matrix = IDENTITY,
         masses: Sequence[LumpedMass] = (),
     ) -> Self:
-        """Build a solid round rod.
+        """Build a solid round rod, with its outline.
 
         Args:
             length: length, m.
@@ -371,9 +365,6 @@ class Link:
             material: name, or moduli and density, see `strip`.
             orientation: rotation matrix (3, 3), see `Link`.
             masses: lumped masses, see `Link`.
-
-        Returns:
-            The link, with its outline.
         """
         return cls._from_outline(length, _round_outline(diameter), material, orientation, masses)
 

@@ -469,15 +469,12 @@ def _sampled_signal(record: TimeSeries, column: str, units: tuple[str, ...], opt
 
 
 def _check_signals(name: str, value: object, units: str) -> tuple[Signal | SampledSignal, ...] | None:
-    """Return the checked signals of the three components of a vector in the base frame.
+    """Return the checked signals of the three components of a vector in the base frame as a tuple, or None.
 
     Args:
         name: field, for errors.
         value: three Signals or SampledSignals along x, y and z, or None.
         units: unit of the vector, for errors.
-
-    Returns:
-        The signals as a tuple, or None.
     """
     if value is None:
         return None

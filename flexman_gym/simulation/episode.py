@@ -63,14 +63,11 @@ class Episode:
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory, name: str = "scene") -> Self:
-        """Return a trajectory as an episode without targets, actions, torques and rewards.
+        """Return a trajectory as an episode without targets, actions, torques and rewards; these arrays hold nan.
 
         Args:
             trajectory: the solution of a scene.
             name: name of the episode in plots.
-
-        Returns:
-            The episode; missing arrays hold nan.
         """
         rows, n = trajectory.joint_angles.shape
         missing = {"targets": (rows, 3), "errors": (rows,), "actions": (rows - 1, n), "torques": (rows - 1, n),

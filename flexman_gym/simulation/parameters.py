@@ -293,15 +293,12 @@ def nominal_parameters(model: Model) -> dict[str, Array]:
 
 
 def varied_constants(model: Model, count: int, parameters: Mapping[str, object]) -> dict[str, Array]:
-    """Return the model constants of several arms with given values of physical parameters.
+    """Return the fields (count, ...) of `kernels.layout.Constants` changed by values of physical parameters, by name.
 
     Args:
         model: the model.
         count: number of arms.
         parameters: values (count,) or (count, n) by their name in PARAMETERS.
-
-    Returns:
-        Changed fields of `kernels.layout.Constants` (count, ...), by name.
 
     Raises:
         ValueError: as `Batch.vary`.

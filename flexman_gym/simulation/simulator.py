@@ -133,7 +133,7 @@ class Simulator:
         tip_force: Vector | None = None,
         base_acceleration: Vector | None = None,
     ) -> str:
-        """Integrate over one control period under constant inputs.
+        """Integrate over one control period under constant inputs; return the status.
 
         Args:
             torque: (n,) motor torques, N m; 0 for motors with prescribed motion.
@@ -141,9 +141,6 @@ class Simulator:
                 for zeros.
             tip_force: (3,) force on the tip of the last link, base frame, N; None for zeros.
             base_acceleration: (3,) acceleration of the base, base frame, m/s^2; None for zeros.
-
-        Returns:
-            The status.
 
         Raises:
             ValueError: for a wrong shape, a value that is not finite, or a torque on a joint with prescribed motion.

@@ -250,15 +250,12 @@ class PerturbedModels:
         return exact + biases if biases.shape[-1] else exact
 
     def _add_sensor_errors(self, jacobian: Array, exact: Array, theta: Array) -> Array:
-        """Add the columns of biases and gain errors to a Jacobian of measurements.
+        """Return a Jacobian (r, ..., m, p) of measurements with the columns of biases and gain errors added.
 
         Args:
             jacobian: (r, ..., m, s) Jacobian of exact measurements.
             exact: (r, ..., m) exact measurements.
             theta: (r, p) parameter vectors.
-
-        Returns:
-            Jacobian (r, ..., m, p).
         """
         m, gauges = len(self.matrix), self._gauges
         result = np.zeros((*jacobian.shape[:-1], self.size))
