@@ -29,8 +29,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Print the table; return 0, or 1 if a row fails."""
     from flexman_gym.verification import papers
-    from flexman_gym.verification.cases import closed_form_rows
-    from flexman_gym.verification.table import PASS, exit_code, format_json, format_table
+    from flexman_gym.verification.cases import CLOSED_FORMS
+    from flexman_gym.verification.table import PASS, VerificationTable
 
     if options.data is not None:
         from flexman_gym.verification.response import describe, fit_response, read_response
@@ -43,20 +43,20 @@ def _run(options: argparse.Namespace) -> int:
     started = perf_counter()
     if options.table == "papers":
         tables = [papers.printed_rows(), papers.computed_rows()]
-        result = [row for table in tables for row in table]
-        print(f"{format_table(tables[0])}\n\n{format_table(tables[1])}")
-        explained = [row for row in result if row.verdict != PASS and row.case in papers.REASONS]
+        rows = [row for table in tables for row in table]
+        print(*map(VerificationTable, tables), sep="\n\n")
+        explained = [row for row in rows if row.verdict != PASS and row.case in papers.REASONS]
         print(*(f"{row.case}: {papers.REASONS[row.case]}" for row in explained), sep="\n")
-        result = [row for row in result if row not in explained]
+        result = VerificationTable([row for row in rows if row not in explained])
     else:
-        result = closed_form_rows()
-        print(format_table(result))
+        result = VerificationTable([row for case in CLOSED_FORMS for row in case()])
+        print(result)
     print(f"{perf_counter() - started:.0f} s")
     if not options.quick and options.table != "papers":
         print(FULL_TABLE_HINT)
     if options.json is not None:
-        options.json.write_text(format_json(result), encoding="utf-8")
-    return exit_code(result)
+        options.json.write_text(result.to_json(), encoding="utf-8")
+    return result.exit_code
 
 
 COMMAND = CommandLine(_arguments, _run)

@@ -66,9 +66,6 @@ def read_time_series(path: str | Path) -> TimeSeries:
     Args:
         path: path of the file.
 
-    Returns:
-        The columns over time.
-
     Raises:
         FileNotFoundError: if the file does not exist.
         ValueError: as in `read_csv_rows`, and for a header without a time, with a repeated name or with an unknown

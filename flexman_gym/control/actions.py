@@ -12,7 +12,7 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_ro
 from flexman_gym.common.checks import non_negative, physical, value_error, vector
 from flexman_gym.control.base_controllers import make_base, parse_kind
 from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings, saturated
-from flexman_gym.control.margins import describe_stuck_motors, sampled_loops, spectral_radius
+from flexman_gym.control.margins import describe_stuck_motors, sampled_loops
 from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.pd import PD
 from flexman_gym.control.reference_shaping import ReferenceShaping, ShapingLimits
@@ -104,9 +104,6 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
         **given: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each; "range", the angle (rad) or rate (rad/s) at
             an action of 1, for all joints or for each joint (n,). The default range is pi, for kind="velocity" the
             speed limit of the motor.
-
-    Returns:
-        Servo mode.
     """
     if base is not None:
         raise value_error("base", base, f'None: with actions="{kind}" the servo commands the motors')
@@ -122,7 +119,7 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
     gains = make_base({"kind": "pd", **given}, plant)
     assert isinstance(gains, PD)
     loops = sampled_loops(plant.model, np.zeros(n), plant.period, plant.delay[1], plant.bandwidth)
-    radii = [spectral_radius(loop, gains.stiffness, gains.damping) for loop in loops]
+    radii = [loop.spectral_radius(gains.stiffness, gains.damping) for loop in loops]
     radius, stuck = max(radii), loops[int(np.argmax(radii))].stuck
     if radius > UNSTABLE_RADIUS:
         warnings.warn(
@@ -175,12 +172,7 @@ class _ReferenceShapingMode:
         self._observed = np.zeros((0, sum(sizes.values())))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,).
-
-        Args:
-            arms: (r,) indices.
-            episode: start and goal of these episodes.
-            count: total number of arms.
+        """Start new episodes; arguments as in `Controller.reset`.
 
         Raises:
             ValueError: for a moving goal.
@@ -310,9 +302,6 @@ class ActionMode(Protocol):
             readings: as in `Controller.act`.
             applied: as in `Controller.act`.
             active: as in `Controller.act`.
-
-        Returns:
-            Torques (b, n).
         """
         ...
 
@@ -385,9 +374,6 @@ def _make_motor_input(quantity: str, plant: Plant, base: Controller | None) -> T
         quantity: "current" or "voltage".
         plant: plant model.
         base: controller whose torques are added; None for no base controller.
-
-    Returns:
-        Action mode.
 
     Raises:
         ValueError: for an arm with a joint without a motor of this input, or without its limit.

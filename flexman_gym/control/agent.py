@@ -153,12 +153,7 @@ class Agent:
             self._history = longer.copy_from(self._history) if self._history else longer
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,).
-
-        Args:
-            arms: (r,) indices.
-            episode: start, goal and control period of these episodes.
-            count: total number of arms.
+        """Start new episodes; arguments as in `Controller.reset`.
 
         Raises:
             ValueError: for arms whose number of joints differs from the number of joints of the action mode.
@@ -197,15 +192,7 @@ class Agent:
                 self.observations[arms] = update(now[arms], arms)
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Return the torques (b, n) as fractions of the torque limits; see `Controller.act`.
-
-        Args:
-            readings: as in `Controller.act`.
-            applied: as in `Controller.act`.
-            active: as in `Controller.act`.
-
-        Returns:
-            Torques (b, n).
+        """Return the torques (b, n) as fractions of the torque limits; arguments as in `Controller.act`.
 
         Raises:
             ValueError: for readings whose size differs from the size of the agent's sensors.

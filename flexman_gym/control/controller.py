@@ -137,9 +137,6 @@ class Controller(Protocol):
             applied: (b, n) torques commanded in the previous control period, as fractions of the torque limits: the
                 sum of all controllers, saturated at -1 and 1, before delay and friction; 0 in the first period.
             active: (b,) True for arms whose episode is running.
-
-        Returns:
-            Actions (b, n).
         """
         ...
 
@@ -158,9 +155,6 @@ def checked_controller(field: str, value: object, others: str = "") -> Controlle
         field: name of the field, for error messages.
         value: any object.
         others: text with further allowed values, for error messages.
-
-    Returns:
-        The value, or its adapter.
 
     Raises:
         ValueError: for an object without these members, for methods with different arguments, and for a member whose

@@ -130,15 +130,12 @@ def stability_limit(delay: int) -> float:
 
 
 def torque_limits(name: str, value: object, joints: int) -> tuple[float, ...]:
-    """Return the torque limit of each joint, N m.
+    """Return the torque limits (n,) of the joints, N m.
 
     Args:
         name: name of the field, for error messages.
         value: torque limit of all joints, or of each joint (n,), N m.
         joints: n, number of joints.
-
-    Returns:
-        Limits (n,), N m.
 
     Raises:
         ValueError: for a number of limits other than n, and for a limit outside 1e-30 to 1e30.

@@ -17,7 +17,7 @@ from flexman_gym.common.checks import whole_number
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.reset_options import check_parameters
-from flexman_gym.envs.episodes import Episodes, make_spaces, validate_actions
+from flexman_gym.envs.episodes import Episodes, validate_actions
 from flexman_gym.envs.rendering import RENDER_KEYWORDS, RENDER_MODES, make_renderer
 from flexman_gym.envs.stateful import StatefulEnv
 from flexman_gym.kernels import layout
@@ -149,7 +149,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         self.torque_limit = np.array(configuration.torque_limit)
         self.episodes = Episodes(configuration, self.simulator.batch)
         self.sensors = self.episodes.sensors
-        self.observation_space, self.action_space = make_spaces(self.episodes)
+        self.observation_space, self.action_space = self.episodes.make_spaces()
         size = len(self.episodes.agent.mode.names)
         self.metadata = FlexManEnv.metadata | {"render_fps": round(1 / self.simulator.control_period)}
         self._action_shape = (size,)

@@ -32,7 +32,7 @@ from flexman_gym.envs.sensors import (
 from flexman_gym.envs.sensors.ideal import NEAR
 from flexman_gym.envs.sensors.sensor import MeasuredView
 from flexman_gym.envs.tasks import Hold, Slew, Track
-from flexman_gym.envs.tasks.rewards import term_derivatives
+from flexman_gym.envs.tasks.rewards import REWARDS
 from flexman_gym.envs.view import View
 from flexman_gym.evaluation.agent import AgentSpec, find_agent
 from flexman_gym.evaluation.rollout import TEST_SEEDS, Rollout, rollout
@@ -266,18 +266,17 @@ class _Derivatives:
     def _rewards(self, episodes: Episodes, changes: Mapping[str, Array]) -> dict[str, tuple[Any, Array]]:
         """Return reward terms, reward and return with their derivatives; 0 at the start."""
         task, begun, view = self._environment.task, self._periods > 0, episodes.view
-        derivatives = term_derivatives(
-            getattr(task, "reward", "distance"), view, view.tip_velocity - view.target_velocity, changes
-        )
+        reward = REWARDS[getattr(task, "reward", "distance")]
+        derivatives = reward.derivatives(view, view.tip_velocity - view.target_velocity, changes)
         terms, weights = episodes.reward_terms, self._environment.reward or {}
         self._terms = tuple(f"reward_{name} (1)" for name in terms)
         none = np.zeros(len(self._rows))
         change = begun * np.transpose([weights.get(name, 1.0) * derivatives.get(name, none) for name in terms])
-        reward = np.vstack([begun * episodes.rewards()[:, None], change.sum(axis=1, keepdims=True)])
-        self._return = self._return + reward
+        total = np.vstack([begun * episodes.rewards()[:, None], change.sum(axis=1, keepdims=True)])
+        self._return = self._return + total
         value = begun * np.array([np.ravel(each)[0] for each in terms.values()])
         return {
-            "reward_terms": (value, change), "reward": (reward[:1], reward[1:]),
+            "reward_terms": (value, change), "reward": (total[:1], total[1:]),
             "return": (self._return[:1], self._return[1:]),
         }  # fmt: skip
 

@@ -13,7 +13,7 @@ from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LANES
 from flexman_gym.model.beam import Beam, build_beam
 from flexman_gym.model.component_modes import loaded_modes, outboard_inertias, zero_pose_rotations
-from flexman_gym.model.element import Element, beam_elements
+from flexman_gym.model.element import Element
 from flexman_gym.model.joint_constants import joint_constants
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import warn_caller
@@ -329,7 +329,7 @@ class Model:
 
     def elements(self, link: int) -> list[Element]:
         """Return the finite elements of a link (index from 0), base to tip."""
-        return beam_elements(self.arm.links[link], _each("elements", self.choice.elements, self.n_joints)[link])
+        return Element.divide(self.arm.links[link], _each("elements", self.choice.elements, self.n_joints)[link])
 
     def initial_state(self, joint_angles: Vector, joint_rates: Vector | None = None) -> Array:
         """Return the state (2 d,) of the undeformed arm with the motors at the angles and rates of the joints.

@@ -10,7 +10,7 @@ from flexman_gym.common.checks import check_solvable, one_of, vector
 from flexman_gym.model.dynamics import elastic_forces, inertial_forces, mass_matrix, stiffness_matrix
 from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, check_model
-from flexman_gym.model.natural_modes import natural_modes
+from flexman_gym.model.state_space import natural_modes
 from flexman_gym.model.statics import holding_torques, rest_state
 
 RIGID_BODY_LIMIT = 1e-6  # magnitude of an eigenvalue / lowest natural frequency, up to which it is rigid-body motion

@@ -89,9 +89,6 @@ def paper_scene(case: str = "ff") -> Scene:
     Args:
         case: "rr" for rigid links and joints, "fr" for flexible links and rigid joints, "ff" for flexible links and
             joints.
-
-    Returns:
-        The scene, ready for `fm.simulate`.
     """
     flexible_links, flexible_joints = _PAPER_CASES[one_of("case", case, _PAPER_CASES)]
     return Scene(

@@ -5,15 +5,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple, Self
 
+import numpy as np
+
 from flexman_gym.common.arrays import Matrix, Vector
 from flexman_gym.common.checks import (
+    UNIT_TOLERANCE,
     flag,
     instance,
     instances,
     mapping,
     one_of,
     physical,
-    rotation,
     sequence,
     set_fields,
     value_error,
@@ -170,6 +172,21 @@ def _check_outline(outline: object, numbers: dict[str, float]) -> None:
 MAX_MASSES = 64  # largest number of lumped masses on a link
 
 
+def _rotation(name: str, value: object) -> tuple[tuple[float, ...], ...]:
+    """Return a rotation matrix (3, 3), orthonormal within 1e-9 with determinant +1, as a tuple of rows."""
+    rows = sequence(name, value, "3 rows of 3 numbers")
+    if len(rows) != 3:
+        raise value_error(name, value, "3 rows of 3 numbers")
+    rows = tuple(vector(f"{name}[{i}]", row, 3) for i, row in enumerate(rows))
+    matrix = np.array(rows)
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    # Reflections are orthonormal, too, with determinant -1.
+    if not error <= UNIT_TOLERANCE or np.linalg.det(matrix) < 0.0:
+        raise value_error(name, value, "a rotation matrix: orthonormal within 1e-9, determinant +1")
+    return rows
+
+
 def _lumped_masses(name: str, value: object, length: float) -> tuple[LumpedMass, ...]:
     """Return the lumped masses of a link of a length (m) as a tuple after checking their number and positions."""
     masses = tuple(sequence(name, value, "LumpedMass"))
@@ -258,7 +275,7 @@ class Link:
             self, **{name: physical(f"Link.{name}", getattr(self, name), unit) for name, unit in _LINK_UNITS.items()}
         )
         set_fields(self, flexible=flag("Link.flexible", self.flexible))
-        set_fields(self, orientation=rotation("Link.orientation", self.orientation))
+        set_fields(self, orientation=_rotation("Link.orientation", self.orientation))
         set_fields(self, masses=_lumped_masses("Link.masses", self.masses, self.length))
         if self.outline is not None:
             _check_outline(self.outline, vars(self))
@@ -282,7 +299,7 @@ class Link:
         orientation: Matrix = IDENTITY,
         masses: Sequence[LumpedMass] = (),
     ) -> Self:
-        """Build a flat strip of rectangular cross-section.
+        """Build a flat strip of rectangular cross-section, with its outline.
 
         With thin="y" the width is along z, and the strip bends easily in the x-y plane, like a ruler on its edge. With
         thin="z" the width is along y, and the strip bends easily in the x-z plane, like a diving board.
@@ -297,9 +314,6 @@ class Link:
                 (kg/m^3).
             orientation: rotation matrix (3, 3), see `Link`.
             masses: lumped masses, see `Link`.
-
-        Returns:
-            The link, with its outline.
 
         Examples:
             >>> ruler = fm.Link.strip(length=0.8, width=0.05, thickness=0.001)
@@ -318,7 +332,7 @@ class Link:
         orientation: Matrix = IDENTITY,
         masses: Sequence[LumpedMass] = (),
     ) -> Self:
-        """Build a round tube.
+        """Build a round tube, with its outline.
 
         Args:
             length: length, m.
@@ -327,9 +341,6 @@ class Link:
             material: name, or moduli and density, see `strip`.
             orientation: rotation matrix (3, 3), see `Link`.
             masses: lumped masses, see `Link`.
-
-        Returns:
-            The link, with its outline.
 
         Examples:
             >>> round(fm.Link.tube(1.0, diameter=0.05, wall=0.002).mass, 3)
@@ -346,7 +357,7 @@ class Link:
         orientation: Matrix = IDENTITY,
         masses: Sequence[LumpedMass] = (),
     ) -> Self:
-        """Build a solid round rod.
+        """Build a solid round rod, with its outline.
 
         Args:
             length: length, m.
@@ -354,9 +365,6 @@ class Link:
             material: name, or moduli and density, see `strip`.
             orientation: rotation matrix (3, 3), see `Link`.
             masses: lumped masses, see `Link`.
-
-        Returns:
-            The link, with its outline.
         """
         return cls._from_outline(length, _round_outline(diameter), material, orientation, masses)
 
@@ -481,7 +489,7 @@ class NonUniformLink:
             if section.masses:
                 allowed = "none; give the masses of the whole link"
                 raise value_error(f"NonUniformLink.sections[{i}].masses", section.masses, allowed)
-        set_fields(self, sections=sections, orientation=rotation("NonUniformLink.orientation", self.orientation))
+        set_fields(self, sections=sections, orientation=_rotation("NonUniformLink.orientation", self.orientation))
         set_fields(self, masses=_lumped_masses("NonUniformLink.masses", self.masses, self.length))
 
     @property

@@ -313,9 +313,6 @@ class Scene:
         Args:
             path: path of the file.
 
-        Returns:
-            The scene.
-
         Raises:
             FileNotFoundError: if the file does not exist.
             ValueError: for any other error in the file, with a one-line message: the file, the field (such as
@@ -346,9 +343,6 @@ class Scene:
         Args:
             data: mapping as in a scene file.
             folder: folder to which the paths of CSV files are relative.
-
-        Returns:
-            The scene.
 
         Raises:
             FileNotFoundError: if a CSV file does not exist.
@@ -475,15 +469,12 @@ def _sampled_signal(record: TimeSeries, column: str, units: tuple[str, ...], opt
 
 
 def _check_signals(name: str, value: object, units: str) -> tuple[Signal | SampledSignal, ...] | None:
-    """Return the checked signals of the three components of a vector in the base frame.
+    """Return the checked signals of the three components of a vector in the base frame as a tuple, or None.
 
     Args:
         name: field, for errors.
         value: three Signals or SampledSignals along x, y and z, or None.
         units: unit of the vector, for errors.
-
-    Returns:
-        The signals as a tuple, or None.
     """
     if value is None:
         return None

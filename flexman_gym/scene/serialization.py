@@ -128,9 +128,6 @@ def from_plain(
         excluded: names of fields that the mapping must not contain.
         **parts: field name -> function that converts the entry of the mapping to the value of the field.
 
-    Returns:
-        The instance of the dataclass.
-
     Raises:
         ValueError: for unknown or missing keys and for forbidden values, with a one-line message that names the field.
     """
@@ -202,9 +199,6 @@ def find_arm(value: object, folder: Path = Path()) -> Arm:
         value: an Arm; the name of an arm in the catalog; a mapping with this name under the key "catalog" and with
             options of the arm; the path of a file with an arm or a scene; or a mapping as in an arm file.
         folder: folder to which the path is relative.
-
-    Returns:
-        The arm.
 
     Raises:
         FileNotFoundError: if the file does not exist.

@@ -11,7 +11,6 @@ from flexman_gym.control.margins import (
     has_margins,
     margins,
     sampled_loops,
-    spectral_radius,
 )
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
@@ -140,7 +139,7 @@ def test_friction_makes_no_unstable_loop_stable():
         assert margins(sampled_loops(model, [0.0, 0.3], 0.005, 1), *gains)[:2] == (1.0, 0.0)
     case = FrictionCase(model, 0.005, 1, *gains, np.array([0.0, 0.3]), np.array([0.1, -0.1]))
     assert remaining_vibration(case) > 0.5
-    assert spectral_radius(smoothed_loop(case), *gains) < 1.0, "what the slope at rest would say"
+    assert smoothed_loop(case).spectral_radius(*gains) < 1.0, "what the slope at rest would say"
 
 
 def test_a_loop_with_a_stuck_motor_is_that_of_an_arm_whose_motor_has_no_end_of_inertia():
@@ -163,15 +162,15 @@ def test_margins_are_those_of_the_worst_set_of_motors_that_stick():
     model, angles = two_links(RUBBING), [0.0, 0.3]
     loops = sampled_loops(model, angles, 0.02, 2)
     draws = np.exp(np.random.default_rng(0).uniform(np.log([1e-2] * 4), np.log([10.0, 10.0, 1.0, 1.0]), (2000, 4)))
-    split = [gains for gains in draws if spectral_radius(loops[0], *np.split(gains, 2)) < 1.0
-             and max(spectral_radius(loop, *np.split(gains, 2)) for loop in loops[1:]) > 1.0 + 1e-6]  # fmt: skip
+    split = [gains for gains in draws if loops[0].spectral_radius(*np.split(gains, 2)) < 1.0
+             and max(loop.spectral_radius(*np.split(gains, 2)) for loop in loops[1:]) > 1.0 + 1e-6]  # fmt: skip
     assert split, "such gains exist"
     for gains in split:
         assert margins(loops[:1], *np.split(gains, 2)).gain >= 1.0
         result = margins(loops, *np.split(gains, 2))
         assert result[:2] == (1.0, 0.0) and result.stuck
         worst = next(loop for loop in loops if loop.stuck == result.stuck)
-        assert spectral_radius(worst, *np.split(gains, 2)) > 1.0
+        assert worst.spectral_radius(*np.split(gains, 2)) > 1.0
 
 
 def test_a_loop_that_is_stable_comes_to_rest_with_friction():

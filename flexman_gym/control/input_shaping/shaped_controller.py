@@ -13,10 +13,8 @@ from flexman_gym.control.controller import Controller, EpisodeInfo, Readings, ch
 from flexman_gym.control.input_shaping.shapers import (
     DEFAULT_TOLERANCE,
     Shaper,
-    convolve_shapers,
     design_shaper,
     excited_modes,
-    sample_shaper,
 )
 from flexman_gym.control.lqr import LQR
 from flexman_gym.control.references.trajectories import TIMING_LAWS
@@ -94,15 +92,7 @@ class InputShapedController:
             self.inner.reset(np.array([arm]), EpisodeInfo(start[None], goal[None], episode.period, command.path), count)
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> NDArray[Any]:
-        """Return the actions (b, n) of the inner controller for the shaped command.
-
-        Args:
-            readings: as in `Controller.act`.
-            applied: as in `Controller.act`.
-            active: as in `Controller.act`.
-
-        Returns:
-            Actions (b, n).
+        """Return the actions (b, n) of the inner controller for the shaped command; arguments as in `Controller.act`.
 
         Raises:
             ValueError: for a reading of the goal that cannot be shaped.
@@ -145,7 +135,7 @@ class InputShapedController:
         if not len(modes):
             raise value_error("InputShapedController.modes", self._count, "modes of a flexible arm: this arm has none")
         shapers = [design_shaper(self.shaper, each, ratio, self.tolerance) for each, ratio in modes.tolist()]
-        return reduce(convolve_shapers, shapers)
+        return reduce(Shaper.convolve, shapers)
 
     def _shape(self, start: Array, goal: Array, period: float, path: Array | None) -> "_Command":
         """Return the shaped command of one arm, for a path (T + 1, n) rad or from start to goal, (n,) rad each."""
@@ -158,7 +148,7 @@ class InputShapedController:
         else:
             plain, before = path, path[0]
             postures = path[np.rint(np.array(self.places) * (len(path) - 1)).astype(int)]
-        fractions = sample_shaper(self.combined(postures), period)
+        fractions = self.combined(postures).sample(period)
         if path is None:
             plain = np.vstack([plain, np.repeat(goal[None], len(fractions) + REST_PERIODS, axis=0)])
         rates = np.diff(plain, axis=0, prepend=plain[:1]) / period

@@ -6,7 +6,7 @@ from typing import Any, Self
 
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of, value_error
-from flexman_gym.envs.limits import Limits, find_limits
+from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.tasks import Slew, Task, find_task, plain_task
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.serialization import find_arm, to_plain
@@ -66,7 +66,7 @@ class _NamedEnvironment:
             data = mapping("environment", _read(path), [each.name for each in fields(cls)])
             if not {"arm", "pd"} <= data.keys():
                 raise value_error("environment", sorted(data), "a mapping with arm and pd")
-            for name, build in {"arm": _arm, "task": find_task, "limits": find_limits}.items():
+            for name, build in {"arm": _arm, "task": find_task, "limits": Limits.find}.items():
                 if name in data:
                     data[name] = build(data[name])
             gains = {name: tuple(values) for name, values in data.pop("pd").items()}

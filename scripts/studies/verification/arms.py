@@ -28,7 +28,7 @@ from flexman_gym.verification.cases import (
 )
 from flexman_gym.verification.closed_forms import bar_frequencies, cantilever_frequencies
 from flexman_gym.verification.papers import catalog_rows, printed_row
-from flexman_gym.verification.table import VerificationRow, series_rows
+from flexman_gym.verification.table import VerificationRow
 
 HERMITE = "known of cubic elements with consistent mass"
 WRIGHT = "Wright et al., J. Applied Mechanics 49 (1982)"
@@ -128,7 +128,7 @@ def _paper_arm_rows() -> Iterator[VerificationRow]:
         scale = np.sqrt(rigidity / density) / (2.0 * np.pi * link.length**2)
         expected = scale * rayleigh_frequencies(2, link.second_moment_z / (link.area * link.length**2))
         result = link_frequencies(link, 16, BENDING_Y)[:2]
-        yield from series_rows(f"paper's {name}, bending f_{{}}, Hz", TABLE_1, expected, result, 1e-5)
+        yield from VerificationRow.series(f"paper's {name}, bending f_{{}}, Hz", TABLE_1, expected, result, 1e-5)
         for kind, columns in (("axial", AXIAL), ("torsional", TWIST)):
             scale = bar_frequency_scale(link, columns)
             first, highest = link_frequencies(link, 24, columns)[0], link_frequencies(link, 2, columns)[-1]
