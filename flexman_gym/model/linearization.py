@@ -31,7 +31,7 @@ from flexman_gym.model.dynamics import (
     stiffness_matrix,
 )
 from flexman_gym.model.element import NODE_COORDINATES
-from flexman_gym.model.model import Model, check_model
+from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel, SecondOrderForm
 
 
@@ -58,6 +58,12 @@ OUTPUT_UNITS = MEASUREMENT_UNITS | {
     "joint_angles": "rad", "joint_rates": "rad/s", "tip": "m", "tip_velocity": "m/s", "tip_acceleration": "m/s^2",
 }  # fmt: skip
 INPUT_UNITS = {"motor_torques": "N m", "tip_force": "N", "base_acceleration": "m/s^2"}
+
+
+def input_columns(model: Model, name: str) -> range:
+    """Return the columns (m,) of an input of INPUT_UNITS among the n + 6 inputs of the kernels."""
+    n = model.n_joints
+    return {"motor_torques": range(n), "tip_force": range(n, n + 3), "base_acceleration": range(n + 3, n + 6)}[name]
 
 
 def _measurement_rows(model: Model) -> dict[str, Array]:
@@ -182,7 +188,7 @@ def _tip_rows(model: Model, name: str, motion: Array, tip: Array) -> Array:
     return rows
 
 
-def _input_columns(model: Model, x: Array, tip: Array, names: object) -> tuple[Array, list[str]]:
+def _input_forces(model: Model, x: Array, tip: Array, names: object) -> tuple[Array, list[str]]:
     """Return the generalised forces (d, m) of unit inputs, and the names of the inputs.
 
     Args:
@@ -219,53 +225,19 @@ def _base_acceleration_forces(model: Model, x: Array, axis: Array) -> Array:
 SLIDING, AT_REST = "sliding", "at rest"  # treatments of Coulomb friction in a linear model
 
 
-def linearize(
+def continuous_model(
     model: Model,
-    joint_angles: Vector | None = None,
-    state: Vector | None = None,
-    torque: Vector | None = None,
+    state: Vector,
+    torque: Vector,
     outputs: Sequence[str] = ("tip",),
     inputs: Sequence[str] = ("motor_torques",),
     friction: str = SLIDING,
 ) -> LinearModel:
-    """Return the linear model of an arm about the undeformed arm at rest, or about any state.
-
-    The states x (2 d,) are deviations of coordinates and speeds in the order of `kernels.layout`. If the accelerations
-    at the state are not zero (because of gravity or speeds), x is the deviation from the motion that starts at the
-    state, and A is the Jacobian at its start. By default, Coulomb friction is a constant torque (sliding motors).
-
-    Args:
-        model: model of the arm.
-        joint_angles: (n,) rad, zero by default; the arm is undeformed and at rest.
-        state: (2 d,) coordinates and speeds, as an alternative to joint angles.
-        torque: (n,) motor torques, N m, zero by default.
-        outputs: names of y: "tip", "tip_velocity" and "tip_acceleration" (3 entries each, in the base frame and
-            relative to the base), "joint_angles", "joint_rates", "motor_angles", "motor_rates", "joint_twists" (elastic
-            deflections of the joints: motor angles minus link-side angles, rad), "joint_twist_rates" (n each),
-            "link_deflections", "link_deflection_rates" (2 n), "root_strains" (3 n). "tip_acceleration" requires a state
-            with zero speeds.
-        inputs: names of u: "motor_torques" (n, without passive joints), "tip_force" (3), "base_acceleration" (3).
-        friction: treatment of Coulomb friction. "sliding": a constant torque, which does not contribute to A. "at
-            rest": a damper with the slope of the smoothed friction law at the motor rates of the state, for motors that
-            hardly move.
-
-    Examples:
-        >>> system = fm.linearize(fm.build_model(fm.catalog.one_joint()), outputs=("tip",))
-        >>> system.A.shape, system.B.shape, system.outputs
-        ((28, 28), (28, 1), ('tip_x (m)', 'tip_y (m)', 'tip_z (m)'))
-        >>> system.discrete(period=0.01).period
-        0.01
-    """
-    check_model(model)
-    if state is None:
-        state = model.initial_state(np.zeros(model.n_joints) if joint_angles is None else joint_angles)
-    elif joint_angles is not None:
-        raise value_error("state", "given with joint_angles", "one of the two")
-    applied = np.zeros(model.n_joints) if torque is None else torque
-    motion, d = np.array([*split_state(model, state), acceleration(model, state, applied)]), model.n_dof
+    """Return the continuous-time linear model about a state; arguments as in `simulation.linearization.linearize`."""
+    motion, d = np.array([*split_state(model, state), acceleration(model, state, torque)]), model.n_dof
     jacobian = inertial_jacobian(model, motion)
     inertial, tip = jacobian[:d], jacobian[d:]
-    columns, input_names = _input_columns(model, motion[0], tip[:, d : 2 * d], inputs)
+    columns, input_names = _input_forces(model, motion[0], tip[:, d : 2 * d], inputs)
     restoring = np.hstack([stiffness_matrix(model, motion[0]), damping_matrix(model)])
     forces = np.hstack([-restoring - inertial[:, : 2 * d], columns])
     if one_of("friction", friction, (SLIDING, AT_REST)) == AT_REST:
