@@ -33,10 +33,11 @@ def linearize(
     at the state are not zero (because of gravity or speeds), x is the deviation from the motion that starts at the
     state, and A is the Jacobian at its start. By default, Coulomb friction is a constant torque (sliding motors).
 
-    With a period, the model is discrete: A and B are the exact derivatives of the state at the end of the period, as
-    the default method of an environment integrates it, with respect to the state at the start and to the inputs. At a
-    state at rest they equal those of `discrete` up to the error of the method. About a moving state, they follow the
-    motion over the period, whereas `discrete` keeps the matrices of its start.
+    With a period, the model is discrete: A and B are the exact derivatives of the state at the end of the period with
+    respect to the state at its start and to constant inputs. The default method integrates the motion, in steps of at
+    most 5 ms; `period_map.period_jacobian` accepts other methods and steps. In static equilibrium A and B equal those
+    of `discrete` up to the error of the method. About a moving state they follow the motion over the period, whereas
+    `discrete` keeps the matrices of its start.
 
     Args:
         model: model of the arm.

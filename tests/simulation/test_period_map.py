@@ -8,6 +8,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.model.dynamics import coulomb_torques
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.integrator import default_step
 from flexman_gym.simulation.period_map import PeriodMap, period_jacobian
 
 PERIOD = (0.02, 3)
@@ -92,7 +93,7 @@ def test_a_discrete_model_is_the_derivative_of_a_step_of_the_simulator(model):
     for linearised, moved, applied, friction in cases:
         linear = fm.linearize(linearised, state=state, torque=torque, friction=friction, period=period)
         assert (linear.A.shape, linear.B.shape, linear.period) == ((2 * d, 2 * d), (2 * d, 3), period)
-        simulator = fm.Simulator(moved, step=period / 3, control_period=period)
+        simulator = fm.Simulator(moved, step=default_step(period), control_period=period)
 
         def end(change, simulator=simulator, applied=applied):
             simulator.reset(state=state + change[: 2 * d])
