@@ -22,7 +22,6 @@ from flexman_gym.model import (
     frequencies,
     holding_torques,
     inverse_dynamics,
-    linearize,
     mass_matrix,
     modes,
     rest_state,
@@ -55,6 +54,7 @@ from flexman_gym.simulation import (
     Simulator,
     Trajectory,
     generalised_alpha,
+    linearize,
     simulate,
     simulate_all,
 )

@@ -20,10 +20,11 @@ from flexman_gym.control.friction_compensation import FrictionCompensation, fric
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import TIMING_LAWS, plan_path, plan_slew
 from flexman_gym.kernels.cache import find_cache_folder
-from flexman_gym.model.linearization import SLIDING, linearize
+from flexman_gym.model.linearization import SLIDING
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import LinearModel, discretize
 from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.parameters import varied_model
 
 

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, IntArray, Vector
-from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel
 from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.simulation.linearization import linearize
 
 GAIN_FACTORS = np.geomspace(1.0, 16.0, 25)  # dimensionless; candidate gain margins
 PHASE_SHIFTS = np.linspace(0.0, 90.0, 19)  # degrees; candidate phase margins

@@ -14,11 +14,11 @@ from flexman_gym.control.lqr import MOTOR_WEIGHT, CostWeights
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import plan_slew
 from flexman_gym.kernels.layout import TIP, TIP_VELOCITY
-from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import discretize
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 
 # Tip deviation (fraction of the reach) and tip speed / reach (1/s) that cost 1: tuned as 0.05 m and 0.5 m/s for an arm

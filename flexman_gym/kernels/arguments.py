@@ -168,6 +168,14 @@ def aligned_zeros(shape: tuple[int, ...], lanes: int = ARMS_PER_GROUP) -> Array:
     return buffer[first : first + count].reshape(*shape, lanes)
 
 
+def tangent_constants(constants: Constants) -> Constants:
+    """Return the constants of a group `lanes.TANGENTS` with derivatives of zero."""
+    own: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in PER_ARM}
+    for name, values in own.items():
+        values[..., 0] = getattr(constants, name)
+    return constants._replace(**own)
+
+
 def address_table(arrays: NamedTuple, element: types.Type) -> IntArray:
     """Return the addresses and shapes of all arrays of a `Constants`, `Work` or `Period`.
 

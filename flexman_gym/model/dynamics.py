@@ -11,6 +11,8 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray, Matrix, Vector
 from flexman_gym.common.checks import check_magnitudes, flag, number_array, value_error, vector
 from flexman_gym.kernels import dynamics, inverse, outputs
+from flexman_gym.kernels.arguments import address_table, aligned_zeros, tangent_constants
+from flexman_gym.kernels.lanes import TANGENTS
 from flexman_gym.kernels.layout import (
     LARGEST_STATE,
     OUTPUTS,
@@ -336,6 +338,20 @@ def inertial_forces(model: Model, gravity: Array | None = None) -> Forces:
         return out
 
     return forces
+
+
+def inertial_jacobian(model: Model, motion: Array) -> Array:
+    """Return the Jacobian (d + 3, 3 d) of inertial and gravity forces (d,) and tip velocity (3,), exact to rounding.
+
+    Args:
+        model: model of the arm.
+        motion: (3, d) coordinates, speeds and accelerations; the columns are their entries in this order.
+    """
+    constants, work = tangent_constants(model.constants), make_work(model.constants, aligned_zeros)
+    tables = address_table(constants, TANGENTS), address_table(work, TANGENTS)
+    out = np.zeros((model.n_dof + 3, motion.size))
+    inverse.inertial_jacobian(*tables, motion, out)
+    return out
 
 
 def tip_jacobian(model: Model, x: Array) -> Array:

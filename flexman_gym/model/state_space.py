@@ -204,7 +204,7 @@ class LinearModel:
     def _second_order_form(self) -> SecondOrderForm:
         """Return the second-order form of a model from `linearize`; raise ValueError for a derived model."""
         if self.balance is None:
-            raise value_error("model", "a changed model", "the model returned by linearize")
+            raise value_error("model", "a changed model", "the continuous-time model of linearize")
         return self.balance
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, IntArray, Vector
 from flexman_gym.common.checks import check_solvable, one_of, vector
 from flexman_gym.model.dynamics import elastic_forces, inertial_forces, mass_matrix, stiffness_matrix
-from flexman_gym.model.linearization import linearize
+from flexman_gym.model.linearization import continuous_model
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import natural_modes
 from flexman_gym.model.statics import holding_torques, rest_state
@@ -154,7 +154,7 @@ def equilibrium_matrices(model: Model, motor_angles: Vector) -> EquilibriumMatri
     Raises:
         ValueError: if no equilibrium is found, see `rest_state`.
     """
-    linear = linearize(model, state=rest_state(model, motor_angles), torque=holding_torques(model, motor_angles))
+    linear = continuous_model(model, rest_state(model, motor_angles), holding_torques(model, motor_angles))
     d, second_order = model.n_dof, linear.balance
     assert second_order is not None
     stiffness = -second_order.forces[:, :d]
@@ -247,7 +247,7 @@ def rotating_frequencies(model: Model, rates: Vector, joint_angles: Vector | Non
             state, torque = equilibrium
             mass = mass_matrix(weightless, state)
             with np.errstate(over="ignore"):  # the slope of Coulomb friction, which may overflow, is negligible
-                acceleration_jacobian = linearize(weightless, state=state, torque=torque).A[d:]
+                acceleration_jacobian = continuous_model(weightless, state, torque).A[d:]
             forces = (mass @ acceleration_jacobian)[np.ix_(free, columns)]
             jacobian = np.linalg.solve(mass[np.ix_(free, free)], forces)  # with the motions of the motors prescribed
             imaginary = np.linalg.eigvals(np.block([[np.zeros((k, k)), np.eye(k)], [jacobian]])).imag

@@ -3,12 +3,13 @@
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.differentiation import Sensitivities, sensitivities
 from flexman_gym.simulation.episode import Episode
+from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.methods import METHODS, generalised_alpha
 from flexman_gym.simulation.scene_simulation import simulate, simulate_all
 from flexman_gym.simulation.simulator import Simulator
 from flexman_gym.simulation.trajectory import Trajectory
 
 __all__ = [
-    "METHODS", "Batch", "Episode", "Sensitivities", "Simulator", "Trajectory", "generalised_alpha", "sensitivities",
-    "simulate", "simulate_all",
+    "METHODS", "Batch", "Episode", "Sensitivities", "Simulator", "Trajectory", "generalised_alpha", "linearize",
+    "sensitivities", "simulate", "simulate_all",
 ]  # fmt: skip

@@ -15,7 +15,7 @@ from flexman_gym.common.checks import one_of, sequence, value_error
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, STATUS
 from flexman_gym.model.dynamics import RICHARDSON
-from flexman_gym.model.linearization import INPUT_UNITS, OUTPUT_UNITS, LinearMeasurements, column_names
+from flexman_gym.model.linearization import INPUT_UNITS, OUTPUT_UNITS, LinearMeasurements, column_names, input_columns
 from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.integrator import default_step, prescribed_flags
@@ -231,7 +231,7 @@ def find_directions(text: str, model: Model, prescribed: Sequence[int]) -> list[
             raise value_error("to", text, name)
         return [ScalarParameter(name, None)]
     lacking = parameter.lacking if parameter else "with prescribed motion"
-    count = len(_inputs(name, model)) if name in INPUT_UNITS else model.n_joints
+    count = len(input_columns(model, name)) if name in INPUT_UNITS else model.n_joints
     fixed = parameter.fixed(model) if parameter else np.zeros(count, dtype=bool)
     if name == "motor_torques":
         fixed[list(prescribed)] = True
@@ -246,17 +246,11 @@ def unit_changes(directions: Sequence[ScalarParameter], model: Model) -> tuple[A
     rows, inputs = np.zeros((len(directions), 2 * model.n_dof + 2)), np.zeros((len(directions), model.n_joints + 6))
     for number, (name, part) in enumerate(directions):
         if name in INPUT_UNITS:
-            inputs[number, _inputs(name, model)[part or 0]] = 1.0
+            inputs[number, input_columns(model, name)[part or 0]] = 1.0
         elif name in INITIAL:
             first = model.n_dof * (name == "initial_joint_rates")
             rows[number, [first + (part or 0), first + model.motor_columns[part or 0]]] = 1.0
     return rows, inputs
-
-
-def _inputs(name: str, model: Model) -> range:
-    """Return the columns of an input in a drive table."""
-    n = model.n_joints
-    return {"motor_torques": range(n), "tip_force": range(n, n + 3), "base_acceleration": range(n + 3, n + 6)}[name]
 
 
 def constant_derivatives(

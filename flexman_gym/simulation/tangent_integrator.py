@@ -1,10 +1,8 @@
 """Integrator of an arm together with the derivatives of its motion."""
 
-from typing import Any
-
 from flexman_gym.common.arrays import Array
 from flexman_gym.kernels import batch as kernels
-from flexman_gym.kernels.arguments import PER_ARM, aligned_zeros
+from flexman_gym.kernels.arguments import tangent_constants
 from flexman_gym.kernels.lanes import TANGENTS
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
@@ -27,19 +25,12 @@ class TangentIntegrator(LaneIntegrator):
     """
 
     _element, _kernel = TANGENTS, staticmethod(kernels.run_tangents)
+    _group_constants = staticmethod(tangent_constants)
 
     def __init__(
         self, constants: Constants, method: LinearlyImplicit | IteratedGauss, period: tuple[float, int], groups: int
     ) -> None:
         super().__init__(constants, method, period, ARMS_PER_GROUP * groups, threads=1)
-
-    @staticmethod
-    def _group_constants(constants: Constants) -> Constants:
-        """Return the constants of a group with derivatives of zero."""
-        own: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in PER_ARM}
-        for name, values in own.items():
-            values[..., 0] = getattr(constants, name)
-        return constants._replace(**own)
 
     def set_derivative(self, direction: int, constants: dict[str, Array]) -> None:
         """Set the derivatives of constants PER_ARM with respect to the parameter of a direction, by name."""

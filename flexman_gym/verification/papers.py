@@ -7,13 +7,13 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.model.dynamics import frequencies
-from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import build_model
 from flexman_gym.scene import catalog
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link
 from flexman_gym.scene.rigid_body import Payload
+from flexman_gym.simulation.linearization import linearize
 from flexman_gym.verification.cases import slender_link
 from flexman_gym.verification.table import VerificationRow
 

@@ -10,9 +10,9 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.time_series import numbers_of_line, read_csv_rows
 from flexman_gym.model.dynamics import frequencies
-from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene import catalog
+from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.parameters import PARAMETERS, varied_model
 
 COLUMNS = ("frequency (Hz)", "real (rad/V)", "imaginary (rad/V)")

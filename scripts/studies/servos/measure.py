@@ -13,7 +13,6 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.kernels.layout import OK, TIP_VELOCITY
 from flexman_gym.model.dynamics import mass_matrix
-from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.model.statics import rest_state
 from flexman_gym.model.vibration import modes
@@ -22,6 +21,7 @@ from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link
 from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.methods import DEFAULT_METHOD
 
 ENVIRONMENTS = ("FlexRRR-v0", "FlexPlanar-v0", "FlexOne-v0")
