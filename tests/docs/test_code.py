@@ -200,6 +200,15 @@ def test_a_notebook_is_its_page(page, notebooks):
             compile(text, page.name, "exec")
 
 
+def test_a_notebook_that_is_run_has_outputs_and_plots(tmp_path):
+    pytest.importorskip("nbclient")
+    run_cells = [
+        cell for cell in converter.executed(DOCS / "concepts.md", tmp_path)["cells"] if cell["cell_type"] == "code"
+    ]
+    assert run_cells and all(cell["outputs"] for cell in run_cells)
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in DOCS.glob("my_*.png")}
+
+
 def test_a_notebook_is_valid(notebooks):
     validate = pytest.importorskip("nbformat").validate
     for each in notebooks.values():
