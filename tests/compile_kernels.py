@@ -15,7 +15,7 @@ from flexman_gym.simulation.batch import Batch
 
 SCENE = replace(fm.catalog.paper_scene("rr"), duration=0.02)
 STEP = 0.01  # s
-FAMILIES = ("midpoint_corrected_3", "midpoint_3", "ros2")  # methods of kernels of their own in a batch
+FAMILIES = ("midpoint_corrected_3", "gauss_2", "ros2")  # methods of kernels of their own in a batch
 
 
 def step_arms(arms: int) -> None:
@@ -46,7 +46,7 @@ def differentiate() -> None:
 
 JOBS = (
     (step_arms, 9), (step_arms, 1), (simulate_all,), (differentiate,),
-    (simulate, "midpoint_corrected_3", "midpoint_3", "implicit_midpoint"),
+    (simulate, "midpoint_corrected_3", "gauss_2", "implicit_midpoint"),
     (simulate, "rk4", "ros2", "extrapolated_euler_5"),
 )  # fmt: skip
 
