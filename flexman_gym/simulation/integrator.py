@@ -215,7 +215,7 @@ class Integrator:
         if clock.substeps > 0:
 
             def derivative(time: float, values: Array) -> Array:
-                out = np.zeros(len(values))
+                out, values = np.zeros(len(values)), np.ascontiguousarray(values)  # columns in differences
                 runge_kutta.state_derivative(self.constants, self.work, drive, time, values, out)
                 return out
 
