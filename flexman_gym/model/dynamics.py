@@ -247,7 +247,7 @@ def inverse_dynamics(
         return forces(*(spread @ (taylor[: 5 - order] @ motion[order:]) for order in range(3)))[:n]
 
     torques = link_torques(0.0) + constants.viscous_friction * motion[1]
-    torques += _coulomb_torques(model, motion[1])
+    torques += coulomb_torques(model, motion[1])
     if model.n_motors == 0:
         return _finite_torques(torques, joint_accelerations)
     rate_scale = max(np.abs(row).sum() ** (1 / order) for order, row in enumerate(motion[1:], start=1))  # rad/s
@@ -257,7 +257,7 @@ def inverse_dynamics(
     return _finite_torques(torques, joint_accelerations)
 
 
-def _coulomb_torques(model: Model, rates: Array) -> Array:
+def coulomb_torques(model: Model, rates: Array) -> Array:
     """Return the friction torques (n,), N m, without their viscous part, at motor rates (n,), rad/s."""
     constants = model.constants
     coulomb = constants.coulomb_friction * np.tanh(rates / constants.coulomb_rate)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from flexman_gym.common.checks import (
     flag,
     instance,
     instances,
-    mapping,
     one_of,
     physical,
     sequence,
@@ -22,47 +21,13 @@ from flexman_gym.common.checks import (
     vector,
 )
 from flexman_gym.scene.input_checks import check_keywords, warn_caller, warn_unusual_units
+from flexman_gym.scene.material import find_material
 from flexman_gym.scene.rigid_body import LumpedMass
 
 SHAPES = ("strip", "tube", "rod")
 OTHER_AXIS = {"y": "z", "z": "y"}
 OUTLINE_TOLERANCE = 1e-6  # largest relative difference between the values of a link and those of its outline
 SERIES_TERMS = 60  # terms of the series for the torsion constant of a rectangle; 30 are exact to rounding
-
-
-class _Material(NamedTuple):
-    """Young's modulus and shear modulus (Pa) and density (kg/m^3) of a link."""
-
-    youngs_modulus: float
-    shear_modulus: float
-    density: float
-
-
-MATERIALS = {
-    "aluminium": _Material(68.9e9, 26.0e9, 2700.0),
-    "steel": _Material(205.0e9, 80.0e9, 7850.0),
-    "titanium": _Material(113.8e9, 44.0e9, 4430.0),
-}
-
-
-def _find_material(value: object) -> _Material:
-    """Return a material given by name, or by its three numbers as a list or a mapping.
-
-    The names stand for typical alloys with values from the data sheets of ASM (Aerospace Specification Metals):
-    aluminium 6061-T6 (68.9 GPa, 26 GPa, 2700 kg/m^3), steel 4130 (205 GPa, 80 GPa, 7850 kg/m^3) and titanium Ti-6Al-4V
-    (113.8 GPa, 44 GPa, 4430 kg/m^3). Prefer measured values.
-    """
-    if isinstance(value, str):
-        return MATERIALS[one_of("Link.material", value, MATERIALS)]
-    if isinstance(value, dict):
-        value = tuple(mapping("Link.material", value, _Material._fields).get(name) for name in _Material._fields)
-    allowed = f"youngs_modulus (Pa), shear_modulus (Pa) and density (kg/m^3), or one of {', '.join(MATERIALS)}"
-    numbers = sequence("Link.material", value, allowed)
-    if len(numbers) != 3:
-        raise value_error("Link.material", value, allowed)
-    units = ("Pa", "Pa", "kg/m^3")
-    named = zip(_Material._fields, numbers, units, strict=True)
-    return _Material(*(physical(f"Link.{name}", number, unit) for name, number, unit in named))
 
 
 @dataclass(frozen=True)
@@ -394,7 +359,7 @@ class Link:
         outline = _round_outline(physical("Link.rigid.length", length, "m") / 20.0)
         names = ("area", "second_moment_y", "second_moment_z", "torsion_constant")
         numbers = {name: getattr(outline, name) for name in names}
-        material = _find_material("steel")._replace(density=NO_DENSITY)._asdict()
+        material = find_material("steel")._replace(density=NO_DENSITY)._asdict()
         return cls(
             length, orientation=orientation, masses=(body,), outline=outline, flexible=False, **numbers, **material
         )
@@ -406,7 +371,7 @@ class Link:
         """Build a link from an outline and a material."""
         names = ("area", "second_moment_y", "second_moment_z", "torsion_constant")
         numbers = {name: getattr(outline, name) for name in names}
-        moduli = _find_material(material)._asdict()
+        moduli = find_material(material)._asdict()
         return cls(length, orientation=orientation, masses=masses, outline=outline, **numbers, **moduli)
 
     def __repr__(self) -> str:
