@@ -1,7 +1,7 @@
 """Simulation: time integration of one or many arms, and the table of integration methods."""
 
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.differentiation import Sensitivities, sensitivities
+from flexman_gym.simulation.differentiation import Sensitivities
 from flexman_gym.simulation.episode import Episode
 from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.methods import METHODS, generalised_alpha
@@ -11,5 +11,5 @@ from flexman_gym.simulation.trajectory import Trajectory
 
 __all__ = [
     "METHODS", "Batch", "Episode", "Sensitivities", "Simulator", "Trajectory", "generalised_alpha", "linearize",
-    "sensitivities", "simulate", "simulate_all",
+    "simulate", "simulate_all",
 ]  # fmt: skip
