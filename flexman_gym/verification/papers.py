@@ -25,6 +25,7 @@ KYOTO = "Quanser rotary flexible link, response measured at Kyoto University, gr
 GU, MOBERG = "Gu, Petkov and Konstantinov (2005)", "Moberg, Ohr and Gunnarsson, IFAC (2005)"
 APKARIAN, FILTER = "Apkarian and Adams, IEEE Trans. CST 6 (1998)", "thesis on PPO with a predictive safety filter"
 BEAMS, CHAIN = "planar beam elements", "matrices of a chain of masses"
+series_rows = VerificationRow.series
 PRINTED, MEASURED, OTHER_PROGRAM, CHAIN_OF_MASSES = 0.02, 0.04, 0.005, 0.001  # 1; tolerances of the rows
 
 # elbow angle, degrees -> upper triangle of the printed mass matrix, kg m^2, of shoulder, elbow and two deflections
@@ -108,7 +109,7 @@ def _rotary_rows() -> Iterator[VerificationRow]:
     yield VerificationRow("rotary link of 0.381 m, hub free f_1, Hz", KYOTO, 6.05, free, None)
     for option, length in ((1, 0.381), (2, 0.419)):
         result = frequencies(build_model(catalog.quanser_rotary(option), 8), lock_joints=True)
-        yield from VerificationRow.series(f"rotary link of {length} m, clamped f_{{}}, Hz", KYOTO, (4.14, 25.65), result[:2],
+        yield from series_rows(f"rotary link of {length} m, clamped f_{{}}, Hz", KYOTO, (4.14, 25.65), result[:2],
                                MEASURED)  # fmt: skip
 
 
@@ -123,8 +124,8 @@ def _beam_rows() -> Iterator[VerificationRow]:
         model = build_model(catalog.quanser_rotary(option), 8)
         name, source = f"rotary link of {length} m", f"{QUANSER}; {BEAMS}"
         result = frequencies(model, lock_joints=True)[: len(clamped)]
-        yield from VerificationRow.series(f"{name}, clamped f_{{}}, Hz", source, clamped, result, OTHER_PROGRAM)
-        yield from VerificationRow.series(f"{name}, hub free f_{{}}, Hz", source, free, frequencies(model)[1 : 1 + len(free)],
+        yield from series_rows(f"{name}, clamped f_{{}}, Hz", source, clamped, result, OTHER_PROGRAM)
+        yield from series_rows(f"{name}, hub free f_{{}}, Hz", source, free, frequencies(model)[1 : 1 + len(free)],
                                OTHER_PROGRAM)  # fmt: skip
     known = {0.15: (2.239, 4.566, 17.19, 49.3), 0.25: (1.922, 4.335, 16.57, 48.5), 0.35: (1.710, 4.195, 16.25, 48.0)}
     for payload, expected in known.items():
@@ -132,9 +133,9 @@ def _beam_rows() -> Iterator[VerificationRow]:
         bending = frequencies(model)[[1, 2, 4]]  # the third is a bending across the width
         clamped, source = frequencies(model, lock_joints=True)[0], f"{GU}; {BEAMS}"
         yield VerificationRow(f"payload {payload} kg, clamped f_1, Hz", source, expected[0], clamped, OTHER_PROGRAM)
-        yield from VerificationRow.series(f"payload {payload} kg, hub free f_{{}}, Hz", source, expected[1:], bending,
+        yield from series_rows(f"payload {payload} kg, hub free f_{{}}, Hz", source, expected[1:], bending,
                                OTHER_PROGRAM)  # fmt: skip
-    yield from VerificationRow.series("bare link of 1 m, clamped f_{}, Hz", f"{FILTER}; {BEAMS}", (2.849, 17.86),
+    yield from series_rows("bare link of 1 m, clamped f_{}, Hz", f"{FILTER}; {BEAMS}", (2.849, 17.86),
                            _clamped(slender_link(1.0, 0.27, 7.0, rigidity_ratio=1e5))[:2], OTHER_PROGRAM)  # fmt: skip
 
 
@@ -146,10 +147,8 @@ def _chain_rows() -> Iterator[VerificationRow]:
     for stiffness, (free, locked) in limits.items():
         model, name = build_model(catalog.moberg_2005(stiffness)), f"gear spring {stiffness:g} N m/rad"
         source = f"{MOBERG}; {CHAIN}"
-        yield from VerificationRow.series(
-            f"{name}, free f_{{}}, Hz", source, free, frequencies(model)[1:], CHAIN_OF_MASSES
-        )
-        yield from VerificationRow.series(f"{name}, motor locked f_{{}}, Hz", source, locked, frequencies(model, lock_joints=True),
+        yield from series_rows(f"{name}, free f_{{}}, Hz", source, free, frequencies(model)[1:], CHAIN_OF_MASSES)
+        yield from series_rows(f"{name}, motor locked f_{{}}, Hz", source, locked, frequencies(model, lock_joints=True),
                                CHAIN_OF_MASSES)  # fmt: skip
     model, source = build_model(catalog.apkarian_1998()), f"{APKARIAN}; {CHAIN}"
     springs = np.diag([0.0, 0.0, 89.1473, 45.6434])
@@ -160,10 +159,10 @@ def _chain_rows() -> Iterator[VerificationRow]:
         squares, held = eigh(springs, mass, eigvals_only=True), eigh(springs[2:, 2:], mass[2:, 2:], eigvals_only=True)
         free, locked = np.sqrt(squares[2:]) / (2.0 * np.pi), np.sqrt(held) / (2.0 * np.pi)
         posture, name = [0.0, 0.0, np.radians(elbow), 0.0], f"two links, elbow {elbow} degrees"
-        yield from VerificationRow.series(f"{name}, free f_{{}}, Hz", source, free, frequencies(model, posture)[2:],
+        yield from series_rows(f"{name}, free f_{{}}, Hz", source, free, frequencies(model, posture)[2:],
                                CHAIN_OF_MASSES)  # fmt: skip
         result = frequencies(model, posture, lock_joints=True)
-        yield from VerificationRow.series(f"{name}, motors locked f_{{}}, Hz", source, locked, result, CHAIN_OF_MASSES)
+        yield from series_rows(f"{name}, motors locked f_{{}}, Hz", source, locked, result, CHAIN_OF_MASSES)
 
 
 def computed_rows() -> list[VerificationRow]:
