@@ -33,10 +33,10 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_gym.verification.table import PASS, VerificationTable
 
     if options.data is not None:
-        from flexman_gym.verification.response import describe, fit_response, read_response
+        from flexman_gym.verification.response import fit_response, read_response
 
         try:
-            print(describe(fit_response(*read_response(options.data))))
+            print(fit_response(*read_response(options.data)))
         except (ValueError, OSError) as error:
             options.parser.error(str(error))
         return 0

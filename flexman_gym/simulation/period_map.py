@@ -15,7 +15,7 @@ from flexman_gym.simulation.methods import IteratedGauss, LinearlyImplicit, Meth
 from flexman_gym.simulation.tangent_integrator import DIRECTIONS, TangentIntegrator
 
 
-class PeriodEnd(NamedTuple):
+class _PeriodEnd(NamedTuple):
     """End of a control period, with p derivatives.
 
     Attributes:
@@ -68,7 +68,7 @@ class PeriodMap:
         self._rows, self._outputs = np.zeros((count, 2, 2 * model.n_dof + 2)), np.zeros((count, 2, layout.OUTPUTS))
         self._counts = np.zeros((count, 2), dtype=np.int64)
 
-    def advance(self, row: Array, drive: Array, rows: Array, drives: Array) -> PeriodEnd:
+    def advance(self, row: Array, drive: Array, rows: Array, drives: Array) -> _PeriodEnd:
         """Integrate the arm and its derivatives over a control period.
 
         Args:
@@ -84,7 +84,7 @@ class PeriodMap:
         self._drives[::ARMS_PER_GROUP, layout.OFFSET], self._drives[self._lanes, layout.OFFSET] = drive, drives
         self._integrator.run(self._drives, self._rows, self._outputs, self._counts, self._grid)
         end, outputs = self._rows[:, 1], self._outputs[:, 1]
-        return PeriodEnd(
+        return _PeriodEnd(
             end[0].copy(), outputs[0].copy(), end[self._lanes], outputs[self._lanes], bool(self._counts[0, 0] < 1)
         )
 

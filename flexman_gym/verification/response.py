@@ -20,7 +20,7 @@ FITTED = ("link_stiffness_factor", "rotor_inertia", "viscous_friction", "link_da
 MIN_FREQUENCIES = 12  # of a file; half of them are left out of the fit
 
 
-class ResponseFit(NamedTuple):
+class _ResponseFit(NamedTuple):
     """Fitted arm, and its error at the frequencies that were left out.
 
     Attributes:
@@ -36,6 +36,17 @@ class ResponseFit(NamedTuple):
     error: float
     before: float
     clamped: Array
+
+    def __str__(self) -> str:
+        """Return factors, clamped frequencies and error as text."""
+        rows = [
+            f"{name}: {factor:.4g} +- {deviation:.2g} times the value of the data sheet"
+            for name, factor, deviation in zip((*FITTED, "torque_per_volt"), self.factors, self.deviations, strict=True)
+        ]
+        return "\n".join([
+            *rows, f"clamped frequencies of the fitted arm: {self.clamped[0]:.3f} and {self.clamped[1]:.3f} Hz",
+            f"error at the frequencies left out: {100 * self.error:.2g} % (data sheet: {100 * self.before:.3g} %)",
+        ])  # fmt: skip
 
 
 def read_response(path: Path) -> tuple[Array, NDArray[np.complex128]]:
@@ -72,7 +83,7 @@ def hub_response(model: Model, hertz: Array) -> NDArray[np.complex128]:
     return result
 
 
-def fit_response(hertz: Array, response: NDArray[np.complex128]) -> ResponseFit:
+def fit_response(hertz: Array, response: NDArray[np.complex128]) -> _ResponseFit:
     """Fit stiffness, inertia, friction and damping of the rotary link and the torque per volt to a response.
 
     Every second frequency is fitted; the others are left out and score the fit. Errors are relative, so that resonances
@@ -105,19 +116,7 @@ def fit_response(hertz: Array, response: NDArray[np.complex128]) -> ResponseFit:
     freedom = max(len(found.fun) - len(start), 1)
     covariance = np.linalg.pinv(found.jac.T @ found.jac) * (found.fun @ found.fun) / freedom
     factors = np.exp(found.x)
-    return ResponseFit(
+    return _ResponseFit(
         factors, factors * np.sqrt(np.diag(covariance)), root_mean_square(found.x), root_mean_square(start),
         frequencies(changed(found.x), lock_joints=True)[:2],
     )  # fmt: skip
-
-
-def describe(fit: ResponseFit) -> str:
-    """Return the fit as text."""
-    rows = [
-        f"{name}: {factor:.4g} +- {deviation:.2g} times the value of the data sheet"
-        for name, factor, deviation in zip((*FITTED, "torque_per_volt"), fit.factors, fit.deviations, strict=True)
-    ]
-    return "\n".join([
-        *rows, f"clamped frequencies of the fitted arm: {fit.clamped[0]:.3f} and {fit.clamped[1]:.3f} Hz",
-        f"error at the frequencies left out: {100 * fit.error:.2g} % (data sheet: {100 * fit.before:.3g} %)",
-    ])  # fmt: skip
