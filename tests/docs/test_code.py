@@ -86,6 +86,8 @@ def test_a_page_runs_and_prints_what_it_says(page, checkout, monkeypatch):
         pytest.importorskip("stable_baselines3")
         for module, name, seeds in LESS_EPISODES:
             monkeypatch.setattr(importlib.import_module(module), name, seeds)
+        defaults = importlib.import_module("flexman_agents.settings").DEFAULT_HYPERPARAMETERS
+        monkeypatch.setitem(defaults["dagger"], "updates", 5)
     if any("matplotlib" in text or "flexman draw" in text for _, text in blocks(page)):
         pytest.importorskip("matplotlib").use("Agg")
     names, result = {"__name__": "page"}, blocks(page)
