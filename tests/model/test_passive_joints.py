@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh, expm
 
 import flexman_gym as fm
-from flexman_gym.model.natural_modes import natural_modes
+from flexman_gym.model.state_space import natural_modes
 
 Y, Z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 CHOICE, FLEXIBLE = fm.ModelChoice(False, 1, rotary_inertia=False), fm.ModelChoice(True, 1)
