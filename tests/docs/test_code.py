@@ -35,7 +35,7 @@ LESS_EPISODES = (("flexman_agents.callbacks", "SELECTION_SEEDS", range(5000, 500
                  ("flexman_gym.evaluation.rollout", "TEST_SEEDS", range(9000, 9002)))  # fmt: skip
 LESS_IN_PYTHON = (
     (r"STEPS = [\d_]+", "STEPS = 256"), (r"circles\(\d+\)", "circles(4)"), (r'-v0", 256', '-v0", 4'),
-    (r"horizon=2.0", "horizon=0.4"),
+    (r"horizon=2.0", "horizon=0.4"), (r"n_eval_episodes=10", "n_eval_episodes=2"),
 )  # fmt: skip
 
 
