@@ -7,7 +7,7 @@ import pytest
 
 from flexman_gym.verification.table import VerificationRow, VerificationTable
 from studies.files import read_rows
-from studies.verification.arms import printed_row, published_rows, rayleigh_frequencies
+from studies.verification.arms import catalog_rows, printed_row, rayleigh_frequencies
 from studies.verification.motions import rows as table_rows
 from studies.verification.page import page
 
@@ -38,7 +38,7 @@ def test_a_printed_value_is_met_to_half_its_last_digit():
 
 
 def test_published_frequencies_are_those_of_the_catalog():
-    result = list(published_rows())
+    result = list(catalog_rows())
     assert len(result) == 12
     assert [row.case for row in result if row.verdict == "fail"] == []
     shown = [row for row in result if row.tolerance is None]
@@ -55,7 +55,7 @@ def test_the_page_counts_all_rows_with_a_verdict(rows):
     assert f"**{len(judged) - 1} of {len(judged)} rows" in text
 
 
-def test_the_published_rows_are_whole_and_have_no_failure(rows):
+def test_the_catalog_rows_are_whole_and_have_no_failure(rows):
     published = read_rows(ROOT / "docs" / "evidence" / "verification.csv", VerificationRow)
     assert VerificationTable(published).exit_code == 0 and {row.case for row in rows} <= {row.case for row in published}
 
