@@ -46,6 +46,11 @@ class Sensitivities:
         outputs: m names with units, such as "tip_x (m)".
         parameters: p names with units, such as "joint_stiffness[0] (N m/rad)".
         status: "ok" or "diverged".
+        kinks: number of output intervals in which the motion passed a kink, by name and joint: the rate of a motor with
+            Coulomb friction changed its sign ("coulomb_friction[0]"), or the twist of a joint passed a knee of its
+            spring, such as an end of its backlash ("joint_stiffness[0]"). The model rounds these kinks over
+            `coulomb_rate` and `knee_width`; within them derivatives change fast, and beyond them those of either side
+            hold. Several passages in an interval count once, and two that cancel out are not seen.
     """
 
     time: Array
@@ -54,12 +59,15 @@ class Sensitivities:
     outputs: tuple[str, ...]
     parameters: tuple[str, ...]
     status: str
+    kinks: dict[str, int]
 
     def __repr__(self) -> str:
         times, outputs, parameters = self.jacobian.shape
+        kinks = ", ".join(f"{name} {count}" for name, count in self.kinks.items())
         return (
             f"<Sensitivities: {self.status}, {times} times, {outputs} outputs by {parameters} parameters\n"
-            f"  outputs {', '.join(self.outputs)}\n  parameters {', '.join(self.parameters)}>"
+            f"  outputs {', '.join(self.outputs)}\n  parameters {', '.join(self.parameters)}"
+            + (f"\n  kinks {kinks}>" if kinks else ">")
         )
 
 
@@ -185,7 +193,28 @@ class _Motion(NamedTuple):
             values=every[0], jacobian=np.moveaxis(every[lanes], 0, 2),
             outputs=tuple(labels), parameters=tuple(f"{each} ({_unit(each.name)})" for each in self.directions),
             status=STATUS[layout.OK if valid + 1 == self.rows.shape[1] else layout.DIVERGED],
+            kinks=_count_kinks(model, self.rows[0, : valid + 1]),
         )  # fmt: skip
+
+
+def _count_kinks(model: Model, rows: Array) -> dict[str, int]:
+    """Return the numbers of intervals between rows (T, 2 d + 2) with a kink, see `Sensitivities.kinks`."""
+    constants, n, d, motors = model.constants, model.n_joints, model.n_dof, model.motor_columns
+    result = {}
+    for i in np.flatnonzero(constants.has_coulomb_friction):
+        result[f"coulomb_friction[{i}]"] = _passages(rows[:, d + motors[i]], np.zeros(1))
+    for i in range(n):
+        knees = constants.knee_twist[constants.knee_start[i] : constants.knee_start[i + 1]]
+        if knees.any():  # a knee at zero, with its mirror image, is none
+            knees = knees[knees > 0.0]
+            result[f"joint_stiffness[{i}]"] = _passages(rows[:, motors[i]] - rows[:, i], np.append(-knees, knees))
+    return result
+
+
+def _passages(values: Array, levels: Array) -> int:
+    """Return the number of steps between successive values (T,) that pass one of several levels."""
+    sides = np.sign(values[:, None] - levels)
+    return int((sides[1:] * sides[:-1] < 0.0).any(axis=1).sum())
 
 
 def _names(argument: str, given: str | Sequence[str]) -> list[str]:

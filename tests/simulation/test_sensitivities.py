@@ -206,3 +206,35 @@ def test_bad_arguments_are_refused_in_one_line(arguments, words):
     with pytest.raises(ValueError) as raised:
         fm.sensitivities(scene(), **{"step": 0.005, **arguments})
     assert words in str(raised.value) and "\n" not in str(raised.value)
+
+
+def swinging(output_step):
+    """A rigid link that swings at 0.1 rad/s through a gap of 0.019 rad of the spring of a motor at rest, for 0.9 s.
+
+    It stays beyond either end of the gap for half a period of its vibration, 0.1 s.
+    """
+    strip = fm.Link.strip(0.5, 0.04, 0.003)
+    inertia = fm.mass_matrix(fm.build_model(fm.Arm([strip], [fm.Joint(Z)]), flexible_links=False), [0.0, 0.0])[0, 0]
+    joint = fm.Joint(Z, 0.01, stiffness=inertia * (10.0 * np.pi) ** 2, backlash=0.019, knee_width=1e-5)
+    choice, start = fm.ModelChoice(flexible_links=(False,), elements=(1,)), fm.Initial((0.0,), (0.0,), state=(0.0, 0.0, 0.1, 0.0))
+    return fm.Scene(fm.Arm([strip], [joint]), choice, fm.ConstantTorque((0.0,)), start, duration=0.9,
+                    output_step=output_step, prescribed=[fm.Signal()])  # fmt: skip
+
+
+@pytest.mark.parametrize("output_step, count", [(0.01, 6), (0.3, 0)])
+def test_passages_of_a_gap_are_counted_between_outputs(output_step, count):
+    """At 0.095, 0.195, 0.385, 0.485, 0.675 and 0.775 s; 0.3 s later the link is in the gap again."""
+    assert fm.sensitivities(swinging(output_step), step=0.001, to="backlash").kinks == {"joint_stiffness[0]": count}
+
+
+@pytest.mark.parametrize("duration, count", [(0.4, 0), (1.0, 1), (2.0, 2)])
+def test_reversals_of_a_motor_with_friction_are_counted(duration, count):
+    """A torque of either sign for a second turns a rotor of 1 rad/s at 0.6 s, and back at 1.4 s."""
+    light, inertia = fm.Link.rod(1.0, 1e-4), 3.0
+    arm = fm.Arm([light], [fm.Joint(Z, inertia, coulomb_friction=1e-9)])
+    choice, start = fm.ModelChoice(flexible_links=(False,), elements=(1,)), fm.Initial((0.0,), (1.0,))
+    torque = fm.SampledTorque((0.0, 1.0, 2.0), ((-inertia / 0.6,), (inertia / 0.6,), (0.0,)))
+    one = fm.Scene(arm, choice, torque, start, duration=duration, output_step=0.05)
+    found = fm.sensitivities(one, to="coulomb_friction", step=0.05)
+    assert found.kinks == {"coulomb_friction[0]": count}
+    assert (f"kinks coulomb_friction[0] {count}" in repr(found)) and found.status == "ok"
