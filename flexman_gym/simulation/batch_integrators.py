@@ -26,7 +26,7 @@ from flexman_gym.kernels.outputs import tip_accelerations
 from flexman_gym.kernels.thread_sync import spin_wait
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.integrator import LANE_COST_RATIO, Integrator, evaluations_per_call
-from flexman_gym.simulation.methods import IteratedGauss, LinearlyImplicit
+from flexman_gym.simulation.methods import Explicit, Implicit, IteratedGauss, LinearlyImplicit
 
 SPIN_CHECKS = 600_000  # reads of a flag before a waiting thread sleeps: 0.2 ms, more than the time between two tasks
 GIVEN, DONE = 0, 1  # indices of the numbers of tasks passed to a worker thread and done by it
@@ -210,6 +210,18 @@ def _own_constants(constants: Constants) -> dict[str, Any]:
     return {name: getattr(constants, name).copy() for name in PER_ARM}
 
 
+FixedStepMethod = LinearlyImplicit | IteratedGauss | Explicit | Implicit  # methods of the kernel `_fixed_step`
+
+
+def _kernel_method(method: FixedStepMethod) -> tuple[Tableau | None, tuple[int, float | None, Any]]:
+    """Return the arguments `tableau` and `counts` of the kernel `batch._fixed_step` for a method."""
+    if isinstance(method, Implicit):
+        return None, (0, None, method.coefficients)
+    if isinstance(method, IteratedGauss):
+        return None, method.counts
+    return method.tableau, (0, 0.0 if isinstance(method, Explicit) else None, None)
+
+
 NO_PERIOD = np.zeros((0, 3), dtype=np.int64)  # addresses of no environment
 GROUPS_PER_THREAD = 4  # least number of groups of arms per thread; passing a task costs as much as one or two groups
 
@@ -222,18 +234,12 @@ class LaneIntegrator(BatchIntegrator):
     """
 
     state_fields = ("own",)
-    _element, _kernel = ARMS, staticmethod(kernels.run_batch)
+    _element, _kernel, _own = ARMS, staticmethod(kernels.run_batch), PER_ARM
 
     def __init__(
-        self,
-        constants: Constants,
-        method: LinearlyImplicit | IteratedGauss,
-        period: tuple[float, int],
-        arms: int,
-        threads: int,
+        self, constants: Constants, method: FixedStepMethod, period: tuple[float, int], arms: int, threads: int
     ) -> None:
-        self._method: tuple[Tableau | None, tuple[int, float | None]]  # tableau, or None and the Newton iterations
-        self._method = (None, method.counts) if isinstance(method, IteratedGauss) else (method.tableau, (0, None))
+        self._method = _kernel_method(method)
         self._step, self._substeps = period[0] / period[1], period[1]
         self._single = arms == 1 and len(constants.station_mass) == 0
         groups = -(-arms // ARMS_PER_GROUP)
@@ -248,7 +254,7 @@ class LaneIntegrator(BatchIntegrator):
         step_cost = LANE_COST_RATIO * method.evaluations
         self._max_steps = max(1, evaluations_per_call(constants) // step_cost)  # steps of a group in a kernel call
         kind = NUMBER if self._single else self._element
-        self._tables = np.array([address_table(each, kind) for each in self._constants])
+        self._tables = np.array([address_table(each, kind, self._own) for each in self._constants])
         self._work_tables = [address_table(each, kind) for each in self._works]
         bounds = np.linspace(0, groups, len(self._works) + 1).round().astype(int)
         self._thread_groups = [slice(int(first), int(end)) for first, end in pairwise(bounds)]
@@ -257,8 +263,7 @@ class LaneIntegrator(BatchIntegrator):
         self._workers: list[WorkerThread] = []
         self._process = 0  # id of the process of the worker threads
 
-    @staticmethod
-    def _group_constants(constants: Constants) -> Constants:
+    def _group_constants(self, constants: Constants) -> Constants:
         """Return the constants of a group of ARMS_PER_GROUP equal arms."""
         own: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in PER_ARM}
         for name, values in own.items():
@@ -371,6 +376,10 @@ class LaneIntegrator(BatchIntegrator):
     ) -> Iterator[None]:
         """Integrate a group of arms in kernel calls of bounded length; yield after each call."""
         last, ok = rows[:, 0].copy(), np.ones(len(rows), dtype=bool)
+        if self._max_steps >= whole.substeps * (rows.shape[1] - 1) and rows.flags.c_contiguous:
+            self._kernel(*given, whole, rows, outputs, counts)
+            yield
+            return
         for row, count, steps, first in _row_chunks(rows.shape[1] - 1, whole.substeps, self._max_steps):
             part, read = (np.zeros((len(rows), count + 1, each.shape[2])) for each in (rows, outputs))
             part[:, 0], now = last, np.zeros_like(counts)

@@ -19,7 +19,8 @@ from flexman_gym.model.linearization import INPUT_UNITS, OUTPUT_UNITS, LinearMea
 from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.integrator import default_step, prescribed_flags
-from flexman_gym.simulation.methods import METHODS, IteratedGauss, LinearlyImplicit, Method
+from flexman_gym.simulation.batch_integrators import FixedStepMethod
+from flexman_gym.simulation.methods import METHODS, Method
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, ScalarParameter, select_parts
 from flexman_gym.simulation.scene_simulation import initial_row, prescribed_joints, run_in_lanes, scene_settings
 from flexman_gym.simulation.tangent_integrator import DIRECTIONS, TangentIntegrator
@@ -112,20 +113,23 @@ def sensitivities(
     step = default_step(scene.output_step) if step is None else step
     settings = scene_settings(scene, model, method, step, 1e-6, 1e-9)
     chosen, model = settings.method, settings.model
-    if not isinstance(chosen, LinearlyImplicit | IteratedGauss) or settings.tolerance is not None:
-        allowed = [name for name, each in METHODS.items() if isinstance(each, LinearlyImplicit | IteratedGauss)]
+    if not isinstance(chosen, FixedStepMethod) or chosen.adaptive or settings.tolerance is not None:
+        allowed = [name for name, each in METHODS.items() if not each.adaptive]
         raise value_error("method", chosen.name, f"one of fixed steps: {', '.join(allowed)}")
     names = [one_of("of", name, OUTPUTS) for name in _names("of", of)]
     prescribed = prescribed_joints(scene)
     directions = [each for name in _names("to", to) for each in _directions(name, model, prescribed)]
-    flags = prescribed_flags(model.n_joints, prescribed)
-    period, groups = (settings.interval, settings.substeps), -(-len(directions) // DIRECTIONS)
-    integrator = TangentIntegrator(model.constants._replace(prescribed=flags), chosen, period, groups)
+    constants = model.constants._replace(prescribed=prescribed_flags(model.n_joints, prescribed))
     motion = _Motion.start(scene, model, directions, settings.rows)
-    for number, direction in enumerate(directions):
-        if direction.name in PARAMETERS:
-            integrator.set_derivative(number, _constant_derivatives(model, direction))
-    counts = run_in_lanes(integrator, motion.drives, settings, motion.rows, motion.outputs)
+    for first in range(0, len(directions), DIRECTIONS):
+        integrator = TangentIntegrator(constants, chosen, (settings.interval, settings.substeps), 1)
+        for number, direction in enumerate(directions[first : first + DIRECTIONS]):
+            if direction.name in PARAMETERS:
+                integrator.set_derivative(number, _constant_derivatives(model, direction))
+        group = slice(first // DIRECTIONS * ARMS_PER_GROUP, (first // DIRECTIONS + 1) * ARMS_PER_GROUP)
+        counts = run_in_lanes(
+            integrator, motion.drives[group], settings, motion.rows[group], motion.outputs[group]
+        )
     return motion.read(names, model, settings.interval, int(counts[0, 0]))
 
 
