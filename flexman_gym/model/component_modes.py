@@ -88,6 +88,20 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
     return frequencies[order], shapes[:, order]
 
 
+def modal_damping(stiffness: Array, modes: tuple[Array, Array], ratio: float) -> Array:
+    """Return the damping matrix (k, k) of a link whose loaded modes all have the same damping ratio.
+
+    Args:
+        stiffness: stiffness matrix (k, k) of the link.
+        modes: angular frequencies (k,), rad/s, and shapes (k, k) of its loaded modes.
+        ratio: damping ratio, 1.
+    """
+    frequencies, shapes = modes
+    # K shapes / frequencies^2 = M shapes with the loaded mass matrix M, and its transpose is the inverse of the shapes
+    inverse = stiffness @ shapes / frequencies**2
+    return 2.0 * ratio * inverse * frequencies @ inverse.T
+
+
 def _uncoupled_groups(*matrices: Array) -> list[np.ndarray]:
     """Return groups of coordinates without coupling between different groups: the connected components.
 

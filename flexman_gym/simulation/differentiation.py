@@ -14,20 +14,18 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of, sequence, value_error
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, STATUS
-from flexman_gym.model.dynamics import RICHARDSON
 from flexman_gym.model.linearization import INPUT_UNITS, OUTPUT_UNITS, LinearMeasurements, column_names
 from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene
-from flexman_gym.simulation.integrator import default_step, prescribed_flags
 from flexman_gym.simulation.batch_integrators import FixedStepMethod
+from flexman_gym.simulation.constant_derivatives import DIMENSIONS, constant_derivatives
+from flexman_gym.simulation.integrator import default_step, prescribed_flags
 from flexman_gym.simulation.methods import METHODS, Method
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, ScalarParameter, select_parts
 from flexman_gym.simulation.scene_simulation import initial_row, prescribed_joints, run_in_lanes, scene_settings
 from flexman_gym.simulation.tangent_integrator import DIRECTIONS, TangentIntegrator
 
 INITIAL = {"initial_joint_angles": "rad", "initial_joint_rates": "rad/s"}  # initial conditions -> unit
-RELATIVE_STEP = 1e-2  # relative step of the differences of constants
-SMALL_STEP = 1e-3  # in the unit of the parameter; step of the differences at a value of 0
 ENERGIES = {"kinetic_energy": (layout.KINETIC,), "elastic_energy": (layout.LINK_ENERGY, layout.JOINT_ENERGY),
             "gravitational_energy": (layout.GRAVITATIONAL,)}  # fmt: skip
 TIP_OUTPUTS = {"tip": layout.TIP, "tip_velocity": layout.TIP_VELOCITY}
@@ -46,7 +44,7 @@ class Sensitivities:
         jacobian: (T, m, p) derivatives of the outputs with respect to the parameters.
         outputs: m names with units, such as "tip_x (m)".
         parameters: p names with units, such as "joint_stiffness[0] (N m/rad)".
-        status: "ok" or "diverged".
+        status: "ok", or "diverged" also if Newton's method does not converge.
         kinks: number of output intervals in which the motion passed a kink, by name and joint: the rate of a motor with
             Coulomb friction changed its sign ("coulomb_friction[0]"), or the twist of a joint passed a knee of its
             spring, such as an end of its backlash ("joint_stiffness[0]"). The model rounds these kinks over
@@ -82,27 +80,30 @@ def sensitivities(
 ) -> Sensitivities:
     """Simulate a scene together with the derivatives of its outputs.
 
-    Seven derivatives cost about three simulations. The values have the bits of `simulate` with the same step.
+    Seven derivatives cost two to three simulations. The values have the bits of `simulate` with the same step.
     The component modes of the model do not change with a parameter, as in `simulation.parameters.varied_model`; the
-    derivative is exact for the model with these modes. Torques that begin or end at a time act as they do in the scene.
+    derivative is exact for the model with these modes, and with modes=None for the finite-element model. Of a method
+    that iterates until it converges, the last iterations are differentiated: the derivative differs from that of the
+    converged solution by the tolerance of the method. Torques that begin or end at a time act as they do in the scene.
 
     Args:
         scene: the scene.
         of: names of outputs: those of `linearize` without "tip_acceleration", "kinetic_energy", "elastic_energy" and
             "gravitational_energy".
         to: names of parameters, for all joints or links or, as in "joint_stiffness[0]", for one: those of `Batch.vary`,
-            "initial_joint_angles" and "initial_joint_rates" (of joint and motor together), and a constant added to an
+            "initial_joint_angles" and "initial_joint_rates" (of joint and motor together), dimensions and materials of
+            uniform links and gear ratios as in `simulation.constant_derivatives`, such as "link_length[0]", which take
+            other kernels that are compiled at the first use, and a constant added to an
             input where its signal acts: "motor_torques", "tip_force" or "base_acceleration" (components x, y and z).
         model: a model of the scene's arm; None builds the model specified by the scene.
-        method: a method of fixed steps that `simulate_all` integrates in groups; "auto" selects the default method.
+        method: a method with fixed steps; "auto" selects the default method.
         step: integration step, s, as in `simulate`; None selects the longest step up to that of an environment.
 
     Returns:
         Values and derivatives.
 
     Raises:
-        ValueError: for an unknown output or parameter, a parameter that the arm lacks, an adaptive method, and a
-            method that iterates until it converges.
+        ValueError: for an unknown output or parameter, a parameter that the arm lacks, and an adaptive method.
 
     Examples:
         >>> scene = fm.catalog.paper_scene("rr")
@@ -119,18 +120,16 @@ def sensitivities(
     names = [one_of("of", name, OUTPUTS) for name in _names("of", of)]
     prescribed = prescribed_joints(scene)
     directions = [each for name in _names("to", to) for each in _directions(name, model, prescribed)]
-    constants = model.constants._replace(prescribed=prescribed_flags(model.n_joints, prescribed))
-    motion = _Motion.start(scene, model, directions, settings.rows)
-    for first in range(0, len(directions), DIRECTIONS):
-        integrator = TangentIntegrator(constants, chosen, (settings.interval, settings.substeps), 1)
-        for number, direction in enumerate(directions[first : first + DIRECTIONS]):
-            if direction.name in PARAMETERS:
-                integrator.set_derivative(number, _constant_derivatives(model, direction))
-        group = slice(first // DIRECTIONS * ARMS_PER_GROUP, (first // DIRECTIONS + 1) * ARMS_PER_GROUP)
-        counts = run_in_lanes(
-            integrator, motion.drives[group], settings, motion.rows[group], motion.outputs[group]
-        )
-    return motion.read(names, model, settings.interval, int(counts[0, 0]))
+    found = constant_derivatives(model, directions)
+    constants = found.constants._replace(prescribed=prescribed_flags(model.n_joints, prescribed))
+    motion, period = _Motion.start(scene, model, directions, settings.rows), (settings.interval, settings.substeps)
+    for group in range(-(-len(directions) // DIRECTIONS)):
+        integrator = TangentIntegrator(constants, chosen, period, 1, whole=bool(found.strains))
+        for lane, derivatives in enumerate(found.fields[group * DIRECTIONS : (group + 1) * DIRECTIONS]):
+            integrator.set_derivative(lane, derivatives)
+        arms = slice(group * ARMS_PER_GROUP, (group + 1) * ARMS_PER_GROUP)
+        counts = run_in_lanes(integrator, motion.drives[arms], settings, motion.rows[arms], motion.outputs[arms])
+    return motion.read(names, model, settings.interval, int(counts[0, 0]), found.strains)
 
 
 @dataclass
@@ -186,11 +185,15 @@ class _Motion(NamedTuple):
                         rows[row, 0, first + column] = 1.0
         return cls(directions, drives, rows, np.zeros((*rows.shape[:2], layout.OUTPUTS)))
 
-    def read(self, names: list[str], model: Model, interval: float, valid: int) -> Sensitivities:
-        """Return the outputs of given names and their derivatives at the valid times."""
-        parts = [_output(name, model, self.rows[:, : valid + 1], self.outputs[:, : valid + 1]) for name in names]
-        every, count = np.concatenate(parts, axis=2), len(self.directions)
-        lanes = np.arange(len(every)).reshape(-1, ARMS_PER_GROUP)[:, 1:].ravel()[:count]
+    def read(
+        self, names: list[str], model: Model, interval: float, valid: int, strains: dict[int, Array]
+    ) -> Sensitivities:
+        """Return the outputs of given names and their derivatives at the valid times; for `strains` see `_output`."""
+        rows, outputs, count = self.rows[:, : valid + 1], self.outputs[:, : valid + 1], len(self.directions)
+        lanes = np.arange(len(rows)).reshape(-1, ARMS_PER_GROUP)[:, 1:].ravel()[:count]
+        changing = {int(lanes[number]): matrix for number, matrix in strains.items()}
+        parts = [_output(name, model, rows, outputs, changing) for name in names]
+        every = np.concatenate(parts, axis=2)
         labels = [label for name, part in zip(names, parts, strict=True) for label in _labels(name, part, model)]
         return Sensitivities(
             time=interval * np.arange(valid + 1, dtype=np.float64),
@@ -231,9 +234,9 @@ def _names(argument: str, given: str | Sequence[str]) -> list[str]:
 
 def _directions(text: str, model: Model, prescribed: Sequence[int]) -> list[ScalarParameter]:
     """Return the parameters of a name such as "joint_stiffness" or "joint_stiffness[0]"."""
-    name = one_of("to", text.partition("[")[0], [*PARAMETERS, *INITIAL, *INPUT_UNITS])
-    parameter = PARAMETERS.get(name)
-    if parameter and parameter.of == ARM:
+    name = one_of("to", text.partition("[")[0], [*PARAMETERS, *DIMENSIONS, *INITIAL, *INPUT_UNITS])
+    parameter = DIMENSIONS.get(name) or PARAMETERS.get(name)
+    if name in PARAMETERS and PARAMETERS[name].of == ARM:
         if name != text:
             raise value_error("to", text, name)
         return [ScalarParameter(name, None)]
@@ -250,7 +253,7 @@ def _directions(text: str, model: Model, prescribed: Sequence[int]) -> list[Scal
 
 def _unit(name: str) -> str:
     """Return the unit of a parameter."""
-    return INITIAL.get(name) or INPUT_UNITS.get(name) or PARAMETERS[name].unit
+    return INITIAL.get(name) or INPUT_UNITS.get(name) or (DIMENSIONS.get(name) or PARAMETERS[name]).unit
 
 
 def _labels(name: str, part: Array, model: Model) -> list[str]:
@@ -266,28 +269,11 @@ def _inputs(name: str, model: Model) -> range:
     return {"motor_torques": range(n), "tip_force": range(n, n + 3), "base_acceleration": range(n + 3, n + 6)}[name]
 
 
-def _constant_derivatives(model: Model, direction: ScalarParameter) -> dict[str, Array]:
-    """Return the derivatives of the constants of a model with respect to a parameter, by name.
+def _output(name: str, model: Model, rows: Array, outputs: Array, strains: dict[int, Array]) -> Array:
+    """Return an output (b, T, k) of all arms and derivatives; all outputs but energies and tip are linear.
 
-    They are central differences extrapolated to order six, exact to rounding as the constants are linear or nearly so.
+    `strains` are the derivatives of the matrix of root strains, by the index of the derivative.
     """
-    name, index = direction
-    parameter = PARAMETERS[name]
-    nominal = np.array(parameter.nominal(model), dtype=float)
-    place = () if index is None else (index,)
-    step = RELATIVE_STEP * abs(float(nominal[place])) or SMALL_STEP
-    values = np.repeat(nominal[None], 2 * len(RICHARDSON), axis=0)
-    factors = []
-    for row, (multiple, weight) in enumerate(RICHARDSON):
-        for sign in (1.0, -1.0):
-            values[(2 * row + (sign < 0.0), *place)] += sign * multiple * step
-            factors.append(sign * weight / (2.0 * multiple * step))
-    changed = parameter.constants(model, {name: values})
-    return {field: np.tensordot(factors, each, axes=1) for field, each in changed.items()}
-
-
-def _output(name: str, model: Model, rows: Array, outputs: Array) -> Array:
-    """Return an output (b, T, k) of all arms and derivatives; all outputs but energies and tip are linear."""
     if name in ENERGIES:
         return outputs[:, :, ENERGIES[name]].sum(axis=2, keepdims=True)
     if name in TIP_OUTPUTS:
@@ -296,5 +282,7 @@ def _output(name: str, model: Model, rows: Array, outputs: Array) -> Array:
     if name in ("joint_angles", "joint_rates"):
         first = d * (name == "joint_rates")
         return states[:, :, first : first + n]
-    measured = LinearMeasurements(model).measure(states.reshape(-1, 2 * d))[name]
-    return measured.reshape(*rows.shape[:2], -1)
+    measured = LinearMeasurements(model).measure(states.reshape(-1, 2 * d))[name].reshape(*rows.shape[:2], -1)
+    for lane, matrix in strains.items() if name == "root_strains" else ():
+        measured[lane] += states[0] @ matrix
+    return measured
