@@ -178,19 +178,18 @@ def test_the_taylor_remainder_is_of_second_order(name, size):
 def test_iterations_to_a_tolerance_tend_to_the_derivative_of_the_implicit_function():
     """That of the midpoint rule, which a fixed number of iterations beyond convergence gives to rounding."""
     to = ("joint_stiffness[0]", "payload_mass", "initial_joint_angles[1]")
-    exact = fm.sensitivities(scene(), OUTPUTS, to, method=IteratedGauss("midpoint", 2, "", 20), step=0.005).jacobian
-    scale, deviations = np.abs(exact).max(axis=0), []
-    for tolerance in (1e-3, 1e-5, 1e-7, 1e-9):
+    exact = fm.sensitivities(scene(), OUTPUTS, to, method=IteratedGauss("midpoint", 2, "", 25), step=0.005).jacobian
+    scale, deviations = np.abs(exact).max(axis=0) + 1e-300, []
+    for tolerance in (1e-3, 1e-6, 1e-9, 1e-12):
         method = replace(fm.METHODS["implicit_midpoint"], tolerance=tolerance)
         found = fm.sensitivities(scene(), OUTPUTS, to, method=method, step=0.005).jacobian
         deviations.append((np.abs(found - exact).max(axis=0) / scale).max())
-    print(deviations)
-    assert (np.diff(deviations) < 0.0).all() and deviations[0] > 1e-4 and deviations[-1] < 1e-7
+    assert (np.diff(deviations) < 0.0).all() and deviations[0] > 1e-4 and deviations[-1] < 1e-9
 
 
-def test_a_method_that_does_not_converge_ends_the_motion():
-    hard = replace(fm.METHODS["implicit_midpoint"], tolerance=1e-300)
-    found, run = (each(scene(), method=hard, step=0.005) for each in (fm.sensitivities, fm.simulate))
+def test_a_step_that_does_not_converge_ends_the_motion():
+    fast = replace(scene(), initial=fm.Initial((0.4, -0.6), (20.0, -60.0)))
+    found, run = (each(fast, method="implicit_midpoint", step=0.02) for each in (fm.sensitivities, fm.simulate))
     assert run.status == "not converged" and found.status == "diverged" and len(found.time) == len(run.time)
 
 
