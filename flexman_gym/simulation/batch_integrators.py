@@ -364,6 +364,13 @@ class LaneIntegrator(BatchIntegrator):
         clock = TimeGrid(*grid, 0.0, 0.0)
 
         def run_groups(groups: slice, work: IntArray) -> Iterator[None]:
+            steps = (groups.stop - groups.start) * clock.substeps * (rows.shape[1] - 1)
+            if steps <= self._max_steps and rows.flags.c_contiguous and outputs.flags.c_contiguous:
+                arms = _arm_slice(groups)
+                given = self._tables[groups], work, *self._method, drives[arms]
+                self._kernel(*given, clock, rows[arms], outputs[arms], counts[arms])
+                yield
+                return
             for group in range(groups.start, groups.stop):
                 arms = _arm_slice(slice(group, group + 1))
                 given = self._tables[group : group + 1], work, *self._method, drives[arms]
@@ -376,10 +383,6 @@ class LaneIntegrator(BatchIntegrator):
     ) -> Iterator[None]:
         """Integrate a group of arms in kernel calls of bounded length; yield after each call."""
         last, ok = rows[:, 0].copy(), np.ones(len(rows), dtype=bool)
-        if self._max_steps >= whole.substeps * (rows.shape[1] - 1) and rows.flags.c_contiguous:
-            self._kernel(*given, whole, rows, outputs, counts)
-            yield
-            return
         for row, count, steps, first in _row_chunks(rows.shape[1] - 1, whole.substeps, self._max_steps):
             part, read = (np.zeros((len(rows), count + 1, each.shape[2])) for each in (rows, outputs))
             part[:, 0], now = last, np.zeros_like(counts)
