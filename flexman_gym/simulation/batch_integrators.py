@@ -26,7 +26,7 @@ from flexman_gym.kernels.outputs import tip_accelerations
 from flexman_gym.kernels.thread_sync import spin_wait
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.integrator import LANE_COST_RATIO, Integrator, evaluations_per_call
-from flexman_gym.simulation.methods import Explicit, Implicit, IteratedGauss, LinearlyImplicit
+from flexman_gym.simulation.methods import Explicit, FixedStepMethod, Implicit, IteratedGauss, LinearlyImplicit
 
 SPIN_CHECKS = 600_000  # reads of a flag before a waiting thread sleeps: 0.2 ms, more than the time between two tasks
 GIVEN, DONE = 0, 1  # indices of the numbers of tasks passed to a worker thread and done by it
@@ -210,9 +210,6 @@ def _own_constants(constants: Constants) -> dict[str, Any]:
     return {name: getattr(constants, name).copy() for name in PER_ARM}
 
 
-FixedStepMethod = LinearlyImplicit | IteratedGauss | Explicit | Implicit  # methods of the kernel `_fixed_step`
-
-
 def _kernel_method(method: FixedStepMethod) -> tuple[Tableau | None, tuple[int, float | None, Any]]:
     """Return the arguments `tableau` and `counts` of the kernel `batch._fixed_step` for a method."""
     if isinstance(method, Implicit):
@@ -364,17 +361,16 @@ class LaneIntegrator(BatchIntegrator):
         clock = TimeGrid(*grid, 0.0, 0.0)
 
         def run_groups(groups: slice, work: IntArray) -> Iterator[None]:
-            steps = (groups.stop - groups.start) * clock.substeps * (rows.shape[1] - 1)
-            if steps <= self._max_steps and rows.flags.c_contiguous and outputs.flags.c_contiguous:
-                arms = _arm_slice(groups)
-                given = self._tables[groups], work, *self._method, drives[arms]
-                self._kernel(*given, clock, rows[arms], outputs[arms], counts[arms])
-                yield
-                return
-            for group in range(groups.start, groups.stop):
-                arms = _arm_slice(slice(group, group + 1))
-                given = self._tables[group : group + 1], work, *self._method, drives[arms]
-                yield from self._run_group(given, clock, rows[arms], outputs[arms], counts[arms])
+            several = range(groups.start, groups.stop)
+            at_once = len(several) * clock.substeps * (rows.shape[1] - 1) <= self._max_steps
+            at_once = at_once and rows.flags.c_contiguous and outputs.flags.c_contiguous
+            for some in [groups] if at_once else [slice(group, group + 1) for group in several]:
+                arms = _arm_slice(some)
+                given, moved = (self._tables[some], work, *self._method, drives[arms]), (rows[arms], outputs[arms])
+                if at_once:
+                    yield self._kernel(*given, clock, *moved, counts[arms])
+                else:
+                    yield from self._run_group(given, clock, *moved, counts[arms])
 
         self._run_in_threads(run_groups)
 

@@ -17,10 +17,9 @@ from flexman_gym.kernels.layout import ARMS_PER_GROUP, STATUS
 from flexman_gym.model.linearization import INPUT_UNITS, OUTPUT_UNITS, LinearMeasurements, column_names
 from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene
-from flexman_gym.simulation.batch_integrators import FixedStepMethod
 from flexman_gym.simulation.constant_derivatives import DIMENSIONS, constant_derivatives
 from flexman_gym.simulation.integrator import default_step, prescribed_flags
-from flexman_gym.simulation.methods import METHODS, Method
+from flexman_gym.simulation.methods import METHODS, FixedStepMethod, Method
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, ScalarParameter, select_parts
 from flexman_gym.simulation.scene_simulation import initial_row, prescribed_joints, run_in_lanes, scene_settings
 from flexman_gym.simulation.tangent_integrator import DIRECTIONS, TangentIntegrator

@@ -334,7 +334,8 @@ class ScipyMethod:
     estimates = True
 
 
-Method = Explicit | LinearlyImplicit | Implicit | IteratedGauss | ScipyMethod
+FixedStepMethod = LinearlyImplicit | IteratedGauss | Explicit | Implicit  # methods of the kernel `batch._fixed_step`
+Method = FixedStepMethod | ScipyMethod
 
 
 def _extrapolation_weights(sequence: Sequence[int]) -> Array:

@@ -9,8 +9,8 @@ from flexman_gym.kernels import batch as kernels
 from flexman_gym.kernels.arguments import ALL, PER_ARM, aligned_zeros
 from flexman_gym.kernels.lanes import TANGENTS
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants
-from flexman_gym.simulation.batch_integrators import FixedStepMethod, LaneIntegrator
-from flexman_gym.simulation.methods import Implicit
+from flexman_gym.simulation.batch_integrators import LaneIntegrator
+from flexman_gym.simulation.methods import FixedStepMethod, Implicit
 
 DIRECTIONS = ARMS_PER_GROUP - 1  # derivatives that one integration computes
 
