@@ -26,7 +26,7 @@ from flexman_gym.kernels.outputs import tip_accelerations
 from flexman_gym.kernels.thread_sync import spin_wait
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.integrator import LANE_COST_RATIO, Integrator, evaluations_per_call
-from flexman_gym.simulation.methods import Explicit, FixedStepMethod, Implicit, IteratedGauss, LinearlyImplicit
+from flexman_gym.simulation.methods import Explicit, FixedStepMethod, Implicit, IteratedGauss
 
 SPIN_CHECKS = 600_000  # reads of a flag before a waiting thread sleeps: 0.2 ms, more than the time between two tasks
 GIVEN, DONE = 0, 1  # indices of the numbers of tasks passed to a worker thread and done by it

@@ -50,11 +50,12 @@ class _Dimension:
 
     def varied_arm(self, arm: Arm, index: int, value: float) -> Arm:
         """Return an arm with another value of one link or joint."""
-        parts = list(getattr(arm, self.part))
+        parts: Any = list(getattr(arm, self.part))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # issued when the given part was made
             parts[index] = self.changed(parts[index], value)
-        return replace(arm, **{self.part: parts})
+        changes: dict[str, Any] = {self.part: parts}
+        return replace(arm, **changes)
 
 
 def _uniform(field: str) -> dict[str, Any]:
@@ -138,10 +139,10 @@ def constant_derivatives(model: Model, parameters: Sequence[ScalarParameter]) ->
     """
     fields, strains = [], {}
     for number, (name, index) in enumerate(parameters):
-        if name in DIMENSIONS:
-            values, weights = _differences(DIMENSIONS[name].value(getattr(model.arm, DIMENSIONS[name].part)[index]))
-            arms = [DIMENSIONS[name].varied_arm(model.arm, index, float(value)) for value in values]
-            changed = [changed_model(model, arm) for arm in arms]
+        if name in DIMENSIONS and index is not None:
+            dimension = DIMENSIONS[name]
+            values, weights = _differences(dimension.value(getattr(model.arm, dimension.part)[index]) or 0.0)
+            changed = [changed_model(model, dimension.varied_arm(model.arm, index, float(each))) for each in values]
             constants = [_dense(each.constants) for each in changed]
             fields.append({field: _weigh(weights, [each[field] for each in constants]) for field in constants[0]})
             strains[number] = _weigh(weights, [root_strain_matrix(each) for each in changed])
@@ -194,7 +195,7 @@ def _with_entries(
     """
     if not dimensions:
         return constants, fields
-    nominal, changes = _dense(constants), {"coupled": np.ones_like(constants.coupled)}
+    nominal, changes = _dense(constants), dict[str, Any](coupled=np.ones_like(constants.coupled))
     for matrix, field in SPARSE.items():
         retained = nominal[field] != 0.0
         for number in dimensions:

@@ -207,7 +207,7 @@ def _count_kinks(model: Model, rows: Array) -> dict[str, int]:
     """Return the numbers of intervals between rows (T, 2 d + 2) with a kink, see `Sensitivities.kinks`."""
     constants, n, d, motors = model.constants, model.n_joints, model.n_dof, model.motor_columns
     result = {}
-    for i in np.flatnonzero(constants.has_coulomb_friction):
+    for i in np.flatnonzero(constants.has_coulomb_friction).tolist():
         result[f"coulomb_friction[{i}]"] = _passages(rows[:, d + motors[i]], np.zeros(1))
     for i in range(n):
         knees = constants.knee_twist[constants.knee_start[i] : constants.knee_start[i + 1]]
