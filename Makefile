@@ -3,27 +3,37 @@ TORCH := torch==2.13.0
 RUN := .venv/bin/python -m
 CODE := flexman_gym agents scripts
 
-.PHONY: demo test quick lint site verify wheel evidence clean
+.PHONY: demo test kernels quick lint site pages bundle verify wheel evidence clean
 
 demo: .venv/installed
 	.venv/bin/flexman demo
 
 # Two processes, each of which needs a core: kernels of both come from one cache. A file of tests stays with one of them,
 # so that no kernel is compiled by both at once.
-test: lint
-	.venv/bin/flexman compile
+test: lint kernels
 	$(RUN) pytest -n 2 --dist loadfile
+
+kernels: .venv/installed
+	.venv/bin/python tests/compile_kernels.py
 
 # What a minute can tell: all but the tests that take long, with kernels that are compiled.
 quick: .venv/installed
 	$(RUN) pytest -q -n 2 -m "not slow"
 
 # Into out/site, with the notebooks of the tutorials and their outputs. It opens from a disk without a network.
-site: .venv/installed
+site: pages
+	.venv/bin/python scripts/notebooks.py --run --folder out/site/tutorials
+
+# The same site with notebooks that have no outputs yet: the tests run the code of the pages.
+pages: .venv/installed
 	@mkdir -p build/site && ln -sfn ../../flexman_gym build/site/flexman_gym
 	@ln -sfn ../../agents build/site/flexman_agents
 	timeout 600 $(RUN) zensical build --strict --clean
-	.venv/bin/python scripts/notebooks.py --run --folder out/site/tutorials
+	.venv/bin/python scripts/notebooks.py --folder out/site/tutorials
+
+# The script of the replay page is what its sources say; left out without a network.
+bundle: .venv/installed
+	if (cd scripts/web && npm ci --no-audit --no-fund --silent); then .venv/bin/python scripts/bundle.py --check; fi
 
 verify: .venv/installed
 	.venv/bin/python scripts/verification.py --folder docs/evidence
@@ -44,12 +54,13 @@ lint: .venv/installed
 	PYTHONPATH=.:build/names:scripts .venv/bin/lint-imports --no-logo --no-cache
 	$(RUN) mypy flexman_gym scripts build/names/flexman_agents tests/oracles/given.py
 
-# torch comes first, as a CPU build where one is provided, so that the training extra does not pull CUDA packages.
+# torch comes first, as a CPU build where one is provided, so that the training extra does not pull CUDA packages. Python
+# compiles the modules that are imported; to compile all of them takes as long as to install them.
 .venv/installed: pyproject.toml
 	@echo "Installing flexman_gym and its tools into .venv: once, for a few minutes"
 	@$(PYTHON) -m venv .venv
-	@$(RUN) pip install --quiet $(TORCH)
-	@$(RUN) pip install --quiet -e '.[train,render,dev,docs]'
+	@$(RUN) pip install --quiet --no-compile $(TORCH)
+	@$(RUN) pip install --quiet --no-compile -e '.[train,render,dev,docs]'
 	@touch $@
 
 clean:

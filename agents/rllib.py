@@ -18,7 +18,7 @@ from ray.rllib.env.single_agent_episode import SingleAgentEpisode
 from ray.rllib.env.utils.infinite_lookback_buffer import InfiniteLookbackBuffer
 from ray.tune.registry import register_env
 
-from flexman_agents.settings import DEFAULT_HYPERPARAMETERS, EXPLORATION_SCHEDULES, Settings, write_settings
+from flexman_agents.settings import DEFAULT_HYPERPARAMETERS, EXPLORATION_SCHEDULES, Settings
 from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.parallel import ray_cluster
 from flexman_gym.common.run_folder import NEWEST, lock_folder, write_npz
@@ -29,7 +29,7 @@ from flexman_gym.evaluation.rollout import training_seed
 CLIP = 10.0  # dimensionless; largest magnitude of normalised observations and rewards
 
 
-class NormalisationConnector(ConnectorV2):
+class _NormalisationConnector(ConnectorV2):
     """RLlib connector with the running means and variances of observations and returns.
 
     Args:
@@ -73,7 +73,7 @@ class NormalisationConnector(ConnectorV2):
 
     def merge_states(self, states: list[dict[str, Any]]) -> dict[str, Any]:
         """Merge the states of all runners; the shared statistics are counted once."""
-        result = NormalisationConnector(len(self.own["observations"].mean))
+        result = _NormalisationConnector(len(self.own["observations"].mean))
         for part, several in (("shared", states[:1]), ("own", states)):
             for name, moments in result.shared.items():
                 for state in several:
@@ -100,7 +100,7 @@ class _ArrayEnvRunner(SingleAgentEnvRunner):
         steps = -(-num_timesteps // self.num_envs)
         if self._needs_initial_reset or force_reset:
             self._begin()
-        connector = next(each for each in self._env_to_module if isinstance(each, NormalisationConnector))
+        connector = next(each for each in self._env_to_module if isinstance(each, _NormalisationConnector))
         normalisation, deviation = connector.merged("observations"), connector.merged("returns").deviation
         scale = deviation if self.config.env_config["normalise_reward"] else 1.0
         rows: dict[str, list[Any]] = {name: [] for name in ("raw", "actions", "logits", "logp", "rewards", "returns")}
@@ -214,9 +214,6 @@ def ppo_config(settings: Settings, runners: int) -> PPOConfig:
     Args:
         settings: settings of the run; SAC, evaluations, value warm-up and some hyperparameters are not supported.
         runners: processes that step environments; 0 for the learning process itself.
-
-    Returns:
-        Configuration of PPO.
     """
     if settings.algo != "ppo":
         raise value_error("algo", settings.algo, "ppo with RLlib")
@@ -262,9 +259,9 @@ def ppo_config(settings: Settings, runners: int) -> PPOConfig:
     )  # fmt: skip
 
 
-def _make_normalisation(env: Any, spaces: Any, device: Any) -> NormalisationConnector:
+def _make_normalisation(env: Any, spaces: Any, device: Any) -> _NormalisationConnector:
     space = env.single_observation_space if env is not None else spaces["__env_single__"][0]
-    return NormalisationConnector(space.shape[0])
+    return _NormalisationConnector(space.shape[0])
 
 
 def train_rllib(settings: Settings, folder: Path, runners: int = 0, every: int = 100_000, resume: bool = False) -> None:
@@ -292,7 +289,7 @@ def train_rllib(settings: Settings, folder: Path, runners: int = 0, every: int =
         raise value_error("folder", folder, "a new one, or resume the run in it")
     place.mkdir(parents=True, exist_ok=True)
     with ray_cluster(runners + 1, OMP_NUM_THREADS="1"), lock_folder(folder):
-        write_settings(settings, folder, 0)
+        settings.write(folder, 0)
         _train(config.build_algo(), settings, place, every, int(checkpoints[-1].name) if resume else 0)
 
 
@@ -340,7 +337,7 @@ def _save(algorithm: Any, settings: Settings, place: Path, done: int) -> None:
     policy = {ours + name.removeprefix(theirs): np.asarray(values) for name, values in state.items()
               for theirs, ours in SB3_PREFIXES.items() if name.startswith(theirs)}  # fmt: skip
     moments = next(
-        each for each in algorithm.env_runner._env_to_module if isinstance(each, NormalisationConnector)
+        each for each in algorithm.env_runner._env_to_module if isinstance(each, _NormalisationConnector)
     ).merged("observations")
     statistics = {"mean": moments.mean, "var": moments.squares / moments.count, "count": np.array(moments.count)}
     write_npz(place.parent / NEWEST, {"policy": policy, "statistics": statistics, "settings": settings.plain()})

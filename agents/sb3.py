@@ -33,7 +33,7 @@ from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.files import existing_file
 from flexman_gym.control.agent import Law
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import SB3_MODEL, AgentSpec, predictor_agent, split_interface
+from flexman_gym.evaluation.agent import SB3_MODEL, AgentSpec, split_interface
 from flexman_gym.evaluation.rollout import training_seed
 
 ACTIVATION_LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # name in settings.ACTIVATIONS -> layer
@@ -48,9 +48,6 @@ def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
     Args:
         settings: settings of the run.
         device: PyTorch device of the networks, such as "cpu".
-
-    Returns:
-        New model of Stable-Baselines3.
     """
     try:
         torch.zeros(1, device=device)
@@ -134,9 +131,6 @@ def load_sb3(path: Path, environment: Configuration | None = None) -> AgentSpec:
         environment: environment in which the policy of a zip was trained, with the settings of its agent; None if it is
             the environment of the evaluation.
 
-    Returns:
-        The policy as an agent.
-
     Raises:
         FileNotFoundError: if a file is missing.
         ValueError: for files that are not of Stable-Baselines3.
@@ -165,7 +159,7 @@ def _load_zip(path: Path, environment: Configuration | None) -> AgentSpec:
     statistics = existing_file(path).with_suffix(".pkl")
     kind = load_from_zip_file(path)[0]["policy_class"].__name__  # type: ignore[index]
     model: BaseAlgorithm = POLICY_CLASSES[one_of("policy", kind, POLICY_CLASSES)].load(path, device="cpu")
-    agent = predictor_agent(model, environment)
+    agent = AgentSpec.from_predictor(model, environment)
     if not statistics.is_file():
         return replace(agent, name=path.stem)
     with statistics.open("rb") as file:

@@ -125,9 +125,6 @@ def _change_settings(recipe: Settings, values: Mapping[str, Any]) -> Settings:
     Args:
         recipe: settings.
         values: path of a setting, such as "hyperparameters.gamma" -> value.
-
-    Returns:
-        The changed settings.
     """
     data = json.loads(json.dumps(recipe.plain()))
     for path, value in values.items():

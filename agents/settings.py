@@ -29,6 +29,7 @@ from flexman_gym.common.run_folder import SETTINGS, read_settings
 from flexman_gym.control.base_controllers import BASES, parse_kind
 from flexman_gym.envs.config.configuration import Configuration
 
+RECORDED_PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
 ALGORITHMS = ("ppo", "sac", "dagger")
 DEFAULT_ENVS = {"ppo": 64, "sac": 16, "dagger": 128}  # algorithm -> parallel arms
 MAX_ENVS, MAX_STEPS, MAX_SEED, MAX_WIDTH = 4096, 10**10, 2**31, 10**5
@@ -214,6 +215,25 @@ class Settings:
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         return deepcopy(values | {"environment": self.environment.to_plain()})
 
+    def write(self, folder: Path, done: int) -> None:
+        """Write the settings, with the versions of the packages, to the folder of a run.
+
+        Args:
+            folder: folder of the run.
+            done: environment steps so far, for which the versions recorded earlier were used.
+        """
+        now = {name: version(name) for name in RECORDED_PACKAGES} | {"python": platform.python_version()}
+        path = folder / SETTINGS
+        kept = read_settings(folder) if path.is_file() else {}
+        earlier, last = kept.get("earlier_versions", []), kept.get("versions", now)
+        if last != now and isinstance(last, dict):
+            names = [name for name in now | last if now.get(name) != last.get(name)]
+            changes = ", ".join(f"{name} {now.get(name)} instead of {last.get(name)}" for name in names)
+            print(f"Versions since {folder} was written: {changes}; results may differ from here on.", file=sys.stderr)
+            earlier = [*earlier, last | {"until_step": done}]
+        record = self.plain() | {"versions": now} | ({"earlier_versions": earlier} if earlier else {})
+        files.write_atomically(path, lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))
+
     def with_seed(self, seed: int) -> Self:
         """Return the same settings with another seed."""
         return replace(self, seed=seed)
@@ -254,27 +274,3 @@ def find_recipe(name: str) -> Settings:
             f"recipe: {short_path(name)} is not allowed; give a file, or one of {', '.join(RECIPES)}"
         )
     return Settings.recipe(name)
-
-
-RECORDED_PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
-
-
-def write_settings(settings: Settings, folder: Path, done: int) -> None:
-    """Write the settings of a run, with the versions of the packages, to its folder.
-
-    Args:
-        settings: settings of the run.
-        folder: folder of the run.
-        done: environment steps so far, for which the versions recorded earlier were used.
-    """
-    now = {name: version(name) for name in RECORDED_PACKAGES} | {"python": platform.python_version()}
-    path = folder / SETTINGS
-    kept = read_settings(folder) if path.is_file() else {}
-    earlier, last = kept.get("earlier_versions", []), kept.get("versions", now)
-    if last != now and isinstance(last, dict):
-        names = [name for name in now | last if now.get(name) != last.get(name)]
-        changes = ", ".join(f"{name} {now.get(name)} instead of {last.get(name)}" for name in names)
-        print(f"Versions since {folder} was written: {changes}; results may differ from here on.", file=sys.stderr)
-        earlier = [*earlier, last | {"until_step": done}]
-    record = settings.plain() | {"versions": now} | ({"earlier_versions": earlier} if earlier else {})
-    files.write_atomically(path, lambda file: file.write((json.dumps(record, indent=1) + "\n").encode()))

@@ -29,7 +29,7 @@ from flexman_agents.callbacks import (
 )
 from flexman_agents.imitation import DAggerRun
 from flexman_agents.sb3 import action_function, make_model
-from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings, write_settings
+from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
@@ -66,7 +66,10 @@ def _training_state(model: BaseAlgorithm) -> dict[str, Any]:
     result: dict[str, Any] = {
         "counts": {name: getattr(model, name) for name in _counts(model)},
         "last": {name: get_state(getattr(model, name)) for name in LAST_FIELDS},
-        "optimizers": {name: _optimizer_state(each) for name, each in _optimizers(model).items()},
+        "optimizers": {  # states by parameter; hyperparameters belong to the model
+            name: {str(key): _tensor_state(each) for key, each in optimizer.state_dict()["state"].items()}
+            for name, optimizer in _optimizers(model).items()
+        },
         "episodes": [[float(each[key]) for key in "rlt"] for each in model.ep_info_buffer or ()],
         "random": _random_state(),
     }
@@ -175,11 +178,6 @@ def _optimizers(model: BaseAlgorithm) -> dict[str, torch.optim.Optimizer]:
     return result | ({"entropy": model.ent_coef_optimizer} if model.ent_coef_optimizer else {})
 
 
-def _optimizer_state(optimizer: torch.optim.Optimizer) -> dict[str, Any]:
-    """Return the state of an optimiser by parameter; its hyperparameters belong to the model."""
-    return {str(key): _tensor_state(each) for key, each in optimizer.state_dict()["state"].items()}
-
-
 def _set_optimizer_state(field: str, optimizer: torch.optim.Optimizer, data: Any) -> None:
     plain = optimizer.state_dict()
     if not isinstance(data, dict) or not data.keys() <= {str(i) for i in plain["param_groups"][0]["params"]}:
@@ -261,7 +259,7 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     with lock_folder(folder):
         _check_new_folder(folder)  # another process may have trained there meanwhile
-        write_settings(settings, folder, 0)
+        settings.write(folder, 0)
         return run.learn(checkpoint_every, progress, hook)
 
 
@@ -317,7 +315,7 @@ def resume(
             print(f"Nothing was saved in {folder} yet: the run starts from scratch.", file=sys.stderr)
         else:
             run.set_state(data, finished)
-        write_settings(settings, folder, run.done)
+        settings.write(folder, run.done)
         return run.learn(checkpoint_every, progress, hook)
 
 

@@ -9,7 +9,7 @@ from flexman_gym import control, draw, metrics
 from flexman_gym.common.checks import value_error
 from flexman_gym.envs import NAMED_ENVIRONMENTS, Limits, Randomisation, Slew
 from flexman_gym.envs.config.named_environments import CONDITIONS
-from flexman_gym.evaluation import evaluate, rollout, tune
+from flexman_gym.evaluation import evaluate, rollout, sensitivities, tune
 from flexman_gym.fidelity import Choice, choose_model
 from flexman_gym.identification import Filter, Fit, Measurement, Ringing, fit
 from flexman_gym.model import (
@@ -22,7 +22,6 @@ from flexman_gym.model import (
     frequencies,
     holding_torques,
     inverse_dynamics,
-    linearize,
     mass_matrix,
     modes,
     rest_state,
@@ -55,7 +54,7 @@ from flexman_gym.simulation import (
     Simulator,
     Trajectory,
     generalised_alpha,
-    sensitivities,
+    linearize,
     simulate,
     simulate_all,
 )

@@ -5,12 +5,15 @@ import sys
 import warnings
 
 from flexman_gym.common.computer import computer_text
-from flexman_gym.verification.table import VerificationRow, exit_code, format_table
+from flexman_gym.verification.papers import computed_rows, printed_rows
+from flexman_gym.verification.table import VerificationRow, VerificationTable
 from studies.files import folder, read_comments, read_rows, write_rows
 from studies.verification.motions import REFERENCE, rows
 from studies.verification.page import page
+from studies.verification.papers import page as page_of_papers
 
 FILE = "verification.csv"
+PAPERS = {"papers_printed.csv": printed_rows, "papers_computed.csv": computed_rows}
 
 
 def main() -> int:
@@ -26,10 +29,14 @@ def main() -> int:
     file = options.folder / FILE
     if not options.redraw:
         write_rows(rows(REFERENCE, options.quick), file, 12, computer_text())
-    result = read_rows(file, VerificationRow)
-    print(format_table(result))
+        for name, make in PAPERS.items():
+            write_rows(make(), options.folder / name, 12, computer_text())
+    result = VerificationTable(read_rows(file, VerificationRow))
+    print(result)
     (options.folder / "verification.md").write_text(page(result, read_comments(file)), encoding="utf-8")
-    return exit_code(result)
+    tables = [read_rows(options.folder / name, VerificationRow) for name in PAPERS]
+    (options.folder / "papers.md").write_text(page_of_papers(*tables), encoding="utf-8")
+    return result.exit_code
 
 
 if __name__ == "__main__":

@@ -78,9 +78,6 @@ def load_agent(name: str, trust: bool, environment: "Configuration | None" = Non
         environment: environment in which the policy of a zip was trained, with the settings of its agent; None for the
             environment of the evaluation.
 
-    Returns:
-        The agent.
-
     Raises:
         FileNotFoundError, ValueError: for a name without an agent, with a one-line message.
     """

@@ -87,7 +87,7 @@ def _campbell(options: argparse.Namespace, out: Path) -> list[Path]:
 def _bode(options: argparse.Namespace, out: Path) -> list[Path]:
     import numpy as np
 
-    from flexman_gym.control.margins import describe_stuck_motors, margins, open_loop_responses, sampled_loops
+    from flexman_gym.control.margins import describe_stuck_motors, margins, sampled_loops
     from flexman_gym.draw.frequency_diagrams import bode_diagram
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.envs.config.fidelity import resolve_fidelity
@@ -99,7 +99,7 @@ def _bode(options: argparse.Namespace, out: Path) -> list[Path]:
     loops = sampled_loops(model, angles, period, environment.max_delay, environment.drive_bandwidth)
     stuck = margins(loops, gains["stiffness"], gains["damping"]).stuck
     loop = next(each for each in loops if each.stuck == stuck)
-    responses = open_loop_responses(loop, gains["stiffness"], gains["damping"], frequencies, period)
+    responses = loop.open_loop_responses(gains["stiffness"], gains["damping"], frequencies, period)
     named = {f"motor {i + 1}": response for i, response in enumerate(responses) if i not in stuck}
     title = f"{options.subject[0]}: loops of the PD, each opened at one motor{describe_stuck_motors(stuck)}"
     return [bode_diagram(frequencies, named, out, title)]

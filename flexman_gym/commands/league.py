@@ -59,10 +59,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Run the missing episodes of the league and write its page; return the exit status."""
     from flexman_gym.common.computer import computer_text
-    from flexman_gym.common.markdown import markdown_table
     from flexman_gym.common.parallel import Workers
     from flexman_gym.evaluation.agent import AGENTS
-    from flexman_gym.league.details import league_details, summary_rows
+    from flexman_gym.league.details import league_details, settling_table
     from flexman_gym.league.page import PAGE, write_page
     from flexman_gym.league.rows import LeagueRows, run_league
     from flexman_gym.league.standings import Standings
@@ -86,7 +85,8 @@ def _run(options: argparse.Namespace) -> int:
         seeds = range(options.seed, options.seed + episodes)
         results = run_league(agents, scenarios, seeds, folder, workers, lambda line: print(line, flush=True))
     names = [name for scenarios in groups.values() for name in scenarios] or Standings(results).scenarios
-    print("\n".join(markdown_table(["agent", *names], summary_rows(Standings(results), names))))
+    standings = Standings(results)
+    print("\n".join(settling_table(standings, standings.agents, names, ["agent", *names])))
     write_page(results, folder, None if options.redraw else computer_text())
     print(f"{folder / PAGE} has the results.")
     return 0

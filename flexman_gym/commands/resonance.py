@@ -50,19 +50,19 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Print modes, shapers and a recommendation; return 0."""
-    from flexman_gym.control.input_shaping.shapers import compare_shapers, find_operating_points
+    from flexman_gym.control.input_shaping.shapers import OperatingPoint, ShaperEvaluation
 
     if options.postures < 1:
         options.parser.error(f"--postures: {options.postures} is not allowed; give a whole number > 0")
     model, postures, payloads = _find_model(options.arm, options.postures)
     if options.payload:
         payloads = [options.payload[0], sum(options.payload) / 2.0, options.payload[1]]
-    cases = find_operating_points(model, postures, payloads)
+    cases = OperatingPoint.find(model, postures, payloads)
     print(f"{options.arm}: {len(postures)} postures, payloads of {', '.join(f'{mass:g}' for mass in payloads)} kg")
     if not all(len(case.held) for case in cases):
         print("recommendation: none, as the motors excite no vibration")
         return 0
-    median, evaluations, best = compare_shapers(cases)
+    median, evaluations, best = ShaperEvaluation.compare(cases)
     sentence = _recommendation(cases, evaluations, median, best)
     print("\n".join([*_mode_lines(cases), "", *_shaper_lines(evaluations), "", sentence]))
     if options.csv:

@@ -1,4 +1,4 @@
-"""Verify the model against closed-form solutions."""
+"""Verify the model against closed-form solutions, or against results of papers."""
 
 import argparse
 from pathlib import Path
@@ -14,24 +14,49 @@ FULL_TABLE_HINT = (
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
+    parser.add_argument(
+        "table", nargs="?", choices=("closed-forms", "papers"), default="closed-forms",
+        help="closed-forms, or papers: printed, measured and computed results of published arms (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--data", type=Path, metavar="FILE", help="fit the rotary flexible link to a measured response of hub angle to "
+        "voltage, a CSV file with frequency (Hz), real (rad/V) and imaginary (rad/V)",
+    )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="print no reference to the full table")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows to a JSON file")
 
 
 def _run(options: argparse.Namespace) -> int:
     """Print the table; return 0, or 1 if a row fails."""
-    from flexman_gym.verification.cases import closed_form_rows
-    from flexman_gym.verification.table import exit_code, format_json, format_table
+    from flexman_gym.verification import papers
+    from flexman_gym.verification.cases import CLOSED_FORMS
+    from flexman_gym.verification.table import PASS, VerificationTable
 
+    if options.data is not None:
+        from flexman_gym.verification.response import fit_response, read_response
+
+        try:
+            print(fit_response(*read_response(options.data)))
+        except (ValueError, OSError) as error:
+            options.parser.error(str(error))
+        return 0
     started = perf_counter()
-    result = closed_form_rows()
-    print(format_table(result))
+    if options.table == "papers":
+        tables = [papers.printed_rows(), papers.computed_rows()]
+        rows = [row for table in tables for row in table]
+        print(*map(VerificationTable, tables), sep="\n\n")
+        explained = [row for row in rows if row.verdict != PASS and row.case in papers.REASONS]
+        print(*(f"{row.case}: {papers.REASONS[row.case]}" for row in explained), sep="\n")
+        result = VerificationTable([row for row in rows if row not in explained])
+    else:
+        result = VerificationTable([row for case in CLOSED_FORMS for row in case()])
+        print(result)
     print(f"{perf_counter() - started:.0f} s")
-    if not options.quick:
+    if not options.quick and options.table != "papers":
         print(FULL_TABLE_HINT)
     if options.json is not None:
-        options.json.write_text(format_json(result), encoding="utf-8")
-    return exit_code(result)
+        options.json.write_text(result.to_json(), encoding="utf-8")
+    return result.exit_code
 
 
 COMMAND = CommandLine(_arguments, _run)

@@ -159,15 +159,12 @@ def mapping(name: str, value: object, keys: Collection[str]) -> dict[str, Any]:
 
 
 def sequence(name: str, value: object, items: str = "values") -> Sequence[Any]:
-    """Check a list, a tuple or an array.
+    """Check a list, a tuple or an array; an array is returned as a list.
 
     Args:
         name: field, for errors.
         value: the value.
         items: description of the entries, for errors.
-
-    Returns:
-        The value; an array is returned as a list.
     """
     if isinstance(value, np.ndarray) and value.ndim > 0 and value.size <= MAX_ENTRIES:
         return list(value.tolist())
@@ -177,16 +174,13 @@ def sequence(name: str, value: object, items: str = "values") -> Sequence[Any]:
 
 
 def number_array(name: str, value: object, shape: tuple[int, ...], allowed: str) -> NDArray[np.float64]:
-    """Check an array-like of finite numbers; its length is checked before it is converted.
+    """Return an array-like of finite numbers as a float array; its length is checked before it is converted.
 
     Args:
         name: field, for errors.
         value: the array-like.
         shape: required shape.
         allowed: allowed values, for errors.
-
-    Returns:
-        The numbers as a float array.
     """
     try:
         values = np.asarray(value) if len(value) == shape[0] else None  # type: ignore[arg-type]
@@ -222,21 +216,6 @@ def vector(name: str, value: object, length: int | None = None, unit: str = "") 
     if not entries or (length is not None and len(entries) != length):
         raise value_error(name, value, f"{length or 'at least 1'} numbers" + _in(unit))
     return tuple(finite(f"{name}[{i}]", entry, unit) for i, entry in enumerate(entries))
-
-
-def rotation(name: str, value: object) -> tuple[tuple[float, ...], ...]:
-    """Return a rotation matrix (3, 3), orthonormal within 1e-9 with determinant +1, as a tuple of rows."""
-    rows = sequence(name, value, "3 rows of 3 numbers")
-    if len(rows) != 3:
-        raise value_error(name, value, "3 rows of 3 numbers")
-    rows = tuple(vector(f"{name}[{i}]", row, 3) for i, row in enumerate(rows))
-    matrix = np.array(rows)
-    with np.errstate(over="ignore", invalid="ignore"):
-        error = np.abs(matrix @ matrix.T - np.eye(3)).max()
-    # Reflections are orthonormal, too, with determinant -1.
-    if not error <= UNIT_TOLERANCE or np.linalg.det(matrix) < 0.0:
-        raise value_error(name, value, "a rotation matrix: orthonormal within 1e-9, determinant +1")
-    return rows
 
 
 def check_member_names(field: str, value: object, optional: Collection[str], others: Collection[str]) -> None:

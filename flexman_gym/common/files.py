@@ -69,14 +69,11 @@ for _class in (_Loader, _PackageLoader):
 
 
 def regular_file(path: str | Path, most: int | None = MAX_TEXT_BYTES) -> Path:
-    """Check that a path is a regular file, without opening it: reading a device or a pipe may never end.
+    """Return a path if it is a regular file, without opening it: reading a device or a pipe may never end.
 
     Args:
         path: the path.
         most: largest size in bytes; None for any size.
-
-    Returns:
-        The path.
 
     Raises:
         FileNotFoundError: if the file does not exist.
@@ -124,9 +121,6 @@ def read_data(path: Path, kind: type = dict, of_package: bool = False) -> Any:
         kind: dict for a file with a mapping, list for a file with a list.
         of_package: True for a YAML file of this package, which is parsed six times as fast and may have anchors.
 
-    Returns:
-        The content.
-
     Raises:
         FileNotFoundError: if the file does not exist.
         ValueError: for another suffix, an irregular file, more than 1 MB, text other than UTF-8, a syntax error,
@@ -152,9 +146,6 @@ def parse_yaml(text: str) -> Any:
 
     Args:
         text: the text.
-
-    Returns:
-        The content.
 
     Raises:
         ValueError: for a syntax error, with a one-line message.

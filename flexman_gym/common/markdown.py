@@ -1,10 +1,10 @@
 """Tables as text: Markdown tables of generated pages, and tables of `print` with aligned columns."""
 
 from collections.abc import Iterable, Sequence
+from math import isfinite
 from textwrap import wrap
 
 WIDTH = 100  # characters of a line of `print`
-MAX_ROWS = 10  # rows of a table of `print`
 MAX_LINES = 3  # lines of a value of `print`
 
 
@@ -17,15 +17,6 @@ def _line(cells: Iterable[object]) -> str:
     return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
 
 
-def text_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
-    """Return the lines of a table with right-aligned columns; of many rows only the first ones and the last one."""
-    cells = [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
-    if len(cells) > MAX_ROWS:
-        cells = [*cells[: MAX_ROWS - 2], ["..."] * len(heads), cells[-1]]
-    widths = [max(map(len, column)) for column in zip(heads, *cells, strict=True)]
-    return ["  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in (heads, *cells)]
-
-
 def text_fields(entries: Iterable[tuple[str, object]]) -> list[str]:
     """Return the lines of names and values; a value longer than MAX_LINES lines is cut."""
     named = [(name, str(value)) for name, value in entries]
@@ -35,3 +26,10 @@ def text_fields(entries: Iterable[tuple[str, object]]) -> list[str]:
         lines = wrap(text[: (MAX_LINES + 1) * WIDTH], WIDTH - width, max_lines=MAX_LINES, placeholder=" ...") or [""]
         result += [head.ljust(width) + line for head, line in zip([name, *[""] * (len(lines) - 1)], lines, strict=True)]
     return result
+
+
+def number_text(value: float) -> str:
+    """Return a number with three digits, "-" if it is not finite."""
+    if not isfinite(value):
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{round(value, 3) + 0.0:.3g}"

@@ -37,9 +37,6 @@ def new_figure(inches: tuple[float, float], dpi: float, window: bool = False, **
         window: True to return a figure of pyplot instead, for `pyplot.show`.
         **options: keyword arguments of Matplotlib's Figure.
 
-    Returns:
-        The figure.
-
     Raises:
         ImportError: without Matplotlib.
     """

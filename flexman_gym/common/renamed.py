@@ -181,9 +181,6 @@ def rename_keys(
         field: name of the mapping, for messages.
         nested: rename the keys of inner mappings too.
 
-    Returns:
-        The values by present names.
-
     Raises:
         ValueError: for a value under both names.
     """

@@ -36,9 +36,6 @@ def read_npz(path: Path) -> Any:
     Args:
         path: path of the file.
 
-    Returns:
-        The data.
-
     Raises:
         FileNotFoundError: if the file does not exist.
         ValueError: for a damaged file, another kind of file, or arrays larger than the file, with a one-line message.
@@ -75,46 +72,27 @@ def _join_arrays(data: Any, arrays: Any) -> Any:
     return [_join_arrays(each, arrays) for each in data] if isinstance(data, list) else data
 
 
-def _read_settings_text(folder: Path) -> str:
-    """Read the settings of a training run as text.
-
-    Args:
-        folder: folder of the run.
-
-    Returns:
-        The text.
-
-    Raises:
-        FileNotFoundError: if there are no settings.
-        ValueError: for a file of more than 1 MB, with a one-line message.
-    """
-    path = existing_file(folder / SETTINGS)
-    try:
-        return regular_file(path).read_bytes().decode("utf-8", errors="replace")
-    except ValueError as error:
-        raise ValueError(f"{short_path(path)}: {error}") from None
-
-
 def read_settings(folder: Path) -> dict[str, Any]:
     """Read the settings of a training run, unchecked, under their present names.
 
     Args:
         folder: folder of the run.
 
-    Returns:
-        The settings.
-
     Raises:
         FileNotFoundError: if there are no settings.
-        ValueError: for a file without a JSON mapping, with a one-line message.
+        ValueError: for a file of more than 1 MB or without a JSON mapping, with a one-line message.
     """
-    text, place = _read_settings_text(folder), short_path(folder / SETTINGS)
+    path = existing_file(folder / SETTINGS)
+    try:
+        text = regular_file(path).read_bytes().decode("utf-8", errors="replace")
+    except ValueError as error:
+        raise ValueError(f"{short_path(path)}: {error}") from None
     try:
         result = json.loads(text)
     except (ValueError, RecursionError):
         result = None
     if not isinstance(result, dict):
-        raise ValueError(f"{place}: this is no mapping in JSON; give the settings of a training run")
+        raise ValueError(f"{short_path(path)}: this is no mapping in JSON; give the settings of a training run")
     complete_environment(result.get("environment"))
     return rename_keys(result, RUN_SETTINGS, warn=False)
 

@@ -66,9 +66,6 @@ def read_time_series(path: str | Path) -> TimeSeries:
     Args:
         path: path of the file.
 
-    Returns:
-        The columns over time.
-
     Raises:
         FileNotFoundError: if the file does not exist.
         ValueError: as in `read_csv_rows`, and for a header without a time, with a repeated name or with an unknown
@@ -82,7 +79,7 @@ def read_time_series(path: str | Path) -> TimeSeries:
         raise value_error(f"{file}: the header", names, "a column time (s) and other columns, each name once")
     for number, row in enumerate(rows, 2):
         if row:
-            numbers.extend(_numbers(file, number, row, len(names)))
+            numbers.extend(numbers_of_line(file, number, row, len(names)))
     count = len(numbers) // len(names)
     if not 0 < count <= MAX_ENTRIES:
         raise value_error(file, f"{count} lines", f"1 to {MAX_ENTRIES} of numbers")
@@ -169,7 +166,7 @@ def _split_header(header: str) -> tuple[str, str]:
     return whole[:start].strip(), " ".join(unit.split())
 
 
-def _numbers(file: str, line: int, row: Sequence[str], count: int) -> list[float]:
+def numbers_of_line(file: str, line: int, row: Sequence[str], count: int) -> list[float]:
     """Return the numbers of a line."""
     try:
         numbers = [float(entry) for entry in row]

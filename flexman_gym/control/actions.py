@@ -11,8 +11,8 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows
 from flexman_gym.common.checks import non_negative, physical, value_error, vector
 from flexman_gym.control.base_controllers import make_base, parse_kind
-from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings
-from flexman_gym.control.margins import describe_stuck_motors, sampled_loops, spectral_radius
+from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings, saturated
+from flexman_gym.control.margins import describe_stuck_motors, sampled_loops
 from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.pd import PD
 from flexman_gym.control.reference_shaping import ReferenceShaping, ShapingLimits
@@ -41,19 +41,21 @@ class _ServoMode:
 
     state_fields = ("_reference",)
     sensors: tuple[object, ...] = ("motor_encoders",)
+    gain_units: Mapping[str, str] = PD.gain_units
 
     def __init__(self, kind: str, gains: PD, span: Vector, period: float) -> None:
         self._integrates, self._gains, self._span, self._period = kind == "velocity", gains, np.array(span), period
         self.joints = len(self._span)
         self.names = tuple(f"{kind}_{joint + 1}" for joint in range(self.joints))
         self._reference = np.zeros((1, self.joints))  # rad; reference of each arm
+        self._reference_changes = np.zeros((1, self.joints))  # (p, n) derivatives of the reference of an arm
         zero = gains.stiffness == 0.0
         self._max_error = np.where(zero, np.inf, gains.torque_limit / np.where(zero, 1.0, gains.stiffness))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes, with the reference at the joint angles; arguments as in `Controller.reset`."""
         self._reference = pad_rows(self._reference, count)
-        self._reference[arms] = episode.start
+        self._reference[arms], self._reference_changes = episode.start, np.zeros((1, self.joints))
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the torques (b, n) for reference actions (b, n), as fractions of the torque limits from -1 to 1."""
@@ -69,6 +71,25 @@ class _ServoMode:
         result: Array = np.clip(torque / self._gains.torque_limit, -1.0, 1.0)
         return result
 
+    def derivatives(self, actions: Array, readings: Readings, changes: Readings) -> Array:
+        """Return the derivatives (p, n) of the torques, and advance those of the reference; see `ActionMode`."""
+        gains, angles, turned = self._gains, readings["motor_angles"], changes["motor_angles"]
+        command, change = actions * self._span, changes["actions"] * self._span
+        if self._integrates:
+            error, error_change, rate = self._reference - angles, self._reference_changes - turned, command
+            integral = self._reference + command * self._period - angles
+            step = np.square(np.where(gains.stiffness > 0.0, gains.stiffness, np.inf))
+            clamped = turned - np.sign(integral) * gains.torque_limit / step * changes["stiffness"]
+            free = np.abs(integral) < self._max_error
+            self._reference_changes = np.where(free, self._reference_changes + change * self._period, clamped)
+        else:
+            error, error_change, rate, change = command - angles, change - turned, 0.0, 0.0
+        slip, slip_change = rate - readings["motor_rates"], change - changes["motor_rates"]
+        torque = gains.stiffness * error + gains.damping * slip
+        torque_change = gains.stiffness * error_change + gains.damping * slip_change
+        torque_change += changes["stiffness"] * error + changes["damping"] * slip
+        return saturated(torque / gains.torque_limit, torque_change / gains.torque_limit)[1]
+
 
 def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) -> _ServoMode:
     """Make a servo with the given gains, or with the gains tuned for the plant.
@@ -83,9 +104,6 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
         **given: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each; "range", the angle (rad) or rate (rad/s) at
             an action of 1, for all joints or for each joint (n,). The default range is pi, for kind="velocity" the
             speed limit of the motor.
-
-    Returns:
-        Servo mode.
     """
     if base is not None:
         raise value_error("base", base, f'None: with actions="{kind}" the servo commands the motors')
@@ -101,7 +119,7 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
     gains = make_base({"kind": "pd", **given}, plant)
     assert isinstance(gains, PD)
     loops = sampled_loops(plant.model, np.zeros(n), plant.period, plant.delay[1], plant.bandwidth)
-    radii = [spectral_radius(loop, gains.stiffness, gains.damping) for loop in loops]
+    radii = [loop.spectral_radius(gains.stiffness, gains.damping) for loop in loops]
     radius, stuck = max(radii), loops[int(np.argmax(radii))].stuck
     if radius > UNSTABLE_RADIUS:
         warnings.warn(
@@ -154,12 +172,7 @@ class _ReferenceShapingMode:
         self._observed = np.zeros((0, sum(sizes.values())))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,).
-
-        Args:
-            arms: (r,) indices.
-            episode: start and goal of these episodes.
-            count: total number of arms.
+        """Start new episodes; arguments as in `Controller.reset`.
 
         Raises:
             ValueError: for a moving goal.
@@ -252,7 +265,9 @@ class ActionMode(Protocol):
     of 1 adds, for all joints or for each joint (n,). A mode with observed quantities beyond the sensors has
     `observation_sizes`, name -> number of values, and `observe(readings, applied, active)`, which updates the
     quantities of the active arms and returns the quantities of all arms, concatenated to (b, size). `observe` is called
-    before the agent acts, in the same control period.
+    before the agent acts, in the same control period. `derivatives(actions, readings, changes)` and `gain_units` are
+    those of `Controller`, with the actions (1, k), and their derivatives (p, k) in `changes["actions"]`; the result is
+    the derivatives (p, n) only.
 
     Attributes:
         joints: n, number of joints.
@@ -287,9 +302,6 @@ class ActionMode(Protocol):
             readings: as in `Controller.act`.
             applied: as in `Controller.act`.
             active: as in `Controller.act`.
-
-        Returns:
-            Torques (b, n).
         """
         ...
 
@@ -301,7 +313,7 @@ class TorqueMode:
         joints: n, number of joints.
         base: controller whose torques are added; None for no base controller.
         strength: fraction of the torque limits at an action of 1, for all joints or for each joint (n,).
-        quantity: "torque", or "current" for motor currents as fractions of the current limits.
+        quantity: "torque"; "current" or "voltage" for motor currents or voltages as fractions of their limits.
     """
 
     def __init__(
@@ -326,6 +338,21 @@ class TorqueMode:
         result: Array = np.clip(base_torques + actions, -1.0, 1.0)
         return result
 
+    @property
+    def gain_units(self) -> Mapping[str, str]:
+        """Units of the gains of the base controller, by name, see `Controller`."""
+        return getattr(self._base, "gain_units", {})
+
+    def derivatives(self, actions: Array, readings: Readings, changes: Readings) -> Array:
+        """Return the derivatives (p, n) of the torques, see `ActionMode`."""
+        change: Array = changes["actions"]
+        if isinstance(self.strength, np.ndarray):
+            actions, change = saturated(actions * self.strength, change * self.strength)
+        if self._base is None:
+            return change
+        base_torques, base_change = self._base.derivatives(readings, changes)  # type: ignore[attr-defined]
+        return saturated(base_torques + actions, base_change + change)[1]
+
 
 @dataclass(frozen=True)
 class _ActionModeEntry:
@@ -340,31 +367,33 @@ class _ActionModeEntry:
     arguments: tuple[str, ...] = ()
 
 
-def _make_current(plant: Plant, base: Controller | None) -> TorqueMode:
-    """Make the mode of motor currents.
+def _make_motor_input(quantity: str, plant: Plant, base: Controller | None) -> TorqueMode:
+    """Make the mode of motor currents or voltages.
 
     Args:
+        quantity: "current" or "voltage".
         plant: plant model.
         base: controller whose torques are added; None for no base controller.
 
-    Returns:
-        Action mode.
-
     Raises:
-        ValueError: for an arm with a joint without motor or current limit.
+        ValueError: for an arm with a joint without a motor of this input, or without its limit.
     """
-    motors = [joint.motor for joint in plant.model.arm.joints]
-    limits = [motor.joint_torque_limit if motor else None for motor in motors]
+    motors, voltage = [joint.motor for joint in plant.model.arm.joints], quantity == "voltage"
+    given = [motor if motor and (motor.resistance is not None) == voltage else None for motor in motors]
+    limits = [motor.joint_torque_limit if motor else None for motor in given]
     if None in limits:
-        allowed = "current for an arm with a motor (fm.Motor) with a current_limit at each joint"
-        raise value_error("actions", "current", allowed)
-    return TorqueMode(len(limits), base, np.array(limits) / plant.torque_limit, "current")
+        needed = "resistance and voltage_limit" if voltage else "current_limit, without resistance,"
+        raise value_error(
+            "actions", quantity, f"{quantity} for an arm with a motor (fm.Motor) with {needed} at each joint"
+        )
+    return TorqueMode(len(limits), base, np.array(limits) / plant.torque_limit, quantity)
 
 
 SERVO_ARGUMENTS = ("stiffness", "damping", "range")
 ACTIONS: dict[str, _ActionModeEntry] = {
     "torque": _ActionModeEntry(lambda plant, base: TorqueMode(len(plant.torque_limit), base)),
-    "current": _ActionModeEntry(_make_current),
+    "current": _ActionModeEntry(partial(_make_motor_input, "current")),
+    "voltage": _ActionModeEntry(partial(_make_motor_input, "voltage")),
     "velocity": _ActionModeEntry(partial(_make_servo, "velocity"), SERVO_ARGUMENTS),
     "position": _ActionModeEntry(partial(_make_servo, "position"), SERVO_ARGUMENTS),
     "shaping": _ActionModeEntry(_ReferenceShapingMode, ShapingLimits._fields),

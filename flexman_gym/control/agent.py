@@ -15,7 +15,7 @@ Law = Callable[[NDArray[np.float32]], NDArray[Any]]  # observations (b, size) ->
 MAX_HISTORY = 1000  # largest number of observations in a history
 
 
-class _History:
+class History:
     """Observation history of b arms: the last k observations, or the current one and exponential moving averages.
 
     At the start of an episode the first observation is repeated in place of earlier observations.
@@ -33,7 +33,7 @@ class _History:
         self._gains = None if isinstance(kind, int) else 1.0 - np.exp(-interval / np.array(kind))[:, None]
         self._memory = np.zeros((arms, history_length(kind), size))
 
-    def copy_from(self, earlier: "_History") -> "_History":
+    def copy_from(self, earlier: "History") -> "History":
         """Return this history after copying the content of a history with fewer arms."""
         self._memory[: len(earlier._memory)] = earlier._memory
         return self
@@ -104,9 +104,9 @@ class Agent:
         self.sensors: Any = (*sensors, *mode.sensors)
         mode_size = sum(getattr(mode, "observation_sizes", {}).values())
         self.mode_observes = mode_size > 0
-        self._size, self._kind, self._counts_periods = size, history, action_repeat > 1 or history != 1
+        self._size, self.history, self._counts_periods = size, history, action_repeat > 1 or history != 1
         self._row = size + mode_size
-        self._history: _History | None = None
+        self._history: History | None = None
         self.observations: NDArray[np.float32] = np.zeros((0, history_length(history) * self._row), dtype=np.float32)
         self.command, self._ages = np.zeros((0, len(mode.names))), np.zeros(0, dtype=np.int64)
         if law is not None:
@@ -120,7 +120,7 @@ class Agent:
     def bound(self, sensors: Array) -> NDArray[np.float32]:
         """Return the bounds (k size,) of an observation with history, from the bounds of the sensors (size,)."""
         row = np.append(sensors, np.full(self._row - self._size, MAX_OBSERVATION))
-        return np.tile(row, history_length(self._kind)).astype(np.float32)
+        return np.tile(row, history_length(self.history)).astype(np.float32)
 
     def check_law(self, law: object) -> None:
         """Check the numbers of inputs and outputs of a law, its optional attributes `size` and `joints`.
@@ -131,7 +131,7 @@ class Agent:
         Raises:
             ValueError: for sizes that differ from the sizes of the agent.
         """
-        length, mode_size = history_length(self._kind), self._row - self._size
+        length, mode_size = history_length(self.history), self._row - self._size
         size = getattr(law, "size", length * self._row) // length - mode_size
         if size != self._size:
             allowed = f"one with {self._size}, the number of values of its sensors here"
@@ -148,17 +148,12 @@ class Agent:
             return
         for name in ("observations", "command", "_ages"):
             setattr(self, name, pad_rows(getattr(self, name), count))
-        if self._kind != 1:
-            longer = _History(self._kind, self.action_repeat * period, count, self._row)
+        if self.history != 1:
+            longer = History(self.history, self.action_repeat * period, count, self._row)
             self._history = longer.copy_from(self._history) if self._history else longer
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,).
-
-        Args:
-            arms: (r,) indices.
-            episode: start, goal and control period of these episodes.
-            count: total number of arms.
+        """Start new episodes; arguments as in `Controller.reset`.
 
         Raises:
             ValueError: for arms whose number of joints differs from the number of joints of the action mode.
@@ -197,15 +192,7 @@ class Agent:
                 self.observations[arms] = update(now[arms], arms)
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Return the torques (b, n) as fractions of the torque limits; see `Controller.act`.
-
-        Args:
-            readings: as in `Controller.act`.
-            applied: as in `Controller.act`.
-            active: as in `Controller.act`.
-
-        Returns:
-            Torques (b, n).
+        """Return the torques (b, n) as fractions of the torque limits; arguments as in `Controller.act`.
 
         Raises:
             ValueError: for readings whose size differs from the size of the agent's sensors.

@@ -32,9 +32,6 @@ def parse_kind(field: str, value: object, table: Mapping[str, _Entry]) -> tuple[
         field: name of the field, for error messages.
         value: name, or mapping with the name under "kind" and the arguments.
         table: `BASES` or `ACTIONS`.
-
-    Returns:
-        Name and arguments.
     """
     if isinstance(value, str):
         return one_of(field, value, table), {}

@@ -7,6 +7,7 @@ from functools import cached_property
 from inspect import Signature, signature
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector
@@ -51,7 +52,7 @@ class Plant(NamedTuple):
 
 
 Readings = Mapping[str, NDArray[Any]]
-OPTIONAL_MEMBERS = ("state_fields", "estimates")  # members that a controller may omit
+OPTIONAL_MEMBERS = ("state_fields", "estimates", "derivatives")  # members that a controller may omit
 METHOD_ARGUMENTS = {"reset": ("arms", "episode", "count"), "act": ("readings", "applied", "active")}
 
 
@@ -89,9 +90,13 @@ class Controller(Protocol):
     action for an arm must not depend on the other arms, to the last bit. Compute products row by row
     (`arrays.row_dots`, elementwise operations): the last digits of BLAS products depend on the number of rows.
 
-    Two members are optional. `state_fields`, () by default, lists the attributes (arrays or numbers) that change
+    Three members are optional. `state_fields`, () by default, lists the attributes (arrays or numbers) that change
     during an episode and cannot be recomputed by `reset`; these attributes become part of the state of an environment.
-    `estimates`, {} by default, maps names to estimates (b, ...), which are added to `info`.
+    `estimates`, {} by default, maps names to estimates (b, ...), which are added to `info`. `derivatives(readings,
+    changes)` is called before `act` for an episode of one arm, and returns the actions (1, n) of this period and their
+    derivatives (p, n) with respect to p parameters, for the readings and their derivatives, name -> (p, size). The
+    parameters may include gains of the controller, named by an attribute `gain_units`, name -> unit: `changes` then has
+    their derivatives (p, n), too.
 
     Attributes:
         sensors: names of the sensors that the controller reads.
@@ -132,11 +137,13 @@ class Controller(Protocol):
             applied: (b, n) torques commanded in the previous control period, as fractions of the torque limits: the
                 sum of all controllers, saturated at -1 and 1, before delay and friction; 0 in the first period.
             active: (b,) True for arms whose episode is running.
-
-        Returns:
-            Actions (b, n).
         """
         ...
+
+
+def saturated(values: Array, changes: Array) -> tuple[Array, Array]:
+    """Return actions (1, n) clipped to -1 and 1, and their derivatives (p, n), which are 0 at a limit."""
+    return np.clip(values, -1.0, 1.0), np.where(np.abs(values) < 1.0, changes, 0.0)
 
 
 def checked_controller(field: str, value: object, others: str = "") -> Controller:
@@ -148,9 +155,6 @@ def checked_controller(field: str, value: object, others: str = "") -> Controlle
         field: name of the field, for error messages.
         value: any object.
         others: text with further allowed values, for error messages.
-
-    Returns:
-        The value, or its adapter.
 
     Raises:
         ValueError: for an object without these members, for methods with different arguments, and for a member whose

@@ -9,6 +9,7 @@ from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.control.controller import Plant
 from flexman_gym.control.observers.internal_model import InternalModels
 from flexman_gym.model.model import Model
+from flexman_gym.simulation.period_map import PeriodMap
 
 # Compensating / estimated friction, dimensionless. Below 1, motors stick short of the goal. With a static friction 1.5
 # times the Coulomb friction and a Stribeck rate of 0.02 rad/s, both unknown, `privileged-lqr` settles 75 % of 20
@@ -16,6 +17,8 @@ from flexman_gym.model.model import Model
 # the remaining vibration is 0.06, 2 and 4 mm (peak to peak).
 COMPENSATION_FACTOR = 1.15
 FRICTION = ("viscous_friction", "coulomb_friction", "coulomb_rate", "static_excess")  # names of estimates
+SMALL_CHANGE = 1e-2  # fraction of the width; change of rates below which derivatives are integrated numerically
+NODES, WEIGHTS = np.array([0.5 - 0.15**0.5, 0.5, 0.5 + 0.15**0.5])[:, None], np.array([5.0, 8.0, 5.0]) / 18.0  # Gauss
 EQUAL_RATES = 1e-6  # rad/s; difference of motor rates below which the friction torque is that of the first rate
 
 
@@ -78,6 +81,30 @@ def mean_friction_torques(coefficients: Array, before: Array, after: Array, widt
     return result
 
 
+def mean_friction_derivatives(
+    coefficients: Array, before: tuple[Array, Array], after: tuple[Array, Array], width: Array
+) -> Array:
+    """Return the derivatives (p, n) of `mean_friction_torques` with respect to p parameters.
+
+    Args:
+        coefficients: (2, n) as in `mean_friction_torques`.
+        before: motor rates at the start (1, n), rad/s, and their derivatives (p, n).
+        after: motor rates at the end and their derivatives.
+        width: (n,) as in `mean_friction_torques`.
+    """
+    (first, first_change), (last, last_change) = before, after
+    change = last - first
+    near = np.abs(change) < SMALL_CHANGE * width
+    divisor = np.where(near, 1.0, change)
+    mean = width * (_log_cosh(last / width) - _log_cosh(first / width)) / divisor
+    slopes = (1.0 - np.tanh((first + NODES * change) / width) ** 2) / width  # at three nodes of a quadrature, (3, n)
+    by_first = np.where(near, (1.0 - NODES.T) * WEIGHTS @ slopes, (mean - np.tanh(first / width)) / divisor)
+    by_last = np.where(near, NODES.T * WEIGHTS @ slopes, (np.tanh(last / width) - mean) / divisor)
+    sliding = by_first * first_change + by_last * last_change
+    result: Array = coefficients[0] * 0.5 * (first_change + last_change) + coefficients[1] * sliding
+    return result
+
+
 def _log_cosh(x: Array) -> Array:
     """Return ln cosh x without overflow."""
     size = np.abs(x)
@@ -104,6 +131,7 @@ class FrictionCompensation:
         self.model, self._rubbing_model = frictionless(plant.model), plant.model
         self._limits = np.array(plant.torque_limit)
         self._models = InternalModels(plant._replace(model=self.model))
+        self._map: PeriodMap | None = None  # map of the internal model, for derivatives
 
     def __call__(
         self, commands: Array, states: Array, arms: IntArray, count: int, parameters: Mapping[str, Array] | None = None
@@ -128,3 +156,30 @@ class FrictionCompensation:
         rates = self.model.n_dof + self.model.motor_columns
         width = self.model.constants.coulomb_rate
         return COMPENSATION_FACTOR * mean_friction_torques(coefficients, states[:, rates], ends[:, rates], width)
+
+    def derivatives(self, commands: tuple[Array, Array], states: tuple[Array, Array]) -> Array:
+        """Return the derivatives (p, n) of the compensating torques of an arm with respect to p parameters, N m.
+
+        Args:
+            commands: torques (1, n) of the law, N m, and their derivatives (p, n).
+            states: states (1, 2 d) and their derivatives (p, 2 d).
+
+        Returns:
+            Derivatives (p, n); 0 for a model without friction.
+        """
+        (torques, torque_changes), (state, changes) = commands, states
+        if self.model is self._rubbing_model:
+            return np.zeros_like(torque_changes)
+        batch, inside = self._models("look-ahead", 1), np.abs(torques) < self._limits
+        if self._map is None or len(changes) != self._map.count:
+            period = batch.control_period, batch.substeps
+            self._map = PeriodMap(self.model, batch.method, period, [{}] * len(changes))
+        drive = np.append(np.clip(torques[0], -self._limits, self._limits), np.zeros(6))
+        drives, ledger = np.pad(inside * torque_changes, ((0, 0), (0, 6))), ((0, 0), (0, 2))
+        end = self._map.advance(np.append(state[0], (0.0, 0.0)), drive, np.pad(changes, ledger), drives)
+        rates = self.model.n_dof + self.model.motor_columns
+        before, after = (state[:, rates], changes[:, rates]), (end.row[None, rates], end.rows[:, rates])
+        coefficients = friction_coefficients(self._rubbing_model, {}, np.zeros(1, dtype=np.int64))[0]
+        return COMPENSATION_FACTOR * mean_friction_derivatives(
+            coefficients, before, after, self.model.constants.coulomb_rate
+        )

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +15,16 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_ro
 from flexman_gym.common.checks import check_solvable, one_of, positive
 from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
-from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
+from flexman_gym.control.controller import EpisodeInfo, Plant, Readings, saturated
 from flexman_gym.control.friction_compensation import FrictionCompensation, frictionless
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import TIMING_LAWS, plan_path, plan_slew
 from flexman_gym.kernels.cache import find_cache_folder
-from flexman_gym.model.linearization import SLIDING, linearize
+from flexman_gym.model.linearization import SLIDING
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import LinearModel, discretize
 from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.parameters import varied_model
 
 
@@ -40,34 +41,34 @@ class CostWeights(NamedTuple):
     tip_speed: float
     motor: float
 
+    @classmethod
+    def default(cls, model: Model) -> Self:
+        """Return the cost weights: 20 cm and 1 m/s for a reach of 8.5 m, in proportion to the reach, and 0.5 rad."""
+        reach = float(model.constants.length.sum())
+        return cls(TIP_SCALE * reach, TIP_SPEED_SCALE * reach, MOTOR_WEIGHT)
 
-def lqr_gain(linear: LinearModel, motors: Array, limits: Array, weights: CostWeights, period: float) -> Array:
-    """Return the gain K (n, 2 d) of the sampled LQR, torques = -K x, for states x relative to the equilibrium.
+    def gain(self, linear: LinearModel, motors: Array, limits: Array, period: float) -> Array:
+        """Return the gain K (n, 2 d) of the sampled LQR, torques = -K x, for states x relative to the equilibrium.
 
-    Args:
-        linear: linear model about an equilibrium.
-        motors: (n,) columns of the motor angles in x.
-        limits: (n,) torque limits, N m.
-        weights: cost weights.
-        period: control period, s.
+        Args:
+            linear: linear model about an equilibrium.
+            motors: (n,) columns of the motor angles in x.
+            limits: (n,) torque limits, N m.
+            period: control period, s.
 
-    Returns:
-        Gain K (n, 2 d).
+        Raises:
+            ValueError: for an arm whose Riccati equation has no solution within rounding.
+        """
+        with check_solvable("gains of a regulator"):
+            return _riccati_gain(linear, motors, limits, self, period)
 
-    Raises:
-        ValueError: for an arm whose Riccati equation has no solution within rounding.
-    """
-    with check_solvable("gains of a regulator"):
-        return _riccati_gain(linear, motors, limits, weights, period)
-
-
-def performance_outputs(linear: LinearModel, motors: Array, weights: CostWeights) -> Array:
-    """Return the matrix (6 + n, 2 d) of the outputs in the cost: tip, tip velocity and motor angles over weights."""
-    d, n = len(linear.A) // 2, len(motors)
-    tip, outputs = linear.C[:, :d], np.zeros((6 + n, 2 * d))
-    outputs[:3, :d], outputs[3:6, d:] = tip / weights.tip, tip / weights.tip_speed
-    outputs[6:, motors] = np.eye(n) / weights.motor
-    return outputs
+    def outputs(self, linear: LinearModel, motors: Array) -> Array:
+        """Return the matrix (6 + n, 2 d) of the outputs in the cost: tip, its rate and motor angles over weights."""
+        d, n = len(linear.A) // 2, len(motors)
+        tip, outputs = linear.C[:, :d], np.zeros((6 + n, 2 * d))
+        outputs[:3, :d], outputs[3:6, d:] = tip / self.tip, tip / self.tip_speed
+        outputs[6:, motors] = np.eye(n) / self.motor
+        return outputs
 
 
 def _riccati_gain(linear: LinearModel, motors: Array, limits: Array, weights: CostWeights, period: float) -> Array:
@@ -75,7 +76,7 @@ def _riccati_gain(linear: LinearModel, motors: Array, limits: Array, weights: Co
     from scipy.linalg import solve_discrete_are
 
     transition, inputs = discretize(linear.A, linear.B, period)
-    n, outputs = len(limits), performance_outputs(linear, motors, weights)
+    n, outputs = len(limits), weights.outputs(linear, motors)
     cost = np.diag(1.0 / limits**2)
     # torques as fractions of their limits, for a well-scaled equation
     scaled = inputs * limits
@@ -127,7 +128,9 @@ class GainTable:
 
     def __call__(self, arms: IntArray, postures: Array, payloads: Array) -> Array:
         """Return the gains (r, n, 2 d) of the arms (r,) at motor angles (r, n) rad and payloads (r,) kg."""
-        positions = np.column_stack([self._payload_positions(payloads), postures[:, self._joints] / POSTURE_SPACING])
+        count = len(self._payloads)
+        places = np.interp(payloads, self._payloads, np.arange(count)) if count > 1 else np.zeros(len(payloads))
+        positions = np.column_stack([places, postures[:, self._joints] / POSTURE_SPACING])
         cells = np.floor(positions).astype(np.int64)
         cells[:, 0] = np.minimum(cells[:, 0], max(len(self._payloads) - 2, 0))
         self._find(arms, cells)
@@ -140,12 +143,6 @@ class GainTable:
         for corner in range(len(self._steps)):
             result += weights[:, corner, None, None] * self._gains[self._corners[arms, corner]]
         return result
-
-    def _payload_positions(self, payloads: Array) -> Array:
-        """Return the positions (r,) of payloads (r,) kg among the payloads of the grid, from 0 to p - 1."""
-        if len(self._payloads) == 1:
-            return np.zeros(len(payloads))
-        return np.interp(payloads, self._payloads, np.arange(len(self._payloads)))
 
     def _find(self, arms: IntArray, cells: IntArray) -> None:
         """Update the corner gains of the arms (r,) whose grid cell changed to the cell given in `cells` (r, axes)."""
@@ -169,7 +166,7 @@ class GainTable:
             posture[self._joints] = POSTURE_SPACING * np.array(key[1:])
             limits, period, weights = self._design
             linear = linearize(model, state=rest_state(model, posture), torque=holding_torques(model, posture))
-            gain = lqr_gain(linear, model.motor_columns, limits, weights, period)
+            gain = weights.gain(linear, model.motor_columns, limits, period)
             self._rows[key] = len(self._gains)
             self._gains = np.concatenate([self._gains, gain[None]])
             self._unsaved += 1
@@ -221,12 +218,6 @@ SLEW_POSTURES = 3  # number of postures along a slew at which gains are designed
 PATH_POSTURES = 25  # number of postures along a given path at which gains are designed
 
 
-def default_weights(model: Model) -> CostWeights:
-    """Return the cost weights: 20 cm and 1 m/s for a reach of 8.5 m, in proportion to the reach, and 0.5 rad."""
-    reach = float(model.constants.length.sum())
-    return CostWeights(TIP_SCALE * reach, TIP_SPEED_SCALE * reach, MOTOR_WEIGHT)
-
-
 class LQR:
     """Linear-quadratic regulator about the goal: torque = holding torque - K (state - equilibrium), saturated.
 
@@ -239,7 +230,7 @@ class LQR:
         model: model of the arm, with the same generalised coordinates as the controlled arm.
         torque_limit: torque limit of all joints, or of each joint (n,), N m.
         period: control period, s.
-        weights: cost weights; None for `default_weights`.
+        weights: cost weights; None for `CostWeights.default`.
 
     Examples:
         >>> import numpy as np
@@ -261,7 +252,7 @@ class LQR:
         n, d = model.n_joints, model.n_dof
         self.model, self.period = model, positive("period", period, "s")
         self.limits = np.array(torque_limits("torque_limit", torque_limit, n))
-        self.weights = weights or default_weights(model)
+        self.weights = weights or CostWeights.default(model)
         self._gains, self._rest, self._holding_torques = np.zeros((0, n, 2 * d)), np.zeros((0, 2 * d)), np.zeros((0, n))
         self._compensation = FrictionCompensation(Plant(model, tuple(self.limits.tolist()), period, dict))
 
@@ -269,7 +260,7 @@ class LQR:
         """Return the gain K (n, 2 d) at motor angles (n,) rad; weights None for the weights of the regulator."""
         state, holding = rest_state(self.model, posture), holding_torques(self.model, posture)
         linear = linearize(self._compensation.model, state=state, torque=holding)
-        return lqr_gain(linear, self.model.motor_columns, self.limits, weights or self.weights, self.period)
+        return (weights or self.weights).gain(linear, self.model.motor_columns, self.limits, self.period)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Compute gains and equilibria for new episodes; arguments as in `Controller.reset`."""
@@ -297,6 +288,18 @@ class LQR:
     def torques(self, states: Array) -> Array:
         """Return the torques (b, n) for states (b, 2 d), N m; products are computed arm by arm."""
         return self.compensated(self._holding_torques - row_dots(self._gains, (states - self._rest)[:, None]), states)
+
+    def derivatives(self, readings: Readings, changes: Readings) -> tuple[Array, Array]:
+        """Return the actions (1, n) of an arm and their derivatives (p, n), see `Controller`."""
+        gain, reference, forward = self._feedback(0)
+        states, state_changes = np.asarray(readings["state"], dtype=np.float64), changes["state"]
+        torques, change = forward - row_dots(gain, (states - reference)[:, None]), -(state_changes @ gain.T)
+        change = change + self._compensation.derivatives((torques, change), (states, state_changes))
+        return saturated(self.compensated(torques, states) / self.limits, change / self.limits)
+
+    def _feedback(self, arm: int) -> tuple[Array, Array, Array]:
+        """Return gain K (n, 2 d), reference state (2 d,) and feed-forward torques (n,) of an arm in this period."""
+        return self._gains[arm], self._rest[arm], self._holding_torques[arm]
 
     def compensated(self, torques: Array, states: Array) -> Array:
         """Return torques (b, n), N m, with the friction at states (b, 2 d) compensated, see `FrictionCompensation`."""
@@ -398,11 +401,16 @@ class TrackingLQR(LQR):
         """Return the torques (b, n) for states (b, 2 d), N m, and advance by a control period."""
         result = np.zeros((len(states), self.model.n_joints))
         for arm, state in enumerate(states):
-            schedule = self._schedules[arm]
-            row, gains = min(self._now[arm], len(schedule.states) - 1), schedule.gains
-            lower = min(int(schedule.positions[row]), max(len(gains) - 2, 0))
-            upper, part = min(lower + 1, len(gains) - 1), schedule.positions[row] - lower
-            gain = gains[lower] + part * (gains[upper] - gains[lower])
-            result[arm] = schedule.torques[row] - row_dots(gain, state - schedule.states[row])
+            gain, reference, torque = self._feedback(arm)
+            result[arm] = torque - row_dots(gain, state - reference)
         self._now += 1
         return self.compensated(result, states)
+
+    def _feedback(self, arm: int) -> tuple[Array, Array, Array]:
+        """Return gain K (n, 2 d), reference state (2 d,) and feed-forward torques (n,) of an arm in this period."""
+        schedule = self._schedules[arm]
+        row, gains = min(self._now[arm], len(schedule.states) - 1), schedule.gains
+        lower = min(int(schedule.positions[row]), max(len(gains) - 2, 0))
+        upper, part = min(lower + 1, len(gains) - 1), schedule.positions[row] - lower
+        gain = gains[lower] + part * (gains[upper] - gains[lower])
+        return gain, schedule.states[row], schedule.torques[row]

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, IntArray, Vector
-from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel
 from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.simulation.linearization import linearize
 
 GAIN_FACTORS = np.geomspace(1.0, 16.0, 25)  # dimensionless; candidate gain margins
 PHASE_SHIFTS = np.linspace(0.0, 90.0, 19)  # degrees; candidate phase margins
@@ -45,6 +45,28 @@ class SampledLoop(NamedTuple):
     motors: Array
     rates: Array
     stuck: tuple[int, ...] = ()
+
+    def spectral_radius(self, stiffness: Vector, damping: Vector) -> float:
+        """Return the spectral radius of the loop closed by a PD; below 1 the loop is stable."""
+        return float(np.abs(np.linalg.eigvals(self.transition - self.inputs @ _gain(self, stiffness, damping))).max())
+
+    def open_loop_responses(self, stiffness: Vector, damping: Vector, frequencies: Vector, period: float) -> Response:
+        """Return complex open-loop responses (n, f) of a PD: the loop of one motor is opened, all others are closed.
+
+        Args:
+            stiffness: (n,) proportional gains, N m/rad.
+            damping: (n,) derivative gains, N m s/rad.
+            frequencies: (f,) Hz, below half the sampling frequency.
+            period: sampling period, s.
+        """
+        n, size = self.inputs.shape[1], len(self.transition)
+        gain, result = _gain(self, stiffness, damping), []
+        points = np.exp(2j * np.pi * period * np.asarray(frequencies, dtype=float))
+        for motor in range(n):
+            closed = np.where(np.arange(n) == motor, 0.0, 1.0)[:, None] * gain
+            resolvent = points[:, None, None] * np.eye(size) - (self.transition - self.inputs @ closed)  # its inverse
+            result.append(np.linalg.solve(resolvent, self.inputs[:, motor][None, :, None])[..., 0] @ gain[motor])
+        return np.array(result)
 
 
 class Margins(NamedTuple):
@@ -76,9 +98,6 @@ def sampled_loops(
         period: control period, s.
         delay: delay of the torques, whole control periods.
         bandwidth: bandwidth of a first-order lag of the drives, Hz, see `first_order_lag`; None for no lag.
-
-    Returns:
-        Loops, the first without sticking motors.
     """
     linear = _at_rest(model, joint_angles)
     return [_loop(model, linear, stuck, period, delay, bandwidth) for stuck in _stuck_sets(model)]
@@ -145,7 +164,7 @@ def first_order_lag(period: float, bandwidth: float) -> tuple[float, float]:
 
 
 def margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector) -> Margins:
-    """Return the smallest margins of a PD over several loops; gain 1 and phase 0 if a loop is unstable.
+    """Return the least gain margin (1) and phase margin (degrees) of a PD over loops and motors; 1 and 0 if unstable.
 
     A margin is the smallest change of the torques for which an eigenvalue of the closed loop leaves the unit circle.
     The torques of any one motor, or of all motors, are multiplied by a factor >= 1, or by exp(+-i phase).
@@ -154,9 +173,6 @@ def margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector) ->
         loops: from `sampled_loops`.
         stiffness: (n,) proportional gains, N m/rad.
         damping: (n,) derivative gains, N m s/rad.
-
-    Returns:
-        The smallest gain margin (factor, 1) and the smallest phase margin (degrees) over all loops and motors.
     """
     smallest, stable = [], np.ones(len(loops), dtype=bool)
     for values, changes in ((GAIN_FACTORS, GAIN_FACTORS), (PHASE_SHIFTS, np.exp(IMAGINARY_DEGREE * PHASE_SHIFTS))):
@@ -180,11 +196,6 @@ def describe_stuck_motors(stuck: Sequence[int]) -> str:
     return f" while friction holds motor {' and '.join(str(joint + 1) for joint in stuck)}" if stuck else ""
 
 
-def spectral_radius(loop: SampledLoop, stiffness: Vector, damping: Vector) -> float:
-    """Return the spectral radius of a loop closed by a PD; below 1 the loop is stable."""
-    return float(np.abs(np.linalg.eigvals(loop.transition - loop.inputs @ _gain(loop, stiffness, damping))).max())
-
-
 def _gain(loop: SampledLoop, stiffness: Vector, damping: Vector) -> Array:
     """Return the gain (n, m) of a PD for the state of a loop."""
     n, gain = loop.inputs.shape[1], np.zeros(loop.inputs.T.shape)
@@ -198,28 +209,3 @@ def _stable(loop: SampledLoop, stiffness: Vector, damping: Vector, change: compl
     motors = np.ones((1, n)) if n == 1 or change == 1.0 else np.vstack([np.eye(n), np.ones(n)])
     closed = loop.transition - (loop.inputs * (1.0 + motors[:, None] * (change - 1.0))) @ gain
     return bool((np.abs(np.linalg.eigvals(closed)) < STABLE_RADIUS).all())
-
-
-def open_loop_responses(
-    loop: SampledLoop, stiffness: Vector, damping: Vector, frequencies: Vector, period: float
-) -> Response:
-    """Return the open-loop frequency responses (n, f) of a PD: the loop of one motor is opened, all others are closed.
-
-    Args:
-        loop: from `sampled_loops`.
-        stiffness: (n,) proportional gains, N m/rad.
-        damping: (n,) derivative gains, N m s/rad.
-        frequencies: (f,) Hz, below half the sampling frequency.
-        period: sampling period, s.
-
-    Returns:
-        Complex responses (n, f).
-    """
-    n, size = loop.inputs.shape[1], len(loop.transition)
-    gain, result = _gain(loop, stiffness, damping), []
-    points = np.exp(2j * np.pi * period * np.asarray(frequencies, dtype=float))
-    for motor in range(n):
-        closed = np.where(np.arange(n) == motor, 0.0, 1.0)[:, None] * gain
-        resolvent = points[:, None, None] * np.eye(size) - (loop.transition - loop.inputs @ closed)  # its inverse
-        result.append(np.linalg.solve(resolvent, loop.inputs[:, motor][None, :, None])[..., 0] @ gain[motor])
-    return np.array(result)

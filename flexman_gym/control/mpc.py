@@ -10,15 +10,15 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_ro
 from flexman_gym.common.checks import value_error
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.friction_compensation import FrictionCompensation
-from flexman_gym.control.lqr import MOTOR_WEIGHT, CostWeights, performance_outputs
+from flexman_gym.control.lqr import MOTOR_WEIGHT, CostWeights
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.control.references.trajectories import plan_slew
 from flexman_gym.kernels.layout import TIP, TIP_VELOCITY
-from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import discretize
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 
 # Tip deviation (fraction of the reach) and tip speed / reach (1/s) that cost 1: tuned as 0.05 m and 0.5 m/s for an arm
@@ -59,7 +59,7 @@ def _design_horizon(
     linear = linearize(model, state=rest_state(model, posture), torque=holding_torques(model, posture))
     transition, inputs = discretize(linear.A, linear.B, period)
     inputs, d, n = inputs * limits, model.n_dof, len(limits)
-    outputs = performance_outputs(linear, model.motor_columns, weights)
+    outputs = weights.outputs(linear, model.motor_columns)
     squares, axes = np.linalg.eigh(solve_discrete_are(transition, inputs, outputs.T @ outputs, np.eye(n)))
     terminal = np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T
     state, rows = np.zeros((2 * d, n * len(blocks))), []
@@ -180,15 +180,12 @@ class MPC:
         return actions
 
     def _step(self, arm: int, states: Array, outputs: Array) -> Array:
-        """Return the action (n,) of an arm.
+        """Return the action (n,) of an arm, from -1 to 1.
 
         Args:
             arm: index of the arm.
             states: (N, 2 d) states predicted for the planned torques.
             outputs: (N, OUTPUTS) outputs predicted for the planned torques.
-
-        Returns:
-            Action (n,) from -1 to 1.
         """
         plan, now, n = self._plans[arm], int(self._now[arm]), len(self.limits)
         rows = np.minimum(now + np.arange(sum(MOVE_BLOCKS) + 1), len(plan.states) - 1)
@@ -200,7 +197,7 @@ class MPC:
             mean = (np.add.reduceat(planned, firsts) / np.array(MOVE_BLOCKS)[:, None]).ravel()
             gradient = row_dots(horizon.jacobian, residuals) + torque_residuals
             low, high = np.maximum(-1.0 - mean, -MAX_CHANGE), np.minimum(1.0 - mean, MAX_CHANGE)
-            changes = solve_quadratic_program(self._daqp, horizon.curvature, gradient, low, high)
+            changes = _solve_quadratic_program(self._daqp, horizon.curvature, gradient, low, high)
             planned = np.clip(planned + np.repeat(changes.reshape(-1, n), MOVE_BLOCKS, axis=0), -1.0, 1.0)
         self._planned[arm] = np.vstack([planned[1:], np.clip(plan.torques[rows[-1]], -1.0, 1.0)])
         self._now[arm] += 1
@@ -227,7 +224,7 @@ class MPC:
         return np.concatenate([np.hstack(running).ravel(), row_dots(horizon.terminal, states[-1])])
 
 
-def solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array, low: Array, high: Array) -> Array:
+def _solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array, low: Array, high: Array) -> Array:
     """Return x (m,) between low and high with least x H x / 2 + g x, curvature H (m, m), gradient g; 0 on failure."""
     changes, _, status, _ = daqp.solve(curvature, gradient, np.zeros((0, len(gradient))), high, low)
     return np.array(changes) if status > 0 else np.clip(np.zeros(len(gradient)), low, high)

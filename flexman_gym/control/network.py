@@ -75,6 +75,20 @@ class Network:
         actions: Array = self._output(self.product(values, weights) + bias)
         return actions
 
+    def derivatives(self, observations: NDArray[np.floating], changes: Array) -> Array:
+        """Return the derivatives (p, n) of the actions at an observation (1, size) with derivatives (p, size)."""
+        scaled = (observations - self.mean) * self.scale
+        changes = np.where(np.abs(scaled) < MAX_INPUT, changes * self.scale, 0.0)
+        values = np.clip(scaled, -MAX_INPUT, MAX_INPUT)
+        for weights, bias in self.layers[:-1]:
+            inputs = self.product(values, weights) + bias
+            values = self._function(inputs)
+            slopes = 1.0 - values**2 if self.activation == "tanh" else inputs > 0.0
+            changes = slopes * (changes @ weights.T)
+        weights, bias = self.layers[-1]
+        outputs, changes = self.product(values, weights) + bias, changes @ weights.T
+        return changes * (1.0 - np.tanh(outputs) ** 2 if self.squashed else np.abs(outputs) < 1.0)
+
     def product(self, values: Array, weights: Array) -> Array:
         """Return the product (b, m) of values (b, k) with weights (m, k), row by row."""
         result: Array = row_dots(values[:, None], weights)

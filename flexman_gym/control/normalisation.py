@@ -77,9 +77,6 @@ class RunningMeanStd:
         Args:
             path: path of the file.
 
-        Returns:
-            New instance with the statistics of the file.
-
         Raises:
             FileNotFoundError: if there is no file.
             ValueError: for a file without statistics.

@@ -1,11 +1,14 @@
 """PD controller of the motors."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows
 from flexman_gym.common.checks import non_negative, physical, vector
-from flexman_gym.control.controller import EpisodeInfo, Readings
+from flexman_gym.control.controller import EpisodeInfo, Readings, saturated
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import holding_torques
@@ -34,6 +37,7 @@ class PD:
     """
 
     sensors: tuple[str, ...] = ("servo",)
+    gain_units: ClassVar[Mapping[str, str]] = {"stiffness": "N m/rad", "damping": "N m s/rad"}
 
     def __init__(
         self,
@@ -93,13 +97,24 @@ class PD:
         self, readings: Readings, applied: Array | None = None, active: BoolArray | None = None
     ) -> NDArray[np.float32]:
         """Return the action (n,) or (b, n) from angle_errors, motor_rates and, for a moving goal, goal_rates."""
+        return np.clip(self._torques(readings)[0] / self.torque_limit, -1.0, 1.0).astype(np.float32)
+
+    def _torques(self, readings: Readings) -> tuple[Array, Array, Array]:
+        """Return the torques, and the errors of angles and rates, (n,) or (b, n) each."""
         error, rate = readings["angle_errors"], readings["motor_rates"]
         if "goal_rates" in readings:
             rate = rate - readings["goal_rates"]
         torque = self.stiffness * error - self.damping * rate
         if self.gravity_model is not None:
             torque = torque + (self._holding if error.ndim > 1 else self._holding[0])
-        return np.clip(torque / self.torque_limit, -1.0, 1.0).astype(np.float32)
+        return torque, error, rate
+
+    def derivatives(self, readings: Readings, changes: Readings) -> tuple[Array, Array]:
+        """Return the actions (1, n) of an arm and their derivatives (p, n), see `Controller`."""
+        torque, error, rate = self._torques(readings)
+        change = self.stiffness * changes["angle_errors"] - self.damping * changes["motor_rates"]
+        change += changes["stiffness"] * error - changes["damping"] * rate
+        return saturated(torque / self.torque_limit, change / self.torque_limit)
 
 
 def stability_limit(delay: int) -> float:
@@ -115,15 +130,12 @@ def stability_limit(delay: int) -> float:
 
 
 def torque_limits(name: str, value: object, joints: int) -> tuple[float, ...]:
-    """Return the torque limit of each joint, N m.
+    """Return the torque limits (n,) of the joints, N m.
 
     Args:
         name: name of the field, for error messages.
         value: torque limit of all joints, or of each joint (n,), N m.
         joints: n, number of joints.
-
-    Returns:
-        Limits (n,), N m.
 
     Raises:
         ValueError: for a number of limits other than n, and for a limit outside 1e-30 to 1e30.

@@ -70,9 +70,6 @@ class ReferenceShaping:
         Args:
             arms: (r,) indices.
             progress: (r,) path parameters from 0 to 1.
-
-        Returns:
-            Torques (r, n), N m.
         """
         n, fading = self._joints, self._authority.fading
         fade = np.clip((1.0 - progress) / fading, 0.0, 1.0)[:, None] if fading else np.ones((len(arms), 1))

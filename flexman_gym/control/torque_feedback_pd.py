@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
-from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
-from flexman_gym.control.friction_compensation import mean_friction_torques
+from flexman_gym.control.controller import EpisodeInfo, Plant, Readings, saturated
+from flexman_gym.control.friction_compensation import mean_friction_derivatives, mean_friction_torques
 from flexman_gym.control.references.trajectories import TIMING_LAWS
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.statics import holding_torques
@@ -99,6 +99,27 @@ class TorqueFeedbackPD:
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the actions (b, n), fractions of the torque limits."""
+        torques, rates, after = self._torques(readings)
+        if self._friction.any():
+            torques += mean_friction_torques(self._friction, rates, after, self._width)
+        self._ages += active
+        return np.clip(torques / self._limits, -1.0, 1.0)
+
+    def derivatives(self, readings: Readings, changes: Readings) -> tuple[Array, Array]:
+        """Return the actions (1, n) of an arm and their derivatives (p, n), see `Controller`."""
+        torques, rates, after = self._torques(readings)
+        turning, twisting = changes["motor_rates"], changes["joint_twists"]
+        change = self._stiffness[self._classes] * changes["angle_errors"] - self._damping * turning
+        change += self._feedback * twisting
+        if self._friction.any():
+            inside = np.where(np.abs(torques) < self._limits, change, 0.0)
+            later = turning + self._period / self._motor_inertia * (inside - self._spring * twisting)
+            change += mean_friction_derivatives(self._friction, (rates, turning), (after, later), self._width)
+            torques += mean_friction_torques(self._friction, rates, after, self._width)
+        return saturated(torques / self._limits, change / self._limits)
+
+    def _torques(self, readings: Readings) -> tuple[Array, Array, Array]:
+        """Return the torques without friction, N m, and the motor rates at both ends of the period, rad/s, (b, n)."""
         rates, twists = np.asarray(readings["motor_rates"], dtype=float), readings["joint_twists"]
         durations = self._scales[self._classes] * np.sqrt(np.abs(self._rotation).max(axis=1) + SMALL_ANGLE)
         timing = TIMING_LAWS["minimum-jerk"].at(self._ages * self._period / durations)
@@ -108,9 +129,6 @@ class TorqueFeedbackPD:
         lag = speed * self._rotation + readings.get("goal_rates", 0.0) - rates
         torques = self._stiffness[self._classes] * errors + self._damping * lag + self._feedback * twists
         torques += self._inertia[self._classes] * acceleration * self._rotation + self._holding
-        if self._friction.any():
-            spring = self._spring * twists
-            change = self._period / self._motor_inertia * (np.clip(torques, -self._limits, self._limits) - spring)
-            torques += mean_friction_torques(self._friction, rates, rates + change, self._width)
-        self._ages += active
-        return np.clip(torques / self._limits, -1.0, 1.0)
+        spring = self._spring * twists
+        change = self._period / self._motor_inertia * (np.clip(torques, -self._limits, self._limits) - spring)
+        return torques, rates, rates + change

@@ -9,10 +9,10 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_dots
 from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings
 from flexman_gym.control.friction_compensation import FrictionCompensation
-from flexman_gym.control.lqr import FEEDFORWARD_FRACTION, HOLDING_FACTOR, CostWeights, GainTable, default_weights
+from flexman_gym.control.lqr import FEEDFORWARD_FRACTION, HOLDING_FACTOR, CostWeights, GainTable
 from flexman_gym.control.observers.observer import Estimate, Observer
 from flexman_gym.control.reference_shaping import ReferenceShaping
-from flexman_gym.control.references.adaptive_references import PathReferences, SlewReferences, estimated_payloads
+from flexman_gym.control.references.adaptive_references import PathReferences, SlewReferences
 
 RETIMING_PERIODS = (6, 12, 20, 30, 45)  # control periods since the start of an episode at which timing is replanned
 LAST_RETIMING = 0.75  # path parameter beyond which the timing is not replanned
@@ -30,7 +30,7 @@ class Tracking:
 
     Args:
         plant: plant model with its uncertain parameters.
-        weights: cost weights; None for `default_weights`.
+        weights: cost weights; None for `CostWeights.default`.
         retimed: True to replan the timing of slews with new parameter estimates.
 
     Attributes:
@@ -42,7 +42,7 @@ class Tracking:
 
     def __init__(self, plant: Plant, weights: CostWeights | None = None, retimed: bool = True) -> None:
         model, self._retimed = plant.model, RETIMING_PERIODS if retimed else ()
-        weights = weights or default_weights(model)
+        weights = weights or CostWeights.default(model)
         low, high = plant.unknown.get("payload_mass", (model.constants.payload_mass[0],) * 2)
         self._payloads = (low, 0.5 * (low + high), high) if high > low else (low,)
         self.limits, self._period = np.array(plant.torque_limit), plant.period
@@ -88,7 +88,7 @@ class Tracking:
             self.shaping.update_time_scaling(arms)
         now = self.clock(estimate, arms)
         states, (reference, forward) = estimate.states[arms], self._reference(now, arms)
-        payloads = estimated_payloads(self.slews.model, estimate.parameters, arms)
+        payloads = self.slews.payloads(estimate.parameters, arms)
         gains = np.zeros((len(arms), len(self.limits), states.shape[1]))
         for table, chosen in zip(self._gains, (~self._holding[arms], self._holding[arms]), strict=True):
             if chosen.any():

@@ -10,7 +10,7 @@ from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.plot_style import BLUE, DARK, GREEN, LIGHT, MIDDLE, RED, VIOLET, new_figure
 from flexman_gym.draw.frames import FramePainter
-from flexman_gym.draw.overlay import WARNING, describe_gains, describe_scales, font_size, write_text
+from flexman_gym.draw.overlay import WARNING, describe_frame, font_size, write_text
 from flexman_gym.model.deformation import curves
 from flexman_gym.simulation.episode import Episode
 
@@ -31,7 +31,7 @@ def side_by_side(
     hold: float = 0.0,
     gain: float | Vector = 1.0,
 ) -> list[Picture]:
-    """Return frames of several episodes side by side, with equal camera directions and scales.
+    """Return frames (height, width, 3), uint8, of episodes side by side, with equal camera directions and scales.
 
     The names of the agents and their tip errors stand above the arms. If the episodes have targets, a strip chart below
     shows the tip errors up to the time of the frame. The violet line is the path of the tip since the start.
@@ -43,9 +43,6 @@ def side_by_side(
         seconds: duration of the motion that is shown, s.
         hold: time for which the last frame is repeated, s.
         gain: magnification of the deflection of the links, or of links and joints, see `FramePainter`.
-
-    Returns:
-        Frames (height, width, 3), uint8.
 
     Raises:
         ImportError: for episodes with targets without Matplotlib.
@@ -142,8 +139,8 @@ class _Panels:
     def _write_note(self, picture: Picture) -> None:
         """Write the scales below the arms: that of the deflection in red, at the right."""
         row, painter = self._head + self._painters[0].size[1], self._painters[0]
-        write_text(picture, describe_scales(painter.scale, painter.grid), (self._font, row), self._font)
-        magnified = describe_gains(painter.gains)
+        magnified, scales = describe_frame(painter.gains, painter.scale, painter.grid)
+        write_text(picture, scales, (self._font, row), self._font)
         if magnified:
             write_text(picture, f"{magnified} (violet dot: true tip)", (-self._font, row), self._font, WARNING)
 

@@ -18,7 +18,7 @@ from flexman_gym.draw.mesh import (
     section_outlines,
     tube_surfaces,
 )
-from flexman_gym.draw.overlay import Caption, draw_caption, overlay_margins, strain_colours
+from flexman_gym.draw.overlay import Caption, strain_colours
 from flexman_gym.kernels import raster
 from flexman_gym.model.deformation import curves
 from flexman_gym.model.model import Model, check_model
@@ -57,9 +57,6 @@ def _camera_direction(model: Model, angles: object = None) -> tuple[float, float
     Args:
         model: model of the arm; the default direction for an arm with parallel joint axes is close to these axes.
         angles: azimuth, elevation and, optionally, zoom chosen by the user; None for the default.
-
-    Returns:
-        Azimuth and elevation, degrees, and zoom (dimensionless).
     """
     if angles is not None:
         given = vector("camera", angles)
@@ -88,9 +85,6 @@ def _fit_camera(
         direction: azimuth and elevation, degrees, and zoom (dimensionless).
         size: width and height of the picture, pixels.
         margins: margins (4,) at the left, right, top and bottom as fractions of the picture.
-
-    Returns:
-        The camera.
     """
     azimuth, elevation = np.radians(direction[:2])
     back = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
@@ -146,7 +140,7 @@ GHOST_SHARE, SHADOW_SHARE, TRAIL_START = 0.42, 0.34, 0.05  # opacities, 0 to 1: 
 PAYLOAD_DENSITY = 7800.0  # kg/m^3; steel; sets the size of the sphere of a payload
 
 
-class Shot(NamedTuple):
+class _Shot(NamedTuple):
     """View of a scene for its frames: a fixed camera, and the background as seen from it.
 
     Attributes:
@@ -216,16 +210,13 @@ class FramePainter:
             *(np.zeros(each, dtype=kind) for each, kind in (
                 ((*samples, 3), "u1"), (samples, "f4"), (samples, "u1"), ((*samples, 3), "u1"), (memory, "f4"),
                 (memory, "f4"), ((*memory, 3), "u1"), ((*memory, 3), "u1"), (4, "i8"))))  # fmt: skip
-        self._shown: Shot | None = None
+        self._shown: _Shot | None = None
 
-    def shot(self, points: Array | None = None) -> Shot:
+    def shot(self, points: Array | None = None) -> _Shot:
         """Return a camera whose picture contains points and the base, with the background.
 
         Args:
             points: points (p, 3) in the base frame, m; None for the whole workspace.
-
-        Returns:
-            Camera and background.
         """
         camera, floor = self.camera(_reachable_points(self.model) if points is None else points)
         canvas, (width, height) = self._canvas, self.size
@@ -238,7 +229,7 @@ class FramePainter:
             box=np.array([0, SUPERSAMPLING * width - 1, 0, SUPERSAMPLING * height - 1]),
         )
         raster.resolve(whole._replace(mask=np.zeros_like(canvas.mask)), np.zeros(3), 0.0)
-        return Shot(camera, floor, back, plain)
+        return _Shot(camera, floor, back, plain)
 
     def camera(self, points: Array) -> tuple[_Camera, float]:
         """Return the camera for points (p, 3), m, and the z coordinate of the floor, m; see `shot`."""
@@ -248,7 +239,7 @@ class FramePainter:
         rim = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(8)]) * BASE_RADIUS * self.radii[0]
         plate = rim + np.array([0.0, 0.0, floor - BASE_HALF_HEIGHT * self.radii[0]])
         radii = np.repeat([self._largest_radius(), 0.0], [len(places), len(plate)])
-        margins = overlay_margins(self.size[1]) if self.overlays else MARGINS
+        margins = Caption.margins(self.size[1]) if self.overlays else MARGINS
         return _fit_camera(np.concatenate([places, plate]), radii, self.direction, self.size, margins), floor
 
     def _largest_radius(self) -> float:
@@ -269,7 +260,7 @@ class FramePainter:
         target: Vector | None = None,
         caption: Caption | None = None,
         trail: Array | None = None,
-        shot: Shot | None = None,
+        shot: _Shot | None = None,
     ) -> NDArray[np.uint8]:
         """Return a frame (height, width, 3) uint8 of the arm at a state.
 
@@ -280,9 +271,6 @@ class FramePainter:
             trail: past positions of the tip (t, 3), m, the oldest first.
             shot: camera and background; None for camera and background of the previous frame, at first for the whole
                 workspace.
-
-        Returns:
-            Pixels (height, width, 3), uint8.
         """
         x = np.array(vector("state", state, 2 * self.model.n_dof))
         place = None if target is None else np.array(vector("target", target, 3, "m"))
@@ -308,10 +296,10 @@ class FramePainter:
         raster.resolve(canvas, rgb(GHOST), GHOST_SHARE)
         picture = canvas.picture.copy()
         if self.overlays:
-            draw_caption(picture, caption or Caption(), self.gains, self.scale, self.grid)
+            (caption or Caption()).draw(picture, self.gains, self.scale, self.grid)
         return picture
 
-    def _show(self, shot: Shot) -> None:
+    def _show(self, shot: _Shot) -> None:
         """Restore the background where the last frame was drawn, or everywhere if the shot changed."""
         canvas = self._canvas
         if shot is not self._shown:
@@ -388,7 +376,7 @@ def arm_frame(
     size: tuple[int, int] = (480, 360),
     gain: float | Vector = 1.0,
 ) -> NDArray[np.uint8]:
-    """Return one frame (height, width, 3) that shows an arm as large as possible; for many frames use a FramePainter.
+    """Return one frame (height, width, 3), uint8, with an arm as large as possible; for many frames use a FramePainter.
 
     Args:
         model: model of the arm.
@@ -396,9 +384,6 @@ def arm_frame(
         target: target of the tip (3,) in the base frame, m; None for no target.
         size: width and height, pixels.
         gain: magnification of the deflection of the links, or of links and joints, see `FramePainter`.
-
-    Returns:
-        Pixels (height, width, 3), uint8.
     """
     painter = FramePainter(model, size, gain=gain)
     points = curves(model, state, POINTS, *painter.gains).positions.reshape(-1, 3)
@@ -408,14 +393,11 @@ def arm_frame(
 
 
 def grid(frames: Sequence[NDArray[np.uint8]], across: int | None = None) -> NDArray[np.uint8]:
-    """Return several frames of one size as one picture, in rows.
+    """Return several frames of one size as one picture (height, width, 3), uint8, in rows.
 
     Args:
         frames: frames (height, width, 3) uint8, such as the frames rendered by a vector environment.
         across: number of frames in a row; None for about as many columns as rows.
-
-    Returns:
-        Pixels (height, width, 3), uint8.
     """
     if not len(frames) or len({each.shape for each in frames}) > 1:
         raise value_error("frames", [each.shape for each in frames], "at least one, all of one size")

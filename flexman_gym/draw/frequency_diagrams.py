@@ -10,7 +10,7 @@ from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import value_error, vector, whole_number
 from flexman_gym.common.plot_style import DARK, LIGHT, LINK_COLOURS, MIDDLE, new_figure, save_figure
 from flexman_gym.draw.frames import POINTS, FramePainter, grid
-from flexman_gym.draw.overlay import write_title
+from flexman_gym.draw.overlay import font_size, write_text
 from flexman_gym.model.deformation import curves
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, check_model
@@ -52,13 +52,13 @@ def draw_mode_shapes(
         largest = np.linalg.norm(away, axis=-1).max()
         states.append(rest + np.append(small * AMPLITUDE * reach / largest * shape, 0.0 * shape))
     shot = painter.shot(curves(model, np.array([rest, *states]), POINTS).positions.reshape(-1, 3))
-    frames = []
+    frames, letters = [], font_size(size[1])
     for i, state in enumerate(states):
         strains = np.abs(curves(model, state, POINTS).strains[..., :3]).max()
         painter.scale = float(max(2.0 * strains, 1e-12))
         title = f"mode {i + 1}: {found.frequencies[i]:.3g} Hz, damping {100 * found.damping_ratios[i]:.2g} %"
         frames.append(painter.paint(state, shot=shot))
-        write_title(frames[-1], title)
+        write_text(frames[-1], title, (letters, letters // 2), letters)
     return grid(frames)
 
 
@@ -77,9 +77,6 @@ def frequency_map(model: Model, path: str | Path, mode: int = 1, span: float = n
         path: path of the picture.
         mode: number of the mode; 1 is the lowest.
         span: largest joint angle in both directions, rad.
-
-    Returns:
-        Path of the picture.
 
     Raises:
         ImportError: without Matplotlib.
@@ -119,9 +116,6 @@ def campbell_diagram(model: Model, rates: Vector, path: str | Path, count: int =
         rates: spin rates (r,), rad/s.
         path: path of the picture.
         count: largest number of frequencies.
-
-    Returns:
-        Path of the picture.
 
     Raises:
         ImportError: without Matplotlib.
@@ -191,9 +185,6 @@ def bode_diagram(frequencies: Array, responses: dict[str, _Response], path: str 
         responses: name of a loop -> its complex frequency response (f,).
         path: path of the picture.
         title: title of the picture.
-
-    Returns:
-        Path of the picture.
 
     Raises:
         ImportError: without Matplotlib.

@@ -16,15 +16,12 @@ REWARD_COLUMNS = ("selection/reward", "rollout/ep_rew_mean")  # mean return; the
 
 
 def read_progress(folder: str | Path, column: str | None = None) -> tuple[Array, Array, str]:
-    """Read a column of the files progress*.csv of a training run.
+    """Return environment steps (k,), values (k,) and name of a column of the files progress*.csv of a training run.
 
     Args:
         folder: folder of the run.
         column: name of the column; None for the mean return on the selection seeds or, if a run was not evaluated,
             in the training.
-
-    Returns:
-        Environment steps (k,), values (k,), and the name of the column.
 
     Raises:
         FileNotFoundError: without files progress*.csv.
@@ -58,9 +55,6 @@ def draw_learning_curves(runs: Mapping[str, Sequence[tuple[Array, Array]]], path
         runs: name of a recipe -> environment steps (k,) and values (k,) of each seed.
         path: path of the picture.
         label: label of the values.
-
-    Returns:
-        Path of the picture.
 
     Raises:
         ImportError: without Matplotlib.

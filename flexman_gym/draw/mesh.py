@@ -8,7 +8,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.model.deformation import Curves
-from flexman_gym.model.element import find_element
+from flexman_gym.model.element import Element
 from flexman_gym.model.model import Model
 
 SIDES = 16  # number of points on the outline of a section
@@ -37,9 +37,6 @@ class Mesh(NamedTuple):
             axis: direction of the z axis of the mesh (3,), a unit vector.
             radius: scale of x and y, m.
             half: scale of z, half of the length, m.
-
-        Returns:
-            The transformed mesh.
         """
         x, y, z = axis
         side = np.array([0.0, z, -y] if abs(x) < 0.6 else [-z, 0.0, x]) / np.hypot(z, y if abs(x) < 0.6 else x)
@@ -75,15 +72,12 @@ def section_outlines(model: Model, places: int) -> tuple[_SectionOutlines, ...]:
     Args:
         model: model of the arm.
         places: number of points on each link.
-
-    Returns:
-        Section outlines of each link.
     """
     reach, result = float(model.constants.length.sum()), []
     for i, link in enumerate(model.arm.links):
         elements = model.elements(i)
         parts = [
-            _section(find_element(elements, place)[0].section, reach) for place in np.linspace(0.0, link.length, places)
+            _section(Element.find(elements, place)[0].section, reach) for place in np.linspace(0.0, link.length, places)
         ]
         result.append(_SectionOutlines(*(np.array(each) for each in zip(*parts, strict=True))))
     return tuple(result)
@@ -120,14 +114,11 @@ def _tube_faces(links: int, places: int) -> IntArray:
 
 
 def tube_surfaces(curves: Curves, sections: Sequence[_SectionOutlines]) -> tuple[Mesh, Array]:
-    """Return the surface of all links at one state, and the axial strain (v,) at its vertices.
+    """Return the surface of all links at one state, with v vertices, and the axial strain (v,) at its vertices.
 
     Args:
         curves: centrelines of the n links at P points each.
         sections: section outlines of each link.
-
-    Returns:
-        Mesh with v vertices, and axial strains (v,), 1.
     """
     points, normals, gauges = (np.array([section[k] for section in sections]) for k in range(3))
     across = curves.frames[..., 1:]
@@ -144,9 +135,6 @@ def _surface_of_revolution(profile: tuple[tuple[float, float, float, float], ...
     Args:
         profile: radius, height, and the two components of the normal, from below to above.
         sides: number of points around the axis.
-
-    Returns:
-        The mesh.
     """
     turn = np.linspace(0.0, 2 * np.pi, sides + 1)
     radius, height, out, up = np.array(profile).T[..., None]

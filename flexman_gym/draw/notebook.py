@@ -25,13 +25,13 @@ MOMENTS = (0.0, 0.15, 1.0)  # times of the frames as fractions of an episode; a 
 POINTS = 4  # points of the curve of a link, for the choice of the camera
 
 
-def arm_picture(arm: Arm) -> bytes:
+def _arm_picture(arm: Arm) -> bytes:
     """Return a PNG of an undeformed arm at zero joint angles."""
     model = build_model(arm, elements=1)
     return encode_picture(arm_frame(model, np.zeros(2 * model.n_dof)))
 
 
-def trajectory_picture(trajectory: Trajectory) -> bytes | None:
+def _trajectory_picture(trajectory: Trajectory) -> bytes | None:
     """Return a PNG with the plots of a trajectory; None for one without outputs, and without Matplotlib."""
     if not len(trajectory.time):
         return None
@@ -45,7 +45,7 @@ def trajectory_picture(trajectory: Trajectory) -> bytes | None:
     return file.getvalue()
 
 
-def episode_picture(episode: Episode) -> bytes:
+def _episode_picture(episode: Episode) -> bytes:
     """Return a PNG with three frames of an episode: at its start, during its motion and at its end."""
     rows = (np.array(MOMENTS) * (len(episode.time) - 1)).round().astype(int)
     targets = [each if np.isfinite(each).all() else None for each in episode.targets[rows]]
@@ -61,13 +61,9 @@ def episode_picture(episode: Episode) -> bytes:
 
 
 PICTURES: dict[type, Callable[[Any], bytes | None]] = {
-    Arm: arm_picture,
-    Trajectory: trajectory_picture,
-    Episode: episode_picture,
+    Arm: _arm_picture,
+    Trajectory: _trajectory_picture,
+    Episode: _episode_picture,
 }
-
-
-def register() -> None:
-    """Add the display method to the classes of PICTURES."""
-    for kind, picture in PICTURES.items():
-        setattr(kind, "_repr_png_", picture)  # noqa: B010 (the attribute is not declared in the class)
+for kind, picture in PICTURES.items():
+    setattr(kind, "_repr_png_", picture)  # noqa: B010 (the attribute is not declared in the class)

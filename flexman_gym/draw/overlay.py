@@ -36,6 +36,55 @@ class Caption(NamedTuple):
     reward: float | None = None
     torques: Array | None = None
 
+    @staticmethod
+    def margins(height: int) -> Array:
+        """Return the margins (4,) at the left, right, top and bottom that the overlay of a frame needs.
+
+        Args:
+            height: height of the frame, pixels.
+
+        Returns:
+            Fractions of the picture; at most MAX_MARGIN, as a small picture would have no room for the arm.
+        """
+        size, small = font_size(height), font_size(int(0.82 * height))
+        top, bottom = size // 2 + 2 * round(1.45 * size), size // 2 + round(TORQUE_ROWS * small)
+        return np.minimum([0.06, 0.06, top / height + TEXT_GAP, bottom / height + TEXT_GAP], MAX_MARGIN)
+
+    def draw(self, picture: Picture, gains: tuple[float, float], scale: float, grid: float) -> None:
+        """Draw the overlay of a frame: title, time and error at the top, strain scale and torques at the bottom.
+
+        Args:
+            picture: frame (height, width, 3), changed in place.
+            gains: magnifications of the deflection of the links and of the twist of the joints, shown unless they are
+                1.
+            scale: strain at the ends of the colour scale; 0 for a rigid arm.
+            grid: spacing of the floor grid, m.
+        """
+        height, width = picture.shape[:2]
+        size, small = font_size(height), font_size(int(0.82 * height))
+        edge, line = size, round(1.45 * size)
+        if self.title:
+            write_text(picture, self.title, (size, size // 2), size)
+        row = edge // 2 + line * bool(self.title)
+        error = "tip error {:.2f} m" if (self.error or 0.0) >= 1.0 else "tip error {:.1f} mm"
+        entries = (
+            (0.0, self.time, "t {:.2f} s", 1.0),
+            (6.5, self.error, error, 1e3 if error.endswith("mm") else 1.0),
+            (18.0, self.reward, "reward {:.2f}", 1.0),
+        )
+        for column, value, form, factor in entries:  # fixed columns: the text does not move while numbers change
+            if value is not None:
+                write_text(picture, form.format(factor * value), (edge + round(column * small), row), small)
+        magnified, line_text = describe_frame(gains, scale, grid)
+        if magnified:
+            write_text(picture, magnified, (-edge, edge // 2), size, WARNING)
+            _write_dot_legend(picture, (-edge, edge // 2 + line), small)
+        if scale > 0.0:
+            _draw_colour_bar(picture, (edge, height - edge), small)
+        write_text(picture, line_text, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
+        if self.torques is not None:
+            _draw_torque_bars(picture, self.torques, (width - edge, height - edge // 2), small)
+
 
 @lru_cache(maxsize=len(FONT_SIZES))
 def _font(size: int) -> tuple[dict[str, int], NDArray[np.uint8], list[int]]:
@@ -72,12 +121,6 @@ def write_text(picture: Picture, text: str, place: tuple[int, int], size: int, c
     _blend(part, colour, shape[top : top + part.shape[0], left : left + part.shape[1], None])
 
 
-def write_title(picture: Picture, text: str) -> None:
-    """Write a text into the upper left corner of a picture."""
-    size = font_size(picture.shape[0])
-    write_text(picture, text, (size, size // 2), size)
-
-
 def _blend(part: Picture, colour: str, opacity: "NDArray[np.float32] | float") -> None:
     """Blend a colour into a part of a picture with an opacity from 0 to 1."""
     base = part.astype(np.float32)
@@ -91,71 +134,18 @@ def _fill_rectangle(
     _blend(picture[rows[0] : rows[1], columns[0] : columns[1]], colour, opacity)
 
 
-def overlay_margins(height: int) -> Array:
-    """Return the margins (4,) at the left, right, top and bottom that the overlay of a frame needs.
+def describe_frame(gains: tuple[float, float], scale: float, grid: float) -> tuple[str, str]:
+    """Return the texts on the magnification ("" at true scale) and on the scales of a frame.
 
     Args:
-        height: height of the frame, pixels.
-
-    Returns:
-        Fractions of the picture; at most MAX_MARGIN, as a small picture would have no room for the arm.
+        gains: magnifications of the deflection of the links and of the twist of the joints.
+        scale: strain at the ends of the colour scale; 0 for a rigid arm.
+        grid: spacing of the floor grid, m.
     """
-    size, small = font_size(height), font_size(int(0.82 * height))
-    top, bottom = size // 2 + 2 * round(1.45 * size), size // 2 + round(TORQUE_ROWS * small)
-    return np.minimum([0.06, 0.06, top / height + TEXT_GAP, bottom / height + TEXT_GAP], MAX_MARGIN)
-
-
-def describe_gains(gains: tuple[float, float]) -> str:
-    """Return the text on the magnification of links and joints in a frame; "" at true scale."""
     words = zip(("link deflection", "joint twist"), gains, strict=True)
-    return ", ".join(f"{word} {TIMES} {gain:g}" for word, gain in words if gain != 1.0)
-
-
-def draw_caption(picture: Picture, caption: Caption, gains: tuple[float, float], scale: float, grid: float) -> None:
-    """Draw the overlay of a frame: title, time and error at the top, strain scale and torques at the bottom.
-
-    Args:
-        picture: frame (height, width, 3), changed in place.
-        caption: text and numbers.
-        gains: magnifications of the deflection of the links and of the twist of the joints, shown unless they are 1.
-        scale: strain at the ends of the colour scale; 0 for a rigid arm.
-        grid: spacing of the floor grid, m.
-    """
-    height, width = picture.shape[:2]
-    size, small = font_size(height), font_size(int(0.82 * height))
-    edge, line = size, round(1.45 * size)
-    if caption.title:
-        write_title(picture, caption.title)
-    row = edge // 2 + line * bool(caption.title)
-    error = "tip error {:.2f} m" if (caption.error or 0.0) >= 1.0 else "tip error {:.1f} mm"
-    entries = (
-        (0.0, caption.time, "t {:.2f} s", 1.0),
-        (6.5, caption.error, error, 1e3 if error.endswith("mm") else 1.0),
-        (18.0, caption.reward, "reward {:.2f}", 1.0),
-    )
-    for column, value, form, factor in entries:  # fixed columns: the text does not move while numbers change
-        if value is not None:
-            write_text(picture, form.format(factor * value), (edge + round(column * small), row), small)
-    if gains != (1.0, 1.0):
-        write_text(picture, describe_gains(gains), (-edge, edge // 2), size, WARNING)
-        _write_dot_legend(picture, (-edge, edge // 2 + line), small)
-    line_text = describe_scales(scale, grid)
-    if scale > 0.0:
-        _draw_colour_bar(picture, (edge, height - edge), small)
-    write_text(picture, line_text, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
-    if caption.torques is not None:
-        _draw_torque_bars(picture, caption.torques, (width - edge, height - edge // 2), small)
-
-
-def describe_scales(scale: float, grid: float) -> str:
-    """Return the text on the scales of a frame.
-
-    Args:
-        scale: strain at the ends of the colour scale; 0 for a rigid arm.
-        grid: spacing of the floor grid, m.
-    """
+    magnified = ", ".join(f"{word} {TIMES} {gain:g}" for word, gain in words if gain != 1.0)
     unit, factor = ("µε", 1e6) if scale < 1e-3 else ("%", 1e2)
-    return (f"strain ±{factor * scale:g} {unit}   " if scale > 0.0 else "") + f"grid {grid:g} m"
+    return magnified, (f"strain ±{factor * scale:g} {unit}   " if scale > 0.0 else "") + f"grid {grid:g} m"
 
 
 def _write_dot_legend(picture: Picture, place: tuple[int, int], size: int) -> None:

@@ -40,9 +40,6 @@ def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
     Args:
         episodes: 1 to 8 episodes, shown side by side; the arms may differ.
         title: title of the page; "" for a title of environment and agents.
-
-    Returns:
-        HTML.
     """
     if not 1 <= len(episodes) <= len(COLOURS):
         raise value_error("episodes", len(episodes), f"1 to {len(COLOURS)} of them")
@@ -71,9 +68,6 @@ def _html_page(data: dict[str, Any], title: str, words: str) -> str:
         data: mapping with "arms", "runs", "stage" and "live".
         title: title of the page.
         words: text next to the title.
-
-    Returns:
-        HTML.
     """
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     script, style, frame = (
@@ -104,16 +98,13 @@ def _arm_data(model: Model) -> dict[str, Any]:
 
 
 def _view_data(models: Sequence[Model], points: Array, strain: float, gain: float = 1.0) -> dict[str, Any]:
-    """Return camera, floor and scale of the page as JSON-compatible data.
+    """Return reach, points, camera, floor and scale of the page as JSON-compatible data.
 
     Args:
         models: models of the arms.
         points: points (p, 3), m, in the picture.
         strain: strain at the ends of the colour scale; 0 for rigid arms.
         gain: magnification of the deflection of the links at the start.
-
-    Returns:
-        Reach, points, camera, floor and scale.
     """
     reach = max(float(model.constants.length.sum()) for model in models)
     points = np.concatenate([points[np.isfinite(points).all(axis=1)], np.zeros((1, 3))])

@@ -91,7 +91,7 @@ def _plain(axes: Any, time: Array) -> None:
 def paper_figures(
     rigid: Trajectory, flexible_links: Trajectory, flexible_both: Trajectory, folder: str | Path
 ) -> list[Path]:
-    """Plot Figures 6 to 11 of the paper, each as a PNG, and all of them in `paper_figures.png`.
+    """Plot Figures 6 to 11 of the paper, each as a PNG, and all in `paper_figures.png`; return the paths of the files.
 
     A simulation that ended early is plotted up to its end, with its status in the legend.
 
@@ -100,9 +100,6 @@ def paper_figures(
         flexible_links: simulation of the case "fr", at the same output times.
         flexible_both: simulation of the case "ff", at the same output times.
         folder: folder of the files; it is created if it does not exist.
-
-    Returns:
-        The paths of the files.
 
     Raises:
         ImportError: without Matplotlib.

@@ -29,9 +29,6 @@ def write_video(frames: Sequence[NDArray[np.uint8]], path: str | Path, fps: floa
         path: path of the file with the suffix .mp4 or .gif; its folder is created if it does not exist.
         fps: frames per second.
 
-    Returns:
-        Path of the file.
-
     Raises:
         ImportError: without the package.
     """
@@ -54,9 +51,6 @@ def write_picture(frame: NDArray[np.uint8], path: str | Path) -> Path:
     Args:
         frame: frame (height, width, 3).
         path: path of the file; its folder is created if it does not exist.
-
-    Returns:
-        Path of the file.
 
     Raises:
         OSError: if the file cannot be written.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import check_member_names, value_error
 from flexman_gym.common.renamed import PARAMETER_KEYS
-from flexman_gym.envs.config.randomisation import Randomisation, range_name
+from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.effects import HOOKS, SIGNALS, EffectContext
 from flexman_gym.envs.random_streams import RandomStreams
 from flexman_gym.model.model import Model
@@ -57,10 +57,11 @@ class ActiveEffects:
                 check_member_names(name, signal, HOOKS, ("checked", "shape", "draw"))
                 if signal.shape is not None:
                     shapes[name] = signal.shape
-        kinds = {name: signal.kind for name, signal in self._signals.items()}
+        kinds = {name: getattr(signal, "kind", float) for name, signal in self._signals.items()}
         self.drawn = {name: np.zeros((arms, *shape), dtype=kinds.get(name, float)) for name, shape in shapes.items()}
         self._streams = RandomStreams([_stream_name(name) for name in self._ranges], arms)
-        self._hooks = {hook: self._find_hooks(hook) for hook in HOOKS}
+        self._hooks = {hook: [getattr(each, hook) for each in self._signals.values() if hasattr(each, hook)]
+                       for hook in HOOKS}  # fmt: skip
 
     @property
     def drawn(self) -> dict[str, NDArray[Any]]:
@@ -72,24 +73,16 @@ class ActiveEffects:
         # saved states of release 0.2 have old names
         self._drawn = {PARAMETER_KEYS.get(name, name): each for name, each in values.items()}
 
-    def _find_hooks(self, hook: str) -> list[Any]:
-        """Return the methods of all effects for a hook; for "begin", pairs of the name of an effect and its method."""
-        result = [(name, getattr(signal, hook)) for name, signal in self._signals.items() if hasattr(signal, hook)]
-        return result if hook == "begin" else [method for _, method in result]
-
     def draw(
         self, arms: IntArray, randoms: Sequence[np.random.Generator], given: Mapping[str, Array]
     ) -> dict[str, Array]:
-        """Draw the values of all effects for new episodes.
+        """Draw the values of all effects for new episodes; return physical parameters (r, ...) by name.
 
         Args:
             arms: (r,) indices of the arms.
             randoms: random generator of each of these arms.
             given: physical parameters (r, ...) by name that replace drawn values. The values are drawn nevertheless,
                 so that later draws do not change.
-
-        Returns:
-            Physical parameters (r, ...) by name, for `Batch.vary`.
         """
         self.drawn = {name: values.copy() for name, values in self.drawn.items()}
         for row, (arm, random) in enumerate(zip(arms.tolist(), randoms, strict=True)):
@@ -98,8 +91,9 @@ class ActiveEffects:
                 value = self._value(name, arm, streams[_stream_name(name)])
                 if name in self.drawn:
                     self.drawn[name][arm] = given[name][row] if name in given else value
-        for name, begin in self._hooks["begin"]:
-            begin(arms, self.drawn[name])
+        for name, signal in self._signals.items():
+            if hasattr(signal, "begin"):
+                signal.begin(arms, self.drawn[name])
         return {name: self.drawn[name][arms] for name in PARAMETERS if name in self.drawn} | dict(given)
 
     def _value(self, name: str, arm: int, stream: np.random.Generator) -> Any:
@@ -169,7 +163,7 @@ def _stream_name(effect: str) -> str:
 
 def _check_parameter(name: str, span: tuple[float, float], model: Model) -> None:
     """Raise ValueError if the model lacks the parameter or its nominal value is zero."""
-    row, field = PARAMETERS[name], f"Randomisation.{range_name(name)}"
+    row, field = PARAMETERS[name], f"Randomisation.{Randomisation.range_name(name)}"
     if row.of == LINK and not (np.diff(model.constants.elastic_start) > 0).any():
         raise value_error(field, span, "None: every link of this arm is rigid")
     if row.shape(model.n_joints) and row.fixed(model).all():

@@ -11,7 +11,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import FullState, SensorArray
 from flexman_gym.envs.sensors.ideal import NEAR
 from flexman_gym.envs.tasks import Hold, Slew
-from flexman_gym.envs.tasks.rewards import REWARDS, reward_parameters
+from flexman_gym.envs.tasks.rewards import REWARDS
 from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels.control_period import REWARD_TERMS
 from flexman_gym.kernels.layout import Period
@@ -22,7 +22,7 @@ class CompiledPeriod:
     """Arrays of a single arm that a kernel changes in a control period, see `Batch.step_period`.
 
     Args:
-        reward: key of REWARDS; None if the terms are computed from the view.
+        configuration: configuration of the environment; its reward may be computed from the view.
         batch: batch of the arm.
         view: view of the arm.
         sensors: sensors of the agent, the full state.
@@ -38,7 +38,7 @@ class CompiledPeriod:
 
     def __init__(
         self,
-        reward: str | None,
+        configuration: Configuration,
         batch: Batch,
         view: View,
         sensors: SensorArray,
@@ -47,19 +47,46 @@ class CompiledPeriod:
         ends: tuple[Array, BoolArray, IntArray],
     ) -> None:
         n, (limits, violated, ages) = view.n_joints, ends
-        kind, names = REWARDS[reward or "distance"]
+        reward = _compiled_reward(configuration)
+        compiled = REWARDS[reward or "distance"]
         self._action, self.command, terms = np.zeros((1, n)), np.zeros((1, n)), np.zeros((REWARD_TERMS + 1, 1))
-        self._terms, self._names = terms[: len(names) + 1, 0], (*names, "failure")  # the last one stays 0
+        self._terms, self._names = (
+            terms[: len(compiled.names) + 1, 0],
+            (*compiled.names, "failure"),
+        )  # the last one stays 0
         self._given, self._shape = reward is not None, (n,)
         own: dict[str, Any] = {
             "action": self._action, "command": self.command, "torque_limits": motors[0], "drive": motors[1],
             "active": np.ones(1, dtype=bool), "readings": sensors.observations, "bound": sensors.bound,
             "observations": agent.observations, "nearness_offset": np.array([NEAR * view.reach]), "limits": limits,
-            "violated": violated, "ages": ages, "reward": np.array([kind]), "reward_terms": terms,
-            "reward_parameters": reward_parameters(reward or "distance", view.reach),
+            "violated": violated, "ages": ages, "reward": np.array([compiled.kind]), "reward_terms": terms,
+            "reward_parameters": compiled.parameters(view.reach),
         }  # fmt: skip
         self._arrays = Period(**own, **view.period_arrays(), **batch.period_arrays())  # kept alive for the kernel
         self.arguments = batch.bind_period(motors[1], self._arrays) or ()
+
+    @staticmethod
+    def supports(configuration: Configuration, sensors: list[object], mode: Any) -> bool:
+        """Return True if a control period of an environment needs no Python code.
+
+        That needs actions that are torques without base and lag, the full state as the only sensor, no history, an
+        action for each control period, and a goal at rest.
+
+        Args:
+            configuration: configuration of the environment.
+            sensors: sensors of the agent and of the task.
+            mode: action mode.
+        """
+        return (
+            type(mode) is TorqueMode
+            and not isinstance(mode.strength, np.ndarray)
+            and configuration.base is None
+            and configuration.lag is None
+            and [type(each) for each in sensors] == [FullState]
+            and configuration.history == 1
+            and configuration.action_repeat == 1
+            and not configuration.task.moves
+        )
 
     def set_action(self, action: object) -> bool:
         """Set the action of the next period; return False for an object other than an array (n,) of floats."""
@@ -75,32 +102,9 @@ class CompiledPeriod:
         return dict(zip(self._names, self._terms.tolist(), strict=True))
 
 
-def compiled_reward(configuration: Configuration) -> str | None:
+def _compiled_reward(configuration: Configuration) -> str | None:
     """Return the name of the built-in reward of an environment; None for a reward of the user."""
     task = configuration.task
     if configuration.reward is not None or type(task) not in (Slew, Hold):
         return None
     return getattr(task, "reward", "distance")
-
-
-def is_compiled(configuration: Configuration, sensors: list[object], mode: Any) -> bool:
-    """Return True if a control period of an environment needs no Python code.
-
-    That needs actions that are torques without base and lag, the full state as the only sensor, no history, an action
-    for each control period, and a goal at rest.
-
-    Args:
-        configuration: configuration of the environment.
-        sensors: sensors of the agent and of the task.
-        mode: action mode.
-    """
-    return (
-        type(mode) is TorqueMode
-        and not isinstance(mode.strength, np.ndarray)
-        and configuration.base is None
-        and configuration.lag is None
-        and [type(each) for each in sensors] == [FullState]
-        and configuration.history == 1
-        and configuration.action_repeat == 1
-        and not configuration.task.moves
-    )

@@ -17,7 +17,7 @@ from flexman_gym.common.checks import whole_number
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.reset_options import check_parameters
-from flexman_gym.envs.episodes import Episodes, make_spaces, validate_actions
+from flexman_gym.envs.episodes import Episodes, validate_actions
 from flexman_gym.envs.rendering import RENDER_KEYWORDS, RENDER_MODES, make_renderer
 from flexman_gym.envs.stateful import StatefulEnv
 from flexman_gym.kernels import layout
@@ -36,6 +36,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         FlexPlanar-v0  two strips, 1 m in total, that lift 0.1 kg in a vertical plane under gravity, 100 Hz
         FlexOne-v0     textbook case: one strip of 0.8 m on one flexible joint, in a horizontal plane, 50 Hz
         FlexQuanser-v0 laboratory arm: two steel strips in a horizontal plane with its motors and sensors, 100 Hz
+        FlexRotary-v0  laboratory arm: a strip on a motor driven by its voltage, 500 Hz
         `envs.NAMED_ENVIRONMENTS` has the settings of each. The last three have the reward "distance" (see `Slew`).
 
     Arm
@@ -148,7 +149,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         self.torque_limit = np.array(configuration.torque_limit)
         self.episodes = Episodes(configuration, self.simulator.batch)
         self.sensors = self.episodes.sensors
-        self.observation_space, self.action_space = make_spaces(self.episodes)
+        self.observation_space, self.action_space = self.episodes.make_spaces()
         size = len(self.episodes.agent.mode.names)
         self.metadata = FlexManEnv.metadata | {"render_fps": round(1 / self.simulator.control_period)}
         self._action_shape = (size,)

@@ -15,7 +15,7 @@ from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import Controller, EpisodeInfo
 from flexman_gym.envs.active_effects import ActiveEffects
-from flexman_gym.envs.compiled_period import CompiledPeriod, compiled_reward, is_compiled
+from flexman_gym.envs.compiled_period import CompiledPeriod
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.reset_options import TIP_OPTIONS, inverse_kinematics, parse_reset_options
 from flexman_gym.envs.config.specification import make_base_and_mode
@@ -23,7 +23,6 @@ from flexman_gym.envs.effects import EffectContext
 from flexman_gym.envs.measurements import Measurements
 from flexman_gym.envs.sensors import SensorArray, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import MeasuredView
-from flexman_gym.envs.sensors.sensor_array import sensor_indices
 from flexman_gym.envs.tasks import Task
 from flexman_gym.envs.tasks.rewards import make_reward_terms
 from flexman_gym.envs.view import Number, View
@@ -144,11 +143,10 @@ class Episodes:
     def _compile_period(self, configuration: Configuration, sensors: list[object]) -> CompiledPeriod | None:
         """Return the compiled control period of a single arm; None where a control period needs Python code."""
         acts = self.effects is not None and self.effects.acts
-        if len(self.over) > 1 or acts or not is_compiled(configuration, sensors, self.agent.mode):
+        if len(self.over) > 1 or acts or not CompiledPeriod.supports(configuration, sensors, self.agent.mode):
             return None
         motors, ends = (self.motors.limits, self.motors.drive), (self._limits, self._violated, self._ages)
-        reward = compiled_reward(configuration)
-        result = CompiledPeriod(reward, self.batch, self.view, self.sensors, self.agent, motors, ends)
+        result = CompiledPeriod(configuration, self.batch, self.view, self.sensors, self.agent, motors, ends)
         return result if result.arguments else None
 
     def _make_effects(self, configuration: Configuration, sensors: Sequence[object]) -> ActiveEffects | None:
@@ -157,10 +155,15 @@ class Episodes:
         if randomisation is None:
             return None
         measured = MeasuredView(self.view, configuration.limits, measured_names(sensors))
-        indices, strains = sensor_indices(sensors, measured), measured.columns("root_strains")
+        indices, strains = measured.instruments(sensors), measured.columns("root_strains")
         motors = self.motors.limits, np.array(configuration.torque_limit), randomisation.impulse_gap
         context = EffectContext(self.batch, configuration.limits, measured.bound, *motors, indices, strains)
         return ActiveEffects(randomisation, context)
+
+    def make_spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
+        """Return the observation space and the action space of one arm."""
+        bound, size = self.agent.bound(self.sensors.bound), len(self.agent.mode.names)
+        return spaces.Box(-bound, bound, dtype=np.float32), spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
 
     @property
     def base(self) -> Controller | None:
@@ -467,13 +470,6 @@ def _limit_violation(values: Array, bound: Array, slices: dict[str, slice], unit
     first = int(np.argmin(inside))
     name = next(name for name, columns in slices.items() if first < columns.stop)
     return f"{name} {values[first]:.4g} {units[name]} beyond {bound[first]:.4g}"
-
-
-def make_spaces(episodes: Episodes) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
-    """Return the observation space and the action space of one arm."""
-    bound = episodes.agent.bound(episodes.sensors.bound)
-    size = len(episodes.agent.mode.names)
-    return spaces.Box(-bound, bound, dtype=np.float32), spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
 
 
 def _goal_path(task: Task, parameters: Mapping[str, Array], periods: int, view: View) -> Array:

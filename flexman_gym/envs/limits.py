@@ -1,6 +1,7 @@
 """Limits of the motion of an arm."""
 
 from dataclasses import dataclass, fields
+from typing import Self
 
 import numpy as np
 
@@ -41,6 +42,16 @@ class Limits:
     def __post_init__(self) -> None:
         set_fields(self, **{name: positive(f"Limits.{name}", value) for name, value in vars(self).items()})
 
+    @classmethod
+    def find(cls, value: object) -> Self:
+        """Return Limits from a mapping of its arguments; a Limits object is returned unchanged."""
+        if isinstance(value, cls):
+            return value
+        names = [each.name for each in fields(cls)]
+        if not isinstance(value, dict):
+            raise value_error("limits", value, f"a mapping with some of {', '.join(names)}, or Limits")
+        return cls(**mapping("limits", value, names))
+
     def bounds(self, view: View) -> dict[str, Array]:
         """Return name -> (size,) largest magnitude of each value of a quantity in `view.motion`."""
         sizes = {name: columns.stop - columns.start for name, columns in view.slices.items()}
@@ -54,13 +65,3 @@ class Limits:
             "tip_velocity": self.tip_speed,
         }
         return {name: np.ones(size) * np.asarray(values[name]) for name, size in sizes.items()}
-
-
-def find_limits(value: object) -> Limits:
-    """Return Limits from a mapping of its arguments; a Limits object is returned unchanged."""
-    if isinstance(value, Limits):
-        return value
-    names = [each.name for each in fields(Limits)]
-    if not isinstance(value, dict):
-        raise value_error("limits", value, f"a mapping with some of {', '.join(names)}, or Limits")
-    return Limits(**mapping("limits", value, names))

@@ -59,13 +59,13 @@ class TruncatedNoise:
         self._used[arms] += 1
         return result
 
+    @staticmethod
+    def uniform(normal: Array) -> Array:
+        """Map standard normal numbers to uniform numbers in [0, 1] by the normal distribution function."""
+        from scipy.special import ndtr
 
-def uniform_numbers(normal: Array) -> Array:
-    """Map standard normal numbers to uniform numbers in [0, 1] by the normal distribution function."""
-    from scipy.special import ndtr
-
-    result: Array = ndtr(normal)
-    return result
+        result: Array = ndtr(normal)
+        return result
 
 
 def _normal(random: np.random.Generator, shape: tuple[int, ...]) -> Array:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of
-from flexman_gym.draw.frames import FramePainter, Shot
+from flexman_gym.draw.frames import FramePainter
 from flexman_gym.draw.overlay import Caption
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.model.deformation import curves
@@ -38,7 +38,7 @@ class _Renderer:
         self.screen: Any = None
         arms = len(episodes.over)
         self._last_parameters: list[object] = [None] * arms
-        self._shots: list[Shot | None] = [None] * arms
+        self._shots: list[Any] = [None] * arms
         self._trails: list[list[tuple[float, Array]]] = [[] for _ in range(arms)]
 
     def frame(self, arm: int) -> NDArray[np.uint8]:

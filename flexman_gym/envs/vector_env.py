@@ -21,7 +21,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.reset_options import check_parameters
 from flexman_gym.envs.env import MAX_SEED, FlexManEnv
-from flexman_gym.envs.episodes import Episodes, make_spaces, validate_actions
+from flexman_gym.envs.episodes import Episodes, validate_actions
 from flexman_gym.envs.rendering import RENDER_KEYWORDS, make_renderer
 from flexman_gym.envs.stateful import Observations, StatefulEnv
 from flexman_gym.kernels import CACHE_FOLDER, layout
@@ -136,7 +136,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
             )
         self.max_episode_steps = -(-self.episodes.max_periods // configuration.action_repeat)
         self.sensors = self.episodes.sensors
-        self.single_observation_space, self.single_action_space = make_spaces(self.episodes)
+        self.single_observation_space, self.single_action_space = self.episodes.make_spaces()
         size = len(self.episodes.agent.mode.names)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

@@ -2,6 +2,7 @@
 
 from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.evaluation.agent import BASELINES, AgentSpec, find_agent
+from flexman_gym.evaluation.episode_sensitivities import sensitivities
 from flexman_gym.evaluation.metrics import METRICS, Metric, evaluate, metrics_table
 from flexman_gym.evaluation.optimisation import TunedGains, tune
 from flexman_gym.evaluation.rollout import EpisodeRecord, Rollout, rollout
@@ -18,6 +19,7 @@ __all__ = [
     "find_agent",
     "metrics_table",
     "rollout",
+    "sensitivities",
     "tune",
 ]
 

@@ -52,6 +52,84 @@ class AgentSpec:
     interface: dict[str, Any] | None = field(default_factory=dict)
     environment: Configuration | None = None
 
+    @classmethod
+    def from_predictor(cls, model: Any, environment: Configuration | None = None) -> Self:
+        """Return the specification of an object whose method `predict` maps observations (b, size) to actions (b, n).
+
+        For a model of Stable-Baselines3, the environment of the training is the environment of the model, and
+        observations are normalised by its `VecNormalize`, if any. For any other object the observations come from the
+        environment in which it acts. Actions are clipped to [-1, 1].
+
+        Args:
+            model: the object; `predict` may also return a tuple whose first entry is the actions.
+            environment: environment of the training, for a model without an environment.
+        """
+        normaliser = getattr(model, "get_vec_normalize_env", lambda: None)()
+        venv = getattr(model, "get_env", lambda: None)()
+        if environment is None and venv is not None:
+            environment = venv.get_attr("configuration")[0]
+        bare, interface = (None, None) if environment is None else split_interface(environment)
+
+        options = {"deterministic": True}
+        try:
+            signature(model.predict).bind(None, **options)
+        except TypeError:
+            options = {}  # a `predict` without the argument `deterministic`
+
+        def law(observations: NDArray[np.float32]) -> NDArray[np.floating]:
+            inputs = observations if normaliser is None else normaliser.normalize_obs(observations)
+            outputs = model.predict(inputs, **options)
+            actions = np.asarray(outputs[0] if isinstance(outputs, tuple) else outputs, dtype=np.float32)
+            return np.clip(actions, -1, 1).reshape(len(observations), -1)
+
+        return cls(type(model).__name__, law, interface, bare)
+
+    @classmethod
+    def from_network(cls, name: str, network: Law, environment: Configuration, base_in_use: object = None) -> Self:
+        """Return the specification of an agent whose policy function is a network.
+
+        Args:
+            name: name of the agent.
+            network: policy function, from observations to actions.
+            environment: environment of the training, with the settings of the agent. Base controller and action mode
+                are designed for this environment, even if the agent is evaluated in a different one.
+            base_in_use: base controller that replaces the base controller of the training; it is designed for the
+                environment of the evaluation. None for the base controller of the training.
+        """
+        bare, interface = split_interface(environment)
+        agent = cls(name, network, interface, bare)
+        if base_in_use is None:
+            return agent._designed(environment)
+        parse_kind("base", base_in_use, BASES)
+        interface.pop("gains", None)
+        return replace(agent, interface={**interface, "base": base_in_use})
+
+    def timed(self, environment: Configuration) -> "tuple[Self, _TimedMode | None]":
+        """Return the agent designed for an environment, and the action mode that measures its CPU time.
+
+        The second result is None for an agent that computes nothing, such as "zero".
+        """
+        if self.interface is None or (self.law is None and "base" not in self.interface):
+            return self, None
+        designed = self._designed(environment)
+        assert designed.interface is not None
+        mode = _TimedMode(designed.interface["actions"])
+        law: Law | None = mode.timed(designed.law) if designed.law else None
+        return replace(designed, law=law, interface={**designed.interface, "base": None, "actions": mode}), mode
+
+    def _designed(self, environment: Configuration) -> Self:
+        """Return the agent with base controller and action mode as objects, designed for a given environment.
+
+        A controller given by its name would be designed for the environment in which the agent acts, with the delay,
+        noise, friction and ranges there. Controllers and action modes that are objects are not changed.
+        """
+        if self.interface is None:
+            return self
+        design = environment.replace(**self.interface)
+        base, mode = make_base_and_mode(design, resolve_fidelity(design).model)
+        settings = {name: value for name, value in self.interface.items() if name != "gains"}
+        return replace(self, interface={**settings, "base": base, "actions": mode})
+
 
 def find_agent(agent: object) -> AgentSpec:
     """Return the specification of an agent.
@@ -59,7 +137,7 @@ def find_agent(agent: object) -> AgentSpec:
     Args:
         agent: a name in BASELINES or POLICIES, a mapping as for the setting `base`, the folder of an exported policy or
             of a training run (its best policy, or the newest one of a run without evaluations), a Controller, or an
-            object with a method `predict`, see `predictor_agent`.
+            object with a method `predict`, see `AgentSpec.from_predictor`.
 
     Raises:
         FileNotFoundError: for an unknown name or folder.
@@ -71,7 +149,7 @@ def find_agent(agent: object) -> AgentSpec:
     if isinstance(agent, dict):
         return AgentSpec(parse_kind("base", agent, BASES)[0], None, {"base": agent})
     if hasattr(agent, "predict") and not isinstance(agent, type):
-        return predictor_agent(agent)
+        return AgentSpec.from_predictor(agent)
     name = str(agent)
     if folder := policy_folder(name):
         return _load_policy(folder)
@@ -96,7 +174,9 @@ def _load_policy(folder: Path) -> AgentSpec:
         environment = Configuration.from_plain(metadata["environment"])
         if observation_layout(environment) != metadata["observation"]:
             raise value_error("observation", metadata["observation"], "the names, units and sizes of its sensors here")
-        return network_agent(folder.name, network, environment, metadata["recipe"]["settings"].get("base_in_use"))
+        return AgentSpec.from_network(
+            folder.name, network, environment, metadata["recipe"]["settings"].get("base_in_use")
+        )
     except ValueError as error:
         raise ValueError(f"{short_path(folder / METADATA)}: {error}") from None
 
@@ -110,38 +190,6 @@ def observation_layout(environment: Configuration) -> list[dict[str, Any]]:
              for name, part in episodes.sensors.slices.items()]  # fmt: skip
     parts += [(name, "1", size) for name, size in getattr(episodes.agent.mode, "observation_sizes", {}).items()]
     return [{"name": name, "unit": unit, "size": size} for name, unit, size in parts]
-
-
-def predictor_agent(model: Any, environment: Configuration | None = None) -> AgentSpec:
-    """Return the specification of an object whose method `predict` maps observations (b, size) to actions (b, n).
-
-    For a model of Stable-Baselines3, the environment of the training is the environment of the model, and observations
-    are normalised by its `VecNormalize`, if any. For any other object the observations come from the environment in
-    which it acts. Actions are clipped to [-1, 1].
-
-    Args:
-        model: the object; `predict` may also return a tuple whose first entry is the actions.
-        environment: environment of the training, for a model without an environment.
-    """
-    normaliser = getattr(model, "get_vec_normalize_env", lambda: None)()
-    venv = getattr(model, "get_env", lambda: None)()
-    if environment is None and venv is not None:
-        environment = venv.get_attr("configuration")[0]
-    bare, interface = (None, None) if environment is None else split_interface(environment)
-
-    options = {"deterministic": True}
-    try:
-        signature(model.predict).bind(None, **options)
-    except TypeError:
-        options = {}  # a `predict` without the argument `deterministic`
-
-    def law(observations: NDArray[np.float32]) -> NDArray[np.floating]:
-        inputs = observations if normaliser is None else normaliser.normalize_obs(observations)
-        outputs = model.predict(inputs, **options)
-        actions = np.asarray(outputs[0] if isinstance(outputs, tuple) else outputs, dtype=np.float32)
-        return np.clip(actions, -1, 1).reshape(len(observations), -1)
-
-    return AgentSpec(type(model).__name__, law, interface, bare)
 
 
 def _load_run(folder: Path) -> AgentSpec:
@@ -163,32 +211,12 @@ def _load_run(folder: Path) -> AgentSpec:
         network = Network(algo, activation, data.get("policy"), data.get("statistics"))
     except ValueError as error:
         raise ValueError(f"{short_path(path)}: {error}") from None
-    return network_agent(folder.name, network, environment, base_in_use)
+    return AgentSpec.from_network(folder.name, network, environment, base_in_use)
 
 
 def _untrusted_file_error(path: object) -> ValueError:
     allowed = "--trust, if you trust their author: they are pickles, which can run any code when they are read"
     return ValueError(f"agent: the files of Stable-Baselines3 in {path} are not read; give {allowed}")
-
-
-def network_agent(name: str, network: Law, environment: Configuration, base_in_use: object = None) -> AgentSpec:
-    """Return the specification of an agent whose policy function is a network.
-
-    Args:
-        name: name of the agent.
-        network: policy function, from observations to actions.
-        environment: environment of the training, with the settings of the agent. Base controller and action mode are
-            designed for this environment, even if the agent is evaluated in a different one.
-        base_in_use: base controller that replaces the base controller of the training; it is designed for the
-            environment of the evaluation. None for the base controller of the training.
-    """
-    bare, interface = split_interface(environment)
-    agent = AgentSpec(name, network, interface, bare)
-    if base_in_use is None:
-        return _design_for(agent, environment)
-    parse_kind("base", base_in_use, BASES)
-    interface.pop("gains", None)
-    return replace(agent, interface={**interface, "base": base_in_use})
 
 
 def split_interface(environment: Configuration) -> tuple[Configuration, dict[str, Any]]:
@@ -201,20 +229,6 @@ def split_interface(environment: Configuration) -> tuple[Configuration, dict[str
     if environment.base == "pd":
         interface["gains"] = environment.to_plain(strict=False)["gains"]
     return environment.without(INTERFACE), interface
-
-
-def _design_for(agent: AgentSpec, environment: Configuration) -> AgentSpec:
-    """Return an agent with base controller and action mode as objects, designed for a given environment.
-
-    A controller given by its name would be designed for the environment in which the agent acts, with the delay, noise,
-    friction and ranges there. Controllers and action modes that are objects are not changed.
-    """
-    if agent.interface is None:
-        return agent
-    design = environment.replace(**agent.interface)
-    base, mode = make_base_and_mode(design, resolve_fidelity(design).model)
-    settings = {name: value for name, value in agent.interface.items() if name != "gains"}
-    return replace(agent, interface={**settings, "base": base, "actions": mode})
 
 
 class _TimedMode:
@@ -254,20 +268,6 @@ class _TimedMode:
             return result
 
         return call
-
-
-def timed_agent(agent: AgentSpec, environment: Configuration) -> tuple[AgentSpec, _TimedMode | None]:
-    """Return an agent designed for an environment, and the action mode that measures its CPU time.
-
-    The second result is None for an agent that computes nothing, such as "zero".
-    """
-    if agent.interface is None or (agent.law is None and "base" not in agent.interface):
-        return agent, None
-    designed = _design_for(agent, environment)
-    assert designed.interface is not None
-    mode = _TimedMode(designed.interface["actions"])
-    law: Law | None = mode.timed(designed.law) if designed.law else None
-    return replace(designed, law=law, interface={**designed.interface, "base": None, "actions": mode}), mode
 
 
 def common_environment(

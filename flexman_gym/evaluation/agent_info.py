@@ -25,6 +25,7 @@ INFORMATION = {  # information that is given -> entries of `information` of an a
     "nominal model or data sheets": ("model", "data sheets"),
     "measurements only": (),
 }
+NO_TUNING = "none"  # tuning of an agent without a controller
 TRUE_SENSORS = ("full", "fine", "state")  # sensors that read the true state
 # columns of the training time, s, in learning curves: CPU time, and elapsed time for runs of earlier versions
 CPU_COLUMN, TIME_COLUMN = "time/cpu_seconds", "time/time_elapsed"
@@ -49,6 +50,16 @@ class _AgentInfo:
         """True if the agent uses measurable signals only, without ORACLE_INFORMATION, and so could act on hardware."""
         return not set(self.information) & set(ORACLE_INFORMATION)
 
+    @property
+    def needs(self) -> str:
+        """Required information as text."""
+        return ", ".join(self.information) or ("nothing" if self.tuning == NO_TUNING else "its motors")
+
+    @property
+    def kind(self) -> str:
+        """Kind of the required information, a key of INFORMATION."""
+        return information_kind(self.information)
+
 
 def describe_agent(agent: str) -> _AgentInfo:
     """Return the description of an agent given by its name or its folder.
@@ -62,7 +73,7 @@ def describe_agent(agent: str) -> _AgentInfo:
     if agent in BASES:
         return _AgentInfo(BASES[agent].description, BASES[agent].tuning, BASES[agent].information)
     if agent in SIMPLE_AGENTS:
-        return _AgentInfo(SIMPLE_AGENTS[agent], "none", ())
+        return _AgentInfo(SIMPLE_AGENTS[agent], NO_TUNING, ())
     settings, seconds = _settings(agent), training_seconds(agent)
     environment = Configuration.from_plain(settings.get("environment"))
     base = settings.get("base_in_use") or environment.base  # a base in use replaces the base of the training

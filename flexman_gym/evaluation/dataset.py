@@ -22,7 +22,7 @@ def record_dataset(
     agent: str, environment: str | Configuration, seeds: Sequence[int], name: str, form: str = "hdf5",
     workers: Workers | int = 1,
 ) -> Any:  # fmt: skip
-    """Record episodes of an agent as a new dataset in the folder of Minari.
+    """Record episodes of an agent as a new dataset in the folder of Minari; return the MinariDataset.
 
     The environment of the dataset has neither base controller nor action repeat: its actions are the commanded torques
     of each control period, as float32, for any agent. The method `recover_environment` of the dataset returns an
@@ -35,9 +35,6 @@ def record_dataset(
         name: name of the dataset, such as "flexrrr/pd-v0".
         form: file format, "hdf5" or "arrow".
         workers: processes or cluster for the simulations, see `Workers`, or a number of processes.
-
-    Returns:
-        The MinariDataset.
 
     Raises:
         ImportError: without Minari.

@@ -106,7 +106,7 @@ def diagnose(
     In a few seconds slow noise cannot be distinguished from an offset or a slow vibration. With sensor noise, the same
     episodes are therefore simulated a second time without noise.
     """
-    found = [split_error(*each) for each in episode_ends(agent, environment, seeds)]
+    found = [_split_error(*each) for each in _episode_ends(agent, environment, seeds)]
     quiet = _without_noise(Configuration.find(environment))
     if quiet is None:
         return found
@@ -138,7 +138,7 @@ def _attribute_noise(found: Diagnosis, quiet: Diagnosis) -> Diagnosis:
     return replace(found, shares=shares, tones=tuple(sorted(tones, key=lambda tone: -tone[1])))
 
 
-def episode_ends(
+def _episode_ends(
     agent: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int]
 ) -> list[tuple[_EpisodeEnd, dict[str, float]]]:
     """Return for each seed the end of an episode, and mode -> frequency (Hz) at the goal posture.
@@ -150,7 +150,7 @@ def episode_ends(
     return [recorder.episode_end(result, arm) for arm in range(len(result.lengths))]
 
 
-def split_error(end: _EpisodeEnd, modes: Mapping[str, float]) -> Diagnosis:
+def _split_error(end: _EpisodeEnd, modes: Mapping[str, float]) -> Diagnosis:
     """Split the mean square of the tip error into offset, transient, tones and noise, with the cause of each tone.
 
     - The offset is the mean error.

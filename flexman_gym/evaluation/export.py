@@ -14,7 +14,7 @@ from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.common.run_folder import BEST, NEWEST, read_npz, read_settings
 from flexman_gym.control.network import MAX_INPUT, Network, policy_parameters
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import check_settings, find_agent, network_agent, observation_layout, split_interface
+from flexman_gym.evaluation.agent import AgentSpec, check_settings, find_agent, observation_layout, split_interface
 from flexman_gym.evaluation.agent_info import training_seconds
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.policy_files import CHECK_ROWS, write_policy
@@ -28,7 +28,7 @@ CHECK_SEEDS = SELECTION_SEEDS[:16]  # seeds of the episodes whose observations a
 def export_policy(
     run: Path, folder: Path, description: str, recipe: str, environment: str = "", licence: str = DEFAULT_LICENCE
 ) -> dict[str, float]:
-    """Export the best policy of a training run and evaluate it in the test episodes.
+    """Export the best policy of a training run; return its metrics in the test episodes by name, see `evaluate`.
 
     Args:
         run: folder of the run.
@@ -38,9 +38,6 @@ def export_policy(
         environment: id, id and condition, or file of the environment for which the policy is recommended; "" for the
             environment of the training. The settings of the agent, such as sensors and base controller, do not change.
         licence: licence of the policy.
-
-    Returns:
-        Metrics of the exported policy by name, see `evaluate`.
 
     Raises:
         FileNotFoundError: if a file of the run is missing.
@@ -104,7 +101,7 @@ def _check_observations(network: Network, environment: Configuration, base_in_us
     The exported policy stores them with its actions, which are compared after loading.
     """
     recorded = _RecordedNetwork(network)
-    policy = network_agent("", recorded, environment, base_in_use)
+    policy = AgentSpec.from_network("", recorded, environment, base_in_use)
     rollout(policy, split_interface(environment)[0], CHECK_SEEDS)
     rows = np.concatenate(recorded.inputs)
     result: NDArray[np.float32] = rows[np.linspace(0, len(rows) - 1, CHECK_ROWS).astype(int)]

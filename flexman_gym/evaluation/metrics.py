@@ -16,7 +16,6 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import AgentSpec
 from flexman_gym.evaluation.rollout import EpisodeRecord, rollout
 from flexman_gym.metrics import (
-    damping_ratio,
     effort,
     final_error,
     median_interval,
@@ -148,20 +147,6 @@ def optimised_settling_times(environment: Configuration) -> dict[int, float]:
     if table.about.get("environment") != environment.to_plain():
         return {}
     return {seed: table.settling_time(seed) for seed in table.found}
-
-
-def equivalent_damping(record: EpisodeRecord) -> float:
-    """Return the damping ratio of the oscillation of the tip after its first arrival in the band.
-
-    The oscillation is evaluated along the base axis of the largest motion. The ratio is infinite without an
-    oscillation, and 0 if the episode failed or the tip never arrived.
-    """
-    inside = np.flatnonzero(record.errors <= record.band)
-    if record.failure or not len(inside) or len(record.tips) - inside[0] < 3:
-        return 0.0
-    tips = record.tips[inside[0] :]
-    ratio = damping_ratio(tips[:, np.argmax(np.ptp(tips, axis=0))])
-    return np.inf if np.isnan(ratio) else ratio
 
 
 MAX_NAME_LENGTH = 100  # characters of a name in the table

@@ -48,13 +48,10 @@ def policy_folder(name: str) -> Path | None:
 
 
 def read_policy(folder: Path) -> _ExportedPolicy:
-    """Read an exported policy without executing code of its files.
+    """Return metadata and network of an exported policy without executing code of its files.
 
     Args:
         folder: folder of the policy.
-
-    Returns:
-        Metadata and network.
 
     Raises:
         FileNotFoundError: if a file is missing.
@@ -110,9 +107,6 @@ def read_certificate(folder: Path) -> dict[str, Any] | None:
 
     Args:
         folder: folder of the policy.
-
-    Returns:
-        The certificate under the current names of its keys, or None.
 
     Raises:
         ValueError: for a damaged file, and for a file without the keys `arrays_hash` (hash of the network), `fails`

@@ -19,9 +19,9 @@ from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes, validate_actions
 from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
-from flexman_gym.metrics import BAND
+from flexman_gym.metrics import BAND, damping_ratio
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.episode import Episode, episode_metadata
+from flexman_gym.simulation.episode import Episode
 
 SELECTION_SEEDS = range(5000, 5100)  # seeds of the episodes by which the best policy of a training run is selected
 TEST_SEEDS = range(9000, 9100)  # seeds of the test episodes of `flexman evaluate`, which are not used for selection
@@ -70,6 +70,19 @@ class EpisodeRecord:
     period: float
     band: float
 
+    def equivalent_damping(self) -> float:
+        """Return the damping ratio of the oscillation of the tip after its first arrival in the band.
+
+        The oscillation is evaluated along the base axis of the largest motion. The ratio is infinite without an
+        oscillation, and 0 if the episode failed or the tip never arrived.
+        """
+        inside = np.flatnonzero(self.errors <= self.band)
+        if self.failure or not len(inside) or len(self.tips) - inside[0] < 3:
+            return 0.0
+        tips = self.tips[inside[0] :]
+        ratio = damping_ratio(tips[:, np.argmax(np.ptp(tips, axis=0))])
+        return np.inf if np.isnan(ratio) else ratio
+
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
@@ -117,13 +130,10 @@ class Rollout:
         return Episode(self.period * np.arange(end + 1.0), **arrays, readings=readings, about=metadata)
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write each episode to a file NAME-SEED.npz, which `fm.Episode.load` reads.
+        """Write each episode to a file NAME-SEED.npz, which `fm.Episode.load` reads; return the paths.
 
         Args:
             folder: folder of the files; it is created if it does not exist.
-
-        Returns:
-            Paths of the files.
 
         Raises:
             OSError: if a file cannot be written.
@@ -242,7 +252,7 @@ def _metadata(env: Any, agent: AgentSpec, environment: Configuration) -> dict[st
     """Return the metadata of all episodes of an agent in an environment, as JSON-compatible data."""
     sensors = env.episodes.sensors
     settings = {"environment": split_interface(environment)[0].to_plain(strict=False), "interface": agent.interface}
-    return episode_metadata(
+    return Episode.metadata(
         env.batch.model, settings, name=agent.name, environment=environment.id, units=dict(sensors.units),
         slices={name: [columns.start, columns.stop] for name, columns in sensors.slices.items()},
         torque_limits=env.torque_limit.tolist(),

@@ -137,7 +137,7 @@ class MeshSearch(ModelSearch):
         """Return the meshes and the accuracy of the reference, and the estimated effect of large rotations, as text."""
         run, posture = self.halved_runs[max(self.halved_runs)], self.scene.initial.joint_angles
         lowest = frequencies(self.reference_model, posture)[self.reference_model.n_joints :][:1]
-        angles, displacement = large_rotation_error(
+        angles, displacement = _large_rotation_error(
             self.reference_model, run.states, float(lowest.sum()) * self.scene.duration
         )
         return (
@@ -149,7 +149,7 @@ class MeshSearch(ModelSearch):
         )
 
 
-def large_rotation_error(model: Model, states: Array, cycles: float) -> tuple[Array, float]:
+def _large_rotation_error(model: Model, states: Array, cycles: float) -> tuple[Array, float]:
     """Return rotations of the link tips by bending, and an estimate of the error of the tip by linear beam theory.
 
     In linear theory a tip force rotates the tip of a cantilever of length L by an angle a. The rotation of the elastica

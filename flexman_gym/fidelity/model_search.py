@@ -34,16 +34,16 @@ class Candidate(NamedTuple):
         modes = [tuple(j for j in numbers if (i, j) not in omitted) for i, numbers in enumerate(self.modes)]
         return self._replace(modes=tuple(modes))
 
+    @staticmethod
+    def compact(numbers: tuple[int, ...]) -> int | tuple[int, ...]:
+        """Return mode numbers in the form of `build_model`: a number m for the m lowest modes, else a tuple."""
+        return len(numbers) if numbers == tuple(range(len(numbers))) else numbers
+
     def build(self, scene: Scene) -> Model:
         """Return the model of the candidate for a scene."""
-        modes = tuple(compact_modes(numbers) for numbers in self.modes)
+        modes = tuple(self.compact(numbers) for numbers in self.modes)
         options = vars(scene.model) | {"flexible_joints": self.springs, "stiffening": self.stiffening, "modes": modes}
         return build_model(scene.arm, **options)
-
-
-def compact_modes(numbers: tuple[int, ...]) -> int | tuple[int, ...]:
-    """Return mode numbers in the form of `build_model`: a number m for the m lowest modes, else a tuple."""
-    return len(numbers) if numbers == tuple(range(len(numbers))) else numbers
 
 
 def _tip_contributions(model: Model, full: Candidate, states: Array) -> dict[tuple[int, int], float]:
@@ -382,9 +382,6 @@ class ModelSearch:
             start: the candidate to reduce.
             limit: largest tip error, m.
             order: modes (link, mode number).
-
-        Returns:
-            The reduced candidate.
         """
         low, high = 0, len(order) + 1
         while high - low > 1:

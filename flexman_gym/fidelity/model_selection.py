@@ -11,7 +11,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import check_solvable, positive, value_error
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.fidelity.mesh_search import MeshSearch
-from flexman_gym.fidelity.model_search import Candidate, CandidateRun, ModelSearch, compact_modes
+from flexman_gym.fidelity.model_search import Candidate, CandidateRun, ModelSearch
 from flexman_gym.model.dynamics import frequencies, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
@@ -161,7 +161,7 @@ def assembled_modes(
             energies = shapes[:, slow] ** 2 * np.diag(stiffness)[:, None] / squares[slow]
         fractions = np.maximum(fractions, energies.max(axis=1, initial=0.0))
     links = [fractions[model.elastic_columns(i)] > energy_fraction for i in range(n)]
-    return tuple(compact_modes(tuple(np.flatnonzero(retained).tolist())) for retained in links)
+    return tuple(Candidate.compact(tuple(np.flatnonzero(retained).tolist())) for retained in links)
 
 
 @lru_cache(maxsize=64)

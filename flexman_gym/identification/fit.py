@@ -302,7 +302,7 @@ def fit(
     """Estimate physical parameters of an arm from measured frequencies, damping ratios and time records.
 
     The sum of squared residuals, each relative to its standard deviation, is minimised by Gauss-Newton steps in a trust
-    region. The Jacobian of frequencies and damping ratios is exact; the Jacobian of time records is computed by central
+    region. The Jacobian of frequencies and damping ratios is exact; the Jacobian of time records is computed by forward
     differences. A poor fit is repeated from random initial values. The time step of the simulation is halved until the
     estimates no longer change.
 

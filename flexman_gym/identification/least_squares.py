@@ -25,7 +25,7 @@ from flexman_gym.simulation.parameters import (
 
 MAX_LOG_CHANGE = 7.0  # largest change of the logarithm of a parameter from its start: a factor of 1100
 MAX_DAMPING_RATIO = 0.99  # dimensionless; largest modal damping ratio of a link
-LOG_STEP = 1e-3  # step of logarithms of parameters in central differences
+RELATIVE_STEP = 1e-6  # dimensionless; relative step of parameters in forward differences
 TYPICAL_RATE = 2.0 * np.pi  # rad/s; motor rate at which friction is estimated below
 # Start of a parameter that is 0 in the arm, from the model and the joint inertias (n,), kg m^2.
 TYPICAL_VALUES: dict[str, Callable[[Model, Array], Array | float]] = {
@@ -90,24 +90,24 @@ class FreeParameters:
         return varied_arm(self.arm, self.parameters(values))
 
     def perturbed(self, model: Model, departures: Array) -> dict[str, Array]:
-        """Perturb the parameters of a model for central differences.
+        """Perturb the parameters of a model for forward differences.
 
         Args:
             model: model of an arm.
             departures: logarithms (p,) of the ratios of free values to values of the model, for all arms; in the
-                perturbed arms one of them is increased or decreased by LOG_STEP.
+                perturbed arms one of the values is increased by the fraction RELATIVE_STEP.
 
         Returns:
-            Parameters (1 + 2 p, ...) by name: values of the unperturbed arm, then for each free scalar the values of
-            the arms with its increased and its decreased value.
+            Parameters (1 + p, ...) by name: values of the unperturbed arm, then for each free scalar the values of the
+            arm with its increased value.
         """
-        count, nominal = 1 + 2 * len(self.numbers), nominal_parameters(model)
+        count, nominal = 1 + len(self.numbers), nominal_parameters(model)
         result = {each.name: np.array([nominal[each.name]] * count) for each in self.numbers}
         for i, number in enumerate(self.numbers):
-            logarithms = np.full(count, departures[i])
-            logarithms[1 + 2 * i : 3 + 2 * i] += LOG_STEP, -LOG_STEP
+            factors = np.full(count, np.exp(departures[i]))
+            factors[1 + i] *= 1.0 + RELATIVE_STEP
             column = () if number.part is None else (number.part,)
-            result[number.name][(slice(None), *column)] *= np.exp(logarithms)
+            result[number.name][(slice(None), *column)] *= factors
         return result
 
 
@@ -239,7 +239,7 @@ class LeastSquaresProblem:
     def _evaluate(self, x: Array) -> tuple[Array, Array]:
         p, model = len(self.free.numbers), self._model
         perturbed = self.free.perturbed(model, (x - self._model_point)[:p])
-        ringing = [each.predict(model, perturbed, LOG_STEP) for each in self.ringing]
+        ringing = [each.predict(model, perturbed, RELATIVE_STEP) for each in self.ringing]
         signals = [response.signals(model, perturbed) for response in self.responses]
         names = [list(response.measurement.outputs) for response in self.responses]
         residuals, rows = [], []
@@ -259,7 +259,7 @@ class LeastSquaresProblem:
         return np.concatenate(residuals), np.vstack(rows)
 
     def _predict(self, x: Array, block: _ResidualBlock, signals: Array, jacobian: Array) -> Array:
-        """Return the output of the sensor of a block from signals (1 + 2 p, T); fill in its Jacobian."""
+        """Return the output of the sensor of a block from signals (1 + p, T); fill in its Jacobian."""
         p, data = len(self.free.numbers), self.responses[block.record].measurement
         if block.corner >= 0:
             corner, h = x[p + block.corner], 0.01
@@ -267,7 +267,7 @@ class LeastSquaresProblem:
             signals = _low_pass(corner).applied(signals, data.period)
         signals = signals[:, data.compared]
         gain = x[p + block.gain] if block.gain >= 0 else 1.0
-        jacobian[:, :p] = gain * (signals[1::2] - signals[2::2]).T / (2.0 * LOG_STEP)
+        jacobian[:, :p] = gain * (signals[1:] - signals[0]).T / RELATIVE_STEP
         if block.gain >= 0:
             jacobian[:, p + block.gain] = signals[0]
         if block.offset >= 0:

@@ -80,13 +80,13 @@ class Ringing:
 
         A change of mass, damping and stiffness matrices M, C and K changes an eigenvalue s with eigenvector y by
         -y^T (s^2 dM + s dC + dK) y, if y^T (2 s M + C) y = 1. M and K are linear in most parameters, so that their
-        central differences are exact.
+        differences are exact.
 
         Args:
             model: the model.
-            parameters: values (1 + 2 p, ...) by name: unperturbed values, then for each of p free scalars the values
-                with this scalar increased and decreased.
-            h: half the difference between increased and decreased value, or its logarithm, for the Jacobian.
+            parameters: values (1 + p, ...) by name: unperturbed values, then for each of p free scalars the values
+                with this scalar increased.
+            h: increase of the values, absolute or as a fraction, for the Jacobian.
 
         Returns:
             Frequencies (k,) or frequencies and damping ratios (2 k,), and their Jacobian with p columns.
@@ -103,9 +103,9 @@ class Ringing:
             )
         s, y = found.values[chosen], found.shapes[chosen]
         jacobian = []
-        for plus, minus in zip(matrices[1::2], matrices[2::2], strict=True):
-            pairs = zip(plus[:3], minus[:3], strict=True)
-            mass, damping, stiffness = ((a - b)[np.ix_(columns, columns)] / (2.0 * h) for a, b in pairs)
+        for perturbed in matrices[1:]:
+            pairs = zip(perturbed[:3], matrices[0][:3], strict=True)
+            mass, damping, stiffness = ((a - b)[np.ix_(columns, columns)] / h for a, b in pairs)
             change = -(y * (s[:, None] ** 2 * (y @ mass) + s[:, None] * (y @ damping) + y @ stiffness)).sum(axis=1)
             ratio = -(change * np.abs(s) - s * (np.conj(s) * change).real / np.abs(s)).real / np.abs(s) ** 2
             jacobian.append(self._join(change.imag / (2.0 * np.pi), ratio))

@@ -169,6 +169,14 @@ def aligned_zeros(shape: tuple[int, ...], lanes: int = ARMS_PER_GROUP) -> Array:
     return buffer[first : first + count].reshape(*shape, lanes)
 
 
+def tangent_constants(constants: Constants, own: frozenset[str] = PER_ARM) -> Constants:
+    """Return the constants of a group `lanes.TANGENTS` with derivatives of zero; those named `own` have some."""
+    own: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in own}
+    for name, values in own.items():
+        values[..., 0] = getattr(constants, name)
+    return constants._replace(**own)
+
+
 def address_table(arrays: NamedTuple, element: types.Type, own: frozenset[str] = PER_ARM) -> IntArray:
     """Return the addresses and shapes of all arrays of a `Constants`, `Work` or `Period`.
 

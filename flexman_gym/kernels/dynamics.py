@@ -60,6 +60,8 @@ def _eliminate_joint(constants, work, i, shift, inertia):
     force, mixed_block, moment = inertia
     axis, rotor, carried = load(constants.axis, i), constants.rotor_inertia[i], constants.carried_inertia[i]
     total = rotor + shift[0] * work.friction_slope[i]
+    if constants.passive[i]:
+        total += shift[1] * constants.passive_stiffness[i]
     spring, joint, mixed, frame = 0.0, total, carried, carried
     if constants.motor[i] >= 0:
         stiffness = work.spring_slope[i] if has_knees(constants, i) else constants.joint_stiffness[i]

@@ -190,6 +190,8 @@ def _structural_forces(constants, work, x, v, exact):
             work.force[i] += reaction
             work.force[m] -= reaction
             dissipated += constants.joint_damping[i] * twist_rate * twist_rate
+        elif constants.passive[i]:
+            work.force[i] -= constants.passive_stiffness[i] * x[i]
     for i in range(n):
         start = constants.elastic_start[i]
         k = constants.elastic_start[i + 1] - start

@@ -2,10 +2,13 @@
 
 import math
 
+from flexman_gym.kernels.arguments import constants_of_tangents, work_of_tangents
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import link_tip_acceleration, payload_force
 from flexman_gym.kernels.forces import has_knees, spring_slope, spring_torque
 from flexman_gym.kernels.kinematics import compute_kinematics
+from flexman_gym.kernels.lanes import extract_lane, insert_lane, is_zero
+from flexman_gym.kernels.layout import ARMS_PER_GROUP
 from flexman_gym.kernels.linalg import (
     ZERO,
     add,
@@ -47,7 +50,7 @@ def inertial_forces(constants, work, x, v, acceleration, out):
         store_pair(work.reaction, i, force, moment)
         axis, m = load(constants.axis, i), constants.motor[i]
         rotor_torque, motor_inertia = _rotor_torque(constants, i, frame[1], acceleration), 0.0
-        if constants.carried_inertia[i] == 0.0:
+        if is_zero(constants.carried_inertia[i]):
             motor_inertia = constants.rotor_inertia[i]
         out[i] = dot(axis, moment)
         if m >= 0:
@@ -57,6 +60,36 @@ def inertial_forces(constants, work, x, v, acceleration, out):
         moment = add(add_scaled(moment, rotor_torque, axis), load(work.rotor_bias, i))
         c = load_matrix(work.rotation, i)
         force, moment = apply(c, force), apply(c, moment)
+
+
+@kernel
+def inertial_jacobian(table, work_table, motion, out):
+    """Set out (d + 3, 3 d) to the exact Jacobian of [M v' + h (d,), tip velocity (3,)], see `tangents`.
+
+    Args:
+        table: (fields, 3) address table of the constants as `lanes.TANGENTS`, with derivatives of zero.
+        work_table: (fields, 3) address table of the scratch arrays.
+        motion: (3, d) coordinates x, speeds v and accelerations v'; the columns of out are their entries in this order.
+        out: (d + 3, 3 d), overwritten; the tip velocity is in the base frame, m/s.
+    """
+    constants, work = constants_of_tangents(table), work_of_tangents(work_table)
+    d, directions = motion.shape[1], ARMS_PER_GROUP - 1
+    result = work.stages[3]
+    for first in range(0, 3 * d, directions):
+        for j in range(d):
+            work.stages[0, j], work.stages[1, j], work.stages[2, j] = motion[0, j], motion[1, j], motion[2, j]
+        count = min(directions, 3 * d - first)
+        for k in range(count):
+            insert_lane(work.stages[(first + k) // d], (first + k) % d, 1 + k, 1.0)
+        x, v, acceleration = work.stages[0, :d], work.stages[1, :d], work.stages[2, :d]
+        inertial_forces(constants, work, x, v, acceleration, result[:d])
+        velocity = load(work.tip_velocity, 0)
+        for i in range(len(constants.mass) - 1, -1, -1):
+            velocity = apply(load_matrix(work.rotation, i), velocity)
+        result[d], result[d + 1], result[d + 2] = velocity
+        for row in range(d + 3):
+            for k in range(count):
+                out[row, first + k] = extract_lane(result, row, 1 + k)
 
 
 @inner

@@ -97,6 +97,8 @@ class Constants(NamedTuple):
     axis: Vectors  # (n, 3) joint axis in the frame of the outboard link
     joint_stiffness: PerArm  # (n,) beyond all knees of the torque-twist curve
     joint_damping: PerArm  # (n,)
+    passive: IntArray  # (n,) 1 for a joint without motor, whose spring and damper join its link to the inboard link
+    passive_stiffness: Array  # (n,) stiffness of this spring, relaxed at a joint angle of 0; 0 for joints with motor
     rotor_inertia: PerArm  # (n,)
     carried_inertia: PerArm  # (n,) rotor inertia if the rotor also turns with the inboard link, else 0 (Eq. 23)
     viscous_friction: PerArm  # (n,)

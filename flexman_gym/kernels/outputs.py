@@ -54,6 +54,8 @@ def compute_outputs(constants, work, x, v, out):
         if m >= 0:
             rotor_rate = v[m]
             joints += spring_energy(constants, i, x[m] - x[i])
+        elif constants.passive[i]:
+            joints += 0.5 * constants.passive_stiffness[i] * x[i] * x[i]
         if not is_zero(constants.carried_inertia[i]):
             rotor_rate += dot(load(constants.axis, i), load(work.spin, i)) - v[i]  # plus the rate of the carrying frame
         kinetic += 0.5 * constants.rotor_inertia[i] * rotor_rate * rotor_rate

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import computer_info
 from flexman_gym.common.files import write_atomically
@@ -26,7 +25,7 @@ from flexman_gym.evaluation.metrics import METRICS, task_metrics
 from flexman_gym.evaluation.policy_files import CERTIFICATE, millimetres, policy_folder, read_policy
 from flexman_gym.evaluation.rollout import TEST_SEEDS
 from flexman_gym.league.rows import VALUES, EpisodeRow, run_league
-from flexman_gym.league.scenarios import CHANGES, GIVEN, PLANTS, find_scenario, randomised_ranges
+from flexman_gym.league.scenarios import CHANGES, GIVEN, PLANTS, find_scenario
 
 FOLDER = Path("out/certificates")  # rows of the scenarios, in a folder for each policy
 MIN_SETTLED = 0.95  # required share of settled episodes
@@ -69,9 +68,6 @@ def certify(
         jobs: see `run_league`.
         log: function of one line of text for each scenario.
 
-    Returns:
-        Path of the certificate.
-
     Raises:
         ValueError: for anything other than an exported policy, and for a task without the metric "settling_time".
     """
@@ -82,7 +78,7 @@ def certify(
     task = find_scenario(environment).environment.task
     if "settling_time" not in {metric.name for metric in task_metrics(task)}:
         raise value_error("name", name, "a policy for a task with the metric settling_time")
-    runs = [(each, seeds[: OTHER_PLANTS.get(each.partition("@")[2])]) for each in certificate_scenarios(name)]
+    runs = [(each, seeds[: OTHER_PLANTS.get(each.partition("@")[2])]) for each in _certificate_scenarios(name)]
     runs.append((environment, range(SEARCH_SEED, SEARCH_SEED + draws)))
     reach = sum(link.length for link in find_scenario(environment).environment.arm.links)
     result: list[dict[str, Any]] = []
@@ -90,7 +86,7 @@ def certify(
     for scenario, each in runs:
         rows = _run(name, scenario, each, folder / path.name, jobs)
         reference = reference or rows
-        result.append(certificate_row(scenario, each, rows, reference[: len(rows)], reach))
+        result.append(_certificate_row(scenario, each, rows, reference[: len(rows)], reach))
         log(_row_text(result[-1]))
     result[-1]["worst"] = _worst_episodes(rows)
     about = {
@@ -103,7 +99,7 @@ def certify(
     return path / CERTIFICATE
 
 
-def certificate_scenarios(name: str) -> list[str]:
+def _certificate_scenarios(name: str) -> list[str]:
     """Return the names of the scenarios of a policy: its environment, other simulations of it, and changed arms."""
     about, where = read_policy(policy_folder(name) or Path(name)).metadata, _environment_name(name)
     environment = find_scenario(where).environment
@@ -133,10 +129,10 @@ def _environment_name(name: str) -> str:
     return str(named) if same else name
 
 
-def certificate_row(
+def _certificate_row(
     scenario: str, seeds: range, rows: Sequence[EpisodeRow], reference: Sequence[EpisodeRow], reach: float
 ) -> dict[str, Any]:
-    """Return the metrics of a scenario, and under "fails" its values beyond a limit with the limits, as text.
+    """Return name, seeds and metrics of a scenario, and under "fails" its values beyond a limit with limits, as text.
 
     Args:
         scenario: name of the scenario.
@@ -144,9 +140,6 @@ def certificate_row(
         rows: rows of the scenario.
         reference: rows of the same seeds in the environment of the policy.
         reach: sum of the lengths of the links, m.
-
-    Returns:
-        Name, seeds, metrics and "fails" of the scenario.
     """
     now, trained = _aggregates(METRIC_NAMES, rows), _aggregates(METRIC_NAMES, reference)
     reasons = []
@@ -202,9 +195,9 @@ def _changes_beyond_training(environment: Configuration, trained: Configuration)
     A parameter that the training randomised gets the range next to its range in the training, any other parameter the
     range of its condition.
     """
-    trained_ranges, result = randomised_ranges(trained), []
+    trained_ranges, result = trained.randomised_ranges, []
     for condition in ("payload", "stiffness") if NAMED_ENVIRONMENTS[environment.id].conditions else ():
-        spans = randomised_ranges(Configuration(environment.id, {"condition": condition}))
+        spans = Configuration(environment.id, {"condition": condition}).randomised_ranges
         ranges = [trained_ranges[name] for name in spans if name in trained_ranges]
         low, high = next(iter(spans.values()))
         if ranges:
@@ -234,13 +227,10 @@ def _worst_episodes(rows: Sequence[EpisodeRow]) -> list[dict[str, Any]]:
 
 def _aggregates(names: Sequence[str], rows: Sequence[EpisodeRow]) -> dict[str, float]:
     """Return the metrics over all rows by name."""
-    return {name: float(METRICS[name].aggregate(_values(name, rows))) for name in names}
+    values = {name: np.array([row.values[VALUES.index(name)] for row in rows]) for name in names}
+    return {name: float(METRICS[name].aggregate(values[name])) for name in names}
 
 
 def _plain(metrics: dict[str, float]) -> dict[str, float | None]:
     """Return metrics with None for an infinite value, which JSON cannot represent."""
     return {name: value if np.isfinite(value) else None for name, value in metrics.items()}
-
-
-def _values(name: str, rows: Sequence[EpisodeRow]) -> Array:
-    return np.array([row.values[VALUES.index(name)] for row in rows])

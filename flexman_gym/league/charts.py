@@ -9,14 +9,13 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.plot_style import BLUE, DARK, GREEN, LIGHT, RED, new_figure
 from flexman_gym.evaluation.agent import SIMPLE_AGENTS
-from flexman_gym.evaluation.agent_info import INFORMATION
-from flexman_gym.league.details import given_information, has_settling, short_name, sweep_text
+from flexman_gym.evaluation.agent_info import INFORMATION, describe_agent
+from flexman_gym.league.details import short_name, sweep_text
 from flexman_gym.league.rows import REFERENCE_AGENTS
-from flexman_gym.league.scenarios import GIVEN, LAB_SCENARIO
+from flexman_gym.league.scenarios import GIVEN, find_scenario
 from flexman_gym.league.standings import Standings
 
 CHART, SWEEP_CHART = "league.png", "sweeps.png"
-SWEPT_AGENTS = ("privileged-lqr", "lab-flexrrr", "adaptive-lqr", "lqg", "pd-torque")  # agents of the sweeps, if run
 ORDER = [*reversed(INFORMATION)]  # information given to the agents, from the least
 LINE_COLOURS = ("#767676", BLUE, RED, GREEN, "#8E4585")  # contrast of at least 3 on white
 LINE_WIDTHS = (4.2, 3.4, 2.6, 1.8, 1.0)  # points; lines that coincide remain visible
@@ -32,9 +31,6 @@ def draw_charts(standings: Standings, folder: Path, sweeps_only: bool = False) -
         folder: folder of the pictures.
         sweeps_only: True to leave out the heat map.
 
-    Returns:
-        Paths of the pictures.
-
     Raises:
         ImportError: without Matplotlib.
     """
@@ -46,18 +42,9 @@ def draw_charts(standings: Standings, folder: Path, sweeps_only: bool = False) -
     return paths
 
 
-def swept_agents(standings: Standings) -> list[str]:
-    """Return at most five agents with rows in sweeps or on other plants: SWEPT_AGENTS and realisable agents first."""
-    scenarios = [scenario for values in standings.sweeps.values() for scenario in values]
-    scenarios += [scenario for names in standings.plants.values() for scenario in names[1:]]
-    names = dict.fromkeys([*SWEPT_AGENTS, *standings.realisable(LAB_SCENARIO), *standings.agents])
-    found = [each for each in names if any(not standings.why(each, scenario) for scenario in scenarios)]
-    return [each for each in found if each not in SIMPLE_AGENTS][: len(LINE_COLOURS)]
-
-
 def _draw_heat_map(standings: Standings, path: Path) -> Path:
     """Draw the settled shares of all agents in all scenarios, and RMS errors of moving goals; return the path."""
-    names, groups = standings.scenarios, {each: given_information(each) for each in standings.agents}
+    names, groups = standings.scenarios, {each: describe_agent(each).kind for each in standings.agents}
     agents = sorted((each for each in groups if each not in SIMPLE_AGENTS), key=lambda each: ORDER.index(groups[each]))
     cells = [[_cell(standings, agent, name) for name in names] for agent in agents]
     figure = new_figure((2.4 + 0.52 * len(names), 1.1 + 0.34 * len(agents)), DPI, layout="constrained")
@@ -70,7 +57,7 @@ def _draw_heat_map(standings: Standings, path: Path) -> Path:
             colour = "white" if shade > 0.75 else DARK
             axes.text(j, i - 0.13 * bool(time), number, ha="center", va="center", fontsize=8.5, color=colour)
             axes.text(j, i + 0.26, time, ha="center", va="center", fontsize=6.5, color=colour)
-    labels = [short_name(name) + ("" if has_settling(name) else "\n(RMS, mm)") for name in names]
+    labels = [short_name(name) + ("" if find_scenario(name).has_settling else "\n(RMS, mm)") for name in names]
     axes.set_xticks(range(len(names)), labels, rotation=40, ha="left", rotation_mode="anchor", fontsize=8)
     axes.set_yticks(range(len(agents)), agents, fontsize=8.5)
     axes.set_xticks(np.arange(len(names) - 1) + 0.5, minor=True)
@@ -94,7 +81,7 @@ def _cell(standings: Standings, agent: str, scenario: str) -> tuple[float, str, 
     """
     if standings.why(agent, scenario):
         return np.nan, "", ""
-    if has_settling(scenario):
+    if find_scenario(scenario).has_settling:
         settled, time = standings.settled(agent, scenario)
         return settled, f"{100.0 * settled:.0f}", f"{-time:.2f} s" if np.isfinite(time) else ""
     own, best = (_rms_error(standings, each, scenario) for each in (agent, REFERENCE_AGENTS[1]))
@@ -109,7 +96,7 @@ def _rms_error(standings: Standings, agent: str, scenario: str) -> float:
 
 def _draw_sweeps(standings: Standings, path: Path) -> Path:
     """Draw a panel for each sweep, with a labelled line for each agent; return the path."""
-    agents, sweeps = swept_agents(standings), standings.sweeps
+    agents, sweeps = standings.swept_agents(), standings.sweeps
     rows = -(-len(sweeps) // COLUMNS)
     figure = new_figure((9.2, 2.0 * rows), DPI, layout="constrained")
     panels = np.atleast_1d(figure.subplots(rows, COLUMNS, squeeze=False)).ravel()
@@ -141,7 +128,7 @@ def _draw_sweep(axes: Any, values: Array, lines: dict[str, Array]) -> None:
             axes.plot(places, shares, color=colour, marker="o", markersize=width + 1.0, linewidth=width, label=agent)
     drawn = axes.get_lines()
     ends = np.array([line.get_ydata()[np.isfinite(line.get_ydata())][-1] for line in drawn])
-    for line, height in zip(drawn, spread_labels(ends / 100.0, LABEL_DISTANCE), strict=True):
+    for line, height in zip(drawn, _spread_labels(ends / 100.0, LABEL_DISTANCE), strict=True):
         place = {"transform": axes.get_yaxis_transform(), "va": "center", "fontsize": 7.5}
         axes.text(1.02, 100.0 * height, line.get_label(), color=line.get_color(), **place)
     axes.set(ylim=(-4.0, 104.0), xlim=(-0.2, len(values) - 0.8))
@@ -151,7 +138,7 @@ def _draw_sweep(axes: Any, values: Array, lines: dict[str, Array]) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def spread_labels(heights: Array, distance: float) -> Array:
+def _spread_labels(heights: Array, distance: float) -> Array:
     """Return heights (k,) between 0 and 1 at least a distance apart, near the given heights (k,) and in their order."""
     order = np.lexsort((-np.arange(len(heights)), heights))  # of equal heights, the first is at the top
     result, top = np.array(heights, dtype=float), 1.0

@@ -5,10 +5,9 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from flexman_gym.common.checks import value_error
-from flexman_gym.common.markdown import markdown_table
+from flexman_gym.common.markdown import markdown_table, number_text
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
-from flexman_gym.evaluation.agent import SIMPLE_AGENTS
-from flexman_gym.evaluation.agent_info import describe_agent, information_kind, training_seconds
+from flexman_gym.evaluation.agent_info import describe_agent, training_seconds
 from flexman_gym.evaluation.metrics import MEAN, MEDIAN, Metric, optimised_settling_times, task_metrics
 from flexman_gym.league.rows import DAMPING, TIME_RATIO
 from flexman_gym.league.scenarios import GIVEN, SWEEPS, find_scenario
@@ -37,36 +36,12 @@ def league_details(standings: Standings, name: str) -> list[str]:
     return _sweep_table(standings, name, sweeps[name]) if name in sweeps else _scenario_table(standings, name)
 
 
-def summary_rows(standings: Standings, scenarios: Iterable[str]) -> list[list[str]]:
-    """Return a row of a table for each agent: name, and result in each scenario."""
-    names = [*scenarios]
-    return [[f"`{each}`", *(settling_text(standings, each, name) for name in names)] for each in standings.agents]
-
-
-def settling_text(standings: Standings, agent: str, scenario: str) -> str:
-    """Return the share of settled episodes and the median settling time, or the score for a moving goal."""
-    if standings.why(agent, scenario):
-        return "no row"
-    if has_settling(scenario):
-        settled, time = standings.settled(agent, scenario)
-        return f"{100.0 * settled:.0f} %" + (f", {-time:.2f} s" if np.isfinite(time) else "")
-    score = standings.score(agent, scenario)
-    return "no scale" if score is None else f"score {number_text(score[0])}"
-
-
-def has_settling(scenario: str) -> bool:
-    """Return True if the goal of a scenario is at rest, so that its episodes have a settling time."""
-    return "settling_time" in {each.name for each in task_metrics(find_scenario(scenario).environment.task)}
-
-
-def information_text(agent: str) -> str:
-    """Return the information that an agent needs."""
-    return ", ".join(describe_agent(agent).information) or ("nothing" if agent in SIMPLE_AGENTS else "its motors")
-
-
-def given_information(agent: str) -> str:
-    """Return the kind of information that an agent is given, a key of INFORMATION."""
-    return information_kind(describe_agent(agent).information)
+def settling_table(
+    standings: Standings, agents: Iterable[str], scenarios: Iterable[str], heads: Sequence[str]
+) -> list[str]:
+    """Return a table with these heads, and a row for each agent: name, and result in each scenario."""
+    rows = [[f"`{each}`", *(standings.settling_text(each, name) for name in scenarios)] for each in agents]
+    return markdown_table(heads, rows)
 
 
 def short_name(scenario: str) -> str:
@@ -79,13 +54,6 @@ def sweep_text(name: str) -> str:
     return SWEEPS[name.removesuffix(GIVEN).rpartition("/")[2]].text
 
 
-def number_text(value: float) -> str:
-    """Return a number with three digits, "-" if it is not finite."""
-    if not np.isfinite(value):
-        return "-"
-    return f"{value:.0f}" if abs(value) >= 100.0 else f"{round(value, 3) + 0.0:.3g}"
-
-
 def _agent_lines(standings: Standings, agent: str) -> list[str]:
     """Return what an agent is and needs, its CPU time, and the scenarios where it fails or was not run."""
     info, names = describe_agent(agent), dict.fromkeys(scenario for scenario, _, _ in standings.results.cells)
@@ -94,7 +62,7 @@ def _agent_lines(standings: Standings, agent: str) -> list[str]:
     missing = [short_name(each) for each in names if standings.why(agent, each)]
     return [
         f"{agent}: {info.description}",
-        f"information: {information_text(agent)}",
+        f"information: {info.needs}",
         f"tuning or training: {info.tuning}",
         f"CPU time: {number_text(action)} us an action, {number_text(1e-3 * start)} ms at the start of an episode",
         f"fails in: {', '.join(failing) or 'no scenario'}",
@@ -105,7 +73,7 @@ def _agent_lines(standings: Standings, agent: str) -> list[str]:
 def _is_failing(standings: Standings, agent: str, scenario: str) -> bool:
     if standings.why(agent, scenario):
         return False
-    if has_settling(scenario):
+    if find_scenario(scenario).has_settling:
         return standings.settled(agent, scenario)[0] < BREAKDOWN_LEVEL
     score = standings.score(agent, scenario)
     return score is not None and score[0] < BREAKDOWN_LEVEL
@@ -119,7 +87,7 @@ def _overall_table(standings: Standings) -> list[str]:
         action, start = standings.cost(agent, standings.scenarios)
         trained = training_seconds(agent)
         rows.append([
-            f"`{agent}`", information_text(agent), _interval_text(standings.overall[agent]),
+            f"`{agent}`", describe_agent(agent).needs, _interval_text(standings.overall[agent]),
             f"{count - len(standings.missed(agent))} of {count}", _share_text(won) if won else "-",
             number_text(action), number_text(1e-3 * start), "-" if trained is None else number_text(trained / 60.0),
         ])  # fmt: skip
@@ -130,15 +98,14 @@ def _overall_table(standings: Standings) -> list[str]:
 def _sweep_table(standings: Standings, name: str, values: dict[str, float]) -> list[str]:
     heads = [sweep_text(name.removesuffix("=")), *(f"{value:g}" for value in values.values())]
     agents = [each for each in standings.agents if any(not standings.why(each, scenario) for scenario in values)]
-    rows = [[f"`{each}`", *(settling_text(standings, each, scenario) for scenario in values)] for each in agents]
-    return markdown_table(heads, rows)
+    return settling_table(standings, agents, values, heads)
 
 
 def _scenario_table(standings: Standings, scenario: str) -> list[str]:
     """Return a table of the agents with all metrics of a scenario, and notes on missing entries."""
     environment = find_scenario(scenario).environment
     metrics = [each for each in task_metrics(environment.task) if each.name != "reward"]  # the score is in its place
-    times, slews = optimised_settling_times(environment), has_settling(scenario)
+    times, slews = optimised_settling_times(environment), find_scenario(scenario).has_settling
     agents = [each for each in standings.agents if not standings.why(each, scenario)]
     scores = {each: standings.score(each, scenario) or (np.nan,) * 3 for each in agents}
     rows = []

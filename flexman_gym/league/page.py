@@ -7,21 +7,17 @@ from textwrap import fill
 
 import numpy as np
 
-from flexman_gym.common.markdown import markdown_table
+from flexman_gym.common.markdown import markdown_table, number_text
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.agent import SIMPLE_AGENTS
-from flexman_gym.evaluation.agent_info import INFORMATION
-from flexman_gym.league.charts import CHART, SWEEP_CHART, draw_charts, swept_agents
+from flexman_gym.evaluation.agent_info import INFORMATION, describe_agent
+from flexman_gym.league.charts import CHART, SWEEP_CHART, draw_charts
 from flexman_gym.league.details import (
-    given_information,
-    information_text,
-    number_text,
-    settling_text,
     short_name,
     sweep_text,
 )
 from flexman_gym.league.rows import BLOCK, REFERENCE_AGENTS, LeagueRows
-from flexman_gym.league.scenarios import GIVEN, LAB_SCENARIO, PLANTS, find_scenario, randomised_ranges
+from flexman_gym.league.scenarios import GIVEN, LAB_SCENARIO, PLANTS, find_scenario
 from flexman_gym.league.standings import Standings
 from flexman_gym.metrics.signals import BAND
 
@@ -130,7 +126,8 @@ def _recommendation(standings: Standings) -> str:
     sentences = [
         f"For an arm with unknown payload and stiffness and a known delay (`{LAB_SCENARIO}`), use `{best}`.",
         _settling_sentence(standings, best),
-        f"It needs: {information_text(best)}".replace("of the model", "of the model, ranges of the parameters") + ".",
+        f"It needs: {describe_agent(best).needs}".replace("of the model", "of the model, ranges of the parameters")
+        + ".",
         f"An action takes {number_text(action)} us of CPU time, and the start of an episode "
         f"{number_text(1e-3 * start)} ms.",
     ]
@@ -156,7 +153,7 @@ def _choice_table(standings: Standings) -> list[str]:
     groups: dict[str, list[str]] = {name: [] for name in reversed(INFORMATION)}
     for agent in standings.agents:
         if agent not in SIMPLE_AGENTS:
-            groups[given_information(agent)].append(agent)
+            groups[describe_agent(agent).kind].append(agent)
     rows = []
     for given, agents in groups.items():
         best = []
@@ -164,17 +161,21 @@ def _choice_table(standings: Standings) -> list[str]:
             run = [each for each in agents if not standings.why(each, scenario)]
             best += [max(run, key=lambda each: standings.settled(each, scenario))] if run else []
         for agent in dict.fromkeys(best):
-            results = [settling_text(standings, agent, each) for each in columns]
+            results = [standings.settling_text(agent, each) for each in columns]
             rows.append([given, f"`{agent}`", *results, number_text(standings.cost(agent, standings.scenarios)[0])])
     return markdown_table(["given", "agent", *(f"`{short_name(each)}`" for each in columns), "action, CPU us"], rows)
 
 
 def _limits(standings: Standings) -> str:
     """Return the table of limits and the chart of the sweeps."""
-    if not (agents := swept_agents(standings)):
+    if not (agents := standings.swept_agents()):
         return "No sweep of a parameter and no other simulation was run."
     rows = [
-        [_sweep_name(name), given_values([*values]), *(_well_settled(standings, agent, values) for agent in agents)]
+        [
+            _sweep_name(name),
+            find_scenario(next(iter(values))).given_values(),
+            *(_well_settled(standings, agent, values) for agent in agents),
+        ]
         for name, values in standings.sweeps.items()
     ]
     for names in standings.plants.values():
@@ -201,19 +202,6 @@ def _on_plants(standings: Standings, agent: str, names: Sequence[str]) -> str:
 def _sweep_name(name: str) -> str:
     where = short_name(name.removesuffix(GIVEN)).rpartition("/")[0]
     return sweep_text(name) + (f" (`{where}`)" if where else "")
-
-
-def given_values(scenarios: Sequence[str]) -> str:
-    """Return the values for which the controllers of a sweep are designed: the value itself, a range, or nominal."""
-    environment, given = find_scenario(scenarios[0])[:2]
-    if environment == given:
-        return "the value"
-    known = randomised_ranges(given)
-    changed = [known.get(name) for name, span in randomised_ranges(environment).items() if known.get(name) != span]
-    if not changed:
-        return "nominal"
-    low, high = changed[0] or (0.0, 0.0)
-    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
 def _well_settled(standings: Standings, agent: str, values: Mapping[str, float]) -> str:

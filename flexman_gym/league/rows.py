@@ -22,9 +22,9 @@ from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS
 from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.vector_env import compile_kernels
-from flexman_gym.evaluation.agent import BASELINES, find_agent, timed_agent
+from flexman_gym.evaluation.agent import BASELINES, find_agent
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent
-from flexman_gym.evaluation.metrics import METRICS, equivalent_damping, optimised_settling_times
+from flexman_gym.evaluation.metrics import METRICS, optimised_settling_times
 from flexman_gym.evaluation.policy_files import ARRAYS, METADATA, policy_folder
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.league.scenarios import PLANTS, find_scenario
@@ -48,7 +48,7 @@ class EpisodeRow(NamedTuple):
     """Results of one episode.
 
     Attributes:
-        key: hash of all inputs of the results, see `row_key`.
+        key: hash of all inputs of the results, see `_row_key`.
         agent: name of the agent.
         scenario: name of the scenario.
         seed: seed of the episode.
@@ -66,7 +66,7 @@ class EpisodeBlock(NamedTuple):
     """Cell of a league: a block of episodes of one agent in one scenario, simulated together as one batch.
 
     Attributes:
-        key: hash of all inputs of the results, see `row_key`.
+        key: hash of all inputs of the results, see `_row_key`.
         agent: name of the agent.
         scenario: name of the scenario.
         first, end: first seed, and last seed + 1.
@@ -82,6 +82,28 @@ class EpisodeBlock(NamedTuple):
     action: float = np.nan
     design: float = np.nan
     why: str = ""
+
+    def run(self) -> tuple["EpisodeBlock", list[EpisodeRow]]:
+        """Run the episodes; return the cell with CPU times, or with the reason for no rows, and its rows."""
+        try:
+            scenario, agent = find_scenario(self.scenario), find_agent(self.agent)
+            lab = _is_lab(self.scenario) and self.agent not in REFERENCE_AGENTS
+            if lab and not describe_agent(self.agent).realisable:
+                return self._replace(why="it needs information that a laboratory cannot measure"), []
+            seeds, (agent, clock) = range(self.first, self.end), agent.timed(scenario.given)
+            result = rollout(agent, scenario.environment, seeds, set_plant=PLANTS[scenario.plant][1])
+        except ValueError as error:
+            words, _, allowed = str(error).splitlines()[0].partition(" is not allowed; give ")
+            return self._replace(why=f"{words.split(':')[0]}: only {allowed}" if allowed else words), []
+        times, rows = optimised_settling_times(scenario.environment), []
+        for seed, record in zip(seeds, result.records, strict=True):
+            values = {name: metric.function(record) for name, metric in METRICS.items()}
+            multiple = values["settling_time"] / times.get(seed, np.nan)
+            values |= {TIME_RATIO: multiple, DAMPING: record.equivalent_damping()}
+            rows.append(EpisodeRow(self.key, self.agent, self.scenario, seed, tuple(values.values())))
+        action, design = (clock.action_seconds, clock.start_seconds) if clock else (0.0, 0.0)
+        action = 1e6 * action / float(np.sum(result.lengths))
+        return self._replace(action=action, design=1e6 * design / len(seeds)), rows
 
 
 class LeagueRows:
@@ -109,9 +131,6 @@ class LeagueRows:
 
         Args:
             folder: folder of the files.
-
-        Returns:
-            Rows and cells.
 
         Raises:
             FileNotFoundError: for cells without rows.
@@ -148,7 +167,7 @@ def run_league(
     agents: Sequence[str], scenarios: Sequence[str], seeds: range, folder: Path, jobs: Workers | int = 1,
     log: Callable[[str], None] = print,
 ) -> LeagueRows:  # fmt: skip
-    """Run the cells that a folder lacks, and write the files of the folder after each cell.
+    """Run the cells that a folder lacks, and write its files after each cell; return all its rows and cells.
 
     Args:
         agents: names of agents, see `find_agent`.
@@ -158,9 +177,6 @@ def run_league(
         jobs: `Workers`, or a number of processes; the rows do not depend on this choice.
         log: function of one line of text for each cell.
 
-    Returns:
-        All rows and cells of the folder.
-
     Raises:
         FileNotFoundError: for an unknown agent or environment.
         ValueError: for a run whose training used some of the seeds, before any simulation; and for an unknown scenario.
@@ -169,41 +185,19 @@ def run_league(
         check_seeds_unseen(agent, seeds)
         describe_agent(agent)
     results = LeagueRows.load(folder)
-    keys = {(agent, scenario): row_key(agent, scenario) for scenario in scenarios for agent in agents}
+    keys = {(agent, scenario): _row_key(agent, scenario) for scenario in scenarios for agent in agents}
     blocks = [(first, min(first + BLOCK, seeds.stop)) for first in range(seeds.start, seeds.stop, BLOCK)]
     cells = [EpisodeBlock(key, *pair, *block) for pair, key in keys.items() for block in blocks]
     missing = [cell for cell in cells if not results.has(cell)]
     folder.mkdir(parents=True, exist_ok=True)
     for count, (_, (cell, rows)) in enumerate(
-        parallel_map_unordered(run_block, missing, jobs, prepare=compile_kernels), 1
+        parallel_map_unordered(EpisodeBlock.run, missing, jobs, prepare=compile_kernels), 1
     ):
         results.add(cell, rows)
         results.save(folder)
         result = cell.why or f"{cell.action:.0f} us an action"
         log(f"{count} of {len(missing)}: {cell.agent} on {cell.scenario}, {cell.first} to {cell.end - 1}: {result}")
     return results
-
-
-def run_block(cell: EpisodeBlock) -> tuple[EpisodeBlock, list[EpisodeRow]]:
-    """Run the episodes of a cell; return its rows and the cell with CPU times, or with the reason for no rows."""
-    try:
-        scenario, agent = find_scenario(cell.scenario), find_agent(cell.agent)
-        lab = _is_lab(cell.scenario) and cell.agent not in REFERENCE_AGENTS
-        if lab and not describe_agent(cell.agent).realisable:
-            return cell._replace(why="it needs information that a laboratory cannot measure"), []
-        seeds, (agent, clock) = range(cell.first, cell.end), timed_agent(agent, scenario.given)
-        result = rollout(agent, scenario.environment, seeds, set_plant=PLANTS[scenario.plant][1])
-    except ValueError as error:
-        words, _, allowed = str(error).splitlines()[0].partition(" is not allowed; give ")
-        return cell._replace(why=f"{words.split(':')[0]}: only {allowed}" if allowed else words), []
-    times, rows = optimised_settling_times(scenario.environment), []
-    for seed, record in zip(seeds, result.records, strict=True):
-        values = {name: metric.function(record) for name, metric in METRICS.items()}
-        multiple = values["settling_time"] / times.get(seed, np.nan)
-        values |= {TIME_RATIO: multiple, DAMPING: equivalent_damping(record)}
-        rows.append(EpisodeRow(cell.key, cell.agent, cell.scenario, seed, tuple(values.values())))
-    action, design = (clock.action_seconds, clock.start_seconds) if clock else (0.0, 0.0)
-    return cell._replace(action=1e6 * action / float(np.sum(result.lengths)), design=1e6 * design / len(seeds)), rows
 
 
 @cache
@@ -222,16 +216,12 @@ def _content_without_comments(path: Path) -> bytes:
     tree = ast.parse(path.read_bytes())
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
-            node.body = [each for each in node.body if not _is_text(each)]
+            texts = [each for each in node.body if isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant)]
+            node.body = [each for each in node.body if each not in texts]
     return ast.dump(tree).encode()
 
 
-def _is_text(statement: ast.stmt) -> bool:
-    """Return True if a statement is a docstring, of a module, a class, a function or a constant."""
-    return isinstance(statement, ast.Expr) and isinstance(getattr(statement.value, "value", None), str)
-
-
-def row_key(agent: str, scenario: str) -> str:
+def _row_key(agent: str, scenario: str) -> str:
     """Return a hash of all inputs of the results: scenario, agent, files of a run, code and package versions."""
     *both, plant = find_scenario(scenario)
     parts: list[Any] = [*(each.to_plain() for each in both), plant, _code_hash(PACKAGE, SOURCES)]

@@ -8,6 +8,7 @@ from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS, NOMINAL
 from flexman_gym.evaluation.agent import INTERFACE
+from flexman_gym.evaluation.metrics import task_metrics
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import SequentialIntegrator
@@ -22,10 +23,6 @@ ELEMENTS, STEP_DIVISOR = 3, 4  # finite elements for each section of a link; div
 def _set_method_plant(batch: Batch) -> None:
     runs = [Integrator(batch.model, METHODS[METHOD], TOLERANCE, []) for _ in batch.rows]
     batch.replace_integrator(lambda _: SequentialIntegrator(runs, (batch.control_period, 1)))
-
-
-def _set_finer_plant(batch: Batch) -> None:
-    _set_external_plant(batch, RefinedSimulator(batch, ELEMENTS, STEP_DIVISOR))
 
 
 def _set_mujoco_plant(batch: Batch) -> None:
@@ -45,7 +42,7 @@ PLANTS: dict[str, tuple[str, Callable[[Batch], None]]] = {
     "method": (f"the same model, integrated by {METHOD} with adaptive steps", _set_method_plant),
     "finer": (
         f"{ELEMENTS} elements for each link, all coordinates, foreshortening, a step {STEP_DIVISOR} times shorter",
-        _set_finer_plant,
+        lambda batch: _set_external_plant(batch, RefinedSimulator(batch, ELEMENTS, STEP_DIVISOR)),
     ),
     "mujoco": ("MuJoCo, each link as 3 rigid bodies connected by springs", _set_mujoco_plant),
 }
@@ -86,19 +83,13 @@ def _number(text: str) -> int | float:
     return int(text) if text.isdecimal() else float(text)
 
 
-def randomised_ranges(environment: Configuration) -> dict[str, Any]:
-    """Return the ranges of the randomised parameters of an environment by name."""
-    own = environment.randomisation
-    return dict(own.given) if own else {}
-
-
 def _range_settings(*names: str) -> Callable[[Configuration, str], dict[str, Any]]:
     """Return the function `settings` of a change of randomised parameters to "value" or "low:high"."""
 
     def settings(environment: Configuration, value: str) -> dict[str, Any]:
         low, colon, high = value.partition(":")
         span = [_number(low), _number(high if colon else low)]
-        return {"randomisation": {**randomised_ranges(environment), **{name: list(span) for name in names}}}
+        return {"randomisation": {**environment.randomised_ranges, **{name: list(span) for name in names}}}
 
     return settings
 
@@ -178,6 +169,22 @@ class Scenario(NamedTuple):
     given: Configuration
     plant: str = "usual"
 
+    @property
+    def has_settling(self) -> bool:
+        """True if the goal is at rest, so that the episodes have a settling time."""
+        return "settling_time" in {each.name for each in task_metrics(self.environment.task)}
+
+    def given_values(self) -> str:
+        """Return the values for which the controllers of a sweep are designed: the value, a range, or nominal."""
+        if self.environment == self.given:
+            return "the value"
+        known, ranges = self.given.randomised_ranges, self.environment.randomised_ranges
+        changed = [known.get(name) for name, span in ranges.items() if known.get(name) != span]
+        if not changed:
+            return "nominal"
+        low, high = changed[0] or (0.0, 0.0)
+        return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+
 
 def find_scenario(name: str) -> Scenario:
     """Return the scenario of a name: ENVIRONMENT[/CHANGE=VALUE[+given]][@PLANT].
@@ -191,9 +198,6 @@ def find_scenario(name: str) -> Scenario:
 
     Args:
         name: name of the scenario.
-
-    Returns:
-        Environment, information given to the agent, and plant.
 
     Raises:
         FileNotFoundError: for an unknown environment.

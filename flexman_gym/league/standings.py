@@ -7,10 +7,12 @@ from functools import cache, cached_property
 import numpy as np
 
 from flexman_gym.common.arrays import Array
+from flexman_gym.common.markdown import number_text
 from flexman_gym.common.renamed import MEMBERS, deprecated_members
+from flexman_gym.evaluation.agent import SIMPLE_AGENTS
 from flexman_gym.evaluation.agent_info import describe_agent
 from flexman_gym.league.rows import REFERENCE_AGENTS, VALUES, EpisodeRow, LeagueRows
-from flexman_gym.league.scenarios import GIVEN, PLANTS, SWEEPS, USUAL_SCENARIOS, find_scenario
+from flexman_gym.league.scenarios import GIVEN, LAB_SCENARIO, PLANTS, SWEEPS, USUAL_SCENARIOS, find_scenario
 from flexman_gym.metrics import (
     improvements,
     interquartile_mean,
@@ -20,6 +22,7 @@ from flexman_gym.metrics import (
     stratified_interval,
 )
 
+SWEPT_AGENTS = ("privileged-lqr", "lab-flexrrr", "adaptive-lqr", "lqg", "pd-torque")  # agents of the sweeps, if run
 Interval = tuple[float, float, float]  # estimate, and the ends of its bootstrap interval
 
 
@@ -150,25 +153,40 @@ class Standings:
         return float(won.mean()), *stratified_interval(won, mean)
 
     def settled(self, agent: str, scenario: str, seeds: Collection[int] | None = None) -> tuple[float, float]:
-        """Return share of settled episodes and minus the median settling time; the better agent has the larger tuple.
+        """Return share of settled episodes (0 to 1), minus median settling time (s); the better has the larger tuple.
 
         Args:
             agent: name of an agent with rows in the scenario.
             scenario: name of the scenario.
             seeds: seeds of the episodes; None for all.
-
-        Returns:
-            Share of settled episodes (from 0 to 1), and minus the median settling time (s).
         """
         values = self.values(agent, scenario, "settling_time")
         times = np.sort([time for seed, time in values.items() if seeds is None or seed in seeds])
         return float(np.mean(np.isfinite(times))), -float(times[len(times) // 2])
 
+    def settling_text(self, agent: str, scenario: str) -> str:
+        """Return the share of settled episodes and the median settling time, or the score for a moving goal."""
+        if self.why(agent, scenario):
+            return "no row"
+        if find_scenario(scenario).has_settling:
+            settled, time = self.settled(agent, scenario)
+            return f"{100.0 * settled:.0f} %" + (f", {-time:.2f} s" if np.isfinite(time) else "")
+        score = self.score(agent, scenario)
+        return "no scale" if score is None else f"score {number_text(score[0])}"
+
     def realisable(self, scenario: str) -> list[str]:
         """Return the agents with rows in a scenario that use measurable signals only, the recommended agent first."""
-        agents = [each for each in self.agents if each not in ("zero", "random") and not self.why(each, scenario)]
+        agents = [each for each in self.agents if each not in SIMPLE_AGENTS and not self.why(each, scenario)]
         agents = [each for each in agents if describe_agent(each).realisable]
         return sorted(agents, key=lambda each: self.settled(each, scenario), reverse=True)
+
+    def swept_agents(self) -> list[str]:
+        """Return at most five agents with rows in sweeps or on other plants: SWEPT_AGENTS and realisable ones first."""
+        scenarios = [scenario for values in self.sweeps.values() for scenario in values]
+        scenarios += [scenario for names in self.plants.values() for scenario in names[1:]]
+        names = dict.fromkeys([*SWEPT_AGENTS, *self.realisable(LAB_SCENARIO), *self.agents])
+        found = [each for each in names if any(not self.why(each, scenario) for scenario in scenarios)]
+        return [each for each in found if each not in SIMPLE_AGENTS][: len(SWEPT_AGENTS)]
 
     def cost(self, agent: str, scenarios: Sequence[str]) -> tuple[float, float]:
         """Return the CPU times (microseconds) of an action and of the start of an episode, medians over cells."""

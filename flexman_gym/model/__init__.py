@@ -10,7 +10,6 @@ from flexman_gym.model.dynamics import (
     stiffness_matrix,
     tip_acceleration,
 )
-from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, build_model, scene_model
 from flexman_gym.model.state_space import LinearModel
 from flexman_gym.model.statics import holding_torques, rest_state
@@ -29,7 +28,6 @@ __all__ = [
     "frequencies",
     "holding_torques",
     "inverse_dynamics",
-    "linearize",
     "mass_matrix",
     "modes",
     "rest_state",

@@ -18,16 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.model.element import (
-    GAUSS_POINTS,
-    NODE_COORDINATES,
-    Element,
-    beam_elements,
-    beam_shapes,
-    beam_slopes,
-    find_element,
-    section_points,
-)
+from flexman_gym.model.element import GAUSS_POINTS, NODE_COORDINATES, Element, section_points
 from flexman_gym.scene.link import Link, NonUniformLink
 from flexman_gym.scene.rigid_body import LumpedMass
 
@@ -63,13 +54,14 @@ def _beam_stations(elements: Sequence[Element], size: int) -> tuple[Array, Array
     integral, shapes = np.zeros((size, size)), np.zeros((count + 1, 3, size))
     # G couples neighbouring nodes only, so one block per element is summed
     blocks, sums = _blocks(integral, len(elements)), np.zeros((count, len(elements), BLOCK, BLOCK))
-    for i, (_, _, length, nodes) in enumerate(elements):
+    for i, element in enumerate(elements):
+        length, nodes = element.length, element.nodes
         inboard = integral[nodes, nodes].copy()
         for end in [*(1 + fine) / 2, 1.0]:
-            shape = beam_shapes(end, length, 0.0, 0.0)
+            shape = element.shapes(end)
             integral[nodes, nodes] = inboard
             for xi, weight in zip(end * (1 + abscissae) / 2, end * weights / 2, strict=True):
-                slopes = beam_slopes(xi, length)
+                slopes = element.slopes(xi)
                 integral[nodes, nodes] += weight * length * slopes.T @ slopes
             if end < 1.0:
                 mean = next(means)[:, None, None]
@@ -187,13 +179,13 @@ def _displacement(body: LumpedMass, point: Array, elements: Sequence[Element], s
         elements: elements of the link, base to tip.
         size: number of node coordinates of the link, including the clamped node.
     """
-    element, xi = find_element(elements, body.position)
+    element, xi = Element.find(elements, body.position)
     theta = np.zeros((3, 2 * NODE_COORDINATES))
     theta[0, [3, 9]] = 1.0 - xi, xi
-    slopes = beam_slopes(xi, element.length)
+    slopes = element.slopes(xi)
     theta[1], theta[2] = -slopes[1], slopes[0]  # theta_y = -w', theta_z = v'
     result = np.zeros((3, size))
-    result[:, element.nodes] = beam_shapes(xi, element.length, 0.0, 0.0) + np.cross(theta.T, point).T
+    result[:, element.nodes] = element.shapes(xi) + np.cross(theta.T, point).T
     return result
 
 
@@ -210,7 +202,7 @@ def foreshortening_matrix(position: float, elements: Sequence[Element], size: in
     for element in elements:
         end = np.clip((position - element.start) / element.length, 0.0, 1.0)
         for xi, weight in zip(end * (1 + abscissae) / 2, end * weights / 2, strict=True):
-            slopes = beam_slopes(xi, element.length)
+            slopes = element.slopes(xi)
             result[element.nodes, element.nodes] += weight * element.length * slopes.T @ slopes
     return result
 
@@ -285,7 +277,7 @@ def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True
         flexible: False makes the link rigid, with k = 0.
         rotary_inertia: see `ModelChoice`; lumped masses have their inertia in any case.
     """
-    parts = beam_elements(link, elements)
+    parts = Element.divide(link, elements)
     size = NODE_COORDINATES * (len(parts) + 1)
     stiffness = np.zeros((size, size))
     for element in parts:
@@ -378,7 +370,8 @@ def _mass_points(
     """Return masses (p,), positions (p, 3) and shapes (p, 3, size) of the mass points inboard of a limit (m)."""
     abscissae, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     masses, positions, shapes = [], [], []
-    for section, start, length, nodes in elements:
+    for element in elements:
+        section, start, length, nodes = element
         points = section_points(section) if rotary_inertia else np.zeros((1, 2))
         end = np.clip((limit - start) / length, 0.0, 1.0)
         for xi, weight in zip(end * (1 + abscissae) / 2, end * weights / 2, strict=True):
@@ -386,7 +379,7 @@ def _mass_points(
                 masses.append(weight * length * section.density * section.area / len(points))
                 positions.append([start + xi * length, y, z])
                 shape = np.zeros((3, size))
-                shape[:, nodes] = beam_shapes(xi, length, y, z)
+                shape[:, nodes] = element.shapes(xi, y, z)
                 shapes.append(shape)
     return np.array(masses), np.array(positions), np.array(shapes)
 

@@ -88,6 +88,24 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
     return frequencies[order], shapes[:, order]
 
 
+def select_modes(shapes: Array, modes: int | tuple[int, ...] | None, field: str) -> Array:
+    """Return the node coordinates (size, k) of a link per unit of each retained coordinate.
+
+    Args:
+        shapes: (size, size) shapes of its loaded modes, as columns.
+        modes: number of retained modes, or a tuple of their indices; None retains all coordinates.
+        field: name of the argument, for errors.
+    """
+    size = len(shapes)
+    if modes is None:
+        return np.eye(size)
+    if isinstance(modes, int) and modes > size:
+        raise value_error(field, modes, f"at most {size}, the elastic coordinates of this link's elements")
+    if isinstance(modes, tuple) and modes[-1] >= size:
+        raise value_error(field, modes, f"mode numbers below {size}, the elastic coordinates of this link's elements")
+    return shapes[:, range(modes) if isinstance(modes, int) else modes]
+
+
 def modal_damping(stiffness: Array, modes: tuple[Array, Array], ratio: float) -> Array:
     """Return the damping matrix (k, k) of a link whose loaded modes all have the same damping ratio.
 

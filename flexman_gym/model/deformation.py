@@ -8,7 +8,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import finite, non_negative, number_array, value_error, vector, whole_number
-from flexman_gym.model.element import NODE_COORDINATES, beam_shapes, beam_slopes, find_element
+from flexman_gym.model.element import NODE_COORDINATES, Element
 from flexman_gym.model.model import Model, check_model
 
 
@@ -103,7 +103,7 @@ def _deformation(model: Model, state: Vector, link: int, position: float) -> Arr
     if basis.shape[1] == 0:
         return np.zeros(4)
     nodes = np.append(np.zeros(NODE_COORDINATES), basis @ x[model.elastic_columns(i)])
-    element, xi = find_element(model.elements(i), place)
+    element, xi = Element.find(model.elements(i), place)
     return _element_strains(xi, element.length) @ nodes[element.nodes]
 
 
@@ -228,14 +228,14 @@ def _shapes(model: Model, link: int, points: int) -> _LinkShapes:
     positions, k = np.linspace(0.0, length, points), basis.shape[1]
     rows, radii = np.zeros((points, 10, k)), np.zeros((points, 3))
     for row, radius, place in zip(rows, radii, positions, strict=True):
-        element, xi = find_element(elements, place)
+        element, xi = Element.find(elements, place)
         section = element.section
         moments = np.array([section.second_moment_z, section.second_moment_y])
         radius[:] = np.sqrt(np.append(moments, moments.sum()) / section.area)
         if k:
             basis = nodes[element.nodes]
-            slope_v, slope_w = beam_slopes(xi, element.length) @ basis
-            row[DISPLACEMENT] = beam_shapes(xi, element.length, 0.0, 0.0) @ basis
+            slope_v, slope_w = element.slopes(xi) @ basis
+            row[DISPLACEMENT] = element.shapes(xi) @ basis
             row[ROTATION] = (1.0 - xi) * basis[3] + xi * basis[3 + NODE_COORDINATES], -slope_w, slope_v
             row[STRAIN] = _element_strains(xi, element.length) @ basis
     if not (k and model.choice.stiffening):
@@ -244,11 +244,11 @@ def _shapes(model: Model, link: int, points: int) -> _LinkShapes:
     abscissae, weights = np.polynomial.legendre.leggauss(SLOPE_GAUSS_POINTS)
     slopes = []
     for first, last in pairwise(ends):
-        element, _ = find_element(elements, (first + last) / 2)
+        element, _ = Element.find(elements, (first + last) / 2)
         for at, weight in zip(abscissae, weights, strict=True):
             xi = (first + (1.0 + at) / 2 * (last - first) - element.start) / element.length
             root = np.sqrt(weight / 4 * (last - first))  # with a factor 1/2 of the integrand and 1/2 of the interval
-            slopes.append(root * beam_slopes(xi, element.length) @ nodes[element.nodes])
+            slopes.append(root * element.slopes(xi) @ nodes[element.nodes])
     return _LinkShapes(rows, np.array(slopes), SLOPE_GAUSS_POINTS * np.searchsorted(ends, positions), radii)
 
 

@@ -11,6 +11,8 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray, Matrix, Vector
 from flexman_gym.common.checks import check_magnitudes, flag, number_array, value_error, vector
 from flexman_gym.kernels import dynamics, inverse, outputs
+from flexman_gym.kernels.arguments import address_table, aligned_zeros, tangent_constants
+from flexman_gym.kernels.lanes import TANGENTS
 from flexman_gym.kernels.layout import (
     LARGEST_STATE,
     OUTPUTS,
@@ -20,7 +22,7 @@ from flexman_gym.kernels.layout import (
     make_work,
 )
 from flexman_gym.model.model import Model, check_model
-from flexman_gym.model.natural_modes import natural_modes
+from flexman_gym.model.state_space import natural_modes
 
 Forces = Callable[[Array, Array, Array], Array]  # generalised forces of coordinates, speeds and accelerations
 
@@ -98,7 +100,10 @@ def stiffness_matrix(model: Model, coordinates: Array | None = None) -> Array:
     if coordinates is not None:
         values = np.zeros(model.n_joints)
         inverse.spring_slopes(model.constants, coordinates, values)
-    return _assemble(model, values, model.constants.stiffness)
+    matrix = _assemble(model, values, model.constants.stiffness)
+    passive = np.flatnonzero(model.constants.passive)
+    matrix[passive, passive] = model.constants.passive_stiffness[passive]
+    return matrix
 
 
 def elastic_forces(model: Model, coordinates: Array) -> Array:
@@ -136,7 +141,7 @@ def frequencies(model: Model, joint_angles: Vector | Matrix | None = None, lock_
         joint_angles: (n,) rad, zero by default, or (k, n) for k postures.
         lock_joints: False leaves the motors free and returns d frequencies; the first n, of the rigid rotations about
             the joints, are zero. True locks the motors, and rigid joints, and returns the d - n frequencies of the
-            remaining coordinates.
+            remaining coordinates. Passive joints are never locked, and do not count in n.
 
     Returns:
         Frequencies (d,) or (d - n,), with a leading axis of length k for k postures.
@@ -153,14 +158,14 @@ def frequencies(model: Model, joint_angles: Vector | Matrix | None = None, lock_
     rows = angles if _has_rows(angles) else [angles]
     free = np.arange(model.n_dof)
     if flag("lock_joints", lock_joints):
-        free = np.setdiff1d(free, model.motor_columns)
+        free = np.setdiff1d(free, model.driven_columns)
     stiffness, result = stiffness_matrix(model)[np.ix_(free, free)], np.zeros((len(rows), len(free)))
     forces = inertial_forces(model, np.zeros(3))
     for row, posture in zip(result, rows, strict=True):
         mass = _mass_matrix(model, forces, split_state(model, model.initial_state(posture))[0])[np.ix_(free, free)]
         row[:] = natural_modes(mass, stiffness)[0] if len(free) else 0.0
     if not lock_joints:
-        result[:, :n] = 0.0
+        result[:, : len(model.driven_columns)] = 0.0
     result = np.sqrt(np.maximum(result, 0.0)) / (2 * np.pi)
     return result if rows is angles else result[0]
 
@@ -333,6 +338,20 @@ def inertial_forces(model: Model, gravity: Array | None = None) -> Forces:
         return out
 
     return forces
+
+
+def inertial_jacobian(model: Model, motion: Array) -> Array:
+    """Return the Jacobian (d + 3, 3 d) of inertial and gravity forces (d,) and tip velocity (3,), exact to rounding.
+
+    Args:
+        model: model of the arm.
+        motion: (3, d) coordinates, speeds and accelerations; the columns are their entries in this order.
+    """
+    constants, work = tangent_constants(model.constants), make_work(model.constants, aligned_zeros)
+    tables = address_table(constants, TANGENTS), address_table(work, TANGENTS)
+    out = np.zeros((model.n_dof + 3, motion.size))
+    inverse.inertial_jacobian(*tables, motion, out)
+    return out
 
 
 def tip_jacobian(model: Model, x: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -29,74 +29,71 @@ class Element(NamedTuple):
     length: float
     nodes: slice
 
+    @classmethod
+    def divide(cls, link: Link | NonUniformLink, elements: int) -> list[Self]:
+        """Return the finite elements of a link, base to tip.
 
-def beam_elements(link: Link | NonUniformLink, elements: int) -> list[Element]:
-    """Return the finite elements of a link, base to tip.
+        Args:
+            link: the link.
+            elements: number of equal elements in each section of the link.
+        """
+        result: list[Self] = []
+        start = 0.0
+        for section in link.sections:
+            length = section.length / elements
+            for i in range(elements):
+                first = NODE_COORDINATES * len(result)
+                result.append(cls(section, start + i * length, length, slice(first, first + 2 * NODE_COORDINATES)))
+            start += section.length
+        return result
 
-    Args:
-        link: the link.
-        elements: number of equal elements in each section of the link.
-    """
-    result: list[Element] = []
-    start = 0.0
-    for section in link.sections:
-        length = section.length / elements
-        for i in range(elements):
-            first = NODE_COORDINATES * len(result)
-            result.append(Element(section, start + i * length, length, slice(first, first + 2 * NODE_COORDINATES)))
-        start += section.length
-    return result
+    @classmethod
+    def find(cls, elements: Sequence[Self], position: float) -> tuple[Self, float]:
+        """Return the element at a position along a link, and the relative position xi in it, from 0 to 1.
 
+        Args:
+            elements: elements of the link, base to tip.
+            position: distance from the joint along the link, m, not negative. The element at a node is the outboard
+                one.
+        """
+        element = elements[bisect_right(elements, position, key=lambda element: element.start) - 1]
+        return element, (position - element.start) / element.length
 
-def find_element(elements: Sequence[Element], position: float) -> tuple[Element, float]:
-    """Return the element at a position along a link, and the relative position xi in it, from 0 to 1.
+    def shapes(self, xi: float, y: float = 0.0, z: float = 0.0) -> Array:
+        """Return the displacement (3, 12) of a point of the element per unit of its twelve node coordinates.
 
-    Args:
-        elements: elements of the link, base to tip.
-        position: distance from the joint along the link, m, not negative. The element at a node is the outboard one.
-    """
-    element = elements[bisect_right(elements, position, key=lambda element: element.start) - 1]
-    return element, (position - element.start) / element.length
+        The displacement is [u - y v' - z w', v - z phi, w + y phi], with cubic Hermite polynomials for v and w and
+        linear u and phi.
 
+        Args:
+            xi: relative position along the element, from 0 to 1.
+            y: coordinate of the point in the cross-section, m.
+            z: coordinate of the point in the cross-section, m.
+        """
+        axial = (1 - xi, xi)
+        deflection, slope = _hermite(xi, self.length), _hermite_derivative(xi, self.length)
+        shapes = np.zeros((3, 2 * NODE_COORDINATES))
+        for node in range(2):
+            u, v, w, phi, theta_y, theta_z = range(NODE_COORDINATES * node, NODE_COORDINATES * (node + 1))
+            shapes[0, u] = axial[node]
+            shapes[1, phi], shapes[2, phi] = -z * axial[node], y * axial[node]
+            shapes[1, v], shapes[0, v] = deflection[2 * node], -y * slope[2 * node]
+            shapes[1, theta_z], shapes[0, theta_z] = deflection[2 * node + 1], -y * slope[2 * node + 1]
+            shapes[2, w], shapes[0, w] = deflection[2 * node], -z * slope[2 * node]
+            shapes[2, theta_y], shapes[0, theta_y] = -deflection[2 * node + 1], z * slope[2 * node + 1]
+        return shapes
 
-def beam_shapes(xi: float, length: float, y: float, z: float) -> Array:
-    """Return the displacement (3, 12) of a point of an element per unit of its twelve node coordinates.
+    def slopes(self, xi: float) -> Array:
+        """Return the slopes v' and w' (2, 12) of the centreline of the element per unit of its twelve node coordinates.
 
-    The displacement is [u - y v' - z w', v - z phi, w + y phi], with cubic Hermite polynomials for v and w and linear u
-    and phi.
-
-    Args:
-        xi: relative position along the element, from 0 to 1.
-        length: length of the element, m.
-        y: coordinate of the point in the cross-section, m.
-        z: coordinate of the point in the cross-section, m.
-    """
-    axial = (1 - xi, xi)
-    deflection, slope = _hermite(xi, length), _hermite_derivative(xi, length)
-    shapes = np.zeros((3, 2 * NODE_COORDINATES))
-    for node in range(2):
-        u, v, w, phi, theta_y, theta_z = range(NODE_COORDINATES * node, NODE_COORDINATES * (node + 1))
-        shapes[0, u] = axial[node]
-        shapes[1, phi], shapes[2, phi] = -z * axial[node], y * axial[node]
-        shapes[1, v], shapes[0, v] = deflection[2 * node], -y * slope[2 * node]
-        shapes[1, theta_z], shapes[0, theta_z] = deflection[2 * node + 1], -y * slope[2 * node + 1]
-        shapes[2, w], shapes[0, w] = deflection[2 * node], -z * slope[2 * node]
-        shapes[2, theta_y], shapes[0, theta_y] = -deflection[2 * node + 1], z * slope[2 * node + 1]
-    return shapes
-
-
-def beam_slopes(xi: float, length: float) -> Array:
-    """Return the slopes v' and w' (2, 12) of the centreline of an element per unit of its twelve node coordinates.
-
-    Args:
-        xi: relative position along the element, from 0 to 1.
-        length: length of the element, m.
-    """
-    slope = np.array(_hermite_derivative(xi, length))
-    slopes = np.zeros((2, 2 * NODE_COORDINATES))
-    slopes[0, [1, 5, 7, 11]] = slope
-    slopes[1, [2, 4, 8, 10]] = slope * [1.0, -1.0, 1.0, -1.0]  # theta_y = -w'
-    return slopes
+        Args:
+            xi: relative position along the element, from 0 to 1.
+        """
+        slope = np.array(_hermite_derivative(xi, self.length))
+        slopes = np.zeros((2, 2 * NODE_COORDINATES))
+        slopes[0, [1, 5, 7, 11]] = slope
+        slopes[1, [2, 4, 8, 10]] = slope * [1.0, -1.0, 1.0, -1.0]  # theta_y = -w'
+        return slopes
 
 
 def section_points(link: Link) -> Array:

@@ -10,14 +10,15 @@ from flexman_gym.scene.scene import ModelChoice
 
 # fields of `layout.Constants` that are equal to fields or properties of joints
 EQUAL_FIELDS = (
-    "rotor_inertia", "viscous_friction", "coulomb_friction", "coulomb_rate", "static_excess", "stribeck_rate",
+    "rotor_inertia", "coulomb_friction", "coulomb_rate", "static_excess", "stribeck_rate",
     "knee_width", "ripple_torque", "ripple_cycles", "ripple_phase",
 )  # fmt: skip
 
 
 def joint_constants(arm: Arm, choice: ModelChoice) -> dict[str, np.ndarray]:
     """Return the fields of `layout.Constants` for joints and their rotors, by name."""
-    springs = [joint.stiffness is not None and choice.flexible_joints for joint in arm.joints]
+    passive = np.array([joint.passive for joint in arm.joints])
+    springs = [joint.stiffness is not None and choice.flexible_joints and not joint.passive for joint in arm.joints]
     motors = arm.n_joints + np.cumsum(springs) - 1
     fields = {name: np.array([getattr(joint, name) for joint in arm.joints]) for name in EQUAL_FIELDS}
     bent = [i for i, joint in enumerate(arm.joints) if springs[i] and joint.has_knees]
@@ -26,9 +27,12 @@ def joint_constants(arm: Arm, choice: ModelChoice) -> dict[str, np.ndarray]:
     values = np.array([(joint.stiffness or 0.0, joint.backlash or 0.0, joint.soft_stiffness) for joint in arm.joints])
     twists, shares = spring_knees(arm, bent, *values.T[:, None])
     return fields | {
+        "viscous_friction": np.array([joint.rotor_damping for joint in arm.joints]),
         "motor": np.where(springs, motors, -1).astype(np.int64),
-        "joint_stiffness": values[:, 0].copy(),
-        "joint_damping": np.array([joint.damping for joint in arm.joints]),
+        "joint_stiffness": np.where(passive, 0.0, values[:, 0]),
+        "joint_damping": np.array([joint.damping * (not joint.passive) for joint in arm.joints]),
+        "passive": passive.astype(np.int64),
+        "passive_stiffness": np.where(passive, values[:, 0], 0.0),
         "carried_inertia": fields["rotor_inertia"] * choice.spinning_rotors,
         "has_coulomb_friction": (fields["coulomb_friction"] > 0.0).astype(np.int64),
         "knee_start": np.append(0, np.cumsum(counts)),

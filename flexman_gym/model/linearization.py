@@ -1,13 +1,9 @@
 """Linearisation of an arm about a state: Jacobians by coordinates and speeds, named inputs and outputs.
 
 The equations of motion, inertial forces + damping v + stiffness q = torques, are differentiated term by term, so that
-stiff springs cause no loss of accuracy. Stiffness, damping, B and C are exact to rounding. The Jacobian of the inertial
-forces by the speeds is exact as well, because these forces are quadratic in the speeds.
-
-The Jacobian of the inertial forces by the coordinates is a central difference, extrapolated to order six. No step
-displaces a cross-section by more than 0.5 % of the length of its link or 0.005 rad. Its error, measured on random arms
-with deformed links and high speeds, is 1e-12 of its largest entry. The error of A is amplified by the condition number
-of the mass matrix to 1e-10 of its largest entry (metres and radians weighted by their masses).
+stiff springs cause no loss of accuracy. Forward-mode differentiation of the kernels, see `kernels.tangents`, makes all
+Jacobians exact to rounding. The condition number of the mass matrix (metres and radians weighted by their masses)
+amplifies the rounding errors in A and B.
 
 Joint springs with backlash or stiffness pieces have the tangent stiffness at the twist of the state: none within the
 gap, so take a state at rest under load (`statics.rest_state`). Torque ripple has no slope: it is a disturbance.
@@ -24,45 +20,19 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray, Vector
 from flexman_gym.common.checks import check_solvable, one_of, sequence, value_error
-from flexman_gym.kernels import outputs
 from flexman_gym.kernels.control_period import sparse_product
-from flexman_gym.kernels.layout import OUTPUTS, TIP_VELOCITY, make_work
 from flexman_gym.model.deformation import root_strain_matrix
 from flexman_gym.model.dynamics import (
-    RICHARDSON,
     acceleration,
     damping_matrix,
     inertial_forces,
-    mass_matrix,
+    inertial_jacobian,
     split_state,
     stiffness_matrix,
-    tip_jacobian,
 )
 from flexman_gym.model.element import NODE_COORDINATES
-from flexman_gym.model.model import Model, check_model
+from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel, SecondOrderForm
-
-FIRST_STEP = 0.005  # rad; step of differences for first derivatives; the truncation error is just below rounding
-
-
-def _coordinate_jacobian(model: Model, function: Callable[[Array], Array], x: Array) -> Array:
-    """Return the Jacobian (m, d) of a function of the coordinates by central differences, extrapolated to order six.
-
-    Args:
-        model: model of the arm.
-        function: function of the coordinates (d,) that returns an array (m,).
-        x: (d,) coordinates at which the Jacobian is computed.
-    """
-    size = coordinate_scales(model)
-
-    def derivative(unit: Array) -> Array:
-        h = FIRST_STEP
-        parts = [
-            weight / (2 * k * h) * (function(x + k * h * unit) - function(x - k * h * unit)) for k, weight in RICHARDSON
-        ]
-        return np.sum(parts, axis=0)
-
-    return np.transpose([derivative(unit) for unit in np.diag(size)]) / size
 
 
 def coordinate_scales(model: Model) -> Array:
@@ -88,6 +58,12 @@ OUTPUT_UNITS = MEASUREMENT_UNITS | {
     "joint_angles": "rad", "joint_rates": "rad/s", "tip": "m", "tip_velocity": "m/s", "tip_acceleration": "m/s^2",
 }  # fmt: skip
 INPUT_UNITS = {"motor_torques": "N m", "tip_force": "N", "base_acceleration": "m/s^2"}
+
+
+def input_columns(model: Model, name: str) -> range:
+    """Return the columns (m,) of an input of INPUT_UNITS among the n + 6 inputs of the kernels."""
+    n = model.n_joints
+    return {"motor_torques": range(n), "tip_force": range(n, n + 3), "base_acceleration": range(n + 3, n + 6)}[name]
 
 
 def _measurement_rows(model: Model) -> dict[str, Array]:
@@ -168,16 +144,16 @@ def _entries(rows: Array) -> tuple[IntArray, IntArray, Array]:
     return start, source, rows[rows != 0.0]
 
 
-def _output_rows(model: Model, state: Vector, accelerations: Array, names: object) -> tuple[Array, list[str]]:
-    """Return the matrix (p, 3 d) from coordinates, speeds and accelerations near a state to outputs, and their names.
+def _output_rows(model: Model, motion: Array, tip: Array, names: object) -> tuple[Array, list[str]]:
+    """Return the matrix (p, 3 d) from coordinates, speeds and accelerations near a motion to outputs, and their names.
 
     Args:
         model: model of the arm.
-        state: (2 d,).
-        accelerations: (d,) generalised accelerations at the state.
+        motion: (3, d) coordinates, speeds and accelerations.
+        tip: (3, 3 d) Jacobian of the tip velocity with respect to the motion.
         names: names of outputs in OUTPUT_UNITS; "tip_acceleration" requires zero speeds.
     """
-    n, d, (x, v) = model.n_joints, model.n_dof, split_state(model, state)
+    n, d = model.n_joints, model.n_dof
     measurements, parts, labels = _measurement_rows(model), [], []
     for i, given in enumerate(sequence("outputs", names, "names")):
         name = one_of(f"outputs[{i}]", given, OUTPUT_UNITS)
@@ -186,52 +162,54 @@ def _output_rows(model: Model, state: Vector, accelerations: Array, names: objec
         elif name in ("joint_angles", "joint_rates"):
             rows = np.roll(np.eye(n, 3 * d), d * (name == "joint_rates"), axis=1)
         else:
-            rows = _tip_rows(model, name, x, v, accelerations)
+            rows = _tip_rows(model, name, motion, tip)
         parts.append(rows)
         labels += column_names(name, OUTPUT_UNITS[name], len(rows), n)
     return np.vstack([np.zeros((0, 3 * d)), *parts]), labels
 
 
-def _tip_rows(model: Model, name: str, x: Array, v: Array, accelerations: Array) -> Array:
-    """Return the Jacobian (3, 3 d) of the tip position, velocity J v, or acceleration J a + (dJ/dt) v."""
-    d, rows = model.n_dof, np.zeros((3, 3 * model.n_dof))
-    order = ("tip", "tip_velocity", "tip_acceleration").index(name)
-    rows[:, order * d : (order + 1) * d] = tip_jacobian(model, x)
-    moving = (np.zeros(d), v, accelerations)[order]
-    if order == 2 and v.any():
+def _tip_rows(model: Model, name: str, motion: Array, tip: Array) -> Array:
+    """Return the Jacobian (3, 3 d) of the tip position, velocity J v, or acceleration J a + (dJ/dt) v.
+
+    Motion and Jacobian of the tip velocity as in `_output_rows`.
+    """
+    d, (x, v, accelerations) = model.n_dof, motion
+    if name == "tip_velocity":
+        return tip
+    rows = np.zeros_like(tip)
+    if name == "tip":
+        rows[:, :d] = tip[:, d : 2 * d]
+        return rows
+    if v.any():
         raise value_error("outputs", name, "outputs without the acceleration of the tip, for a moving state")
-    if moving.any():
-        work, row = make_work(model.constants), np.zeros(OUTPUTS)
-
-        def velocity(shifted: Array) -> Array:
-            outputs.compute_outputs(model.constants, work, shifted, moving, row)
-            return row[TIP_VELOCITY].copy()
-
-        rows[:, :d] += _coordinate_jacobian(model, velocity, x)
+    # at rest the tip acceleration is the tip velocity for accelerations in the place of speeds
+    still = inertial_jacobian(model, np.array([x, accelerations, v]))[d:]
+    rows[:, :d], rows[:, 2 * d :] = still[:, :d], still[:, d : 2 * d]
     return rows
 
 
-def _input_columns(model: Model, x: Array, names: object) -> tuple[Array, list[str]]:
+def _input_forces(model: Model, x: Array, tip: Array, names: object) -> tuple[Array, list[str]]:
     """Return the generalised forces (d, m) of unit inputs, and the names of the inputs.
 
     Args:
         model: model of the arm.
         x: (d,) coordinates.
+        tip: (3, d) Jacobian of the tip position.
         names: names of inputs in INPUT_UNITS; at least one.
     """
     n, d = model.n_joints, model.n_dof
     makers: dict[str, Callable[[], Array]] = {
-        "motor_torques": lambda: np.eye(d)[:, model.motor_columns],
-        "tip_force": lambda: tip_jacobian(model, x).T,
+        "motor_torques": lambda: np.eye(d)[:, model.driven_columns],
+        "tip_force": lambda: tip.T,
         "base_acceleration": lambda: np.transpose([_base_acceleration_forces(model, x, axis) for axis in np.eye(3)]),
     }
     kinds = [one_of(f"inputs[{i}]", name, INPUT_UNITS) for i, name in enumerate(sequence("inputs", names, "names"))]
     if not kinds:
         raise value_error("inputs", names, f"at least one of {', '.join(INPUT_UNITS)}")
     columns = [makers[name]() for name in kinds]
-    labels = [
-        column_names(name, INPUT_UNITS[name], part.shape[1], n) for name, part in zip(kinds, columns, strict=True)
-    ]
+    motors = np.array(column_names("motor_torques", INPUT_UNITS["motor_torques"], n, n))[model.constants.passive == 0]
+    names = {"motor_torques": motors.tolist()}
+    labels = [names.get(kind) or column_names(kind, INPUT_UNITS[kind], 3, n) for kind in kinds]
     return np.hstack(columns), [label for each in labels for label in each]
 
 
@@ -247,56 +225,26 @@ def _base_acceleration_forces(model: Model, x: Array, axis: Array) -> Array:
 SLIDING, AT_REST = "sliding", "at rest"  # treatments of Coulomb friction in a linear model
 
 
-def linearize(
+def continuous_model(
     model: Model,
-    joint_angles: Vector | None = None,
-    state: Vector | None = None,
-    torque: Vector | None = None,
+    state: Vector,
+    torque: Vector,
     outputs: Sequence[str] = ("tip",),
     inputs: Sequence[str] = ("motor_torques",),
     friction: str = SLIDING,
 ) -> LinearModel:
-    """Return the linear model of an arm about the undeformed arm at rest, or about any state.
-
-    The states x (2 d,) are deviations of coordinates and speeds in the order of `kernels.layout`. If the accelerations
-    at the state are not zero (because of gravity or speeds), x is the deviation from the motion that starts at the
-    state, and A is the Jacobian at its start. By default, Coulomb friction is a constant torque (sliding motors).
-
-    Args:
-        model: model of the arm.
-        joint_angles: (n,) rad, zero by default; the arm is undeformed and at rest.
-        state: (2 d,) coordinates and speeds, as an alternative to joint angles.
-        torque: (n,) motor torques, N m, zero by default.
-        outputs: names of y: "tip", "tip_velocity" and "tip_acceleration" (3 entries each, in the base frame and
-            relative to the base), "joint_angles", "joint_rates", "motor_angles", "motor_rates", "joint_twists" (elastic
-            deflections of the joints: motor angles minus link-side angles, rad), "joint_twist_rates" (n each),
-            "link_deflections", "link_deflection_rates" (2 n), "root_strains" (3 n). "tip_acceleration" requires a state
-            with zero speeds.
-        inputs: names of u: "motor_torques" (n), "tip_force" (3) and "base_acceleration" (3).
-        friction: treatment of Coulomb friction. "sliding": a constant torque, which does not contribute to A. "at
-            rest": a damper with the slope of the smoothed friction law at the motor rates of the state, for motors that
-            hardly move.
-
-    Examples:
-        >>> system = fm.linearize(fm.build_model(fm.catalog.one_joint()), outputs=("tip",))
-        >>> system.A.shape, system.B.shape, system.outputs
-        ((28, 28), (28, 1), ('tip_x (m)', 'tip_y (m)', 'tip_z (m)'))
-        >>> system.discrete(period=0.01).period
-        0.01
-    """
-    check_model(model)
-    if state is None:
-        state = model.initial_state(np.zeros(model.n_joints) if joint_angles is None else joint_angles)
-    elif joint_angles is not None:
-        raise value_error("state", "given with joint_angles", "one of the two")
-    applied = np.zeros(model.n_joints) if torque is None else torque
-    accelerations = acceleration(model, state, applied)
-    columns, input_names = _input_columns(model, split_state(model, state)[0], inputs)
-    forces = np.hstack([_force_jacobian(model, state, accelerations), columns])
+    """Return the continuous-time linear model about a state; arguments as in `simulation.linearization.linearize`."""
+    motion, d = np.array([*split_state(model, state), acceleration(model, state, torque)]), model.n_dof
+    jacobian = inertial_jacobian(model, motion)
+    inertial, tip = jacobian[:d], jacobian[d:]
+    columns, input_names = _input_forces(model, motion[0], tip[:, d : 2 * d], inputs)
+    restoring = np.hstack([stiffness_matrix(model, motion[0]), damping_matrix(model)])
+    forces = np.hstack([-restoring - inertial[:, : 2 * d], columns])
     if one_of("friction", friction, (SLIDING, AT_REST)) == AT_REST:
-        _add_coulomb_slopes(model, state, forces)
-    rows, output_names = _output_rows(model, state, accelerations, outputs)
-    second_order = SecondOrderForm(mass_matrix(model, state), forces, rows)
+        _add_coulomb_slopes(model, motion[1], forces)
+    rows, output_names = _output_rows(model, motion, tip, outputs)
+    mass = inertial[:, 2 * d :]
+    second_order = SecondOrderForm((mass + mass.T) / 2.0, forces, rows)
     return _linear_model(model, second_order, tuple(input_names), tuple(output_names))
 
 
@@ -343,28 +291,10 @@ def _state_names(model: Model) -> tuple[str, ...]:
     )
 
 
-def _force_jacobian(model: Model, state: Vector, accelerations: Array) -> Array:
-    """Return the Jacobian (d, 2 d) of minus the generalised forces of inverse dynamics at given accelerations (d,).
-
-    Columns: derivatives with respect to coordinates and speeds.
-    """
-    (x, v), forces = split_state(model, state), inertial_forces(model)
-    d, size = model.n_dof, coordinate_scales(model)
-
-    def by_speed(unit: Array) -> Array:
-        return (forces(x, v + unit, accelerations) - forces(x, v - unit, accelerations)) / 2
-
-    jacobian = np.zeros((d, 2 * d))
-    by_coordinate = _coordinate_jacobian(model, lambda shifted: forces(shifted, v, accelerations), x)
-    jacobian[:, :d] = -stiffness_matrix(model, x) - by_coordinate
-    jacobian[:, d:] = -damping_matrix(model) - np.transpose([by_speed(unit) for unit in np.diag(size)]) / size
-    return jacobian
-
-
-def _add_coulomb_slopes(model: Model, state: Vector, forces: Array) -> None:
-    """Subtract the slopes of the smoothed Coulomb friction, N m s/rad, from `_force_jacobian` (d, 2 d + m)."""
+def _add_coulomb_slopes(model: Model, speeds: Array, forces: Array) -> None:
+    """Subtract the slopes of the smoothed Coulomb friction at speeds (d,), N m s/rad, from forces (d, 2 d + m)."""
     motors, constants = model.motor_columns, model.constants
-    slopes, rates = constants.coulomb_friction / constants.coulomb_rate, split_state(model, state)[1][motors]
+    slopes, rates = constants.coulomb_friction / constants.coulomb_rate, speeds[motors]
     scaled_rates = np.abs(rates / constants.coulomb_rate)
     # beyond 300 the slope is 0, and cosh would overflow
     slopes = slopes / np.cosh(np.minimum(scaled_rates, 300.0)) ** 2

@@ -9,7 +9,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.kernels import inverse
 from flexman_gym.kernels.layout import make_work
 from flexman_gym.model.beam import foreshortening_matrix, inboard_masses
-from flexman_gym.model.element import NODE_COORDINATES, beam_shapes, find_element
+from flexman_gym.model.element import NODE_COORDINATES, Element
 from flexman_gym.model.model import Model
 from flexman_gym.model.vibration import elastic_energies
 
@@ -217,9 +217,9 @@ def _section_point(model: Model, link: int, position: float) -> _Points:
     """Return the massless point on the centreline of a link at a position (m)."""
     elements = model.elements(link)
     size = NODE_COORDINATES * (len(elements) + 1)
-    element, xi = find_element(elements, position)
+    element, xi = Element.find(elements, position)
     shapes = np.zeros((1, 3, size))
-    shapes[0][:, element.nodes] = beam_shapes(xi, element.length, 0.0, 0.0)
+    shapes[0][:, element.nodes] = element.shapes(xi)
     shortening = foreshortening_matrix(position, elements, size)[None] * model.choice.stiffening
     point, no_twist = np.array([[position, 0.0, 0.0]]), np.zeros((0, size))
     return _Points(np.zeros(1), point, shapes, shortening, np.zeros(0), no_twist).reduced(_basis(model, link, size))

@@ -111,14 +111,17 @@ def to_mjcf(
             allowed = "a joint without static friction, backlash, stiffness pieces and torque ripple"
             raise value_error(f"arm.joints[{i}]", joint, allowed)
     chains = [rigid_pieces(link, pieces) for link in arm.links]
+    outboard = outboard_inertias(arm, tuple(build_beam(link, 1, flexible=False) for link in arm.links))
     lumped_masses = [link.masses for link in arm.links]
-    modes = [_modes(*each) for each in zip(chains, _tip_inertias(arm), lumped_masses, strict=True)] if pieces else []
+    modes = [_modes(*each) for each in zip(chains, outboard, lumped_masses, strict=True)] if pieces else []
     highest = max(map(_highest_frequency, chains)) if pieces else 1.5e3
     root = ElementTree.Element("mujoco")
     option = {"integrator": integrator, "gravity": _numbers(arm.gravity)}
     options = _add(root, "option", option, timestep=repr(float(STABLE_STEP / highest if step is None else step)))
     flags = {"contact": "disable", "warmstart": "disable"}
-    _add(options, "flag", flags if _has_coulomb_friction(arm) else flags | {"constraint": "disable"})
+    if not any(joint.coulomb_friction for joint in arm.joints):
+        flags |= {"constraint": "disable"}
+    _add(options, "flag", flags)
     _add(root, "compiler", angle="radian", autolimits="true")
     parent, actuators, tendons = (_add(root, name) for name in ("worldbody", "actuator", "tendon"))
     tip: dict[str, str] = {}
@@ -137,15 +140,10 @@ def to_mjcf(
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _has_coulomb_friction(arm: Arm) -> bool:
-    """Return True if a joint has Coulomb friction, which is a constraint in MuJoCo."""
-    return any(joint.coulomb_friction for joint in arm.joints)
-
-
 def _add_joint(body: Any, actuators: Any, joint: Joint, i: int) -> None:
     """Add the hinges of joint i to its body, and its motor to the actuators."""
     axis = _numbers(joint.axis)
-    friction = {"damping": repr(joint.viscous_friction), "frictionloss": repr(joint.coulomb_friction)}
+    friction = {"damping": repr(joint.rotor_damping), "frictionloss": repr(joint.coulomb_friction)}
     _add(body, "joint", friction, name=f"motor {i}", axis=axis, armature=repr(joint.rotor_inertia))
     limit = joint.torque_limit
     limits = {} if limit is None else {"ctrlrange": _numbers((-limit, limit))}
@@ -214,11 +212,6 @@ def _add_rigid_body(body: Any, mass: Payload | LumpedMass) -> None:
 def _spatial(mass: LumpedMass) -> Array:
     """Return the spatial inertia (6, 6) of a lumped mass about the centre of its cross-section, linear part first."""
     return spatial_inertia(mass.mass, np.array(mass.offset or np.zeros(3)), np.array(mass.inertia or np.zeros((3, 3))))
-
-
-def _tip_inertias(arm: Arm) -> Array:
-    """Return the spatial inertia (n, 6, 6) of the outboard arm at the tip of each link, linear part first."""
-    return outboard_inertias(arm, tuple(build_beam(link, 1, flexible=False) for link in arm.links))
 
 
 def _modes(chain: list[_Piece], tip_inertia: Array, masses: Sequence[LumpedMass]) -> tuple[Array, Array]:

@@ -12,8 +12,14 @@ from flexman_gym.common.checks import check_magnitudes, instance, value_error, v
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LANES
 from flexman_gym.model.beam import Beam, build_beam
-from flexman_gym.model.component_modes import loaded_modes, modal_damping, outboard_inertias, zero_pose_rotations
-from flexman_gym.model.element import Element, beam_elements
+from flexman_gym.model.component_modes import (
+    loaded_modes,
+    modal_damping,
+    outboard_inertias,
+    select_modes,
+    zero_pose_rotations,
+)
+from flexman_gym.model.element import Element
 from flexman_gym.model.joint_constants import joint_constants
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import warn_caller
@@ -321,6 +327,11 @@ class Model:
         """Indices (n,) of the motor angles among the coordinates x; for a rigid joint the index of the joint angle."""
         return np.where(self.constants.motor >= 0, self.constants.motor, np.arange(self.n_joints))
 
+    @property
+    def driven_columns(self) -> np.ndarray:
+        """Indices of the motor angles of all joints but the passive ones, as in `motor_columns`."""
+        return self.motor_columns[self.constants.passive == 0]
+
     def elastic_columns(self, link: int) -> slice:
         """Return the slice of the coordinates x with the elastic coordinates of a link (index from 0)."""
         first = self.n_joints + self.n_motors
@@ -329,7 +340,7 @@ class Model:
 
     def elements(self, link: int) -> list[Element]:
         """Return the finite elements of a link (index from 0), base to tip."""
-        return beam_elements(self.arm.links[link], _each("elements", self.choice.elements, self.n_joints)[link])
+        return Element.divide(self.arm.links[link], _each("elements", self.choice.elements, self.n_joints)[link])
 
     def initial_state(self, joint_angles: Vector, joint_rates: Vector | None = None) -> Array:
         """Return the state (2 d,) of the undeformed arm with the motors at the angles and rates of the joints.
@@ -392,7 +403,7 @@ def build_model(
     arm = find_arm(arm)
     choice = ModelChoice(flexible_links, elements, modes, flexible_joints, stiffening, spinning_rotors, rotary_inertia)
     n = arm.n_joints
-    flexible = _each("flexible_links", choice.flexible_links, n)
+    flexible = _flexible(arm, choice)
     counts = _each("elements", choice.elements, n)
     retained = _each("modes", choice.modes, n)
     for i, (link, count) in enumerate(zip(arm.links, counts, strict=True)):
@@ -404,7 +415,7 @@ def build_model(
     beams = build_links(arm, counts, flexible, choice.rotary_inertia)
     _warn_unusual_frequency([loaded[0][0] for _, loaded in beams if len(loaded[0])])
     bases = tuple(
-        _select_modes(loaded[1], retained[i] if flexible[i] else None, f"modes[{i}]")
+        select_modes(loaded[1], retained[i] if flexible[i] else None, f"modes[{i}]")
         for i, (_, loaded) in enumerate(beams)
     )
     return _assemble(arm, choice, beams, bases, UNCOUPLED)
@@ -421,8 +432,14 @@ def changed_model(model: Model, arm: Arm) -> Model:
         arm: arm with changed dimensions or materials, with as many links and sections.
     """
     choice, n = model.choice, model.n_joints
-    counts, flexible = _each("elements", choice.elements, n), _each("flexible_links", choice.flexible_links, n)
+    counts, flexible = _each("elements", choice.elements, n), _flexible(arm, choice)
     return _assemble(arm, choice, _build_links(arm, counts, flexible, choice.rotary_inertia), model.bases, 0.0)
+
+
+def _flexible(arm: Arm, choice: ModelChoice) -> tuple[bool, ...]:
+    """Return for each link True if it is modelled as flexible."""
+    given = _each("flexible_links", choice.flexible_links, arm.n_joints)
+    return tuple(one and link.flexible for one, link in zip(given, arm.links, strict=True))
 
 
 def _assemble(arm: Arm, choice: ModelChoice, beams: _Links, bases: tuple[Array, ...], rounded: float) -> Model:
@@ -442,24 +459,6 @@ def _build_links(arm: Arm, elements: tuple[int, ...], flexible: tuple[bool, ...]
     return [
         (beam, loaded_modes(beam, inertia)) for beam, inertia in zip(beams, outboard_inertias(arm, beams), strict=True)
     ]
-
-
-def _select_modes(shapes: Array, modes: int | tuple[int, ...] | None, field: str) -> Array:
-    """Return the node coordinates (size, k) of a link per unit of each retained coordinate.
-
-    Args:
-        shapes: (size, size) shapes of its loaded modes, as columns.
-        modes: number of retained modes, or a tuple of their indices; None retains all coordinates.
-        field: name of the argument, for errors.
-    """
-    size = len(shapes)
-    if modes is None:
-        return np.eye(size)
-    if isinstance(modes, int) and modes > size:
-        raise value_error(field, modes, f"at most {size}, the elastic coordinates of this link's elements")
-    if isinstance(modes, tuple) and modes[-1] >= size:
-        raise value_error(field, modes, f"mode numbers below {size}, the elastic coordinates of this link's elements")
-    return shapes[:, range(modes) if isinstance(modes, int) else modes]
 
 
 # An arm is often rebuilt with other modes; no code modifies the cached arrays.

@@ -21,7 +21,7 @@ def rest_state(model: Model, motor_angles: Vector | Matrix) -> Array:
 
     Args:
         model: model of the arm.
-        motor_angles: (n,) rad, or (r, n) for r postures.
+        motor_angles: (n,) rad, or (r, n) for r postures; angles of passive joints follow from the equilibrium.
 
     Returns:
         State (2 d,) with zero speeds, or (r, 2 d) for r postures.
@@ -46,7 +46,7 @@ def rest_state(model: Model, motor_angles: Vector | Matrix) -> Array:
 
 def _rest_states(model: Model, postures: Array) -> Array:
     """Return the states (r, 2 d) of static equilibrium with the motors at angles (r, n), rad."""
-    states, d = model.at_rest(postures), model.n_dof
+    states, d = model.at_rest(postures * (model.constants.passive == 0)), model.n_dof
     if not model.constants.gravity.any():
         return states
     work, free, stiffness, compliance = _rest_system(model)
@@ -64,7 +64,7 @@ def _rest_system(model: Model) -> tuple[Work, IntArray, Array, Array]:
 
     All calls can share the scratch arrays, because kernels overwrite them completely and hold the interpreter lock.
     """
-    free = np.setdiff1d(np.arange(model.n_dof), model.motor_columns)
+    free = np.setdiff1d(np.arange(model.n_dof), model.driven_columns)
     stiffness = stiffness_matrix(model)
     return make_work(model.constants), free, stiffness, np.linalg.inv(stiffness[np.ix_(free, free)])
 

@@ -8,9 +8,9 @@ import numpy as np
 from flexman_gym.common.arrays import Array, IntArray, Vector
 from flexman_gym.common.checks import check_solvable, one_of, vector
 from flexman_gym.model.dynamics import elastic_forces, inertial_forces, mass_matrix, stiffness_matrix
-from flexman_gym.model.linearization import linearize
+from flexman_gym.model.linearization import continuous_model
 from flexman_gym.model.model import Model, check_model
-from flexman_gym.model.natural_modes import natural_modes
+from flexman_gym.model.state_space import natural_modes
 from flexman_gym.model.statics import holding_torques, rest_state
 
 RIGID_BODY_LIMIT = 1e-6  # magnitude of an eigenvalue / lowest natural frequency, up to which it is rigid-body motion
@@ -154,7 +154,7 @@ def equilibrium_matrices(model: Model, motor_angles: Vector) -> EquilibriumMatri
     Raises:
         ValueError: if no equilibrium is found, see `rest_state`.
     """
-    linear = linearize(model, state=rest_state(model, motor_angles), torque=holding_torques(model, motor_angles))
+    linear = continuous_model(model, rest_state(model, motor_angles), holding_torques(model, motor_angles))
     d, second_order = model.n_dof, linear.balance
     assert second_order is not None
     stiffness = -second_order.forces[:, :d]
@@ -164,7 +164,7 @@ def equilibrium_matrices(model: Model, motor_angles: Vector) -> EquilibriumMatri
         (damping + damping.T) / 2.0,
         (stiffness + stiffness.T) / 2.0,
         linear.C[:, :d],
-        model.motor_columns,
+        model.driven_columns,
     )
 
 
@@ -213,6 +213,7 @@ def elastic_energies(model: Model, coordinates: Array) -> Array:
         deflection, twist = coordinates[:, columns], coordinates[:, model.motor_columns[i]] - coordinates[:, i]
         energies[:, i] = np.einsum("ka,ab,kb->k", deflection.conj(), stiffness[columns, columns], deflection).real
         energies[:, n + i] = constants.joint_stiffness[i] * np.abs(twist) ** 2
+        energies[:, n + i] += constants.passive_stiffness[i] * np.abs(coordinates[:, i]) ** 2
     return energies
 
 
@@ -237,7 +238,7 @@ def rotating_frequencies(model: Model, rates: Vector, joint_angles: Vector | Non
     """
     d, n, result = check_model(model).n_dof, model.n_joints, []
     weightless = replace(model, constants=model.constants._replace(gravity=np.zeros(3)))
-    free = np.setdiff1d(np.arange(d), model.motor_columns)
+    free = np.setdiff1d(np.arange(d), model.driven_columns)
     columns, k = np.concatenate([free, d + free]), len(free)
     for rate in vector("rates", rates, unit="rad/s"):
         row = np.full(k, np.nan)
@@ -246,7 +247,7 @@ def rotating_frequencies(model: Model, rates: Vector, joint_angles: Vector | Non
             state, torque = equilibrium
             mass = mass_matrix(weightless, state)
             with np.errstate(over="ignore"):  # the slope of Coulomb friction, which may overflow, is negligible
-                acceleration_jacobian = linearize(weightless, state=state, torque=torque).A[d:]
+                acceleration_jacobian = continuous_model(weightless, state, torque).A[d:]
             forces = (mass @ acceleration_jacobian)[np.ix_(free, columns)]
             jacobian = np.linalg.solve(mass[np.ix_(free, free)], forces)  # with the motions of the motors prescribed
             imaginary = np.linalg.eigvals(np.block([[np.zeros((k, k)), np.eye(k)], [jacobian]])).imag

@@ -14,7 +14,6 @@ from flexman_gym.common.checks import (
     value_error,
     vector,
 )
-from flexman_gym.common.markdown import text_table
 from flexman_gym.scene.input_checks import check_keywords, warn_caller, warn_unusual_units
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link, NonUniformLink
@@ -24,6 +23,7 @@ from flexman_gym.scene.rigid_body import LumpedMass, Payload
 MAX_GRAVITY = 300.0  # m/s^2
 MAX_MASS_RATIO = 100.0  # dimensionless; mass of a lumped mass or payload / mass of the links
 MAX_REACH_RATIO = 20.0  # offset or radius of gyration of a lumped mass or payload / total length of the links
+MAX_ROWS = 10  # rows of a table of `print`
 
 
 @check_keywords
@@ -87,11 +87,11 @@ class Arm:
         warn_unusual_units("Arm", vars(self))
         _warn_of_gravity(tuple(self.gravity))
         length = sum(link.length for link in self.links)
-        beam_mass = sum(link.mass - sum(body.mass for body in link.masses) for link in self.links)
+        beam_mass = sum(link.mass - link.flexible * sum(body.mass for body in link.masses) for link in self.links)
         bodies: list[tuple[str, LumpedMass | Payload]] = [
             (f"Arm.links[{i}].masses[{j}]", body)
             for i, link in enumerate(self.links)
-            for j, body in enumerate(link.masses)
+            for j, body in enumerate(link.masses if link.flexible else ())
         ]
         if self.payload:
             bodies.append(("Arm.payload", self.payload))
@@ -128,8 +128,8 @@ class Arm:
         return "\n".join([
             f"Arm with {self.n_joints} joints, reach {sum(link.length for link in self.links):.4g} m, payload "
             f"{self.payload.mass if self.payload else 0.0:.4g} kg, gravity {gravity}",
-            *text_table(("link", "length (m)", "mass (kg)", "E I_y (N m^2)", "E I_z (N m^2)"), links),
-            *text_table(("joint", "axis", "stiffness (N m/rad)", "damping (N m s/rad)", "rotor (kg m^2)",
+            *_text_table(("link", "length (m)", "mass (kg)", "E I_y (N m^2)", "E I_z (N m^2)"), links),
+            *_text_table(("joint", "axis", "stiffness (N m/rad)", "damping (N m s/rad)", "rotor (kg m^2)",
                          "limit (N m)"), joints),
         ])  # fmt: skip
 
@@ -143,6 +143,15 @@ class Arm:
     def n_joints(self) -> int:
         """Number n of joints, which equals the number of links."""
         return len(self.joints)
+
+
+def _text_table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
+    """Return the lines of a table with right-aligned columns; of many rows only the first ones and the last one."""
+    cells = [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
+    if len(cells) > MAX_ROWS:
+        cells = [*cells[: MAX_ROWS - 2], ["..."] * len(heads), cells[-1]]
+    widths = [max(map(len, column)) for column in zip(heads, *cells, strict=True)]
+    return ["  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in (heads, *cells)]
 
 
 def _warn_of_body(name: str, body: LumpedMass | Payload, link_mass: float, length: float) -> None:

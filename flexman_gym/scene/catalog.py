@@ -20,9 +20,12 @@ from flexman_gym.scene.signals import ConstantTorque
 __all__ = [
     "LIGHT_TOOL",
     "TOOL",
+    "apkarian_1998",
     "de_luca_siciliano",
     "flexarm_rome",
     "gifu_2link",
+    "gu_2005",
+    "moberg_2005",
     "nasa_beam",
     "one_joint",
     "one_link",
@@ -30,6 +33,8 @@ __all__ = [
     "paper_scene",
     "planar_2r",
     "quanser_2dsfl",
+    "quanser_rotary",
+    "rotary_joint",
     "vertical_2r",
 ]
 
@@ -53,6 +58,16 @@ gifu_2link = named_arm("gifu_2link")
 """Arm of Gifu University: three joints, two flexible rods of 0.44 m."""
 nasa_beam = named_arm("nasa_beam")
 """Pinned beam with a tip mass, published by NASA's Johnson Space Center."""
+quanser_rotary = named_arm("quanser_rotary")
+"""Quanser rotary flexible link: a steel strip on a hub that a geared motor turns about a vertical axis."""
+rotary_joint = named_arm("rotary_joint")
+"""Rotary flexible joint: a hub that a geared motor turns, a spring, and an arm that hangs in a vertical plane."""
+gu_2005 = named_arm("gu_2005")
+"""Flexible-link manipulator of Gu, Petkov and Konstantinov, an example of robust control."""
+moberg_2005 = named_arm("moberg_2005")
+"""ABB benchmark of Moberg, Ohr and Gunnarsson: motor, gear and arm as four inertias in a chain, on the motor side."""
+apkarian_1998 = named_arm("apkarian_1998")
+"""Flexible two-link manipulator of Apkarian and Adams, an example of gain scheduling over the posture of the elbow."""
 TOOL = Payload(0.1)
 """Payload of `vertical_2r`, 0.1 kg."""
 LIGHT_TOOL = Payload(0.05)
@@ -74,9 +89,6 @@ def paper_scene(case: str = "ff") -> Scene:
     Args:
         case: "rr" for rigid links and joints, "fr" for flexible links and rigid joints, "ff" for flexible links and
             joints.
-
-    Returns:
-        The scene, ready for `fm.simulate`.
     """
     flexible_links, flexible_joints = _PAPER_CASES[one_of("case", case, _PAPER_CASES)]
     return Scene(

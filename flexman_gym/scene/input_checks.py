@@ -84,8 +84,8 @@ def check_keywords(cls: type[T]) -> type[T]:
     def constructor(self: Any, *values: Any, **named: Any) -> None:
         for name, value in named.items():
             if name not in known:
-                near = get_close_matches(name, known, 1, 0.0)[0]
-                nearest = f"{near}, the nearest of the keywords {' '.join(known)}"
+                near, count = get_close_matches(name, known, NEAREST, 0.0), len(known)
+                nearest = f"{near[0]}, the nearest of {count} keywords; others: {', '.join(near[1:])}"
                 allowed = FOREIGN_KEYWORDS.get(cls.__name__, {}).get(name) or nearest
                 raise TypeError(str(value_error(f"{cls.__name__}.{name}", value, allowed)))
         construct(self, *values, **named)
@@ -113,6 +113,7 @@ USUAL_RANGES: dict[str, tuple[float, float, str, str]] = {
     "control_period": (0.0, 1.0, "s", "ms"),
     "horizon": (0.0, 300.0, "s", "steps; 500 steps of 0.02 s are 10 s"),
 }
+NEAREST = 6  # number of keywords in an error message
 OWN_PACKAGES = ("flexman_gym", "gymnasium")  # packages skipped in the search for the caller
 
 

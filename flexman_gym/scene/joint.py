@@ -8,6 +8,7 @@ from flexman_gym.common.checks import (
     MAX_SIZE,
     UNIT_TOLERANCE,
     finite,
+    flag,
     instance,
     physical,
     sequence,
@@ -39,10 +40,17 @@ class Motor:
         ripple_cycles: cycles of the torque ripple per turn of the motor shaft, 1; None without torque ripple. An
             amplitude of 0 with cycles can be varied, see `simulation.parameters`.
         ripple_phase: rad.
+        resistance: resistance of the winding, ohm, for a motor whose input is a voltage U (V); None for a motor whose
+            current is controlled, so that its torque does not depend on its speed. At the speed w (rad/s) of the shaft
+            the current is (U - back_emf_constant * w) / resistance; the inductance of the winding is neglected. The
+            input torque of the joint is then the torque at standstill, `torque_per_volt` * U, and the back-EMF is a
+            damper, `back_emf_damping`. Source: Krause et al. (2013), Analysis of Electric Machinery, section 2.3.
+        back_emf_constant: V s/rad; None for the number of torque_constant, which it equals in an ideal motor.
+        voltage_limit: largest voltage, V; None if unknown.
 
     Raises:
-        ValueError: for a number outside 1e-30 to 1e30, for an efficiency outside its range, and for a torque ripple
-            without cycles.
+        ValueError: for a number outside 1e-30 to 1e30, for an efficiency outside its range, for a torque ripple without
+            cycles, and for a back-EMF constant or a voltage limit without a resistance.
 
     Examples:
         >>> motor = fm.Motor(gear_ratio=100, torque_constant=0.05, rotor_inertia=2e-6, current_limit=1.5)
@@ -61,6 +69,9 @@ class Motor:
     torque_ripple: float = 0.0
     ripple_cycles: float | None = None
     ripple_phase: float = 0.0
+    resistance: float | None = None
+    back_emf_constant: float | None = None
+    voltage_limit: float | None = None
 
     def __post_init__(self) -> None:
         set_fields(
@@ -72,7 +83,8 @@ class Motor:
             torque_ripple=physical("Motor.torque_ripple", self.torque_ripple, "N m", zero=True),
             ripple_phase=finite("Motor.ripple_phase", self.ripple_phase, "rad"),
         )
-        optional = {"current_limit": "A", "speed_limit": "rad/s", "encoder_resolution": "rad", "ripple_cycles": "1"}
+        optional = {"current_limit": "A", "speed_limit": "rad/s", "encoder_resolution": "rad", "ripple_cycles": "1",
+                    "resistance": "ohm", "back_emf_constant": "V s/rad", "voltage_limit": "V"}  # fmt: skip
         for name, unit in optional.items():
             value = getattr(self, name)
             if value is not None:
@@ -81,6 +93,9 @@ class Motor:
             raise value_error("Motor.efficiency", self.efficiency, "a number > 0 and <= 1")
         if self.torque_ripple > 0.0 and self.ripple_cycles is None:
             raise value_error("Motor.torque_ripple", self.torque_ripple, "0 without ripple_cycles")
+        for name in ("back_emf_constant", "voltage_limit"):
+            if self.resistance is None and getattr(self, name) is not None:
+                raise value_error(f"Motor.{name}", getattr(self, name), "None without a resistance (ohm)")
         warn_unusual_units("Motor", vars(self))
 
     @property
@@ -94,8 +109,24 @@ class Motor:
         return self.gear_ratio * self.torque_constant * self.efficiency
 
     @property
+    def torque_per_volt(self) -> float | None:
+        """Joint torque at standstill per voltage: torque_per_ampere / resistance, N m/V; None without a resistance."""
+        return None if self.resistance is None else self.torque_per_ampere / self.resistance
+
+    @property
+    def back_emf_damping(self) -> float:
+        """Damping at the joint by the back-EMF: torque_per_volt * back_emf_constant * gear_ratio, N m s/rad, or 0."""
+        constant = self.torque_constant if self.back_emf_constant is None else self.back_emf_constant
+        return (self.torque_per_volt or 0.0) * constant * self.gear_ratio
+
+    @property
     def joint_torque_limit(self) -> float | None:
-        """Largest torque at the joint, N m; None without a current limit."""
+        """Largest torque at the joint, N m: by the current limit, with a resistance by the voltage limit at standstill.
+
+        None without this limit.
+        """
+        if self.torque_per_volt is not None:
+            return None if self.voltage_limit is None else self.torque_per_volt * self.voltage_limit
         return None if self.current_limit is None else self.torque_per_ampere * self.current_limit
 
     @property
@@ -113,6 +144,8 @@ class Motor:
 @dataclass(frozen=True)
 class Joint:
     """Revolute joint: rotor and link, rigidly connected or by a spring and a damper (Eq. (23), see `model.beam`).
+
+    A passive joint has no motor: its spring and damper connect the link to the frame that carries the joint.
 
     Attributes:
         axis: unit vector (3,) in the tip frame of the previous link, or in the base frame for the first joint. Its
@@ -140,6 +173,8 @@ class Joint:
             rad.
         torque_limit: largest motor torque at the joint, N m; None if unknown. Environments scale actions by this limit;
             `simulate` does not apply it.
+        passive: True for a joint without motor and rotor; the spring is then relaxed at a joint angle of zero, and
+            stiffness=None is a joint without a spring. Its friction acts between link and carrying frame.
         motor: Motor with its gear, or None. Its `reflected_inertia` replaces rotor_inertia and its `joint_torque_limit`
             replaces torque_limit; leave out both.
 
@@ -166,8 +201,10 @@ class Joint:
     backlash: float | None = None
     stiffness_pieces: tuple[tuple[float, float], ...] = ()
     knee_width: float = 1e-4
+    passive: bool = False
 
     def __post_init__(self) -> None:
+        self._check_passive()
         if self.motor is not None:
             self._set_from_motor(instance("Joint.motor", self.motor, Motor, "a Motor or None"))
         set_fields(
@@ -187,10 +224,10 @@ class Joint:
             set_fields(self, torque_limit=physical("Joint.torque_limit", self.torque_limit, "N m"))
         if self.stiffness is not None:
             set_fields(self, stiffness=physical("Joint.stiffness", self.stiffness, "N m/rad; None for a rigid joint"))
-            if self.rotor_inertia == 0.0:
+            if self.rotor_inertia == 0.0 and not self.passive:
                 allowed = "a number > 0 (kg m^2): the rotor of a joint with stiffness has mass"
                 raise value_error("Joint.rotor_inertia", self.rotor_inertia, allowed)
-        elif self.damping > 0.0:
+        elif self.damping > 0.0 and not self.passive:
             raise value_error(
                 "Joint.damping", self.damping, "0 with stiffness None: the damper is parallel to the spring"
             )
@@ -202,6 +239,13 @@ class Joint:
                 f"Joint.{name}", getattr(self, name), "none with stiffness None: it belongs to the spring"
             )
         warn_unusual_units("Joint", vars(self))
+
+    def _check_passive(self) -> None:
+        """Check that a passive joint has no motor, rotor, torque limit, backlash and stiffness pieces."""
+        if flag("Joint.passive", self.passive):
+            for name in ("motor", "rotor_inertia", "torque_limit", "backlash", "stiffness_pieces"):
+                if getattr(self, name) not in (None, 0.0, ()):
+                    raise value_error(f"Joint.{name}", getattr(self, name), "none for a passive joint")
 
     def _check_static_friction(self) -> None:
         """Convert static_friction to a float and check that it is at least the Coulomb friction of the joint."""
@@ -218,7 +262,7 @@ class Joint:
             allowed = f"none together with a motor, whose rotor inertia at the joint is {inertia:.6g} (kg m^2)"
             raise value_error("Joint.rotor_inertia", self.rotor_inertia, allowed)
         if self.torque_limit not in (None, limit) and limit is not None:
-            allowed = f"none together with a motor with a current limit, which sets {limit:.6g} (N m)"
+            allowed = f"none together with a motor with a limit, which sets {limit:.6g} (N m)"
             raise value_error("Joint.torque_limit", self.torque_limit, allowed)
         set_fields(self, rotor_inertia=inertia, torque_limit=self.torque_limit if limit is None else limit)
 
@@ -226,6 +270,13 @@ class Joint:
     def speed_limit(self) -> float | None:
         """Largest speed of the joint, as limited by its motor, rad/s; None if unknown."""
         return None if self.motor is None else self.motor.joint_speed_limit
+
+    @property
+    def rotor_damping(self) -> float:
+        """Viscous friction and the damping of the back-EMF, or of the damper of a passive joint, N m s/rad."""
+        if self.passive:
+            return self.viscous_friction + self.damping
+        return self.viscous_friction + (0.0 if self.motor is None else self.motor.back_emf_damping)
 
     @property
     def static_excess(self) -> float:

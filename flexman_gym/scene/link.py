@@ -3,62 +3,31 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
-from flexman_gym.common.arrays import Matrix
+import numpy as np
+
+from flexman_gym.common.arrays import Matrix, Vector
 from flexman_gym.common.checks import (
+    UNIT_TOLERANCE,
+    flag,
     instance,
     instances,
-    mapping,
     one_of,
     physical,
-    rotation,
     sequence,
     set_fields,
     value_error,
+    vector,
 )
 from flexman_gym.scene.input_checks import check_keywords, warn_caller, warn_unusual_units
+from flexman_gym.scene.material import find_material
 from flexman_gym.scene.rigid_body import LumpedMass
 
 SHAPES = ("strip", "tube", "rod")
 OTHER_AXIS = {"y": "z", "z": "y"}
 OUTLINE_TOLERANCE = 1e-6  # largest relative difference between the values of a link and those of its outline
 SERIES_TERMS = 60  # terms of the series for the torsion constant of a rectangle; 30 are exact to rounding
-
-
-class _Material(NamedTuple):
-    """Young's modulus and shear modulus (Pa) and density (kg/m^3) of a link."""
-
-    youngs_modulus: float
-    shear_modulus: float
-    density: float
-
-
-MATERIALS = {
-    "aluminium": _Material(68.9e9, 26.0e9, 2700.0),
-    "steel": _Material(205.0e9, 80.0e9, 7850.0),
-    "titanium": _Material(113.8e9, 44.0e9, 4430.0),
-}
-
-
-def _find_material(value: object) -> _Material:
-    """Return a material given by name, or by its three numbers as a list or a mapping.
-
-    The names stand for typical alloys with values from the data sheets of ASM (Aerospace Specification Metals):
-    aluminium 6061-T6 (68.9 GPa, 26 GPa, 2700 kg/m^3), steel 4130 (205 GPa, 80 GPa, 7850 kg/m^3) and titanium Ti-6Al-4V
-    (113.8 GPa, 44 GPa, 4430 kg/m^3). Prefer measured values.
-    """
-    if isinstance(value, str):
-        return MATERIALS[one_of("Link.material", value, MATERIALS)]
-    if isinstance(value, dict):
-        value = tuple(mapping("Link.material", value, _Material._fields).get(name) for name in _Material._fields)
-    allowed = f"youngs_modulus (Pa), shear_modulus (Pa) and density (kg/m^3), or one of {', '.join(MATERIALS)}"
-    numbers = sequence("Link.material", value, allowed)
-    if len(numbers) != 3:
-        raise value_error("Link.material", value, allowed)
-    units = ("Pa", "Pa", "kg/m^3")
-    named = zip(_Material._fields, numbers, units, strict=True)
-    return _Material(*(physical(f"Link.{name}", number, unit) for name, number, unit in named))
 
 
 @dataclass(frozen=True)
@@ -168,6 +137,21 @@ def _check_outline(outline: object, numbers: dict[str, float]) -> None:
 MAX_MASSES = 64  # largest number of lumped masses on a link
 
 
+def _rotation(name: str, value: object) -> tuple[tuple[float, ...], ...]:
+    """Return a rotation matrix (3, 3), orthonormal within 1e-9 with determinant +1, as a tuple of rows."""
+    rows = sequence(name, value, "3 rows of 3 numbers")
+    if len(rows) != 3:
+        raise value_error(name, value, "3 rows of 3 numbers")
+    rows = tuple(vector(f"{name}[{i}]", row, 3) for i, row in enumerate(rows))
+    matrix = np.array(rows)
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    # Reflections are orthonormal, too, with determinant -1.
+    if not error <= UNIT_TOLERANCE or np.linalg.det(matrix) < 0.0:
+        raise value_error(name, value, "a rotation matrix: orthonormal within 1e-9, determinant +1")
+    return rows
+
+
 def _lumped_masses(name: str, value: object, length: float) -> tuple[LumpedMass, ...]:
     """Return the lumped masses of a link of a length (m) as a tuple after checking their number and positions."""
     masses = tuple(sequence(name, value, "LumpedMass"))
@@ -188,6 +172,7 @@ def _total_mass(masses: Sequence[LumpedMass]) -> float:
 
 MAX_WIDTH = 5.0  # dimensionless; width of a cross-section / length of its link; above it the unit is probably wrong
 MAX_TORSION = 10.0  # dimensionless; torsion constant / polar moment of area; above it the unit is probably wrong
+NO_DENSITY = 1e-20  # kg/m^3; density of the beam of `Link.rigid`, whose mass is that of its lumped mass
 MAX_SECTIONS = 64  # largest number of sections of a link; each needs a finite element, and a link has at most 64
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -225,6 +210,7 @@ class Link:
             frame; stored as rows of floats.
         masses: lumped masses on the link, a sequence of LumpedMass; stored as a tuple.
         outline: outline of the cross-section for plots; None if only the numbers above are known.
+        flexible: False for a link that is rigid in every model, see `Link.rigid`.
 
     Raises:
         ValueError: for a number outside 1e-30 to 1e30, for an invalid rotation matrix, for a mass beyond the tip, and
@@ -247,16 +233,18 @@ class Link:
     orientation: Matrix = IDENTITY
     masses: Sequence[LumpedMass] = ()
     outline: Outline | None = None
+    flexible: bool = True
 
     def __post_init__(self) -> None:
         set_fields(
             self, **{name: physical(f"Link.{name}", getattr(self, name), unit) for name, unit in _LINK_UNITS.items()}
         )
-        set_fields(self, orientation=rotation("Link.orientation", self.orientation))
+        set_fields(self, flexible=flag("Link.flexible", self.flexible))
+        set_fields(self, orientation=_rotation("Link.orientation", self.orientation))
         set_fields(self, masses=_lumped_masses("Link.masses", self.masses, self.length))
         if self.outline is not None:
             _check_outline(self.outline, vars(self))
-        warn_unusual_units("Link", vars(self))
+        warn_unusual_units("Link", vars(self) if self.flexible else {"length": self.length})
         polar, least = self.second_moment_y + self.second_moment_z, self.area * self.area / (2.0 * math.pi)
         if polar < (1.0 - 1e-9) * least:
             warn_caller(
@@ -276,7 +264,7 @@ class Link:
         orientation: Matrix = IDENTITY,
         masses: Sequence[LumpedMass] = (),
     ) -> Self:
-        """Build a flat strip of rectangular cross-section.
+        """Build a flat strip of rectangular cross-section, with its outline.
 
         With thin="y" the width is along z, and the strip bends easily in the x-y plane, like a ruler on its edge. With
         thin="z" the width is along y, and the strip bends easily in the x-z plane, like a diving board.
@@ -291,9 +279,6 @@ class Link:
                 (kg/m^3).
             orientation: rotation matrix (3, 3), see `Link`.
             masses: lumped masses, see `Link`.
-
-        Returns:
-            The link, with its outline.
 
         Examples:
             >>> ruler = fm.Link.strip(length=0.8, width=0.05, thickness=0.001)
@@ -312,7 +297,7 @@ class Link:
         orientation: Matrix = IDENTITY,
         masses: Sequence[LumpedMass] = (),
     ) -> Self:
-        """Build a round tube.
+        """Build a round tube, with its outline.
 
         Args:
             length: length, m.
@@ -321,9 +306,6 @@ class Link:
             material: name, or moduli and density, see `strip`.
             orientation: rotation matrix (3, 3), see `Link`.
             masses: lumped masses, see `Link`.
-
-        Returns:
-            The link, with its outline.
 
         Examples:
             >>> round(fm.Link.tube(1.0, diameter=0.05, wall=0.002).mass, 3)
@@ -340,7 +322,7 @@ class Link:
         orientation: Matrix = IDENTITY,
         masses: Sequence[LumpedMass] = (),
     ) -> Self:
-        """Build a solid round rod.
+        """Build a solid round rod, with its outline.
 
         Args:
             length: length, m.
@@ -348,11 +330,39 @@ class Link:
             material: name, or moduli and density, see `strip`.
             orientation: rotation matrix (3, 3), see `Link`.
             masses: lumped masses, see `Link`.
-
-        Returns:
-            The link, with its outline.
         """
         return cls._from_outline(length, _round_outline(diameter), material, orientation, masses)
+
+    @classmethod
+    def rigid(
+        cls, length: float, mass: float, centre: Vector, inertia: Matrix | None = None, orientation: Matrix = IDENTITY
+    ) -> Self:
+        """Build a rigid link of given mass, centre of mass and inertia.
+
+        Args:
+            length: distance between its joint and its tip, along x, m.
+            mass: kg.
+            centre: (3,) centre of mass in the link frame, m, with an x from 0 to the length.
+            inertia: inertia matrix (3, 3) about the centre of mass, kg m^2; None for a point mass.
+            orientation: rotation matrix (3, 3), see `Link`.
+
+        Returns:
+            The link, drawn as a rod.
+
+        Examples:
+            >>> upper_arm = fm.Link.rigid(0.4, 3.0, (0.2, 0.0, 0.0), [[0.01, 0, 0], [0, 0.05, 0], [0, 0, 0.05]])
+            >>> upper_arm.mass
+            3.0
+        """
+        x, y, z = vector("Link.rigid.centre", centre, 3, "m")
+        body = LumpedMass(mass, x, inertia, (0.0, y, z) if y or z else None)
+        outline = _round_outline(physical("Link.rigid.length", length, "m") / 20.0)
+        names = ("area", "second_moment_y", "second_moment_z", "torsion_constant")
+        numbers = {name: getattr(outline, name) for name in names}
+        material = find_material("steel")._replace(density=NO_DENSITY)._asdict()
+        return cls(
+            length, orientation=orientation, masses=(body,), outline=outline, flexible=False, **numbers, **material
+        )
 
     @classmethod
     def _from_outline(
@@ -361,7 +371,7 @@ class Link:
         """Build a link from an outline and a material."""
         names = ("area", "second_moment_y", "second_moment_z", "torsion_constant")
         numbers = {name: getattr(outline, name) for name in names}
-        moduli = _find_material(material)._asdict()
+        moduli = find_material(material)._asdict()
         return cls(length, orientation=orientation, masses=masses, outline=outline, **numbers, **moduli)
 
     def __repr__(self) -> str:
@@ -444,8 +454,13 @@ class NonUniformLink:
             if section.masses:
                 allowed = "none; give the masses of the whole link"
                 raise value_error(f"NonUniformLink.sections[{i}].masses", section.masses, allowed)
-        set_fields(self, sections=sections, orientation=rotation("NonUniformLink.orientation", self.orientation))
+        set_fields(self, sections=sections, orientation=_rotation("NonUniformLink.orientation", self.orientation))
         set_fields(self, masses=_lumped_masses("NonUniformLink.masses", self.masses, self.length))
+
+    @property
+    def flexible(self) -> bool:
+        """True: a link of sections is rigid only in a model with flexible_links=False."""
+        return True
 
     @property
     def length(self) -> float:

@@ -220,6 +220,7 @@ class Scene:
         if not 0.5 < steps <= MAX_OUTPUT_STEPS or abs(steps - round(steps)) > 1e-9 * steps:
             allowed = f"1 to {MAX_OUTPUT_STEPS} whole steps in the duration {self.duration} s"
             raise value_error("Scene.output_step", self.output_step, allowed)
+        self._check_passive_joints()
         self._check_samples()
         if any(isinstance(motion, SampledAngles) for motion in self.prescribed or ()):
             set_fields(self, initial=self._initial_state())
@@ -256,6 +257,16 @@ class Scene:
                 allowed = "0 (N m): the motion of this joint is prescribed"
                 raise value_error(f"Scene.torque of joint {i}", torque.largest, allowed)
         return motions if any(motions) else None
+
+    def _check_passive_joints(self) -> None:
+        """Check that passive joints have neither a torque nor a prescribed motion."""
+        motions = self.prescribed or (None,) * self.arm.n_joints
+        for i, joint in enumerate(self.arm.joints):
+            torque = self.torque.signals()[i].largest
+            if joint.passive and torque != 0.0:
+                raise value_error(f"Scene.torque of joint {i}", torque, "0 (N m): the joint is passive")
+            if joint.passive and motions[i] is not None:
+                raise value_error(f"Scene.prescribed[{i}]", motions[i], "None: the joint is passive")
 
     def _check_samples(self) -> None:
         """Check that all samples cover the time from 0 to the duration."""
@@ -302,9 +313,6 @@ class Scene:
         Args:
             path: path of the file.
 
-        Returns:
-            The scene.
-
         Raises:
             FileNotFoundError: if the file does not exist.
             ValueError: for any other error in the file, with a one-line message: the file, the field (such as
@@ -335,9 +343,6 @@ class Scene:
         Args:
             data: mapping as in a scene file.
             folder: folder to which the paths of CSV files are relative.
-
-        Returns:
-            The scene.
 
         Raises:
             FileNotFoundError: if a CSV file does not exist.
@@ -464,15 +469,12 @@ def _sampled_signal(record: TimeSeries, column: str, units: tuple[str, ...], opt
 
 
 def _check_signals(name: str, value: object, units: str) -> tuple[Signal | SampledSignal, ...] | None:
-    """Return the checked signals of the three components of a vector in the base frame.
+    """Return the checked signals of the three components of a vector in the base frame as a tuple, or None.
 
     Args:
         name: field, for errors.
         value: three Signals or SampledSignals along x, y and z, or None.
         units: unit of the vector, for errors.
-
-    Returns:
-        The signals as a tuple, or None.
     """
     if value is None:
         return None

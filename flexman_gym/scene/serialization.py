@@ -27,15 +27,15 @@ IMPOSSIBLE_SECTIONS = ((0.028, 8.33e-7, 8.33e-7), (4e-4, 1.3e-8, 4e-9))
 # are also optional, but always written.
 OPTIONAL_KEYS: dict[str, tuple[str, ...]] = {
     "Arm": ("modal_damping_ratio",),
-    "Link": ("masses", "outline"),
+    "Link": ("masses", "outline", "flexible"),
     "NonUniformLink": ("masses",),
     "LumpedMass": ("inertia", "offset"),
     "Outline": ("wall",),
     "Payload": ("inertia", "offset"),
     "Joint": ("viscous_friction", "coulomb_friction", "coulomb_rate", "torque_limit", "motor", "static_friction",
-              "stribeck_rate", "backlash", "stiffness_pieces", "knee_width"),
+              "stribeck_rate", "backlash", "stiffness_pieces", "knee_width", "passive"),
     "Motor": ("current_limit", "speed_limit", "efficiency", "encoder_resolution", "torque_ripple", "ripple_cycles",
-              "ripple_phase"),
+              "ripple_phase", "resistance", "back_emf_constant", "voltage_limit"),
     "ModelChoice": ("modes", "spinning_rotors", "rotary_inertia"),
     "Initial": ("state",),
     "Signal": tuple(field.name for field in fields(Signal)),
@@ -65,11 +65,11 @@ def _optional(kind: type[Part], path: str) -> Callable[[object], Part | None]:
 def _link(path: str, data: object) -> Link | NonUniformLink:
     """Return a Link from a mapping, or a NonUniformLink from a mapping with `sections`.
 
-    A mapping with a `shape` holds the arguments of `Link.strip`, `Link.tube` or `Link.rod`.
+    A mapping with a `shape` holds the arguments of `Link.strip`, `Link.tube`, `Link.rod` or `Link.rigid`.
     """
     entries = _with_masses(path, data)
     if "shape" in entries:
-        build = getattr(Link, one_of(f"{path}.shape", entries.pop("shape"), SHAPES))
+        build = getattr(Link, one_of(f"{path}.shape", entries.pop("shape"), (*SHAPES, "rigid")))
         mapping(path, entries, list(signature(build).parameters))
         try:
             link: Link = build(**entries)
@@ -107,7 +107,9 @@ def _uniform_link(path: str, data: object, *excluded: str) -> Link:
 
 
 def _joint(path: str, data: object) -> Joint:
-    """Return a Joint from a mapping; its rotor inertia may be missing if it has a motor."""
+    """Return a Joint from a mapping; its rotor inertia may be missing if it has a motor or is passive."""
+    if isinstance(data, dict) and data.get("passive") is True:
+        data = {"rotor_inertia": 0.0} | data
     if not isinstance(data, dict) or data.get("motor") is None:
         return from_plain(Joint, path, data)
     motor = partial(from_plain, Motor, f"{path}.motor")
@@ -125,9 +127,6 @@ def from_plain(
         data: the mapping.
         excluded: names of fields that the mapping must not contain.
         **parts: field name -> function that converts the entry of the mapping to the value of the field.
-
-    Returns:
-        The instance of the dataclass.
 
     Raises:
         ValueError: for unknown or missing keys and for forbidden values, with a one-line message that names the field.
@@ -179,7 +178,7 @@ def to_plain(value: Any) -> Any:
             entries[field.name] = to_plain(entry)
     if isinstance(value, Joint) and value.motor:
         del entries["rotor_inertia"]
-        if value.motor.current_limit is not None:
+        if value.motor.joint_torque_limit is not None:
             del entries["torque_limit"]
     if isinstance(value, NonUniformLink):
         for section in entries["sections"]:
@@ -200,9 +199,6 @@ def find_arm(value: object, folder: Path = Path()) -> Arm:
         value: an Arm; the name of an arm in the catalog; a mapping with this name under the key "catalog" and with
             options of the arm; the path of a file with an arm or a scene; or a mapping as in an arm file.
         folder: folder to which the path is relative.
-
-    Returns:
-        The arm.
 
     Raises:
         FileNotFoundError: if the file does not exist.

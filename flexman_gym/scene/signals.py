@@ -122,9 +122,6 @@ class SampledTorque:
                 torques.
             hold: "zero" or "linear".
 
-        Returns:
-            The torques.
-
         Raises:
             FileNotFoundError: if the file does not exist.
         """
@@ -145,9 +142,6 @@ class SampledTorque:
             duration: time of the last sample, s.
             period: sampling interval, s; it must divide the duration.
             hold: "zero" or "linear".
-
-        Returns:
-            The torques.
 
         Examples:
             >>> torque = fm.SampledTorque.from_function(lambda time: [2.0 * time], duration=1.0, period=0.25)

@@ -302,6 +302,7 @@ class LaneIntegrator(BatchIntegrator):
 
     def integrate(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
         """Integrate the arms whose status is OK over one control period."""
+        drives = np.ascontiguousarray(drives)  # for another layout the kernel would be compiled again
         self._integrate_period(drives, self._substeps, rows, outputs, status)
 
     def single_arguments(

@@ -4,7 +4,7 @@ The equations of the integration method are differentiated in forward mode by th
 `kernels.tangents`. The derivatives are those of the computed motion, step by step, without differences of motions.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -14,10 +14,11 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of, sequence, value_error
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, STATUS
-from flexman_gym.model.linearization import INPUT_UNITS, OUTPUT_UNITS, LinearMeasurements, column_names
+from flexman_gym.model.dynamics import RICHARDSON
+from flexman_gym.model.linearization import INPUT_UNITS, OUTPUT_UNITS, LinearMeasurements, column_names, input_columns
 from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene
-from flexman_gym.simulation.constant_derivatives import DIMENSIONS, constant_derivatives
+from flexman_gym.simulation.dimensions import DIMENSIONS, dimension_derivatives, dimension_parts
 from flexman_gym.simulation.integrator import default_step, prescribed_flags
 from flexman_gym.simulation.methods import METHODS, FixedStepMethod, Method
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, ScalarParameter, select_parts
@@ -25,6 +26,10 @@ from flexman_gym.simulation.scene_simulation import initial_row, prescribed_join
 from flexman_gym.simulation.tangent_integrator import DIRECTIONS, TangentIntegrator
 
 INITIAL = {"initial_joint_angles": "rad", "initial_joint_rates": "rad/s"}  # initial conditions -> unit
+RELATIVE_STEP = 1e-2  # relative step of the differences of constants
+SMALL_STEP = 1e-3  # in the unit of the parameter; step of the differences at a value of 0
+INPUTS = {name: row.unit for name, row in PARAMETERS.items()} | INITIAL | INPUT_UNITS  # parameters -> unit
+UNITS = INPUTS | {name: row.unit for name, row in DIMENSIONS.items()}
 ENERGIES = {"kinetic_energy": (layout.KINETIC,), "elastic_energy": (layout.LINK_ENERGY, layout.JOINT_ENERGY),
             "gravitational_energy": (layout.GRAVITATIONAL,)}  # fmt: skip
 TIP_OUTPUTS = {"tip": layout.TIP, "tip_velocity": layout.TIP_VELOCITY}
@@ -43,12 +48,14 @@ class Sensitivities:
         jacobian: (T, m, p) derivatives of the outputs with respect to the parameters.
         outputs: m names with units, such as "tip_x (m)".
         parameters: p names with units, such as "joint_stiffness[0] (N m/rad)".
-        status: "ok", or "diverged" also if Newton's method does not converge.
+        status: "ok", or "diverged" also if Newton's method does not converge; of an episode "ok" or the cause of its
+            failure.
         kinks: number of output intervals in which the motion passed a kink, by name and joint: the rate of a motor with
             Coulomb friction changed its sign ("coulomb_friction[0]"), or the twist of a joint passed a knee of its
             spring, such as an end of its backlash ("joint_stiffness[0]"). The model rounds these kinks over
             `coulomb_rate` and `knee_width`; within them derivatives change fast, and beyond them those of either side
-            hold. Several passages in an interval count once, and two that cancel out are not seen.
+            hold. Several passages in an interval count once, and two that cancel out are not seen. In an episode also
+            the command of a motor reached or left its torque limit ("torque_limit[0]"), beyond which derivatives are 0.
     """
 
     time: Array
@@ -81,21 +88,21 @@ def sensitivities(
 
     Seven derivatives cost two to three simulations. The values have the bits of `simulate` with the same step.
     The component modes of the model do not change with a parameter, as in `simulation.parameters.varied_model`; the
-    derivative is exact for the model with these modes, and with modes=None for the finite-element model. Of a method
-    that iterates until it converges, the last iterations are differentiated: the derivative differs from that of the
-    converged solution by the tolerance of the method. Torques that begin or end at a time act as they do in the scene.
+    derivative is exact for the model with these modes. Torques that begin or end at a time act as they do in the scene.
 
     Args:
         scene: the scene.
         of: names of outputs: those of `linearize` without "tip_acceleration", "kinetic_energy", "elastic_energy" and
             "gravitational_energy".
         to: names of parameters, for all joints or links or, as in "joint_stiffness[0]", for one: those of `Batch.vary`,
-            "initial_joint_angles" and "initial_joint_rates" (of joint and motor together), dimensions and materials of
-            uniform links and gear ratios as in `simulation.constant_derivatives`, such as "link_length[0]", which take
-            other kernels that are compiled at the first use, and a constant added to an
-            input where its signal acts: "motor_torques", "tip_force" or "base_acceleration" (components x, y and z).
+            "initial_joint_angles" and "initial_joint_rates" (of joint and motor together), dimensions as in
+            `simulation.dimensions`, such as "link_length[0]", for which other kernels are compiled, and a constant
+            added to an input where its signal acts: "motor_torques", "tip_force" or "base_acceleration" (components x,
+            y and z).
         model: a model of the scene's arm; None builds the model specified by the scene.
-        method: a method with fixed steps; "auto" selects the default method.
+        method: a method with fixed steps; "auto" selects the default method. Of a method that iterates until it
+            converges, the last iterations are differentiated; the result tends to the derivative of the converged
+            solution as the tolerance of the method falls.
         step: integration step, s, as in `simulate`; None selects the longest step up to that of an environment.
 
     Returns:
@@ -118,14 +125,20 @@ def sensitivities(
         raise value_error("method", chosen.name, f"one of fixed steps: {', '.join(allowed)}")
     names = [one_of("of", name, OUTPUTS) for name in _names("of", of)]
     prescribed = prescribed_joints(scene)
-    directions = [each for name in _names("to", to) for each in _directions(name, model, prescribed)]
-    found = constant_derivatives(model, directions)
+    directions = [
+        each
+        for name in _names("to", to)
+        for each in dimension_parts(name, model) or find_directions(name, model, prescribed)
+    ]
+    found = dimension_derivatives(model, directions)
     constants = found.constants._replace(prescribed=prescribed_flags(model.n_joints, prescribed))
     motion, period = _Motion.start(scene, model, directions, settings.rows), (settings.interval, settings.substeps)
     for group in range(-(-len(directions) // DIRECTIONS)):
         integrator = TangentIntegrator(constants, chosen, period, 1, whole=bool(found.strains))
-        for lane, derivatives in enumerate(found.fields[group * DIRECTIONS : (group + 1) * DIRECTIONS]):
-            integrator.set_derivative(lane, derivatives)
+        for lane, number in enumerate(range(len(directions))[group * DIRECTIONS : (group + 1) * DIRECTIONS]):
+            direction = directions[number]
+            own = constant_derivatives(model, direction) if direction.name in PARAMETERS else found.fields[number]
+            integrator.set_derivative(lane, own)
         arms = slice(group * ARMS_PER_GROUP, (group + 1) * ARMS_PER_GROUP)
         counts = run_in_lanes(integrator, motion.drives[arms], settings, motion.rows[arms], motion.outputs[arms])
     return motion.read(names, model, settings.interval, int(counts[0, 0]), found.strains)
@@ -164,6 +177,7 @@ class _Motion(NamedTuple):
         pieces, d = scene.pieces, model.n_dof
         drives: list[Any] = []
         groups = -(-len(directions) // DIRECTIONS)
+        starts, inputs = unit_changes(directions, model)
         rows = np.zeros((groups * ARMS_PER_GROUP, last + 1, 2 * d + 2))
         for row in range(len(rows)):
             group, lane = divmod(row, ARMS_PER_GROUP)
@@ -175,35 +189,34 @@ class _Motion(NamedTuple):
             drives.append(drive)
             number = group * DIRECTIONS + lane - 1
             if number < len(directions):
-                name, part = directions[number].name, directions[number].part or 0
-                if name in INPUT_UNITS:
-                    drive.values[layout.OFFSET, _inputs(name, model)[part]] = 1.0
-                elif name in INITIAL:
-                    first = d * (name == "initial_joint_rates")
-                    for column in (part, int(model.motor_columns[part])):
-                        rows[row, 0, first + column] = 1.0
+                rows[row, 0], drive.values[layout.OFFSET] = starts[number], inputs[number]
         return cls(directions, drives, rows, np.zeros((*rows.shape[:2], layout.OUTPUTS)))
 
     def read(
         self, names: list[str], model: Model, interval: float, valid: int, strains: dict[int, Array]
     ) -> Sensitivities:
-        """Return the outputs of given names and their derivatives at the valid times; for `strains` see `_output`."""
-        rows, outputs, count = self.rows[:, : valid + 1], self.outputs[:, : valid + 1], len(self.directions)
-        lanes = np.arange(len(rows)).reshape(-1, ARMS_PER_GROUP)[:, 1:].ravel()[:count]
-        changing = {int(lanes[number]): matrix for number, matrix in strains.items()}
-        parts = [_output(name, model, rows, outputs, changing) for name in names]
-        every = np.concatenate(parts, axis=2)
-        labels = [label for name, part in zip(names, parts, strict=True) for label in _labels(name, part, model)]
+        """Return the outputs of given names and their derivatives at the valid times.
+
+        `strains` are derivatives of the matrix of root strains, by the number of the direction.
+        """
+        motion = self.rows[:, : valid + 1], self.outputs[:, : valid + 1]
+        parts, labels = zip(*(motion_output(name, model, *motion) for name in names), strict=True)
+        every, count = np.concatenate(parts, axis=2), len(self.directions)
+        lanes = np.arange(len(every)).reshape(-1, ARMS_PER_GROUP)[:, 1:].ravel()[:count]
+        ends = np.cumsum([part.shape[2] for part in parts])
+        for name, end in zip(names, ends.tolist(), strict=True):
+            for number, matrix in strains.items() if name == "root_strains" else ():
+                every[lanes[number], :, end - matrix.shape[1] : end] += motion[0][0, :, :-2] @ matrix
         return Sensitivities(
             time=interval * np.arange(valid + 1, dtype=np.float64),
             values=every[0], jacobian=np.moveaxis(every[lanes], 0, 2),
-            outputs=tuple(labels), parameters=tuple(f"{each} ({_unit(each.name)})" for each in self.directions),
+            outputs=sum(labels, ()), parameters=tuple(f"{each} ({UNITS[each.name]})" for each in self.directions),
             status=STATUS[layout.OK if valid + 1 == self.rows.shape[1] else layout.DIVERGED],
-            kinks=_count_kinks(model, self.rows[0, : valid + 1]),
+            kinks=count_kinks(model, self.rows[0, : valid + 1]),
         )  # fmt: skip
 
 
-def _count_kinks(model: Model, rows: Array) -> dict[str, int]:
+def count_kinks(model: Model, rows: Array) -> dict[str, int]:
     """Return the numbers of intervals between rows (T, 2 d + 2) with a kink, see `Sensitivities.kinks`."""
     constants, n, d, motors = model.constants, model.n_joints, model.n_dof, model.motor_columns
     result = {}
@@ -231,16 +244,16 @@ def _names(argument: str, given: str | Sequence[str]) -> list[str]:
     return names
 
 
-def _directions(text: str, model: Model, prescribed: Sequence[int]) -> list[ScalarParameter]:
+def find_directions(text: str, model: Model, prescribed: Sequence[int]) -> list[ScalarParameter]:
     """Return the parameters of a name such as "joint_stiffness" or "joint_stiffness[0]"."""
-    name = one_of("to", text.partition("[")[0], [*PARAMETERS, *DIMENSIONS, *INITIAL, *INPUT_UNITS])
-    parameter = DIMENSIONS.get(name) or PARAMETERS.get(name)
-    if name in PARAMETERS and PARAMETERS[name].of == ARM:
+    name = one_of("to", text.partition("[")[0], INPUTS)
+    parameter = PARAMETERS.get(name)
+    if parameter and parameter.of == ARM:
         if name != text:
             raise value_error("to", text, name)
         return [ScalarParameter(name, None)]
     lacking = parameter.lacking if parameter else "with prescribed motion"
-    count = len(_inputs(name, model)) if name in INPUT_UNITS else model.n_joints
+    count = len(input_columns(model, name)) if name in INPUT_UNITS else model.n_joints
     fixed = parameter.fixed(model) if parameter else np.zeros(count, dtype=bool)
     if name == "motor_torques":
         fixed[list(prescribed)] = True
@@ -250,38 +263,67 @@ def _directions(text: str, model: Model, prescribed: Sequence[int]) -> list[Scal
     return [ScalarParameter(name, part) for part in parts]
 
 
-def _unit(name: str) -> str:
-    """Return the unit of a parameter."""
-    return INITIAL.get(name) or INPUT_UNITS.get(name) or (DIMENSIONS.get(name) or PARAMETERS[name]).unit
+def unit_changes(directions: Sequence[ScalarParameter], model: Model) -> tuple[Array, Array]:
+    """Return the derivatives of initial row (p, 2 d + 2) and inputs (p, n + 6) with respect to p parameters."""
+    rows, inputs = np.zeros((len(directions), 2 * model.n_dof + 2)), np.zeros((len(directions), model.n_joints + 6))
+    for number, (name, part) in enumerate(directions):
+        if name in INPUT_UNITS:
+            inputs[number, input_columns(model, name)[part or 0]] = 1.0
+        elif name in INITIAL:
+            first = model.n_dof * (name == "initial_joint_rates")
+            rows[number, [first + (part or 0), first + model.motor_columns[part or 0]]] = 1.0
+    return rows, inputs
 
 
-def _labels(name: str, part: Array, model: Model) -> list[str]:
-    """Return the names with units of an output (b, T, k)."""
-    if name in ENERGIES:
-        return [f"{name} ({OUTPUTS[name]})"]
-    return column_names(name, OUTPUTS[name], part.shape[2], model.n_joints)
+def constant_derivatives(
+    model: Model, direction: ScalarParameter, given: Mapping[str, Array] | None = None
+) -> dict[str, Array]:
+    """Return the derivatives of the constants of a model with respect to a parameter, by name.
 
+    They are central differences extrapolated to order six, exact to rounding as the constants are linear or nearly so.
 
-def _inputs(name: str, model: Model) -> range:
-    """Return the columns of an input in a drive table."""
-    n = model.n_joints
-    return {"motor_torques": range(n), "tip_force": range(n, n + 3), "base_acceleration": range(n + 3, n + 6)}[name]
-
-
-def _output(name: str, model: Model, rows: Array, outputs: Array, strains: dict[int, Array]) -> Array:
-    """Return an output (b, T, k) of all arms and derivatives; all outputs but energies and tip are linear.
-
-    `strains` are the derivatives of the matrix of root strains, by the index of the derivative.
+    Args:
+        model: the model.
+        direction: the parameter.
+        given: values of parameters, by name, that replace those of the model.
     """
-    if name in ENERGIES:
-        return outputs[:, :, ENERGIES[name]].sum(axis=2, keepdims=True)
-    if name in TIP_OUTPUTS:
-        return outputs[:, :, TIP_OUTPUTS[name]]
+    name, index = direction
+    parameter, given = PARAMETERS[name], given or {}
+    nominal = np.array(given.get(name, parameter.nominal(model)), dtype=float)
+    place = () if index is None else (index,)
+    step = RELATIVE_STEP * abs(float(nominal[place])) or SMALL_STEP
+    values = np.repeat(nominal[None], 2 * len(RICHARDSON), axis=0)
+    factors = []
+    for row, (multiple, weight) in enumerate(RICHARDSON):
+        for sign in (1.0, -1.0):
+            values[(2 * row + (sign < 0.0), *place)] += sign * multiple * step
+            factors.append(sign * weight / (2.0 * multiple * step))
+    others = {each: np.repeat(value[None], len(values), axis=0) for each, value in given.items()
+              if PARAMETERS[each].constants is parameter.constants}  # fmt: skip
+    changed = parameter.constants(model, others | {name: values})
+    return {field: np.tensordot(factors, each, axes=1) for field, each in changed.items()}
+
+
+def motion_output(name: str, model: Model, rows: Array, outputs: Array) -> tuple[Array, tuple[str, ...]]:
+    """Return an output of arms and derivatives, and its names with units; all outputs but energies and tip are linear.
+
+    Args:
+        name: name of the output.
+        model: the model.
+        rows: (b, T, 2 d + 2) states and energy ledgers, or their derivatives.
+        outputs: (b, T, OUTPUTS) columns of `kernels.layout`, or their derivatives.
+
+    Returns:
+        Output (b, T, k) and k names.
+    """
     states, n, d = rows[:, :, :-2], model.n_joints, model.n_dof
-    if name in ("joint_angles", "joint_rates"):
+    if name in ENERGIES:
+        return outputs[:, :, ENERGIES[name]].sum(axis=2, keepdims=True), (f"{name} ({OUTPUTS[name]})",)
+    if name in TIP_OUTPUTS:
+        result = outputs[:, :, TIP_OUTPUTS[name]]
+    elif name in ("joint_angles", "joint_rates"):
         first = d * (name == "joint_rates")
-        return states[:, :, first : first + n]
-    measured = LinearMeasurements(model).measure(states.reshape(-1, 2 * d))[name].reshape(*rows.shape[:2], -1)
-    for lane, matrix in strains.items() if name == "root_strains" else ():
-        measured[lane] += states[0] @ matrix
-    return measured
+        result = states[:, :, first : first + n]
+    else:
+        result = LinearMeasurements(model).measure(states.reshape(-1, 2 * d))[name].reshape(*rows.shape[:2], -1)
+    return result, tuple(column_names(name, OUTPUTS[name], result.shape[2], n))

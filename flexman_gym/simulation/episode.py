@@ -2,10 +2,8 @@
 
 import hashlib
 import json
-import platform
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Self
 
@@ -13,6 +11,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import short_path
+from flexman_gym.common.computer import computer_info
 from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.common.time_series import write_csv
@@ -64,14 +63,11 @@ class Episode:
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory, name: str = "scene") -> Self:
-        """Return a trajectory as an episode without targets, actions, torques and rewards.
+        """Return a trajectory as an episode without targets, actions, torques and rewards; these arrays hold nan.
 
         Args:
             trajectory: the solution of a scene.
             name: name of the episode in plots.
-
-        Returns:
-            The episode; missing arrays hold nan.
         """
         rows, n = trajectory.joint_angles.shape
         missing = {"targets": (rows, 3), "errors": (rows,), "actions": (rows - 1, n), "torques": (rows - 1, n),
@@ -79,9 +75,25 @@ class Episode:
         failure = "" if trajectory.status == "ok" else trajectory.status
         return cls(
             trajectory.time, trajectory.states, trajectory.tip, readings=trajectory.readings,
-            about=episode_metadata(trajectory.model, name=name, failure=failure),
+            about=cls.metadata(trajectory.model, name=name, failure=failure),
             **{each: np.full(shape, np.nan) for each, shape in missing.items()},
         )  # fmt: skip
+
+    @staticmethod
+    def metadata(model: Model, settings: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
+        """Return the metadata of an episode as JSON-compatible data: arm, model, versions, settings and their hash.
+
+        Args:
+            model: the model of the simulation.
+            settings: settings of environment and agent.
+            **more: further entries, such as name, seed and failure.
+        """
+        versions = {name: value for name, value in computer_info().items() if name not in ("processor", "scipy")}
+        text = json.dumps(settings or {}, sort_keys=True, default=_plain_value)
+        return {
+            "format": FORMAT, "settings": json.loads(text), "hash": hashlib.sha256(text.encode()).hexdigest()[:16],
+            "arm": to_plain(model.arm), "model": to_plain(model.choice), "versions": versions, **more,
+        }  # fmt: skip
 
     @cached_property
     def model(self) -> Model:
@@ -133,9 +145,6 @@ class Episode:
 
         Args:
             path: the file.
-
-        Returns:
-            The episode.
 
         Raises:
             FileNotFoundError: if the file does not exist.
@@ -229,35 +238,9 @@ class Episode:
         return xarray.Dataset(data, coordinates, attrs=self.about)
 
 
-def episode_metadata(model: Model, settings: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
-    """Return the metadata of an episode as JSON-compatible data: arm, model, versions, settings and their hash.
-
-    Args:
-        model: the model of the simulation.
-        settings: settings of environment and agent.
-        **more: further entries, such as name, seed and failure.
-    """
-    text = json.dumps(settings or {}, sort_keys=True, default=_plain_value)
-    return {
-        "format": FORMAT, "settings": json.loads(text), "hash": hashlib.sha256(text.encode()).hexdigest()[:16],
-        "arm": to_plain(model.arm), "model": to_plain(model.choice), "versions": _versions(), **more,
-    }  # fmt: skip
-
-
 def _plain_value(value: Any) -> Any:
     """Return an array as lists, and any other object as the name of its class."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else type(value).__name__
-
-
-def _versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that determine the results."""
-    result = {"python": platform.python_version()}
-    for name in ("flexman_gym", "numpy", "numba"):
-        try:
-            result[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return result
 
 
 def _shift_to_period_ends(values: Array) -> Array:

@@ -16,7 +16,7 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.kernels import layout
 from flexman_gym.model.beam import build_beam
 from flexman_gym.model.component_modes import outboard_inertias
-from flexman_gym.model.element import NODE_COORDINATES, beam_shapes, beam_slopes, find_element
+from flexman_gym.model.element import NODE_COORDINATES, Element
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import BatchIntegrator
@@ -178,10 +178,10 @@ def _station_shapes(model: Model, link: int, positions: Array) -> Array:
     nodes = np.vstack([np.zeros((NODE_COORDINATES, basis.shape[1])), basis])
     result = []
     for position in positions:
-        element, xi = find_element(elements, position)
-        slopes, twist = beam_slopes(xi, element.length), np.zeros(2 * NODE_COORDINATES)
+        element, xi = Element.find(elements, position)
+        slopes, twist = element.slopes(xi), np.zeros(2 * NODE_COORDINATES)
         twist[[3, 3 + NODE_COORDINATES]] = 1.0 - xi, xi
-        rows = np.vstack([beam_shapes(xi, element.length, 0.0, 0.0), twist, -slopes[1], slopes[0]])
+        rows = np.vstack([element.shapes(xi), twist, -slopes[1], slopes[0]])
         result.append(rows @ nodes[element.nodes])
     return np.vstack(result)
 

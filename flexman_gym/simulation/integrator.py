@@ -72,9 +72,6 @@ def find_tolerance(method: Method, step: float | None, rtol: float, atol: float)
         rtol: relative tolerance of the local error.
         atol: absolute tolerance of the local error, in the unit of each coordinate or speed.
 
-    Returns:
-        (rtol, atol) or None.
-
     Raises:
         ValueError: for a tolerance <= 0, and for step None if the method has fixed steps only.
     """
@@ -218,7 +215,7 @@ class Integrator:
         if clock.substeps > 0:
 
             def derivative(time: float, values: Array) -> Array:
-                out = np.zeros(len(values))
+                out, values = np.zeros(len(values)), np.ascontiguousarray(values)  # columns in differences
                 runge_kutta.state_derivative(self.constants, self.work, drive, time, values, out)
                 return out
 

@@ -368,9 +368,6 @@ def generalised_alpha(radius: float) -> Implicit:
     Args:
         radius: from 1 (no numerical damping) to 0 (the largest damping).
 
-    Returns:
-        A Method for `simulate` and `Simulator`.
-
     Examples:
         >>> method = fm.generalised_alpha(0.8)
         >>> method.name, method.order, method.radius

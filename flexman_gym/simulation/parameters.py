@@ -54,22 +54,6 @@ def _springs_with_pieces(model: Model) -> BoolArray:
     return np.diff(model.constants.knee_start) > 1
 
 
-def _springs_without_pieces(model: Model) -> BoolArray:
-    return ~_springs_with_pieces(model)
-
-
-def _motors_without_ripple(model: Model) -> BoolArray:
-    return model.constants.has_ripple == 0
-
-
-def _links_without_modal_damping(model: Model) -> BoolArray:
-    return np.array(model.arm.damping_ratios) == 0.0
-
-
-def _all_joints(model: Model) -> BoolArray:
-    return np.ones(model.n_joints, dtype=bool)
-
-
 @dataclass(frozen=True)
 class _Parameter:
     """Physical parameter: an entry of PARAMETERS.
@@ -242,19 +226,21 @@ PARAMETERS: dict[str, _Parameter] = {
     ),
     "soft_stiffness": _Parameter(
         "1, stiffness at small torques / joint_stiffness", JOINT, _soft_stiffness, _spring_constants,
-        fixed=_springs_without_pieces, needed=_springs_with_pieces, lacking="without stiffness pieces",
+        fixed=lambda model: ~_springs_with_pieces(model),
+        needed=_springs_with_pieces, lacking="without stiffness pieces",
     ),
     "ripple_torque": _Parameter(
         "N m", JOINT, lambda model: model.constants.ripple_torque, _constant_of_same_name("ripple_torque"),
-        fixed=_motors_without_ripple, lacking="without torque ripple",
+        fixed=lambda model: model.constants.has_ripple == 0, lacking="without torque ripple",
     ),
     "link_stiffness_factor": _Parameter(
         "1, factor on the elastic moduli", LINK, lambda model: np.ones(model.n_joints), _link_constants, factor=True,
-        needed=_all_joints,
+        needed=lambda model: np.ones(model.n_joints, dtype=bool),
     ),
     "link_damping": _Parameter(
         "damping ratio of every mode", LINK, lambda model: np.array(model.arm.damping_ratios), _link_constants,
-        factor=True, fixed=_links_without_modal_damping, lacking="of links without modal damping",
+        factor=True, fixed=lambda model: np.array(model.arm.damping_ratios) == 0.0,
+        lacking="of links without modal damping",
     ),
 }  # fmt: skip
 
@@ -307,15 +293,12 @@ def nominal_parameters(model: Model) -> dict[str, Array]:
 
 
 def varied_constants(model: Model, count: int, parameters: Mapping[str, object]) -> dict[str, Array]:
-    """Return the model constants of several arms with given values of physical parameters.
+    """Return the fields (count, ...) of `kernels.layout.Constants` changed by values of physical parameters, by name.
 
     Args:
         model: the model.
         count: number of arms.
         parameters: values (count,) or (count, n) by their name in PARAMETERS.
-
-    Returns:
-        Changed fields of `kernels.layout.Constants` (count, ...), by name.
 
     Raises:
         ValueError: as `Batch.vary`.
@@ -375,6 +358,8 @@ def _varied_joint(joint: Any, values: Mapping[str, Array], i: int) -> Any:
         own |= {"stiffness": "joint_stiffness", "damping": "joint_damping"}
         own |= {"backlash": "backlash"} if joint.backlash is not None else {}
     changes: dict[str, Any] = {field: float(values[name][i]) for field, name in own.items() if name in values}
+    if "viscous_friction" in changes:
+        changes["viscous_friction"] -= joint.rotor_damping - joint.viscous_friction
     if joint.stiffness_pieces and "soft_stiffness" in values:
         (torque, _), *rest = joint.stiffness_pieces
         changes["stiffness_pieces"] = ((torque, float(values["soft_stiffness"][i])), *rest)

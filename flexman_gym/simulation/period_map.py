@@ -15,7 +15,7 @@ from flexman_gym.simulation.methods import IteratedGauss, LinearlyImplicit, Meth
 from flexman_gym.simulation.tangent_integrator import DIRECTIONS, TangentIntegrator
 
 
-class PeriodEnd(NamedTuple):
+class _PeriodEnd(NamedTuple):
     """End of a control period, with p derivatives.
 
     Attributes:
@@ -45,6 +45,9 @@ class PeriodMap:
         parameters: derivatives of the constants `kernels.arguments.PER_ARM`, by name, with respect to the parameter of
             each of the p directions; an empty dict for directions of states and inputs.
         constants: constants of the arm; None takes those of the model.
+
+    Attributes:
+        count: number of derivatives p.
     """
 
     def __init__(
@@ -54,7 +57,7 @@ class PeriodMap:
         if not isinstance(method, LinearlyImplicit | IteratedGauss):
             raise value_error("method", method.name, "one of fixed steps that `simulate_all` integrates in groups")
         groups = max(1, -(-len(parameters) // DIRECTIONS))
-        self.model, self._grid = model, (0.0, period[0] / period[1], period[1])
+        self.model, self.count, self._grid = model, len(parameters), (0.0, period[0] / period[1], period[1])
         self._integrator = TangentIntegrator(constants or model.constants, method, period, groups)
         for direction, derivatives in enumerate(parameters):
             self._integrator.set_derivative(direction, derivatives)
@@ -65,7 +68,7 @@ class PeriodMap:
         self._rows, self._outputs = np.zeros((count, 2, 2 * model.n_dof + 2)), np.zeros((count, 2, layout.OUTPUTS))
         self._counts = np.zeros((count, 2), dtype=np.int64)
 
-    def advance(self, row: Array, drive: Array, rows: Array, drives: Array) -> PeriodEnd:
+    def advance(self, row: Array, drive: Array, rows: Array, drives: Array) -> _PeriodEnd:
         """Integrate the arm and its derivatives over a control period.
 
         Args:
@@ -81,9 +84,15 @@ class PeriodMap:
         self._drives[::ARMS_PER_GROUP, layout.OFFSET], self._drives[self._lanes, layout.OFFSET] = drive, drives
         self._integrator.run(self._drives, self._rows, self._outputs, self._counts, self._grid)
         end, outputs = self._rows[:, 1], self._outputs[:, 1]
-        return PeriodEnd(
+        return _PeriodEnd(
             end[0].copy(), outputs[0].copy(), end[self._lanes], outputs[self._lanes], bool(self._counts[0, 0] < 1)
         )
+
+    def outputs(self, row: Array, rows: Array) -> Array:
+        """Return the derivatives (p, OUTPUTS) of the outputs at a row (2 d + 2,) with derivatives (p, 2 d + 2)."""
+        inputs = np.zeros((len(rows) + 1, self.model.n_joints + 6))
+        self.advance(row, inputs[0], rows, inputs[1:])
+        return self._outputs[self._lanes, 0]
 
 
 def period_jacobian(model: Model, method: Method, period: tuple[float, int], state: Array, drive: Array) -> Array:

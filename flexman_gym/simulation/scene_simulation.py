@@ -39,7 +39,7 @@ from flexman_gym.simulation.diagnostics import explain_energy, explain_failure
 from flexman_gym.simulation.integrator import MAX_STEPS, Integrator, find_method, find_tolerance, prescribed_flags
 from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
 from flexman_gym.simulation.parameters import varied_constants
-from flexman_gym.simulation.trajectory import Kinetics, Trajectory, build_trajectory
+from flexman_gym.simulation.trajectory import Kinetics, Trajectory
 
 TIP_ACCELERATIONS = {  # name of a component -> column of `tip_accelerations`
     f"{name}_{axis}": part.start + i
@@ -66,7 +66,9 @@ class _Interval(NamedTuple):
     complete: bool
 
 
-def integration_intervals(pieces: PiecewiseSignals, interval: float, substeps: int, rows: range) -> Iterator[_Interval]:
+def _integration_intervals(
+    pieces: PiecewiseSignals, interval: float, substeps: int, rows: range
+) -> Iterator[_Interval]:
     """Divide a range of output intervals at the boundaries of the pieces of a drive.
 
     A part shorter than an output interval has equal steps, none longer than the steps of a whole output interval.
@@ -125,7 +127,7 @@ def _run_pieces(
     """
     row, result = np.zeros((1, len(state))), np.zeros((1, layout.OUTPUTS))
     status, valid, evaluations, last_call = layout.OK, 0, 0, (pieces.table(), (0.0, *spacing), state.copy())
-    for call in integration_intervals(pieces, *spacing, range(first, first + len(rows))):
+    for call in _integration_intervals(pieces, *spacing, range(first, first + len(rows))):
         last_call, at = (pieces.table(call.piece), call.grid, state.copy()), call.row - first
         some = slice(at, at + call.rows)
         new_rows, new_outputs = (rows[some], outputs[some]) if call.rows else (row, result)
@@ -231,7 +233,7 @@ def _simulate_scene(scene: Scene, settings: _Settings, constants: dict[str, Any]
     elapsed = clock.perf_counter() - started
     outcome = (STATUS[status], evaluations, elapsed)
     sources = partial(_explanation, scene, settings, constants), partial(_kinetics, scene, settings, constants)
-    return build_trajectory(model, interval, states[: valid + 1], outputs[: valid + 1], outcome, *sources)
+    return Trajectory.from_rows(model, interval, states[: valid + 1], outputs[: valid + 1], outcome, *sources)
 
 
 def _make_integrator(scene: Scene, settings: _Settings, constants: dict[str, Any] | None = None) -> Integrator:
@@ -381,7 +383,7 @@ def _simulate_in_lanes(
         outcome = status, steps * stages, seconds
         own = scenes[i], settings, _constants_of(varied, i)
         sources = partial(_explanation, *own), partial(_kinetics, *own)
-        result.append(build_trajectory(model, interval, states[: valid + 1], read[: valid + 1], outcome, *sources))
+        result.append(Trajectory.from_rows(model, interval, states[: valid + 1], read[: valid + 1], outcome, *sources))
     return result
 
 
@@ -390,7 +392,7 @@ def run_in_lanes(
 ) -> IntArray:
     """Fill the rows and outputs after time 0, piece by piece; return the numbers (b, 2) of valid rows and of steps."""
     counts, ok, last = np.zeros((len(rows), 2), dtype=np.int64), np.ones(len(rows), dtype=bool), rows[:, 0]
-    for call in integration_intervals(drives[0], settings.interval, settings.substeps, range(settings.rows)):
+    for call in _integration_intervals(drives[0], settings.interval, settings.substeps, range(settings.rows)):
         part, read, now = (
             rows[:, call.row :][:, : call.rows + 1],
             outputs[:, call.row :][:, : call.rows + 1],

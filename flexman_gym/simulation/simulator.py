@@ -15,7 +15,7 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.diagnostics import explain_energy, explain_failure
 from flexman_gym.simulation.integrator import prescribed_flags
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
-from flexman_gym.simulation.trajectory import ENERGY_ALARM, Trajectory, build_trajectory
+from flexman_gym.simulation.trajectory import ENERGY_ALARM, Trajectory
 
 
 @deprecated_members(**MEMBERS["Simulator"])
@@ -122,7 +122,9 @@ class Simulator:
         states, outputs = (np.array(each) for each in zip(*self._record, strict=True))
         states[:, -2:] -= states[0, -2:]
         outcome = self.status, 0, 0.0
-        return build_trajectory(self.model, self.control_period, states, outputs, outcome, lambda _: self.explanation())
+        return Trajectory.from_rows(
+            self.model, self.control_period, states, outputs, outcome, lambda _: self.explanation()
+        )
 
     def step(
         self,
@@ -131,7 +133,7 @@ class Simulator:
         tip_force: Vector | None = None,
         base_acceleration: Vector | None = None,
     ) -> str:
-        """Integrate over one control period under constant inputs.
+        """Integrate over one control period under constant inputs; return the status.
 
         Args:
             torque: (n,) motor torques, N m; 0 for motors with prescribed motion.
@@ -139,9 +141,6 @@ class Simulator:
                 for zeros.
             tip_force: (3,) force on the tip of the last link, base frame, N; None for zeros.
             base_acceleration: (3,) acceleration of the base, base frame, m/s^2; None for zeros.
-
-        Returns:
-            The status.
 
         Raises:
             ValueError: for a wrong shape, a value that is not finite, or a torque on a joint with prescribed motion.

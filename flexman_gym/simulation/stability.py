@@ -25,7 +25,7 @@ NEGLIGIBLE_GROWTH = 1e-6  # dimensionless; growth per step still counted as stab
 
 
 def amplification_factors(method: Method, angle: float | Array) -> NDArray[np.complex128]:
-    """Return the complex factors by which one step multiplies the components of an undamped vibration.
+    """Return the complex factors (..., f) by which one step multiplies the components of an undamped vibration.
 
     Runge-Kutta and linearly implicit methods have one factor (with its conjugate), the stability function R(i omega h).
     The semi-implicit Euler method and the iterated Gauss method of two stages have two factors and the
@@ -34,9 +34,6 @@ def amplification_factors(method: Method, angle: float | Array) -> NDArray[np.co
     Args:
         method: method of fixed steps.
         angle: omega h, the phase by which the exact vibration advances in a step, rad; a number or an array (...).
-
-    Returns:
-        The factors (..., f).
 
     Raises:
         ValueError: for an adaptive method, which has no fixed step.
@@ -143,15 +140,12 @@ def stability_limit(method: Method, growth: float = 0.0) -> float:
 
 
 def remaining_amplitude(method: Method, step: float, frequency: float, duration: float = 10.0) -> float:
-    """Return the ratio of final and initial amplitude of an undamped vibration, as integrated by a method.
+    """Return final / initial amplitude of an undamped vibration integrated by a method; 1 without numerical damping.
 
     Args:
         method: method of fixed steps.
         step: s.
         frequency: frequency of the vibration, Hz.
         duration: s.
-
-    Returns:
-        The ratio; 1 without numerical damping.
     """
     return float(spectral_radii(method, 2.0 * np.pi * frequency * step) ** (duration / step))

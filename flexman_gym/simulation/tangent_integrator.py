@@ -1,12 +1,10 @@
 """Integrator of an arm together with the derivatives of its motion."""
 
-from typing import Any
-
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.kernels import batch as kernels
-from flexman_gym.kernels.arguments import ALL, PER_ARM, aligned_zeros
+from flexman_gym.kernels.arguments import ALL, PER_ARM, tangent_constants
 from flexman_gym.kernels.lanes import TANGENTS
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
@@ -47,10 +45,7 @@ class TangentIntegrator(LaneIntegrator):
 
     def _group_constants(self, constants: Constants) -> Constants:
         """Return the constants of a group with derivatives of zero."""
-        own: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in self._own}
-        for name, values in own.items():
-            values[..., 0] = getattr(constants, name)
-        return constants._replace(**own)
+        return tangent_constants(constants, self._own)
 
     def set_derivative(self, direction: int, constants: dict[str, Array]) -> None:
         """Set the derivatives of constants with respect to the parameter of a direction, by name."""

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -17,11 +17,6 @@ from flexman_gym.model.loads import FrameMotion, part_energies, section_forces
 from flexman_gym.model.model import Model
 
 ENERGY_ALARM = 0.01  # dimensionless; fraction of `energy_turnover` above which the energy residual is too large
-
-
-def _energy_turnover(moving_energy: Array | float, work: Array | float, dissipation: Array | float) -> Array:
-    """Return the largest of kinetic + elastic energy, |work| and |dissipation|, J: the scale of the energy residual."""
-    return np.maximum(np.maximum(moving_energy, np.abs(work)), np.abs(dissipation))
 
 
 class Kinetics(NamedTuple):
@@ -186,7 +181,7 @@ class Trajectory:
     @property
     def energy_turnover(self) -> Array:
         """Largest of kinetic + elastic energy, |work|, |dissipation| so far (T,), J: scale of the energy residual."""
-        parts = _energy_turnover(self.moving_energy, self.work, self.dissipation)
+        parts = np.maximum(np.maximum(self.moving_energy, np.abs(self.work)), np.abs(self.dissipation))
         return np.maximum.accumulate(parts)
 
     def columns(self) -> dict[str, Array]:
@@ -237,44 +232,45 @@ class Trajectory:
         above = np.flatnonzero(abs(self.energy_residual) > largest)
         return float(self.time[above[0]]) if above.size else None
 
+    @classmethod
+    def from_rows(
+        cls,
+        model: Model,
+        interval: float,
+        states: Array,
+        outputs: Array,
+        outcome: tuple[str, int, float],
+        explain: Callable[["Trajectory"], str] = _no_explanation,
+        kinetics: Callable[["Trajectory"], Kinetics] = _no_kinetics,
+    ) -> Self:
+        """Return the trajectory given by states and outputs at equal intervals.
 
-def build_trajectory(
-    model: Model,
-    interval: float,
-    states: Array,
-    outputs: Array,
-    outcome: tuple[str, int, float],
-    explain: Callable[[Trajectory], str] = _no_explanation,
-    kinetics: Callable[[Trajectory], Kinetics] = _no_kinetics,
-) -> Trajectory:
-    """Return the trajectory given by states and outputs at equal intervals.
-
-    Args:
-        model: the model.
-        interval: time between rows, s.
-        states: (T, 2 d + 2) states (2 d), each followed by work and dissipation, J.
-        outputs: (T, OUTPUTS) columns of `kernels.layout`.
-        outcome: status, number of evaluations, and wall-clock time of the integration, s.
-        explain: function: trajectory -> its explanation.
-        kinetics: function: trajectory -> its `Kinetics`.
-    """
-    size = 2 * model.n_dof
-    return Trajectory(
-        time=interval * np.arange(len(states), dtype=np.float64),
-        tip=outputs[:, layout.TIP],
-        tip_velocity=outputs[:, layout.TIP_VELOCITY],
-        joint_angles=states[:, : model.n_joints],
-        motor_angles=states[:, model.motor_columns],
-        energy=outputs[:, layout.KINETIC :].sum(axis=1),
-        moving_energy=outputs[:, layout.KINETIC : layout.GRAVITATIONAL].sum(axis=1),
-        work=states[:, size],
-        dissipation=states[:, size + 1],
-        states=states[:, :size],
-        deflection=outputs[:, layout.DEFLECTION],
-        status=outcome[0],
-        evaluations=outcome[1],
-        wall_seconds=outcome[2],
-        model=model,
-        explain=explain,
-        kinetics=kinetics,
-    )
+        Args:
+            model: the model.
+            interval: time between rows, s.
+            states: (T, 2 d + 2) states (2 d), each followed by work and dissipation, J.
+            outputs: (T, OUTPUTS) columns of `kernels.layout`.
+            outcome: status, number of evaluations, and wall-clock time of the integration, s.
+            explain: function: trajectory -> its explanation.
+            kinetics: function: trajectory -> its `Kinetics`.
+        """
+        size = 2 * model.n_dof
+        return cls(
+            time=interval * np.arange(len(states), dtype=np.float64),
+            tip=outputs[:, layout.TIP],
+            tip_velocity=outputs[:, layout.TIP_VELOCITY],
+            joint_angles=states[:, : model.n_joints],
+            motor_angles=states[:, model.motor_columns],
+            energy=outputs[:, layout.KINETIC :].sum(axis=1),
+            moving_energy=outputs[:, layout.KINETIC : layout.GRAVITATIONAL].sum(axis=1),
+            work=states[:, size],
+            dissipation=states[:, size + 1],
+            states=states[:, :size],
+            deflection=outputs[:, layout.DEFLECTION],
+            status=outcome[0],
+            evaluations=outcome[1],
+            wall_seconds=outcome[2],
+            model=model,
+            explain=explain,
+            kinetics=kinetics,
+        )

@@ -24,7 +24,7 @@ from flexman_gym.verification.closed_forms import (
     hub_beam_frequencies,
     stepped_cantilever_frequencies,
 )
-from flexman_gym.verification.table import VerificationRow, series_rows
+from flexman_gym.verification.table import VerificationRow
 
 # Coordinates of a node in axial vibration, torsion, and bending along y and along z.
 AXIAL, TWIST, BENDING_Y, BENDING_Z = (0,), (3,), (1, 5), (2, 4)
@@ -111,7 +111,7 @@ def _cantilever_rows() -> Iterator[VerificationRow]:
     for ratio in (0.0, 0.1, 0.5, 1.0, 5.0):
         result = 2.0 * np.pi * link_frequencies(link, 24, BENDING_Y, ratio)[:3]
         name = f"cantilever, tip mass / beam mass {ratio:g}" if ratio else "cantilever"
-        yield from series_rows(name + ", lambda_{}", BEAM, cantilever_frequencies(3, ratio), result, 2e-5)
+        yield from VerificationRow.series(name + ", lambda_{}", BEAM, cantilever_frequencies(3, ratio), result, 2e-5)
 
 
 def _hub_rows() -> Iterator[VerificationRow]:
@@ -120,7 +120,7 @@ def _hub_rows() -> Iterator[VerificationRow]:
         model = build_model(Arm([slender_link()], [Joint((0.0, 0.0, 1.0), ratio)]), 32)
         result = 2.0 * np.pi * frequencies(model)[1:4]
         name = f"free hub, J / (rho A L^3) {ratio:g}, lambda_{{}}"
-        yield from series_rows(name, BEAM, hub_beam_frequencies(3, ratio), result, 2e-5)
+        yield from VerificationRow.series(name, BEAM, hub_beam_frequencies(3, ratio), result, 2e-5)
 
 
 def _static_rows() -> Iterator[VerificationRow]:
@@ -164,7 +164,7 @@ def _stepped_rows() -> Iterator[VerificationRow]:
         model = build_model(Arm([link], [Joint((0.0, 0.0, 1.0))]), 16, rotary_inertia=False)
         result = 2.0 * np.pi * frequencies(model, lock_joints=True)[:3]
         expected = stepped_cantilever_frequencies(3, position, rigidity, ratio)
-        yield from series_rows(f"{name}, lambda_{{}}", STEPPED, expected, result, 2e-5)
+        yield from VerificationRow.series(f"{name}, lambda_{{}}", STEPPED, expected, result, 2e-5)
 
 
 def _bar_rows() -> Iterator[VerificationRow]:
@@ -173,7 +173,7 @@ def _bar_rows() -> Iterator[VerificationRow]:
     for name, columns in (("axial", AXIAL), ("torsional", TWIST)):
         scale = bar_frequency_scale(link, columns)
         result = link_frequencies(link, 24, columns)
-        yield from series_rows(
+        yield from VerificationRow.series(
             f"{name} f_{{}}, link 3, Hz", "closed form: bar", scale * bar_frequencies(2), result[:2], 2e-3
         )
 
@@ -192,12 +192,7 @@ def _elastic_joint_rows() -> Iterator[VerificationRow]:
             mass_ratio = tip / (mass_per_length * length)
             lambdas = flexible_joint_frequencies(3, stiffness * length / rigidity, ratio, mass_ratio)
             case = f"flexible link on elastic joint, rotor {name}, tip {tip:g} kg, f_{{}}, Hz"
-            yield from series_rows(case, "closed form: beam, spring, rotor", scale * lambdas, result, 2e-5)
+            yield from VerificationRow.series(case, "closed form: beam, spring, rotor", scale * lambdas, result, 2e-5)
 
 
 CLOSED_FORMS = (_cantilever_rows, _hub_rows, _static_rows, _stepped_rows, _bar_rows, _elastic_joint_rows)
-
-
-def closed_form_rows() -> list[VerificationRow]:
-    """Return the rows of all closed-form cases; after compilation this takes a few seconds."""
-    return [row for case in CLOSED_FORMS for row in case()]

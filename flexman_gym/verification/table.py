@@ -3,8 +3,9 @@
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Self
 
 from flexman_gym.common.computer import computer_info
 
@@ -42,6 +43,22 @@ class VerificationRow:
             return SHOWN
         return PASS if self.error <= self.tolerance else FAIL
 
+    @classmethod
+    def series(
+        cls, case: str, source: str, expected: Iterable[float], computed: Iterable[float], tolerance: float
+    ) -> list[Self]:
+        """Return the rows of a series of values, such as successive frequencies.
+
+        Args:
+            case: description of the quantity with its unit; {} is replaced by 1, 2, 3, ...
+            source: source of the expected values.
+            expected: expected values.
+            computed: computed values, of the same number.
+            tolerance: largest accepted relative error, 1.
+        """
+        pairs = enumerate(zip(expected, computed, strict=True), start=1)
+        return [cls(case.format(i), source, float(e), float(c), tolerance) for i, (e, c) in pairs]
+
     def values(self) -> dict[str, str | float | None]:
         """Return column name -> entry of the row, see COLUMNS."""
         return {name: getattr(self, name) for name in COLUMNS}
@@ -53,27 +70,6 @@ class VerificationRow:
         return [self.case, self.source, *numbers, self.verdict]
 
 
-def series_rows(
-    case: str, source: str, expected: Iterable[float], computed: Iterable[float], tolerance: float
-) -> list[VerificationRow]:
-    """Return the rows of a series of values, such as successive frequencies.
-
-    Args:
-        case: description of the quantity with its unit; {} is replaced by 1, 2, 3, ...
-        source: source of the expected values.
-        expected: expected values.
-        computed: computed values, of the same number.
-        tolerance: largest accepted relative error, 1.
-    """
-    pairs = enumerate(zip(expected, computed, strict=True), start=1)
-    return [VerificationRow(case.format(i), source, float(e), float(c), tolerance) for i, (e, c) in pairs]
-
-
-def exit_code(rows: Sequence[VerificationRow]) -> int:
-    """Return the exit status of a command: 1 if a row fails or there is no row, else 0."""
-    return int(not rows or any(row.verdict == FAIL for row in rows))
-
-
 RULE = (
     "Errors are relative to the expected value, or absolute if it is 0. A row without a tolerance has no verdict. "
     'The command computes the values of the source "closed form" itself.'
@@ -81,25 +77,28 @@ RULE = (
 SUMMARY = "{passed} of {evaluated} rows pass, {failed} fail; another {shown} rows have no tolerance."
 
 
-def summary(rows: Sequence[VerificationRow]) -> str:
-    """Return a sentence with the numbers of rows that pass, that fail, and that have no tolerance."""
-    count = Counter(row.verdict for row in rows)
-    passed, failed = count[PASS], count[FAIL]
-    return SUMMARY.format(passed=passed, evaluated=passed + failed, failed=failed, shown=count[SHOWN])
+class VerificationTable(list[VerificationRow]):
+    """Rows of a verification, as text and JSON."""
 
+    @property
+    def exit_code(self) -> int:
+        """Exit status of a command: 1 if a row fails or there is no row, else 0."""
+        return int(not self or any(row.verdict == FAIL for row in self))
 
-def format_table(rows: Sequence[VerificationRow]) -> str:
-    """Return the rows as a table for the terminal."""
-    lines = [list(COLUMNS), *(row.cells() for row in rows)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(COLUMNS))]
-    texts = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
-    return "\n".join([*(text.rstrip() for text in texts), summary(rows)])
+    def __str__(self) -> str:
+        """Return a table for the terminal, and the numbers of rows that pass, that fail, and without a tolerance."""
+        lines = [list(COLUMNS), *(row.cells() for row in self)]
+        widths = [max(len(line[i]) for line in lines) for i in range(len(COLUMNS))]
+        texts = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
+        count = Counter(row.verdict for row in self)
+        passed, failed = count[PASS], count[FAIL]
+        summary = SUMMARY.format(passed=passed, evaluated=passed + failed, failed=failed, shown=count[SHOWN])
+        return "\n".join([*(text.rstrip() for text in texts), summary])
 
-
-def format_json(rows: Sequence[VerificationRow]) -> str:
-    """Return rows, computer and versions of the software as JSON; infinite numbers and NaN become null."""
-    clean = [{name: _finite(value) for name, value in row.values().items()} for row in rows]
-    return json.dumps({"machine": computer_info(), "rule": RULE, "rows": clean}, indent=1, allow_nan=False) + "\n"
+    def to_json(self) -> str:
+        """Return rows, computer and versions of the software as JSON; infinite numbers and NaN become null."""
+        clean = [{name: _finite(value) for name, value in row.values().items()} for row in self]
+        return json.dumps({"machine": computer_info(), "rule": RULE, "rows": clean}, indent=1, allow_nan=False) + "\n"
 
 
 def _finite(value: str | float | None) -> str | float | None:

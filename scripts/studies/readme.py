@@ -60,6 +60,7 @@ ARMS = {
     "FlexPlanar": "two flexible links, flexible joints, vertical plane",
     "FlexOne": "one flexible link, one flexible joint, the textbook case",
     "FlexQuanser": "two flexible links, horizontal plane, a real machine",
+    "FlexRotary": "one flexible link, motor driven by its voltage",
 }
 TASKS = {
     "Slew": "move to a target and settle",

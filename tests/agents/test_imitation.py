@@ -12,7 +12,7 @@ pytest.importorskip("stable_baselines3")
 import flexman_gym as fm
 from flexman_agents.callbacks import Interrupted
 from flexman_agents.imitation import ACTION_SCALE, EMA_DECAY, DAgger
-from flexman_agents.settings import Settings
+from flexman_agents.settings import DEFAULT_HYPERPARAMETERS, Settings
 from flexman_agents.training import resume, train, train_or_resume
 from flexman_gym.__main__ import main
 from flexman_gym.common.run_folder import NEWEST, read_npz
@@ -154,7 +154,8 @@ def test_ctrl_c_stops_it_and_says_that_nothing_is_kept(tmp_path, monkeypatch):
     assert not (tmp_path / NEWEST).exists()
 
 
-def test_the_command_line_imitates_a_controller(tmp_path, capsys):
+def test_the_command_line_imitates_a_controller(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(DEFAULT_HYPERPARAMETERS["dagger"], "updates", 5)
     told = ["imitate", "{kind: pd, stiffness: [0.05], damping: [0.02]}", "--env", "FlexOne-v0", "--set", "horizon=0.4"]
     assert main([*told, "--steps", "150", "--envs", "4", "--folder", str(tmp_path / "run")]) == 0
     captured = capsys.readouterr()

@@ -13,7 +13,6 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("ray.rllib.algorithms.ppo", reason="RLlib is not installed: requirements-rllib.txt")
 
 from flexman_agents import rllib
-from flexman_agents.rllib import NormalisationConnector
 from flexman_agents.settings import Settings
 from flexman_gym.common.run_folder import NEWEST, read_npz
 from flexman_gym.evaluation.agent import find_agent
@@ -88,7 +87,7 @@ def _last(runner, arm):
 
 def test_scales_that_runners_share_count_everything_once():
     values = np.random.default_rng(0).normal(2.0, 3.0, (60, 4))
-    runners = [NormalisationConnector(4) for _ in range(3)]
+    runners = [rllib._NormalisationConnector(4) for _ in range(3)]
     for parts in (values[:30], values[30:]):
         for runner, part in zip(runners, np.split(parts, 3), strict=True):
             runner.own["observations"].add(part)

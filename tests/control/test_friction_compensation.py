@@ -26,8 +26,8 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.evaluation import evaluate
-from flexman_gym.model.linearization import linearize
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.linearization import linearize
 
 PERIOD, LIMITS = 0.02, (12.0, 4.0)
 RATES = st.floats(-8.0, 8.0)

@@ -91,7 +91,7 @@ def test_what_was_asked_before_changes_no_bit(folder, monkeypatch):
     assert np.array_equal(one, expected), "one arm that goes from place to place"
     first.save()
     assert len(list(folder.iterdir())) == 1
-    monkeypatch.delattr(lqr, "lqr_gain")
+    monkeypatch.delattr(lqr.CostWeights, "gain")
     assert np.array_equal(asked(table(), PLACES), expected)
 
 

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import flexman_gym as fm
 from flexman_gym.control import LQR, Controller, EpisodeInfo, TrackingLQR
-from flexman_gym.control.lqr import FEEDFORWARD_FRACTION, CostWeights, lqr_gain
+from flexman_gym.control.lqr import FEEDFORWARD_FRACTION, CostWeights
 from flexman_gym.control.references.trajectories import TIMING_LAWS, plan_path, plan_slew
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
@@ -71,7 +71,7 @@ def test_the_gain_of_a_scalar_is_the_root_of_its_quadratic_equation(fall, limit,
     """Only the rate is moved: p = q + a^2 p - (a b p)^2 / (r + b^2 p), so k = a b p / (r + b^2 p)."""
     linear = linear_model([[-1.0, 0.0], [0.0, -fall]], [[0.0], [2.0]], [[0, 0], [1, 0], [0, 0]])
     weights = CostWeights(tip=1.0, tip_speed=speed, motor=1.0)
-    gain = lqr_gain(linear, np.array([0]), np.array([limit]), weights, 0.1)
+    gain = weights.gain(linear, np.array([0]), np.array([limit]), 0.1)
     a, b = np.exp(-0.1 * fall), 2.0 * (1 - np.exp(-0.1 * fall)) / fall
     q, r = 1 / speed**2, 1 / limit**2
     half = (r - a * a * r - b * b * q) / (2 * b * b)
@@ -94,7 +94,7 @@ def cost(linear, gain, weights, limit, x):
 
 def test_no_gain_nearby_costs_less():
     linear, weights, limit = double_integrator(0.5, 2.0), CostWeights(0.2, 1.0, 0.5), 3.0
-    gain = lqr_gain(linear, np.array([0]), np.array([limit]), weights, PERIOD)
+    gain = weights.gain(linear, np.array([0]), np.array([limit]), PERIOD)
     x = np.array([1.0, -0.5])
     best = cost(linear, gain, weights, limit, x)
     for change in ([0.03, 0.0], [-0.03, 0.0], [0.0, 0.03], [0.0, -0.03]):
@@ -104,10 +104,10 @@ def test_no_gain_nearby_costs_less():
 def test_the_angle_of_a_motor_weighs_wherever_it_stands_in_the_state():
     """Beside a coordinate that nothing moves, which comes to rest by itself, its gain is that of the motor alone."""
     weights, limit = CostWeights(0.2, 1.0, 0.5), np.array([3.0])
-    alone = lqr_gain(double_integrator(0.5, 0.0), np.array([0]), limit, weights, PERIOD)
+    alone = weights.gain(double_integrator(0.5, 0.0), np.array([0]), limit, PERIOD)
     A = [[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [-9.0, 0.0, -3.0, 0.0], [0.0, 0.0, 0.0, 0.0]]
     beside = linear_model(A, [[0.0], [0.0], [0.0], [1 / 0.5]], np.zeros((3, 2)))
-    gain = lqr_gain(beside, np.array([1]), limit, weights, PERIOD)
+    gain = weights.gain(beside, np.array([1]), limit, PERIOD)
     assert gain[:, [1, 3]] == pytest.approx(alone, rel=1e-8) and gain[:, [0, 2]] == pytest.approx(0.0, abs=1e-9)
 
 
@@ -115,7 +115,7 @@ def test_units_of_torque_do_not_matter():
     """Inertia and limits a thousand times as large ask for a thousand times the torque."""
     weights = CostWeights(0.2, 1.0, 0.5)
     one, many = (
-        lqr_gain(double_integrator(scale), np.array([0]), np.array([3.0 * scale]), weights, PERIOD)
+        weights.gain(double_integrator(scale), np.array([0]), np.array([3.0 * scale]), PERIOD)
         for scale in (1.0, 1000.0)
     )
     assert many == pytest.approx(1000.0 * one, rel=1e-8)

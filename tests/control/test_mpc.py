@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 import flexman_gym as fm
 from flexman_gym.__main__ import main
 from flexman_gym.control import EpisodeInfo, mpc
-from flexman_gym.control.lqr import CostWeights, lqr_gain
+from flexman_gym.control.lqr import CostWeights
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.evaluation import rollout
@@ -60,7 +60,7 @@ def test_without_limits_the_first_torque_is_that_of_the_lqr(blocks, monkeypatch)
     gap = np.concatenate([*near, horizon.terminal @ states[-1]])
     slope = horizon.jacobian @ gap + planned.ravel()
     first = planned[0] - np.linalg.solve(horizon.curvature, slope)[:n]
-    gain = lqr_gain(linear, model.motor_columns, limits, WEIGHTS, PERIOD)
+    gain = WEIGHTS.gain(linear, model.motor_columns, limits, PERIOD)
     assert first == pytest.approx(-gain @ start / limits, rel=1e-6, abs=1e-8)
 
 
@@ -74,7 +74,7 @@ def test_near_its_goal_the_controller_is_the_lqr(monkeypatch):
     off[: model.n_dof] = (fm.rest_state(model, posture + np.array([1e-6, -2e-6, 3e-6])) - rest)[: model.n_dof]
     off[model.n_dof + model.motor_columns] = [2e-6, 1e-6, -1e-6]
     state = rest + off
-    gain = lqr_gain(about(model, posture), model.motor_columns, limits, controller._weights, PERIOD)
+    gain = controller._weights.gain(about(model, posture), model.motor_columns, limits, PERIOD)
     expected = -gain @ off / limits
     for planned in (0.0, 1e-5 * np.random.default_rng(2).normal(size=(24, 3))):
         controller._planned[0], controller._now[0] = planned, 0
@@ -156,7 +156,7 @@ def test_between_two_postures_slopes_are_between_theirs():
 def test_changes_stay_within_their_bounds_and_cost_the_least():
     """Of a cost without coupling each bound cuts its own change off."""
     low, high = np.array([-1.0, -0.5, -0.2]), np.array([0.1, 0.5, 1.0])
-    changes = mpc.solve_quadratic_program(daqp, np.diag([1.0, 2.0, 4.0]), np.array([-3.0, 4.0, 0.4]), low, high)
+    changes = mpc._solve_quadratic_program(daqp, np.diag([1.0, 2.0, 4.0]), np.array([-3.0, 4.0, 0.4]), low, high)
     assert changes == pytest.approx([0.1, -0.5, -0.1])
 
 

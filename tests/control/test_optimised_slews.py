@@ -10,6 +10,7 @@ import flexman_gym as fm
 from flexman_gym.__main__ import main
 from flexman_gym.control import EpisodeInfo
 from flexman_gym.control.lqr import LQR
+from flexman_gym.control.references import optimised_slews
 from flexman_gym.control.references.optimised_slews import (
     COMMAND,
     SETTLED_BAND,
@@ -19,7 +20,6 @@ from flexman_gym.control.references.optimised_slews import (
     OptimisedController,
     SingleShooting,
     SlewTable,
-    broyden_update,
 )
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
@@ -116,7 +116,7 @@ def test_slopes_are_those_of_errors():
 def test_slopes_that_follow_a_move_map_it_to_the_change_and_others_as_before():
     random = np.random.default_rng(2)
     slopes, move, change = random.normal(size=(4, 5, 3)), random.normal(size=4), random.normal(size=(5, 3))
-    result, across = broyden_update(slopes, move, change), np.array([move[1], -move[0], 0.0, 0.0])
+    result, across = optimised_slews._broyden_update(slopes, move, change), np.array([move[1], -move[0], 0.0, 0.0])
     assert np.tensordot(move, result, 1) == pytest.approx(change)
     assert np.tensordot(across, result, 1) == pytest.approx(np.tensordot(across, slopes, 1))
 

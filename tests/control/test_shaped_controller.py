@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from flexman_gym.control import LQR, PD, Controller, InputShapedController
-from flexman_gym.control.input_shaping.shapers import design_shaper, excited_modes, sample_shaper, shaper_residual
+from flexman_gym.control.input_shaping.shapers import design_shaper, excited_modes, shaper_residual
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.env import FlexManEnv
@@ -57,7 +57,7 @@ def test_a_shaped_step_reaches_the_goal_by_its_impulses():
     episode, told, (goals, _, motors, targets) = heard("FlexPlanar-v0", 90, sensors, shaper="zv")
     start, goal = episode.start[0], episode.goal[0]
     frequency, ratio, _ = excited_modes(PLANAR, goal)[0]
-    parts = np.cumsum(sample_shaper(design_shaper("zv", frequency, ratio), 0.01))
+    parts = np.cumsum(design_shaper("zv", frequency, ratio).sample(0.01))
     wanted = start + np.append(parts, np.ones(90))[:90, None] * (goal - start)
     assert told["angle_command"] == pytest.approx(wanted, abs=1e-12) and 0.3 < parts[0] < 0.7
     assert told["angle_errors"] + motors == pytest.approx(wanted, abs=1e-12)
@@ -82,7 +82,7 @@ def test_of_a_path_it_tells_what_the_path_was():
     """Each impulse is late by its time; the arm has rested at the start of the path before."""
     modes = [(1.3, 0.0), (4.0, 0.01)]
     episode, told, (goals, rates, _, _) = heard("FlexPlanar-Track-v0", 200, ("servo", "command"), modes=modes)
-    late = np.convolve(*(sample_shaper(design_shaper("zvd", *mode), 0.01) for mode in modes))
+    late = np.convolve(*(design_shaper("zvd", *mode).sample(0.01) for mode in modes))
     before = np.vstack([np.repeat(goals[:1], len(late), axis=0), goals])
     still = np.vstack([np.zeros((len(late), 2)), rates])
     for seen, past in (("angle_command", before), ("rate_command", still), ("goal_rates", still)):
@@ -118,7 +118,7 @@ def test_on_a_small_slew_the_arm_answers_as_to_its_impulses_one_by_one(which):
     plain, shaped = (
         motion(base) for base in (controllers()[which], InputShapedController(controllers()[which], MODEL, "mzv"))
     )
-    parts = sample_shaper(design_shaper("mzv", *excited_modes(MODEL, [0.005])[0, :2]), 0.02)
+    parts = design_shaper("mzv", *excited_modes(MODEL, [0.005])[0, :2]).sample(0.02)
     wanted = np.array([np.convolve(column, parts)[: len(plain)] for column in plain.T]).T
     scale = np.abs(plain).max(axis=0)
     assert np.abs((shaped - wanted) / np.where(scale > 1e-6, scale, np.inf)).max() < 2e-3

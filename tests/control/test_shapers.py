@@ -10,12 +10,9 @@ from flexman_gym.control.input_shaping.shapers import (
     TIP_VIBRATION_LIMIT,
     OperatingPoint,
     Shaper,
-    compare_shapers,
-    convolve_shapers,
+    ShaperEvaluation,
     design_shaper,
     excited_modes,
-    find_operating_points,
-    sample_shaper,
     shaper_residual,
 )
 from flexman_gym.control.references.trajectories import TIMING_LAWS
@@ -98,7 +95,7 @@ def test_the_insensitivity_is_that_which_was_published(name):
 
 def test_two_shapers_kill_both_modes():
     first, second = design_shaper("zv", 0.5, 0.02), design_shaper("ei", 1.7, 0.01, 0.03)
-    shaper = convolve_shapers(first, second)
+    shaper = first.convolve(second)
     assert shaper.amplitudes.sum() == pytest.approx(1.0) and (np.diff(shaper.times) >= 0.0).all()
     assert shaper.times[-1] == pytest.approx(first.times[-1] + second.times[-1])
     assert shaper_residual(shaper, 0.5, 0.02) == pytest.approx(0.0, abs=1e-10)
@@ -111,7 +108,7 @@ def test_samples_cost_what_is_said(name):
     """At 0.3 Hz and 20 ms less than 0.02 %; each sample sums to one, and lies in the mean where the impulses do."""
     frequency, period = 0.31, 0.02
     shaper = design_shaper(name, frequency)
-    parts = sample_shaper(shaper, period)
+    parts = shaper.sample(period)
     times = period * np.arange(len(parts))
     assert parts.sum() == pytest.approx(1.0) and parts @ times == pytest.approx(shaper.amplitudes @ shaper.times)
     price = abs(shaper_residual(Shaper(times, parts), frequency) - shaper_residual(shaper, frequency))
@@ -144,7 +141,7 @@ def test_an_arm_rings_after_a_shaped_command_as_the_closed_form_says():
     for name in ("zv", "zvd", "ei"):
         for error in (0.8, 1.15):
             shaper = design_shaper(name, frequency * error, ratio)
-            left = 100.0 * swing(sample_shaper(shaper, period)) / plain
+            left = 100.0 * swing(shaper.sample(period)) / plain
             assert left == pytest.approx(float(shaper_residual(shaper, frequency, ratio)), rel=0.05, abs=0.4), (
                 name,
                 error,
@@ -161,7 +158,7 @@ def test_a_design_that_cannot_be_is_refused_in_one_line():
         "ratio: 0.8 is not allowed; give a mode with less damping, or no"
     )
     assert refusal(design_shaper, "ei", 1.0, 0.0, 1.0).startswith("tolerance: 1.0 ")
-    assert refusal(sample_shaper, design_shaper("zv", 1.0), 0.0).startswith("period: 0.0 ")
+    assert refusal(design_shaper("zv", 1.0).sample, 0.0).startswith("period: 0.0 ")
     assert shaper_residual(design_shaper("zv", 1.0, 0.8), 1.0, 0.8) == pytest.approx(0.0, abs=1e-10), (
         "others bear any damping"
     )
@@ -190,7 +187,7 @@ def test_a_payload_changes_the_model_as_a_payload_of_the_arm_does():
 
 
 def test_cases_are_all_postures_with_all_payloads():
-    cases = find_operating_points(MODEL, POSTURES, [0.0, 0.4])
+    cases = OperatingPoint.find(MODEL, POSTURES, [0.0, 0.4])
     assert [case.payload for case in cases] == [0.0] * 3 + [0.4] * 3
     for case in cases:
         loaded = varied_model(MODEL, payload_mass=case.payload)
@@ -200,13 +197,13 @@ def test_cases_are_all_postures_with_all_payloads():
 
 
 def test_the_middle_case_has_the_middle_frequency():
-    assert compare_shapers(cases_of(3.0, 1.0, 2.0)).median.held[0, 0] == 2.0
+    assert ShaperEvaluation.compare(cases_of(3.0, 1.0, 2.0)).median.held[0, 0] == 2.0
 
 
 def test_what_is_left_is_the_closed_form_of_each_case():
     """Of one mode a shaper for it leaves its residual, weighed by how far each mode moves the tip."""
-    cases = find_operating_points(MODEL, POSTURES, [0.1, 0.4])
-    median, answers, _ = compare_shapers(cases)
+    cases = OperatingPoint.find(MODEL, POSTURES, [0.1, 0.4])
+    median, answers, _ = ShaperEvaluation.compare(cases)
     middle = median.held
     assert [(each.name, each.modes) for each in answers] == [(name, count) for count in (1, 2) for name in SHAPERS]
     one = next(each for each in answers if (each.name, each.modes) == ("ei", 1))
@@ -223,7 +220,9 @@ def test_what_is_left_is_the_closed_form_of_each_case():
 
 @pytest.mark.parametrize(("name", "width"), [("zv", 0.06), ("zvd", 0.286), ("ei", 0.399), ("two-hump-ei", 0.726)])
 def test_the_errors_that_are_borne_are_the_published_insensitivity(name, width):
-    low, high = next(each.tolerated_errors for each in compare_shapers(cases_of(3.0)).evaluations if each.name == name)
+    low, high = next(
+        each.tolerated_errors for each in ShaperEvaluation.compare(cases_of(3.0)).evaluations if each.name == name
+    )
     assert high - low == pytest.approx(width, abs=0.008) and low < 0.0 < high
     assert max(shaper_residual(design_shaper(name, 3.0), 3.0 * (1.0 + np.array([low, high])))) <= 5.1
 
@@ -231,17 +230,19 @@ def test_the_errors_that_are_borne_are_the_published_insensitivity(name, width):
 def test_with_damping_the_errors_to_both_sides_differ_and_each_is_the_last_that_is_borne():
     shaper = design_shaper("zvd", 3.0, 0.1)
     cases = [OperatingPoint(np.zeros(1), 0.0, mode(3.0, 0.1), mode(6.0))]
-    low, high = next(each.tolerated_errors for each in compare_shapers(cases).evaluations if each.name == "zvd")
+    low, high = next(
+        each.tolerated_errors for each in ShaperEvaluation.compare(cases).evaluations if each.name == "zvd"
+    )
     assert shaper_residual(shaper, 3.0 * (1.0 + np.array([low, high])), 0.1) == pytest.approx([5.1, 5.1], abs=0.06)
     assert high > -low + 0.005
 
 
 def test_the_recommendation_is_the_quickest_that_is_good_enough():
     spread = 0.045  # to either side: ZV leaves 7 %, MZV 4 %
-    quick = compare_shapers(cases_of(1.0 - spread, 1.0, 1.0 + spread)).recommended
+    quick = ShaperEvaluation.compare(cases_of(1.0 - spread, 1.0, 1.0 + spread)).recommended
     assert (quick.name, quick.modes) == ("zv", 1) and quick.tip.max() <= TIP_VIBRATION_LIMIT
-    _, answers, best = compare_shapers(cases_of(0.88, 1.0, 1.12))
+    _, answers, best = ShaperEvaluation.compare(cases_of(0.88, 1.0, 1.12))
     assert best.name == "zvd" and all(
         each.tip.max() > TIP_VIBRATION_LIMIT for each in answers if each.delay < best.delay
     )
-    assert compare_shapers(cases_of(0.5, 1.0, 1.5)).recommended is None
+    assert ShaperEvaluation.compare(cases_of(0.5, 1.0, 1.5)).recommended is None

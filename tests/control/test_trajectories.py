@@ -14,7 +14,6 @@ from flexman_gym.control.references.trajectories import (
     constant_jerk_law,
     plan_path,
     plan_slew,
-    plan_via,
 )
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
@@ -256,74 +255,23 @@ def test_a_goal_whose_weight_is_too_much_is_refused_in_one_line():
     )
     line = refusal(plan_slew, *arguments)
     assert line == "goal: [0.0, 0.0] is not allowed; give a posture with holding torques below 95% of the torque limits"
-    line = refusal(plan_via, arguments[0], np.array(arguments[1:3]), *arguments[3:])
-    assert line.startswith("postures: [[1.57") and line.endswith(
-        "give postures with holding torques below 95% of the torque limits"
-    )
 
 
-def test_other_laws_and_postures_are_refused_in_one_line():
+def test_other_laws_are_refused_in_one_line():
     model, arguments = rigid(), (np.ones(1), SHARE, PERIOD)
     line = refusal(plan_slew, model, np.zeros(1), np.ones(1), *arguments, "cubic")
     assert line == "timing_law: 'cubic' is not allowed; give one of minimum-jerk, trapezoid, double-s"
-    for postures in ([[0.0]], [[0.0], [1.0], [1.0]]):
-        line = refusal(plan_via, model, np.array(postures), *arguments)
-        assert line == f"postures: {postures} is not allowed; give at least two, no two equal in succession"
-
-
-def wandering(model, count):
-    """Postures (count, n) rad of an arm."""
-    return np.random.default_rng(7).uniform(-0.8, 0.8, (count, model.n_joints))
-
-
-@pytest.mark.parametrize("name", ["FlexOne-v0", "FlexPlanar-v0", "FlexRRR-v0", "FlexRRR-Gravity-v0"])
-def test_a_spline_passes_its_postures_in_their_order_within_the_limits(name):
-    """Joints are where they rest at each posture, at the end of some period; its ends have no acceleration."""
-    setup = Configuration.from_keywords({"name": name})
-    model, limits = resolve_fidelity(setup).model, np.array(setup.torque_limit)
-    postures = wandering(model, 5)
-    motion = plan_via(model, postures, limits, SHARE, setup.control_period)
-    rests = np.array([fm.rest_state(model, posture) for posture in postures])
-    gaps = np.abs(motion.states[:, None, : model.n_joints] - rests[:, : model.n_joints]).max(axis=2)
-    rows = gaps.argmin(axis=0)
-    assert gaps.min(axis=0).max() <= 1e-9 and (np.diff(rows) > 0).all() and rows[[0, -1]].tolist() == [0, len(gaps) - 1]
-    assert np.array_equal(motion.states[[0, -1]], rests[[0, -1]])
-    assert 0.9 * SHARE < np.abs(motion.torques / limits).max() <= 1.01 * SHARE
-    path = motion.path
-    assert peak_share(path, setup.control_period * len(motion.torques), limits) <= SHARE
-    held = np.array([fm.holding_torques(model, posture) for posture in postures[[0, -1]]])
-    assert path.at(np.array([0.0, 1.0]), 1.0)[1] == pytest.approx(held, abs=1e-6 * limits.max())
-
-
-def test_a_spline_has_continuous_accelerations_that_are_its_slopes():
-    model = fm.build_model(fm.catalog.planar_2r(), flexible_links=False)
-    path, h = plan_via(model, wandering(model, 5), np.full(2, 20.0), SHARE, PERIOD).path, 1e-5
-    before, now, after = (path.motion(path.check_points[1:-1] + step) for step in (-h, 0.0, h))
-    for order in (0, 1):
-        slope = (after[order] - before[order]) / (2.0 * h)
-        assert np.abs(slope - now[order + 1]).max() <= 1e-3 * np.abs(now[order + 1]).max()
-    assert np.abs(after[2] - before[2]).max() <= 1e-2 * np.abs(now[2]).max()
-    assert np.abs(path.motion(np.array([0.0, 1.0]))[1:]).max() < 1e-9
-
-
-def test_postures_that_nearly_meet_are_a_period_apart():
-    model = fm.build_model(fm.catalog.planar_2r(), flexible_links=False)
-    postures = np.array([[0.0, 0.0], [0.5, 0.2], [0.5, 0.2 + 1e-9], [0.5, 0.2 + 2e-9], [0.8, 0.8], [0.8, 0.8 + 1e-9]])
-    plan = plan_via(model, postures, np.full(2, 20.0), SHARE, PERIOD)
-    angles = plan.path.motion(np.linspace(0.0, 1.0, len(plan.states)))[0]
-    rows = np.abs(angles[:, None] - postures).max(axis=2).argmin(axis=0)
-    assert (np.diff(rows) >= 1).all() and np.abs(angles[rows] - postures).max() <= 1e-12
 
 
 @pytest.mark.parametrize("name", ["planar_2r", "paper_rrr"])
 def test_a_rigid_arm_is_fed_what_inverse_dynamics_asks(name):
-    """Along a slew of each law and along a spline, rotors and weight included."""
+    """Along a slew of each law, rotors and weight included."""
     arm = getattr(fm.catalog, name)()
     arm = replace(arm, gravity=(0.3, -0.2, -9.81), payload=fm.Payload(3.0))
     model = fm.build_model(arm, flexible_links=False, flexible_joints=False)
-    postures, limits = wandering(model, 4), np.full(model.n_joints, 8000.0)
-    plans = [plan_slew(model, *postures[:2], limits, SHARE, PERIOD, law) for law in TIMING_LAWS]
-    for plan in [*plans, plan_via(model, postures, limits, SHARE, PERIOD)]:
+    postures, limits = np.random.default_rng(7).uniform(-0.8, 0.8, (2, model.n_joints)), np.full(model.n_joints, 8000.0)
+    plans = [plan_slew(model, *postures, limits, SHARE, PERIOD, law) for law in TIMING_LAWS]
+    for plan in plans:
         count = len(plan.torques)
         motion = plan.path.motion((np.arange(count) + 0.5) / count)
         scaled = zip(*(each / (PERIOD * count) ** order for order, each in enumerate(motion)), strict=True)

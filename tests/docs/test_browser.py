@@ -40,7 +40,7 @@ def site(tmp_path_factory):
 browser = pytest.fixture(one_browser, scope="module")
 
 
-def test_pages_ask_nobody_and_their_equations_are_drawn(site, browser):
+def test_pages_ask_nobody_and_their_equations_are_drawn(browser, site):
     for page, least in (("index", 0), ("theory", 40), ("integration", 10), ("api/simulation", 1)):
         browser.open(f"file://{site / page}.html", "document.readyState === 'complete'")
         browser.wait("document.querySelectorAll('.arithmatex:not(:has(.katex))').length === 0")
@@ -68,7 +68,7 @@ WANTED = {  # words -> pages, of which one is among the first two hits
 
 
 @pytest.mark.parametrize("words", WANTED)
-def test_the_search_finds_the_page_among_the_first_two_hits(words, site, browser):
+def test_the_search_finds_the_page_among_the_first_two_hits(words, browser, site):
     browser.open(f"file://{site / 'index.html'}", "document.querySelector('.md-search__button')")
     browser.run("document.querySelector('.md-search__button').click()")
     browser.wait(f"{INSIDE % 'input'}.length === 1")
@@ -79,7 +79,7 @@ def test_the_search_finds_the_page_among_the_first_two_hits(words, site, browser
     assert browser.run(AWAY) == [] and browser.said() == []
 
 
-def test_no_page_to_read_is_longer_than_eight_screens(site, browser):
+def test_no_page_to_read_is_longer_than_eight_screens(browser, site):
     browser.run("window.resizeTo(1280, 900)")
     heights = {}
     for page in READING:
@@ -95,7 +95,7 @@ def test_pages_that_teach_have_most_of_the_words():
     assert site_counts.share(site_counts.counts()) >= 0.55
 
 
-def test_a_wide_table_scrolls_beside_its_first_column(site, browser):
+def test_a_wide_table_scrolls_beside_its_first_column(browser, site):
     browser.open(f"file://{site / 'environments/keywords.html'}", "document.readyState === 'complete'")
     browser.run("document.querySelector('article').style.width = '300px'")
     moved = """

@@ -30,7 +30,9 @@ DOCS, README = ROOT / "docs", (ROOT / "README.md").read_text(encoding="utf-8")
 TEXTS = {str(path.relative_to(DOCS))[:-3]: path.read_text(encoding="utf-8") for path in sorted(DOCS.rglob("*.md"))}
 PAGES = [page for page, text in TEXTS.items() if "python" in [language for language, _ in BLOCK.findall(text)]]
 # What a command or a training of a page takes here, in place of what it says.
-LESS = {"--steps": "512", "--episodes": "2", "--eval-every": "256"}
+LESS = {"--steps": "512", "--episodes": "2", "--eval-every": "256", "--seeds": "2"}
+LESS_EPISODES = (("flexman_agents.callbacks", "SELECTION_SEEDS", range(5000, 5002)),
+                 ("flexman_gym.evaluation.rollout", "TEST_SEEDS", range(9000, 9002)))  # fmt: skip
 LESS_IN_PYTHON = (
     (r"STEPS = [\d_]+", "STEPS = 256"), (r"circles\(\d+\)", "circles(4)"), (r'-v0", 256', '-v0", 4'),
     (r"horizon=2.0", "horizon=0.4"),
@@ -77,11 +79,15 @@ def run_commands(lines):
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_a_page_runs_and_prints_what_it_says(page, checkout):
+def test_a_page_runs_and_prints_what_it_says(page, checkout, monkeypatch):
     if any(
         words in text for _, text in blocks(page) for words in ("stable_baselines3", "flexman_agents", "flexman train")
     ):
         pytest.importorskip("stable_baselines3")
+        for module, name, seeds in LESS_EPISODES:
+            monkeypatch.setattr(importlib.import_module(module), name, seeds)
+        defaults = importlib.import_module("flexman_agents.settings").DEFAULT_HYPERPARAMETERS
+        monkeypatch.setitem(defaults["dagger"], "updates", 5)
     if any("matplotlib" in text or "flexman draw" in text for _, text in blocks(page)):
         pytest.importorskip("matplotlib").use("Agg")
     names, result = {"__name__": "page"}, blocks(page)
@@ -198,6 +204,15 @@ def test_a_notebook_is_its_page(page, notebooks):
     for text in code:
         if not text.startswith("!"):
             compile(text, page.name, "exec")
+
+
+def test_a_notebook_that_is_run_has_outputs_and_plots(tmp_path):
+    pytest.importorskip("nbclient")
+    run_cells = [
+        cell for cell in converter.executed(DOCS / "concepts.md", tmp_path)["cells"] if cell["cell_type"] == "code"
+    ]
+    assert run_cells and all(cell["outputs"] for cell in run_cells)
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in DOCS.glob("my_*.png")}
 
 
 def test_a_notebook_is_valid(notebooks):

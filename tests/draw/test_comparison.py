@@ -8,7 +8,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.common.plot_style import BLUE, RED, rgb
 from flexman_gym.draw.comparison import side_by_side
-from flexman_gym.simulation.episode import Episode, episode_metadata
+from flexman_gym.simulation.episode import Episode
 
 pytest.importorskip("matplotlib")
 ROWS, SIZE = 101, (480, 360)
@@ -23,7 +23,7 @@ def episode(name, bend=0.02):
     states[:, model.elastic_columns(1)] = bend * np.sin(6.0 * time)[:, None]
     tips = fm.curves(model, states, 2).positions[:, -1, -1]
     targets = np.tile(tips[0] + (0.0, 1.0, 0.0), (ROWS, 1))
-    about = episode_metadata(model, name=name, seed=1, environment="FlexRRR-v0", units={})
+    about = Episode.metadata(model, name=name, seed=1, environment="FlexRRR-v0", units={})
     actions = np.zeros((ROWS - 1, 3))
     return Episode(time, states, tips, targets, 3.0 * np.exp(-2.0 * time), actions, actions, actions[:, 0], {}, about)
 

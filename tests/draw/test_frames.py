@@ -10,7 +10,7 @@ import flexman_gym as fm
 from flexman_gym.common.plot_style import rgb
 from flexman_gym.draw.frames import GHOST, GHOST_SHARE, PAYLOAD, TARGET, TIP, FramePainter, arm_frame, grid
 from flexman_gym.draw.mesh import CYLINDER, RING, SPHERE, section_outlines, tube_surfaces
-from flexman_gym.draw.overlay import Caption, overlay_margins, strain_colours, write_title
+from flexman_gym.draw.overlay import Caption, font_size, strain_colours, write_text
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 
@@ -123,7 +123,7 @@ def test_the_arm_its_base_and_target_leave_the_margins_of_the_text_free(name):
     bent = fm.curves(model, states, 9, 5.0, 1.0)
     target = bent.positions[1, -1, -1]
     shot = texts.shot(bent.positions.reshape(-1, 3))
-    above, below = (np.array([1.0, -1.0]) * overlay_margins(360)[2:] * 360 + (0, 360)).astype(int)
+    above, below = (np.array([1.0, -1.0]) * Caption.margins(360)[2:] * 360 + (0, 360)).astype(int)
     for state in states:
         rows = np.flatnonzero((bare.paint(state, target, shot=shot) != shot.plain).any(axis=(1, 2)))
         assert above - 2 <= rows.min() and rows.max() <= below + 2, "a disc in perspective is a little larger"
@@ -256,7 +256,8 @@ def test_overlays_say_time_error_torques_and_a_gain_and_can_be_left_out():
 def test_letters_have_shapes_and_unknown_ones_are_question_marks():
     def written(text):
         picture = np.full((20, 60, 3), 255, dtype=np.uint8)
-        write_title(picture, text)
+        size = font_size(len(picture))
+        write_text(picture, text, (size, size // 2), size)
         return picture
 
     def width(text):

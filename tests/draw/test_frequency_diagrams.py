@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.margins import margins, open_loop_responses, sampled_loops
+from flexman_gym.control.margins import margins, sampled_loops
 from flexman_gym.draw import frequency_diagrams
 from flexman_gym.draw.comparison import side_by_side
 from flexman_gym.draw.frequency_diagrams import (
@@ -84,7 +84,7 @@ def test_an_opened_loop_has_the_determinants_and_margins_of_the_closed_one():
     """1 + L = det(z - closed) / det(z - closed but for this motor)."""
     period, gains = 0.01, (np.array([40.0, 20.0]), np.array([4.0, 1.0]))
     loop, places = sampled_loops(PLANAR, (0.1, 0.5), period, 1)[0], np.array([0.5, 3.0, 20.0])
-    responses = open_loop_responses(loop, *gains, places, period)
+    responses = loop.open_loop_responses(*gains, places, period)
     for motor in range(2):
         gain = np.zeros((2, len(loop.transition)))
         gain[np.arange(2), loop.motors], gain[np.arange(2), loop.rates] = gains
@@ -112,7 +112,7 @@ def test_the_margins_of_the_diagram_are_at_least_those_of_the_pd_that_was_tuned(
     model, gains, period = resolve_fidelity(setup).model, setup.pd_gains, setup.control_period
     loop, fine = sampled_loops(model, (0.0, 0.3, -0.5), period)[0], np.geomspace(0.01, 0.5 / period, 1500)
     chosen = gains["stiffness"], gains["damping"]
-    found, least = open_loop_responses(loop, *chosen, fine, period), margins([loop], *chosen)
+    found, least = loop.open_loop_responses(*chosen, fine, period), margins([loop], *chosen)
     figures = drawn(frequency_diagrams)
     bode_diagram(fine, {str(motor): response for motor, response in enumerate(found)}, tmp_path / "bode.png")
     gains, _, phases, _ = marked_margins(figures[0])

@@ -21,7 +21,7 @@ from flexman_gym.draw.frames import FramePainter
 from flexman_gym.draw.mesh import section_outlines
 from flexman_gym.draw.replay import replay_page
 from flexman_gym.draw.video import Window
-from flexman_gym.simulation.episode import Episode, episode_metadata
+from flexman_gym.simulation.episode import Episode
 
 from oracles.browser import MISSING, Browser, one_browser
 from oracles.files import ROOT
@@ -42,7 +42,7 @@ def episode(name="pd", stiffening=False, rows=ROWS, seed=0):
     tips = fm.curves(model, states, 2).positions[:, -1, -1]
     actions = random.uniform(-1.0, 1.0, (rows - 1, 3))
     targets = np.tile(tips[-1], (rows, 1))
-    told = episode_metadata(model, name=name, seed=5000, environment="FlexRRR-v0", units={})
+    told = Episode.metadata(model, name=name, seed=5000, environment="FlexRRR-v0", units={})
     readings = {"motor_angles": states[:, model.motor_columns], "tip": tips}
     errors = np.linalg.norm(tips - targets, axis=1)
     return Episode(time, states, tips, targets, errors, actions, 400.0 * actions, np.ones(rows - 1), readings, told)

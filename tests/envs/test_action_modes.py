@@ -10,7 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import flexman_gym as fm
-from flexman_gym.control.margins import first_order_lag, sampled_loops, spectral_radius
+from flexman_gym.control.margins import first_order_lag, sampled_loops
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
@@ -113,7 +113,7 @@ def test_the_environment_moves_as_the_loop_says_whose_eigenvalues_are_looked_at(
         env.step(np.zeros(1, dtype=np.float32))
         state = closed @ state
         assert env.simulator.state == pytest.approx(state[:2], abs=1e-9)
-    assert spectral_radius(loop, **gains) < 1.0
+    assert loop.spectral_radius(**gains) < 1.0
 
 
 def test_a_lag_is_that_of_a_first_order_filter():
@@ -133,12 +133,12 @@ def test_servos_of_all_environments_are_stable_under_delay_and_lag_and_cease_to_
     n, period = len(stiffness), setup.control_period
     postures = ([0.0] * n, [0.5 * (-1.0) ** i for i in range(n)])
     for posture in postures:
-        assert spectral_radius(sampled_loops(model, posture, period)[0], stiffness, damping) < 1.0
+        assert sampled_loops(model, posture, period)[0].spectral_radius(stiffness, damping) < 1.0
         for late in (0, 2, 4):
             loop = sampled_loops(model, posture, period / 5.0, late, 5.0 / period)[0]
-            assert spectral_radius(loop, stiffness, damping) < 1.0, (late, posture)
+            assert loop.spectral_radius(stiffness, damping) < 1.0, (late, posture)
     late = sampled_loops(model, postures[0], period, 4, 5.0 / period)[0]
-    assert spectral_radius(late, 20.0 * stiffness, 20.0 * damping) > 1.0
+    assert late.spectral_radius(20.0 * stiffness, 20.0 * damping) > 1.0
 
 
 def test_a_servo_that_is_not_stable_is_told():

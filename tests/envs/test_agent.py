@@ -104,7 +104,7 @@ def test_it_is_many_single_environments_bit_for_bit(hold, mode, settings):
     settings = {"action_repeat": hold, "limits": TIGHT, "horizon": 0.5, **settings}
     ours = gym.make_vec("FlexRRR-v0", 3, "vector_entry_point", autoreset_mode=mode, **settings)
     theirs = gym.make_vec("FlexRRR-v0", 3, "sync", vector_kwargs={"autoreset_mode": mode}, **settings)
-    assert all(same_side_by_side(ours, theirs, actions(3, 200))), "both ways to end were seen"
+    assert all(same_side_by_side(ours, theirs, actions(3, 80))), "both ways to end were seen"
 
 
 def test_what_the_motors_of_an_arm_that_is_over_were_asked_for_stays():

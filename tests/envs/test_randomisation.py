@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym.envs.config.randomisation import range_name
+from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
@@ -21,7 +21,7 @@ from flexman_gym.simulation.parameters import PARAMETERS
 from oracles.random_inputs import EVERYTHING, FRICTION, GEARS, actions
 
 EFFECTS = (*PARAMETERS, *SIGNALS)
-RANGES = {name: (EVERYTHING | FRICTION | GEARS)[range_name(name)] for name in EFFECTS}
+RANGES = {name: (EVERYTHING | FRICTION | GEARS)[Randomisation.range_name(name)] for name in EFFECTS}
 BARE = FlexManEnv().unwrapped.simulator.model.arm
 WORN = {
     "viscous_friction": 5.0,
@@ -42,7 +42,9 @@ PUSH = np.array([0.5, -0.3, 0.2])
 
 def env_with(*effects, **more):
     """An environment with some of the effects, within the ranges above."""
-    return FlexManEnv(arm=RUBBING, randomisation={range_name(name): RANGES[name] for name in effects} | more)
+    return FlexManEnv(
+        arm=RUBBING, randomisation={Randomisation.range_name(name): RANGES[name] for name in effects} | more
+    )
 
 
 def episodes(env, seeds):
@@ -80,7 +82,7 @@ def test_draws_do_not_depend_on_what_happened_in_episodes_before():
 
 def test_draws_lie_in_their_ranges_and_fill_them():
     env = FlexManVectorEnv(
-        400, arm=RUBBING, modes=1, randomisation={range_name(name): span for name, span in RANGES.items()}
+        400, arm=RUBBING, modes=1, randomisation={Randomisation.range_name(name): span for name, span in RANGES.items()}
     )
     drawn, nominal = env.reset(seed=1)[1]["drawn"], env.batch.nominal
     scale = {name: nominal[name] for name in PARAMETERS if PARAMETERS[name].factor} | {"torque_limit": 400.0}

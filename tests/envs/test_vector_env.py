@@ -28,10 +28,10 @@ def pair(arms, mode=AutoresetMode.NEXT_STEP, **settings):
 @pytest.mark.parametrize(
     ("arms", "steps", "mode", "settings"),
     [
-        (1, 400, MODES[0], {}),
-        (64, 100, MODES[0], {"randomisation": EVERYTHING}),
-        (3, 400, MODES[0], {"condition": "unmodelled"}),
-        *((3, 400, mode, each) for mode in MODES for each in ({}, {"randomisation": EVERYTHING})),
+        (1, 120, MODES[0], {}),
+        (64, 60, MODES[0], {"randomisation": EVERYTHING}),
+        (3, 120, MODES[0], {"condition": "unmodelled"}),
+        *((3, 120, mode, each) for mode in MODES for each in ({}, {"randomisation": EVERYTHING})),
     ],
     ids=lambda value: "-".join(value) or "plain" if isinstance(value, dict) else str(value),
 )
@@ -49,7 +49,7 @@ def test_threads_change_no_bit():
     one, two = (FlexManVectorEnv(136, threads=threads, randomisation=EVERYTHING, **SHORT) for threads in (1, 2))
     for actual, expected in zip(two.reset(seed=3), one.reset(seed=3), strict=True):
         same(actual, expected, "reset")
-    for step, action in enumerate(actions(136, 200)):
+    for step, action in enumerate(actions(136, 60)):
         for actual, expected in zip(two.step(action), one.step(action), strict=True):
             same(actual, expected, f"step {step}")
 

@@ -16,7 +16,6 @@ from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.evaluation import BASELINES, AgentSpec, evaluate, find_agent, rollout
 from flexman_gym.evaluation.agent import (
     common_environment,
-    predictor_agent,
     split_interface,
 )
 from flexman_gym.evaluation.policy_files import read_policy, write_policy
@@ -318,7 +317,7 @@ def test_an_agent_acts_alike_in_training_live_loaded_and_under_another_agent(con
         def predict(self, observations):
             return network(observations)
 
-    agents = find_agent(tmp_path), predictor_agent(Live(), described)
+    agents = find_agent(tmp_path), AgentSpec.from_predictor(Live(), described)
     loaded, live = (rollout(each, described, [0, 1]) for each in agents)
     assert np.array_equal(loaded.actions, live.actions) and np.array_equal(loaded.readings, live.readings)
     trained = FlexManVectorEnv(2, name="FlexPlanar-v0", **described.keywords())

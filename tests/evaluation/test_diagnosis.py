@@ -9,19 +9,8 @@ from flexman_gym.control.input_shaping.shapers import excited_modes
 from flexman_gym.control.margins import margins, sampled_loops
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.evaluation import rollout
-from flexman_gym.evaluation.diagnosis import (
-    CYCLE,
-    FAILED,
-    NOISE,
-    OFFSET,
-    REMEDIES,
-    RINGING,
-    TRANSIENT,
-    diagnose,
-    episode_ends,
-    split_error,
-)
+from flexman_gym.evaluation import diagnosis, rollout
+from flexman_gym.evaluation.diagnosis import CYCLE, FAILED, NOISE, OFFSET, REMEDIES, RINGING, TRANSIENT, diagnose
 
 PERIOD, COUNT = 0.01, 300
 TIME = PERIOD * np.arange(COUNT)
@@ -48,7 +37,7 @@ def tone(frequency, size=1.0, phase=0.3):
 
 def test_shares_are_those_that_went_in_and_add_up_to_one():
     random = np.random.default_rng(0).standard_normal(COUNT)
-    found = split_error(ending(3.0 + tone(2.0, 2.0) + tone(7.0, 1.5) + random, tone(2.0)), MODES)
+    found = diagnosis._split_error(ending(3.0 + tone(2.0, 2.0) + tone(7.0, 1.5) + random, tone(2.0)), MODES)
     whole = 9.0 + 4.0 + 2.25 + 1.0
     assert sum(found.shares.values()) == pytest.approx(1.0) and found.rms == pytest.approx(np.sqrt(whole), rel=0.03)
     assert [found.shares[each] for each in (OFFSET, RINGING, NOISE)] == pytest.approx(
@@ -59,7 +48,7 @@ def test_shares_are_those_that_went_in_and_add_up_to_one():
 
 
 def test_ringing_that_dies_away_is_one_tone():
-    found = split_error(ending(np.exp(-0.5 * TIME) * tone(1.7)), MODES)
+    found = diagnosis._split_error(ending(np.exp(-0.5 * TIME) * tone(1.7)), MODES)
     assert found.cause == RINGING and found.shares[RINGING] > 0.95
     assert found.tones[0][1] > 0.95 and found.tones[0][3] == "mode 1, motors held", "motors that yield lower a mode"
 
@@ -68,33 +57,35 @@ def test_who_feeds_in_the_rhythm_of_the_tone_keeps_it_up():
     """The same motion: fed, unfed, braked, and with actions of another rhythm."""
     moved, own, other = tone(2.0), tone(2.0, 0.1), tone(9.0, 0.1)
     for actions, feed, cause in ((own, 1.0, CYCLE), (own, 0.2, RINGING), (own, -1.0, RINGING), (other, 1.0, NOISE)):
-        found = split_error(ending(moved, actions, feed), MODES)
+        found = diagnosis._split_error(ending(moved, actions, feed), MODES)
         assert found.cause == cause and found.shares[cause] > 0.95, (feed, cause)
-    assert split_error(ending(moved, own, 1.0, loss=10.0), MODES).cause == RINGING, "what feeds little keeps nothing up"
+    assert diagnosis._split_error(ending(moved, own, 1.0, loss=10.0), MODES).cause == RINGING, (
+        "what feeds little keeps nothing up"
+    )
 
 
 def test_a_slow_motion_that_has_not_ended_is_a_transient():
-    assert split_error(ending(tone(0.6)), MODES).cause == TRANSIENT
-    assert split_error(ending(tone(0.6)), {"mode 1, motors held": 0.7}).cause == RINGING
-    assert split_error(ending(tone(0.9)), MODES).cause == RINGING, "the record holds more than two cycles"
-    assert split_error(ending(np.linspace(1.0, 0.2, COUNT)), {}).shares[TRANSIENT] == pytest.approx(1.0)
-    assert split_error(ending(5.0 + np.linspace(1.0, 0.2, COUNT)), {}).cause == OFFSET
+    assert diagnosis._split_error(ending(tone(0.6)), MODES).cause == TRANSIENT
+    assert diagnosis._split_error(ending(tone(0.6)), {"mode 1, motors held": 0.7}).cause == RINGING
+    assert diagnosis._split_error(ending(tone(0.9)), MODES).cause == RINGING, "the record holds more than two cycles"
+    assert diagnosis._split_error(ending(np.linspace(1.0, 0.2, COUNT)), {}).shares[TRANSIENT] == pytest.approx(1.0)
+    assert diagnosis._split_error(ending(5.0 + np.linspace(1.0, 0.2, COUNT)), {}).cause == OFFSET
 
 
 def test_an_end_that_is_short_or_still_has_no_tones():
     for length in (1, 20):
         end = vars(ending(tone(2.0))).items()
         cut = {name: values[:length] if isinstance(values, np.ndarray) else values for name, values in end}
-        brief = split_error(SimpleNamespace(**cut), MODES)
+        brief = diagnosis._split_error(SimpleNamespace(**cut), MODES)
         assert brief.tones == () and sum(brief.shares.values()) == pytest.approx(1.0)
-    still = split_error(ending(np.zeros(COUNT)), MODES)
-    assert still.rms == 0.0 and still.negligible and not split_error(ending(tone(2.0)), MODES).negligible
+    still = diagnosis._split_error(ending(np.zeros(COUNT)), MODES)
+    assert still.rms == 0.0 and still.negligible and not diagnosis._split_error(ending(tone(2.0)), MODES).negligible
 
 
 def test_torques_that_stay_are_no_noise():
     """However they are rounded."""
     for held in (0.1, 0.3, 0.7, 0.9):
-        assert split_error(ending(tone(2.0), np.full(COUNT, held)), MODES).cause == RINGING
+        assert diagnosis._split_error(ending(tone(2.0), np.full(COUNT, held)), MODES).cause == RINGING
 
 
 def test_what_is_watched_is_what_happened():
@@ -103,7 +94,7 @@ def test_what_is_watched_is_what_happened():
     soft = {"kind": "pd", "stiffness": [20.0, 8.0], "damping": [2.0, 0.5]}
     result = rollout(soft, environment, [7, 8], lambda episodes: ledger.append(
         (episodes.batch.rows[:, -2:].copy(), episodes.view.goal_angles.copy(), episodes.batch.model)))  # fmt: skip
-    for arm, (end, modes) in enumerate(episode_ends(soft, environment, [7, 8])):
+    for arm, (end, modes) in enumerate(diagnosis._episode_ends(soft, environment, [7, 8])):
         assert len(end.errors) == 300 == len(end.actions) and end.actions == pytest.approx(result.actions[arm, 40:])
         assert np.linalg.norm(end.errors, axis=1) == pytest.approx(result.errors[arm, 41:])
         work, loss = np.array([row[0][arm] for row in ledger[40:]]).T
@@ -180,8 +171,8 @@ def test_a_slow_sway_is_no_offset():
     """A motor that is held by a soft spring and hardly damped sways far slower than the link bends."""
     soft = {"kind": "pd", "stiffness": [0.05], "damping": [0.02]}
     environment = Configuration("FlexOne-v0", {"horizon": 40.0})
-    ((end, modes),) = episode_ends(soft, environment, [9001])
-    found = split_error(end, modes)
+    ((end, modes),) = diagnosis._episode_ends(soft, environment, [9001])
+    found = diagnosis._split_error(end, modes)
     frequency = found.tones[0][0]
     assert not found.negligible and frequency < 0.2 * min(modes.values())
     assert found.cause in (RINGING, CYCLE) and found.shares[OFFSET] < 0.1

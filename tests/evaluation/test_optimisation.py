@@ -6,7 +6,7 @@ import pytest
 
 import flexman_gym  # noqa: F401  registers the environments
 from flexman_gym.control import PD
-from flexman_gym.control.margins import Margins, has_margins, margins, sampled_loops, spectral_radius
+from flexman_gym.control.margins import Margins, has_margins, margins, sampled_loops
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import optimisation
 
@@ -21,7 +21,7 @@ def test_loops_of_a_servo_for_which_gains_are_looked_for_have_its_drive_in_them(
     lagging = optimisation.motor_loops(Configuration.from_plain(given | servo))
     for loop, late in zip(plain, lagging, strict=True):
         assert len(late.transition) == len(loop.transition) + 2
-        radii = [spectral_radius(each, [5.0, 2.0], [1.0, 0.4]) for each in (loop, late)]
+        radii = [each.spectral_radius([5.0, 2.0], [1.0, 0.4]) for each in (loop, late)]
         assert radii[0] < 1.0 + 1e-6 < radii[1], "modes that nothing damps have 1, to rounding"
 
 

@@ -8,7 +8,8 @@ import pytest
 from scipy.integrate import quad, solve_bvp
 
 import flexman_gym as fm
-from flexman_gym.fidelity.mesh_search import MAX_RUNS, MeshSearch, large_rotation_error
+from flexman_gym.fidelity import mesh_search
+from flexman_gym.fidelity.mesh_search import MAX_RUNS, MeshSearch
 from flexman_gym.model.model import scene_model
 
 from oracles.assertions import refusal
@@ -131,12 +132,12 @@ def test_the_figure_of_large_rotations_is_that_of_a_cantilever_with_a_rigid_arm_
     moves = np.vstack([model.constants.tip_rotation[own].T, model.constants.tip_translation[own].T])
     state = np.zeros((1, 2 * model.n_dof))
     state[0, columns] = np.linalg.pinv(moves) @ [0.0, 0.0, angle, 0.0, load / 3.0 * length, 0.0]
-    angles, moved = large_rotation_error(model, state, 0.0)
+    angles, moved = mesh_search._large_rotation_error(model, state, 0.0)
     deflection, turn = cantilever(load)
     assert angles == pytest.approx([angle, 0.0], abs=1e-9)
     beyond = float(model.constants.length[1])
     assert moved == pytest.approx((load / 3.0 - deflection) * length + (angle - turn) * beyond, rel=0.1)
-    assert large_rotation_error(model, state, 10.0)[1] > moved
+    assert mesh_search._large_rotation_error(model, state, 10.0)[1] > moved
 
 
 def runs_ahead(angle):
@@ -166,6 +167,6 @@ def test_a_vibration_that_bends_far_runs_ahead_as_the_elastica_says():
     moves = np.vstack([model.constants.tip_rotation.T, model.constants.tip_translation.T])
     state = np.zeros((1, 2 * model.n_dof))
     state[0, model.elastic_columns(0)] = np.linalg.pinv(moves) @ [0.0, 0.0, angle, 0.0, angle * length / 1.5, 0.0]
-    moved, still = (large_rotation_error(model, state, many)[1] for many in (cycles, 0.0))
+    moved, still = (mesh_search._large_rotation_error(model, state, many)[1] for many in (cycles, 0.0))
     expected = 2.0 * np.pi * cycles * runs_ahead(angle) * angle * length / 1.5
     assert moved - still == pytest.approx(expected, rel=0.03)

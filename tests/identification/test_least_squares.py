@@ -127,7 +127,7 @@ def test_gains_and_offsets_are_solved_for_at_once():
 def test_an_arm_that_diverges_fits_worse_than_any(monkeypatch):
     problem = problem_of(turned())
     far = np.sum(problem.evaluate(problem.start + 2.0)[0] ** 2)
-    monkeypatch.setattr(problem.responses[0], "signals", lambda *_: np.full((3, 1, len(TIMES)), np.nan))
+    monkeypatch.setattr(problem.responses[0], "signals", lambda *_: np.full((2, 1, len(TIMES)), np.nan))
     residuals, slopes = problem.evaluate(problem.start)
     assert np.sum(residuals**2) > 10.0 * far and not slopes.any()
 

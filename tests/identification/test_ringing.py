@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 
 import flexman_gym as fm
-from flexman_gym.identification.least_squares import LOG_STEP, FreeParameters
+from flexman_gym.identification.least_squares import RELATIVE_STEP, FreeParameters
 from flexman_gym.identification.ringing import Ringing
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import build_model
@@ -73,7 +73,7 @@ def test_slopes_are_those_of_the_numbers_themselves(locked):
 
     def numbers(x):
         model = build_model(free.build_arm(free.start * np.exp(x)), 1)
-        return known.predict(model, free.perturbed(model, np.zeros(len(x))), LOG_STEP)
+        return known.predict(model, free.perturbed(model, np.zeros(len(x))), RELATIVE_STEP)
 
     _, slopes = numbers(np.zeros(len(free.start)))
     for i, unit in enumerate(np.eye(len(free.start))):

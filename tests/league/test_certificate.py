@@ -13,12 +13,12 @@ from flexman_gym.envs.config import specification
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.evaluation import METRICS, policy_files
-from flexman_gym.evaluation.agent import find_agent, timed_agent
+from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.policy_files import CERTIFICATE, FOLDER, METADATA, POLICIES, read_certificate, write_policy
 from flexman_gym.evaluation.rollout import rollout
-from flexman_gym.league import certificate, rows, scenarios
-from flexman_gym.league.certificate import METRIC_NAMES, certificate_row, certificate_scenarios, certify
-from flexman_gym.league.rows import VALUES, EpisodeBlock, EpisodeRow, run_block
+from flexman_gym.league import certificate, rows
+from flexman_gym.league.certificate import METRIC_NAMES, certify
+from flexman_gym.league.rows import VALUES, EpisodeBlock, EpisodeRow
 from flexman_gym.league.scenarios import PLANTS, find_scenario
 
 from oracles.assertions import refusal
@@ -76,7 +76,7 @@ def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder,
 
 
 def test_rows_of_a_certificate_are_kept_and_a_refused_cell_says_why(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(certificate, "certificate_scenarios", lambda name: [name])
+    monkeypatch.setattr(certificate, "_certificate_scenarios", lambda name: [name])
     first = certify(str(folder), SEEDS, 2, tmp_path / "rows", log=list).read_bytes()
     monkeypatch.setattr(rows, "rollout", lambda *_, **__: pytest.fail("the rows are there"))
     assert certify(str(folder), SEEDS, 2, tmp_path / "rows", log=list).read_bytes() == first
@@ -84,7 +84,7 @@ def test_rows_of_a_certificate_are_kept_and_a_refused_cell_says_why(folder, tmp_
     def refuse(name):
         raise ValueError("plant: 'finer' is not allowed; give a plant that is installed")
 
-    monkeypatch.setattr(certificate, "certificate_scenarios", lambda name: [f"{name}@finer"])
+    monkeypatch.setattr(certificate, "_certificate_scenarios", lambda name: [f"{name}@finer"])
     monkeypatch.setattr(rows, "PLANTS", dict.fromkeys(PLANTS, ("", refuse)))
     monkeypatch.setattr(rows, "rollout", lambda *_, set_plant, **__: set_plant("finer"))
     line = refusal(certify, str(folder), SEEDS, 2, tmp_path / "rows")
@@ -167,7 +167,7 @@ def episodes(vibration=0.0, failed=0.0, settled=1.0, count=1, time=2.0):
 )
 def test_a_row_fails_for_what_it_says(scenario, found, said):
     """Of an arm of 8.5 m that vibrates by 1 mm and settles within 2 s as trained."""
-    assert certificate_row(scenario, SEEDS, found, episodes(1e-3), 8.5)["fails"] == said
+    assert certificate._certificate_row(scenario, SEEDS, found, episodes(1e-3), 8.5)["fails"] == said
 
 
 def test_limits_of_vibration_are_fractions_of_the_reach_and_on_other_plants_never_above_that_of_all():
@@ -176,7 +176,10 @@ def test_limits_of_vibration_are_fractions_of_the_reach_and_on_other_plants_neve
         ("a", 0.0, 4.9e-4, False), ("a", 0.0, 5.1e-4, True), ("a@finer", 1e-4, 1.9e-4, False),
         ("a@finer", 1e-4, 2.1e-4, True), ("a@mujoco", 4.5e-4, 5.1e-4, True),
     ):  # fmt: skip
-        assert bool(certificate_row(scenario, SEEDS, episodes(vibration), episodes(before), 0.85)["fails"]) == fails
+        assert (
+            bool(certificate._certificate_row(scenario, SEEDS, episodes(vibration), episodes(before), 0.85)["fails"])
+            == fails
+        )
 
 
 def test_other_physics_are_compared_with_the_episodes_as_trained(folder, tmp_path, monkeypatch):
@@ -206,7 +209,7 @@ def test_what_the_training_drew_is_left(folder):
     drawn = {"payload_mass": [0.0, 0.2], "joint_stiffness_factor": [0.7, 1.3], "link_stiffness_factor": [0.8, 1.3]}
     about["recipe"]["settings"]["environment"] = {**DESCRIBED.to_plain(), "randomisation": drawn}
     write_policy(folder, about, arrays)
-    names = certificate_scenarios(str(folder))
+    names = certificate._certificate_scenarios(str(folder))
     assert {f"{folder}/payload=0.2:0.25+given", f"{folder}/stiffness=0.55:0.7"} <= {*names}
     changed = find_scenario("FlexRRR-v0/unknown/delay=3")
     assert changed.environment.randomisation.given["delay"] == [3, 3]
@@ -224,7 +227,7 @@ def test_friction_is_that_of_the_named_arm_and_no_other_arm_is_run_with_it(tmp_p
     about["recipe"]["settings"]["environment"] = data
     write_policy(tmp_path / "own", about, arrays)
     write_still(tmp_path / "still")
-    assert [any("/friction=" in each for each in certificate_scenarios(str(tmp_path / name)))
+    assert [any("/friction=" in each for each in certificate._certificate_scenarios(str(tmp_path / name)))
             for name in ("still", "own")] == [True, False]  # fmt: skip
 
 
@@ -242,7 +245,7 @@ def test_a_controller_is_designed_for_the_delay_that_is_given_and_else_for_its_o
         raise ValueError("that is enough")
 
     monkeypatch.setattr(rows, "rollout", stop)
-    run_block(EpisodeBlock("", "lab-flexrrr", f"FlexRRR-v0/unknown-lab/delay=3{end}", 9000, 9001))
+    EpisodeBlock("", "lab-flexrrr", f"FlexRRR-v0/unknown-lab/delay=3{end}", 9000, 9001).run()
     assert plants[-1].delay == delay
 
 
@@ -256,7 +259,7 @@ def test_only_policies_of_tasks_in_which_something_settles(tmp_path):
 def test_shipped_certificates_have_the_scenarios_of_a_league():
     for name in POLICIES:
         *known, search = read_certificate(FOLDER / name)["rows"]
-        assert [row["scenario"] for row in known] == certificate_scenarios(name)
+        assert [row["scenario"] for row in known] == certificate._certificate_scenarios(name)
         assert search["scenario"] == known[0]["scenario"] and len(search["worst"]) == 5
 
 
@@ -287,7 +290,7 @@ def test_a_cell_of_a_certificate_is_the_episode_of_the_policy_in_its_own_changed
     """
     random = np.random.default_rng(number)
     name = str(random.choice(POLICIES))
-    scenario = str(random.choice([each for each in certificate_scenarios(name) if "mujoco" not in each]))
+    scenario = str(random.choice([each for each in certificate._certificate_scenarios(name) if "mujoco" not in each]))
     agent, seed = find_agent(name), int(random.integers(9000, 9100))
     change = scenario.removesuffix("+given").partition("@")[0].rpartition("/")[2]
     own = changed = agent.environment.without(["method"])
@@ -299,12 +302,12 @@ def test_a_cell_of_a_certificate_is_the_episode_of_the_policy_in_its_own_changed
         settings = {"friction": lambda: {"arm": Configuration.find(f"{own.id}/friction").settings["arm"]},
                     "method": lambda: {"method": value, "step": find_scenario(scenario).environment.step},
                     }.get(known, lambda: {"randomisation":
-                        scenarios.randomised_ranges(own) | dict.fromkeys(ranges[known], span)})()  # fmt: skip
+                        own.randomised_ranges | dict.fromkeys(ranges[known], span)})()  # fmt: skip
         changed = own.replace(**settings)
     given = changed if scenario.endswith("+given") or "method" in change else own
     set_plant = PLANTS[scenario.partition("@")[2] or "usual"][1]
-    (record,) = rollout(timed_agent(agent, given)[0], changed, [seed], set_plant=set_plant).records
-    _, (row,) = run_block(EpisodeBlock("", name, scenario, seed, seed + 1))
+    (record,) = rollout(agent.timed(given)[0], changed, [seed], set_plant=set_plant).records
+    _, (row,) = EpisodeBlock("", name, scenario, seed, seed + 1).run()
     values = dict(zip(VALUES, row.values, strict=True))
     assert {each: values[each] for each in METRIC_NAMES} == {
         each: METRICS[each].function(record) for each in METRIC_NAMES

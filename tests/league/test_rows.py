@@ -15,9 +15,9 @@ from flexman_gym.control.references.optimised_slews import SHIPPED_TABLE, SlewTa
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import METRICS, rollout
 from flexman_gym.evaluation import agent as agent_module
-from flexman_gym.evaluation.agent import BASELINES
+from flexman_gym.evaluation.agent import BASELINES, AgentSpec
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent, training_seconds
-from flexman_gym.evaluation.metrics import equivalent_damping, optimised_settling_times
+from flexman_gym.evaluation.metrics import optimised_settling_times
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, EpisodeRecord, training_seed
 from flexman_gym.league.rows import (
     ROWS,
@@ -25,7 +25,6 @@ from flexman_gym.league.rows import (
     VALUES,
     EpisodeBlock,
     LeagueRows,
-    run_block,
     run_league,
 )
 from flexman_gym.league.scenarios import SWEEPS, USUAL_SCENARIOS, Scenario, find_scenario
@@ -151,7 +150,7 @@ def test_the_hash_of_the_code_is_that_of_what_runs(tmp_path, tmp_path_factory, m
     def digest():
         """Return the key of a row with the code of a copy: a hash of a folder is computed once."""
         monkeypatch.setattr(league, "PACKAGE", shutil.copytree(tmp_path, copies / str(len([*copies.iterdir()]))))
-        return league.row_key("pd", "FlexOne-v0")
+        return league._row_key("pd", "FlexOne-v0")
 
     known = digest()
     (tmp_path / "league/page.py").write_text("another page")
@@ -176,7 +175,7 @@ def test_the_equivalent_damping_is_that_of_the_swings_after_the_arrival():
 
     def damping(tips, failure=""):
         errors = np.linalg.norm(tips, axis=1)
-        return equivalent_damping(EpisodeRecord(tips, errors, tips[1:], errors[1:], failure, 0.02, 0.02))
+        return EpisodeRecord(tips, errors, tips[1:], errors[1:], failure, 0.02, 0.02).equivalent_damping()
 
     assert damping(tips) == pytest.approx(ratio, rel=0.01)
     assert damping(tips, "joint 1") == 0.0 and damping(tips + np.array([0.0, 0.0, 1.0])) == 0.0
@@ -264,20 +263,20 @@ def test_a_controller_without_a_description_fails_at_import():
 
 
 def test_who_cannot_run_says_why(scenario):
-    cell, rows = run_block(EpisodeBlock("", "optimised", scenario, 9000, 9001))
+    cell, rows = EpisodeBlock("", "optimised", scenario, 9000, 9001).run()
     assert rows == [] and cell.why.startswith("table: only a table of this arm") and np.isnan(cell.action)
     for agent, words in (
         ("lqr", "it needs information that a laboratory cannot measure"),
         ("optimised", "it needs information"),
     ):
-        assert run_block(EpisodeBlock("", agent, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why.startswith(words)
+        assert EpisodeBlock("", agent, "FlexPlanar-v0/unknown-lab", 9000, 9001).run()[0].why.startswith(words)
 
 
 def test_times_of_a_cell_are_of_a_start_and_of_an_action_of_one_arm(scenario, monkeypatch):
     """Ten milliseconds of starts in five episodes, and a second of actions in all of their periods."""
     clock = SimpleNamespace(start_seconds=0.01, action_seconds=1.0)
-    monkeypatch.setattr(league, "timed_agent", lambda agent, environment: (agent, clock))
-    cell, _ = run_block(EpisodeBlock("", "zero", scenario, 9000, 9005))
+    monkeypatch.setattr(AgentSpec, "timed", lambda agent, environment: (agent, clock))
+    cell, _ = EpisodeBlock("", "zero", scenario, 9000, 9005).run()
     assert cell.design == pytest.approx(1e6 * 0.01 / 5)
     assert cell.action == pytest.approx(1e6 * 1.0 / rollout("zero", scenario, SEEDS).lengths.sum())
 
@@ -288,7 +287,7 @@ def test_the_multiple_is_the_settling_time_in_those_of_the_slew(scenario, monkey
     record = EpisodeRecord(np.zeros((301, 3)), errors, np.zeros((300, 1)), np.zeros(300), "", 0.01, 0.01)
     monkeypatch.setattr(league, "rollout", lambda *_, **__: SimpleNamespace(records=[record] * 2, lengths=[300] * 2))
     monkeypatch.setattr(league, "optimised_settling_times", lambda environment: {9000: 0.5})
-    _, rows = run_block(EpisodeBlock("", "zero", scenario, 9000, 9002))
+    _, rows = EpisodeBlock("", "zero", scenario, 9000, 9002).run()
     multiples = [row.values[VALUES.index(TIME_RATIO)] for row in rows]
     assert multiples == pytest.approx([2.0, np.nan], nan_ok=True)
 
@@ -299,9 +298,9 @@ def test_both_ends_of_the_score_are_run_in_a_laboratory(monkeypatch):
     def refuse(agent, environment):
         raise ValueError("it is made")
 
-    monkeypatch.setattr(league, "timed_agent", refuse)
+    monkeypatch.setattr(AgentSpec, "timed", refuse)
     why = {
-        who: run_block(EpisodeBlock("", who, "FlexPlanar-v0/unknown-lab", 9000, 9001))[0].why
+        who: EpisodeBlock("", who, "FlexPlanar-v0/unknown-lab", 9000, 9001).run()[0].why
         for who in (*league.REFERENCE_AGENTS, "lqr")
     }
     assert why == dict.fromkeys(league.REFERENCE_AGENTS, "it is made") | {
@@ -319,7 +318,7 @@ def test_arms_of_a_scenario_are_moved_by_its_plant(monkeypatch):
 
     monkeypatch.setattr(league, "rollout", rollout)
     for scenario in ("FlexRRR-v0", "FlexRRR-v0@finer"):
-        run_block(EpisodeBlock("", "zero", scenario, 9000, 9001))
+        EpisodeBlock("", "zero", scenario, 9000, 9001).run()
     assert moved == ["usual", "finer"]
 
 
@@ -329,17 +328,17 @@ def test_rows_follow_from_what_is_run_and_from_what_controllers_are_given(monkey
     keys = set()
     for scenario in (Scenario(one, one), Scenario(one, other), Scenario(other, one), Scenario(one, one, "finer")):
         monkeypatch.setattr(league, "find_scenario", lambda name: scenario)  # noqa: B023
-        keys.add(league.row_key("pd", "FlexOne-v0"))
+        keys.add(league._row_key("pd", "FlexOne-v0"))
     assert len(keys) == 4
 
 
 def test_rows_follow_from_every_file_of_a_run(scenario, tmp_path, monkeypatch):
     monkeypatch.setattr(league, "_code_hash", lambda *_: "")
-    keys = [league.row_key(str(tmp_path), scenario)]
+    keys = [league._row_key(str(tmp_path), scenario)]
     for name in (league.SETTINGS, league.BEST, league.NEWEST):
         for content in (b"one", b"two"):
             (tmp_path / name).write_bytes(content)
-            keys.append(league.row_key(str(tmp_path), scenario))
+            keys.append(league._row_key(str(tmp_path), scenario))
     assert len(set(keys)) == 7
 
 
@@ -349,7 +348,7 @@ def test_rows_of_another_processor_count(scenario, monkeypatch):
     keys = set()
     for processor, version in (("one", "1"), ("two", "1"), ("one", "2")):
         monkeypatch.setattr(league, "computer_info", lambda *_: {"processor": processor, "numpy": version})  # noqa: B023
-        keys.add(league.row_key("pd", scenario))
+        keys.add(league._row_key("pd", scenario))
     assert len(keys) == 2
 
 
@@ -384,7 +383,7 @@ def test_the_multiple_is_that_of_the_optimised_slew():
     """Whose own is 1."""
     at = VALUES.index(TIME_RATIO)
     for agent in ("optimised", "lqr-tracking"):
-        rows = run_block(EpisodeBlock("", agent, "FlexRRR-v0", 9000, 9003))[1]
+        rows = EpisodeBlock("", agent, "FlexRRR-v0", 9000, 9003).run()[1]
         multiples = np.array([row.values[at] for row in rows])
         assert (multiples == 1.0 if agent == "optimised" else multiples > 1.2).all()
 
@@ -435,8 +434,8 @@ def test_in_a_sweep_controllers_are_given_the_range_and_arms_have_the_value():
 def test_who_runs_a_sweep_is_made_for_what_it_is_given(tmp_path, monkeypatch):
     """No observer is made for one payload: its range has a width."""
     made = []
-    monkeypatch.setattr(league, "timed_agent", lambda agent, given: made.append(given) or (agent, None))
-    run_block(EpisodeBlock("", "zero", "FlexRRR-v0/payload=25", 9000, 9001))
+    monkeypatch.setattr(AgentSpec, "timed", lambda agent, given: made.append(given) or (agent, None))
+    EpisodeBlock("", "zero", "FlexRRR-v0/payload=25", 9000, 9001).run()
     assert [each.disturbances.payload_mass for each in made] == [(0.0, 20.0)]
 
 

@@ -5,12 +5,13 @@ import pytest
 
 from flexman_gym.common.plot_style import rgb
 from flexman_gym.evaluation.agent import AGENTS, SIMPLE_AGENTS
-from flexman_gym.evaluation.agent_info import INFORMATION
-from flexman_gym.league.charts import CHART, LABEL_DISTANCE, LINE_COLOURS, SWEEP_CHART, spread_labels, swept_agents
-from flexman_gym.league.details import given_information, league_details
-from flexman_gym.league.page import PAGE, given_values, write_page
+from flexman_gym.evaluation.agent_info import INFORMATION, describe_agent
+from flexman_gym.league import charts
+from flexman_gym.league.charts import CHART, LABEL_DISTANCE, LINE_COLOURS, SWEEP_CHART
+from flexman_gym.league.details import league_details
+from flexman_gym.league.page import PAGE, write_page
 from flexman_gym.league.rows import VALUES, EpisodeBlock, EpisodeRow, LeagueRows
-from flexman_gym.league.scenarios import LAB_SCENARIO, SWEEPS
+from flexman_gym.league.scenarios import LAB_SCENARIO, SWEEPS, find_scenario
 from flexman_gym.league.standings import Standings
 
 NOMINAL, UNKNOWN, FRICTION = "FlexRRR-v0", "FlexRRR-v0/unknown", "FlexRRR-v0/friction"
@@ -156,7 +157,7 @@ def test_agents_are_chosen_among_those_with_the_same_information(tmp_path):
 
 
 def test_every_agent_has_a_kind_of_information():
-    kinds = {agent: given_information(agent) for agent in AGENTS if agent not in SIMPLE_AGENTS}
+    kinds = {agent: describe_agent(agent).kind for agent in AGENTS if agent not in SIMPLE_AGENTS}
     assert set(kinds.values()) == set(INFORMATION)
     assert kinds["pd"] == "measurements only" and kinds["lqg"] == "nominal model or data sheets"
     assert kinds["adaptive-lqr"] == kinds["lab-flexrrr"] == "model, ranges of the parameters"
@@ -180,11 +181,13 @@ def test_lines_of_sweeps_are_told_apart_on_white():
         linear = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
         assert 1.05 / (linear @ [0.2126, 0.7152, 0.0722] + 0.05) >= 3.0, colour
     for heights in ([1.0, 1.0, 0.97, 0.0, 0.0], [0.0] * 5, [1.0] * 5, [0.1, 0.5, 0.9, 0.5, 0.3]):
-        placed = spread_labels(np.array(heights), LABEL_DISTANCE)
+        placed = charts._spread_labels(np.array(heights), LABEL_DISTANCE)
         assert np.diff(np.sort(placed)).min() >= LABEL_DISTANCE - 1e-12
         assert placed.min() >= 0.0 and placed.max() <= 1.0
-    assert spread_labels(np.array([1.0, 0.2]), 0.1).tolist() == [1.0, 0.2]
-    assert np.argsort(spread_labels(np.array([1.0, 1.0, 0.0]), 0.1)).tolist() == [2, 1, 0], "the first is at the top"
+    assert charts._spread_labels(np.array([1.0, 0.2]), 0.1).tolist() == [1.0, 0.2]
+    assert np.argsort(charts._spread_labels(np.array([1.0, 1.0, 0.0]), 0.1)).tolist() == [2, 1, 0], (
+        "the first is at the top"
+    )
 
 
 def test_limits_of_a_sweep_are_the_values_at_which_most_episodes_settle(tmp_path):
@@ -192,7 +195,7 @@ def test_limits_of_a_sweep_are_the_values_at_which_most_episodes_settle(tmp_path
     times = {("pd", name): np.inf for name, value in names.items() if value in (0, 10)}
     times |= {("lqg", name): np.inf for name in names}
     known = standing(scenarios=[LAB_SCENARIO, *names], settled=times)
-    agents = swept_agents(known)
+    agents = known.swept_agents()
     assert agents[0] == "privileged-lqr" and len(agents) == 4 and "zero" not in agents
     heads, _, line = page_text(known, tmp_path).partition("| swept ")[2].splitlines()[:3]
     found = dict(zip(heads.split("|")[1:], line.split("|")[2:], strict=False))
@@ -203,10 +206,10 @@ def test_limits_of_a_sweep_are_the_values_at_which_most_episodes_settle(tmp_path
 
 def test_values_given_to_the_controllers_of_a_sweep():
     first = {name: f"FlexRRR-v0/{name}={change.values[0]:g}" for name, change in SWEEPS.items()}
-    given = {name: given_values([scenario]) for name, scenario in first.items()}
+    given = {name: find_scenario(scenario).given_values() for name, scenario in first.items()}
     assert given == {"payload": "0 to 20", "stiffness": "0.7 to 1.3", "delay": "0 to 2", "noise": "0.001",
                      "period": "the value", "bias": "the value", "lost": "0", "friction": "nominal"}  # fmt: skip
-    assert given_values(["FlexRRR-v0/delay=3+given"]) == "the value"
+    assert find_scenario("FlexRRR-v0/delay=3+given").given_values() == "the value"
 
 
 def test_a_page_without_a_run_keeps_the_computer_of_its_rows(tmp_path):

@@ -10,7 +10,7 @@ from scipy.linalg import eigh
 from scipy.sparse import csr_matrix
 
 from flexman_gym.model.beam import build_beam
-from flexman_gym.model.element import beam_elements, beam_shapes, section_points
+from flexman_gym.model.element import Element, section_points
 from flexman_gym.model.model import build_model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint
@@ -164,9 +164,10 @@ def test_shapes_of_an_element_hold_its_rigid_motions(link, xi, section):
     whole, near, far = build_beam(replace(link, length=2.0 * length), 2).stiffness, slice(6), slice(6, 12)
     stiffness = whole.copy()
     stiffness[near, near] -= whole[far, far]  # of the outboard element alone
+    element = Element(link, 0.0, length, slice(0, 12))
     for shift, turn in zip(np.eye(6)[:, :3], np.eye(6)[:, 3:], strict=True):
         nodes = np.r_[shift, turn, shift + np.cross(turn, [length, 0.0, 0.0]), turn]
-        assert beam_shapes(xi, length, *section) @ nodes == pytest.approx(shift + np.cross(turn, point), abs=1e-12)
+        assert element.shapes(xi, *section) @ nodes == pytest.approx(shift + np.cross(turn, point), abs=1e-12)
         assert np.abs(stiffness @ nodes).max() <= 1e-12 * np.abs(stiffness).max()
 
 
@@ -235,5 +236,5 @@ def test_a_link_that_only_stretches_moves_its_stations_with_its_own_mass(seed, c
     link = NonUniformLink([replace(random_link(rng), orientation=IDENTITY) for _ in range(count)])
     beam = build_beam(link, elements)
     stretch = np.zeros(len(beam.stiffness))
-    stretch[0::6] = [element.start + element.length for element in beam_elements(link, elements)]
+    stretch[0::6] = [element.start + element.length for element in Element.divide(link, elements)]
     np.testing.assert_allclose(beam.station_shapes[:, 0] @ stretch, beam.stations[:, 1], rtol=1e-8)

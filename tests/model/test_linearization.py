@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from scipy.linalg import expm
 
 import flexman_gym as fm
+from flexman_gym.model.dynamics import inertial_forces, inertial_jacobian
 
 from oracles.chains import QUICK, pinocchio_model, samples
 
@@ -111,6 +112,22 @@ def test_a_holds_the_slopes_of_the_compiled_accelerations(sample):
 
 
 @settings(QUICK)
+@given(samples())
+def test_the_jacobian_of_inertial_forces_has_the_identities_of_mechanics(sample):
+    """Without gravity the forces h are quadratic in the speeds, and v h is half of v (dM/dt) v, the rate of energy."""
+    (x, v), d = sample.state(), sample.model.n_dof
+    model = replace(sample, arm=replace(sample.arm, gravity=(0.0, 0.0, 0.0))).model
+    rest, forces = np.zeros(d), inertial_forces(model)
+    h = forces(x, v, rest)
+    moving, pushed = (inertial_jacobian(model, np.array([x, *each])) for each in ((v, rest), (rest, v)))
+    by_speed, by_place, mass = moving[:d, d : 2 * d], pushed[:d, :d], pushed[:d, 2 * d :]
+    rounding = 1e-12 * np.abs(v).max() * (np.abs(mass) @ np.abs(v))
+    assert (np.abs(by_speed @ v - 2.0 * h) <= rounding).all()
+    assert (np.abs(mass @ v - forces(x, rest, v)) <= 1e-12 * (np.abs(mass) @ np.abs(v))).all()
+    assert abs(v @ h - v @ by_place @ v / 2.0) <= rounding @ np.abs(v)
+
+
+@settings(QUICK)
 @given(samples(flexible_links=False, flexible_joints=False))
 def test_the_rigid_limit_is_pinocchio(sample):
     pin = pytest.importorskip("pinocchio")
@@ -121,7 +138,7 @@ def test_the_rigid_limit_is_pinocchio(sample):
     expected = pin.computeABADerivatives(model, data, x, v, torque)
     for result, slopes in zip((linear.A[d:, :d], linear.A[d:, d:], linear.B[d:]), expected, strict=True):
         least = 1e-4  # one joint without gravity has slopes of nothing but rounding
-        assert np.abs(result - slopes).max() <= 1e-9 * max(np.abs(slopes).max(), least)
+        assert np.abs(result - slopes).max() <= 1e-10 * max(np.abs(slopes).max(), least)
 
 
 def test_the_linear_response_is_left_by_the_square_of_the_amplitude():

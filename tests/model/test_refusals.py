@@ -90,7 +90,10 @@ REFUSED = [  # call, and the beginning of its message
     (lambda: fm.linearize(BENT, inputs=["torque"]), "inputs[0]: 'torque' is not allowed; give one of motor_torques"),
     (lambda: fm.linearize(BENT, inputs=[]), "inputs: [] is not allowed; give at least one of motor_torques"),
     (lambda: fm.linearize(BENT).reduced(0.0), "frequency: 0.0 is not allowed; give "),
-    (lambda: REDUCED.scaled(), "model: 'a changed model' is not allowed; give the model returned by linearize"),
+    (
+        lambda: REDUCED.scaled(),
+        "model: 'a changed model' is not allowed; give the continuous-time model of linearize",
+    ),
     (lambda: REDUCED.discrete(0.0), "period: 0.0 is not allowed; give "),
     (lambda: REDUCED.discrete(0.1, -1.0), "delay: -1.0 is not allowed; give "),
     (lambda: REDUCED.discrete(0.1).discrete(0.1), "period: 0.1 is not allowed; give a continuous model"),

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 import flexman_gym as fm
-from flexman_gym.model.natural_modes import natural_modes
+from flexman_gym.model.state_space import natural_modes
 from flexman_gym.simulation.parameters import varied_model
 
 STRIP = fm.Link.strip(0.5, 0.04, 0.003)

@@ -64,9 +64,12 @@ class Sample:
         size = self.model.bases[link].shape[1]
         return self.model.constants.damping[start:stop].reshape(size, size)
 
-    def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return random coordinates and speeds (d,): any joint angles, links bent by about the amplitude."""
-        rng = np.random.default_rng(self.seed)
+    def state(self, more: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """Return random coordinates and speeds (d,): any joint angles, links bent by about the amplitude.
+
+        `more` is added to the seed.
+        """
+        rng = np.random.default_rng(self.seed + more)
         joints = self.model.n_joints + self.model.n_motors
         x, v = rng.uniform(-1.0, 1.0, (2, self.model.n_dof))
         x[: self.model.n_joints] *= np.pi

@@ -6,11 +6,11 @@ then uses them as coordinates.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 
-from oracles.dense import beam_points, element_rows, payload_points, skew
+from oracles.dense import beam_points, element_rows, gauss_points, payload_points, skew
 
 AGREEMENT = 1e-7
 EXACT = 10  # Gauss points of an element, for the product of a Lagrange polynomial and a quintic: to degree 19
@@ -35,9 +35,9 @@ def outboard_masses(arm, elements):
         behind = [(tips[j - 1] + beams[j].r0 @ turns[j].T, beams[j].masses) for j in range(i + 1, len(turns))]
         total = np.zeros((6, 6))
         for places, masses in [*behind, (tips[-1] + payload.r0, payload.masses)]:
-            for place, mass in zip((places - tips[i]) @ turn, masses, strict=True):
-                motion = np.hstack([np.eye(3), -skew(place)])  # of the point, by the motion of the tip
-                total += mass * motion.T @ motion
+            arms = skew((places - tips[i]) @ turn)
+            motion = np.concatenate([np.broadcast_to(np.eye(3), arms.shape), -arms], axis=2)  # by that of the tip
+            total += np.einsum("p,pia,pib->ab", masses, motion, motion)
         result.append(total)
     return result
 
@@ -89,10 +89,10 @@ def own_stations(link, count):
     the same weights, of the integral of v'^T v' + w'^T w' from the base.
     """
     points, size, h = 4 * -(-(count + 2) // 4) - 1, 6 * (count + 1), link.length / count
-    nodes, weights = leggauss(points)
+    nodes, weights = gauss_points(points)
     places, masses = link.length * (1 + nodes) / 2, link.mass * weights / 2
     shapes, integrals = np.zeros((points + 1, 3, size)), np.zeros((points + 1, size, size))
-    inner, parts = leggauss(EXACT)
+    inner, parts = gauss_points(EXACT)
     before = np.zeros((size, size))
     for element in range(count):
         dofs = slice(6 * element, 6 * element + 12)
@@ -110,9 +110,10 @@ def own_stations(link, count):
     return Stations(table, shapes[:, :, 6:], integrals[:, 6:, 6:])
 
 
+@lru_cache(1000)
 def _slopes(end, h):
     """Return the integral (12, 12) of v'^T v' + w'^T w' over an element of length h, up to a share of its length."""
-    nodes, weights = leggauss(4)
+    nodes, weights = gauss_points(4)
     total = np.zeros((12, 12))
     for xi, weight in zip(end * (1 + nodes) / 2, end * h * weights / 2, strict=True):
         slope = element_rows(xi, h)[0][4:]

@@ -6,6 +6,7 @@ so that they share no error with the code under test. SI units, radians. Capital
 """
 
 from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 from itertools import pairwise
 from math import factorial
 from typing import Any
@@ -71,8 +72,11 @@ def tangent(phi, rate):
 
 # Hermite cubics of xi for the end values v_1, v_1', v_2, v_2' (a column each, lowest power first).
 _HERMITE = np.array([[1, 0, -3, 2], [0, 1, -2, 1], [0, 0, 3, -2], [0, 0, -1, 1]]).T
+_DERIVATIVES = [polyder(_HERMITE, m) for m in range(3)]
+gauss_points = cache(np.polynomial.legendre.leggauss)
 
 
+@lru_cache(1000)
 def element_rows(xi, h):
     """Return the shape functions of a 2-node element of length h at x = xi h.
 
@@ -80,7 +84,7 @@ def element_rows(xi, h):
     12), and the rows of the strains u', v'', w'', phi' as (4, 12).
     """
     linear, stretch = [1.0 - xi, xi], [-1.0 / h, 1.0 / h]
-    cubic, slope, bend = (np.array([1, h, 1, h]) / h**m * polyval(xi, polyder(_HERMITE, m)) for m in range(3))
+    cubic, slope, bend = (np.array([1, h, 1, h]) / h**m * polyval(xi, each) for m, each in enumerate(_DERIVATIVES))
     u, v, w, phi = [0, 6], [1, 5, 7, 11], [2, 4, 8, 10], [3, 9]
     sign = np.array([1, -1, 1, -1])  # theta_y = -w'
     fields, strains = np.zeros((6, 12)), np.zeros((4, 12))
@@ -90,6 +94,7 @@ def element_rows(xi, h):
         fields[row, dofs] = values
     for row, (dofs, values) in enumerate([(u, stretch), (v, bend), (w, sign * bend), (phi, stretch)]):
         strains[row, dofs] = values
+    fields.flags.writeable = strains.flags.writeable = False
     return fields, strains
 
 
@@ -103,7 +108,7 @@ def beam_points(link, elements, basis=None):
     y, z = np.sqrt(2.0 * link.second_moment_z / link.area), np.sqrt(2.0 * link.second_moment_y / link.area)
     E, G = link.youngs_modulus, link.shear_modulus
     rigidity = [E * link.area, E * link.second_moment_z, E * link.second_moment_y, G * link.torsion_constant]
-    nodes, weights = np.polynomial.legendre.leggauss(4)
+    nodes, weights = gauss_points(4)
     r0, masses, S, K = [], [], [], np.zeros((size, size))
     for element in range(elements):
         dofs = slice(6 * element, 6 * element + 12)

@@ -1,4 +1,6 @@
-"""Lists and arrays accepted as numbers by the public functions; `make lint` checks their types."""
+"""Lists and arrays accepted as numbers, and names reached through `fm`; `make lint` checks their types."""
+
+from typing import assert_type
 
 import numpy as np
 
@@ -13,3 +15,4 @@ fm.frequencies(model, three), fm.rest_state(model, three), fm.linearize(model, t
 fm.Simulator(model).step(three)
 limits = [float(each) for each in three]
 fm.frequencies(model, limits), fm.Joint(limits)
+assert_type(fm.control.PD(limits, limits, [1.0] * 3), fm.control.PD), fm.tune

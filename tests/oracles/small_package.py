@@ -1,4 +1,4 @@
-"""Copy of the package with two small kernels that compile quickly, and processes that call them."""
+"""Copy of the folder of kernels with two small ones that compile quickly, and processes that call them."""
 
 import os
 import subprocess
@@ -37,13 +37,15 @@ def run(folder, cache, script, **variables):
 
 
 def copied(folder, value):
-    """Copy the package to `folder` with two additional kernels, one of which calls the other from another file."""
+    """Copy the kernels to `folder` with two additional ones, one of which calls the other from another file.
+
+    The package has nothing else, so that the processes import no more than Numba.
+    """
     target = folder / "flexman_gym"
-    files = (path for end in ("py", "yaml") for path in (ROOT / "flexman_gym").rglob(f"*.{end}"))
-    for source in sorted(files):
-        path = target / source.relative_to(ROOT / "flexman_gym")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(source.read_bytes())
+    (target / "kernels").mkdir(parents=True, exist_ok=True)
+    (target / "__init__.py").touch()
+    for source in sorted((ROOT / "flexman_gym" / "kernels").glob("*.py")):
+        (target / "kernels" / source.name).write_bytes(source.read_bytes())
     (target / "kernels" / "callee.py").write_text(CALLEE.format(value=value))
     (target / "kernels" / "caller.py").write_text(CALLER)
     room = target / "kernels" / "__init__.py"

@@ -22,7 +22,9 @@ from oracles.assertions import offenders, refusal
 pytestmark = pytest.mark.filterwarnings("ignore:.*wrong unit")  # of any numbers
 LINK = Link(1.0, 0.002, 6e-7, 5e-7, 1e-6, 206e9, 79e9, 8253.0)
 JOINT = Joint((0.0, 0.0, 1.0))
-LINK_NUMBERS = [field.name for field in fields(Link) if field.name not in ("orientation", "masses", "outline")]
+LINK_NUMBERS = [
+    field.name for field in fields(Link) if field.name not in ("orientation", "masses", "outline", "flexible")
+]
 NOT_NUMBERS = [math.nan, math.inf, -math.inf, 10**400, 10**5000, True, np.True_, "1.0", None, 1j, [1.0], np.ones(2)]
 STEPPED = NonUniformLink([LINK, LINK])
 PARTS = {"Link": LINK, "NonUniformLink": STEPPED, "Joint": JOINT, "Payload": Payload(1.0), "Arm": Arm([LINK], [JOINT])}

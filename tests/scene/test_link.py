@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym.scene.link import MATERIALS, Outline
+from flexman_gym.scene.link import Outline
+from flexman_gym.scene.material import MATERIALS
 from flexman_gym.scene.serialization import find_arm, to_plain
 
 from oracles.assertions import refusal

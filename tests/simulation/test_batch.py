@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
+from flexman_gym.kernels import batch as kernels
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
 
@@ -258,6 +259,15 @@ def test_a_roll_is_as_many_steps_to_the_bit(method, step, arms):
     for name in ("rows", "outputs", "status", "time", "energy_turnover", "energy_residual"):
         assert np.array_equal(getattr(rolled, name), getattr(stepped, name)), name
     assert np.array_equal(rolled.tip_accelerations(), stepped.tip_accelerations())
+
+
+def test_inputs_of_another_layout_need_no_other_kernel():
+    model = fm.build_model(fm.catalog.paper_rrr(), 1, 2)
+    batch, drives = Batch(model, "midpoint_3", 0.01, 0.02, arms=9), np.zeros((9, 2, 9))
+    batch.step(drives[:, 0].copy())
+    compiled = len(kernels.advance_batch.signatures)
+    batch.step(drives[:, 1])
+    assert len(kernels.advance_batch.signatures) == compiled
 
 
 def test_a_long_roll_is_made_of_calls_that_are_not_long(monkeypatch):

@@ -32,7 +32,7 @@ def moved(mover, states, drives):
 
 def states_of(sample, model):
     """Arms that bend from nothing to beyond the series of the tangent operator, side by side."""
-    result = [np.concatenate(replace(sample, seed=sample.seed + arm).state()) for arm in range(ARMS)]
+    result = [np.concatenate(sample.state(arm)) for arm in range(ARMS)]
     return np.array([state * scale for state, scale in zip(result, np.linspace(0.0, 1.0, ARMS), strict=True)])
 
 

@@ -8,7 +8,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.model.dynamics import RICHARDSON
 from flexman_gym.model.model import changed_model, scene_model
-from flexman_gym.simulation.constant_derivatives import DIMENSIONS
+from flexman_gym.simulation.dimensions import DIMENSIONS
 
 Z, STEP = (0.0, 0.0, 1.0), 2e-3  # joint axis; relative step of the differences
 NOMINAL = {

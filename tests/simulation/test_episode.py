@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.simulation.episode import Episode, episode_metadata
+from flexman_gym.simulation.episode import Episode
 
 MODEL = fm.build_model(fm.catalog.planar_2r(joint_stiffness=20.0), elements=1, modes=(2, (0, 2)), stiffening=True)
 
@@ -19,7 +19,7 @@ def episode():
     random = np.random.default_rng(0)
     several = {name: random.normal(size=(5, 3)) for name in ("tips", "targets")}
     each = {name: random.normal(size=(4, 2)) for name in ("actions", "torques")}
-    told = episode_metadata(
+    told = Episode.metadata(
         MODEL, {"gains": np.ones(2), "base": MODEL}, name="a b", seed=7, units={"angles": "rad", "near": "1"}
     )
     return Episode(
@@ -47,7 +47,7 @@ def test_a_saved_episode_comes_back_with_its_model(episode, tmp_path):
 
 
 def test_the_same_settings_have_one_hash_and_others_another():
-    hashes = [episode_metadata(MODEL, settings)["hash"] for settings in ({"a": 1, "b": 2}, {"b": 2, "a": 1}, {"a": 1})]
+    hashes = [Episode.metadata(MODEL, settings)["hash"] for settings in ({"a": 1, "b": 2}, {"b": 2, "a": 1}, {"a": 1})]
     assert hashes[0] == hashes[1] != hashes[2]
 
 

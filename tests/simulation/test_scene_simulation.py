@@ -9,9 +9,9 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.scene.signals import PiecewiseSignals
+from flexman_gym.simulation import scene_simulation
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
 from flexman_gym.simulation.integrator import Integrator
-from flexman_gym.simulation.scene_simulation import integration_intervals
 
 from oracles.assertions import refusal
 
@@ -251,14 +251,14 @@ def test_sampled_pushes_are_the_pulses_that_they_sample(name):
 
 def test_intervals_fill_the_time_and_begin_anew_at_any_output():
     pieces = PiecewiseSignals([fm.SampledSignal(UNEVEN, PUSHES), fm.Signal()], 0.5)
-    made = list(integration_intervals(pieces, 0.05, 4, range(10)))
+    made = list(scene_simulation._integration_intervals(pieces, 0.05, 4, range(10)))
     ends = [call.grid[0] + call.grid[1] * call.grid[2] * max(call.rows, 1) for call in made]
     assert [call.grid[0] for call in made] == pytest.approx([0.0, *ends[:-1]]) and ends[-1] == pytest.approx(0.5)
     assert all(call.grid[1] <= 0.0125 * (1.0 + 1e-9) for call in made)
     for moment in UNEVEN:
         assert not any(start + 1e-9 < moment < end - 1e-9 for start, end in pairwise([0.0, *ends]))
     assert sum(call.rows for call in made) + sum(call.complete and not call.rows for call in made) == 10
-    again = list(integration_intervals(pieces, 0.05, 4, range(5, 6)))
+    again = list(scene_simulation._integration_intervals(pieces, 0.05, 4, range(5, 6)))
     assert [call for call in made if call.row == 5 and call.rows < 2] == again or again[0].rows == 1
 
 

@@ -120,8 +120,9 @@ def test_the_published_page_is_that_of_the_published_rows():
     }
     assert {row.name for row in rows if row.kind == "task"} == expected
     curves = read_rows(ROOT / "docs" / "evidence" / "learning_curves.csv", Point)
-    assert {point.name for point in curves} <= SEEDS.keys()
-    for id in {environment(point.name) for point in curves if adds_to_pd(point.name)}:
+    drawn = {point.name for point in curves}
+    assert drawn <= SEEDS.keys()
+    for id in {environment(each) for each in drawn if adds_to_pd(each)}:
         assert (ROOT / "docs" / "evidence" / f"learning_{id}.png").is_file()
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.control.friction_compensation import frictionless
-from flexman_gym.control.lqr import POSTURE_SPACING, default_weights, lqr_gain
+from flexman_gym.control.lqr import POSTURE_SPACING, CostWeights
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.model.state_space import discretize
@@ -41,6 +41,6 @@ def test_a_stiff_arm_under_gravity_has_a_stable_gain_where_the_balanced_riccati_
     rest, holding = fm.rest_state(model, posture), fm.holding_torques(model, posture)
     linear = fm.linearize(model, state=rest, torque=holding)
     limits = np.array([joint.torque_limit for joint in random_arm(6).joints])
-    gain = lqr_gain(linear, model.motor_columns, limits, default_weights(model), period)
+    gain = CostWeights.default(model).gain(linear, model.motor_columns, limits, period)
     transition, inputs = discretize(linear.A, linear.B, period)
     assert np.abs(np.linalg.eigvals(transition - inputs @ gain)).max() < 1.0

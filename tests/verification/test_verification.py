@@ -9,7 +9,7 @@ import pytest
 from flexman_gym.__main__ import main as flexman
 from flexman_gym.verification import cases
 from flexman_gym.verification.closed_forms import bar_frequencies, cantilever_frequencies, flexible_joint_frequencies
-from flexman_gym.verification.table import COLUMNS, VerificationRow, exit_code, format_json, format_table
+from flexman_gym.verification.table import COLUMNS, VerificationRow, VerificationTable
 
 ROW = VerificationRow("a number, m", "a book", 2.0, 2.001, 1e-3)
 
@@ -17,12 +17,12 @@ ROW = VerificationRow("a number, m", "a book", 2.0, 2.001, 1e-3)
 @pytest.fixture(scope="module")
 def rows():
     """Rows of the verify command."""
-    return cases.closed_form_rows()
+    return [row for case in cases.CLOSED_FORMS for row in case()]
 
 
 def test_the_closed_forms_pass(rows):
     assert [row.case for row in rows if row.verdict != "pass"] == []
-    assert len(rows) > 50 and exit_code(rows) == 0
+    assert len(rows) > 50 and VerificationTable(rows).exit_code == 0
     assert len({row.case for row in rows}) == len(rows)
     assert all(row.source for row in rows)
 
@@ -31,22 +31,22 @@ def test_a_wrong_expected_value_fails(rows):
     judged = [row for row in rows if row.tolerance is not None]
     wrong = [replace(row, expected=(row.expected + 1.0) * (1.0 + 2.0 * row.tolerance)) for row in judged]
     assert {row.verdict for row in wrong} == {"fail"}
-    assert exit_code([*rows[1:], wrong[0]]) == 1
+    assert VerificationTable([*rows[1:], wrong[0]]).exit_code == 1
 
 
 def test_a_wrong_expected_value_ends_the_command_with_1(monkeypatch, capsys):
     for row, code in ((ROW, 0), (replace(ROW, expected=3.0), 1)):
-        monkeypatch.setattr(cases, "closed_form_rows", lambda row=row: [row])
+        monkeypatch.setattr(cases, "CLOSED_FORMS", [lambda row=row: [row]])
         assert flexman(["verify", "--quick"]) == code
         assert row.verdict in capsys.readouterr().out
 
 
 def test_the_command_names_the_full_table_and_writes_the_rows(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(cases, "closed_form_rows", lambda: [ROW])
+    monkeypatch.setattr(cases, "CLOSED_FORMS", [lambda: [ROW]])
     assert flexman(["verify", "--quick"]) == 0 and "make verify" not in capsys.readouterr().out
     assert flexman(["verify", "--json", str(tmp_path / "rows.json")]) == 0
     assert "is in docs/evidence/verification.md" in capsys.readouterr().out
-    assert (tmp_path / "rows.json").read_text() == format_json([ROW])
+    assert (tmp_path / "rows.json").read_text() == VerificationTable([ROW]).to_json()
 
 
 @pytest.mark.parametrize(
@@ -68,17 +68,17 @@ def test_a_verdict_follows_from_error_and_tolerance(changes, error, verdict):
 
 
 def test_nothing_computed_is_no_success():
-    assert exit_code([]) == 1
+    assert VerificationTable().exit_code == 1
 
 
 def test_table_and_file_hold_all_rows(rows):
-    shown = [*rows, replace(ROW, tolerance=None), replace(ROW, computed=np.inf)]
-    head, *lines, last = format_table(shown).splitlines()
+    shown = VerificationTable([*rows, replace(ROW, tolerance=None), replace(ROW, computed=np.inf)])
+    head, *lines, last = str(shown).splitlines()
     assert head.split() == list(COLUMNS)
     for row, line in zip(shown, lines, strict=True):
         assert line.startswith(row.case) and row.source in line and line.endswith(row.verdict)
     assert last.startswith(f"{len(rows)} of {len(rows) + 1} rows pass, 1 fail;")
-    loaded = json.loads(format_json(shown))
+    loaded = json.loads(shown.to_json())
     assert [row["case"] for row in loaded["rows"]] == [row.case for row in shown]
     assert all(tuple(row) == COLUMNS for row in loaded["rows"])
     assert loaded["rows"][-1]["computed"] is None and loaded["machine"]["numpy"] == np.__version__

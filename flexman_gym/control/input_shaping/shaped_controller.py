@@ -1,5 +1,6 @@
 """Controller with an input shaper for its command."""
 
+from collections.abc import Mapping
 from functools import reduce
 from typing import Any
 
@@ -12,10 +13,8 @@ from flexman_gym.control.controller import Controller, EpisodeInfo, Readings, ch
 from flexman_gym.control.input_shaping.shapers import (
     DEFAULT_TOLERANCE,
     Shaper,
-    convolve_shapers,
     design_shaper,
     excited_modes,
-    sample_shaper,
 )
 from flexman_gym.control.lqr import LQR
 from flexman_gym.control.references.trajectories import TIMING_LAWS
@@ -93,19 +92,27 @@ class InputShapedController:
             self.inner.reset(np.array([arm]), EpisodeInfo(start[None], goal[None], episode.period, command.path), count)
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> NDArray[Any]:
-        """Return the actions (b, n) of the inner controller for the shaped command.
-
-        Args:
-            readings: as in `Controller.act`.
-            applied: as in `Controller.act`.
-            active: as in `Controller.act`.
-
-        Returns:
-            Actions (b, n).
+        """Return the actions (b, n) of the inner controller for the shaped command; arguments as in `Controller.act`.
 
         Raises:
             ValueError: for a reading of the goal that cannot be shaped.
         """
+        shaped = self._shaped(readings)
+        self._now += active
+        return self.inner.act(shaped, applied, active)
+
+    @property
+    def gain_units(self) -> Mapping[str, str]:
+        """Units of the gains of the inner controller, by name, see `Controller`."""
+        return getattr(self.inner, "gain_units", {})
+
+    def derivatives(self, readings: Readings, changes: Readings) -> tuple[Array, Array]:
+        """Return the actions (1, n) of an arm and their derivatives (p, n), see `Controller`."""
+        result: tuple[Array, Array] = self.inner.derivatives(self._shaped(readings), changes)  # type: ignore[attr-defined]
+        return result
+
+    def _shaped(self, readings: Readings) -> Readings:
+        """Return the readings for the shaped command of this period."""
         shaped = dict(readings)
         for name, values in readings.items():
             if name in REFUSED_QUANTITIES:
@@ -117,8 +124,7 @@ class InputShapedController:
             if name in SHIFTED_QUANTITIES or (name == "state" and type(self.inner) is LQR):
                 commands = zip(self._commands, self._now.tolist(), strict=True)
                 shaped[name] = values + np.array([each.offset(name)[min(now, each.last)] for each, now in commands])
-        self._now += active
-        return self.inner.act(shaped, applied, active)
+        return shaped
 
     def combined(self, postures: Array) -> Shaper:
         """Return the shaper for all shaped modes; the modes are averaged over postures (p, n) rad."""
@@ -129,7 +135,7 @@ class InputShapedController:
         if not len(modes):
             raise value_error("InputShapedController.modes", self._count, "modes of a flexible arm: this arm has none")
         shapers = [design_shaper(self.shaper, each, ratio, self.tolerance) for each, ratio in modes.tolist()]
-        return reduce(convolve_shapers, shapers)
+        return reduce(Shaper.convolve, shapers)
 
     def _shape(self, start: Array, goal: Array, period: float, path: Array | None) -> "_Command":
         """Return the shaped command of one arm, for a path (T + 1, n) rad or from start to goal, (n,) rad each."""
@@ -142,7 +148,7 @@ class InputShapedController:
         else:
             plain, before = path, path[0]
             postures = path[np.rint(np.array(self.places) * (len(path) - 1)).astype(int)]
-        fractions = sample_shaper(self.combined(postures), period)
+        fractions = self.combined(postures).sample(period)
         if path is None:
             plain = np.vstack([plain, np.repeat(goal[None], len(fractions) + REST_PERIODS, axis=0)])
         rates = np.diff(plain, axis=0, prepend=plain[:1]) / period

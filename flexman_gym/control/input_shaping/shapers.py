@@ -7,7 +7,7 @@ A shaper delays the command: its last impulse follows the first by 0.5 (ZV, zero
 
 from collections.abc import Callable, Sequence
 from functools import reduce
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -35,9 +35,6 @@ def excited_modes(model: Model, posture: Vector, held: bool = True) -> Array:
         model: model of the arm.
         posture: (n,) motor angles, rad.
         held: True for motors held in position; False for motors free to turn under constant holding torques.
-
-    Returns:
-        Frequency (Hz), damping ratio and tip amplitude of each mode, (k, 3).
 
     Raises:
         ValueError: for a posture of wrong shape, and for an arm without an equilibrium.
@@ -111,6 +108,28 @@ class Shaper(NamedTuple):
     times: Array
     amplitudes: Array
 
+    def convolve(self, other: Self) -> Self:
+        """Return the convolution with another shaper, for the modes of both; its delay is the sum of both delays."""
+        times = np.add.outer(self.times, other.times).ravel()
+        order = np.argsort(times, kind="stable")
+        return type(self)(times[order], np.outer(self.amplitudes, other.amplitudes).ravel()[order])
+
+    def sample(self, period: float) -> Array:
+        """Return the sampled shaper: fractions (m,), with sum 1, of a command delayed by 0, 1, ... control periods.
+
+        An impulse between two samples is split linearly between them. At a natural frequency w this adds at most
+        100 (w period)^2 / 8 percent of residual: 0.02 % at 0.3 Hz and 20 ms.
+
+        Args:
+            period: control period, s.
+        """
+        delays = self.times / positive("period", period, "s")  # control periods
+        lower = np.floor(delays).astype(int)
+        result = np.zeros(lower[-1] + 2)
+        np.add.at(result, lower, self.amplitudes * (1.0 - delays + lower))
+        np.add.at(result, lower + 1, self.amplitudes * (delays - lower))
+        return result
+
 
 def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: float = DEFAULT_TOLERANCE) -> Shaper:
     """Design a shaper for one mode.
@@ -124,9 +143,6 @@ def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: fl
         frequency: natural frequency of the mode, Hz.
         ratio: damping ratio of the mode, 0 <= ratio < 1.
         tolerance: residual vibration tolerated by EI and two-hump EI, as a fraction.
-
-    Returns:
-        Shaper whose first impulse is at 0 s.
 
     Raises:
         ValueError: for arguments out of range, and for a damping ratio with negative EI impulses.
@@ -149,15 +165,8 @@ def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: fl
     return Shaper(times, weighted / weighted.sum())
 
 
-def convolve_shapers(first: Shaper, second: Shaper) -> Shaper:
-    """Return the convolution of two shapers, a shaper for the modes of both, whose delay is the sum of both delays."""
-    times = np.add.outer(first.times, second.times).ravel()
-    order = np.argsort(times, kind="stable")
-    return Shaper(times[order], np.outer(first.amplitudes, second.amplitudes).ravel()[order])
-
-
 def shaper_residual(shaper: Shaper, frequency: float | Array, ratio: float = 0.0) -> Any:
-    """Return the residual vibration after a shaper, in percent of that after a single impulse.
+    """Return the residual vibration after a shaper, shaped like `frequency`, in percent of that after a single impulse.
 
     Singer and Seering (1990): exp(-r w t_k) |sum of A_i exp(r w t_i + j w_d t_i)| with natural frequency w, damping
     ratio r and damped frequency w_d.
@@ -166,35 +175,11 @@ def shaper_residual(shaper: Shaper, frequency: float | Array, ratio: float = 0.0
         shaper: shaper with impulses A_i at times t_i, i = 1 to k.
         frequency: natural frequency of the mode, Hz, a number or an array.
         ratio: damping ratio of the mode.
-
-    Returns:
-        Residual, %, with the shape of `frequency`.
     """
     rate = 2.0 * np.pi * np.asarray(frequency, dtype=np.float64)
     pole = rate * (ratio + 1j * np.sqrt(1.0 - ratio**2))
     growth = np.exp(np.multiply.outer(shaper.times, pole) - shaper.times[-1] * pole.real)
     return 100.0 * np.abs(np.tensordot(shaper.amplitudes, growth, 1))
-
-
-def sample_shaper(shaper: Shaper, period: float) -> Array:
-    """Return the sampled shaper: the fractions (m,) of a command that are delayed by 0, 1, ... control periods.
-
-    An impulse between two samples is split linearly between them. At a natural frequency w this adds at most
-    100 (w period)^2 / 8 percent of residual: 0.02 % at 0.3 Hz and 20 ms.
-
-    Args:
-        shaper: shaper with impulses at any times.
-        period: control period, s.
-
-    Returns:
-        Fractions (m,) with sum 1.
-    """
-    delays = shaper.times / positive("period", period, "s")  # control periods
-    lower = np.floor(delays).astype(int)
-    result = np.zeros(lower[-1] + 2)
-    np.add.at(result, lower, shaper.amplitudes * (1.0 - delays + lower))
-    np.add.at(result, lower + 1, shaper.amplitudes * (delays - lower))
-    return result
 
 
 TOLERATED_RESIDUAL = 5.0  # %; largest residual of a mode within the tolerated frequency errors
@@ -220,6 +205,17 @@ class OperatingPoint(NamedTuple):
     held: Array
     free: Array
 
+    @classmethod
+    def find(cls, model: Model, postures: Array, payloads: Sequence[float]) -> list[Self]:
+        """Return the operating point, with its lowest modes, of each posture (p, n) rad and payload (kg)."""
+        result = []
+        for payload in payloads:
+            loaded = varied_model(model, payload_mass=non_negative("payload_mass", payload, "kg"))
+            for posture in postures:
+                modes = (excited_modes(loaded, posture, held)[:EVALUATED_MODES] for held in (True, False))
+                result.append(cls(posture, float(payload), *modes))
+        return result
+
 
 class ShaperEvaluation(NamedTuple):
     """Residual vibration, over all operating points, of a shaper designed for one or two modes of one operating point.
@@ -241,16 +237,14 @@ class ShaperEvaluation(NamedTuple):
     residuals: Array
     tip: Array
 
-
-def find_operating_points(model: Model, postures: Array, payloads: Sequence[float]) -> list[OperatingPoint]:
-    """Return an operating point, with its lowest modes, for each pair of a posture (p, n) rad and a payload (kg)."""
-    result = []
-    for payload in payloads:
-        loaded = varied_model(model, payload_mass=non_negative("payload_mass", payload, "kg"))
-        for posture in postures:
-            modes = (excited_modes(loaded, posture, held)[:EVALUATED_MODES] for held in (True, False))
-            result.append(OperatingPoint(posture, float(payload), *modes))
-    return result
+    @staticmethod
+    def compare(points: Sequence[OperatingPoint]) -> "_ShaperComparison":
+        """Evaluate all shapers over operating points, each with a mode with held motors; recommend a shaper."""
+        median = sorted(points, key=lambda point: float(point.held[0, 0]))[len(points) // 2]
+        counts = [count for count in (1, 2) if count <= len(median.held)]
+        found = [_evaluate_shaper(name, median.held[:count], points) for count in counts for name in SHAPERS]
+        feasible = [evaluation for evaluation in found if evaluation.tip.max() <= TIP_VIBRATION_LIMIT]
+        return _ShaperComparison(median, found, min(feasible, key=lambda evaluation: evaluation.delay, default=None))
 
 
 class _ShaperComparison(NamedTuple):
@@ -267,18 +261,9 @@ class _ShaperComparison(NamedTuple):
     recommended: ShaperEvaluation | None
 
 
-def compare_shapers(points: Sequence[OperatingPoint]) -> _ShaperComparison:
-    """Evaluate all shapers over operating points, each with at least one mode with held motors; recommend a shaper."""
-    median = sorted(points, key=lambda point: float(point.held[0, 0]))[len(points) // 2]
-    counts = [count for count in (1, 2) if count <= len(median.held)]
-    found = [_evaluate_shaper(name, median.held[:count], points) for count in counts for name in SHAPERS]
-    feasible = [evaluation for evaluation in found if evaluation.tip.max() <= TIP_VIBRATION_LIMIT]
-    return _ShaperComparison(median, found, min(feasible, key=lambda evaluation: evaluation.delay, default=None))
-
-
 def _evaluate_shaper(name: str, modes: Array, points: Sequence[OperatingPoint]) -> ShaperEvaluation:
     """Return the evaluation of a shaper designed for modes (k, 3)."""
-    shaper = reduce(convolve_shapers, [design_shaper(name, frequency, ratio) for frequency, ratio, _ in modes.tolist()])
+    shaper = reduce(Shaper.convolve, [design_shaper(name, frequency, ratio) for frequency, ratio, _ in modes.tolist()])
     count = min(len(point.held) for point in points)
     residuals, tips = [], []
     for point in points:

@@ -39,7 +39,7 @@ class InnovationGains:
     def begin(
         self, arms: IntArray, states: Array, torques: Array, fractions: tuple[float, float], sudden: bool = False
     ) -> BoolArray:
-        """Initialise the covariance of arms (r,) with the stationary covariance, where it exists.
+        """Initialise the covariance of arms (r,) with the stationary one; return flags (r,) of arms where it exists.
 
         Args:
             arms: (r,) indices.
@@ -47,9 +47,6 @@ class InnovationGains:
             torques: (r, n) applied torques, N m.
             fractions: process noise, see PROCESS_NOISE.
             sudden: True after a detected abrupt change, when the estimate is inaccurate.
-
-        Returns:
-            Flags (r,) of arms with a stationary covariance.
         """
         self._fractions[arms] = fractions
         inputs, valid = self._linearise(arms, states, torques)

@@ -39,9 +39,6 @@ class InternalModels:
             arms: (r,) indices in the batch.
             states: (r, 2 d) states before the period.
             forces: (r, k) first k of the n + 6 inputs of an arm: torques (n), tip force (3), base acceleration (3).
-
-        Returns:
-            States (r, 2 d) after the period.
         """
         batch = self(*batch_key)
         drive, moving = np.zeros((batch_key[1], self._plant.model.n_joints + 6)), np.zeros(batch_key[1], dtype=bool)
@@ -91,9 +88,6 @@ class DiscreteJacobians:
         Args:
             states: (r, 2 d) states before the period.
             torques: (r, n) torques during the period, N m.
-
-        Returns:
-            Jacobians (r, 2 d, 2 d + n + 3) and flags (r,).
         """
         result, valid = np.zeros((len(states), self._size, len(self._steps))), np.zeros(len(states), dtype=bool)
         for first in range(0, len(states), BATCH_ARMS):
@@ -163,9 +157,6 @@ class DelayCompensation:
             states: (r, 2 d) present states.
             delays: (r,) delays, control periods.
             disturbance: (r, n) disturbance torques on the motors, N m.
-
-        Returns:
-            Predicted states (r, 2 d).
         """
         longest = int(delays.max(initial=0))
         if not longest:

@@ -31,9 +31,6 @@ def measurement_update(covariance: Array, matrix: Array, variances: Array) -> tu
         covariance: (..., s, s) covariances before the measurement.
         matrix: (m, s) measurement matrix.
         variances: (m,) variances of the measurement noise.
-
-    Returns:
-        Gains (..., s, m) and covariances (..., s, s).
     """
     across = matrix @ covariance
     gain: Array = np.asarray(np.linalg.solve(across @ matrix.T + np.diag(variances), across), dtype=float).mT
@@ -147,12 +144,7 @@ class KalmanFilter:
         self._ages, self._gain = np.zeros(0, dtype=np.int64), np.zeros((0, s, m))
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes of the arms (r,).
-
-        Args:
-            arms: (r,) indices.
-            episode: start and goal of these episodes.
-            count: total number of arms.
+        """Start new episodes; arguments as in `Controller.reset`.
 
         Raises:
             ValueError: with a fixed gain, for sensors from which the state is not observable.
@@ -192,15 +184,7 @@ class KalmanFilter:
         return result
 
     def estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
-        """Return the estimate of this control period; see `Observer`.
-
-        Args:
-            readings: as in `Controller.act`.
-            applied: as in `Controller.act`.
-            active: as in `Controller.act`.
-
-        Returns:
-            Estimate of all arms.
+        """Return the estimate of this control period; arguments as in `Controller.act`.
 
         Raises:
             ValueError: for sensors from which the state is not observable.

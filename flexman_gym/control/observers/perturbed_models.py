@@ -132,9 +132,6 @@ class Prior(NamedTuple):
             theta: (r, p) parameter vectors.
             change: (r, p) most probable changes without bounds.
             information: (r, p, p) information matrices.
-
-        Returns:
-            Changes (r, p).
         """
         excess = self.clip(theta + change) - (theta + change)
         rows = np.flatnonzero((excess != 0.0).any(axis=1))
@@ -213,9 +210,6 @@ class PerturbedModels:
         Args:
             origin: (r, 2 d) start states to which the rotation by the start angles in theta is added.
             theta: (r, p) parameter vectors.
-
-        Returns:
-            States (r, 1 + s, 2 d).
         """
         angles = self.perturb(theta)[:, :, len(self.uncertain.names) : self.dynamic]
         return origin[:, None] + (angles[..., None] * self._rotations).sum(axis=2)
@@ -230,9 +224,6 @@ class PerturbedModels:
         Args:
             states: (r, 1 + s, 2 d) states of the estimated model and the s perturbed models of each arm.
             steps: (r, s) perturbations of theta.
-
-        Returns:
-            Jacobian (r, 2 d, s).
         """
         return ((states[:, 1:] - states[:, :1]) / steps[..., None]).transpose(0, 2, 1)
 
@@ -259,15 +250,12 @@ class PerturbedModels:
         return exact + biases if biases.shape[-1] else exact
 
     def _add_sensor_errors(self, jacobian: Array, exact: Array, theta: Array) -> Array:
-        """Add the columns of biases and gain errors to a Jacobian of measurements.
+        """Return a Jacobian (r, ..., m, p) of measurements with the columns of biases and gain errors added.
 
         Args:
             jacobian: (r, ..., m, s) Jacobian of exact measurements.
             exact: (r, ..., m) exact measurements.
             theta: (r, p) parameter vectors.
-
-        Returns:
-            Jacobian (r, ..., m, p).
         """
         m, gauges = len(self.matrix), self._gauges
         result = np.zeros((*jacobian.shape[:-1], self.size))

@@ -145,6 +145,10 @@ class SlewReferences:
                 deflected = model.at_rest((goal + self.shift[arm])[None])[0, :d] + sag
                 self.shift[arm] += self._compensation.rotation(target, deflected)
 
+    def payloads(self, parameters: Mapping[str, Array], arms: IntArray) -> Array:
+        """Return the estimated payloads (r,) of the arms (r,), kg, see `Estimate`."""
+        return _estimated_payloads(self.model, parameters, arms)
+
     def plan_timing(self, arms: IntArray, times: Array, first: bool) -> None:
         """Plan the remaining motion of the arms (r,) along their paths, as fast as the torque limits allow.
 
@@ -221,7 +225,7 @@ class SlewReferences:
         return self._interpolate(self._adapted_torques, arms, progress, acceleration, speed)
 
 
-def estimated_payloads(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
+def _estimated_payloads(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
     """Return the estimated payloads (r,) of the arms (r,), kg; the nominal payload if there is no estimate."""
     if "payload_mass" in parameters:
         return parameters["payload_mass"][arms]
@@ -243,7 +247,7 @@ def _adaptation_factors(
         Weights (r, p) of the Lagrange interpolation between the payloads; ratios (r, d) of the elastic deflections to
         the deflections of the nominal arm.
     """
-    masses = np.clip(estimated_payloads(model, parameters, arms), nodes[0], nodes[-1])
+    masses = np.clip(_estimated_payloads(model, parameters, arms), nodes[0], nodes[-1])
     weights = np.ones((len(arms), len(nodes)))
     for i, node in enumerate(nodes):
         for other in np.delete(nodes, i):

@@ -71,16 +71,13 @@ def _interpolate_torques(knots: Array, periods: int) -> Array:
     return result
 
 
-def broyden_update(jacobian: Array, step: Array, change: Array) -> Array:
+def _broyden_update(jacobian: Array, step: Array, change: Array) -> Array:
     """Return the Jacobian (m, ...) after Broyden's rank-one update (Mathematics of Computation 19, 1965, 577).
 
     Args:
         jacobian: (m, ...) Jacobian before the step, a row for each variable.
         step: (m,) change of the variables.
         change: (...) change of the function by the step.
-
-    Returns:
-        Jacobian (m, ...) that maps the step to the change.
     """
     error = change - np.tensordot(step, jacobian, 1)
     result: Array = jacobian + np.multiply.outer(step / (step @ step), error)
@@ -207,7 +204,7 @@ class SingleShooting:
             better = costs[best] < MAX_COST_RATIO * costs[-1]
             if better:
                 step = ((tried[best] - knots) / self._regulator.limits).ravel()
-                jacobian = broyden_update(jacobian, step, candidate_errors[best] - errors)
+                jacobian = _broyden_update(jacobian, step, candidate_errors[best] - errors)
                 knots, errors, updates = tried[best], candidate_errors[best], updates + 1
                 damping = float(np.clip(damping * DAMPING_FACTORS[best], MIN_DAMPING, MAX_DAMPING))
             elif updates == 0:
@@ -291,9 +288,6 @@ class SlewTable:
             start: (n,) initial motor angles, rad.
             goal: (n,) final motor angles, rad.
 
-        Returns:
-            Torques (T, n), N m.
-
         Raises:
             ValueError: if the table has no such slew.
         """
@@ -308,9 +302,6 @@ class SlewTable:
 
         Args:
             seed: seed of the episode.
-
-        Returns:
-            Settling time, s.
 
         Raises:
             ValueError: if the table has no such episode.
@@ -358,9 +349,6 @@ class SlewTable:
 
         Args:
             path: path of the file.
-
-        Returns:
-            The table.
 
         Raises:
             FileNotFoundError: if there is no file.

@@ -46,9 +46,6 @@ def quintic_coefficients(progress: Array, speed: Array, acceleration: Array, dur
         speed: (...) initial speed, 1/s.
         acceleration: (...) initial acceleration, 1/s^2.
         durations: (...) s.
-
-    Returns:
-        Coefficients (..., 6).
     """
     remaining, squared = 1.0 - progress, durations**2
     cubic = (20.0 * remaining - 12.0 * speed * durations - 3.0 * acceleration * squared) / (2.0 * durations**3)
@@ -145,9 +142,6 @@ class QuasiStaticDeflection:
         Args:
             guess: (d,) coordinates with the initial deflection of the iteration.
             motion: angles, rates and accelerations of the link sides of the joints, (n,) each, rad, rad/s and rad/s^2.
-
-        Returns:
-            Coordinates (d,) and torques (n,), N m.
         """
         n, d = self.model.n_joints, self.model.n_dof
         x, rates, accelerations = guess.copy(), np.zeros(d), np.zeros(d)
@@ -200,7 +194,7 @@ class _ReferenceTrajectory(NamedTuple):
     Attributes:
         states: (T + 1, 2 d) states at the start and at the end of each period.
         torques: (T, n) motor torques, constant in each period, N m.
-        path: path of a planned slew or motion through postures; None for a given path.
+        path: path of a planned slew; None for a given path.
     """
 
     states: Array
@@ -218,39 +212,8 @@ def _slew_path(model: Model, start: Array, goal: Array, timing_law: str = "minim
         return first + progress * (last - first), speed * (last - first), acceleration * (last - first)
 
     jumps = timing.begins[1:]
-    return _JointPath(QuasiStaticDeflection(model), ends, motion, _check_points(jumps - JUMP_MARGIN, jumps))
-
-
-def _via_path(model: Model, postures: Array, count: int) -> _JointPath:
-    """Return the path through m motor postures (m, n), rad, in `count` control periods.
-
-    Each posture is reached at the end of a control period, at most one posture in a period.
-    The path is a cubic spline with two additional knots, so that it starts and ends with zero acceleration (Biagiotti
-    and Melchiorri, Trajectory planning for automatic machines and robots, 2008, section 4.4.4). Times between postures
-    are proportional to the square roots of their distances (Lee, Computer-Aided Design 21, 1989, 363).
-    """
-    from scipy.interpolate import make_interp_spline
-
-    rests, order = rest_state(model, postures)[:, : model.n_dof], np.arange(len(postures))
-    angles, zero = rests[:, : model.n_joints], np.zeros(model.n_joints)
-    distances = np.sqrt(np.linalg.norm(np.diff(angles, axis=0), axis=1))
-    rows = np.rint(count * np.append(0.0, np.cumsum(distances)) / distances.sum())
-    rows = np.minimum(np.maximum.accumulate(rows - order) + order, count - order[::-1])  # at least a period apart
-    times = rows / count
-    added = (2.0 * times[0] + times[1]) / 3.0, (times[-2] + 2.0 * times[-1]) / 3.0
-    knots = np.concatenate([np.zeros(4), added[:1], times[1:-1], added[1:], np.ones(4)])
-    at_rest = [(1, zero), (2, zero)]  # order and value of derivatives
-    spline = make_interp_spline(times, angles, k=3, t=knots, bc_type=(at_rest, at_rest))
-
-    def motion(fractions: Array) -> tuple[Array, Array, Array]:
-        return spline(fractions), spline(fractions, 1), spline(fractions, 2)
-
-    return _JointPath(QuasiStaticDeflection(model), rests[[0, -1]], motion, _check_points(knots[4:-4]))
-
-
-def _check_points(*fractions: Array) -> Array:
-    """Return equidistant fractions of a duration, merged in ascending order with fractions of extreme acceleration."""
-    return np.sort(np.concatenate([np.linspace(0.0, 1.0, PATH_SAMPLES), *fractions]))
+    points = np.sort(np.concatenate([np.linspace(0.0, 1.0, PATH_SAMPLES), jumps - JUMP_MARGIN, jumps]))
+    return _JointPath(QuasiStaticDeflection(model), ends, motion, points)
 
 
 def plan_slew(
@@ -273,14 +236,11 @@ def plan_slew(
         period: control period, s.
         timing_law: name in `TIMING_LAWS`.
 
-    Returns:
-        Reference trajectory.
-
     Raises:
         ValueError: for a goal at which holding torques alone exceed the fraction, and for an unknown timing law.
     """
     path = _slew_path(model, start, goal, one_of("timing_law", timing_law, TIMING_LAWS))
-    slew = _time_optimal(lambda count: path, torque_fraction * limits, period, 1)
+    slew = _time_optimal(path, torque_fraction * limits, period)
     if slew is None:
         raise value_error(
             "goal", goal.tolist(), f"a posture with holding torques below {torque_fraction:.0%} of the torque limits"
@@ -288,52 +248,15 @@ def plan_slew(
     return slew
 
 
-def plan_via(
-    model: Model, postures: Array, limits: Array, torque_fraction: float, period: float
-) -> _ReferenceTrajectory:
-    """Plan the fastest motion along a spline through postures, with torques within a fraction of the limits.
-
-    Each posture is reached at the end of a control period, so that the spline changes slightly with the duration; the
-    search may therefore miss a shorter motion.
-
-    Args:
-        model: model of the arm.
-        postures: (m, n) motor angles, rad; the arm is at rest at the first and at the last posture.
-        limits: (n,) torque limits, N m.
-        torque_fraction: fraction of the limits available to the motion; the remainder is reserved for feedback.
-        period: control period, s.
-
-    Returns:
-        Reference trajectory.
-
-    Raises:
-        ValueError: for fewer than two postures, two equal successive postures, and holding torques above the fraction.
-    """
-    if len(postures) < 2 or not np.diff(postures, axis=0).any(axis=1).all():
-        raise value_error("postures", postures.tolist(), "at least two, no two equal in succession")
-    motion = _time_optimal(
-        lambda count: _via_path(model, postures, count), torque_fraction * limits, period, len(postures) - 1
-    )
-    if motion is None:
-        raise value_error(
-            "postures",
-            postures.tolist(),
-            f"postures with holding torques below {torque_fraction:.0%} of the torque limits",
-        )
-    return motion
-
-
-def _time_optimal(
-    make_path: Callable[[int], _JointPath], bounds: Array, period: float, fewest: int
-) -> _ReferenceTrajectory | None:
+def _time_optimal(path: _JointPath, bounds: Array, period: float) -> _ReferenceTrajectory | None:
     """Return the trajectory with the fewest control periods and torques within bounds (n,) N m; None without solution.
 
     Torques are the holding and friction torques plus an inertial part proportional to 1 / T^2, so that the torques for
     one duration T predict the shortest duration. Deflections and friction change with T: the prediction is repeated at
     the new duration. The torques of the trajectory are those without friction.
     """
-    count, infeasible = max(fewest, int(MAX_DURATION / period)), fewest - 1
-    most, path = count, make_path(count)
+    most, infeasible = max(1, int(MAX_DURATION / period)), 0
+    count = most
     static = path.at(path.check_points, np.inf)[1]
     if (np.abs(static) >= bounds).any():
         return None
@@ -350,7 +273,6 @@ def _time_optimal(
             return _sample_path(path, count, period)
         else:
             count = int(max(needed, infeasible + 1))
-        path = make_path(count)
 
 
 def _sample_path(path: _JointPath, count: int, period: float) -> _ReferenceTrajectory:
@@ -374,9 +296,6 @@ def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTraject
         model: model of the arm.
         postures: (T + 1, n) motor angles with continuous second derivatives, rad.
         period: control period, s.
-
-    Returns:
-        Reference trajectory.
     """
     from scipy.interpolate import CubicSpline
 

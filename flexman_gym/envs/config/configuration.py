@@ -298,6 +298,11 @@ class Configuration(EnvironmentSettings):
         return Randomisation(**of_task | (given.given if given else {}))
 
     @property
+    def randomised_ranges(self) -> dict[str, Any]:
+        """Ranges of the setting randomisation by name."""
+        return dict(self.randomisation.given) if self.randomisation else {}
+
+    @property
     def max_delay(self) -> int:
         """Largest delay of the commanded torques, control periods."""
         delay = self.disturbances.delay if self.disturbances else None

@@ -6,7 +6,7 @@ from typing import Any, Self
 
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of, value_error
-from flexman_gym.envs.limits import Limits, find_limits
+from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.tasks import Slew, Task, find_task, plain_task
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.serialization import find_arm, to_plain
@@ -33,6 +33,7 @@ class _NamedEnvironment:
         horizon: time after which an episode is truncated, s.
         longest_step: longest step of the default method, s; random torques then cause no energy alarm.
         conditions: name of the folder with the conditions of the environment; "" for an environment without conditions.
+        actions: see `Configuration`.
     """
 
     arm: Arm
@@ -44,6 +45,7 @@ class _NamedEnvironment:
     horizon: float = 10.0
     longest_step: float = 0.02 / 3.0
     conditions: str = ""
+    actions: Any = "torque"
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -64,7 +66,7 @@ class _NamedEnvironment:
             data = mapping("environment", _read(path), [each.name for each in fields(cls)])
             if not {"arm", "pd"} <= data.keys():
                 raise value_error("environment", sorted(data), "a mapping with arm and pd")
-            for name, build in {"arm": _arm, "task": find_task, "limits": find_limits}.items():
+            for name, build in {"arm": _arm, "task": find_task, "limits": Limits.find}.items():
                 if name in data:
                     data[name] = build(data[name])
             gains = {name: tuple(values) for name, values in data.pop("pd").items()}
@@ -121,6 +123,7 @@ NAMED_ENVIRONMENTS = {
         "FlexPlanar-Hold-v0",
         "FlexOne-v0",
         "FlexQuanser-v0",
+        "FlexRotary-v0",
     )
 }
 """Named environments: id -> default settings; each id has a file in ENVIRONMENT_FOLDER."""

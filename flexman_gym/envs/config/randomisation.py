@@ -75,6 +75,12 @@ class Randomisation:
         given = enabled | {"impulse_gap": self.impulse_gap}
         return f"Randomisation({', '.join(f'{name}={value!r}' for name, value in given.items())})"
 
+    @staticmethod
+    def range_name(effect: str) -> str:
+        """Return the name of the range of a parameter or effect: NAME_factor for factors on the nominal value."""
+        entry = PARAMETERS[effect] if effect in PARAMETERS else SIGNALS[effect]
+        return f"{effect.removesuffix('_factor')}_factor" if getattr(entry, "factor", False) else effect
+
 
 def _range(name: str, value: object) -> Range:
     """Return a range after a check."""
@@ -93,10 +99,4 @@ def _range(name: str, value: object) -> Range:
 
 def _range_names() -> dict[str, str]:
     """Return name of a range -> name of its parameter or effect."""
-    return {range_name(name): name for name in (*PARAMETERS, *SIGNALS)}
-
-
-def range_name(effect: str) -> str:
-    """Return the name of the range of a parameter or effect: NAME_factor for factors on the nominal value."""
-    entry = PARAMETERS[effect] if effect in PARAMETERS else SIGNALS[effect]
-    return f"{effect.removesuffix('_factor')}_factor" if getattr(entry, "factor", False) else effect
+    return {Randomisation.range_name(name): name for name in (*PARAMETERS, *SIGNALS)}

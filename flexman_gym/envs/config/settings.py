@@ -13,7 +13,7 @@ from flexman_gym.control.agent import MAX_HISTORY
 from flexman_gym.control.base_controllers import BASES, parse_kind
 from flexman_gym.control.controller import checked_controller
 from flexman_gym.envs.config.randomisation import Randomisation
-from flexman_gym.envs.limits import Limits, find_limits
+from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors import find_sensors, plain_sensors
 from flexman_gym.envs.tasks import Task, find_task, plain_task
 from flexman_gym.scene.arm import Arm
@@ -95,21 +95,16 @@ def _base_setting(value: Any) -> Any:
     return value
 
 
+def _info_keys_setting(value: object) -> tuple[str, ...]:
+    """Return names of quantities as a tuple."""
+    return tuple(text(f"info_keys[{i}]", each) for i, each in enumerate(sequence("info_keys", value, "names")))
+
+
 def _actions_setting(value: Any) -> Any:
     """Return the name or the mapping of an action mode, or an ActionMode, after a check."""
     if not isinstance(value, ActionMode):
         parse_kind("actions", value, ACTIONS)
     return value
-
-
-def _bandwidth_setting(value: object) -> float | None:
-    """Return a bandwidth, Hz, or None, after a check."""
-    return None if value is None else physical("drive_bandwidth", value, "Hz")
-
-
-def _info_keys_setting(value: object) -> tuple[str, ...]:
-    """Return names of quantities as a tuple."""
-    return tuple(text(f"info_keys[{i}]", each) for i, each in enumerate(sequence("info_keys", value, "names")))
 
 
 def _find_randomisation(value: object) -> Randomisation | None:
@@ -166,7 +161,7 @@ class EnvironmentSettings:
     )
     limits: Limits = _setting(
         "Limits of the motion, beyond which an episode terminates. A Limits object, or a mapping of its arguments.",
-        find_limits, named=True, plain=asdict,
+        Limits.find, named=True, plain=asdict,
     )
     torque_limit: tuple[float, ...] = _setting(
         "Torque limits of the motors. One number, or one for each joint; None for those in the joints of the arm.",
@@ -195,14 +190,15 @@ class EnvironmentSettings:
     )
     actions: Any = _setting(
         "Meaning of an action. A name in control.actions.ACTIONS: 'torque', motor torques as fractions of the torque "
-        "limits; 'current', motor currents; 'position' or 'velocity', references of servos; 'shaping', changes of the "
-        "reference of the base controller; or a mapping with a name at 'kind' and its arguments. A servo acts in every "
-        "control period: with control_period=0.002 and action_repeat=10 at 500 Hz, below an agent at 50 Hz.",
-        _actions_setting, "torque",
+        "limits; 'current' or 'voltage', motor currents or voltages; 'position' or 'velocity', references of servos; "
+        "'shaping', changes of the reference of the base controller; or a mapping with a name at 'kind' and its "
+        "arguments. A servo acts in every control period: with control_period=0.002 and action_repeat=10 at 500 Hz, "
+        "below an agent at 50 Hz.",
+        _actions_setting, named=True,
     )
     drive_bandwidth: float | None = _setting(
         "Bandwidth of the drives, a first-order lag between commanded and applied torque. None for no lag.",
-        _bandwidth_setting, unit="Hz",
+        lambda value: None if value is None else physical("drive_bandwidth", value, "Hz"), unit="Hz",
     )
     action_repeat: int = _setting(
         "Number of control periods for which an action of the agent is held. A step of the environment simulates them, "

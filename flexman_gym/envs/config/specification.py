@@ -11,7 +11,7 @@ from flexman_gym.control.controller import Controller, Plant
 from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-from flexman_gym.envs.config.randomisation import range_name
+from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.sensors.instrument import Instrument
 from flexman_gym.envs.sensors.sensor import measurement_ranges
 from flexman_gym.envs.sensors.sensor_array import measured_names
@@ -39,7 +39,11 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
         configuration.torque_limit,
         configuration.control_period,
         lambda: configuration.pd_gains,
-        {range_name(name): span for name, span in ranges.items() if name in PARAMETERS.keys() - UNMODELLED},
+        {
+            Randomisation.range_name(name): span
+            for name, span in ranges.items()
+            if name in PARAMETERS.keys() - UNMODELLED
+        },
         (int(fewest), int(most)),
         (configuration.method, configuration.step or default_step(configuration.control_period, longest_step)),
         float(ranges.get("tip_load", (0.0, 0.0))[1]),

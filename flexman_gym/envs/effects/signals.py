@@ -7,7 +7,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import finite, non_negative, positive, value_error, whole_number
 from flexman_gym.envs.effects.effect import EffectContext, Range
-from flexman_gym.envs.random_streams import TruncatedNoise, uniform_numbers
+from flexman_gym.envs.random_streams import TruncatedNoise
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model
 
@@ -15,16 +15,12 @@ from flexman_gym.model.model import Model
 class _TorqueLimit:
     """Factors > 0 on the torque limits, one for each joint."""
 
-    kind: ClassVar[type] = float
     factor: ClassVar[bool] = True
 
     def __init__(self, context: EffectContext, span: Range) -> None:
         self._context, self._span, self.shape = context, span, context.nominal.shape
 
-    @staticmethod
-    def checked(field: str, value: object) -> float:
-        """Return a factor > 0."""
-        return positive(field, value)
+    checked = staticmethod(positive)
 
     def draw(self, arm: int, stream: np.random.Generator) -> Array:
         """Draw the torque limits (n,), N m."""
@@ -43,7 +39,6 @@ class _SensorNoise:
     computed. Limits are compared with the true state.
     """
 
-    kind: ClassVar[type] = float
     state_fields = ("_noise", "_deviation")
     shape = ()
 
@@ -81,8 +76,6 @@ class _ConstantError:
         span: range of the numbers.
         shape: shape of the numbers of an arm.
     """
-
-    kind: ClassVar[type] = float
 
     def __init__(self, span: Range, shape: tuple[int, ...]) -> None:
         self._span, self.shape, self._drawn = span, shape, np.zeros((0, *shape))
@@ -125,10 +118,7 @@ class _GaugeGain(_ConstantError):
         super().__init__(span, (3 * len(context.nominal),))
         self._gauges = context.gauges
 
-    @staticmethod
-    def checked(field: str, value: object) -> float:
-        """Return a factor > 0."""
-        return positive(field, value)
+    checked = staticmethod(positive)
 
     def measure(self, values: Array, arms: IntArray) -> Array:
         """Return the values (r, size) of the arms (r,) with scaled root strains."""
@@ -145,7 +135,6 @@ class _DroppedSamples:
     The first sample of an episode is never lost.
     """
 
-    kind: ClassVar[type] = float
     state_fields = ("_noise", "_held", "_first", "_probability")
     shape = ()
 
@@ -174,7 +163,7 @@ class _DroppedSamples:
 
     def measure(self, values: Array, arms: IntArray) -> Array:
         """Return the values (r, size) of the arms (r,), those of lost samples replaced by the previous ones."""
-        lost = uniform_numbers(self._noise.sample(arms)) < self._probability[arms]
+        lost = TruncatedNoise.uniform(self._noise.sample(arms)) < self._probability[arms]
         lost &= ~self._first[arms, None]
         result = np.where(lost[:, self._instruments], self._held[arms], values)
         self._held[arms], self._first[arms] = result, False
@@ -228,8 +217,6 @@ class _InitialVibration:
     a direction without elastic coordinates none.
     """
 
-    kind: ClassVar[type] = float
-
     def __init__(self, context: EffectContext, span: Range) -> None:
         model = self._model = context.batch.model
         self._flexible, self._span, self.shape = np.diff(model.constants.elastic_start) > 0, span, (model.n_joints, 2)
@@ -243,10 +230,7 @@ class _InitialVibration:
         self._compliances = np.array([_relative_compliance(model, link) for link in range(model.n_joints)])
         self._drawn = np.zeros((0, *self.shape))
 
-    @staticmethod
-    def checked(field: str, value: object) -> float:
-        """Return a length >= 0, m."""
-        return non_negative(field, value)
+    checked = staticmethod(non_negative)
 
     def draw(self, arm: int, stream: np.random.Generator) -> Array:
         """Draw the deflections (n, 2), m, along y and z of the beam frame of each link."""
@@ -296,7 +280,6 @@ def _tip_flexibility(model: Model, link: int) -> tuple[Array, Array]:
 class _TipImpulse:
     """Impulses, N s, at random times; each is a force at the tip, of random direction, during one control period."""
 
-    kind: ClassVar[type] = float
     state_fields = ("_inner", "_wait")
     shape = None
 
@@ -306,10 +289,7 @@ class _TipImpulse:
         self._inner: list[Any] = [None] * arms
         self._wait = np.zeros(arms, dtype=np.int64)
 
-    @staticmethod
-    def checked(field: str, value: object) -> float:
-        """Return an impulse >= 0, N s."""
-        return non_negative(field, value)
+    checked = staticmethod(non_negative)
 
     def draw(self, arm: int, stream: np.random.Generator) -> None:
         """Draw the time until the first impulse."""
@@ -336,7 +316,6 @@ class _TipLoad:
     The first force acts from the start of the episode. The mean time between two changes is `impulse_gap`.
     """
 
-    kind: ClassVar[type] = float
     state_fields = ("_inner", "_wait", "_forces")
     shape = None
 
@@ -346,10 +325,7 @@ class _TipLoad:
         self._inner: list[Any] = [None] * arms
         self._wait, self._forces = np.zeros(arms, dtype=np.int64), np.zeros((arms, 3))
 
-    @staticmethod
-    def checked(field: str, value: object) -> float:
-        """Return a force >= 0, N."""
-        return non_negative(field, value)
+    checked = staticmethod(non_negative)
 
     def draw(self, arm: int, stream: np.random.Generator) -> None:
         """Seed the generator of the loads of an episode."""
@@ -377,7 +353,6 @@ class _BaseSway:
     uniformly on a logarithmic scale.
     """
 
-    kind: ClassVar[type] = float
     state_fields = ("_sway",)
     shape = ()
 
@@ -387,10 +362,7 @@ class _BaseSway:
         self._first = float(first[0]) if len(first) else RIGID_FREQUENCY
         self._sway = np.zeros((len(context.batch.rows), 5))  # acceleration (3,), m/s^2; frequency, Hz; phase, rad
 
-    @staticmethod
-    def checked(field: str, value: object) -> float:
-        """Return an amplitude >= 0, m/s^2."""
-        return non_negative(field, value)
+    checked = staticmethod(non_negative)
 
     def draw(self, arm: int, stream: np.random.Generator) -> float:
         """Draw direction, frequency and phase, and return the drawn amplitude."""

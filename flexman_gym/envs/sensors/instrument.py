@@ -9,7 +9,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import non_negative, set_fields, value_error, whole_number
 from flexman_gym.envs.limits import Limits
-from flexman_gym.envs.random_streams import TruncatedNoise, uniform_numbers
+from flexman_gym.envs.random_streams import TruncatedNoise
 from flexman_gym.envs.sensors.sensor import DEFAULT_QUANTITIES, Entry, MeasuredView, Sensor
 from flexman_gym.envs.view import View
 
@@ -124,7 +124,7 @@ class Instrument:
         if flaws.noise or flaws.dropped:
             drawn = self._noise.sample(arms)
             new = new + flaws.noise * measured.bound * drawn[:, :-1]
-            taken &= first | (uniform_numbers(drawn[:, -1]) >= flaws.dropped)
+            taken &= first | (TruncatedNoise.uniform(drawn[:, -1]) >= flaws.dropped)
         if flaws.quantisation:
             step = flaws.quantisation * measured.bound
             new = np.round(new / step) * step

@@ -101,6 +101,14 @@ class MeasuredView:
             end += part.shape[1]
         return np.zeros(0, dtype=np.int64)
 
+    def instruments(self, parts: Sequence[object]) -> IntArray:
+        """Return the index (size,) of the first of some sensors that measures each of the quantities."""
+        result = np.zeros(len(self.bound), dtype=np.int64)
+        for index, part in reversed(list(enumerate(parts))):
+            for name in getattr(part, "measures", DEFAULT_QUANTITIES):
+                result[self.columns(name)] = index
+        return result
+
     def copy_true(self, arms: IntArray | slice) -> None:
         """Copy the true quantities of arms, given by their indices or a slice."""
         for name, part in self._parts:

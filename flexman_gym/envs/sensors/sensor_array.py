@@ -11,7 +11,7 @@ from flexman_gym.common.checks import check_member_names, value_error
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.random_streams import RandomStreams
 from flexman_gym.envs.sensors.instrument import Instrument
-from flexman_gym.envs.sensors.sensor import DEFAULT_QUANTITIES, DERIVED, MeasuredView, Sensor
+from flexman_gym.envs.sensors.sensor import DEFAULT_QUANTITIES, DERIVED, Sensor
 from flexman_gym.envs.view import View
 
 
@@ -130,15 +130,6 @@ class _SharedView:
 def measured_names(parts: Sequence[object]) -> list[str]:
     """Return the names of all quantities measured by sensors."""
     return [name for part in parts for name in getattr(part, "measures", DEFAULT_QUANTITIES)]
-
-
-def sensor_indices(parts: Sequence[object], measured: MeasuredView) -> IntArray:
-    """Return the index (size,) of the first of some sensors that measures each of the quantities."""
-    result = np.zeros(len(measured.bound), dtype=np.int64)
-    for index, part in reversed(list(enumerate(parts))):
-        for name in measured_names([part]):
-            result[measured.columns(name)] = index
-    return result
 
 
 def _with_derived(names: Sequence[str], view: View) -> list[str]:

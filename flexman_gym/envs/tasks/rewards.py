@@ -1,9 +1,9 @@
 """Rewards: compiled reward terms, and the reward terms of a task with weights or a user's function."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,12 +19,87 @@ BELL_WIDTHS = (2.0 / 8.5, 0.4 / 8.5, 0.08 / 8.5)  # fractions of the reach; widt
 EXPONENTIAL_TERMS = {"far": (0.1, 0.6 / 8.5), "near": (0.25, 0.15 / 8.5), "at_goal": (0.65, 0.03 / 8.5)}
 VIBRATION_SCALE = 0.3 / 8.5  # fraction of the reach per second; tip vibration at which its reward term is halved
 
+
+class _Reward(NamedTuple):
+    """Compiled reward.
+
+    Attributes:
+        kind: kind of the reward in `kernels.control_period`.
+        names: names of its terms.
+        parameters: function from the reach (m) to the parameters of `kernels.control_period.reward_terms`.
+    """
+
+    kind: int
+    names: tuple[str, ...]
+    parameters: Callable[[float], Array]
+
+    def terms(self, view: View, velocity: Array | None = None) -> dict[str, Number]:
+        """Return the terms of the reward, name -> (...), as numbers for a single arm.
+
+        All arms take them from one kernel, as the last digit of NumPy's logarithms depends on the processor.
+
+        Args:
+            view: view of the arms.
+            velocity: (..., 3) m/s, as in `distance_reward`; None for a reward that does not depend on the velocity.
+        """
+        errors = np.array(view.tip_error, dtype=float, ndmin=1)
+        vibrations, efforts, velocities = errors, errors, np.zeros((1, 3))
+        if self.kind == kernels.BELLS:
+            vibrations, efforts = (np.array(each, dtype=float, ndmin=1) for each in (view.tip_vibration, view.effort))
+        if velocity is not None:
+            velocities = np.array(velocity, dtype=float, ndmin=2)
+        out = np.empty((kernels.REWARD_TERMS, len(errors)))
+        kernels.reward_terms(self.kind, self.parameters(view.reach), errors, vibrations, efforts, velocities, out)
+        return dict(zip(self.names, out if np.ndim(view.tip_error) else out[:, 0].tolist(), strict=False))
+
+    def derivatives(self, view: View, velocity: Array, changes: Mapping[str, Array]) -> dict[str, Array]:
+        """Return the derivatives (p,) of the terms with respect to p parameters, by name.
+
+        Args:
+            view: view of one arm.
+            velocity: (1, 3) as in `distance_reward`, m/s.
+            changes: derivatives of "tip_error", "tip_vibration", "effort", (p,) each, and of "tip_velocity" (p, 3).
+        """
+        p, error, change = self.parameters(view.reach), view.tip_error, changes["tip_error"]
+        terms: list[Array]
+        if self.kind == kernels.DISTANCE:
+            total = error**2 + p[2] ** 2 * (velocity**2).sum()
+            total_change = 2.0 * (error * change + p[2] ** 2 * (changes["tip_velocity"] @ velocity[0]))
+            terms = [-total_change / ((p[0] + total) * p[1])]
+        elif self.kind == kernels.EXPONENTIAL:
+            terms = [-(p[j] / p[3 + j]) * np.exp(-error / p[3 + j]) * change for j in range(3)]
+        else:
+            vibration = view.tip_vibration
+            near = (p[:3] / (p[:3] + error**2) ** 2).sum()
+            terms = [-0.7 / 3.0 * near * 2.0 * error * change]
+            terms += [-0.2 * p[3] / (p[3] + vibration**2) ** 2 * 2.0 * vibration * changes["tip_vibration"]]
+            terms += [-0.1 * changes["effort"]]
+        return dict(zip(self.names, terms, strict=False))
+
+
+@cache
+def _bell_parameters(reach: float) -> Array:
+    return np.array([*((part * reach) ** 2 for part in BELL_WIDTHS), (VIBRATION_SCALE * reach) ** 2])
+
+
+@cache
+def _distance_parameters(reach: float) -> Array:
+    near, far = NEAR * reach, FAR * reach
+    return np.array([near**2, math.log1p((far / near) ** 2), LOOK_AHEAD])
+
+
+@cache
+def _exponential_parameters(reach: float) -> Array:
+    weights, lengths = zip(*EXPONENTIAL_TERMS.values(), strict=True)
+    return np.array([*weights, *(length * reach for length in lengths)])
+
+
 REWARDS = {
-    "bells": (kernels.BELLS, ("tip_error", "tip_vibration", "effort")),
-    "distance": (kernels.DISTANCE, ("distance",)),
-    "exponential": (kernels.EXPONENTIAL, tuple(EXPONENTIAL_TERMS)),
+    "bells": _Reward(kernels.BELLS, ("tip_error", "tip_vibration", "effort"), _bell_parameters),
+    "distance": _Reward(kernels.DISTANCE, ("distance",), _distance_parameters),
+    "exponential": _Reward(kernels.EXPONENTIAL, tuple(EXPONENTIAL_TERMS), _exponential_parameters),
 }
-"""Compiled rewards: name -> kind in `kernels.control_period`, names of the terms."""
+"""Compiled rewards by name."""
 
 
 def distance_reward(view: View, velocity: Array) -> Number:
@@ -39,42 +114,8 @@ def distance_reward(view: View, velocity: Array) -> Number:
         view: view of the arms.
         velocity: (..., 3) velocity of the tip, for a moving target relative to the target, m/s.
     """
-    result: Number = compiled_terms("distance", view, velocity)["distance"]
+    result: Number = REWARDS["distance"].terms(view, velocity)["distance"]
     return result
-
-
-def compiled_terms(reward: str, view: View, velocity: Array | None = None) -> dict[str, Number]:
-    """Return the terms of a reward in REWARDS, name -> (...), as numbers for a single arm.
-
-    All arms take them from one kernel, as the last digit of NumPy's logarithms depends on the processor.
-
-    Args:
-        reward: key of REWARDS.
-        view: view of the arms.
-        velocity: (..., 3) m/s, as in `distance_reward`; None for a reward that does not depend on the velocity.
-    """
-    kind, names = REWARDS[reward]
-    errors = np.array(view.tip_error, dtype=float, ndmin=1)
-    vibrations, efforts, velocities = errors, errors, np.zeros((1, 3))
-    if kind == kernels.BELLS:
-        vibrations, efforts = (np.array(each, dtype=float, ndmin=1) for each in (view.tip_vibration, view.effort))
-    if velocity is not None:
-        velocities = np.array(velocity, dtype=float, ndmin=2)
-    out = np.empty((kernels.REWARD_TERMS, len(errors)))
-    kernels.reward_terms(kind, reward_parameters(reward, view.reach), errors, vibrations, efforts, velocities, out)
-    return dict(zip(names, out if np.ndim(view.tip_error) else out[:, 0].tolist(), strict=False))
-
-
-@cache
-def reward_parameters(reward: str, reach: float) -> Array:
-    """Return the parameters of a reward in REWARDS for `kernels.control_period.reward_terms`, for a reach (m)."""
-    near, far = NEAR * reach, FAR * reach
-    weights, lengths = zip(*EXPONENTIAL_TERMS.values(), strict=True)
-    return {
-        "bells": np.array([*((part * reach) ** 2 for part in BELL_WIDTHS), (VIBRATION_SCALE * reach) ** 2]),
-        "distance": np.array([near**2, math.log1p((far / near) ** 2), LOOK_AHEAD]),
-        "exponential": np.array([*weights, *(length * reach for length in lengths)]),
-    }[reward]
 
 
 def make_reward_terms(task: Any, reward: Any) -> Callable[[View], dict[str, Number]]:

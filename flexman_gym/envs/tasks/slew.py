@@ -9,7 +9,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import non_negative, one_of, positive, set_fields, whole_number
 from flexman_gym.envs.sensors.sensor import Sensor
-from flexman_gym.envs.tasks.rewards import compiled_terms
+from flexman_gym.envs.tasks.rewards import REWARDS
 from flexman_gym.envs.tasks.task import Goal
 from flexman_gym.envs.view import Number, View
 
@@ -110,7 +110,7 @@ class Slew:
         """Return the terms of the reward, see the class."""
         velocity = view.tip_velocity if self.reward == "distance" else None
         failure = 0.0 - self.failure_penalty * view.failed
-        return {**compiled_terms(self.reward, view, velocity), "failure": failure}
+        return {**REWARDS[self.reward].terms(view, velocity), "failure": failure}
 
     def info(self, view: View) -> dict[str, Number]:
         """Return no additional entries."""

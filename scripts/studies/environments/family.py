@@ -76,6 +76,13 @@ FAMILIES = (
         "a laboratory arm that can be bought, with its motors, encoders and strain gauges.",
         ("FlexOne-v0", "FlexQuanser-v0"),
     ),
+    Family(
+        "FlexRotary",
+        "FlexRotary: a strip on a motor driven by its voltage",
+        "A steel strip on the hub of a geared motor, the rotary flexible link of Quanser that many laboratories have. "
+        "An action is a voltage, and encoder and strain gauge are read at 500 Hz.",
+        ("FlexRotary-v0",),
+    ),
 )
 
 
@@ -108,6 +115,8 @@ def family_page(family: Family, baselines: Sequence[Baseline], errors: Sequence[
 
 def _actions(family: Family) -> list[str]:
     """Return the table of the actions, with the torque limits of each environment."""
+    if family.environments == ("FlexRotary-v0",):
+        return _voltages(family.environments[0])
     limits = {name: tuple(make(name).configuration.torque_limit) for name in family.environments}
     groups = _groups(limits)
     rows = []
@@ -117,6 +126,21 @@ def _actions(family: Family) -> list[str]:
     rates = [f"{1.0 / NAMED_ENVIRONMENTS[name].control_period:g} Hz in {name}" for name in family.environments]
     heads = ("entry", "meaning", "range", *(f"limit in {_short(names)}" for names in groups.values()))
     text = paragraph(f"A torque is constant during a control period: {', '.join(rates)}.")
+    return [*markdown_table(heads, rows), "", *text]
+
+
+def _voltages(name: str) -> list[str]:
+    """Return the table of the actions of an environment whose motors are driven by their voltage."""
+    configuration = make(name).configuration
+    motors = [joint.motor for joint in configuration.arm.joints]
+    rows = [(i, f"voltage of motor {i + 1} / its limit", "-1 to 1", f"{motor.voltage_limit:g} V", f"{limit:.2g} N m")
+            for i, (motor, limit) in enumerate(zip(motors, configuration.torque_limit, strict=True))]  # fmt: skip
+    heads = ("entry", "meaning", "range", "limit", "torque at standstill")
+    rate = 1.0 / configuration.control_period
+    text = paragraph(
+        f"A voltage is constant during a control period, {rate:g} Hz. The back-EMF of the motor acts as a damper; a PD",
+        "and other controllers command the torque at standstill.",
+    )
     return [*markdown_table(heads, rows), "", *text]
 
 

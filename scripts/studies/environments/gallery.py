@@ -19,6 +19,7 @@ ARMS_TEXT = {
     "FlexPlanar": "two strips in a vertical plane, 1 m",
     "FlexOne": "one strip, 0.8 m, in a horizontal plane",
     "FlexQuanser": "laboratory arm with two strips, 0.56 m",
+    "FlexRotary": "strip on a motor driven by its voltage, 0.38 m",
 }
 TASKS_TEXT = {
     "Slew": "move the tip to a target and stop it there",

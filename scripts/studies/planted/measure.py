@@ -186,7 +186,7 @@ NAMES = (
 
 def changes(part: str) -> Iterator[Change]:
     """Yield the planted errors of a part, read from its YAML file."""
-    for group in files.read_data(ERRORS / f"{part}.yaml", list):
+    for group in files.read_data(ERRORS / f"{part}.yaml", list, of_package=True):
         tests = tuple(f"tests/{test}" for test in group["tests"])
         for entry in group["errors"]:
             yield Change(part=part, file=group["file"], tests=tests, **entry)

@@ -7,13 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.control.margins import STABLE_RADIUS, SampledLoop, sampled_loops, spectral_radius
+from flexman_gym.control.margins import STABLE_RADIUS, SampledLoop, sampled_loops
 from flexman_gym.control.pd import stability_limit
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.kernels.layout import OK, TIP_VELOCITY
 from flexman_gym.model.dynamics import mass_matrix
-from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.model.statics import rest_state
 from flexman_gym.model.vibration import modes
@@ -22,6 +21,7 @@ from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link
 from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.methods import DEFAULT_METHOD
 
 ENVIRONMENTS = ("FlexRRR-v0", "FlexPlanar-v0", "FlexOne-v0")
@@ -79,7 +79,7 @@ def limit(loop: SampledLoop, stiffness: Array, damping: Array) -> float:
     """Return the smallest factor of both gains with an unstable loop, to 0.1 %; 0 if small gains are unstable."""
 
     def grows(factor: float) -> bool:
-        return spectral_radius(loop, factor * stiffness, factor * damping) > STEADY_RADIUS
+        return loop.spectral_radius(factor * stiffness, factor * damping) > STEADY_RADIUS
 
     factors = np.geomspace(1e-2, LARGEST, 121)
     first = next((i for i, factor in enumerate(factors.tolist()) if grows(factor)), None)
@@ -136,7 +136,7 @@ def rounds_of(row: ServoRow) -> int:
     model = build_model(_arm_of(row.environment, row.springs), 2, 4)
     gains = [(1.0 + APART) * row.factor * np.array(each) for each in NAMED_ENVIRONMENTS[row.environment].pd.values()]
     loop = sampled_loops(model, np.zeros(model.n_joints), row.period, int(row.delay), row.bandwidth or None)[0]
-    growth = np.log(max(spectral_radius(loop, *gains), STEADY_RADIUS))
+    growth = np.log(max(loop.spectral_radius(*gains), STEADY_RADIUS))
     return int(max(LEAST / row.period, np.log(GROWN) / (2.0 * growth)))
 
 
@@ -228,14 +228,14 @@ def friction_rows(count: int = LOOPS) -> Iterator[FrictionRow]:
 def _friction_row(seed: int) -> FrictionRow | None:
     """Return the row of a seed; None without Coulomb friction or for a stable loop that decays slowly."""
     case = _draw_case(np.random.default_rng(seed))
-    radii = [spectral_radius(loop, case.stiffness, case.damping) for loop in case.loops()]
+    radii = [loop.spectral_radius(case.stiffness, case.damping) for loop in case.loops()]
     held = float(
         modes(case.model, case.posture).eigenvalues.real.max(initial=-np.inf)
     )  # 1/s; slowest decay rate with all motors sticking
     left = max(min(max(radii), 1.0) ** (DURATION / case.period), np.exp(held * DURATION))
     if (max(radii) < STABLE_RADIUS and left > DECAYED) or not case.model.constants.coulomb_friction.any():
         return None
-    smoothed = spectral_radius(smoothed_loop(case), case.stiffness, case.damping)
+    smoothed = smoothed_loop(case).spectral_radius(case.stiffness, case.damping)
     vibration = remaining_vibration(case)
     return FrictionRow(seed, case.model.n_joints, case.period, case.delay, max(radii), radii[0], smoothed, vibration)
 

@@ -15,7 +15,6 @@ from flexman_gym.scene import catalog
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link
-from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.simulation.scene_simulation import simulate
 from flexman_gym.simulation.simulator import Simulator
 from flexman_gym.verification.cases import (
@@ -28,11 +27,9 @@ from flexman_gym.verification.cases import (
     slender_link,
 )
 from flexman_gym.verification.closed_forms import bar_frequencies, cantilever_frequencies
-from flexman_gym.verification.table import VerificationRow, series_rows
+from flexman_gym.verification.papers import catalog_rows, printed_row
+from flexman_gym.verification.table import VerificationRow
 
-DE_LUCA = "De Luca and Siciliano, IEEE Trans. SMC 21 (1991)"
-NASA, ROME = "NASA JSC, ASME DETC2007-35511", "De Luca et al., IEEE CDC (1990), measured"
-GIFU = "Gifu University, ROBOMECH J. 5:28 (2018), usual moduli"
 HERMITE = "known of cubic elements with consistent mass"
 WRIGHT = "Wright et al., J. Applied Mechanics 49 (1982)"
 SPONG = "closed form: Spong, J. Dynamic Systems 109 (1987)"
@@ -62,46 +59,6 @@ def rayleigh_frequencies(count: int, gyration_ratio: float) -> Array:
 
     slender = cantilever_frequencies(count)
     return np.array([brentq(characteristic, 0.8 * each, 1.001 * each, xtol=1e-13) for each in slender])
-
-
-def printed_row(case: str, source: str, text: str, computed: float) -> VerificationRow:
-    """Return a row with a printed expected value; the tolerance is half a unit of its last digit."""
-    expected, unit = float(text), 10.0 ** -len(text.partition(".")[2])
-    return VerificationRow(case, source, expected, float(computed), 0.5001 * unit / abs(expected))
-
-
-def published_rows() -> Iterator[VerificationRow]:
-    """Yield frequencies (Hz) of published arms of the catalog.
-
-    De Luca and Siciliano treat each link as clamped, with its load at the tip, and neglect the static moment of link 2
-    about the tip of link 1.
-    """
-    arm = catalog.de_luca_siciliano()
-    second, tool = arm.links[1].sections[0], arm.payload
-    assert tool is not None
-    behind = 0.1 + second.mass * second.length**2 / 3.0 + tool.mass * second.length**2 + 0.0005
-    loads = {1: (1.0 + second.mass + tool.mass, behind, ("0.48", "1.80")), 2: (tool.mass, 0.0005, ("2.18", "15.91"))}
-    for number, (mass, inertia, texts) in loads.items():
-        result = _clamped(second, Payload(mass, (inertia * np.eye(3)).tolist()))
-        for i, text in enumerate(texts):
-            yield printed_row(f"two links, link {number} clamped, f_{i + 1}, Hz", DE_LUCA, text, result[i])
-    result = 2.0 * np.pi * frequencies(build_model(catalog.nasa_beam(), 12))
-    for i, (column, known) in enumerate(zip((1, 2, 4, 5), (5.28, 20.9, 46.7, 83.4), strict=True)):
-        yield VerificationRow(
-            f"pinned beam with tip mass, w_{i + 1} in its plane, rad/s", NASA, known, result[column], 5e-3
-        )
-    result = frequencies(build_model(catalog.flexarm_rome(), 4, flexible_links=(False, True)))
-    yield VerificationRow("FLEXARM, motors free, f_1, Hz, to which EI is fitted", ROME, 4.716, result[2], 1e-3)
-    yield VerificationRow("FLEXARM, motors free, f_2, Hz", ROME, 14.395, result[3], None)
-    for link, text in zip(catalog.gifu_2link().links[1:], ("35.6", "29.4"), strict=True):
-        bare = replace(link.sections[0], masses=())
-        case = f"rod of {bare.youngs_modulus / 1e9:g} GPa, clamped and bare, f_1, Hz"
-        yield printed_row(case, GIFU, text, _clamped(bare)[0])
-
-
-def _clamped(link: Link, payload: Payload | None = None) -> Array:
-    """Return the frequencies (Hz) of a clamped link."""
-    return frequencies(build_model(Arm([link], [Joint((0.0, 0.0, 1.0))], payload), 8), lock_joints=True)
 
 
 def _convergence_rows() -> Iterator[VerificationRow]:
@@ -171,7 +128,7 @@ def _paper_arm_rows() -> Iterator[VerificationRow]:
         scale = np.sqrt(rigidity / density) / (2.0 * np.pi * link.length**2)
         expected = scale * rayleigh_frequencies(2, link.second_moment_z / (link.area * link.length**2))
         result = link_frequencies(link, 16, BENDING_Y)[:2]
-        yield from series_rows(f"paper's {name}, bending f_{{}}, Hz", TABLE_1, expected, result, 1e-5)
+        yield from VerificationRow.series(f"paper's {name}, bending f_{{}}, Hz", TABLE_1, expected, result, 1e-5)
         for kind, columns in (("axial", AXIAL), ("torsional", TWIST)):
             scale = bar_frequency_scale(link, columns)
             first, highest = link_frequencies(link, 24, columns)[0], link_frequencies(link, 2, columns)[-1]
@@ -236,7 +193,7 @@ CASES = (
     _spring_rows,
     _rotating_beam_rows,
     _paper_arm_rows,
-    published_rows,
+    catalog_rows,
     _rigid_paper_rows,
     _identity_rows,
 )

@@ -19,7 +19,7 @@ from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import ConstantTorque, Signal
 from flexman_gym.simulation.scene_simulation import simulate
 from flexman_gym.simulation.trajectory import Trajectory
-from flexman_gym.verification.cases import closed_form_rows
+from flexman_gym.verification.cases import CLOSED_FORMS
 from flexman_gym.verification.table import VerificationRow
 from studies.verification.arms import CASES, IDENTITY
 
@@ -187,4 +187,4 @@ REFERENCE = Path(__file__).parent / "reference"  # reference scenes and solution
 
 def rows(reference: Path, quick: bool = False) -> list[VerificationRow]:
     """Return all rows, or only the fast ones; `reference` is the folder of the reference scenes and solutions."""
-    return [*closed_form_rows(), *(row for case in CASES for row in case()), *_motion_rows(reference, quick)]
+    return [*(row for case in (*CLOSED_FORMS, *CASES) for row in case()), *_motion_rows(reference, quick)]

@@ -1,4 +1,4 @@
-"""Derivatives of the constants of a model with respect to physical parameters, dimensions and materials.
+"""Derivatives of the constants of a model with respect to dimensions and materials of links, and gear ratios.
 
 A dimension changes constants that all arms of a batch share. The node coordinates of a link per unit of each elastic
 coordinate do not change with it: the shapes of component modes are held. Without modes, the elastic coordinates are the
@@ -12,17 +12,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, BoolArray
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import value_error
 from flexman_gym.kernels.layout import Constants
 from flexman_gym.model.deformation import root_strain_matrix
 from flexman_gym.model.dynamics import RICHARDSON
 from flexman_gym.model.model import Model, changed_model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.link import Link
-from flexman_gym.simulation.parameters import PARAMETERS, ScalarParameter
+from flexman_gym.simulation.parameters import ScalarParameter, select_parts
 
 RELATIVE_STEP = 1e-2  # relative step of the differences of constants
-SMALL_STEP = 1e-3  # in the unit of the parameter; step of the differences at a value of 0
 SPARSE = {"shape": "shape_value", "cross": "cross_value"}  # sparse matrices of the constants whose entries may vanish
 
 
@@ -43,10 +43,6 @@ class _Dimension:
     changed: Callable[[Any, float], Any]
     part: str = "links"
     lacking: str = "non-uniform"
-
-    def fixed(self, model: Model) -> BoolArray:
-        """Return flags (n,) of links or joints that lack the parameter."""
-        return np.array([self.value(each) is None for each in getattr(model.arm, self.part)])
 
     def varied_arm(self, arm: Arm, index: int, value: float) -> Arm:
         """Return an arm with another value of one link or joint."""
@@ -117,12 +113,12 @@ DIMENSIONS = {
 }  # fmt: skip
 
 
-class ConstantDerivatives(NamedTuple):
-    """Constants of a model and their derivatives with respect to parameters.
+class DimensionDerivatives(NamedTuple):
+    """Constants of a model and their derivatives with respect to dimensions.
 
     Attributes:
         constants: constants of the model; sparse matrices have entries for all derivatives.
-        fields: derivatives by name of the constant, for each parameter.
+        fields: derivatives by name of the constant, for each direction, empty for a direction that is no dimension.
         strains: derivative (2 d, 3 n) of `model.deformation.root_strain_matrix`, for each dimension, by its number.
     """
 
@@ -131,29 +127,45 @@ class ConstantDerivatives(NamedTuple):
     strains: dict[int, Array]
 
 
-def constant_derivatives(model: Model, parameters: Sequence[ScalarParameter]) -> ConstantDerivatives:
-    """Return the derivatives of the constants of a model; inputs and initial conditions change no constant.
+def dimension_parts(text: str, model: Model) -> list[ScalarParameter]:
+    """Return the dimensions of a name such as "link_length" or "link_length[0]"; none if it names no dimension.
+
+    Raises:
+        ValueError: for links or joints that lack the dimension.
+    """
+    name = text.partition("[")[0]
+    if name not in DIMENSIONS:
+        return []
+    dimension, joints = DIMENSIONS[name], model.n_joints
+    values = [dimension.value(each) for each in getattr(model.arm, dimension.part)]
+    parts = select_parts("to", text, [i for i, value in enumerate(values) if value is not None], joints)
+    if not parts:
+        raise value_error("to", text, f"a parameter that this arm has: {dimension.lacking} joints or links")
+    return [ScalarParameter(name, part) for part in parts]
+
+
+def dimension_derivatives(model: Model, directions: Sequence[ScalarParameter]) -> DimensionDerivatives:
+    """Return the derivatives of the constants of a model with respect to the dimensions among several directions.
 
     They are central differences extrapolated to order six, exact to rounding as the constants are smooth functions of
-    the relative change of a parameter.
+    the relative change of a dimension.
     """
-    fields, strains = [], {}
-    for number, (name, index) in enumerate(parameters):
+    fields: list[dict[str, Array]] = [{} for _ in directions]
+    strains = {}
+    for number, (name, index) in enumerate(directions):
         if name in DIMENSIONS and index is not None:
             dimension = DIMENSIONS[name]
             values, weights = _differences(dimension.value(getattr(model.arm, dimension.part)[index]) or 0.0)
             changed = [changed_model(model, dimension.varied_arm(model.arm, index, float(each))) for each in values]
             constants = [_dense(each.constants) for each in changed]
-            fields.append({field: _weigh(weights, [each[field] for each in constants]) for field in constants[0]})
+            fields[number] = {field: _weigh(weights, [each[field] for each in constants]) for field in constants[0]}
             strains[number] = _weigh(weights, [root_strain_matrix(each) for each in changed])
-        else:
-            fields.append(_of_parameter(model, name, index) if name in PARAMETERS else {})
-    return ConstantDerivatives(*_with_entries(model.constants, fields, strains), strains)
+    return DimensionDerivatives(*_with_entries(model.constants, fields, strains), strains)
 
 
 def _differences(nominal: float) -> tuple[Array, Array]:
     """Return values (6,) of a parameter and the weights of a function of them in its derivative."""
-    step = RELATIVE_STEP * abs(nominal) or SMALL_STEP
+    step = RELATIVE_STEP * nominal
     both = [(sign * multiple * step, weight) for multiple, weight in RICHARDSON for sign in (1.0, -1.0)]
     changes, weights = np.array(both).T
     return nominal + changes, weights / (2.0 * changes)
@@ -163,17 +175,6 @@ def _weigh(weights: Array, values: Any) -> Array:
     """Return the weighted sum of six arrays; differences are taken first, so that what does not change vanishes."""
     values = np.array(values)
     return np.tensordot(weights[::2], values[::2] - values[1::2], axes=1)
-
-
-def _of_parameter(model: Model, name: str, index: int | None) -> dict[str, Array]:
-    """Return the derivatives of the constants with respect to one number of an entry of PARAMETERS."""
-    nominal = np.array(PARAMETERS[name].nominal(model), dtype=float)
-    place = () if index is None else (index,)
-    values, weights = _differences(float(nominal[place]))
-    several = np.repeat(nominal[None], len(values), axis=0)
-    several[(slice(None), *place)] = values
-    changed = PARAMETERS[name].constants(model, {name: several})
-    return {field: _weigh(weights, each) for field, each in changed.items()}
 
 
 def _dense(constants: Constants) -> dict[str, Array]:

@@ -1,0 +1,40 @@
+"""Materials of links: names, moduli and densities."""
+
+from typing import NamedTuple
+
+from flexman_gym.common.checks import mapping, one_of, physical, sequence, value_error
+
+
+class Material(NamedTuple):
+    """Young's modulus and shear modulus (Pa) and density (kg/m^3) of a link."""
+
+    youngs_modulus: float
+    shear_modulus: float
+    density: float
+
+
+MATERIALS = {
+    "aluminium": Material(68.9e9, 26.0e9, 2700.0),
+    "steel": Material(205.0e9, 80.0e9, 7850.0),
+    "titanium": Material(113.8e9, 44.0e9, 4430.0),
+}
+
+
+def find_material(value: object) -> Material:
+    """Return a material given by name, or by its three numbers as a list or a mapping.
+
+    The names stand for typical alloys with values from the data sheets of ASM (Aerospace Specification Metals):
+    aluminium 6061-T6 (68.9 GPa, 26 GPa, 2700 kg/m^3), steel 4130 (205 GPa, 80 GPa, 7850 kg/m^3) and titanium Ti-6Al-4V
+    (113.8 GPa, 44 GPa, 4430 kg/m^3). Prefer measured values.
+    """
+    if isinstance(value, str):
+        return MATERIALS[one_of("Link.material", value, MATERIALS)]
+    if isinstance(value, dict):
+        value = tuple(mapping("Link.material", value, Material._fields).get(name) for name in Material._fields)
+    allowed = f"youngs_modulus (Pa), shear_modulus (Pa) and density (kg/m^3), or one of {', '.join(MATERIALS)}"
+    numbers = sequence("Link.material", value, allowed)
+    if len(numbers) != 3:
+        raise value_error("Link.material", value, allowed)
+    units = ("Pa", "Pa", "kg/m^3")
+    named = zip(Material._fields, numbers, units, strict=True)
+    return Material(*(physical(f"Link.{name}", number, unit) for name, number, unit in named))

@@ -1,0 +1,153 @@
+"""Tests of passive joints: eigenvalues of a chain of inertias, period of a pendulum, energy, equilibrium and orders."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import eigh, expm
+
+import flexman_gym as fm
+from flexman_gym.model.state_space import natural_modes
+
+Y, Z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+CHOICE, FLEXIBLE = fm.ModelChoice(False, 1, rotary_inertia=False), fm.ModelChoice(True, 1)
+REST = fm.Initial((0.0, 0.0), (0.0, 0.0))
+pytestmark = pytest.mark.filterwarnings("ignore:.*radius of gyration")
+SHORT = 1e-3  # m; links of the chain, whose own inertia is negligible
+
+
+def rigid(arm):
+    return fm.build_model(arm, flexible_links=False)
+
+
+def chain(inertias, springs, dampers):
+    """Return an arm of inertias about one axis, with a motor at the first and passive joints between them."""
+    masses = [fm.LumpedMass(1e-9, 0.0, np.diag([each] * 3)) for each in inertias]
+    links = [fm.Link.rod(SHORT, 1e-5, masses=[mass]) for mass in masses]
+    passive = [fm.Joint(Z, passive=True, stiffness=k, damping=c) for k, c in zip(springs, dampers, strict=True)]
+    return fm.Arm(links, [fm.Joint(Z), *passive])
+
+
+def chain_matrices(inertias, springs):
+    """Return mass and stiffness matrix of the absolute angles of a chain of inertias."""
+    stiffness = np.zeros((len(inertias), len(inertias)))
+    for i, k in enumerate(springs):
+        stiffness[i : i + 2, i : i + 2] += k * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    return np.diag(inertias), stiffness
+
+
+# a method of each family of integration kernels
+FAMILIES = ("rk4", "dop853", "ros2", "extrapolated_euler_4", "midpoint_corrected_3", "gauss_2", "generalised_alpha",
+            "radau")  # fmt: skip
+INERTIAS, SPRINGS, DAMPERS = (0.007, 0.02, 0.02), (110.0, 80.0), (0.02, 0.05)
+
+
+def test_frequencies_of_a_chain_of_inertias():
+    model = rigid(chain(INERTIAS, SPRINGS, DAMPERS))
+    mass, stiffness = chain_matrices(INERTIAS, SPRINGS)
+    free, locked = np.sqrt(np.abs(eigh(stiffness, mass)[0])), np.sqrt(eigh(stiffness[1:, 1:], mass[1:, 1:])[0])
+    np.testing.assert_allclose(2.0 * np.pi * fm.frequencies(model)[1:], free[1:], rtol=1e-6)
+    np.testing.assert_allclose(2.0 * np.pi * fm.frequencies(model, lock_joints=True), locked, rtol=1e-6)
+    np.testing.assert_allclose(2.0 * np.pi * fm.modes(model).frequencies, locked, rtol=2e-3)  # damped
+
+
+def test_linear_model_of_a_chain_has_the_poles_of_its_equations():
+    model = rigid(chain(INERTIAS, SPRINGS, DAMPERS))
+    linear = fm.linearize(model, outputs=("joint_angles",))
+    assert linear.inputs == ("motor_torque_1 (N m)",)
+    (mass, stiffness), (_, damping) = chain_matrices(INERTIAS, SPRINGS), chain_matrices(INERTIAS, DAMPERS)
+    inverse = np.linalg.inv(mass)
+    system = np.block([[np.zeros((3, 3)), np.eye(3)], [-inverse @ stiffness, -inverse @ damping]])
+    for given in (linear.A, system):
+        given[np.abs(given) < 1e-12] = 0.0
+    poles = [np.sort_complex(np.linalg.eigvals(each)) for each in (linear.A, system)]
+    np.testing.assert_allclose(poles[0], poles[1], rtol=1e-5, atol=2e-4)
+
+
+@pytest.mark.parametrize("method", FAMILIES)
+def test_free_vibration_of_a_chain_by_every_method(method):
+    """All methods must integrate the linear equations whose solution is a matrix exponential."""
+    model = rigid(chain(INERTIAS, SPRINGS, DAMPERS))
+    start = np.array([0.0, 0.02, -0.03])
+    scene = fm.Scene(model.arm, CHOICE, fm.ConstantTorque((0.0, 0.0, 0.0)),
+                     fm.Initial(tuple(start), (0.0, 0.0, 0.0)), duration=0.1, output_step=0.01)  # fmt: skip
+    run = fm.simulate(scene, method=method, step=None if method in ("dop853", "radau") else 5e-5)
+    linear = fm.linearize(model, outputs=("joint_angles",))
+    exact = expm(linear.A * 0.1) @ np.append(start, np.zeros(3))
+    tolerance = 2e-2 if fm.METHODS[method].order == 1 else 2e-4
+    np.testing.assert_allclose(run.joint_angles[-1], exact[:3], atol=tolerance * 0.03)
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    """A bar with a motor, held, and a bar on a passive joint with spring and damper, under gravity."""
+    bar = fm.Link.rod(0.8, 0.02)
+    joints = [fm.Joint(Y, 0.1, torque_limit=10.0), fm.Joint(Y, passive=True, stiffness=12.0, damping=0.05)]
+    return fm.Arm([bar, bar], joints, fm.Payload(0.2), gravity=(0.0, 0.0, -9.81))
+
+
+def test_motion_of_a_pendulum_is_that_of_its_equation(pendulum):
+    """The first motor is held by a prescribed motion; the passive bar obeys I a + c v + k q = m g l cos q."""
+    bar, load = pendulum.links[0], 0.2
+    inertia, moment = bar.mass * 0.8**2 / 3.0 + load * 0.8**2, (bar.mass * 0.4 + load * 0.8) * 9.81
+    held = (fm.Signal(), None)
+    scene = fm.Scene(pendulum, CHOICE, fm.ConstantTorque((0.0, 0.0)),
+                     fm.Initial((0.0, 0.4), (0.0, 0.0)), duration=2.0, output_step=0.1, prescribed=held)  # fmt: skip
+    run = fm.simulate(scene, method="dop853", rtol=1e-10, atol=1e-12)
+
+    def rates(t, state):
+        return state[1], (moment * np.cos(state[0]) - 12.0 * state[0] - 0.05 * state[1]) / inertia
+
+    exact = solve_ivp(rates, (0.0, 2.0), (0.4, 0.0), "DOP853", run.time, rtol=1e-11, atol=1e-13).y[0]
+    np.testing.assert_allclose(run.joint_angles[:, 1], exact, atol=2e-8)
+
+
+def test_energy_of_spring_and_damper_is_balanced(pendulum):
+    scene = fm.Scene(pendulum, FLEXIBLE, fm.ConstantTorque((2.0, 0.0)), fm.Initial((0.1, 0.4), (0.0, 0.0)),
+                     duration=1.0, output_step=0.1)  # fmt: skip
+    run = fm.simulate(scene, method="dop853", rtol=1e-9, atol=1e-12)
+    assert run.dissipation[-1] > 0.01
+    residual = run.energy - run.energy[0] - run.work + run.dissipation
+    assert np.abs(residual).max() < 1e-6 * np.abs(run.work).max()
+
+
+def test_equilibrium_balances_weight_and_passive_springs(pendulum):
+    model = rigid(pendulum)
+    state = fm.rest_state(model, [0.3, 9.0])
+    moment = (pendulum.links[0].mass * 0.4 + 0.2 * 0.8) * 9.81
+    angle = state[1]
+    assert abs(moment * np.cos(0.3 + angle) - 12.0 * angle) < 1e-9
+    torque = fm.holding_torques(model, [0.3, 0.0])
+    assert abs(torque[1]) < 1e-9
+    np.testing.assert_allclose(fm.acceleration(model, state, torque), 0.0, atol=1e-8)
+
+
+def test_a_joint_without_spring_is_a_hinge():
+    """Its angle has a frequency of zero with the motors held: the matrices are singular, not wrong."""
+    arm = fm.Arm([fm.Link.rod(0.5, 0.01)] * 2, [fm.Joint(Z), fm.Joint(Z, passive=True)])
+    model = rigid(arm)
+    mass, stiffness = fm.mass_matrix(model, np.zeros(4)), fm.stiffness_matrix(model)
+    assert natural_modes(mass, stiffness)[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_files_keep_passive_joints(tmp_path, pendulum):
+    scene = fm.Scene(pendulum, FLEXIBLE, fm.ConstantTorque((0.0, 0.0)), REST, duration=0.1, output_step=0.1)
+    scene.save(tmp_path / "scene.yaml")
+    assert fm.Scene.load(tmp_path / "scene.yaml") == scene
+
+
+@pytest.mark.parametrize(
+    "joint, field",
+    [({"rotor_inertia": 0.1}, "Joint.rotor_inertia"), ({"torque_limit": 1.0}, "Joint.torque_limit"),
+     ({"backlash": 0.01, "stiffness": 1.0}, "Joint.backlash"), ({"passive": 1}, "Joint.passive")],
+)  # fmt: skip
+def test_fields_of_motors_are_refused(joint, field):
+    with pytest.raises(ValueError, match=field):
+        fm.Joint(Z, **({"passive": True} | joint))
+
+
+def test_torques_of_passive_joints_are_refused(pendulum):
+    with pytest.raises(ValueError, match=r"Scene.torque of joint 1: 1.0 .*passive"):
+        fm.Scene(pendulum, FLEXIBLE, fm.ConstantTorque((0.0, 1.0)), REST, duration=0.1, output_step=0.1)
+    with pytest.raises(ValueError, match=r"Scene.prescribed\[1\].*passive"):
+        fm.Scene(pendulum, FLEXIBLE, fm.ConstantTorque((0.0, 0.0)), REST, duration=0.1, output_step=0.1,
+                 prescribed=(None, fm.Signal()))  # fmt: skip
