@@ -156,6 +156,7 @@ def _from_python(kind: Any, parts: Any, c: Any) -> NativeValue:
 
 # Constants that may differ between the arms of a batch.
 PER_ARM = frozenset(name for name, kind in Constants.__annotations__.items() if kind is PerArm)
+ALL = frozenset(name for name, kind in Constants.__annotations__.items() if kind is not IntArray)  # all numbers
 
 ALIGNMENT = 64  # bytes; size of a group of ARMS_PER_GROUP numbers
 
@@ -168,21 +169,22 @@ def aligned_zeros(shape: tuple[int, ...], lanes: int = ARMS_PER_GROUP) -> Array:
     return buffer[first : first + count].reshape(*shape, lanes)
 
 
-def tangent_constants(constants: Constants) -> Constants:
-    """Return the constants of a group `lanes.TANGENTS` with derivatives of zero."""
-    own: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in PER_ARM}
+def tangent_constants(constants: Constants, own: frozenset[str] = PER_ARM) -> Constants:
+    """Return the constants of a group `lanes.TANGENTS` with derivatives of zero; those named `own` have some."""
+    own: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in own}
     for name, values in own.items():
         values[..., 0] = getattr(constants, name)
     return constants._replace(**own)
 
 
-def address_table(arrays: NamedTuple, element: types.Type) -> IntArray:
+def address_table(arrays: NamedTuple, element: types.Type, own: frozenset[str] = PER_ARM) -> IntArray:
     """Return the addresses and shapes of all arrays of a `Constants`, `Work` or `Period`.
 
     Args:
         arrays: the named tuple; its arrays must stay alive.
         element: type of the elements: NUMBER, or ARMS, SEQUENCES or TANGENTS, whose arrays have one more axis for the
             lanes.
+        own: names of the constants that differ between lanes.
 
     Returns:
         (fields, 3) address, and lengths of the first and second axis; 0 for an array with one axis.
@@ -192,7 +194,7 @@ def address_table(arrays: NamedTuple, element: types.Type) -> IntArray:
     """
     rows = []
     for name, values in zip(arrays._fields, arrays, strict=True):
-        kind, shape = _kind(type(arrays), name, element), values.shape
+        kind, shape = _kind(type(arrays), name, element, own), values.shape
         if not values.flags.c_contiguous or len(shape) != kind.ndim + isinstance(kind.dtype, Lanes):
             raise TypeError(f"{name} is not a contiguous array with {kind.ndim} axes")
         if values.dtype != _scalar(type(arrays), name):
@@ -209,7 +211,7 @@ def _address(values: Array) -> int:
 
 
 @cache
-def _kind(parts: type, name: str, element: types.Type) -> types.Array:
+def _kind(parts: type, name: str, element: types.Type, own: frozenset[str]) -> types.Array:
     """Return the type of a field in the kernels; constants shared by all lanes are read-only, see `lanes`."""
     annotation = parts.__annotations__[name]
     dimensions = 1 if annotation is PerArm or not hasattr(annotation, "__metadata__") else 2
@@ -217,7 +219,7 @@ def _kind(parts: type, name: str, element: types.Type) -> types.Array:
         return types.Array(numba.from_dtype(np.dtype(_scalar(parts, name))), dimensions, "C")
     if annotation is IntArray:
         return _ArrayField(types.int64, dimensions, readonly=True)
-    if parts is Work or element == NUMBER or (element in (ARMS, TANGENTS) and name in PER_ARM):
+    if parts is Work or element == NUMBER or (element in (ARMS, TANGENTS) and name in own):
         return _ArrayField(element, dimensions)
     return _ArrayField(NUMBER, dimensions, readonly=True)
 
@@ -255,9 +257,9 @@ def _view(context: Any, builder: Any, kind: types.Array, address: tuple[Any, int
     return array._getvalue()
 
 
-def _reader(parts: type, element: types.Type) -> Any:
+def _reader(parts: type, element: types.Type, own: frozenset[str] = PER_ARM) -> Any:
     """Return a function for kernels that converts an address table to a `Constants` or `Work`."""
-    kinds = [_kind(parts, name, element) for name in parts._fields]  # type: ignore[attr-defined]
+    kinds = [_kind(parts, name, element, own) for name in parts._fields]  # type: ignore[attr-defined]
     columns = [_columns(parts, name) for name in parts._fields]  # type: ignore[attr-defined]
     whole = _StructPointer(kinds, parts)
 
@@ -278,4 +280,5 @@ constants_of_arms, work_of_arms = _reader(Constants, ARMS), _reader(Work, ARMS)
 constants_of_one, work_of_one = _reader(Constants, NUMBER), _reader(Work, NUMBER)
 constants_of_sequences, work_of_sequences = _reader(Constants, SEQUENCES), _reader(Work, SEQUENCES)
 constants_of_tangents, work_of_tangents = _reader(Constants, TANGENTS), _reader(Work, TANGENTS)
+all_constants_of_tangents = _reader(Constants, TANGENTS, ALL)
 period_of_one = _reader(Period, NUMBER)

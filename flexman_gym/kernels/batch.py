@@ -7,6 +7,7 @@ call passes tables of addresses instead of arrays, which saves microseconds.
 """
 
 from flexman_gym.kernels.arguments import (
+    all_constants_of_tangents,
     constants_of_arms,
     constants_of_one,
     constants_of_tangents,
@@ -21,21 +22,29 @@ from flexman_gym.kernels.lanes import extract_lane, insert_lane
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, DIVERGED, LARGEST_STATE, OK
 from flexman_gym.kernels.linalg import copy
 from flexman_gym.kernels.outputs import compute_outputs, compute_tip_accelerations
-from flexman_gym.kernels.runge_kutta import linearly_implicit_step, out_of_bounds, step_start
+from flexman_gym.kernels.runge_kutta import explicit_step, linearly_implicit_step, out_of_bounds, step_start
 
 
 @inner
 def _fixed_step(constants, work, tableau, counts, table, span, state):
     """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
 
-    The method is the linearly implicit method of the tableau, or if this is None the method with `counts`, the number
-    of Newton iterations and the correction of `implicit.fixed_newton_step`. The ledger is work and dissipation since
-    the start, J.
+    The method is that of the tableau: linearly implicit, or explicit if counts[1] is not None. Without a tableau it is
+    the method with the `counts` of `implicit.fixed_newton_step`. The ledger is work and dissipation since the start, J.
     """
     if tableau is None:
         fixed_newton_step(constants, work, counts, table, span, state)
     else:
+        _tableau_step(constants, work, tableau, counts[1], table, span, state)
+
+
+@inner
+def _tableau_step(constants, work, tableau, explicit, table, span, state):
+    """Call the step of a linearly implicit method, or that of an explicit one if `explicit` is not None."""
+    if explicit is None:
         linearly_implicit_step(constants, work, tableau, table, span, state)
+    else:
+        explicit_step(constants, work, tableau, table, span, state, (0, len(tableau.b)))
 
 
 @inner
@@ -170,6 +179,16 @@ def run_tangents(tables, work_table, tableau, newton, drives, grid, rows, out, c
     work = work_of_tangents(work_table)
     for group in range(len(tables)):
         constants, first = constants_of_tangents(tables[group]), group * ARMS_PER_GROUP
+        given = tableau, newton, drives, grid
+        _run_group(constants, work, given, (first, first + ARMS_PER_GROUP, True), rows, out, counts)
+
+
+@released
+def run_all_tangents(tables, work_table, tableau, newton, drives, grid, rows, out, counts):
+    """Integrate an arm and its derivatives as `run_tangents`, with derivatives of all constants."""
+    work = work_of_tangents(work_table)
+    for group in range(len(tables)):
+        constants, first = all_constants_of_tangents(tables[group]), group * ARMS_PER_GROUP
         given = tableau, newton, drives, grid
         _run_group(constants, work, given, (first, first + ARMS_PER_GROUP, True), rows, out, counts)
 

@@ -12,6 +12,8 @@ vibration of any frequency, and to zero for a stiff one (van der Houwen and Swar
 methods for ODE-IVP solvers, SIAM J. Sci. Comput. 18, 41, 1997).
 """
 
+import math
+
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import factorise, prescribed_power, solve
 from flexman_gym.kernels.forces import (
@@ -23,7 +25,7 @@ from flexman_gym.kernels.forces import (
     tangent_springs,
 )
 from flexman_gym.kernels.kinematics import compute_kinematics
-from flexman_gym.kernels.lanes import fma
+from flexman_gym.kernels.lanes import fma, number_of
 from flexman_gym.kernels.layout import DIVERGED, NOT_CONVERGED, OK, PAUSED
 from flexman_gym.kernels.linalg import copy
 from flexman_gym.kernels.outputs import compute_outputs
@@ -270,19 +272,30 @@ def run_fixed_newton(constants, work, counts, table, grid, state, rows, outputs)
 def fixed_newton_step(constants, work, counts, table, span, state):
     """Set work.new_state to the state and ledger after a step; return the number of evaluations.
 
-    `counts` are the number of iterations and the correction of the midpoint rule, see `_corrected_springs`; None stands
-    for the Gauss method of two stages. span = (start time, step), s.
+    `counts` are the number of iterations, the correction of the midpoint rule, see `_corrected_springs`, or None for
+    the Gauss method of two stages, and None, or the `layout.GeneralisedAlpha` of a method that iterates until it
+    converges; a failure of this method sets a coordinate to NaN. span = (start time, step), s.
     """
-    iterations, correction = counts
-    return _dispatch_step(constants, work, iterations, correction, table, span, state)
+    iterations, correction, method = counts
+    return _dispatch_step(constants, work, (iterations, correction), method, table, span, state)
+
+
+# The next two are separate functions because Numba removes a branch at compile time only for an argument that is None.
+@inner
+def _dispatch_step(constants, work, counts, method, table, span, state):
+    """Call the step of a fixed number of iterations, or that of the method."""
+    if method is None:
+        evaluations = _dispatch_iterations(constants, work, counts[0], counts[1], table, span, state)
+    else:
+        evaluations = _converged_step(constants, work, method, table, span, state)
+        if evaluations < 0:
+            work.new_state[0] = math.nan
+    return evaluations
 
 
 @inner
-def _dispatch_step(constants, work, iterations, correction, table, span, state):
-    """Call the step of the method.
-
-    It is a separate function because Numba removes branches at compile time only if they test an argument for None.
-    """
+def _dispatch_iterations(constants, work, iterations, correction, table, span, state):
+    """Call the step of the Gauss method or that of the midpoint rule."""
     if correction is None:
         _gauss_step(constants, work, iterations, table, span, state)
         evaluations = 2 * iterations + 1
@@ -292,7 +305,7 @@ def _dispatch_step(constants, work, iterations, correction, table, span, state):
     return evaluations
 
 
-MAX_ITERATIONS, NEWTON_TOLERANCE = 25, 1e-10  # iterations per step; largest relative error of the solution
+MAX_ITERATIONS = 25  # iterations per step
 STAGNATION = 1e-7  # a smaller change that has stopped decreasing is rounding, e.g. of stiff springs after many turns
 
 
@@ -313,13 +326,9 @@ def run_implicit(constants, work, method, table, grid, state, rows, outputs):
             if evaluations >= grid.max_evaluations:
                 pause(work, n, done, 0.0)
                 return PAUSED, r, evaluations
-            h = grid.step if n >= 0 else 0.0
-            time = step_start(grid, r, max(n, 0))
-            evaluate_drive(table, time + (0.5 * h if method.midpoint else h), work.drive)
-            speed_gain, position_gain = _predict(method, work, h, state)
-            count = _newton_solution(constants, work, speed_gain, position_gain, state)
+            span = step_start(grid, r, max(n, 0)), grid.step if n >= 0 else 0.0
+            count = _converged_step(constants, work, method, table, span, state)
             evaluations += abs(count)
-            _correct(method, work, h, speed_gain, position_gain, state)
             if out_of_bounds(work.new_state):
                 return DIVERGED, r, evaluations
             if count < 0:
@@ -330,6 +339,20 @@ def run_implicit(constants, work, method, table, grid, state, rows, outputs):
         copy(state, rows[r])
         compute_outputs(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations
+
+
+@inner
+def _converged_step(constants, work, method, table, span, state):
+    """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
+
+    Returns the number of Newton iterations, negative if they do not converge.
+    """
+    time, h = span
+    evaluate_drive(table, time + (0.5 * h if method.midpoint else h), work.drive)
+    speed_gain, position_gain = _predict(method, work, h, state)
+    count = _newton_solution(constants, work, method.tolerance, (speed_gain, position_gain), len(state) // 2 - 1)
+    _correct(method, work, h, speed_gain, position_gain, state)
+    return count
 
 
 @inner
@@ -357,12 +380,13 @@ def _predict(method, work, h, state):
 
 
 @inner
-def _newton_solution(constants, work, speed_gain, position_gain, state):
+def _newton_solution(constants, work, tolerance, gains, d):
     """Solve for the accelerations work.rates of the stage; return the number of iterations, negative if not converged.
 
-    Sets work.new_state to the stage, with the power supplied and dissipated in place of the ledger.
+    Sets work.new_state to the stage, with the power supplied and dissipated in place of the ledger. `gains` are those
+    of `_predict`. Derivatives do not take part in the test of convergence.
     """
-    d = len(state) // 2 - 1
+    speed_gain, position_gain = gains
     x, v, shift, w = work.new_state[:d], work.new_state[d : 2 * d], work.shift, work.rates
     count, largest, ratio, converged = 0, 1.0, 1.0, False
     while count < MAX_ITERATIONS and largest < 1e30 and not converged:
@@ -380,16 +404,15 @@ def _newton_solution(constants, work, speed_gain, position_gain, state):
         solve(constants, work, w)
         largest = 0.0
         for k in range(d):
-            change = abs(position_gain * w[k] + shift[k]) / (1.0 + abs(x[k]))
-            largest = max(largest, change, abs(speed_gain * w[k] + shift[d + k]) / (1.0 + abs(v[k])))
+            change = abs(number_of(position_gain * w[k] + shift[k])) / (1.0 + abs(number_of(x[k])))
+            rate_change = abs(number_of(speed_gain * w[k] + shift[d + k])) / (1.0 + abs(number_of(v[k])))
+            largest = max(largest, change, rate_change)
         # The remaining error is a geometric series of changes (Hairer and Wanner, Solving ODEs II, IV.8). After a large
         # first change, dominated by linear terms, the ratio is not yet reliable; therefore two ratios are compared.
         ratio = largest / previous
         largest_ratio = max(ratio, previous_ratio)
-        small = (
-            count > 2 and largest_ratio < 0.5 and largest_ratio * largest <= (1.0 - largest_ratio) * NEWTON_TOLERANCE
-        )
-        converged = small or largest <= NEWTON_TOLERANCE or 0.5 * previous < largest < STAGNATION
+        small = count > 2 and largest_ratio < 0.5 and largest_ratio * largest <= (1.0 - largest_ratio) * tolerance
+        converged = small or largest <= tolerance or 0.5 * previous < largest < STAGNATION
     work.new_state[2 * d] = supplied + prescribed_power(constants, work, v)
     work.new_state[2 * d + 1] = dissipated
     return count if converged else -count

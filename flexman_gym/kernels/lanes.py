@@ -234,15 +234,25 @@ def select_below(typing_context, a, limit, below, otherwise):
 
 
 @intrinsic
-def without_tangents(typing_context, a):
-    """Return a number or group with tangents of zero; other groups are returned unchanged."""
+def number_of(typing_context, a):
+    """Return the number of a group with tangents; numbers and other groups are returned unchanged."""
+    kind = NUMBER if a == TANGENTS else a
 
     def generate(context, builder, kinds, values):
-        if kinds.args[0] != TANGENTS:
-            return values[0]
-        return tangents.from_number(builder, TANGENTS.vector, tangents.value_of(builder, values[0]))
+        return tangents.value_of(builder, values[0]) if kinds.args[0] == TANGENTS else values[0]
 
-    return a(a), generate
+    return kind(a), generate
+
+
+@intrinsic
+def chain(typing_context, value, slope, a):
+    """Return a group with a number `value` and the tangents of a times a number `slope`; the value if a has none."""
+    kind = TANGENTS if a == TANGENTS else value
+
+    def generate(context, builder, kinds, values):
+        return tangents.chain(builder, *values) if kinds.args[2] == TANGENTS else values[0]
+
+    return kind(value, slope, a), generate
 
 
 def _group(flat: Any) -> Any:

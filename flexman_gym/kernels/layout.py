@@ -355,6 +355,7 @@ class GeneralisedAlpha(NamedTuple):
     beta: float
     gamma: float
     midpoint: bool
+    tolerance: float  # largest relative error of the solution of a step
 
 
 class TimeGrid(NamedTuple):

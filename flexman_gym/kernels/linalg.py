@@ -6,7 +6,7 @@ only, took half the time of the positions of a batch, and differs between comput
 """
 
 from flexman_gym.kernels.compile import inner
-from flexman_gym.kernels.lanes import fma, without_tangents
+from flexman_gym.kernels.lanes import chain, fma, number_of
 
 PI_HIGH, PI_LOW = 3.141592653589793, 1.2246467991473532e-16  # pi rounded to float64, and the rounding error
 ROUND_TO_INTEGER = 1.5 * 2.0**52  # adding and subtracting this number rounds to an integer
@@ -18,8 +18,14 @@ def sine_versine(angle):
 
     Both errors are below 4e-16; small versines keep their relative accuracy.
     """
-    # rounding by addition would keep the derivative of a step function
-    turns = (without_tangents(angle) * (1.0 / PI_HIGH) + ROUND_TO_INTEGER) - ROUND_TO_INTEGER
+    sine, versine = _sine_versine(number_of(angle))  # rounding by addition would keep the derivative of a step function
+    return chain(sine, 1.0 - versine, angle), chain(versine, sine, angle)
+
+
+@inner
+def _sine_versine(angle):
+    """Return sine and versine of an angle without tangents."""
+    turns = (angle * (1.0 / PI_HIGH) + ROUND_TO_INTEGER) - ROUND_TO_INTEGER
     odd = turns - 2.0 * ((0.5 * turns + ROUND_TO_INTEGER) - ROUND_TO_INTEGER)  # -1, 0 or 1
     odd = odd * odd
     rest = fma(-turns, PI_LOW, fma(-turns, PI_HIGH, angle))

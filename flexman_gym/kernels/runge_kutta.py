@@ -157,17 +157,9 @@ def run_explicit(constants, work, tableau, table, grid, state, rows, outputs):
                 pause(work, n, elapsed, step_size)
                 return PAUSED, r, evaluations
             time, h, last = _next_step(grid, r, n, elapsed, step_size)
-            for i in range(first_stage, s + adaptive):  # an adaptive method evaluates the end of the step as stage s
-                weights = tableau.a[i] if i < s else tableau.b
-                _add_stages(state, h, weights, work.stages, min(i, s), work.stage_state)
-                _stage_derivative(
-                    constants, work, table, time + tableau.abscissae[i] * h, work.stage_state, work.stages[i]
-                )
-                evaluations += 1
-            _add_stages(state, h, tableau.b, work.stages, s, work.new_state)
-            if tableau.semi_implicit:
-                for k in range(d):
-                    work.new_state[k] = state[k] + h * work.new_state[d + k]
+            # an adaptive method evaluates the end of the step as stage s
+            explicit_step(constants, work, tableau, table, (time, h), state, (first_stage, s + adaptive))
+            evaluations += s + adaptive - first_stage
             if adaptive:
                 for e in range(len(tableau.error)):
                     for k in range(len(state)):
@@ -190,6 +182,23 @@ def run_explicit(constants, work, tableau, table, grid, state, rows, outputs):
         copy(state, rows[r])
         compute_outputs(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations
+
+
+@inner
+def explicit_step(constants, work, tableau, table, span, state, stages):
+    """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
+
+    `stages` = (first, end): stages that are evaluated; all are 0 to s, see `run_explicit`.
+    """
+    d, s, (time, h), (first, end) = len(state) // 2 - 1, len(tableau.b), span, stages
+    for i in range(first, end):
+        weights = tableau.a[i] if i < s else tableau.b
+        _add_stages(state, h, weights, work.stages, min(i, s), work.stage_state)
+        _stage_derivative(constants, work, table, time + tableau.abscissae[i] * h, work.stage_state, work.stages[i])
+    _add_stages(state, h, tableau.b, work.stages, s, work.new_state)
+    if tableau.semi_implicit:
+        for k in range(d):
+            work.new_state[k] = state[k] + h * work.new_state[d + k]
 
 
 @kernel

@@ -35,8 +35,7 @@ def multiply(builder: Any, vector: Any, a: Any, b: Any) -> Any:
         a, b = b, a
     if _is_number(a):
         return builder.fmul(_repeat_number(builder, vector, a), b)
-    first = builder.fmul(_repeat(builder, a), b)
-    return _fma(builder, _tangents(builder, a), _repeat(builder, b), first)
+    return _add_tangents(builder, a, b, builder.fmul(_repeat(builder, a), b))
 
 
 def multiply_add(builder: Any, vector: Any, a: Any, b: Any, c: Any) -> Any:
@@ -49,20 +48,23 @@ def multiply_add(builder: Any, vector: Any, a: Any, b: Any, c: Any) -> Any:
     b, c = (from_number(builder, vector, each) if _is_number(each) else each for each in (b, c))
     if _is_number(a):
         return _fma(builder, _repeat_number(builder, vector, a), b, c)
-    first = _fma(builder, _repeat(builder, a), b, c)
-    return _fma(builder, _tangents(builder, a), _repeat(builder, b), first)
+    return _add_tangents(builder, a, b, _fma(builder, _repeat(builder, a), b, c))
 
 
 def divide(builder: Any, vector: Any, a: Any, b: Any) -> Any:
-    """Return q = a / b of groups, or of a number and a group of type `vector`; the tangents are (a' - q b') / b."""
-    if _is_number(b):
-        return builder.fdiv(a, _repeat_number(builder, vector, b))
-    if _is_number(a):
-        a = from_number(builder, vector, a)
-    divisor = value_of(builder, b)
-    quotient = builder.fdiv(value_of(builder, a), divisor)
-    change = builder.fmul(_repeat_number(builder, a.type, quotient), _tangents(builder, b))
-    return builder.fdiv(builder.fsub(a, change), _repeat(builder, b))
+    """Return q = a / b of groups, or of a number and a group of type `vector`; the tangents are (a' - q b') / b.
+
+    The tangents are multiplied by 1 / b: two divisions of numbers cost less than a division of a group.
+    """
+    number = _is_number(b)
+    divisor = b if number else value_of(builder, b)
+    quotient = builder.fdiv(a if _is_number(a) else value_of(builder, a), divisor)
+    inverse = builder.fdiv(ir.Constant(DOUBLE, 1.0), divisor)
+    if number:
+        return chain(builder, quotient, inverse, a)
+    change = builder.fmul(_repeat_number(builder, vector, quotient), b)
+    difference = builder.fneg(change) if _is_number(a) else builder.fsub(a, change)
+    return chain(builder, quotient, inverse, difference)
 
 
 def square_root(builder: Any, vector: Any, a: Any) -> Any:
@@ -71,7 +73,7 @@ def square_root(builder: Any, vector: Any, a: Any) -> Any:
     root = builder.call(
         cgutils.get_or_insert_function(builder.module, function, "llvm.sqrt.f64"), [value_of(builder, a)]
     )
-    return _chain(builder, root, builder.fdiv(ir.Constant(DOUBLE, 0.5), root), a)
+    return chain(builder, root, builder.fdiv(ir.Constant(DOUBLE, 0.5), root), a)
 
 
 def apply_function(builder: Any, symbol: Callable, call: Callable[[Callable, Any], Any], a: Any) -> Any:
@@ -91,21 +93,28 @@ def apply_function(builder: Any, symbol: Callable, call: Callable[[Callable, Any
         slope = builder.fneg(call(math.sin, x))
     else:
         slope = builder.fsub(ir.Constant(DOUBLE, 1.0), builder.fmul(y, y))
-    return _chain(builder, y, slope, a)
+    return chain(builder, y, slope, a)
 
 
 def _is_number(value: Any) -> bool:
     return value.type == DOUBLE
 
 
-def _chain(builder: Any, value: Any, slope: Any, a: Any) -> Any:
+def chain(builder: Any, value: Any, slope: Any, a: Any) -> Any:
     """Return a group with the given number and the tangents of a times the slope."""
     return builder.insert_element(builder.fmul(_repeat_number(builder, a.type, slope), a), value, VALUE)
 
 
-def _tangents(builder: Any, group: Any) -> Any:
-    """Return a group with its number set to zero."""
-    return builder.insert_element(group, ir.Constant(DOUBLE, 0.0), VALUE)
+def _add_tangents(builder: Any, a: Any, b: Any, total: Any) -> Any:
+    """Return a group with a' b added to its tangents.
+
+    A repetition of b with zero in lane 0 is one instruction, and leaves the number of the total as it is.
+    """
+    count = total.type.count
+    lanes = [count] + [0] * (count - 1)
+    zeros = ir.Constant(total.type, [0.0] * count)
+    repeated = builder.shuffle_vector(b, zeros, ir.Constant(ir.VectorType(INDEX, count), lanes))
+    return _fma(builder, a, repeated, total)
 
 
 def _repeat(builder: Any, group: Any) -> Any:

@@ -88,6 +88,38 @@ def loaded_modes(beam: Beam, outboard: Array) -> tuple[Array, Array]:
     return frequencies[order], shapes[:, order]
 
 
+def select_modes(shapes: Array, modes: int | tuple[int, ...] | None, field: str) -> Array:
+    """Return the node coordinates (size, k) of a link per unit of each retained coordinate.
+
+    Args:
+        shapes: (size, size) shapes of its loaded modes, as columns.
+        modes: number of retained modes, or a tuple of their indices; None retains all coordinates.
+        field: name of the argument, for errors.
+    """
+    size = len(shapes)
+    if modes is None:
+        return np.eye(size)
+    if isinstance(modes, int) and modes > size:
+        raise value_error(field, modes, f"at most {size}, the elastic coordinates of this link's elements")
+    if isinstance(modes, tuple) and modes[-1] >= size:
+        raise value_error(field, modes, f"mode numbers below {size}, the elastic coordinates of this link's elements")
+    return shapes[:, range(modes) if isinstance(modes, int) else modes]
+
+
+def modal_damping(stiffness: Array, modes: tuple[Array, Array], ratio: float) -> Array:
+    """Return the damping matrix (k, k) of a link whose loaded modes all have the same damping ratio.
+
+    Args:
+        stiffness: stiffness matrix (k, k) of the link.
+        modes: angular frequencies (k,), rad/s, and shapes (k, k) of its loaded modes.
+        ratio: damping ratio, 1.
+    """
+    frequencies, shapes = modes
+    # K shapes / frequencies^2 = M shapes with the loaded mass matrix M, and its transpose is the inverse of the shapes
+    inverse = stiffness @ shapes / frequencies**2
+    return 2.0 * ratio * inverse * frequencies @ inverse.T
+
+
 def _uncoupled_groups(*matrices: Array) -> list[np.ndarray]:
     """Return groups of coordinates without coupling between different groups: the connected components.
 

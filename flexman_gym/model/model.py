@@ -12,7 +12,13 @@ from flexman_gym.common.checks import check_magnitudes, instance, value_error, v
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LANES
 from flexman_gym.model.beam import Beam, build_beam
-from flexman_gym.model.component_modes import loaded_modes, outboard_inertias, zero_pose_rotations
+from flexman_gym.model.component_modes import (
+    loaded_modes,
+    modal_damping,
+    outboard_inertias,
+    select_modes,
+    zero_pose_rotations,
+)
 from flexman_gym.model.element import Element
 from flexman_gym.model.joint_constants import joint_constants
 from flexman_gym.scene.arm import Arm
@@ -60,7 +66,9 @@ def _integrate(beam: Beam) -> _ShapeIntegrals:
     )
 
 
-def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: ModelChoice) -> layout.Constants:
+def _pack_constants(
+    arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: ModelChoice, rounded: float
+) -> layout.Constants:
     """Return the constants of the kernels for an arm.
 
     Args:
@@ -68,6 +76,7 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
         beams: its links in reduced coordinates, base to tip.
         modal: packed damping matrices of the links by modal damping ratios; rounded zeros are set to zero in place.
         choice: modelling assumptions.
+        rounded: see `_remove_rounded_couplings`.
     """
     payload = arm.payload or Payload(0.0)
     sizes = np.array([len(beam.stiffness) for beam in beams], dtype=np.int64)
@@ -80,7 +89,7 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
     end = np.zeros(LANES)  # the kernels read groups of LANES numbers, the last one beyond the last row
     pairs = list(zip(parts, beams, strict=True))
     stiffness = _pack([*[beam.stiffness for beam in beams], end], 1)
-    coupled = _remove_rounded_couplings(sizes, stiffness, modal)
+    coupled = _remove_rounded_couplings(rounded, sizes, stiffness, modal)
     return layout.Constants(
         elastic_start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
         square_start=np.concatenate([[0], np.cumsum(sizes**2)]).astype(np.int64),
@@ -118,10 +127,11 @@ def _pack_constants(arm: Arm, beams: tuple[Beam, ...], modal: Array, choice: Mod
     )
 
 
-def _remove_rounded_couplings(sizes: np.ndarray, *matrices: Array) -> np.ndarray:
+def _remove_rounded_couplings(rounded: float, sizes: np.ndarray, *matrices: Array) -> np.ndarray:
     """Set off-diagonal entries that are rounded zeros to zero, in packed blocks of the given sizes (n,).
 
-    Loaded modes have diagonal stiffness and modal damping matrices but for rounding.
+    Loaded modes have diagonal stiffness and modal damping matrices but for rounding. An entry up to `rounded` times the
+    geometric mean of its two diagonal entries is a rounded zero.
 
     Returns:
         For each link (n,) 1 if one of its blocks still has entries off the diagonal, else 0.
@@ -131,7 +141,7 @@ def _remove_rounded_couplings(sizes: np.ndarray, *matrices: Array) -> np.ndarray
         for matrix in matrices:
             block = matrix[start : start + k * k].reshape(k, k)
             size = np.sqrt(np.abs(np.diag(block)))
-            block[(np.abs(block) <= UNCOUPLED * np.outer(size, size)) & ~np.eye(k, dtype=bool)] = 0.0
+            block[(np.abs(block) <= rounded * np.outer(size, size)) & ~np.eye(k, dtype=bool)] = 0.0
             coupled[i] |= np.count_nonzero(block) > np.count_nonzero(np.diag(block))
         start += k * k
     return coupled
@@ -251,6 +261,7 @@ def _axial(tensors: Array) -> Array:
     return np.stack([difference[..., 1, 2], difference[..., 2, 0], difference[..., 0, 1]], axis=-1)
 
 
+_Links = list[tuple[Beam, tuple[Array, Array]]]  # see `_build_links`
 MAX_CACHED_ELEMENTS = 24  # largest number of finite elements of an arm whose unreduced links are cached
 
 
@@ -392,8 +403,7 @@ def build_model(
     arm = find_arm(arm)
     choice = ModelChoice(flexible_links, elements, modes, flexible_joints, stiffening, spinning_rotors, rotary_inertia)
     n = arm.n_joints
-    given = _each("flexible_links", choice.flexible_links, n)
-    flexible = tuple(one and link.flexible for one, link in zip(given, arm.links, strict=True))
+    flexible = _flexible(arm, choice)
     counts = _each("elements", choice.elements, n)
     retained = _each("modes", choice.modes, n)
     for i, (link, count) in enumerate(zip(arm.links, counts, strict=True)):
@@ -402,58 +412,53 @@ def build_model(
             raise value_error(f"elements[{i}]", count, f"at most {most} for each of the {len(link.sections)} sections")
     size = sum(len(link.sections) for link in arm.links) * max(counts)
     build_links = _build_links_cached if size <= MAX_CACHED_ELEMENTS else _build_links
-    bases, dampings, reduced = [], [], []
     beams = build_links(arm, counts, flexible, choice.rotary_inertia)
     _warn_unusual_frequency([loaded[0][0] for _, loaded in beams if len(loaded[0])])
-    for i, (beam, loaded) in enumerate(beams):
-        basis = _select_modes(loaded[1], retained[i] if flexible[i] else None, f"modes[{i}]")
-        bases.append(basis)
-        dampings.append(basis.T @ _modal_damping(beam.stiffness, loaded, arm.damping_ratios[i]) @ basis)
-        reduced.append(beam.reduced(basis))
+    bases = tuple(
+        select_modes(loaded[1], retained[i] if flexible[i] else None, f"modes[{i}]")
+        for i, (_, loaded) in enumerate(beams)
+    )
+    return _assemble(arm, choice, beams, bases, UNCOUPLED)
+
+
+def changed_model(model: Model, arm: Arm) -> Model:
+    """Return the model of a changed arm in the elastic coordinates of a given model.
+
+    The node coordinates of a link per unit of each elastic coordinate, `Model.bases`, are those of the given model; in
+    these coordinates stiffness and damping matrices of the changed arm are not diagonal.
+
+    Args:
+        model: model of an arm.
+        arm: arm with changed dimensions or materials, with as many links and sections.
+    """
+    choice, n = model.choice, model.n_joints
+    counts, flexible = _each("elements", choice.elements, n), _flexible(arm, choice)
+    return _assemble(arm, choice, _build_links(arm, counts, flexible, choice.rotary_inertia), model.bases, 0.0)
+
+
+def _flexible(arm: Arm, choice: ModelChoice) -> tuple[bool, ...]:
+    """Return for each link True if it is modelled as flexible."""
+    given = _each("flexible_links", choice.flexible_links, arm.n_joints)
+    return tuple(one and link.flexible for one, link in zip(given, arm.links, strict=True))
+
+
+def _assemble(arm: Arm, choice: ModelChoice, beams: _Links, bases: tuple[Array, ...], rounded: float) -> Model:
+    """Return the model of an arm from its links and bases; see `_remove_rounded_couplings` for `rounded`."""
+    reduced = tuple(beam.reduced(basis) for (beam, _), basis in zip(beams, bases, strict=True))
+    dampings = [
+        basis.T @ modal_damping(beam.stiffness, loaded, ratio) @ basis
+        for (beam, loaded), basis, ratio in zip(beams, bases, arm.damping_ratios, strict=True)
+    ]
     damping = _pack([*dampings, np.zeros(LANES)], 1)
-    return Model(arm, choice, _pack_constants(arm, tuple(reduced), damping, choice), tuple(bases), damping)
+    return Model(arm, choice, _pack_constants(arm, reduced, damping, choice, rounded), bases, damping)
 
 
-def _build_links(
-    arm: Arm, elements: tuple[int, ...], flexible: tuple[bool, ...], rotary_inertia: bool
-) -> list[tuple[Beam, tuple[Array, Array]]]:
+def _build_links(arm: Arm, elements: tuple[int, ...], flexible: tuple[bool, ...], rotary_inertia: bool) -> _Links:
     """Return each link with all its elastic coordinates, and frequencies (rad/s) and shapes of its loaded modes."""
     beams = tuple(map(build_beam, arm.links, elements, flexible, [rotary_inertia] * arm.n_joints))
     return [
         (beam, loaded_modes(beam, inertia)) for beam, inertia in zip(beams, outboard_inertias(arm, beams), strict=True)
     ]
-
-
-def _select_modes(shapes: Array, modes: int | tuple[int, ...] | None, field: str) -> Array:
-    """Return the node coordinates (size, k) of a link per unit of each retained coordinate.
-
-    Args:
-        shapes: (size, size) shapes of its loaded modes, as columns.
-        modes: number of retained modes, or a tuple of their indices; None retains all coordinates.
-        field: name of the argument, for errors.
-    """
-    size = len(shapes)
-    if modes is None:
-        return np.eye(size)
-    if isinstance(modes, int) and modes > size:
-        raise value_error(field, modes, f"at most {size}, the elastic coordinates of this link's elements")
-    if isinstance(modes, tuple) and modes[-1] >= size:
-        raise value_error(field, modes, f"mode numbers below {size}, the elastic coordinates of this link's elements")
-    return shapes[:, range(modes) if isinstance(modes, int) else modes]
-
-
-def _modal_damping(stiffness: Array, modes: tuple[Array, Array], ratio: float) -> Array:
-    """Return the damping matrix (k, k) of a link whose loaded modes all have the same damping ratio.
-
-    Args:
-        stiffness: stiffness matrix (k, k) of the link.
-        modes: angular frequencies (k,), rad/s, and shapes (k, k) of its loaded modes.
-        ratio: damping ratio, 1.
-    """
-    frequencies, shapes = modes
-    # K shapes / frequencies^2 = M shapes with the loaded mass matrix M, and its transpose is the inverse of the shapes
-    inverse = stiffness @ shapes / frequencies**2
-    return 2.0 * ratio * inverse * frequencies @ inverse.T
 
 
 # An arm is often rebuilt with other modes; no code modifies the cached arrays.

@@ -26,7 +26,7 @@ from flexman_gym.kernels.outputs import tip_accelerations
 from flexman_gym.kernels.thread_sync import spin_wait
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.integrator import LANE_COST_RATIO, Integrator, evaluations_per_call
-from flexman_gym.simulation.methods import IteratedGauss, LinearlyImplicit
+from flexman_gym.simulation.methods import Explicit, FixedStepMethod, Implicit, IteratedGauss
 
 SPIN_CHECKS = 600_000  # reads of a flag before a waiting thread sleeps: 0.2 ms, more than the time between two tasks
 GIVEN, DONE = 0, 1  # indices of the numbers of tasks passed to a worker thread and done by it
@@ -210,6 +210,15 @@ def _own_constants(constants: Constants) -> dict[str, Any]:
     return {name: getattr(constants, name).copy() for name in PER_ARM}
 
 
+def _kernel_method(method: FixedStepMethod) -> tuple[Tableau | None, tuple[int, float | None, Any]]:
+    """Return the arguments `tableau` and `counts` of the kernel `batch._fixed_step` for a method."""
+    if isinstance(method, Implicit):
+        return None, (0, None, method.coefficients)
+    if isinstance(method, IteratedGauss):
+        return None, method.counts
+    return method.tableau, (0, 0.0 if isinstance(method, Explicit) else None, None)
+
+
 NO_PERIOD = np.zeros((0, 3), dtype=np.int64)  # addresses of no environment
 GROUPS_PER_THREAD = 4  # least number of groups of arms per thread; passing a task costs as much as one or two groups
 
@@ -222,18 +231,12 @@ class LaneIntegrator(BatchIntegrator):
     """
 
     state_fields = ("own",)
-    _element, _kernel = ARMS, staticmethod(kernels.run_batch)
+    _element, _kernel, _own = ARMS, staticmethod(kernels.run_batch), PER_ARM
 
     def __init__(
-        self,
-        constants: Constants,
-        method: LinearlyImplicit | IteratedGauss,
-        period: tuple[float, int],
-        arms: int,
-        threads: int,
+        self, constants: Constants, method: FixedStepMethod, period: tuple[float, int], arms: int, threads: int
     ) -> None:
-        self._method: tuple[Tableau | None, tuple[int, float | None]]  # tableau, or None and the Newton iterations
-        self._method = (None, method.counts) if isinstance(method, IteratedGauss) else (method.tableau, (0, None))
+        self._method = _kernel_method(method)
         self._step, self._substeps = period[0] / period[1], period[1]
         self._single = arms == 1 and len(constants.station_mass) == 0
         groups = -(-arms // ARMS_PER_GROUP)
@@ -248,7 +251,7 @@ class LaneIntegrator(BatchIntegrator):
         step_cost = LANE_COST_RATIO * method.evaluations
         self._max_steps = max(1, evaluations_per_call(constants) // step_cost)  # steps of a group in a kernel call
         kind = NUMBER if self._single else self._element
-        self._tables = np.array([address_table(each, kind) for each in self._constants])
+        self._tables = np.array([address_table(each, kind, self._own) for each in self._constants])
         self._work_tables = [address_table(each, kind) for each in self._works]
         bounds = np.linspace(0, groups, len(self._works) + 1).round().astype(int)
         self._thread_groups = [slice(int(first), int(end)) for first, end in pairwise(bounds)]
@@ -257,8 +260,7 @@ class LaneIntegrator(BatchIntegrator):
         self._workers: list[WorkerThread] = []
         self._process = 0  # id of the process of the worker threads
 
-    @staticmethod
-    def _group_constants(constants: Constants) -> Constants:
+    def _group_constants(self, constants: Constants) -> Constants:
         """Return the constants of a group of ARMS_PER_GROUP equal arms."""
         own: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in PER_ARM}
         for name, values in own.items():
@@ -360,10 +362,16 @@ class LaneIntegrator(BatchIntegrator):
         clock = TimeGrid(*grid, 0.0, 0.0)
 
         def run_groups(groups: slice, work: IntArray) -> Iterator[None]:
-            for group in range(groups.start, groups.stop):
-                arms = _arm_slice(slice(group, group + 1))
-                given = self._tables[group : group + 1], work, *self._method, drives[arms]
-                yield from self._run_group(given, clock, rows[arms], outputs[arms], counts[arms])
+            several = range(groups.start, groups.stop)
+            at_once = len(several) * clock.substeps * (rows.shape[1] - 1) <= self._max_steps
+            at_once = at_once and rows.flags.c_contiguous and outputs.flags.c_contiguous
+            for some in [groups] if at_once else [slice(group, group + 1) for group in several]:
+                arms = _arm_slice(some)
+                given, moved = (self._tables[some], work, *self._method, drives[arms]), (rows[arms], outputs[arms])
+                if at_once:
+                    yield self._kernel(*given, clock, *moved, counts[arms])
+                else:
+                    yield from self._run_group(given, clock, *moved, counts[arms])
 
         self._run_in_threads(run_groups)
 

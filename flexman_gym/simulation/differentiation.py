@@ -18,8 +18,9 @@ from flexman_gym.model.dynamics import RICHARDSON
 from flexman_gym.model.linearization import INPUT_UNITS, OUTPUT_UNITS, LinearMeasurements, column_names, input_columns
 from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene
+from flexman_gym.simulation.dimensions import DIMENSIONS, dimension_derivatives, dimension_parts
 from flexman_gym.simulation.integrator import default_step, prescribed_flags
-from flexman_gym.simulation.methods import METHODS, IteratedGauss, LinearlyImplicit, Method
+from flexman_gym.simulation.methods import METHODS, FixedStepMethod, Method
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, ScalarParameter, select_parts
 from flexman_gym.simulation.scene_simulation import initial_row, prescribed_joints, run_in_lanes, scene_settings
 from flexman_gym.simulation.tangent_integrator import DIRECTIONS, TangentIntegrator
@@ -28,6 +29,7 @@ INITIAL = {"initial_joint_angles": "rad", "initial_joint_rates": "rad/s"}  # ini
 RELATIVE_STEP = 1e-2  # relative step of the differences of constants
 SMALL_STEP = 1e-3  # in the unit of the parameter; step of the differences at a value of 0
 INPUTS = {name: row.unit for name, row in PARAMETERS.items()} | INITIAL | INPUT_UNITS  # parameters -> unit
+UNITS = INPUTS | {name: row.unit for name, row in DIMENSIONS.items()}
 ENERGIES = {"kinetic_energy": (layout.KINETIC,), "elastic_energy": (layout.LINK_ENERGY, layout.JOINT_ENERGY),
             "gravitational_energy": (layout.GRAVITATIONAL,)}  # fmt: skip
 TIP_OUTPUTS = {"tip": layout.TIP, "tip_velocity": layout.TIP_VELOCITY}
@@ -46,7 +48,8 @@ class Sensitivities:
         jacobian: (T, m, p) derivatives of the outputs with respect to the parameters.
         outputs: m names with units, such as "tip_x (m)".
         parameters: p names with units, such as "joint_stiffness[0] (N m/rad)".
-        status: "ok" or "diverged"; of an episode "ok" or the cause of its failure.
+        status: "ok", or "diverged" also if Newton's method does not converge; of an episode "ok" or the cause of its
+            failure.
         kinks: number of output intervals in which the motion passed a kink, by name and joint: the rate of a motor with
             Coulomb friction changed its sign ("coulomb_friction[0]"), or the twist of a joint passed a knee of its
             spring, such as an end of its backlash ("joint_stiffness[0]"). The model rounds these kinks over
@@ -83,7 +86,7 @@ def sensitivities(
 ) -> Sensitivities:
     """Simulate a scene together with the derivatives of its outputs.
 
-    Seven derivatives cost about three simulations. The values have the bits of `simulate` with the same step.
+    Seven derivatives cost two to three simulations. The values have the bits of `simulate` with the same step.
     The component modes of the model do not change with a parameter, as in `simulation.parameters.varied_model`; the
     derivative is exact for the model with these modes. Torques that begin or end at a time act as they do in the scene.
 
@@ -92,18 +95,21 @@ def sensitivities(
         of: names of outputs: those of `linearize` without "tip_acceleration", "kinetic_energy", "elastic_energy" and
             "gravitational_energy".
         to: names of parameters, for all joints or links or, as in "joint_stiffness[0]", for one: those of `Batch.vary`,
-            "initial_joint_angles" and "initial_joint_rates" (of joint and motor together), and a constant added to an
-            input where its signal acts: "motor_torques", "tip_force" or "base_acceleration" (components x, y and z).
+            "initial_joint_angles" and "initial_joint_rates" (of joint and motor together), dimensions as in
+            `simulation.dimensions`, such as "link_length[0]", for which other kernels are compiled, and a constant
+            added to an input where its signal acts: "motor_torques", "tip_force" or "base_acceleration" (components x,
+            y and z).
         model: a model of the scene's arm; None builds the model specified by the scene.
-        method: a method of fixed steps that `simulate_all` integrates in groups; "auto" selects the default method.
+        method: a method with fixed steps; "auto" selects the default method. Of a method that iterates until it
+            converges, the last iterations are differentiated; the result tends to the derivative of the converged
+            solution as the tolerance of the method falls.
         step: integration step, s, as in `simulate`; None selects the longest step up to that of an environment.
 
     Returns:
         Values and derivatives.
 
     Raises:
-        ValueError: for an unknown output or parameter, a parameter that the arm lacks, an adaptive method, and a
-            method that iterates until it converges.
+        ValueError: for an unknown output or parameter, a parameter that the arm lacks, and an adaptive method.
 
     Examples:
         >>> scene = fm.catalog.paper_scene("rr")
@@ -114,21 +120,28 @@ def sensitivities(
     step = default_step(scene.output_step) if step is None else step
     settings = scene_settings(scene, model, method, step, 1e-6, 1e-9)
     chosen, model = settings.method, settings.model
-    if not isinstance(chosen, LinearlyImplicit | IteratedGauss) or settings.tolerance is not None:
-        allowed = [name for name, each in METHODS.items() if isinstance(each, LinearlyImplicit | IteratedGauss)]
+    if not isinstance(chosen, FixedStepMethod) or chosen.adaptive or settings.tolerance is not None:
+        allowed = [name for name, each in METHODS.items() if not each.adaptive]
         raise value_error("method", chosen.name, f"one of fixed steps: {', '.join(allowed)}")
     names = [one_of("of", name, OUTPUTS) for name in _names("of", of)]
     prescribed = prescribed_joints(scene)
-    directions = [each for name in _names("to", to) for each in find_directions(name, model, prescribed)]
-    flags = prescribed_flags(model.n_joints, prescribed)
-    period, groups = (settings.interval, settings.substeps), -(-len(directions) // DIRECTIONS)
-    integrator = TangentIntegrator(model.constants._replace(prescribed=flags), chosen, period, groups)
-    motion = _Motion.start(scene, model, directions, settings.rows)
-    for number, direction in enumerate(directions):
-        if direction.name in PARAMETERS:
-            integrator.set_derivative(number, constant_derivatives(model, direction))
-    counts = run_in_lanes(integrator, motion.drives, settings, motion.rows, motion.outputs)
-    return motion.read(names, model, settings.interval, int(counts[0, 0]))
+    directions = [
+        each
+        for name in _names("to", to)
+        for each in dimension_parts(name, model) or find_directions(name, model, prescribed)
+    ]
+    found = dimension_derivatives(model, directions)
+    constants = found.constants._replace(prescribed=prescribed_flags(model.n_joints, prescribed))
+    motion, period = _Motion.start(scene, model, directions, settings.rows), (settings.interval, settings.substeps)
+    for group in range(-(-len(directions) // DIRECTIONS)):
+        integrator = TangentIntegrator(constants, chosen, period, 1, whole=bool(found.strains))
+        for lane, number in enumerate(range(len(directions))[group * DIRECTIONS : (group + 1) * DIRECTIONS]):
+            direction = directions[number]
+            own = constant_derivatives(model, direction) if direction.name in PARAMETERS else found.fields[number]
+            integrator.set_derivative(lane, own)
+        arms = slice(group * ARMS_PER_GROUP, (group + 1) * ARMS_PER_GROUP)
+        counts = run_in_lanes(integrator, motion.drives[arms], settings, motion.rows[arms], motion.outputs[arms])
+    return motion.read(names, model, settings.interval, int(counts[0, 0]), found.strains)
 
 
 @dataclass
@@ -179,16 +192,25 @@ class _Motion(NamedTuple):
                 rows[row, 0], drive.values[layout.OFFSET] = starts[number], inputs[number]
         return cls(directions, drives, rows, np.zeros((*rows.shape[:2], layout.OUTPUTS)))
 
-    def read(self, names: list[str], model: Model, interval: float, valid: int) -> Sensitivities:
-        """Return the outputs of given names and their derivatives at the valid times."""
+    def read(
+        self, names: list[str], model: Model, interval: float, valid: int, strains: dict[int, Array]
+    ) -> Sensitivities:
+        """Return the outputs of given names and their derivatives at the valid times.
+
+        `strains` are derivatives of the matrix of root strains, by the number of the direction.
+        """
         motion = self.rows[:, : valid + 1], self.outputs[:, : valid + 1]
         parts, labels = zip(*(motion_output(name, model, *motion) for name in names), strict=True)
         every, count = np.concatenate(parts, axis=2), len(self.directions)
         lanes = np.arange(len(every)).reshape(-1, ARMS_PER_GROUP)[:, 1:].ravel()[:count]
+        ends = np.cumsum([part.shape[2] for part in parts])
+        for name, end in zip(names, ends.tolist(), strict=True):
+            for number, matrix in strains.items() if name == "root_strains" else ():
+                every[lanes[number], :, end - matrix.shape[1] : end] += motion[0][0, :, :-2] @ matrix
         return Sensitivities(
             time=interval * np.arange(valid + 1, dtype=np.float64),
             values=every[0], jacobian=np.moveaxis(every[lanes], 0, 2),
-            outputs=sum(labels, ()), parameters=tuple(f"{each} ({INPUTS[each.name]})" for each in self.directions),
+            outputs=sum(labels, ()), parameters=tuple(f"{each} ({UNITS[each.name]})" for each in self.directions),
             status=STATUS[layout.OK if valid + 1 == self.rows.shape[1] else layout.DIVERGED],
             kinks=count_kinks(model, self.rows[0, : valid + 1]),
         )  # fmt: skip

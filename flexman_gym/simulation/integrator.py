@@ -139,7 +139,7 @@ class Integrator:
         self.tolerance = tolerance or (0.0, 0.0)
         self._max_evaluations = evaluations_per_call(model.constants)
         self._at_rest = signal_table([None] * (model.n_joints + 6))
-        self._coefficients: Tableau | GeneralisedAlpha | tuple[int, float | None] | None = None
+        self._coefficients: Tableau | GeneralisedAlpha | tuple[int, float | None, None] | None = None
         if isinstance(method, Implicit):
             self._coefficients = method.coefficients
         elif isinstance(method, IteratedGauss):

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import finite, instance, value_error, whole_number
+from flexman_gym.common.checks import finite, instance, positive, value_error, whole_number
 from flexman_gym.common.renamed import current_methods
 from flexman_gym.kernels.layout import MAX_SEQUENCES, MAX_STAGES, GeneralisedAlpha, Tableau
 
@@ -106,6 +106,11 @@ class Explicit:
     def estimates(self) -> bool:
         """Availability of an error estimate."""
         return bool(self.error.size)
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations of the accelerations in a step of fixed length."""
+        return len(self.b)
 
     @property
     def conditions(self) -> list[tuple[int, str, float]]:
@@ -230,17 +235,22 @@ class Implicit:
         name, order, source: see the module.
         radius: spectral radius at infinite frequency, from 1 (no numerical damping) to 0 (the largest damping); None
             for the midpoint rule.
+        tolerance: largest relative error of the solution of a step, > 0.
+        evaluations: typical number of evaluations of the accelerations in a step.
     """
 
     name: str
     order: int
     source: str
     radius: float | None = None
+    tolerance: float = 1e-10
     kind = IMPLICIT
     adaptive = False
     estimates = False
+    evaluations = 5
 
     def __post_init__(self) -> None:
+        positive(f"{self.name}.tolerance", self.tolerance)
         if self.radius is not None and not 0.0 <= finite(f"{self.name}.radius", self.radius) <= 1.0:
             raise value_error(f"{self.name}.radius", self.radius, "a number from 0 to 1")
 
@@ -248,10 +258,10 @@ class Implicit:
     def coefficients(self) -> GeneralisedAlpha:
         """Coefficients in the form of the kernels."""
         if self.radius is None:
-            return GeneralisedAlpha(0.0, 0.0, 0.0, 0.0, True)
+            return GeneralisedAlpha(0.0, 0.0, 0.0, 0.0, True, self.tolerance)
         mass, force = (2.0 * self.radius - 1.0) / (self.radius + 1.0), self.radius / (self.radius + 1.0)
         gamma = 0.5 - mass + force
-        return GeneralisedAlpha(mass, force, 0.25 * (gamma + 0.5) ** 2, gamma, False)
+        return GeneralisedAlpha(mass, force, 0.25 * (gamma + 0.5) ** 2, gamma, False, self.tolerance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,9 +313,9 @@ class IteratedGauss:
         return self.iterations if self.stages == 1 else 2 * self.iterations + 1
 
     @property
-    def counts(self) -> tuple[int, float | None]:
+    def counts(self) -> tuple[int, float | None, None]:
         """Iterations and correction (None for two stages) in the form of the kernels, see `fixed_newton_step`."""
-        return self.iterations, None if self.stages > 1 else float(self.correction)
+        return self.iterations, None if self.stages > 1 else float(self.correction), None
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,7 +334,8 @@ class ScipyMethod:
     estimates = True
 
 
-Method = Explicit | LinearlyImplicit | Implicit | IteratedGauss | ScipyMethod
+FixedStepMethod = LinearlyImplicit | IteratedGauss | Explicit | Implicit  # methods of the kernel `batch._fixed_step`
+Method = FixedStepMethod | ScipyMethod
 
 
 def _extrapolation_weights(sequence: Sequence[int]) -> Array:

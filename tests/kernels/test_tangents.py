@@ -12,11 +12,12 @@ from flexman_gym.kernels.compile import FLAGS
 from flexman_gym.kernels.lanes import (
     TANGENTS,
     add_products,
+    chain,
     fma,
     is_below,
     is_zero,
+    number_of,
     select_below,
-    without_tangents,
 )
 from flexman_gym.kernels.layout import make_work
 from flexman_gym.kernels.linalg import sine_versine
@@ -44,7 +45,8 @@ FUNCTIONS = {  # name -> value, and partial derivatives with respect to a, b and
     "versine of 20 a": (1.0 - math.cos(20.0 * A), (20.0 * math.sin(20.0 * A), 0.0, 0.0)),
     "a b if b < 0 else c": (A * B, (B, A, 0.0)),
     "a b if a < 0 else c": (C, (0.0, 0.0, 1.0)),
-    "a without tangents": (A, (0.0, 0.0, 0.0)),
+    "number of a": (A, (0.0, 0.0, 0.0)),
+    "a number with a slope": (C, (0.0, 3.0, 0.0)),
 }
 
 
@@ -59,8 +61,8 @@ def compute(work_table):
     out[12], out[13], out[14], out[15] = math.sqrt(a), math.sin(c), math.cos(c), math.tanh(b)
     out[16], out[17] = sine_versine(20.0 * a)
     out[18], out[19] = select_below(b, 0.0, a * b, c), select_below(a, 0.0, a * b, c)
-    out[20] = without_tangents(a)
-    moving = b - without_tangents(b)  # zero with tangents
+    out[20], out[21] = number_of(a), chain(2.3, 3.0, b)
+    moving = b - number_of(b)  # zero with tangents
     return is_below(b, 0.0), is_zero(moving), is_zero(moving - moving)
 
 

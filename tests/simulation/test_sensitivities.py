@@ -7,12 +7,16 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.model.model import scene_model
+from flexman_gym.simulation.methods import IteratedGauss
 from flexman_gym.simulation.parameters import PARAMETERS, nominal_parameters
 
 Z = (0.0, 0.0, 1.0)
 OUTPUTS = ("tip", "tip_velocity", "joint_angles", "motor_rates", "root_strains", "kinetic_energy", "elastic_energy",
            "gravitational_energy")  # fmt: skip
 METHODS = ("midpoint_corrected_3", "midpoint_2", "gauss_2", "ros2", "extrapolated_euler_3")
+# methods whose arms are simulated one after the other, with their steps, s; differences need a converged solution
+CONVERGED = replace(fm.METHODS["generalised_alpha"], tolerance=1e-15)
+SEQUENTIAL = [("rk4", 2.5e-4), ("semi_implicit_euler", 1e-4), (CONVERGED, 0.005)]
 ROUNDING = 1e-14  # rounding error of an output, relative to its largest value
 STEPS = (4e-3, 5e-4, 6e-5)  # relative steps of the differences
 TORQUE = fm.SampledTorque((0.0, 0.11, 0.25, 0.4), ((1.2, 0.4), (-0.6, -0.3), (0.5, 0.2), (0.0, 0.1)))
@@ -75,8 +79,11 @@ def changed(name, index, step):
             values = np.array(nominal_parameters(MODEL)[name], dtype=float)
             values[() if index is None else index] += change
             parameters = {name: np.array([values, values])}
-        results.append(outputs_of(fm.simulate_all([current] * 2, method=method, step=0.005, **parameters)[0]))
+        results.append(outputs_of(fm.simulate_all([current] * 2, method=method, step=changed.step, **parameters)[0]))
     return results
+
+
+changed.step = 0.005  # s
 
 
 def extrapolated(name, index, size):
@@ -123,9 +130,19 @@ def test_every_parameter_is_differentiated():
 
 @pytest.mark.parametrize("method", METHODS)
 def test_derivatives_are_those_of_extrapolated_differences(method):
+    compare_with_differences(method, 0.005, list(every_parameter()))
+
+
+@pytest.mark.parametrize("method, step", SEQUENTIAL)
+def test_derivatives_of_other_methods_are_those_of_extrapolated_differences(method, step, monkeypatch):
+    monkeypatch.setattr(changed, "step", step)
+    compare_with_differences(method, step, list(every_parameter())[::7])
+
+
+def compare_with_differences(method, step, names):
+    """Check the derivatives with respect to parameters, given by name, index and size, to 1e-8 or rounding."""
     changed.method = method
-    names = list(every_parameter())
-    found = fm.sensitivities(scene(), OUTPUTS, [label(*each[:2]) for each in names], method=method, step=0.005)
+    found = fm.sensitivities(scene(), OUTPUTS, [label(*each[:2]) for each in names], method=method, step=step)
     for column, (name, index, size) in enumerate(names):
         exact = reduced(found.jacobian[:, :, column])
         best, error = extrapolated(name, index, size)
@@ -134,10 +151,10 @@ def test_derivatives_are_those_of_extrapolated_differences(method):
         assert (deviation <= np.maximum(1e-8 * scale, 3.0 * error)).any(axis=0).all(), (name, index)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_values_have_the_bits_of_a_simulation(method):
-    found = fm.sensitivities(scene(), ("tip", "joint_angles"), ("payload_mass",), method=method, step=0.005)
-    run = fm.simulate(scene(), method=method, step=0.005)
+@pytest.mark.parametrize("method, step", [*((method, 0.005) for method in METHODS), *SEQUENTIAL])
+def test_values_have_the_bits_of_a_simulation(method, step):
+    found = fm.sensitivities(scene(), ("tip", "joint_angles"), ("payload_mass",), method=method, step=step)
+    run = fm.simulate(scene(), method=method, step=step)
     assert np.array_equal(found.values, np.column_stack([run.tip, run.joint_angles]))
 
 
@@ -156,6 +173,24 @@ def test_the_taylor_remainder_is_of_second_order(name, size):
         remainders.append(np.abs(plus - base - step * slope).max())
     orders = np.log10(remainders[:-1]) - np.log10(remainders[1:])
     assert ((orders > 1.9) & (orders < 2.1)).all(), orders
+
+
+def test_iterations_to_a_tolerance_tend_to_the_derivative_of_the_implicit_function():
+    """That of the midpoint rule, which a fixed number of iterations beyond convergence gives to rounding."""
+    to = ("joint_stiffness[0]", "payload_mass", "initial_joint_angles[1]")
+    exact = fm.sensitivities(scene(), OUTPUTS, to, method=IteratedGauss("midpoint", 2, "", 25), step=0.005).jacobian
+    scale, deviations = np.abs(exact).max(axis=0) + 1e-300, []
+    for tolerance in (1e-3, 1e-6, 1e-9, 1e-12):
+        method = replace(fm.METHODS["implicit_midpoint"], tolerance=tolerance)
+        found = fm.sensitivities(scene(), OUTPUTS, to, method=method, step=0.005).jacobian
+        deviations.append((np.abs(found - exact).max(axis=0) / scale).max())
+    assert (np.diff(deviations) < 0.0).all() and deviations[0] > 1e-4 and deviations[-1] < 1e-9
+
+
+def test_a_step_that_does_not_converge_ends_the_motion():
+    fast = replace(scene(), initial=fm.Initial((0.4, -0.6), (20.0, -60.0)))
+    found, run = (each(fast, method="implicit_midpoint", step=0.02) for each in (fm.sensitivities, fm.simulate))
+    assert run.status == "not converged" and found.status == "diverged" and len(found.time) == len(run.time)
 
 
 def test_a_rotor_under_constant_torque_has_its_closed_form():
@@ -200,7 +235,6 @@ def test_a_divergence_is_a_status():
     ({"of": "tip_acceleration"}, "of: 'tip_acceleration' is not allowed"),
     ({"to": ()}, "at least one name"),
     ({"method": "dop853"}, "method: 'dop853' is not allowed; give one of fixed steps"),
-    ({"method": "implicit_midpoint"}, "method: 'implicit_midpoint' is not allowed"),
 ])  # fmt: skip
 def test_bad_arguments_are_refused_in_one_line(arguments, words):
     with pytest.raises(ValueError) as raised:
@@ -216,10 +250,8 @@ def swinging(output_step):
     strip = fm.Link.strip(0.5, 0.04, 0.003)
     inertia = fm.mass_matrix(fm.build_model(fm.Arm([strip], [fm.Joint(Z)]), flexible_links=False), [0.0, 0.0])[0, 0]
     joint = fm.Joint(Z, 0.01, stiffness=inertia * (10.0 * np.pi) ** 2, backlash=0.019, knee_width=1e-5)
-    choice, start = (
-        fm.ModelChoice(flexible_links=(False,), elements=(1,)),
-        fm.Initial((0.0,), (0.0,), state=(0.0, 0.0, 0.1, 0.0)),
-    )
+    choice = fm.ModelChoice(flexible_links=(False,), elements=(1,))
+    start = fm.Initial((0.0,), (0.0,), state=(0.0, 0.0, 0.1, 0.0))
     return fm.Scene(fm.Arm([strip], [joint]), choice, fm.ConstantTorque((0.0,)), start, duration=0.9,
                     output_step=output_step, prescribed=[fm.Signal()])  # fmt: skip
 
