@@ -59,7 +59,7 @@ def test_help_has_every_command_in_one_group_and_a_line(capsys):
 
 
 @pytest.mark.parametrize(("typed", "meant"), [("trian", "train"), ("eval", "evaluate"), ("sim", "simulate"),
-                                              ("optimize", "optimise"), ("tuen", "tune")])  # fmt: skip
+                                              ("optimize", "optimise"), ("resonanse", "resonance")])  # fmt: skip
 def test_a_misspelt_command_is_answered_with_the_nearest(typed, meant, capsys):
     with pytest.raises(SystemExit) as stop:
         main([typed, "--help"])
@@ -233,7 +233,7 @@ LEAGUE = ROOT / "docs" / "league"
         (["simulate", SCENE, "--method", "rk5"], "method: 'rk5' is not allowed; give one of "),
         (["choose", SCENE, "--tolerance", "0"], "tolerance: 0.0 is not allowed; give a finite number > 0"),
         (["precision", SCENE, "--method", "rk5"], "method: 'rk5' is not allowed; give one of "),
-        (["tune", "FlexPlanar-v9"], "FlexPlanar-v9: there is no such file; give one, or one of "),
+        (["optimise", "gains", "FlexPlanar-v9"], "FlexPlanar-v9: there is no such file; give one, or one of "),
         (["list", "robots"], "what: robots is not allowed; give some of environments, "),
     ],
 )
