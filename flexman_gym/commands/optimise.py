@@ -6,7 +6,7 @@ and "arm" varies the thickness of the links along their length, for "settling" a
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,12 +35,12 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     Workers.arguments(gains)
     arm.add_argument("environment", help=known)
     arm.add_argument("--metric", choices=DESIGN_METRICS, default="frequency",
-                     help="largest first frequency, least mass, or shortest settling time (default: %(default)s)")  # fmt: skip
+                     help="largest frequency, least mass or shortest settling time (default: %(default)s)")  # fmt: skip
     arm.add_argument("--sections", type=int, default=8, metavar="N",
                      help="number of sections of each link (default: %(default)s)")  # fmt: skip
     for name, default in (("--thickness", (0.5, 2.0)), ("--gears", (1.0, 1.0))):
         arm.add_argument(name, type=float, nargs=2, default=default, metavar=("LEAST", "MOST"),
-                         help=f"bounds, as factors of the given values (default: {default[0]:g} {default[1]:g})")  # fmt: skip
+                         help="bounds, as factors of the given (default: {:g} {:g})".format(*default))  # fmt: skip
     arm.add_argument("--keep", choices=KEPT, default="arm", help="keep the mass of the arm or of each of its links")
     arm.add_argument("--tip-force", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"),
                      help="load of the metric mass in addition to gravity, N")  # fmt: skip
@@ -95,7 +95,7 @@ def _run_gains(options: argparse.Namespace) -> int:
     return 0
 
 
-def _print_gains(gains: Mapping[str, object]) -> None:
+def _print_gains(gains: Mapping[str, Sequence[float]]) -> None:
     """Print PD gains in words and as the line of a file."""
     for name, values in gains.items():
         print(f"{name}: {_numbers(values)}")
@@ -103,7 +103,7 @@ def _print_gains(gains: Mapping[str, object]) -> None:
     print(f"in a file of an environment: gains: {rounded}".replace("'", ""))
 
 
-def _numbers(values: object) -> str:
+def _numbers(values: Sequence[float]) -> str:
     """Return numbers with three digits, separated by commas."""
     return ", ".join(f"{value:.3g}" for value in values)
 

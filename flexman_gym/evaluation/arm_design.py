@@ -1,7 +1,8 @@
 """Co-design of an arm: thickness of its sections, gear ratios and PD gains that minimise a metric."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,11 +20,12 @@ from flexman_gym.scene.link import MAX_SECTIONS
 
 DESIGN_METRICS = {"frequency": "Hz", "mass": "kg", "settling": "s"}
 KEPT = ("arm", "links")
-MAX_ITERATIONS = 500
-FUNCTION_TOLERANCE = 1e-13  # change of the logarithm of the metric in the last iteration
+MAX_ITERATIONS, STARTS = 200, 10  # iterations of a start, and starts
+FUNCTION_TOLERANCE, START_TOLERANCE = 1e-11, 1e-8  # changes of the logarithm of the metric in the last iteration, start
 MIN_GAIN = 0.01  # smallest gain as a fraction of the largest
 START_GAINS = (0.3, 0.7)  # first stiffness and damping as fractions of the largest, for an arm without tuned gains
 POSTURES = 2  # number of goal postures for the settling time
+SATURATION = 3.0  # largest stiffness times the largest slew / torque limit; the linear model has no saturation
 
 Function = Callable[[Array], tuple[float, Array]]  # of the variables, with gradient
 
@@ -71,8 +73,8 @@ def optimise_arm(
     with held motors at zero joint angles, at the mass of the given arm; "mass", the least mass at the static deflection
     of the given arm at zero joint angles, under gravity and a tip force; "settling", the shortest settling time of the
     PD loop over slews of single joints to two goals of the environment, at the mass of the given arm. PD gains are
-    varied for "settling" only, up to the torque limit at the start of the largest slew, and up to half the damping at
-    which a sampled motor is unstable. Stress is not limited.
+    varied for "settling" only, up to three times the torque limit at the start of the largest slew, and up to half the
+    damping at which a sampled motor is unstable. Saturation and stress are not modelled.
 
     Args:
         environment: id, path of a file, or Configuration.
@@ -103,20 +105,24 @@ def optimise_arm(
     design, kind = DesignModel(arm, postures), "eq" if keep == "links" and metric != "mass" else "ineq"
     count, n = len(design.sections), arm.n_joints
     largest = np.minimum(high[0], np.log([thickness_limit(section) for section in design.sections]))
-    bounds = [(low[0], most) for most in largest] + [(low[1], high[1]) if loop else (0.0, 0.0)] * n
-    bounds += [(np.log(MIN_GAIN), 0.0)] * len(start)
+    gear_bounds, gain_bounds = (low[1], high[1]) if loop else (0.0, 0.0), (np.log(MIN_GAIN), 0.0)
+    bounds = np.array([*((low[0], most) for most in largest), *[gear_bounds] * n, *[gain_bounds] * len(start)]).T
     x = np.concatenate([np.zeros(count + n), start])
     objective, constraint = _functions(design, metric, keep, force, loop)
     before, (found, iterations, converged) = objective(x)[0], _minimise(objective, constraint, kind, x, bounds)
-    factors, ratios = np.exp(found[:count]), np.exp(found[count : count + n])
-    sign = -1.0 if metric == "frequency" else 1.0
+    factors, ratios, shares = np.split(np.exp(found), (count, count + n))
+    ends, sign = np.cumsum([len(link.sections) for link in arm.links])[:-1], -1.0 if metric == "frequency" else 1.0
     return ArmDesign(
-        metric, float(np.exp(sign * before)), float(np.exp(sign * objective(found)[0])),
-        tuple(design.link_masses(found[: count + n])[0].tolist()),
-        tuple(tuple(part.tolist()) for part in np.split(factors, np.cumsum([len(link.sections) for link in arm.links])[:-1])),
-        tuple(ratios.tolist()), _changed(environment, resized(arm, factors, ratios), ratios, loop, np.exp(found[count + n :])),
-        iterations, converged,
-    )  # fmt: skip
+        metric=metric,
+        before=float(np.exp(sign * before)),
+        after=float(np.exp(sign * objective(found)[0])),
+        masses=tuple(design.link_masses(found[: count + n])[0].tolist()),
+        thickness=tuple(tuple(part.tolist()) for part in np.split(factors, ends)),
+        gears=tuple(ratios.tolist()),
+        environment=_changed(environment, resized(arm, factors, ratios), ratios, loop, shares),
+        iterations=iterations,
+        converged=converged,
+    )
 
 
 def _factors(name: str, value: Vector) -> tuple[float, float]:
@@ -139,7 +145,7 @@ def _loop(environment: Configuration) -> tuple[DesignLoop, Array, Array]:
     damping = stability_limit(environment.max_delay) * rotors / (MIN_MARGINS.gain * environment.control_period)
     reach = sum(link.length for link in arm.links)
     slews = np.full(arm.n_joints, task.slew / np.sqrt(3.0))  # root mean square of uniform slews
-    loop = DesignLoop(slews, limits / task.slew, damping, (BAND * reach) ** 2 * SETTLING_WINDOW)
+    loop = DesignLoop(slews, SATURATION * limits / task.slew, damping, (BAND * reach) ** 2 * SETTLING_WINDOW)
     try:
         gains = environment.pd_gains
         start = np.concatenate([gains["stiffness"] / loop.stiffness, gains["damping"] / loop.damping])
@@ -158,7 +164,11 @@ def _functions(
 
     def mass(x: Array) -> tuple[Any, Array]:
         masses, rows = design.link_masses(x[:size])
-        masses, rows = (masses, rows) if by_link and metric != "mass" else (masses.sum(keepdims=True), rows.sum(axis=0, keepdims=True))
+        masses, rows = (
+            (masses, rows)
+            if by_link and metric != "mass"
+            else (masses.sum(keepdims=True), rows.sum(axis=0, keepdims=True))
+        )
         return np.log(masses), np.hstack([rows, np.zeros((len(rows), len(x) - size))]) / masses[:, None]
 
     def value(x: Array) -> tuple[float, Array]:
@@ -183,15 +193,44 @@ def _functions(
 
 
 def _minimise(
-    objective: Function, constraint: Function, kind: str, x: Array, bounds: Sequence[tuple[float, float]]
+    objective: Function, constraint: Function, kind: str, x: Array, bounds: Array
 ) -> tuple[Array, int, bool]:
-    """Return the minimum under bounds and constraints, >= 0 ("ineq") or 0 ("eq"), iterations, and True if converged."""
+    """Return the minimum, the number of iterations, and True if converged.
+
+    Args:
+        objective: function to be minimised, with gradient.
+        constraint: functions that are 0 ("eq") or >= 0 ("ineq"), with Jacobian; they depend on the sections.
+        kind: "eq" or "ineq".
+        x: first guess.
+        bounds: (2, v) smallest and largest variables; a variable with equal bounds is fixed.
+    """
     from scipy.optimize import minimize
 
-    limits = {"type": kind, "fun": lambda x: constraint(x)[0], "jac": lambda x: constraint(x)[1]}
-    found = minimize(objective, x, jac=True, method="SLSQP", bounds=bounds, constraints=limits,
-                     options={"maxiter": MAX_ITERATIONS, "ftol": FUNCTION_TOLERANCE})  # fmt: skip
-    return np.clip(found.x, *np.transpose(bounds)), int(found.nit), bool(found.success)
+    free, low, high = bounds[0] < bounds[1], *bounds
+    if not free.any():
+        return x, 0, True
+
+    def full(part: Array) -> Array:
+        result = x.copy()
+        result[free] = np.clip(part, low[free], high[free])
+        return result
+
+    def restricted(function: Function, part: Array) -> tuple[Any, Array]:
+        value, slopes = function(full(part))
+        return value, slopes[..., free]
+
+    limits = {"type": kind, "fun": lambda part: restricted(constraint, part)[0],
+              "jac": lambda part: restricted(constraint, part)[1]}  # fmt: skip
+    best, iterations, converged = np.inf, 0, False
+    for _ in range(STARTS):  # a start from the last result forgets the estimate of the curvature
+        found = minimize(partial(restricted, objective), x[free], jac=True, method="SLSQP",
+                         bounds=bounds[:, free].T, constraints=limits if free[0] else (),
+                         options={"maxiter": MAX_ITERATIONS, "ftol": FUNCTION_TOLERANCE})  # fmt: skip
+        x, iterations, gain = full(found.x), iterations + int(found.nit), best - found.fun
+        best, converged = min(best, found.fun), bool(found.success)
+        if gain < START_TOLERANCE:
+            break
+    return x, iterations, converged
 
 
 def _changed(

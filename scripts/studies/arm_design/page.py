@@ -1,0 +1,3 @@
+def draw(*a): ...
+def page(*a):
+    return ""
