@@ -192,9 +192,7 @@ def _functions(
     return value, margin
 
 
-def _minimise(
-    objective: Function, constraint: Function, kind: str, x: Array, bounds: Array
-) -> tuple[Array, int, bool]:
+def _minimise(objective: Function, constraint: Function, kind: str, x: Array, bounds: Array) -> tuple[Array, int, bool]:
     """Return the minimum, the number of iterations, and True if converged.
 
     Args:

@@ -67,7 +67,7 @@ def test_values_are_those_of_the_arm_built_anew(design, x):
 
 
 def test_the_settling_time_leaves_the_residual_in_a_simulation_of_the_loop(design, x):
-    """Integral by Simpson's rule of squared tip error and speed of the rebuilt linear arm, exact from sample to sample."""
+    """Integral by Simpson's rule of squared tip error and speed of the rebuilt arm, exact from sample to sample."""
     single = DesignModel(design.arm, POSTURES[:1])
     shares = np.log([0.5, 0.6, 0.8, 0.7])
     time = single.settling_time(np.concatenate([x, shares]), LOOP)[0]
