@@ -160,15 +160,10 @@ def _functions(
     """Return the logarithm of the metric to be minimised and the constraints, >= 0, of the variables."""
     size = len(design.sections) + len(design.rotors)
     zero, guess = np.zeros(size), [1.0]
-    by_link = keep == "links"
+    links = np.eye(len(design.rotors)) if keep == "links" and metric != "mass" else np.ones((1, len(design.rotors)))
 
     def mass(x: Array) -> tuple[Any, Array]:
-        masses, rows = design.link_masses(x[:size])
-        masses, rows = (
-            (masses, rows)
-            if by_link and metric != "mass"
-            else (masses.sum(keepdims=True), rows.sum(axis=0, keepdims=True))
-        )
+        masses, rows = (links @ each for each in design.link_masses(x[:size]))
         return np.log(masses), np.hstack([rows, np.zeros((len(rows), len(x) - size))]) / masses[:, None]
 
     def value(x: Array) -> tuple[float, Array]:

@@ -106,7 +106,7 @@ def _regeared(joint: Joint, factor: float) -> Joint:
     return replace(joint, rotor_inertia=factor**2 * joint.rotor_inertia, torque_limit=limit)
 
 
-def section_slopes(section: Link) -> Array:
+def _section_slopes(section: Link) -> Array:
     """Return the derivatives (4,) of SIZES with respect to the logarithm of the thickness of a section."""
     thin, sizes = _thin_axis(section), np.array([getattr(section, name) for name in SIZES])
     if not thin:
@@ -168,10 +168,8 @@ class DesignModel:
         d, count = self.model.n_dof, len(self.sections)
         # the first posture, of zero angles, determines the loaded modes
         angles = np.vstack([np.zeros(arm.n_joints), postures])
-        self._unit_mass, self._unit_moment = (
-            np.zeros((len(angles), count, 3, d, d)),
-            np.zeros((len(angles), count, 3, d)),
-        )
+        self._unit_mass = np.zeros((len(angles), count, 3, d, d))  # per unit of area and second moments of area
+        self._unit_moment = np.zeros((len(angles), count, 3, d))  # Jacobian of the first moment of mass, per area
         self._unit_stiffness, self._tips = np.zeros((count, 4, d, d)), np.zeros((len(angles), 3, d))
         for posture, each in enumerate(angles):
             self._tips[posture] = self._assemble(each, self._unit_mass[posture], self._unit_moment[posture])
@@ -204,10 +202,8 @@ class DesignModel:
             spin[:, i] += rotation @ constants.axis[i]
             columns = self.model.elastic_columns(i)
             for section, start, length, nodes in self.model.elements(i):
-                free = slice(
-                    columns.start + max(nodes.start - NODE_COORDINATES, 0),
-                    columns.start + nodes.stop - NODE_COORDINATES,
-                )
+                first = columns.start - NODE_COORDINATES  # of the clamped node, which is no coordinate
+                free = slice(max(first + nodes.start, columns.start), first + nodes.stop)
                 inner = slice(-(free.stop - free.start), None)  # without the clamped node
                 self._unit_stiffness[number, :, free, free] = _unit_stiffness(section, length)[:, inner, inner]
                 for xi, weight in zip((1.0 + abscissae) / 2.0, weights / 2.0, strict=True):
@@ -247,7 +243,7 @@ class DesignModel:
             omega, inverse = np.sqrt(squares), shapes.T @ mass[0][columns, columns]
             damping[columns, columns] += 2.0 * ratio * (inverse.T * omega) @ inverse
             modes.append((columns, omega, shapes, inverse))
-        slopes = np.array([section_slopes(part) for part in parts])
+        slopes = np.array([_section_slopes(part) for part in parts])
         return _Matrices(mass, damping, self._stiffness + stiffness, sizes, slopes, modes)
 
     def _gradient(self, x: Array, at: _Matrices, mass: Array, stiffness: Array, damping: Array | None = None) -> Array:
@@ -276,12 +272,10 @@ class DesignModel:
     def link_masses(self, x: Array) -> tuple[Array, Array]:
         """Return the masses of the sections of each link (n,), kg, and their Jacobian (n, S + n)."""
         at, counts = self._matrices(x), [len(link.sections) for link in self.arm.links]
-        line = np.array([section.density * section.length for section in self.sections])
-        masses, rows = np.zeros(len(counts)), np.zeros((len(counts), len(x)))
-        for i, (first, size) in enumerate(zip(np.cumsum([0, *counts]), counts, strict=False)):
-            own = slice(first, first + size)
-            masses[i], rows[i, own] = line[own] @ at.sizes[own, 0], line[own] * at.slopes[own, 0]
-        return masses, rows
+        owners = np.repeat(np.arange(len(counts)), counts)
+        per_area = np.array([section.density * section.length for section in self.sections])
+        own = per_area * (owners == np.arange(len(counts))[:, None])
+        return own @ at.sizes[:, 0], np.hstack([own * at.slopes[:, 0], np.zeros((len(own), len(self.rotors)))])
 
     def frequency(self, x: Array) -> tuple[float, Array]:
         """Return the soft minimum of the natural frequencies at all postures, Hz, and its gradient (S + n,).

@@ -12,6 +12,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.__main__ import COMMAND_GROUPS, main
 from flexman_gym.commands.list import KINDS
+from flexman_gym.common.renamed import OPTIMISED
 from flexman_gym.control import BASES
 from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.configuration import Configuration
@@ -66,6 +67,22 @@ def test_a_misspelt_command_is_answered_with_the_nearest(typed, meant, capsys):
     line = capsys.readouterr().err.splitlines()[-1]
     assert stop.value.code == 2 and line.startswith("flexman: error: command: ")
     assert f"the nearest is {meant}" in line and typed in line
+
+
+def test_old_commands_reach_the_present_ones_with_a_warning(capsys):
+    """Both end at the unknown environment; every kind of optimisation has its help."""
+    with (
+        pytest.warns(DeprecationWarning, match="flexman tune is flexman optimise gains now"),
+        pytest.raises(SystemExit),
+    ):
+        main(["tune", "FlexPlanar-v9"])
+    with pytest.warns(DeprecationWarning, match="is flexman optimise slews ENVIRONMENT now"):
+        assert main(["optimise", "FlexPlanar-v9", "--out", "slews.npz"]) == 2
+    assert capsys.readouterr().err.count("FlexPlanar-v9: there is no such file") == 2
+    for kind in OPTIMISED:
+        with pytest.raises(SystemExit) as stop:
+            main(["optimise", kind, "--help"])
+        assert stop.value.code == 0 and len(capsys.readouterr().out.splitlines()) <= SCREEN
 
 
 def test_the_version_is_that_of_the_package(capsys):
