@@ -13,9 +13,9 @@ from studies.screen import picture, screen
 
 PICTURE = "arm_design.svg"
 QUESTION = "How much stiffer and faster does the paper's arm become at equal mass if the thickness of its links varies?"
-ANSWER = """**With the mass of each link kept, a tapered arm has a first frequency {frequency:.0%} higher and settles
-{quicker:.0%} sooner: {after:.1f} s in place of {before:.1f} s (median of {episodes} simulated slews, gains optimised
-alike).** If mass may also move between the links, the frequency is {free:.0%} higher."""
+ANSWER = """**With the mass of each link kept, the arm optimised for its first frequency has a frequency {frequency:.0%}
+higher and settles {quicker:.0%} sooner: in {after:.1f} s in place of {before:.1f} s (median of {episodes} simulated slews,
+gains optimised alike).** If mass may also move between the links, the frequency is {free:.0%} higher."""
 BODY = """{picture}
 
 {table}
@@ -23,7 +23,7 @@ BODY = """{picture}
 The arm is that of `FlexRRR-v0` with the possible area of link 1 (`link1_area="corrected"`); with the gains of
 `FlexRRR-v0` it settles in {named:.1f} s. `flexman optimise arm FILE --sections {sections}` varies the sections between
 half and twice the given thickness. Both dimensions of a section grow alike, because the paper has no outlines. The arms
-have at most the given mass; with gears, the ratios are between half and twice the given ones.
+have at most the given mass. Gears are between half and twice the given ratios and multiply the torque limits.
 
 The claim is that of a linear model: held motors and zero joint angles for the frequency, two goal postures for the
 settling time. Optima are local. Stress and buckling are not limited, and motors do not saturate in the model. The
@@ -39,13 +39,12 @@ def page(rows: Sequence[DesignRow], profiles: Sequence[ProfileRow], files: Mappi
         (name, f"{row.mass:.1f}", f"{row.frequency:.3f}", f"{row.linear_time:.1f}", f"{row.settling_time:.2f}",
          f"{row.settled:.0%}") for name, row in known.items()
     ]  # fmt: skip
-    given, alike = known[GIVEN], [row for name, row in known.items() if "each link" in name]
-    after, highest = (best([getattr(row, name) for row in alike]) for name, best in
-                      (("settling_time", min), ("frequency", max)))  # fmt: skip
+    given, stiffest = known[GIVEN], next(row for name, row in known.items() if "each link" in name)
+    after, before = stiffest.settling_time, given.settling_time
     free = max(row.frequency for row in known.values()) / given.frequency - 1.0
     answer = ANSWER.format(
-        frequency=highest / given.frequency - 1.0, quicker=1.0 - after / given.settling_time, after=after,
-        before=given.settling_time, episodes=EPISODES, free=free,
+        frequency=stiffest.frequency / given.frequency - 1.0, quicker=1.0 - after / before, after=after, before=before,
+        episodes=EPISODES, free=free,
     )  # fmt: skip
     chart = picture("Thickness of the sections of each link, as a factor of the given thickness", PICTURE)
     table = "\n".join(markdown_table(heads, cells))
