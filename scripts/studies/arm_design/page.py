@@ -14,16 +14,16 @@ from studies.screen import picture, screen
 PICTURE = "arm_design.svg"
 QUESTION = "How much stiffer and faster does the paper's arm become at equal mass if the thickness of its links varies?"
 ANSWER = """**With the mass of each link kept, the arm optimised for its first frequency has a frequency {frequency:.0%}
-higher and settles {quicker:.0%} sooner: in {after:.1f} s in place of {before:.1f} s (median of {episodes} simulated slews,
-gains optimised alike).** If mass may also move between the links, the frequency is {free:.0%} higher."""
+higher and settles {quicker:.0%} sooner: in {after:.1f} s in place of {before:.1f} s (median of {episodes} simulated
+slews, gains optimised alike).** If mass may move between the links, the frequency is {free:.0%} higher."""
 BODY = """{picture}
 
 {table}
 
 The arm is that of `FlexRRR-v0` with the possible area of link 1 (`link1_area="corrected"`); with the gains of
 `FlexRRR-v0` it settles in {named:.1f} s. `flexman optimise arm FILE --sections {sections}` varies the sections between
-half and twice the given thickness. Both dimensions of a section grow alike, because the paper has no outlines. The arms
-have at most the given mass. Gears are between half and twice the given ratios and multiply the torque limits.
+half and twice the given thickness, both dimensions alike. The arms have at most the given mass. Gears are between half
+and twice the given ratios and multiply the torque limits.
 
 The claim is that of a linear model: held motors and zero joint angles for the frequency, two goal postures for the
 settling time. Optima are local. Stress and buckling are not limited, and motors do not saturate in the model. The
@@ -59,7 +59,7 @@ def draw(rows: Sequence[ProfileRow], target: Path) -> None:
     for axes, name in zip(panels, names, strict=True):
         for link, colour in zip((1.0, 2.0, 3.0), LINK_COLOURS, strict=False):
             factors = [row.thickness for row in rows if row.design == name and row.link == link]
-            axes.stairs(factors, np.linspace(0.0, 1.0, len(factors) + 1), baseline=None, color=colour, linewidth=1.6,
+            axes.stairs(factors, np.linspace(0.0, 1.0, len(factors) + 1), baseline=None, color=colour, linewidth=1.6, zorder=3,
                         label=f"link {link:g}")  # fmt: skip
         axes.set(title=name, xlabel="position / length of the link", ylim=(0.0, 2.1))
     panels[0].set_ylabel("thickness / given thickness")
