@@ -10,14 +10,14 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from flexman_gym import __version__, commands
-from flexman_gym.common.renamed import OPTIONS, warn_deprecated
+from flexman_gym.common.renamed import COMMANDS, OPTIMISED, OPTIONS, warn_deprecated
 
 COMMAND_GROUPS = {  # group -> commands, in the order of the help
     "start": ("demo", "check", "compile", "list", "verify"),
     "learn": ("train", "imitate", "search", "enjoy"),
     "evaluate": ("evaluate", "league", "certify", "why"),
     "simulate": ("simulate", "choose", "precision", "draw"),
-    "control": ("tune", "optimise", "resonance"),
+    "control": ("optimise", "resonance"),
     "data": ("record", "replay", "export"),
 }
 MAX_SUMMARY = 65  # characters; longest summary of a command in the help, for a terminal of 80 columns
@@ -66,12 +66,20 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _present_options(arguments: list[str]) -> list[str]:
-    """Return a command line with present names of options, with a DeprecationWarning for each old name."""
-    names, result = OPTIONS.get(arguments[0], {}) if arguments else {}, []
-    for word in arguments:
+    """Return a command line with present names of commands and options, with a DeprecationWarning for each old name."""
+    if not arguments:
+        return []
+    command, *words = arguments
+    old = "optimise ENVIRONMENT" if command == "optimise" and words and not words[0].startswith("-") else command
+    if old in COMMANDS and not (command == "optimise" and words[0] in OPTIMISED):
+        warn_deprecated(f"flexman {old} is flexman {COMMANDS[old]} now")
+        command, added = COMMANDS[old].split()[:2]
+        words = [added, *words]
+    names, result = OPTIONS.get(command, {}), [command]
+    for word in words:
         name, mark, value = word.partition("=")
         if name in names:
-            warn_deprecated(f"flexman {arguments[0]}: {name} is {names[name]} now")
+            warn_deprecated(f"flexman {command}: {name} is {names[name]} now")
         result.append(names.get(name, name) + mark + value)
     return result
 

@@ -61,6 +61,7 @@ def migration_page() -> str:
         "Ranges in `unknown=` of a base controller": ("", {"": {new: old for old, new in ranges.items()}}),
         "Integration methods": ("", {"": renamed.METHODS}),
         "Settings of training runs": ("", {"": renamed.RUN_SETTINGS}),
+        "Commands of `flexman`": ("", {"": renamed.COMMANDS}),
         "Options of commands": ("command", renamed.OPTIONS),
         "Columns of league rows": ("", {"": renamed.LEAGUE_COLUMNS}),
         "Keys of certificates": ("", {"": renamed.CERTIFICATE_KEYS}),

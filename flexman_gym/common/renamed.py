@@ -84,6 +84,10 @@ OPTIONS = {
     "train": {"--judge-every": "--eval-every"},
 }
 """Command -> old option or value on its command line -> present one."""
+COMMANDS = {"tune": "optimise gains", "optimise ENVIRONMENT": "optimise slews ENVIRONMENT"}
+"""Old command -> present command; a word in capitals stands for one that is none of OPTIMISED."""
+OPTIMISED = ("slews", "gains", "arm")
+"""First words of `flexman optimise`."""
 STATE_FIELDS = {
     "_apart": "_perturbations_reduced", "_following": "_paths", "_given_up": "_fallback_active", "_known": "_latest",
     "_looked": "_updated", "_own_coordinates": "_adapted_coordinates", "_own_torques": "_adapted_torques",

@@ -133,7 +133,7 @@ BASES: dict[str, _BaseEntry] = {
         (),
         ("stiffness", "damping"),
         "a PD of the motors, with gains for each arm, task and delay",
-        "by `flexman tune`, about half a minute of computing time per environment, on the seeds 0 to 7",
+        "by `flexman optimise gains`, about half a minute of computing time per environment, on the seeds 0 to 7",
     ),
     "pd-torque": _BaseEntry(
         TorqueFeedbackPD,
@@ -164,7 +164,7 @@ BASES: dict[str, _BaseEntry] = {
         ("model", "true state", "its episodes"),
         ("table",),
         "a replay of the fastest slew found by optimisation for each episode",
-        "by `flexman optimise` on the test episodes themselves: a bound, not a competitor",
+        "by `flexman optimise slews` on the test episodes themselves: a bound, not a competitor",
     ),
     "adaptive-lqr": _BaseEntry(
         _adaptive,

@@ -2,6 +2,7 @@
 
 from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.evaluation.agent import BASELINES, AgentSpec, find_agent
+from flexman_gym.evaluation.arm_design import ArmDesign, optimise_arm
 from flexman_gym.evaluation.episode_sensitivities import sensitivities
 from flexman_gym.evaluation.metrics import METRICS, Metric, evaluate, metrics_table
 from flexman_gym.evaluation.optimisation import TunedGains, tune
@@ -11,6 +12,7 @@ __all__ = [
     "BASELINES",
     "METRICS",
     "AgentSpec",
+    "ArmDesign",
     "EpisodeRecord",
     "Metric",
     "Rollout",
@@ -18,6 +20,7 @@ __all__ = [
     "evaluate",
     "find_agent",
     "metrics_table",
+    "optimise_arm",
     "rollout",
     "sensitivities",
     "tune",

@@ -29,6 +29,7 @@ from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.agent import split_interface
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollout import rollout
+from flexman_gym.model.model import Model
 from flexman_gym.simulation.batch import Batch
 
 MIN_MARGINS = Margins(2.0, 30.0)  # 1, degrees; smallest gain margin and phase margin of candidate gains
@@ -127,14 +128,20 @@ def motor_loops(environment: Configuration) -> list[SampledLoop]:
     With Coulomb friction, each posture has a loop for every set of motors that stick while the rest slide, see
     `control.margins`.
     """
+    postures, model = goal_postures(environment)
+    timing = environment.control_period, environment.max_delay, environment.drive_bandwidth
+    return [loop for posture in postures for loop in sampled_loops(model, posture, *timing)]
+
+
+def goal_postures(environment: Configuration) -> tuple[Array, Model]:
+    """Return the goals (4, n), rad, of episodes with seeds 0 to 3, and the model of the environment."""
     without_interface = split_interface(environment)[0]  # a base controller could need the gains that are being tuned
     venv = gym.make_vec(environment.id, POSTURES, "vector_entry_point", **without_interface.keywords())
     venv.reset(seed=list(range(POSTURES)))  # type: ignore[arg-type]
     episodes = venv.unwrapped.episodes  # type: ignore[attr-defined]
     postures, model = episodes.view.goal_angles.copy(), episodes.batch.model
     venv.close()
-    timing = environment.control_period, environment.max_delay, environment.drive_bandwidth
-    return [loop for posture in postures for loop in sampled_loops(model, posture, *timing)]
+    return postures, model
 
 
 def _draw_gains(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Array]) -> Array:

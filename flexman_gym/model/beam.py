@@ -281,7 +281,7 @@ def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True
     size = NODE_COORDINATES * (len(parts) + 1)
     stiffness = np.zeros((size, size))
     for element in parts:
-        stiffness[element.nodes, element.nodes] += _element_stiffness(element.section, element.length)
+        stiffness[element.nodes, element.nodes] += element_stiffness(element.section, element.length)
     points, (polar, twist), stations = inboard_masses(link, parts, rotary_inertia)
     masses, positions, shapes = points
     free = slice(NODE_COORDINATES, size if flexible else NODE_COORDINATES)
@@ -301,7 +301,7 @@ def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True
     )
 
 
-def _element_stiffness(section: Link, length: float) -> Array:
+def element_stiffness(section: Link, length: float) -> Array:
     """Return the stiffness matrix (12, 12) of an element: axial, St Venant torsion, and bending in two planes.
 
     Args:

@@ -12,6 +12,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.__main__ import COMMAND_GROUPS, main
 from flexman_gym.commands.list import KINDS
+from flexman_gym.common.renamed import OPTIMISED
 from flexman_gym.control import BASES
 from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.configuration import Configuration
@@ -59,13 +60,29 @@ def test_help_has_every_command_in_one_group_and_a_line(capsys):
 
 
 @pytest.mark.parametrize(("typed", "meant"), [("trian", "train"), ("eval", "evaluate"), ("sim", "simulate"),
-                                              ("optimize", "optimise"), ("tuen", "tune")])  # fmt: skip
+                                              ("optimize", "optimise"), ("resonanse", "resonance")])  # fmt: skip
 def test_a_misspelt_command_is_answered_with_the_nearest(typed, meant, capsys):
     with pytest.raises(SystemExit) as stop:
         main([typed, "--help"])
     line = capsys.readouterr().err.splitlines()[-1]
     assert stop.value.code == 2 and line.startswith("flexman: error: command: ")
     assert f"the nearest is {meant}" in line and typed in line
+
+
+def test_old_commands_reach_the_present_ones_with_a_warning(capsys):
+    """Both end at the unknown environment; every kind of optimisation has its help."""
+    with (
+        pytest.warns(DeprecationWarning, match="flexman tune is flexman optimise gains now"),
+        pytest.raises(SystemExit),
+    ):
+        main(["tune", "FlexPlanar-v9"])
+    with pytest.warns(DeprecationWarning, match="is flexman optimise slews ENVIRONMENT now"):
+        assert main(["optimise", "FlexPlanar-v9", "--out", "slews.npz"]) == 2
+    assert capsys.readouterr().err.count("FlexPlanar-v9: there is no such file") == 2
+    for kind in OPTIMISED:
+        with pytest.raises(SystemExit) as stop:
+            main(["optimise", kind, "--help"])
+        assert stop.value.code == 0 and len(capsys.readouterr().out.splitlines()) <= SCREEN
 
 
 def test_the_version_is_that_of_the_package(capsys):
@@ -233,7 +250,7 @@ LEAGUE = ROOT / "docs" / "league"
         (["simulate", SCENE, "--method", "rk5"], "method: 'rk5' is not allowed; give one of "),
         (["choose", SCENE, "--tolerance", "0"], "tolerance: 0.0 is not allowed; give a finite number > 0"),
         (["precision", SCENE, "--method", "rk5"], "method: 'rk5' is not allowed; give one of "),
-        (["tune", "FlexPlanar-v9"], "FlexPlanar-v9: there is no such file; give one, or one of "),
+        (["optimise", "gains", "FlexPlanar-v9"], "FlexPlanar-v9: there is no such file; give one, or one of "),
         (["list", "robots"], "what: robots is not allowed; give some of environments, "),
     ],
 )

@@ -150,7 +150,7 @@ def test_tuning_finds_gains_that_beat_most_and_finds_them_again(monkeypatch):
 def test_tune_prints_the_line_for_a_file(run, monkeypatch):
     found = optimisation.TunedGains((31.26, 0.123), (7.0, 2.0), 9.0, optimisation.MIN_MARGINS)
     monkeypatch.setattr(optimisation, "tune", lambda *_, **__: found)
-    _, out, _ = run("tune", "FlexPlanar-v0")
+    _, out, _ = run("optimise", "gains", "FlexPlanar-v0")
     (line,) = (line for line in out.splitlines() if "file" in line)
     own = Configuration("FlexPlanar-v0", files.parse_yaml(line.partition(": ")[2]))
     assert own.pd_gains == {"stiffness": (31.3, 0.123), "damping": (7.0, 2.0)}

@@ -65,7 +65,7 @@ def test_an_arm_may_be_named_wherever_one_is_taken(tmp_path):
 
 def test_gains_of_another_arm_are_found_by_a_command():
     line = refusal(lambda: gym.make("FlexPlanar-v0", arm=OWN, base="pd"))
-    assert line.startswith("gains: ") and "flexman tune" in line
+    assert line.startswith("gains: ") and "flexman optimise gains" in line
 
 
 def test_a_control_period_in_ms_is_warned_of_once():

@@ -3,6 +3,8 @@
 import pytest
 
 from flexman_gym.verification.table import VerificationRow
+from studies.arm_design.measure import DesignRow, ProfileRow
+from studies.arm_design.page import page as arm_design_page
 from studies.benchmark.endurance import EnduranceRow
 from studies.benchmark.measure import BenchmarkRow
 from studies.benchmark.page import page as benchmark_page
@@ -40,6 +42,7 @@ PAGES = {
 }
 SCREENS = {  # page -> function of its rows, and files and types of the rows
     "accuracy": (accuracy_page, {"accuracy": Errors}),
+    "arm_design": (arm_design_page, {"arm_design": DesignRow, "arm_design_profiles": ProfileRow}),
     "benchmark": (benchmark_page, {"benchmark": BenchmarkRow, "endurance": EnduranceRow}),
     "faults": (faults_page, {"faults": Fault}),
     "fidelity": (fidelity_page, {"fidelity": FidelityRow, "fidelity_open": FidelityRow}),

@@ -262,7 +262,7 @@ class SingleShooting:
 SHIPPED_TABLE = Path(__file__).parent / "tables" / "FlexRRR-v0.npz"  # optimised slews of the seeds 9000 to 9099
 POSTURE_TOLERANCE = 1e-9  # rad; largest difference of equal postures
 ARM_TOLERANCE = 1e-9  # dimensionless; largest relative difference of the numbers of equal arms
-COMMAND = "flexman optimise ENVIRONMENT --seeds FIRST COUNT --out FILE"
+COMMAND = "flexman optimise slews ENVIRONMENT --seeds FIRST COUNT --out FILE"
 ENTRIES = ("about", "arm", "seeds", "ends", "periods", "times", "counts", "knots")  # arrays of a file
 
 

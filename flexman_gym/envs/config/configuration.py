@@ -328,7 +328,7 @@ class Configuration(EnvironmentSettings):
         named, gains = NAMED_ENVIRONMENTS[self.id], self.gains
         if gains is None:
             if _tuned_parts(self.arm) != _tuned_parts(named.arm):
-                allowed = f"those of this arm, which flexman tune finds: {self.id} has other links or motors"
+                allowed = f"those of this arm, which flexman optimise gains finds: {self.id} has other links or motors"
                 raise value_error("gains", None, allowed)
             return dict(named.pd)
         gains = mapping("gains", gains, ("stiffness", "damping"))

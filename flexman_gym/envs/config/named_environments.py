@@ -24,7 +24,7 @@ class _NamedEnvironment:
 
     Attributes:
         arm: robot arm whose joints have torque limits.
-        pd: gains of the PD controller tuned for the arm by `flexman tune ID`: stiffness (N m/rad) and damping
+        pd: gains of the PD controller tuned for the arm by `flexman optimise gains ID`: stiffness (N m/rad) and damping
             (N m s/rad), one for each joint. Its sampled loop has a gain margin of 2 and a phase margin of 30 degrees.
         task: see `Configuration`.
         sensors: see `Configuration`.

@@ -1,0 +1,1 @@
+"""Study of arms whose thickness is optimised."""
