@@ -171,10 +171,10 @@ def aligned_zeros(shape: tuple[int, ...], lanes: int = ARMS_PER_GROUP) -> Array:
 
 def tangent_constants(constants: Constants, own: frozenset[str] = PER_ARM) -> Constants:
     """Return the constants of a group `lanes.TANGENTS` with derivatives of zero; those named `own` have some."""
-    own: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in own}
-    for name, values in own.items():
+    groups: dict[str, Any] = {name: aligned_zeros(getattr(constants, name).shape) for name in own}
+    for name, values in groups.items():
         values[..., 0] = getattr(constants, name)
-    return constants._replace(**own)
+    return constants._replace(**groups)
 
 
 def address_table(arrays: NamedTuple, element: types.Type, own: frozenset[str] = PER_ARM) -> IntArray:
