@@ -16,8 +16,9 @@ def main() -> None:
     options = parser.parse_args()
     files = options.folder / "arm_design.csv", options.folder / "arm_design_profiles.csv"
     if not options.redraw:
-        for result, file in zip(rows(), files, strict=True):
-            write_rows(result, file, 6, computer_text())
+        results, shapes = rows()
+        write_rows(results, files[0], 6, computer_text())
+        write_rows(shapes, files[1], 6, computer_text())
     designs, profiles = read_rows(files[0], DesignRow), read_rows(files[1], ProfileRow)
     draw(profiles, options.folder)
     (options.folder / "arm_design.md").write_text(page(designs, profiles, read_comments(*files)), encoding="utf-8")

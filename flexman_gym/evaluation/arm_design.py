@@ -89,10 +89,16 @@ def optimise_arm(
         The design and its environment.
 
     Raises:
-        ValueError: for an unknown metric, bounds without 1, "mass" without a load, and "settling" for a task other than
-            slews.
+        ValueError: for an unknown metric, bounds without 1, "mass" without a load, "settling" for a task other than
+            slews, and for an arm with a rigid link, a passive joint or a motor driven by a voltage.
     """
     environment = Configuration.find(environment)
+    motors = [joint.motor for joint in environment.arm.joints if joint.motor]
+    if not all(link.flexible for link in environment.arm.links) or any(motor.resistance for motor in motors) or any(
+        joint.passive for joint in environment.arm.joints
+    ):  # fmt: skip
+        allowed = "one whose links are flexible, whose joints have motors, and whose motors have no resistance"
+        raise value_error("environment", environment.id, allowed)
     arm = divide_links(environment.arm, whole_number("sections", sections, 1, MAX_SECTIONS))
     force = np.array(vector("tip_force", tip_force, 3, "N"))
     low, high = np.log([_factors("thickness", thickness), _factors("gears", gears)]).T

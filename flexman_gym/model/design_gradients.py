@@ -22,9 +22,9 @@ from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.model.beam import element_stiffness
 from flexman_gym.model.component_modes import zero_pose_rotations
 from flexman_gym.model.dynamics import damping_matrix, inertial_forces, mass_matrix, stiffness_matrix
-from flexman_gym.model.element import GAUSS_POINTS, NODE_COORDINATES, beam_shapes
+from flexman_gym.model.element import GAUSS_POINTS, NODE_COORDINATES
 from flexman_gym.model.model import build_model
-from flexman_gym.model.natural_modes import natural_modes
+from flexman_gym.model.state_space import natural_modes
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import SERIES_TERMS, Link, NonUniformLink, Outline
@@ -201,7 +201,8 @@ class DesignModel:
             rotation = rotation @ mount @ Rotation.from_rotvec(angles[i] * constants.axis[i]).as_matrix()
             spin[:, i] += rotation @ constants.axis[i]
             columns = self.model.elastic_columns(i)
-            for section, start, length, nodes in self.model.elements(i):
+            for element in self.model.elements(i):
+                section, start, length, nodes = element
                 first = columns.start - NODE_COORDINATES  # of the clamped node, which is no coordinate
                 free = slice(max(first + nodes.start, columns.start), first + nodes.stop)
                 inner = slice(-(free.stop - free.start), None)  # without the clamped node
@@ -211,7 +212,7 @@ class DesignModel:
                     for row, (y, z) in enumerate(((0.0, 0.0), (0.0, 1.0), (1.0, 0.0))):
                         point = rotation @ [start + xi * length, y, z]
                         motion[row] = origin - np.cross(point, spin, axisb=0, axisc=0)
-                        motion[row][:, free] += rotation @ beam_shapes(xi, length, y, z)[:, inner]
+                        motion[row][:, free] += rotation @ element.shapes(xi, y, z)[:, inner]
                     motion[1:] -= motion[0]
                     share = weight * length * section.density
                     unit_mass[number] += share * np.einsum("kia,kib->kab", motion, motion)

@@ -9,8 +9,7 @@ from flexman_gym.__main__ import main
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.arm_design import optimise_arm
 from flexman_gym.model.beam import element_stiffness
-from flexman_gym.model.element import beam_shapes, beam_slopes
-from flexman_gym.model.natural_modes import natural_modes
+from flexman_gym.model.state_space import natural_modes
 
 from oracles.assertions import refusal
 
@@ -68,11 +67,12 @@ def energy_densities(arm):
     mode[free] = shapes[:, 0]
     nodes, result = np.concatenate([np.zeros(6), mode[model.elastic_columns(0)]]), []
     points, weights = np.polynomial.legendre.leggauss(6)
-    for section, start, length, place in model.elements(0):
+    for element in model.elements(0):
+        section, start, length, place = element
         own, kinetic = nodes[place], 0.0
         for xi, weight in zip((1.0 + points) / 2.0, weights / 2.0, strict=True):
-            sideways = mode[0] * (start + xi * length) + beam_shapes(xi, length, 0.0, 0.0)[1] @ own
-            turn = mode[0] + beam_slopes(xi, length)[0] @ own
+            sideways = mode[0] * (start + xi * length) + element.shapes(xi)[1] @ own
+            turn = mode[0] + element.slopes(xi)[0] @ own
             # the second moment of area grows with the cube of the thickness
             rotary = 3.0 * section.second_moment_z / section.area * turn**2
             kinetic += weight * section.mass * (sideways**2 + rotary)
@@ -148,6 +148,7 @@ def test_a_design_for_settling_settles_sooner_when_it_is_simulated(tmp_path, cap
 @pytest.mark.parametrize(
     ("environment", "keywords", "line"),
     [
+        ("FlexRotary-v0", {}, "environment: 'FlexRotary-v0' is not allowed; give one whose links are flexible"),
         ("FlexOne-v0", {"metric": "stress"}, "metric: 'stress' is not allowed"),
         ("FlexOne-v0", {"sections": 0}, "sections: 0 is not allowed"),
         ("FlexOne-v0", {"thickness": (0.5, 0.9)}, "thickness: (0.5, 0.9) is not allowed; give the smallest factor"),

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from flexman_gym.common.arrays import Vector
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.arm_design import optimise_arm
@@ -66,18 +64,17 @@ class ProfileRow:
 
 def given_environment() -> Configuration:
     """Return the environment with the corrected area of link 1: a cross-section with the printed area is impossible."""
-    arm = {"catalog": "paper_rrr", "link1_area": "corrected"}
-    named = Configuration(ENVIRONMENT)
-    arm |= {"rotor_inertia": 10.0, "torque_limit": 400.0, "modal_damping_ratio": 0.005}
-    return Configuration(ENVIRONMENT, {"arm": arm, "gains": named.pd_gains})
+    rotor = {"rotor_inertia": 10.0, "torque_limit": 400.0, "modal_damping_ratio": 0.005}
+    arm = {"catalog": "paper_rrr", "link1_area": "corrected", **rotor}
+    return Configuration(ENVIRONMENT, {"arm": arm, "gains": Configuration(ENVIRONMENT).pd_gains})
 
 
 def rows() -> tuple[list[DesignRow], list[ProfileRow]]:
     """Return the rows of all designs and their profiles."""
     given, profiles = given_environment(), []
-    arms = {GIVEN: (given, np.ones(given.arm.n_joints))}
-    for name, (metric, keep, gears) in DESIGNS.items():
-        found = optimise_arm(given, metric, SECTIONS, gears=gears, keep=keep)
+    arms: dict[str, tuple[Configuration, Vector]] = {GIVEN: (given, [1.0] * given.arm.n_joints)}
+    for name, (metric, keep, bounds) in DESIGNS.items():
+        found = optimise_arm(given, metric, SECTIONS, gears=bounds, keep=keep)
         arms[name] = found.environment, found.gears
         profiles += [
             ProfileRow(name, link, section, factor)

@@ -59,8 +59,8 @@ def draw(rows: Sequence[ProfileRow], target: Path) -> None:
     for axes, name in zip(panels, names, strict=True):
         for link, colour in zip((1.0, 2.0, 3.0), LINK_COLOURS, strict=False):
             factors = [row.thickness for row in rows if row.design == name and row.link == link]
-            axes.stairs(factors, np.linspace(0.0, 1.0, len(factors) + 1), baseline=None, color=colour, linewidth=1.6, zorder=3,
-                        label=f"link {link:g}")  # fmt: skip
+            axes.stairs(factors, np.linspace(0.0, 1.0, len(factors) + 1), baseline=None, color=colour, linewidth=1.6,
+                        zorder=3, label=f"link {link:g}")  # fmt: skip
         axes.set(title=name, xlabel="position / length of the link", ylim=(0.0, 2.1))
     panels[0].set_ylabel("thickness / given thickness")
     panels[0].legend(fontsize=8)
