@@ -167,6 +167,7 @@ def rollout(
     seeds: Sequence[int] | int,
     callback: Callable[[Episodes], None] | None = None,
     set_plant: Callable[[Batch], None] | None = None,
+    options: dict[str, Any] | None = None,
 ) -> Rollout:
     """Simulate one episode for each seed, all episodes together, and record every control period.
 
@@ -180,6 +181,7 @@ def rollout(
         callback: function of the simulated `envs.episodes.Episodes`, called after the reset and every control period.
         set_plant: function that makes the simulated `Batch` use another simulation of the arms, see
             `league.scenarios.PLANTS`; None for the integrator of the environment.
+        options: options of the reset, such as start, goal and physical parameters, of all or of each of the arms.
 
     Returns:
         Records of b episodes of at most T control periods: tips (b, T + 1, 3) m, errors (b, T + 1) m, torques
@@ -205,7 +207,7 @@ def rollout(
         set_plant(episodes.batch)
     recorder = _Recorder(episodes, callback)
     episodes.agent.check_law(spec.law)
-    venv.reset(seed=seeds)  # type: ignore[arg-type]
+    venv.reset(seed=seeds, options=options)  # type: ignore[arg-type]
     recorder.begin()
     episodes.callback = recorder.record
     while not recorder.ends.all():  # `venv.step` would reset an arm after the end of its episode

@@ -26,6 +26,7 @@ from flexman_gym.evaluation.policy_files import CERTIFICATE, millimetres, policy
 from flexman_gym.evaluation.rollout import TEST_SEEDS
 from flexman_gym.league.rows import VALUES, EpisodeRow, run_league
 from flexman_gym.league.scenarios import CHANGES, GIVEN, PLANTS, find_scenario
+from flexman_gym.league.worst_case import worst_case
 
 FOLDER = Path("out/certificates")  # rows of the scenarios, in a folder for each policy
 MIN_SETTLED = 0.95  # required share of settled episodes
@@ -53,7 +54,8 @@ def certify(
     The entry "rows" has the metrics of each scenario, and under "fails" of a row its values beyond a limit, with the
     limits. The entry "fails" has the names of the scenarios that count and exceed a limit, with their seeds. All
     scenarios count but for changes without "+given", where the controller is designed for the environment before the
-    change.
+    change. In the last row, the search for the worst episodes, "worst" has the worst random episodes, and "worst_case"
+    the physical parameters, start and goal with the largest final error found by gradient ascent, see `worst_case`.
 
     Limits of each scenario: at least 95 % of the episodes settle; no episode ends at a limit of the environment; the
     median settling time is at most 1.3 times that in the environment of the training; the median vibration (peak to
@@ -89,6 +91,7 @@ def certify(
         result.append(_certificate_row(scenario, each, rows, reference[: len(rows)], reach))
         log(_row_text(result[-1]))
     result[-1]["worst"] = _worst_episodes(rows)
+    result[-1]["worst_case"] = worst_case(name, find_scenario(environment).environment, SEARCH_SEED)
     about = {
         "arrays_hash": about["arrays_hash"],
         "computer": computer_info(),

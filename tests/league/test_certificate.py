@@ -35,6 +35,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(policy_files, "FOLDER", tmp_path)
     monkeypatch.setattr(certificate, "METHOD", "midpoint_2")  # another one compiles for long
     monkeypatch.delitem(certificate.PLANTS, "mujoco")  # and this one plays for long
+    monkeypatch.setattr(certificate, "worst_case", lambda name, environment, seed: {"seed": seed})
     return tmp_path / "still"
 
 
@@ -63,6 +64,7 @@ def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder,
     draws = range(certificate.SEARCH_SEED, certificate.SEARCH_SEED + 6)
     rewards = {seed: fm.evaluate("pd", DESCRIBED, [seed])["reward"] for seed in draws}
     assert [each["seed"] for each in search["worst"]] == sorted(draws, key=rewards.__getitem__)[:5]
+    assert search["worst_case"] == {"seed": certificate.SEARCH_SEED}
     failed = [row["scenario"] for row in result["rows"] if row["fails"]]
     counted = [name for name in failed if "=" not in name or "+given" in name or "/method=" in name]
     assert len(result["fails"]) == len(counted) < len(failed)
