@@ -167,8 +167,9 @@ CASES = {
     "shaped command": (environment(), {**PD, "kind": "pd-shaped"}, ("payload_mass", "damping[0]")),
     "position servo": (environment(), policy(22, 2, sensors="fine", actions={**PD, "kind": "position"}),
         ("payload_mass", "stiffness[0]", "position_2[5]")),
-    "velocity servo": (environment(periods=26, **LIMIT), policy(27, 2, actions={**PD, "kind": "velocity", "range": 10.0}),
-        ("payload_mass", "stiffness[0]", "damping[0]", "velocity_2[5]")),
+    "velocity servo": (environment(periods=26, **LIMIT),
+        policy(27, 2, actions={**PD, "kind": "velocity", "range": 10.0}),
+        ("payload_mass", "stiffness[1]", "damping[0]", "velocity_2[5]")),
     "policy with sensors, history and base": (environment(),
         policy(50, 2, "sac", sensors=DELAYED, history=2, action_repeat=2, base=PD),
         ("payload_mass", "joint_stiffness[1]", "torque_1[3]")),
@@ -285,7 +286,7 @@ class Heavy:
 
 
 @pytest.mark.parametrize("arguments, words", [
-    ({"agent": "adaptive-lqr"}, "agent: 'adaptive-lqr' is not allowed; give one with derivatives: zero, pd, pd-shaped"),
+    ({"agent": "adaptive-lqr"}, "agent: 'adaptive-lqr' is not allowed; give one with derivatives: zero, pd"),
     ({"agent": "mpc"}, "one with derivatives"),
     ({"agent": None}, "agent: None is not allowed; give for an environment an agent alone: zero, pd"),
     ({"step": 0.001}, "step: 0.001 is not allowed; give for an environment an agent alone"),
