@@ -18,6 +18,7 @@ from flexman_gym.control.friction_compensation import (
     FrictionCompensation,
     friction_torques,
     frictionless,
+    mean_friction_derivatives,
     mean_friction_torques,
 )
 from flexman_gym.control.observers.observer import Estimate
@@ -54,6 +55,26 @@ def test_the_mean_friction_is_that_over_a_uniform_change_of_the_rate(before, aft
     mean = np.trapezoid(values, rates) / np.ptp(rates) if np.ptp(rates) > 1e-5 else values[0]
     found = mean_friction_torques(coefficients, np.array([before]), np.array([after]), width)
     assert found == pytest.approx(mean, abs=1e-3)
+
+
+@pytest.mark.parametrize("change", [0.0, 1e-4, 4e-3, 6e-3, 0.3, -2.0])
+def test_derivatives_of_the_mean_friction_are_those_of_extrapolated_differences(change):
+    """Below a hundredth of the width of the smoothed friction, 0.5 rad/s, they follow from a quadrature."""
+    coefficients, width, first = np.array([[0.3], [2.0]]), np.array([0.5]), 0.4
+
+    def torque(by_first, by_last):
+        return mean_friction_torques(coefficients, first + by_first, first + change + by_last, width)
+
+    def differences(step, unit):
+        return (torque(*step * unit) - torque(*-step * unit)) / (2.0 * step)
+
+    changes = np.array([[1.0, 0.0], [0.0, 1.0]])
+    rates = (np.array([[first]]), changes[:, :1]), (np.array([[first + change]]), changes[:, 1:])
+    exact = mean_friction_derivatives(coefficients, *rates, width)
+    for unit, value in zip(changes, exact, strict=True):
+        coarse, middle, fine = (differences(step, unit) for step in (0.04, 0.02, 0.01))
+        best = (16.0 * (4.0 * fine - middle) - (4.0 * middle - coarse)) / 45.0
+        np.testing.assert_allclose(value, best, rtol=1e-6)
 
 
 def test_the_mean_over_a_change_of_sign_does_not_drive_a_motor_and_at_equal_rates_it_is_the_friction():
