@@ -30,7 +30,7 @@ OWN = fm.Arm(
 
 @pytest.mark.parametrize("name", NAMED_ENVIRONMENTS)
 def test_the_specification_of_an_environment_with_an_own_arm_makes_it_again(name):
-    env = gym.make(name, arm=OWN, modes=2, limits=fm.Limits(angle=2.0))
+    env = gym.make(name, arm=OWN, modes=2, actions="torque", limits=fm.Limits(angle=2.0))
     spec = EnvSpec.from_json(env.spec.to_json())
     again = gym.make(spec)
     first, second = env.unwrapped.configuration, again.unwrapped.configuration
@@ -55,7 +55,7 @@ def test_an_arm_may_be_named_wherever_one_is_taken(tmp_path):
     scene.save(tmp_path / "scene.json")
     assert find_arm(str(tmp_path / "scene.json")) == find_arm(json.loads(json.dumps(asdict(arm)))) == arm
     for value, line in (
-        (3, "arm: 3 is not allowed; give an Arm, a mapping, a file, or a name in the catalog: de_luca_siciliano"),
+        (3, "arm: 3 is not allowed; give an Arm, a mapping, a file, or a name in the catalog: apkarian_1998, de_luca_siciliano"),
         ("planar", "arm: 'planar' is not allowed; give one of de_luca_siciliano, flexarm_rome"),
         ({"catalog": "one_link", "links": 2}, "arm: {'links': 2} is not allowed; give the arguments of one_link"),
     ):
