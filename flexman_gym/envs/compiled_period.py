@@ -70,7 +70,7 @@ class CompiledPeriod:
         """Return True if a control period of an environment needs no Python code.
 
         That needs actions that are torques without base and lag, the full state as the only sensor, no history, an
-        action for each control period, and a goal at rest.
+        action for each control period, a goal at rest, and no limits that are recorded.
 
         Args:
             configuration: configuration of the environment.
@@ -86,6 +86,7 @@ class CompiledPeriod:
             and configuration.history == 1
             and configuration.action_repeat == 1
             and not configuration.task.moves
+            and not configuration.limits.recorded
         )
 
     def set_action(self, action: object) -> bool:

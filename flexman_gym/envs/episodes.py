@@ -17,7 +17,7 @@ from flexman_gym.control.controller import Controller, EpisodeInfo
 from flexman_gym.envs.active_effects import ActiveEffects
 from flexman_gym.envs.compiled_period import CompiledPeriod
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.reset_options import TIP_OPTIONS, inverse_kinematics, parse_reset_options
+from flexman_gym.envs.config.reset_options import parse_reset_options, replace_tip_positions
 from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.envs.effects import EffectContext
 from flexman_gym.envs.measurements import Measurements
@@ -31,6 +31,7 @@ from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import UNMODELLED
 
+MAX_DRAWS = 1000  # draws of a task for an episode whose start and goal are in the workspace
 ROUNDING = 1e-6  # largest rounding error of float32 actions near 1
 
 
@@ -109,6 +110,9 @@ class Episodes:
         truncated: (b,) True for an episode that ended after `max_periods` control periods.
         max_periods: control periods after which an episode is truncated.
         callback: function called after every control period; None for no function.
+        limits: limits of the arms.
+        cost: (b,) control periods of the last step with a violation, see `Limits`.
+        excess: (b,) largest excess at the end of the last control period, see `Limits.excess`; 0 if not recorded.
     """
 
     state_fields = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "_ages", "_failed")
@@ -119,7 +123,8 @@ class Episodes:
         self._reward_terms: dict[str, Number] | None = None  # reward terms of the current state; None until needed
         self._current_view: View | None = None
         arms = len(batch.rows)
-        self._limits = np.concatenate(list(configuration.limits.bounds(self.view).values()))
+        self.limits, self.cost, self.excess = configuration.limits, np.zeros(arms), np.zeros(arms)
+        self._limits = np.concatenate(list(self.limits.bounds(self.view).values()))
         self.motors = _Motors(configuration.torque_limit, arms, configuration.lag)
         base, mode = make_base_and_mode(configuration, batch.model)
         own_sensors, mode_sensors = [*configuration.sensors, *configuration.task.sensors], find_sensors(mode.sensors)
@@ -227,9 +232,7 @@ class Episodes:
             ValueError: for options or a start that are not allowed; the episodes of these arms are then over.
         """
         self.over[arms] = True
-        drawn = [self.task.draw(random, self.view) for random in randoms]
-        for each in drawn:
-            self._check_episode_parameters(each)
+        drawn = [self._draw(random) for random in randoms]
         parameters = {name: np.array([each[name] for each in drawn]) for name in drawn[0]} if drawn else {}
         given = parse_reset_options(options, parameters, (len(self.over), self.batch.model.n_joints))
         physical = {name: values[arms] for name, values in given.pop("parameters", {}).items()}
@@ -237,7 +240,7 @@ class Episodes:
             physical = self.effects.draw(arms, randoms, physical)
         if physical:
             self.batch.vary(arms, **physical)
-        parameters = _replace_tip_positions(
+        parameters = replace_tip_positions(
             parameters | {name: values[arms] for name, values in given.items()}, self.view
         )
         self._set_goal(arms, parameters)
@@ -247,8 +250,8 @@ class Episodes:
         self.batch.reset(arms, start)
         self.motors.reached[arms] = 0.0
         self.view.effort[arms], self.view.failed[arms], self.view.action[arms] = 0.0, False, 0.0
-        self._ages[arms], self.truncated[arms] = 0, False
-        self.view.read()
+        self._ages[arms], self.truncated[arms], self.cost[arms] = 0, False, 0.0
+        self.view.refresh()
         self.clear_cache()
         self.measurements.begin(arms, randoms)
         self._check_start(arms, options)
@@ -257,11 +260,19 @@ class Episodes:
         self._observe(np.isin(np.arange(len(self.over)), arms))
         self.over[arms] = False
 
-    def _check_episode_parameters(self, parameters: object) -> None:
-        """Check that the parameters drawn by a task contain a start with n motor angles."""
-        n = self.batch.model.n_joints
-        if not isinstance(parameters, dict) or np.shape(parameters.get("start", ())) != (n,):
-            raise value_error("task.draw", parameters, f'a dict with "start", {n} motor angles (rad)')
+    def _draw(self, random: np.random.Generator) -> dict[str, Array]:
+        """Return the parameters drawn by the task for one episode, with start and goal in the workspace."""
+        n, view, limits = self.batch.model.n_joints, self.view, self.limits
+        for _ in range(MAX_DRAWS):
+            drawn = self.task.draw(random, view)
+            if not isinstance(drawn, dict) or np.shape(drawn.get("start", ())) != (n,):
+                raise value_error("task.draw", drawn, f'a dict with "start", {n} motor angles (rad)')
+            if limits.workspace is None:
+                return drawn
+            goal = self.task.goal({name: value[None] for name, value in drawn.items()}, np.zeros(1), view).target
+            if limits.contains(np.concatenate([goal, view.rest_tips(drawn["start"][None])])):
+                return drawn
+        raise value_error("limits.workspace", limits.workspace, f"one with start and goal in some of {MAX_DRAWS} draws")
 
     def _set_goal(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
         """Store the parameters (r, ...) of new episodes of the arms (r,) and set their goals."""
@@ -297,6 +308,7 @@ class Episodes:
         its last state. The result of an arm without a running episode is undefined.
         """
         self.agent.command = commands
+        self.cost[:] = 0.0
         if self.agent.action_repeat == 1:
             self._advance(self._all)
             self._end_episodes(self._all, last=True)
@@ -367,12 +379,29 @@ class Episodes:
         observations, bound = self._no_observations, self._no_bounds
         if last:
             observations, bound = self.measurements.read(), self.sensors.bound
-        if kernels.flag_violations(view.motion, self._limits, observations, bound, self.batch.status, self._violated):
+        flagged = kernels.flag_violations(
+            view.motion, self._limits, observations, bound, self.batch.status, self._violated
+        )
+        if flagged + self._charge(moving):
             self._fail(np.flatnonzero(self._violated & moving))
         if kernels.count_episode_periods(self._ages, moving, self.max_periods, self.truncated):
             self.over |= self.truncated
         if self.callback is not None:
             self.callback()
+
+    def _charge(self, moving: BoolArray) -> int:
+        """Add violations by moving arms (b,) to the cost; flag and count the arms whose episodes they end."""
+        limits = self.limits
+        if not limits.recorded:
+            return 0
+        self.excess = limits.excess(self.view)
+        beyond = moving & (self.excess > 0.0)
+        if limits.on_violation != "record":
+            self.cost += beyond
+        if limits.on_violation != "end":
+            return 0
+        self._violated |= beyond
+        return np.count_nonzero(beyond)
 
     def _move_goals(self, moving: BoolArray) -> None:
         """Set the goals at the current time and their rates, for the moving arms (b,)."""
@@ -402,8 +431,9 @@ class Episodes:
     def _violation(self, arm: int) -> str:
         """Describe the first limit or sensor bound exceeded by an arm; "" if it is within all of them."""
         view, sensors = self.view, self.sensors
-        failure = _limit_violation(view.motion[arm], self._limits, view.slices, view.units)
-        return failure or _limit_violation(sensors.observations[arm], sensors.bound, sensors.slices, sensors.units)
+        failure = self.limits.describe(view.motion[arm], self._limits, view.slices, view.units)
+        failure = failure or self.limits.violation(view, arm)
+        return failure or self.limits.describe(sensors.observations[arm], sensors.bound, sensors.slices, sensors.units)
 
     @property
     def current_view(self) -> View:
@@ -448,28 +478,15 @@ class Episodes:
             "energy_alarm": abs(residual) > self._energy_alarm * view.energy_turnover,
             "reward_terms": dict(self.reward_terms),
         }
+        if self.limits.recorded:
+            info |= {"limits": self.limits.distances(view), "cost": self.cost.copy()}
+            if len(self.over) == 1:
+                info["cost"] = self.cost.item()
         for name, value in self.task.info(view).items():
             info[name] = copy(value)  # as the arrays of a view change
         for name in self._info_keys:
             info[name] = copy(getattr(view, name))
         return info
-
-
-def _limit_violation(values: Array, bound: Array, slices: dict[str, slice], units: dict[str, str]) -> str:
-    """Return name, value, unit and bound of the first value beyond its bound as text; "" if there is none.
-
-    Args:
-        values: (size,) values.
-        bound: (size,) largest magnitudes.
-        slices: name of a quantity -> slice of the values.
-        units: name of a quantity -> unit.
-    """
-    inside = np.abs(values) <= bound
-    if inside.all():
-        return ""
-    first = int(np.argmin(inside))
-    name = next(name for name, columns in slices.items() if first < columns.stop)
-    return f"{name} {values[first]:.4g} {units[name]} beyond {bound[first]:.4g}"
 
 
 def _goal_path(task: Task, parameters: Mapping[str, Array], periods: int, view: View) -> Array:
@@ -478,17 +495,3 @@ def _goal_path(task: Task, parameters: Mapping[str, Array], periods: int, view: 
     repeated = [{name: np.repeat(values[i : i + 1], len(times), 0) for name, values in parameters.items()}
                 for i in range(count)]  # fmt: skip
     return np.array([task.goal(each, times, view).angles for each in repeated])
-
-
-def _replace_tip_positions(parameters: Mapping[str, Array], view: View) -> dict[str, Array]:
-    """Return episode parameters with postures (r, n), rad, in place of tip positions (r, 3), m, see TIP_OPTIONS.
-
-    The inverse kinematics of a goal begins at the start posture, the inverse kinematics of a start at zero angles.
-    """
-    result = dict(parameters)
-    for name, posture in TIP_OPTIONS.items():
-        if name in parameters:
-            near = result["start"] if posture != "start" else np.zeros((len(parameters[name]), view.n_joints))
-            pairs = zip(result.pop(name), near, strict=True)
-            result[posture] = np.array([inverse_kinematics(f"options[{name!r}]", *pair, view) for pair in pairs])
-    return result

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from flexman_gym.kernels.rigid_arm import inverse_kinematics as solve_inverse_ki
 from flexman_gym.model.deformation import gauge_radii
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurements
+from flexman_gym.model.model import Model
 from flexman_gym.model.statics import rest_state, rest_tips
 from flexman_gym.simulation.batch import Batch
 
@@ -87,6 +89,7 @@ class View:
         model, constants, arms = batch.model, batch.model.constants, len(batch.rows)
         self._batch = batch
         self._one: View | None = None
+        self._springs: tuple[Array, ...] | None = None  # constants of the joint springs of the arms; None until needed
         self.n_joints, self.control_period = model.n_joints, batch.control_period
         self.lengths, self.reach = constants.length, float(constants.length.sum())
         self.has_gravity = bool(constants.gravity.any())
@@ -157,6 +160,14 @@ class View:
         """Strains (b, 3 n), m/m, at the root of each link, computed at each access; see `deformation.root_gauges`."""
         result = np.zeros((len(self._batch.rows), 3 * self.n_joints))
         sparse_product(self._batch.rows, *self._measurements.strains, result)
+        return result if self.motion.ndim > 1 else result[0]
+
+    @property
+    def spring_torques(self) -> Array:
+        """Torques (b, n) of the joint springs, N m, computed at each access; 0 for rigid joints."""
+        if self._springs is None:
+            self._springs = self._batch.spring_constants()
+        result = _spring_torques(self._batch.model, *self._springs, np.atleast_2d(self.joint_twists))
         return result if self.motion.ndim > 1 else result[0]
 
     @property
@@ -233,8 +244,8 @@ class View:
         return one
 
     def refresh(self) -> None:
-        """Compute all quantities again after the state of the batch was replaced."""
-        self._one = None
+        """Compute all quantities again after the state or parameters of the batch were replaced."""
+        self._one = self._springs = None
         self.read()
 
     def _make_single(self) -> "View":
@@ -246,3 +257,19 @@ class View:
             setattr(one, name, value[0] if isinstance(value, np.ndarray) and value.ndim > 1 else value)
         one.episode_parameters = {}
         return one
+
+
+def _spring_torques(model: Model, stiffness: Array, knees: Array, shares: Array, twists: Array) -> Array:
+    """Return the torques (b, n) of the joint springs of b arms at twists (b, n), as `kernels.forces.spring_torque`."""
+    result = stiffness * twists
+    for i, (start, stop) in enumerate(pairwise(model.constants.knee_start.tolist())):
+        if stop > start:
+            width, places, twist = model.constants.knee_width[i], knees[:, start:stop], twists[:, i : i + 1]
+            above, below = (_ramp(each - places, width) for each in (twist, -twist))
+            result[:, i] = stiffness[:, i] * np.sum(shares[:, start:stop] * (above - below), axis=1)
+    return result
+
+
+def _ramp(values: Array, width: float) -> Array:
+    """Return the rounded ramp of `kernels.forces._ramp`."""
+    return (np.clip(values, -width, width) + width) ** 2 / (4.0 * width) + np.maximum(values, width) - width

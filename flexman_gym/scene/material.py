@@ -18,6 +18,8 @@ MATERIALS = {
     "steel": Material(205.0e9, 80.0e9, 7850.0),
     "titanium": Material(113.8e9, 44.0e9, 4430.0),
 }
+YIELD_STRENGTHS = {"aluminium": 276e6, "steel": 435e6, "titanium": 880e6}  # Pa; same data sheets, see `find_material`
+YIELD_STRAINS = {name: yield_ / MATERIALS[name].youngs_modulus for name, yield_ in YIELD_STRENGTHS.items()}  # m/m
 
 
 def find_material(value: object) -> Material:
@@ -25,7 +27,8 @@ def find_material(value: object) -> Material:
 
     The names stand for typical alloys with values from the data sheets of ASM (Aerospace Specification Metals):
     aluminium 6061-T6 (68.9 GPa, 26 GPa, 2700 kg/m^3), steel 4130 (205 GPa, 80 GPa, 7850 kg/m^3) and titanium Ti-6Al-4V
-    (113.8 GPa, 44 GPa, 4430 kg/m^3). Prefer measured values.
+    (113.8 GPa, 44 GPa, 4430 kg/m^3). Their yield strengths are 276, 435 (normalised) and 880 MPa (annealed). Prefer
+    measured values.
     """
     if isinstance(value, str):
         return MATERIALS[one_of("Link.material", value, MATERIALS)]

@@ -54,6 +54,12 @@ class Configuration(EnvironmentSettings):
             given = {**condition_settings(id, settings["condition"]), **given}  # type: ignore[index]
         given = _current_settings(given, True)
         _refuse_unknown(given)
+        if isinstance(given.get("limits"), str):
+            known = [name for name, each in NAMED_ENVIRONMENTS.items() if each.study]
+            if given["limits"] != "study" or id not in known:
+                allowed = f"Limits, a mapping of its arguments, or 'study' for {', '.join(known)}"
+                raise value_error("limits", given["limits"], allowed)
+            given["limits"] = dict(named.study)
         if isinstance(given.get("arm"), str) and given["arm"].endswith(SUFFIXES):
             given["arm"] = to_plain(find_arm(given["arm"], folder))
         vars(self).update(id=id, _given=given)
@@ -92,6 +98,7 @@ class Configuration(EnvironmentSettings):
             allowed = f"1 to {MAX_PERIODS} control periods of {self.control_period} s"
             raise value_error("horizon", self.horizon, allowed)
         warn_unusual_units("", {"horizon": self.horizon})
+        self.limits.check_joints(self.arm.n_joints)
         if self.base == "pd":
             vars(self)["gains"] = self.pd_gains
         if self.fidelity == "default":

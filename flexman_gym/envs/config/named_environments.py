@@ -1,6 +1,6 @@
 """Named environments and their conditions, each a YAML file."""
 
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Self
 
@@ -34,6 +34,7 @@ class _NamedEnvironment:
         longest_step: longest step of the default method, s; random torques then cause no energy alarm.
         conditions: name of the folder with the conditions of the environment; "" for an environment without conditions.
         actions: see `Configuration`.
+        study: arguments of `Limits` for the setting limits="study"; {} for an environment without them.
     """
 
     arm: Arm
@@ -46,6 +47,7 @@ class _NamedEnvironment:
     longest_step: float = 0.02 / 3.0
     conditions: str = ""
     actions: Any = "torque"
+    study: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -77,7 +79,7 @@ class _NamedEnvironment:
 
     def plain(self, name: str) -> Any:
         """Return the JSON-compatible data of arm, task or limits; {} for any other setting."""
-        forms = {"arm": to_plain, "task": plain_task, "limits": asdict}
+        forms = {"arm": to_plain, "task": plain_task, "limits": Limits.to_plain}
         return forms[name](getattr(self, name)) if name in forms else {}
 
 

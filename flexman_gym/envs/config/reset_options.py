@@ -18,7 +18,7 @@ MAX_ITERATIONS = 20  # largest number of corrections for the sag under gravity
 TOLERANCE = 1e-8  # fraction of the reach; accepted tip error
 
 
-def inverse_kinematics(field: str, position: Array, near: Array, view: View) -> Array:
+def _inverse_kinematics(field: str, position: Array, near: Array, view: View) -> Array:
     """Return motor angles (n,), rad, at which the tip of the arm at rest has a position (3,) in the base frame, m.
 
     Newton's method begins at `near` and at 24 fixed postures. Of several solutions the one with the smallest sum of
@@ -84,6 +84,20 @@ def parse_reset_options(
                 field, value, shape, size[0], "m" if name in TIP_OPTIONS else "rad" * (shape == size[1:])
             )
     return given
+
+
+def replace_tip_positions(parameters: Mapping[str, Array], view: View) -> dict[str, Array]:
+    """Return episode parameters with postures (r, n), rad, in place of tip positions (r, 3), m, see TIP_OPTIONS.
+
+    The inverse kinematics of a goal begins at the start posture, the inverse kinematics of a start at zero angles.
+    """
+    result = dict(parameters)
+    for name, posture in TIP_OPTIONS.items():
+        if name in parameters:
+            near = result["start"] if posture != "start" else np.zeros((len(parameters[name]), view.n_joints))
+            pairs = zip(result.pop(name), near, strict=True)
+            result[posture] = np.array([_inverse_kinematics(f"options[{name!r}]", *pair, view) for pair in pairs])
+    return result
 
 
 def check_parameters(options: object, batch: Batch) -> None:

@@ -1,7 +1,7 @@
 """Settings of an environment: declaration, checks and JSON-compatible data of each setting."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -160,8 +160,9 @@ class EnvironmentSettings:
         _parse_history, 1,
     )
     limits: Limits = _setting(
-        "Limits of the motion, beyond which an episode terminates. A Limits object, or a mapping of its arguments.",
-        Limits.find, named=True, plain=asdict,
+        "Limits of the motion, beyond which an episode terminates or has a cost. A Limits object, a mapping of its "
+        "arguments, or 'study' for the limits of the named environment at the median of the slews of a PD.",
+        Limits.find, named=True, plain=Limits.to_plain,
     )
     torque_limit: tuple[float, ...] = _setting(
         "Torque limits of the motors. One number, or one for each joint; None for those in the joints of the arm.",
