@@ -80,6 +80,11 @@ def _vibration(record: EpisodeRecord) -> float:
     return np.inf if record.failure else peak_to_peak(record.tips, record.period)
 
 
+def _excess(record: EpisodeRecord) -> Array:
+    """Return the excess (T,) beyond the limits, 0 within."""
+    return np.zeros(1) if record.excess is None else np.maximum(record.excess, 0.0)
+
+
 # A failed episode has an infinite settling time and an infinite vibration.
 METRICS = {metric.name: metric for metric in (
     Metric("reward", "reward", "", "high", lambda record: float(record.rewards.sum()), MEAN),
@@ -95,6 +100,14 @@ METRICS = {metric.name: metric for metric in (
     Metric("failed", "failed", "", "low", lambda record: float(record.failure != ""), SHARE),
 )}  # fmt: skip
 """Metrics of `evaluate`: name -> `Metric`. "reward" is the return, the sum of the rewards of an episode."""
+LIMIT_METRICS = (
+    Metric("violations", "violations of 1000", "", "low", lambda record: 1e3 * float(_excess(record).any()), MEAN),
+    Metric("excess", "excess", "", "low", lambda record: float(_excess(record).max()), MEAN),
+    Metric("violation_time", "violation, s", "s", "low",
+           lambda record: record.period * np.count_nonzero(_excess(record)), MEAN),
+)  # fmt: skip
+"""Metrics of environments with limits that are recorded: number of episodes with a violation per 1000 episodes, largest
+excess as a fraction of the limit, and time in violation, both as means over the episodes."""
 DEFAULT_TASK_METRICS = ("settling_time", "error")  # metrics of a task without the attribute `metrics`
 
 
@@ -125,7 +138,8 @@ def evaluate(
 
     Returns:
         Metrics by name. Means: reward, roughness and effort; medians: settling_time (s), vibration (m), error (m) and
-        rms_error (m); shares of the episodes: settled and failed.
+        rms_error (m); shares of the episodes: settled and failed. With limits of strain, spring torque or workspace or
+        a margin also the LIMIT_METRICS violations, excess and violation_time (s).
 
     Raises:
         FileNotFoundError: for an unknown agent or environment.
@@ -138,7 +152,8 @@ def evaluate(
         True
     """
     records = rollout(agent, environment, seeds).records
-    return {name: metric.evaluate(records) for name, metric in METRICS.items()}
+    metrics = (*METRICS.values(), *(() if records[0].excess is None else LIMIT_METRICS))
+    return {metric.name: metric.evaluate(records) for metric in metrics}
 
 
 def optimised_settling_times(environment: Configuration) -> dict[int, float]:
@@ -151,6 +166,7 @@ def optimised_settling_times(environment: Configuration) -> dict[int, float]:
 
 MAX_NAME_LENGTH = 100  # characters of a name in the table
 CAPTION = "medians with 95 % bootstrap intervals; shares, reward, roughness and effort are means"
+LIMIT_CAPTION = "violations: episodes of 1000; excess: largest, as a fraction of the limit, and time: means"
 ALL_SEEDS = "all seeds"  # name of the row over all training runs
 
 
@@ -168,8 +184,8 @@ def metrics_table(
     Returns:
         Lines of text: title, headers, one row for each agent, and a caption.
     """
-    columns = task_metrics(environment.task)
     first = next(iter(results.values()))
+    columns = (*task_metrics(environment.task), *(() if first[0].excess is None else LIMIT_METRICS))
     settings = environment.settings.keys() - ({"method"} if environment.method == DEFAULT_METHOD else set())
     changes = ", ".join(sorted(settings)) or "as it is"
     title = f"{len(first)} episodes of {environment.id} ({changes}), the same for all"
@@ -177,7 +193,7 @@ def metrics_table(
     values = {metric: [metric.values(records) for records in results.values()] for metric in columns}
     rows = [[_shorten(name), *(_cell(metric, values[metric][i]) for metric in columns)]
             for i, name in enumerate(results)]  # fmt: skip
-    caption = [CAPTION]
+    caption = [CAPTION, *[LIMIT_CAPTION] * (first[0].excess is not None)]
     if all_seeds:
         rows.append([ALL_SEEDS, *(_cell(metric, np.array(values[metric])) for metric in columns)])
         sampled = f"{len(results)} training runs and episodes"

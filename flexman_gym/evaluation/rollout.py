@@ -60,6 +60,8 @@ class EpisodeRecord:
         failure: cause of a failure, which terminated the episode; "" without a failure.
         period: control period, s.
         band: distance from the target within which a tip counts as settled, m.
+        excess: (T,) largest excess beyond the limits in each control period, see `Limits.excess`; None without limits
+            that are recorded.
     """
 
     tips: Array
@@ -69,6 +71,7 @@ class EpisodeRecord:
     failure: str
     period: float
     band: float
+    excess: Array | None = None
 
     def equivalent_damping(self) -> float:
         """Return the damping ratio of the oscillation of the tip after its first arrival in the band.
@@ -102,6 +105,7 @@ class Rollout:
         torques: (b, T, n) applied motor torques, after delay and other effects, N m.
         readings: (b, T + 1, size) readings of the agent's sensors.
         metadata: common metadata of the episodes, their "seeds", and the "slices" of the readings by entry.
+        excess: (b, T) largest excess beyond the limits, see `EpisodeRecord`.
     """
 
     tips: Array
@@ -117,6 +121,7 @@ class Rollout:
     torques: Array
     readings: Array
     metadata: dict[str, Any]
+    excess: Array | None = None
 
     def episode(self, number: int) -> Episode:
         """Return the episode with an index from 0 to b - 1, up to its end."""
@@ -154,7 +159,7 @@ class Rollout:
         return [
             EpisodeRecord(
                 self.tips[i, : end + 1], self.errors[i, : end + 1], self.actions[i, :end], self.rewards[i, :end],
-                self.failures[i], self.period, self.band,
+                self.failures[i], self.period, self.band, None if self.excess is None else self.excess[i, :end],
             )
             for i, end in enumerate(self.lengths)
         ]  # fmt: skip
@@ -266,7 +271,8 @@ class _Recorder:
 
     def __init__(self, episodes: Episodes, callback: Callable[[Episodes], None] | None) -> None:
         self._episodes, self._callback = episodes, callback
-        self._rows: dict[str, list[Array]] = {name: [] for name in (*INSTANT_ARRAYS, *PERIOD_ARRAYS)}
+        names = (*INSTANT_ARRAYS, *PERIOD_ARRAYS, *["excess"] * episodes.limits.recorded)
+        self._rows: dict[str, list[Array]] = {name: [] for name in names}
         self.ends = np.zeros(len(episodes.over), dtype=np.int64)
         self._failures = [""] * len(self.ends)
         self._progress = Progress(f"control periods of {len(self.ends)} episodes", episodes.max_periods)
@@ -278,8 +284,10 @@ class _Recorder:
     def record(self) -> None:
         """Record a control period."""
         episodes, view = self._episodes, self._episodes.view
-        self._append(self._instant() | {"actions": view.action.copy(), "torques": episodes.motors.torques.copy(),
-                                        "rewards": episodes.rewards()})  # fmt: skip
+        now = {"actions": view.action.copy(), "torques": episodes.motors.torques.copy(), "rewards": episodes.rewards()}
+        if episodes.limits.recorded:
+            now["excess"] = episodes.excess
+        self._append(self._instant() | now)
         self._progress.count()
         for arm in np.flatnonzero(episodes.over & (self.ends == 0)).tolist():
             self.ends[arm], self._failures[arm] = len(self._rows["actions"]), episodes.failures.get(arm, "")

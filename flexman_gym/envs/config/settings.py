@@ -161,7 +161,7 @@ class EnvironmentSettings:
     )
     limits: Limits = _setting(
         "Limits of the motion, beyond which an episode terminates or has a cost. A Limits object, a mapping of its "
-        "arguments, or 'study' for the limits of the named environment at the median of the slews of a PD.",
+        "arguments, or 'study': strains and spring torques that half of the slews of the LQR exceed, with a cost.",
         Limits.find, named=True, plain=Limits.to_plain,
     )
     torque_limit: tuple[float, ...] = _setting(
