@@ -401,7 +401,7 @@ class Episodes:
         if limits.on_violation != "end":
             return 0
         self._violated |= beyond
-        return np.count_nonzero(beyond)
+        return int(np.count_nonzero(beyond))
 
     def _move_goals(self, moving: BoolArray) -> None:
         """Set the goals at the current time and their rates, for the moving arms (b,)."""

@@ -89,7 +89,7 @@ class View:
         model, constants, arms = batch.model, batch.model.constants, len(batch.rows)
         self._batch = batch
         self._one: View | None = None
-        self._springs: tuple[Array, ...] | None = None  # constants of the joint springs of the arms; None until needed
+        self._springs: tuple[Array, Array, Array] | None = None  # see `Batch.spring_constants`
         self.n_joints, self.control_period = model.n_joints, batch.control_period
         self.lengths, self.reach = constants.length, float(constants.length.sum())
         self.has_gravity = bool(constants.gravity.any())

@@ -275,11 +275,13 @@ class Batch:
         self._known = False
         self._mover.set_constants(arms, varied_constants(self.model, len(arms), parameters))
 
-    def spring_constants(self) -> tuple[Array, ...]:
+    def spring_constants(self) -> tuple[Array, Array, Array]:
         """Return joint_stiffness (b, n), knee_twist (b, e) and knee_share (b, e) of the arms."""
-        names = "joint_stiffness", "knee_twist", "knee_share"
         own = [self._mover.constants(arm) for arm in range(len(self.rows))]
-        return tuple(np.array([each[name] for each in own]) for name in names)
+        stiffness, twists, shares = (
+            np.array([each[name] for each in own]) for name in ("joint_stiffness", "knee_twist", "knee_share")
+        )
+        return stiffness, twists, shares
 
     def replace_integrator(self, make: Callable[[BatchIntegrator], BatchIntegrator]) -> None:
         """Replace the batch integrator by `make(present batch integrator)`; reset all arms before the next step."""

@@ -96,6 +96,16 @@ def test_distances_to_regions_are_those_of_geometry():
         assert distances[2] == pytest.approx(8.5 - np.linalg.norm(tip - [0.0, 0.0, 1.0]) - 0.1)
 
 
+def test_each_link_and_joint_has_its_own_limit():
+    env = FlexManEnv(limits={"strain": [1.0, 2.0, 3.0], "spring_torque": [1e4, 2e4, 3e4], "on_violation": "record"})
+    env.reset(seed=0)
+    left = env.step(np.ones(3))[-1]["limits"]
+    strains = np.abs(env.episodes.current_view.root_strains.reshape(3, 3))
+    assert left["strain"].reshape(3, 3) == pytest.approx(np.array([[1.0], [2.0], [3.0]]) - strains)
+    torques = [joint.stiffness for joint in env.simulator.model.arm.joints] * env.episodes.current_view.joint_twists
+    assert left["spring_torque"] == pytest.approx([1e4, 2e4, 3e4] - np.abs(torques))
+
+
 def test_distances_to_the_limits_of_the_model_are_in_their_units():
     env = FlexManEnv(limits=fm.Limits(margin={"angle": 1.0, "rate": 2.0, "deflection": 0.1}, on_violation="record"))
     env.reset(seed=0)
@@ -118,6 +128,8 @@ def test_springs_with_knees_have_the_torques_that_accelerate_the_rotors():
                   "soft_stiffness": np.array([[0.3, 0.5, 0.8], [1.0, 0.6, 0.4]]),
                   "backlash": np.array([[2e-3, 0.0, 1e-3], [0.0, 3e-3, 2e-3]])}  # fmt: skip
     env = FlexManVectorEnv(2, condition="unmodelled", randomisation=None, limits={"spring_torque": 1e5})
+    env.reset(seed=0)
+    assert not env.episodes.view.spring_torques.any(), "at rest, before the parameters change"
     env.reset(seed=0, options={"parameters": parameters})
     batch, model = env.batch, env.batch.model
     for twist in (1e-5, -3e-3, 0.02, -0.1):
@@ -161,8 +173,8 @@ def test_an_environment_without_these_limits_has_no_distances():
 
 
 def test_starts_and_goals_are_drawn_in_the_workspace():
-    wall, free = [{"half_space": [[0, 0, -1], -1.0]}], FlexManEnv()  # z >= 1 m
-    inside, outside = FlexManEnv(limits={"workspace": wall, "margin": {"workspace": 0.5}}), 0
+    wall, free = [{"half_space": [[0, 0, -1], 1.0]}], FlexManEnv()  # z >= -1 m
+    inside, outside = FlexManEnv(limits={"workspace": wall, "margin": {"workspace": 2.5}}), 0
     for seed in range(12):
         info = inside.reset(seed=seed)[1]
         assert info["tip"][2] >= 1.5 and info["target"][2] >= 1.5
