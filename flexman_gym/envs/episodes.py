@@ -269,8 +269,8 @@ class Episodes:
                 raise value_error("task.draw", drawn, f'a dict with "start", {n} motor angles (rad)')
             if limits.workspace is None:
                 return drawn
-            goal = self.task.goal({name: value[None] for name, value in drawn.items()}, np.zeros(1), view).target
-            if limits.contains(np.concatenate([goal, view.rest_tips(drawn["start"][None])])):
+            goal = self.task.goal({name: np.array([each]) for name, each in drawn.items()}, np.zeros(1), view).target
+            if limits.contains(np.concatenate([goal, view.rest_tips(np.array([drawn["start"]]))])):
                 return drawn
         raise value_error("limits.workspace", limits.workspace, f"one with start and goal in some of {MAX_DRAWS} draws")
 

@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode
 
 import flexman_gym as fm
 from flexman_gym.envs.config.configuration import Configuration
@@ -12,7 +13,8 @@ from flexman_gym.evaluation.metrics import LIMIT_METRICS, evaluate, metrics_tabl
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS
 from flexman_gym.simulation.parameters import varied_model
 
-from oracles.assertions import refusal, same, same_alone_and_among_others
+from oracles.assertions import refusal, same, same_alone_and_among_others, same_side_by_side
+from oracles.random_inputs import actions
 
 FLOOR, BOX, BALL = {"half_space": [[0, 3, -4], 5.0]}, {"box": [[-8, -7, -6], [8, 7, 6]]}, {"sphere": [[0, 0, 1], 8.5]}
 ALL = {
@@ -149,6 +151,20 @@ def test_springs_with_knees_have_the_torques_that_accelerate_the_rotors():
 @pytest.mark.parametrize("repeat", [1, 3])
 def test_many_arms_have_the_distances_and_costs_of_single_ones(settings, repeat):
     same_alone_and_among_others("FlexRRR-v0", 25, limits=ALL | settings, action_repeat=repeat, condition="stiffness")
+
+
+@pytest.mark.parametrize("mode", tuple(AutoresetMode))
+def test_distances_and_costs_after_the_end_of_episodes_are_those_of_single_arms(mode):
+    ours = FlexManVectorEnv(3, autoreset_mode=mode, limits=ALL)
+    theirs = gym.vector.SyncVectorEnv([lambda: FlexManEnv(limits=ALL)] * 3, autoreset_mode=mode)
+    assert same_side_by_side(ours, theirs, actions(3, 40))[0], "some episodes end"
+    ending = FlexManVectorEnv(
+        3, autoreset_mode=mode, infos="at end", limits=ALL | {"on_violation": "cost"}, horizon=0.1
+    )
+    ending.reset(seed=0)
+    *_, infos = [ending.step(np.ones((3, 3)))[-1] for _ in range(5)]
+    infos = infos["final_info"] if mode == AutoresetMode.SAME_STEP else infos
+    assert infos["cost"].shape == (3,) and infos["limits"]["strain"].shape == (3, 9)
 
 
 def test_the_cost_of_a_step_is_its_number_of_periods_in_violation():
