@@ -6,16 +6,7 @@ from typing import Any, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import (
-    mapping,
-    non_negative,
-    one_of,
-    positive,
-    sequence,
-    set_fields,
-    value_error,
-    vector,
-)
+from flexman_gym.common.checks import mapping, non_negative, one_of, positive, sequence, set_fields, value_error, vector
 from flexman_gym.envs.view import View
 from flexman_gym.scene.material import YIELD_STRAINS
 
