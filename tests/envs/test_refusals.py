@@ -78,7 +78,7 @@ SETTINGS = [  # settings of one environment and of many, and the beginning of th
     ({"base": "pd", "gains": 3}, "gains: 3 is not allowed; give a mapping with some of stiffness, damping"),
     ({"base": "pd", "gains": {"stiffness": (5.0, 2.0, 1.0)}}, "gains: {'stiffness': (5.0, 2.0, 1.0)} is not allowed; "
      "give a mapping with stiffness (N m/rad) and"),
-    ({"actions": "force"}, "actions: 'force' is not allowed; give one of torque, current, velocity, position"),
+    ({"actions": "force"}, "actions: 'force' is not allowed; give one of torque, current, voltage, velocity, position"),
     ({"actions": "current"}, "actions: 'current' is not allowed; give current for an arm with a motor"),
     ({"actions": "position", "base": "pd"}, "base: <flexman_gym.control.pd.PD object at "),
     ({"actions": {"kind": "position", "range": [1.0, 2.0]}}, "actions.range: [1.0, 2.0] is not allowed; give 3 number"),
@@ -153,7 +153,7 @@ PLAIN = [  # environments of a file, and the beginning of the message
     ({"task": 3}, "task: 3 is not allowed; give one of slew, track, hold, a mapping with"),
     ({"task": "reach"}, "task: 'reach' is not allowed; give one of slew, track"),
     ({"task": {"kind": "slew", "goal": 1}}, "task: 'goal' is not allowed; give one of start, slew"),
-    ({"arm": "puma"}, "arm: 'puma' is not allowed; give one of de_luca_siciliano, flexarm_rome"),
+    ({"arm": "puma"}, "arm: 'puma' is not allowed; give one of apkarian_1998, de_luca_siciliano"),
     ({"arm": 3}, "arm: 3 is not allowed; give an Arm, a mapping, a file"),
     ({"arm": {"catalog": "paper_rrr", "payload": {"mas": 1}}}, "arm.payload.mas: 1 is not allowed; give only the"),
     ({"arm": {"catalog": "vertical_2r", "color": 1}}, "arm: "),
