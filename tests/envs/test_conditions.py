@@ -61,8 +61,8 @@ def arms(setup):
             gravity=(0.0, 0.0, 0.0),
             links=[replace(link, youngs_modulus=links * link.youngs_modulus, shear_modulus=links * link.shear_modulus)
                    for link in setup.arm.links],
-            joints=[replace(joint, stiffness=joint.stiffness and joints * joint.stiffness, viscous_friction=0.0, coulomb_friction=0.0,
-                            static_friction=None)
+            joints=[replace(joint, stiffness=joint.stiffness and joints * joint.stiffness, viscous_friction=0.0,
+                            coulomb_friction=0.0, static_friction=None)
                     for joint in setup.arm.joints],
         )  # fmt: skip
 
