@@ -1,4 +1,4 @@
-"""Export a policy as data or ONNX, or an arm for MuJoCo."""
+"""Export a policy as data or ONNX, a controller as C, a linear model for MATLAB, or an arm for MuJoCo."""
 
 import argparse
 import re
@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from flexman_gym.commands import CommandLine
+from flexman_gym.commands import CommandLine, add_options
 
 
 class _Target(NamedTuple):
@@ -100,8 +100,46 @@ def _mujoco(options: argparse.Namespace) -> str:
     return f"{options.out} has the arm{known}: {arm.n_joints} links of {options.pieces} pieces a section."
 
 
+def _numbers(text: str) -> list[float]:
+    return [float(each) for each in text.split(",")]
+
+
+def _c_arguments(parser: argparse.ArgumentParser) -> None:
+    agent = {"help": "name or folder of an agent, such as pd, lqr, lqg or ppo-flexrrr"}
+    add_options(parser, "agent", "--env", "--seed", agent=agent, seed={"help": "seed of start and goal"})
+    parser.add_argument("--start", type=_numbers, metavar="A,B", help="joint angles at the start, rad: --start=0.1,-0.2")
+    parser.add_argument("--goal", type=_numbers, metavar="A,B", help="motor angles of the goal, rad")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", default=Path("controller"), help="(default: %(default)s)")
+
+
+def _c(options: argparse.Namespace) -> str:
+    from flexman_gym.evaluation.c_code import begin_agent, write_c
+
+    given = {"start": options.start, "goal_angles": options.goal}
+    move = {name: angles for name, angles in given.items() if angles is not None}
+    files = write_c(begin_agent(options.agent, options.env or "", options.seed, **move), options.out)
+    return f"{options.out}: {', '.join(file.name for file in files)}"
+
+
+def _matlab_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("name", help="environment, or name or folder of an agent")
+    parser.add_argument("--env", default="", help="environment of the agent")
+    parser.add_argument("--goal", type=_numbers, metavar="A,B", help="motor angles of the linear model, rad")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", default=Path("arm.mat"), help="file to write (default: %(default)s)"
+    )
+
+
+def _matlab(options: argparse.Namespace) -> str:
+    from flexman_gym.evaluation.matlab import write_matlab
+
+    return f"{options.out}: {', '.join(write_matlab(options.name, options.out, options.env, options.goal))}"
+
+
 TARGETS = {
     "policy": _Target("Export a policy as arrays and JSON, to be run with NumPy only.", _policy_arguments, _policy),
+    "c": _Target("Export a controller as C99, without allocation and with a test program.", _c_arguments, _c),
+    "matlab": _Target("Export a linear model, and the gains of an agent, as .mat.", _matlab_arguments, _matlab),
     "mujoco": _Target("Export an arm as MJCF, each link as rigid bodies with springs.", _mujoco_arguments, _mujoco),
     "onnx": _Target("Export a policy as ONNX, including its normalisation.", _onnx_arguments, _onnx),
 }

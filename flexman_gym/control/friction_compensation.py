@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
+from flexman_gym.common.checks import value_error
 from flexman_gym.control.controller import Plant
 from flexman_gym.control.observers.internal_model import InternalModels
 from flexman_gym.model.model import Model
@@ -132,6 +133,12 @@ class FrictionCompensation:
         self._limits = np.array(plant.torque_limit)
         self._models = InternalModels(plant._replace(model=self.model))
         self._map: PeriodMap | None = None  # map of the internal model, for derivatives
+
+    def check_none(self, field: str) -> None:
+        """Raise ValueError, with the name of a field, for a model with friction."""
+        if self.model is not self._rubbing_model:
+            allowed = "a model without friction: the compensation simulates an internal model in every control period"
+            raise value_error(field, "a model with friction", allowed)
 
     def __call__(
         self, commands: Array, states: Array, arms: IntArray, count: int, parameters: Mapping[str, Array] | None = None

@@ -218,6 +218,22 @@ SLEW_POSTURES = 3  # number of postures along a slew at which gains are designed
 PATH_POSTURES = 25  # number of postures along a given path at which gains are designed
 
 
+class _GainSchedule(NamedTuple):
+    """Reference states, feed-forward torques and gains of an LQR in each control period.
+
+    Attributes:
+        states: (T + 1, 2 d) reference states; T is 0 for a fixed goal.
+        torques: (T + 1, n) feed-forward torques, N m.
+        gains: (g, n, 2 d) gains at postures along the path.
+        positions: (T + 1,) position of each period among these postures, from 0 to g - 1.
+    """
+
+    states: Array
+    torques: Array
+    gains: Array
+    positions: Array
+
+
 class LQR:
     """Linear-quadratic regulator about the goal: torque = holding torque - K (state - equilibrium), saturated.
 
@@ -297,6 +313,18 @@ class LQR:
         change = change + self._compensation.derivatives((torques, change), (states, state_changes))
         return saturated(self.compensated(torques, states) / self.limits, change / self.limits)
 
+    def move_tables(self) -> dict[str, Array]:
+        """Return the tables of `_GainSchedule` for the present move of a single arm, by name.
+
+        Raises:
+            ValueError: for a model with friction, whose compensation needs a simulation in every control period.
+        """
+        self._compensation.check_none("lqr")
+        return self._schedule()._asdict()
+
+    def _schedule(self) -> _GainSchedule:
+        return _GainSchedule(self._rest[:1], self._holding_torques[:1], self._gains[:1], np.zeros(1))
+
     def _feedback(self, arm: int) -> tuple[Array, Array, Array]:
         """Return gain K (n, 2 d), reference state (2 d,) and feed-forward torques (n,) of an arm in this period."""
         return self._gains[arm], self._rest[arm], self._holding_torques[arm]
@@ -304,22 +332,6 @@ class LQR:
     def compensated(self, torques: Array, states: Array) -> Array:
         """Return torques (b, n), N m, with the friction at states (b, 2 d) compensated, see `FrictionCompensation`."""
         return torques + self._compensation(torques, states, np.arange(len(states)), len(states))
-
-
-class _GainSchedule(NamedTuple):
-    """Reference states, feed-forward torques and gains of a tracking LQR in each control period.
-
-    Attributes:
-        states: (T + 1, 2 d) reference states.
-        torques: (T + 1, n) feed-forward torques, N m.
-        gains: (g, n, 2 d) gains at postures along the path.
-        positions: (T + 1,) position of each period among these postures, from 0 to g - 1.
-    """
-
-    states: Array
-    torques: Array
-    gains: Array
-    positions: Array
 
 
 class TrackingLQR(LQR):
@@ -396,6 +408,9 @@ class TrackingLQR(LQR):
         self._schedules += [empty] * (arm + 1 - len(self._schedules))
         self._now = pad_rows(self._now, arm + 1)
         self._schedules[arm], self._now[arm] = schedule, 0
+
+    def _schedule(self) -> _GainSchedule:
+        return self._schedules[0]
 
     def torques(self, states: Array) -> Array:
         """Return the torques (b, n) for states (b, 2 d), N m, and advance by a control period."""

@@ -64,6 +64,10 @@ class PD:
         for arm, angles in zip(arms, episode.goal, strict=True):
             self._holding[arm] = holding_torques(self.gravity_model, angles)
 
+    def move_tables(self) -> dict[str, Array]:
+        """Return the holding torques (1, n) of the present goal of a single arm, N m; {} without a gravity model."""
+        return {} if self.gravity_model is None else {"holding": self._holding[:1]}
+
     def unstable(self, model: Model, period: float, delay: int = 0) -> str:
         """Return a message if the damping makes the sampled loop unstable, else "".
 

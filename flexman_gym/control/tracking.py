@@ -71,6 +71,17 @@ class Tracking:
         for table in self._gains:
             table.save()
 
+    def holding_gain(self, posture: Array) -> Array:
+        """Return the gain K (n, 2 d) of an arm that holds motor angles (n,) rad with the nominal payload.
+
+        Raises:
+            ValueError: for a model with friction, whose compensation needs a simulation in every control period.
+        """
+        self._compensation.check_none("lqg")
+        payload = self.slews.payloads({}, np.zeros(1, dtype=np.int64))
+        result: Array = self._gains[1](np.zeros(1, dtype=np.int64), posture[None], payload)[0]
+        return result
+
     def restart(self, arms: IntArray) -> None:
         """Plan the slews of arms (r,) anew, from rest at their next state estimate; paths continue."""
         arms = arms[~self._on_path[arms]]

@@ -1,6 +1,6 @@
 """Controller with an input shaper for its command."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import reduce
 from typing import Any
 
@@ -111,17 +111,29 @@ class InputShapedController:
         result: tuple[Array, Array] = self.inner.derivatives(self._shaped(readings), changes)  # type: ignore[attr-defined]
         return result
 
+    def move_tables(self, names: Iterable[str]) -> dict[str, Array]:
+        """Return what is added to readings in each control period of the present move of a single arm.
+
+        Args:
+            names: names of readings; a reading that is not shaped is omitted.
+
+        Returns:
+            Name -> (K, size).
+        """
+        return {name: self._commands[0].offset(name) for name in names if self._is_shifted(name)}
+
+    def _is_shifted(self, name: str) -> bool:
+        """Return True for readings that are shifted by the command; raise ValueError for those that cannot be."""
+        if name in REFUSED_QUANTITIES:
+            allowed = f"one that reads none of {REFUSED_QUANTITIES}"
+            raise value_error("InputShapedController.inner", f"a controller that reads {name}", allowed)
+        return name in SHIFTED_QUANTITIES or (name == "state" and type(self.inner) is LQR)
+
     def _shaped(self, readings: Readings) -> Readings:
         """Return the readings for the shaped command of this period."""
         shaped = dict(readings)
         for name, values in readings.items():
-            if name in REFUSED_QUANTITIES:
-                raise value_error(
-                    "InputShapedController.inner",
-                    f"a controller that reads {name}",
-                    f"one that reads none of {REFUSED_QUANTITIES}",
-                )
-            if name in SHIFTED_QUANTITIES or (name == "state" and type(self.inner) is LQR):
+            if self._is_shifted(name):
                 commands = zip(self._commands, self._now.tolist(), strict=True)
                 shaped[name] = values + np.array([each.offset(name)[min(now, each.last)] for each, now in commands])
         return shaped

@@ -98,6 +98,7 @@ class KalmanFilter:
 
     Attributes:
         delay: assumed delay of the torques, control periods.
+        quantities: names of the measured quantities in the order of the measurement vector.
         states: (b, s) estimates after the last measurement: state, constant torques (N m) and biases.
         covariance: (b, s, s) error covariances of these estimates; the initial ones with a fixed gain.
     """
@@ -115,6 +116,7 @@ class KalmanFilter:
     ) -> None:
         self._instruments = instruments = MeasurementModel(plant, sensors)
         self.sensors, self._plant, self._jacobians = tuple(sensors), plant, DiscreteJacobians(plant)
+        self.quantities = instruments.names
         self._prediction, self._models = DelayCompensation(plant), InternalModels(plant)
         self._disturbed, self._biased, self._fixed = (
             flag(name, value) for name, value in (("disturbed", disturbed), ("biased", biased), ("fixed", fixed))
@@ -156,6 +158,27 @@ class KalmanFilter:
         if self._fixed:
             covariance = self._stationary(*self._system(*self._rest(episode.goal))[:2], slice(None))
             self._gain[arms] = measurement_update(covariance, self._matrix, self._variances)[0]
+
+    def linear(self, goal: Array) -> dict[str, Array]:
+        """Return the linear filter with a fixed gain about motor angles (n,) rad at rest.
+
+        For deviations x from `rest` and u from `holding`: x = A x + B u predicts a period, and x = x + L (y - C x)
+        corrects the prediction by measurements y relative to C rest.
+
+        Returns:
+            A (2 d, 2 d), B (2 d, n), C (m, 2 d), L (2 d, m), and `rest` (2 d,), `holding` (n,) N m.
+
+        Raises:
+            ValueError: for a filter with delay, constant torques or biases, and sensors that do not observe the state.
+        """
+        if self._disturbed or self._biased or self.delay:
+            raise value_error("lqg", "a filter with a delay, disturbed or biased", "one without, for a linear filter")
+        rest, holding = self._rest(goal[None])
+        transition, noise, _ = self._system(rest, holding)
+        covariance = self._stationary(transition, noise, slice(None))
+        gain = measurement_update(covariance, self._matrix, self._variances)[0][0]
+        inputs = self._jacobians(rest, holding)[0][0, :, self._size : self._size + len(goal)]
+        return {"A": transition[0], "B": inputs, "C": self._matrix, "L": gain, "rest": rest[0], "holding": holding[0]}
 
     def _rest(self, postures: Array) -> tuple[Array, Array]:
         """Return the equilibrium states (r, 2 d) at motor angles (r, n) rad, and the holding torques (r, n), N m."""
