@@ -107,7 +107,9 @@ def _numbers(text: str) -> list[float]:
 def _c_arguments(parser: argparse.ArgumentParser) -> None:
     agent = {"help": "name or folder of an agent, such as pd, lqr, lqg or ppo-flexrrr"}
     add_options(parser, "agent", "--env", "--seed", agent=agent, seed={"help": "seed of start and goal"})
-    parser.add_argument("--start", type=_numbers, metavar="A,B", help="joint angles at the start, rad: --start=0.1,-0.2")
+    parser.add_argument(
+        "--start", type=_numbers, metavar="A,B", help="joint angles at the start, rad: --start=0.1,-0.2"
+    )
     parser.add_argument("--goal", type=_numbers, metavar="A,B", help="motor angles of the goal, rad")
     parser.add_argument("--out", type=Path, metavar="FOLDER", default=Path("controller"), help="(default: %(default)s)")
 

@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector
+from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import value_error
 from flexman_gym.control.actions import TorqueMode
 from flexman_gym.control.agent import Agent, history_length
 from flexman_gym.control.controller import EpisodeInfo, Readings
 from flexman_gym.control.input_shaping.shaped_controller import InputShapedController
-from flexman_gym.control.lqr import LQR
+from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.network import MAX_INPUT, Network
 from flexman_gym.control.observers.kalman_filter import KalmanFilter
 from flexman_gym.control.pd import PD
@@ -30,7 +30,10 @@ from flexman_gym.evaluation.agent import AgentSpec, common_environment, find_age
 from flexman_gym.evaluation.rollout import TEST_SEEDS
 from flexman_gym.model.statics import rest_state
 
-EXPORTED = "pd, pd-shaped, lqr, lqr-tracking, lqg, or a policy alone or on one of the first four"
+EXPORTED = (
+    "pd, pd-shaped, lqr, lqr-tracking, lqg, or a policy on one of the first four: others simulate arms while they run"
+)
+NEAR = 0.05  # rad; default distance between start and goal of a controller that is linear about its goal
 RECORDED_PERIODS = 100  # number of control periods whose readings and torques are stored in the test program
 POSTURE_STEP = 1e-4  # rad; central difference of the equilibrium state with respect to motor angles
 
@@ -117,11 +120,9 @@ class _Session(NamedTuple):
         """Return the present readings (size,)."""
         measured, agent = self.episodes.measurements, self.episodes.agent
         observed, named = measured.read()[0], measured.readings if agent.mode.sensors else {}
-        size = len(observed) if self.spec.law else 0
-        return np.concatenate([observed[:size], *(named[name][0] for name in list(self.layout)[self.own() :])])
-
-    def own(self) -> int:
-        return len(self.episodes.sensors.slices) if self.spec.law else 0
+        own = self.episodes.sensors.slices if self.spec.law else {}
+        parts = [named[name][0] for name in self.layout if name not in own]
+        return np.concatenate([observed, *parts] if own else parts)
 
     def record(self, periods: int) -> tuple[Array, Array]:
         """Simulate control periods; return readings (T, size), and actions (T, n) as fractions of the limits."""
@@ -141,7 +142,7 @@ class _Session(NamedTuple):
         return np.array(readings[: len(actions)]), np.array(actions)
 
 
-def begin_agent(name: object, environment: str = "", seed: int = TEST_SEEDS[0], **move: Vector) -> _Session:
+def begin_agent(name: object, environment: str = "", seed: int = TEST_SEEDS[0], **move: Any) -> _Session:
     """Start an episode of one arm with an agent that can be exported.
 
     Args:
@@ -162,14 +163,17 @@ def begin_agent(name: object, environment: str = "", seed: int = TEST_SEEDS[0], 
     if isinstance(base, OutputFeedback) and type(base.observer) is KalmanFilter and law is None:
         base = interface["base"] = _LinearOutputFeedback(base.observer, base.law)
     inner = base.inner if isinstance(base, InputShapedController) else base
-    known = isinstance(inner, PD | LQR | _LinearOutputFeedback) or (inner is None and law is not None)
-    if not known or not (law is None or isinstance(law, Network)):
+    known = type(inner) in (PD, LQR, TrackingLQR, _LinearOutputFeedback) or (inner is None and law is not None)
+    if not known or not isinstance(law, Network | None):
         raise value_error("agent", spec.name, EXPORTED)
     if not isinstance(interface.get("actions", TorqueMode(1)), TorqueMode):
         raise value_error("agent", spec.name, f"{EXPORTED}, of a policy whose actions are torques")
-    venv = gym.make_vec(bare.id, 1, "vector_entry_point", **bare.keywords(), **interface)
+    venv: Any = gym.make_vec(bare.id, 1, "vector_entry_point", **bare.keywords(), **interface)
     venv.reset(seed=[seed], options=dict(move) or None)
-    episodes: Any = venv.unwrapped.episodes  # type: ignore[attr-defined]
+    episodes: Any = venv.unwrapped.episodes
+    if isinstance(base, _LinearOutputFeedback) and "start" not in move:
+        goal = episodes.view.goal_angles[0].copy()
+        venv.reset(seed=[seed], options={"start": goal - NEAR, "goal_angles": goal})
     episodes.agent.check_law(law)
     parts = [(each, episodes.sensors.units[each], columns.stop - columns.start)
              for each, columns in episodes.sensors.slices.items() if law]  # fmt: skip
@@ -187,18 +191,16 @@ def read_program(session: _Session) -> Program:
     program, agent, mode = Program(), session.episodes.agent, session.episodes.agent.mode
     base, readings = agent.base, "readings"
     if isinstance(base, InputShapedController):
-        shifts = base.move_tables(list(session.layout)[session.own() :])
+        shifts = base.move_tables(session.episodes.measurements.readings)
         program.rows |= {f"{name}_shift": each for name, each in shifts.items()}
-        lines = [
-            Template(c.SHIFTED).safe_substitute(size=session.layout[name][1], reading=name, READING=name.upper())
-            for name in shifts
-        ]
+        lines = [Template(c.SHIFTED).safe_substitute(size=values.shape[1], reading=name, READING=name.upper())
+                 for name, values in shifts.items()]  # fmt: skip
         program.step.append(Template(c.SHIFT).safe_substitute(shifts="\n".join(lines)))
         base, readings = base.inner, "shaped"
     if isinstance(base, PD):
         program.constants |= {"stiffness": base.stiffness, "damping": base.damping}
         program.rows |= base.move_tables()
-        holding = " + move->holding[row * N + i]" if program.rows.get("holding") is not None else ""
+        holding = " + move->holding[row * N + i]" if "holding" in program.rows else ""
         program.step.append(Template(c.PD).safe_substitute(holding=holding, r=readings))
     elif isinstance(base, LQR):
         tables = base.move_tables()
@@ -233,8 +235,8 @@ def _add_network(program: Program, network: Network, agent: Agent, strength: flo
         program.constants |= {f"weights_{i + 1}": weights, f"bias_{i + 1}": bias}
         value = f"dot({sizes[i]}, weights_{i + 1} + i * {sizes[i]}, values[{i % 2}]) + bias_{i + 1}[i]"
         if i + 1 < len(network.layers):
-            value = f"tanh({value})" if network.activation == "tanh" else f"fmax({value}, 0.0)"
-            parts = {"outputs": sizes[i + 1], "target": (i + 1) % 2, "function": value}
+            function = "tanh(sum)" if network.activation == "tanh" else "sum < 0.0 ? 0.0 : sum"
+            parts = {"outputs": sizes[i + 1], "target": (i + 1) % 2, "sum": value, "function": function}
             layers.append(Template(c.LAYER).substitute(parts))
     output = f"tanh({value})" if network.squashed else f"clip({value}, 1.0)"
     command = "state->command[i]"
@@ -269,7 +271,7 @@ def write_c(session: _Session, folder: Path) -> list[Path]:
     words = {
         "title": f"{session.spec.name}, controller of {environment.id}", "p": name, "P": name.upper(),
         "joints": len(limits), "size": readings.shape[1], "period": repr(environment.control_period), "rows": count,
-        "readings": "\n".join(f"    {name.upper()}_{each.upper()} = {first}, /* {_values(size)}, {unit} */"
+        "readings": "\n".join(f"    {name.upper()}_{each.upper()} = {first}, /* {size} x {unit} */"
                               for each, (first, size, unit) in session.layout.items()),
         "tables": "\n".join(f"    const double *{each}; /* {' x '.join(map(str, values.shape))} */"
                             for each, values in tables.items()),
@@ -283,15 +285,12 @@ def write_c(session: _Session, folder: Path) -> list[Path]:
         "table": "\n".join(f"| `{each}` | {first} to {first + size - 1} | {unit} |"
                            for each, (first, size, unit) in session.layout.items()),
     }  # fmt: skip
-    files = {f"{name}.h": c.HEADER, f"{name}.c": c.SOURCE.replace("$step", step), "main.c": c.MAIN, "README.md": c.README}
+    source = c.SOURCE.replace("$step", step)
+    files = {f"{name}.h": c.HEADER, f"{name}.c": source, "main.c": c.MAIN, "README.md": c.README}
     folder.mkdir(parents=True, exist_ok=True)
     for file, text in files.items():
         (folder / file).write_text(Template(text).substitute(words), encoding="utf-8")
     return [folder / file for file in files]
-
-
-def _values(count: int) -> str:
-    return f"{count} value{'s' * (count > 1)}"
 
 
 def _c_array(name: str, values: Array, kind: str = "static const") -> str:

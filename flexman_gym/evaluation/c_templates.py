@@ -59,7 +59,7 @@ $initial
 
 static double clip(double value, double most)
 {
-    return fmin(fmax(value, -most), most);
+    return value < -most ? -most : value > most ? most : value; /* NaN stays NaN */
 }
 
 ${dot}void ${p}_reset(${p}_state *state, const ${p}_move *move)
@@ -178,8 +178,10 @@ $layers
         command[i] = $command;
 """
 
-LAYER = """        for (int i = 0; i < $outputs; i++)
-            values[$target][i] = $function;"""
+LAYER = """        for (int i = 0; i < $outputs; i++) {
+            const double sum = $sum;
+            values[$target][i] = $function;
+        }"""
 
 MAIN = """/* Compare the torques of recorded readings with those of Python; exit status 0 if they are equal. */
 #include "$p.h"
@@ -221,7 +223,8 @@ Environment: $environment. Angles in rad, lengths in m, torques in N m.$note
 | --- | --- | --- |
 $table
 
-`angle_errors` are goal minus motor angles; `goal_rates` are zero for a fixed goal.
+`angle_errors` are goal minus motor angles; `goal_rates` are zero for a fixed goal. `state` has coordinates and rates in
+the order of `states` in `flexman export matlab`. `fine_NAME` is arcsinh of NAME over a scale, see the sensor `fine`.
 """
 
 LINEAR_NOTE = """ The Kalman filter and the regulator are linear about the goal: use it near the goal."""

@@ -41,7 +41,8 @@ def write_matlab(name: str, path: Path, environment: str = "", goal: Vector | No
         model = resolve_fidelity(bare).model
         posture = np.zeros(model.n_joints) if goal is None else np.array(vector("goal", goal, model.n_joints, "rad"))
     else:
-        session = begin_agent(name, environment, **({} if goal is None else {"goal_angles": goal}))
+        move: dict[str, Any] = {} if goal is None else {"goal_angles": goal}
+        session = begin_agent(name, environment, **move)
         program, bare, posture = read_program(session), session.environment, session.move[1]
         model = session.episodes.batch.model
         data["agent"] = program.constants | program.rows | program.matrices
