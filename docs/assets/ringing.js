@@ -42,13 +42,15 @@ const ringing = (() => {
 
   /** Returns A and B of x[k + 1] = A x[k] + B u[k] with held torques u, and the jump of x by an impulse on the tip. */
   function sampled(mass, stiffness) {
-    const restoring = mass.map((_, i) => [...stiffness[i], ...arm.damping[i]].map(value => -value));
-    const forces = restoring.map((row, i) => [...row, +(i === MOTOR)]);
+    const h = arm.period, unit = Array.from({ length: d }, (_, i) => +(i === MOTOR));  // rates times h: a smaller norm
+    const restoring = stiffness.map((row, i) => [...row.map(value => -value * h * h), ...arm.damping[i].map(value => -value * h)]);
+    const accelerations = solve(mass, restoring.map((row, i) => [...row, unit[i] * h * h]));
     const speeds = mass.map((_, i) => Array.from({ length: 2 * d + 1 }, (_, j) => +(j === d + i)));
-    const block = [...speeds, ...solve(mass, forces), new Array(2 * d + 1).fill(0)];
-    const whole = exponential(block.map(row => row.map(value => value * arm.period))).slice(0, 2 * d);
+    const whole = exponential([...speeds, ...accelerations, new Array(2 * d + 1).fill(0)]).slice(0, 2 * d);
+    const scale = Array.from({ length: 2 * d + 1 }, (_, i) => (d <= i && i < 2 * d ? h : 1));
+    const exact = whole.map((row, i) => row.map((value, j) => value * scale[j] / scale[i]));
     const jump = solve(mass, column(arm.tip)).map(([value]) => value * arm.impulse);
-    const [A, B] = [whole.map(row => row.slice(0, 2 * d)), whole.map(row => row[2 * d])];
+    const [A, B] = [exact.map(row => row.slice(0, 2 * d)), exact.map(row => row[2 * d])];
     return { A, B, jump: [...new Array(d).fill(0), ...jump] };
   }
 
@@ -173,13 +175,13 @@ const ringing = (() => {
     compute();
   }
 
-  function describe(run) {
-    const millimetres = 1000 * run.vibration, still = run.settled <= arm.duration - 1;
-    return `This arm rings at ${run.frequency.toFixed(2)} Hz; shapers and feedback are designed for ${arm.frequency.toFixed(2)} Hz. ` +
-      `The command ends at ${run.end.toFixed(2)} s. After that the tip moves by ` +
-      `${millimetres > 2000 * arm.length ? "more than the length of the arm" : `${millimetres.toFixed(1)} mm`} from peak to peak; it ` +
-      `${still ? `stays within ${(1000 * arm.band).toFixed(1)} mm of the target from ${run.settled.toFixed(2)} s on` : "does not settle"}. ` +
-      `Largest motor torque: ${run.torque.toFixed(2)} N m${run.torque > arm.limit ? `, more than the ${arm.limit} N m of a real motor` : ""}.`;
+  function describe({ vibration, settled, frequency, end, torque }) {
+    const path = vibration > 2 * arm.length ? "more than the length of the arm" : `${(1000 * vibration).toFixed(1)} mm`;
+    const band = `${(1000 * arm.band).toFixed(1)} mm`, still = settled <= arm.duration - 1;
+    const rest = still ? `stays within ${band} of the target from ${settled.toFixed(2)} s on` : "does not settle";
+    return `This arm rings at ${frequency.toFixed(2)} Hz; shapers and feedback are designed for ${arm.frequency.toFixed(2)} Hz.
+      The command ends at ${end.toFixed(2)} s. After that the tip moves by ${path} from peak to peak; it ${rest}.
+      Largest motor torque: ${torque.toFixed(2)} N m${torque > arm.limit ? `, above the limit of this motor, ${arm.limit} N m` : ""}.`;
   }
 
   /** Returns a cleared drawing context in CSS pixels, with width and height. */
@@ -205,7 +207,7 @@ const ringing = (() => {
   }
 
   function drawArm(canvas, run, { payload, gain, time }, color) {
-    const { context, width, height } = clear(canvas), x = run.states[Math.min(Math.round(time / arm.period), run.states.length - 1)];
+    const { context, width, height } = clear(canvas), x = run.states[Math.round(time / arm.period)];
     const scale = Math.min(width / 1.1, height / 1.15) / arm.length;
     const place = (along, across, angle) => [0.06 * width + scale * (along * Math.cos(angle) - across * Math.sin(angle)),
                                              0.68 * height - scale * (along * Math.sin(angle) + across * Math.cos(angle))];
@@ -228,7 +230,7 @@ const ringing = (() => {
     const { context, width, height } = clear(canvas), degrees = 180 / Math.PI, left = 34, bottom = height - 22;
     const tips = tip => tip.map(value => degrees * value / arm.length), own = tips(run.tip), other = bare ? tips(bare.tip) : [];
     const range = [...own, ...other], low = Math.max(-60, Math.min(-10, ...range)), high = Math.min(120, Math.max(45, ...range));
-    const across = seconds => left + (width - left - 8) * seconds / arm.duration;
+    const across = seconds => left + (width - left - 12) * seconds / arm.duration;
     const up = angle => bottom - (bottom - 8) * (Math.min(Math.max(angle, low), high) - low) / (high - low);
     const line = (angles, name, thick, dash) =>
       stroke(context, angles.map((angle, k) => [across(k * arm.period), up(angle)]), color(name), thick, dash);
@@ -237,7 +239,7 @@ const ringing = (() => {
       stroke(context, [[left, up(angle)], [width - 8, up(angle)]], color("grid"), 1);
       context.fillText(`${angle}°`, 4, up(angle) + 4);
     }
-    for (let second = 0; second <= arm.duration; second++) context.fillText(second ? second : "0 s", across(second) - 4, height - 6);
+    for (let second = 0; second <= arm.duration; second++) context.fillText(`${second} s`, across(second) - 8, height - 6);
     stroke(context, [[across(time), 8], [across(time), bottom]], color("text"), 1);
     stroke(context, [[across(run.end), 8], [across(run.end), bottom]], color("command"), 1, [2, 4]);
     context.fillText("command ends", across(run.end) + 5, bottom - 6);
