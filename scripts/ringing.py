@@ -34,21 +34,18 @@ def nominal_model() -> Model:
     return fm.build_model(fm.catalog.one_joint(), elements=2, modes=2)
 
 
-def linear_model(model: Model, payload: float, factor: float) -> LinearModel:
-    """Return the linear model about rest by motor torque and tip force, with the tip position as output.
+def changed_model(model: Model, payload: float, factor: float) -> Model:
+    """Return the model of the arm with a payload (kg) and a factor on its joint stiffness, in the same coordinates."""
+    return varied_model(model, payload_mass=payload, joint_stiffness=factor * model.constants.joint_stiffness)
 
-    Args:
-        model: model of the nominal arm.
-        payload: mass of the payload, kg.
-        factor: joint stiffness / nominal joint stiffness.
-    """
-    stiffness = factor * model.constants.joint_stiffness
-    changed = varied_model(model, payload_mass=payload, joint_stiffness=stiffness)
-    return fm.linearize(changed, inputs=("motor_torques", "tip_force"))
+
+def linear_model(model: Model, payload: float, factor: float) -> LinearModel:
+    """Return the linear model about rest by motor torque and tip force; arguments as in `changed_model`."""
+    return fm.linearize(changed_model(model, payload, factor), inputs=("motor_torques", "tip_force"))
 
 
 def matrices(model: Model, payload: float, factor: float) -> tuple[Array, Array, Array]:
-    """Return mass, stiffness and damping matrix (d, d) about rest; payload and factor as in `linear_model`."""
+    """Return mass, stiffness and damping matrix (d, d) about rest; arguments as in `changed_model`."""
     form = linear_model(model, payload, factor).balance
     assert form is not None
     stiffness, damping, _ = np.split(-form.forces, [model.n_dof, 2 * model.n_dof], axis=1)

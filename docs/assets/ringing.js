@@ -43,7 +43,8 @@ const ringing = (() => {
   /** Returns A and B of x[k + 1] = A x[k] + B u[k] with held torques u, and the jump of x by an impulse on the tip. */
   function sampled(mass, stiffness) {
     const h = arm.period, unit = Array.from({ length: d }, (_, i) => +(i === MOTOR));  // rates times h: a smaller norm
-    const restoring = stiffness.map((row, i) => [...row.map(value => -value * h * h), ...arm.damping[i].map(value => -value * h)]);
+    const part = (row, factor) => row.map(value => -factor * value);
+    const restoring = stiffness.map((row, i) => [...part(row, h * h), ...part(arm.damping[i], h)]);
     const accelerations = solve(mass, restoring.map((row, i) => [...row, unit[i] * h * h]));
     const speeds = mass.map((_, i) => Array.from({ length: 2 * d + 1 }, (_, j) => +(j === d + i)));
     const whole = exponential([...speeds, ...accelerations, new Array(2 * d + 1).fill(0)]).slice(0, 2 * d);
@@ -113,7 +114,7 @@ const ringing = (() => {
 
   /** Builds controls and pictures in an element, and draws them after each change. */
   function start(root) {
-    const slider = ([name, label, unit, low, high, step, value]) => `<label>${label}: <output>${value}</output> ${unit}
+    const slider = ([name, label, unit, low, high, step, value]) => `<label>${label}: <b>${value}</b> ${unit}
       <input type="range" name="${name}" min="${low}" max="${high}" step="${step}" value="${value}" data-unit="${unit}"></label>`;
     const radio = ([name, label]) => `<label><input type="radio" name="control" value="${name}"${name === "none" ? " checked" : ""}>
       ${label}</label>`;
@@ -134,7 +135,7 @@ const ringing = (() => {
     }
     function redraw() {
       for (const each of form.querySelectorAll("[type=range]")) {
-        each.previousElementSibling.value = each.value;
+        each.previousElementSibling.textContent = each.value;
         each.setAttribute("aria-valuetext", `${each.value} ${each.dataset.unit}`);
       }
       const style = getComputedStyle(root), color = name => style.getPropertyValue(`--${name}`);
@@ -181,7 +182,7 @@ const ringing = (() => {
     const rest = still ? `stays within ${band} of the target from ${settled.toFixed(2)} s on` : "does not settle";
     return `This arm rings at ${frequency.toFixed(2)} Hz; shapers and feedback are designed for ${arm.frequency.toFixed(2)} Hz.
       The command ends at ${end.toFixed(2)} s. After that the tip moves by ${path} from peak to peak; it ${rest}.
-      Largest motor torque: ${torque.toFixed(2)} N m${torque > arm.limit ? `, above the limit of this motor, ${arm.limit} N m` : ""}.`;
+      Largest motor torque: ${torque.toFixed(2)} N m${torque > arm.limit ? `, above the limit of this motor, ${arm.limit} N m` : ""}.`;
   }
 
   /** Returns a cleared drawing context in CSS pixels, with width and height. */
