@@ -16,8 +16,8 @@ from flexman_gym.control.input_shaping.shapers import design_shaper, excited_mod
 from flexman_gym.control.lqr import CostWeights
 from flexman_gym.envs.tasks.rewards import NEAR
 from flexman_gym.model.deformation import link_shapes
-from flexman_gym.model.linearization import LinearModel
 from flexman_gym.model.model import Model
+from flexman_gym.model.state_space import LinearModel
 from flexman_gym.simulation.parameters import varied_model
 from studies.files import folder
 

@@ -32,7 +32,7 @@ const ringing = (() => {
     const halvings = Math.max(0, Math.ceil(Math.log2(norm)) + 2), scale = 2 ** -halvings;
     const small = A.map(row => row.map(value => value * scale)), unit = A.map((row, i) => row.map((_, j) => +(i === j)));
     let result = unit, term = unit;
-    for (let k = 1; k <= 14; k++) {
+    for (let k = 1; k <= 10; k++) {
       term = product(term, small).map(row => row.map(value => value / k));
       result = sum(result, term);
     }
