@@ -107,3 +107,30 @@ def test_a_wide_table_scrolls_beside_its_first_column(browser, site):
     """
     wider, first, others = browser.run(moved)
     assert wider and first < 40 < others and browser.said() == []
+
+
+def test_the_experiment_works_on_a_phone_and_with_keys(browser, site):
+    """Check width, names with units, colours of both schemes, and a slider moved by a key, at 390 pixels."""
+    browser.size(390, 844)
+    browser.open(f"file://{site / 'concepts.html'}", "document.querySelector('#ringing canvas')")
+    widths = "return [document.documentElement, document.querySelector('#ringing')].map(each => each.scrollWidth)"
+    assert max(browser.run(widths)) <= 390
+    inputs = browser.run(
+        "return [...document.querySelectorAll('#ringing input')].map("
+        "each => [each.labels[0].innerText, each.type, each.getAttribute('aria-valuetext')])"
+    )
+    assert all(label.strip() and (kind != "range" or value.split()[1:]) for label, kind, value in inputs)
+    assert inputs[5][2] == "0.05 kg"
+    said = "return document.querySelector('#ringing [role=status]').textContent"
+    before = browser.run(said)
+    browser.run("document.querySelector('#ringing [name=payload]').focus()")
+    browser.write("\ue014")  # arrow to the right
+    assert browser.run(said) != before
+    colours = set()
+    for scheme in ("default", "slate"):
+        browser.run(f"document.body.setAttribute('data-md-color-scheme', '{scheme}')")
+        colours.add(
+            browser.run("return getComputedStyle(document.querySelector('.ringing')).getPropertyValue('--tip')")
+        )
+    assert len(colours) == 2 and browser.run(AWAY) == [] and browser.said() == []
+    browser.size(1280, 720)
