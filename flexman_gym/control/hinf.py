@@ -96,7 +96,7 @@ def _slycot() -> ModuleType:
     try:
         import slycot
     except ImportError:
-        raise ImportError("the agent hinf needs slycot: pip install 'flexman-gym[control]'") from None
+        raise ImportError("the agent hinf needs slycot: pip install 'flexman_gym[control]'", name="slycot") from None
     module: ModuleType = slycot
     return module
 
