@@ -1,7 +1,7 @@
 """Robust control of the arm of Gu, Petkov and Konstantinov (2005): bounds, random plants and a simulated move."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -43,7 +43,8 @@ BAND = 0.02  # fraction of the move; settled within this band about the goal
 GAIN_RATIO = 1.02  # relative accuracy of the bound of the worst gain
 
 
-class RobustRow(NamedTuple):
+@dataclass(frozen=True)
+class RobustRow:
     """Result of one controller.
 
     Attributes:
