@@ -36,7 +36,8 @@ NOISE = (3.0, 1e-3)  # standard deviations, and fraction of the range below whic
 MODE_LIMIT = 0.4  # fraction of the control rate; modes with higher frequencies are left out
 RANK_TOLERANCE = 0.05  # relative to the largest singular value of a change of parameters; smaller ones are left out
 LOSS = 4.0  # dimensionless; norm allowed with channels over the least norm without channels
-SLEW_FRACTION = 0.5  # fraction of the torque limits available to the feed-forward
+SLEW_FRACTION = 0.5  # fraction of the torques beyond the holding torques that is available to the feed-forward
+PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of a slew; postures at which holding torques are computed
 NORM_RATIO, SHARE_RATIO = 1.03, 1.05  # relative accuracy of the least norm and of the largest share
 LEAST_SHARE = 1e-3  # dimensionless; channels with a smaller share are left out
 MAX_DESIGNS = 1000  # number of goals whose controllers are kept
@@ -442,8 +443,10 @@ class HInfinity:
         free = frictionless(self._model)
         if paths is None and np.array_equal(start, goal):
             return rest_state(free, goal)[None], holding_torques(free, goal)[None]
+        held = max(np.abs(holding_torques(free, start + part * (goal - start)) / self._limits).max() for part in PARTS)
+        fraction = float(held + SLEW_FRACTION * (1.0 - held))
         slew = (
-            plan_slew(free, start, goal, self._limits, SLEW_FRACTION, self._plant.period)
+            plan_slew(free, start, goal, self._limits, fraction, self._plant.period)
             if paths is None
             else plan_path(free, paths[i], self._plant.period)
         )
