@@ -20,13 +20,13 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_ro
 from flexman_gym.common.checks import positive, value_error
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.friction_compensation import friction_coefficients, friction_torques, frictionless
-from flexman_gym.control.lqr import default_weights, performance_outputs
+from flexman_gym.control.lqr import CostWeights
 from flexman_gym.control.observers.observer import MeasurementModel
 from flexman_gym.control.references.trajectories import plan_path, plan_slew
-from flexman_gym.model.linearization import linearize
 from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel, discretize
 from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.parameters import PARAMETERS, UNCERTAIN, varied_model
 
 TORQUE_DISTURBANCE = 0.1  # fraction of the torque limits; torque disturbance of unit size
@@ -203,7 +203,7 @@ def generalised_plant(
     rows = np.vstack([np.zeros((0, 3 * k)), *(right for _, right in pairs)])
     rows[:, :k] /= modes.rates
     outputs = rows[:, : 2 * k] + rows[:, 2 * k :] @ A[k:], rows[:, 2 * k :] @ forces
-    cost = performance_outputs(linear, model.motor_columns, default_weights(model)) @ into
+    cost = CostWeights.default(model).outputs(linear, model.motor_columns) @ into
     noise = np.maximum(NOISE[0] * instruments.deviations, NOISE[1] * instruments.ranges)
     undelayed = System(transition, held, *outputs)
     system = _assembled(undelayed, cost, instruments.matrix @ into, noise, n, (sum(plant.delay) + 1) // 2)

@@ -18,7 +18,7 @@ from flexman_gym.control.hinf import (
     synthesise,
     uncertain_ranges,
 )
-from flexman_gym.control.lqr import default_weights
+from flexman_gym.control.lqr import CostWeights
 from flexman_gym.control.observers.observer import MeasurementModel
 from studies.robust.measure import (
     LOSS,
@@ -74,7 +74,7 @@ def test_the_channels_of_parameters_are_the_differences_of_the_equations_of_moti
 def test_the_sampled_plant_has_the_responses_of_the_linear_model_with_delay(plant):
     late = plant._replace(delay=(2, 2))
     model, instruments = hinf.centred_model(late), MeasurementModel(late, SENSORS)
-    result, weights = generalised_plant(late, instruments, GOAL, np.inf), default_weights(model)
+    result, weights = generalised_plant(late, instruments, GOAL, np.inf), CostWeights.default(model)
     outputs = ("tip", "tip_velocity", "motor_angles", "motor_angles", "motor_rates", "root_strains")
     linear = fm.linearize(model, GOAL, outputs=outputs)
     sampled = hinf.discretize(linear.A, linear.B * late.torque_limit[0], late.period)
