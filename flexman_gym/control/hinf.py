@@ -36,6 +36,7 @@ NOISE = (3.0, 1e-3)  # standard deviations, and fraction of the range below whic
 MODE_LIMIT = 0.4  # fraction of the control rate; modes with higher frequencies are left out
 RANK_TOLERANCE = 0.05  # relative to the largest singular value of a change of parameters; smaller ones are left out
 LOSS = 4.0  # dimensionless; norm allowed with channels over the least norm without channels
+RELAXATION = 1.5  # factor of the loss for an unstable controller with the whole ranges; a looser bound may stabilise it
 SLEW_FRACTION = 0.5  # fraction of the torques beyond the holding torques that is available to the feed-forward
 PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of a slew; postures at which holding torques are computed
 NORM_RATIO, SHARE_RATIO = 1.03, 1.05  # relative accuracy of the least norm and of the largest share
@@ -169,10 +170,11 @@ def channel(modes: _Modes, name: str, part: int | None, ends: tuple[float, float
     matrices = [_linearised(varied(modes.model, [(name, part, end)]), modes.posture)[1] for end in ends]
     scale = np.concatenate([1.0 / modes.rates, np.ones(len(modes.rates)), modes.rates])
     change = modes.shapes.T @ (0.5 * (matrices[1] - matrices[0])) @ np.kron(np.eye(3), modes.shapes) * scale
+    change /= modes.rates[:, None]  # forces relative to those of the springs, so that no mode outweighs the others
     left, sizes, right = np.linalg.svd(change, full_matrices=False)
-    rank = int((sizes > max(RANK_TOLERANCE * sizes[0], 1e-9)).sum())
+    rank = int((sizes > max(RANK_TOLERANCE * sizes[0], 1e-12)).sum())
     roots = np.sqrt(sizes[:rank])
-    return left[:, :rank] * roots, roots[:, None] * right[:rank] / scale
+    return modes.rates[:, None] * left[:, :rank] * roots, roots[:, None] * right[:rank] / scale
 
 
 def generalised_plant(
@@ -364,7 +366,8 @@ def synthesise(plant: GeneralisedPlant, loss: float = LOSS, scaled: bool = True)
     """Return the controller with the largest share of the channels for an allowed loss of performance.
 
     The least norm without channels is found first. Then the channels are multiplied by the largest share, at most 1,
-    for which a controller has at most `loss` times this norm.
+    for which a controller has at most `loss` times this norm. If this share is 1 and the controller itself is
+    unstable, 1.5 times the loss is allowed.
 
     Args:
         plant: generalised plant.
@@ -392,6 +395,8 @@ def synthesise(plant: GeneralisedPlant, loss: float = LOSS, scaled: bool = True)
 def _largest_share(plant: GeneralisedPlant, scales: Array, level: float, loss: float) -> Synthesis | None:
     """Return the controller for the largest share of the channels, at most 1; None without a controller."""
     full = _central(plant, scales, 1.0, level, loss)
+    if full and np.abs(np.linalg.eigvals(full.loop.A)).max() >= 1.0:
+        full = _central(plant, scales, 1.0, level, RELAXATION * loss) or full
     return full or _search(lambda share: _central(plant, scales, share, level, loss), 0.5, 2.0, SHARE_RATIO)[1]
 
 
