@@ -26,9 +26,9 @@ from studies.precision.page import page as precision_page
 from studies.ringdown.measure import PERIOD, Errors, RingDownRow
 from studies.ringdown.page import accuracy_page
 from studies.ringdown.page import page as ringdown_page
-from studies.screen import HIDDEN, index
 from studies.robust.measure import RobustRow
 from studies.robust.page import page as robust_page
+from studies.screen import HIDDEN, index
 from studies.servos.measure import FrictionRow, ServoRow
 from studies.servos.page import page as servos_page
 from studies.stability.measure import StabilityRow
