@@ -118,6 +118,12 @@ def _lqg(plant: Plant, weights: object = None, **options: Any) -> OutputFeedback
     return OutputFeedback(KalmanFilter(plant, **options), _tracking(plant, weights))
 
 
+def _hinf(plant: Plant, **options: Any) -> Controller:
+    from flexman_gym.control.hinf import HInfinity
+
+    return HInfinity(plant, **options)
+
+
 def _privileged(plant: Plant, weights: object = None, doubt: object = False, retimed: object = True) -> OutputFeedback:
     law = _tracking(plant, weights, flag("base.retimed", retimed))
     return OutputFeedback(Oracle(plant, flag("base.doubt", doubt)), law)
@@ -157,6 +163,13 @@ BASES: dict[str, _BaseEntry] = {
         ("model",),
         ("weights", "sensors", "noise", "disturbed", "biased", "fixed"),
         "a Kalman filter of the nominal arm with laboratory measurements, and `lqr-tracking`",
+    ),
+    "hinf": _BaseEntry(
+        _hinf,
+        ("model",),
+        ("sensors", "loss"),
+        "H-infinity output feedback with laboratory measurements, designed for the ranges of the uncertain parameters",
+        "none: the same weights for every arm",
     ),
     "mpc": _BaseEntry(_mpc, ("model", "true state"), (), "model predictive control within the torque limits"),
     "optimised": _BaseEntry(

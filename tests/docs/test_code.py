@@ -90,6 +90,8 @@ def test_a_page_runs_and_prints_what_it_says(page, checkout, monkeypatch):
         monkeypatch.setitem(defaults["dagger"], "updates", 5)
     if any("matplotlib" in text or "flexman draw" in text for _, text in blocks(page)):
         pytest.importorskip("matplotlib").use("Agg")
+    if any("control.hinf" in text for _, text in blocks(page)):
+        pytest.importorskip("slycot")
     names, result = {"__name__": "page"}, blocks(page)
     for (language, text), (following, said) in pairwise([*result, ("", "")]):
         if language == "sh":

@@ -101,7 +101,7 @@ def test_baselines_run_on_the_environment_that_is_named():
     )
     environment = common_environment([find_agent("pd"), find_agent("zero")], described)
     assert environment.settings == {"arm": ARM, "horizon": 1.5}, "base, hold and sensors belong to what acts"
-    elsewhere = {"optimised", "mpc"}  # the one has a table of one arm, the other needs a package
+    elsewhere = {"optimised", "mpc", "hinf"}  # the first has a table of one arm, the others need packages
     anywhere = [name for name in BASELINES if name not in elsewhere]
     results = {name: evaluate(name, environment, SEEDS) for name in anywhere}
     rewards = {name: result["reward"] for name, result in results.items()}

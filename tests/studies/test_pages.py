@@ -26,6 +26,8 @@ from studies.precision.page import page as precision_page
 from studies.ringdown.measure import PERIOD, Errors, RingDownRow
 from studies.ringdown.page import accuracy_page
 from studies.ringdown.page import page as ringdown_page
+from studies.robust.measure import RobustRow
+from studies.robust.page import page as robust_page
 from studies.screen import HIDDEN, index
 from studies.servos.measure import FrictionRow, ServoRow
 from studies.servos.page import page as servos_page
@@ -50,6 +52,7 @@ SCREENS = {  # page -> function of its rows, and files and types of the rows
     "peers": (peers_page, {"peers": PrecisionRow, "peers_damping": Decay}),
     "planted": (planted_page, {"planted": Planted}),
     "ring_down": (lambda rows, files: ringdown_page(rows, DEFAULT, files), {"ring_down": RingDownRow}),
+    "robust": (robust_page, {"robust": RobustRow}),
     "servos": (servos_page, {"servos": ServoRow, "servos_friction": FrictionRow}),
     "stability": (stability_page, {"stability": StabilityRow}),
     "verification": (verification_page, {"verification": VerificationRow}),

@@ -1,0 +1,1 @@
+"""Robust control of a published arm by H-infinity synthesis."""
