@@ -30,7 +30,7 @@ BELLS, EXPONENTIAL = {"kind": "slew"}, {"kind": "slew", "reward": "exponential"}
 CASES = {
     "PD at its torque limit": (environment(**LIMIT), PD,
         ("payload_mass", "joint_stiffness[0]", "initial_joint_angles[1]", "initial_joint_rates[0]", "motor_torques[1]",
-         "tip_force[1]", "base_acceleration[0]", "stiffness[0]", "damping[1]", "torque_1[4]")),
+         "tip_force[2]", "base_acceleration[0]", "stiffness[0]", "damping[1]", "torque_1[4]")),
     "delay and lag": (environment(task=BELLS, randomisation={"delay": (2, 2)}, drive_bandwidth=20.0), PD,
         ("payload_mass", "stiffness[1]", "torque_2[3]")),
     "torque feedback and friction": (environment(task=EXPONENTIAL, **FRICTION), "pd-torque",
@@ -47,7 +47,7 @@ CASES = {
         policy(50, 2, "sac", sensors=DELAYED, history=2, action_repeat=2, base=PD),
         ("payload_mass", "joint_stiffness[1]", "torque_1[3]")),
     "moving goal": (environment(task={"kind": "track", "preview": [0.1]}),
-        policy(60, 2, sensors="full", history=[0.1]), ("payload_mass", "tip_force[1]")),
+        policy(60, 2, sensors="full", history=[0.1]), ("payload_mass", "tip_force[2]")),
 }  # fmt: skip
 
 

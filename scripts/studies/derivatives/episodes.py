@@ -20,9 +20,12 @@ from flexman_gym.simulation.batch import Batch
 SEED = 3
 OUTPUTS = ("tip", "joint_rates", "elastic_energy", "gravitational_energy", "tip_error", "tip_vibration", "readings",
            "actions", "torques", "reward_terms", "return")  # fmt: skip
-SIZES = {"payload_mass": 0.1, "joint_stiffness": 50.0, "viscous_friction": 0.05, "coulomb_friction": 0.1,
-         "link_stiffness_factor": 1.0, "initial_joint_angles": 0.3, "initial_joint_rates": 0.3, "motor_torques": 0.3,
-         "tip_force": 3.0, "base_acceleration": 5.0, "stiffness": 10.0, "damping": 3.0}  # fmt: skip
+SIZES = {
+    "payload_mass": 0.1, "joint_stiffness": 50.0, "joint_damping": 0.4, "rotor_inertia": 0.05, "viscous_friction": 0.8,
+    "coulomb_friction": 0.1, "link_stiffness_factor": 1.0, "link_damping": 0.04, "initial_joint_angles": 0.3,
+    "initial_joint_rates": 0.3, "motor_torques": 0.3, "tip_force": 3.0, "base_acceleration": 5.0, "stiffness": 10.0,
+    "damping": 3.0,
+}  # fmt: skip
 ACTION_SIZE = 0.5  # size of an action
 ROUNDED = ("control.pd", "control.agent", "evaluation.rollout")  # modules that round actions or observations to float32
 
@@ -141,9 +144,7 @@ def with_action(agent: Any, column: int, number: int, changes: Array) -> AgentSp
     return replace(spec, law=law)
 
 
-def outputs_of(
-    agent: object, world: Configuration, count: int, set_plant: Callable[[Batch], None] | None = None
-) -> Array:
+def outputs_of(agent: Any, world: Configuration, count: int, set_plant: Callable[[Batch], None] | None = None) -> Array:
     """Return the outputs (count, T, m) of equal episodes, in the order of OUTPUTS."""
     parts: Mapping[str, list[Array]] = {name: [] for name in OUTPUTS}
 

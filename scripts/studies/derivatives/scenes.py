@@ -18,11 +18,11 @@ Z = (0.0, 0.0, 1.0)
 OUTPUTS = ("tip", "tip_velocity", "joint_angles", "motor_rates", "root_strains", "kinetic_energy", "elastic_energy",
            "gravitational_energy")  # fmt: skip
 TIMES, TORQUES = (0.0, 0.11, 0.25, 0.4), ((1.2, 0.4), (-0.6, -0.3), (0.5, 0.2), (0.0, 0.1))  # s; N m
-MOTOR = {"gear_ratio": 100.0, "torque_constant": 0.05, "rotor_inertia": 2e-6}
-RIPPLE = {"torque_ripple": 0.002, "ripple_cycles": 2.0}
-VOLTAGE = {"resistance": 2.0, "back_emf_constant": 0.01}
-COULOMB = {"coulomb_friction": 0.1, "coulomb_rate": 0.3, "static_friction": 0.14, "stribeck_rate": 0.5}
-GAP = {"backlash": 1e-3, "stiffness_pieces": ((0.5, 0.6), (1.5, 0.8))}
+MOTOR: dict[str, Any] = {"gear_ratio": 100.0, "torque_constant": 0.05, "rotor_inertia": 2e-6}
+RIPPLE: dict[str, Any] = {"torque_ripple": 0.002, "ripple_cycles": 2.0}
+VOLTAGE: dict[str, Any] = {"resistance": 2.0, "back_emf_constant": 0.01}
+COULOMB: dict[str, Any] = {"coulomb_friction": 0.1, "coulomb_rate": 0.3, "static_friction": 0.14, "stribeck_rate": 0.5}
+GAP: dict[str, Any] = {"backlash": 1e-3, "stiffness_pieces": ((0.5, 0.6), (1.5, 0.8))}
 ALL = ("friction", "backlash", "ripple")
 # parameter -> index of the part, and size, where the nominal value is not the size
 PARTS: dict[str, tuple[int | None, float | None]] = {
@@ -44,7 +44,7 @@ def scene(effects: Sequence[str] = ALL) -> fm.Scene:
     """
     strip = fm.Link.strip(0.5, 0.04, 0.003)
     motor = fm.Motor(**MOTOR, **(RIPPLE if "ripple" in effects else {}), **(VOLTAGE if "voltage" in effects else {}))
-    friction = COULOMB if "friction" in effects else {}
+    friction: dict[str, Any] = COULOMB if "friction" in effects else {}
     first = fm.Joint(Z, stiffness=60.0, damping=0.05, motor=motor, viscous_friction=0.05, **friction)
     passive = "passive" in effects
     own: dict[str, Any] = {"passive": True, "stiffness": 2.0} if passive else {"rotor_inertia": 0.01, "stiffness": 40.0}
@@ -52,7 +52,7 @@ def scene(effects: Sequence[str] = ALL) -> fm.Scene:
     arm = fm.Arm([strip, strip], [first, second], fm.Payload(0.1, offset=(0.02, 0.0, 0.0)), gravity=(0.0, -9.81, 0.0),
                  modal_damping_ratio=0.01)  # fmt: skip
     choice = fm.ModelChoice(flexible_links=(True, True), elements=(2, 2), modes=(2, 2))
-    torque = fm.SampledTorque(TIMES, np.array(TORQUES) * (1.0, not passive))
+    torque = fm.SampledTorque(TIMES, (np.array(TORQUES) * (1.0, not passive)).tolist())
     initial = fm.Initial(joint_angles=(0.2, -0.4), joint_rates=(0.5, 0.1))
     return fm.Scene(arm, choice, torque, initial, duration=0.4, output_step=0.02)
 
@@ -106,7 +106,8 @@ class ChangedScene:
     def outputs(self, text: str, changes: Array) -> Array:
         """Return the outputs (c, T, m) with changes (c,) of a parameter."""
         name, _, part = text.partition("[")
-        index, parameters = int(part[:-1]) if part else None, {}
+        index = int(part[:-1]) if part else None
+        parameters: dict[str, Any] = {}
         scenes = [self._changed(name, index or 0, change) for change in changes.tolist()]
         if name in (nominal := nominal_parameters(self.model)):
             values = np.repeat(nominal[name][None].astype(float), len(changes), axis=0)
@@ -127,8 +128,8 @@ class ChangedScene:
             torques: Any = given.torque
             values = np.array(torques.values)
             values[:, index] += change
-            return replace(given, torque=fm.SampledTorque(torques.times, values))
+            return replace(given, torque=fm.SampledTorque(torques.times, values.tolist()))
         if name in ("tip_force", "base_acceleration"):
-            signals = [fm.Signal(offset=change * (axis == index)) for axis in range(3)]
+            signals: Any = [fm.Signal(offset=change * (axis == index)) for axis in range(3)]
             return replace(given, **{name: signals})
         return given
