@@ -7,7 +7,7 @@ from studies.benchmark import measure
 from studies.benchmark.page import ROWS_FILE, publish
 from studies.files import folder, write_rows
 
-EVALUATION_ROUNDS, DERIVATIVE_ROUNDS, PART_ROUNDS, STARTS = 40, 60, 15, 5
+EVALUATION_ROUNDS, PART_ROUNDS, STARTS = 40, 15, 5
 PEERS = ("gymnasium", "stable-baselines3", "torch", "mujoco", "pin")
 
 
@@ -24,7 +24,6 @@ def main() -> None:
         rows = measure.environment_rows(grid)
         rows += measure.part_rows(1 if options.quick else PART_ROUNDS)
         rows += measure.start_rows(1 if options.quick else STARTS, cold=not options.quick)
-        rows += measure.derivative_rows(2 if options.quick else DERIVATIVE_ROUNDS)
         rows += measure.evaluation_rows(2 if options.quick else EVALUATION_ROUNDS)
         write_rows(rows, options.folder / ROWS_FILE, comment=computer_text(PEERS))
     print(publish(options.folder))

@@ -1,8 +1,12 @@
 """Stopwatches: cost of a call, and time in all calls of a method."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
+
+import numpy as np
+
+from flexman_gym.common.arrays import Array
 
 
 class Stopwatch:
@@ -56,3 +60,22 @@ def timer(call: Callable[[], object], count: int, batches: int = 1) -> Timer:
         return Cost(cpu / count, wall / count)
 
     return measure
+
+
+def in_turns(timers: Mapping[str, Timer], rounds: int) -> dict[str, Array]:
+    """Return the costs (rounds, 3) of each timer; interleaved, so that disturbances affect all timers alike."""
+    costs: dict[str, list[Cost]] = {name: [] for name in timers}
+    for _ in range(rounds):
+        for name, measure in timers.items():
+            costs[name].append(measure())
+    return {name: np.array(result) for name, result in costs.items()}
+
+
+def repeated(call: Callable[[], object], times: int) -> Callable[[], None]:
+    """Return a function that repeats a call."""
+
+    def repeat() -> None:
+        for _ in range(times):
+            call()
+
+    return repeat

@@ -9,43 +9,11 @@ import flexman_gym as fm
 from flexman_gym.model.dynamics import RICHARDSON
 from flexman_gym.model.model import changed_model, scene_model
 from flexman_gym.simulation.dimensions import DIMENSIONS
+from studies.derivatives.dimensions import NOMINAL, OUTPUTS, arm, outputs_of, reduced, scene
 
-Z, STEP = (0.0, 0.0, 1.0), 2e-3  # joint axis; relative step of the differences
-NOMINAL = {
-    "link_length[0]": 0.5, "link_length[1]": 0.4, "link_width[0]": 0.04, "link_thickness[0]": 0.003,
-    "link_diameter[1]": 0.02, "link_wall[1]": 0.002, "link_youngs_modulus[0]": 68.9e9, "link_shear_modulus[0]": 26.0e9,
-    "link_density[1]": 2700.0, "gear_ratio[0]": 100.0,
-}  # fmt: skip
-OUTPUTS = ("tip", "tip_velocity", "motor_rates", "root_strains", "kinetic_energy", "elastic_energy")
+STEP = 2e-3  # relative step of the differences
 FULL, MODAL = {"elements": 1, "modes": None}, {"elements": 1, "modes": 6}
 REDUCED = {"elements": 2, "modes": 4}
-
-
-def arm(payload=0.1, **changes):
-    """Return a strip and a tube, bent out of plane by gravity, with given values of parameters."""
-    given = {name.partition("[")[0]: value for name, value in (NOMINAL | changes).items()}
-    length, outer = (NOMINAL | changes)["link_length[0]"], given["link_length"]
-    first = fm.Link.strip(length, given["link_width"], given["link_thickness"], masses=[fm.LumpedMass(0.05, length)],
-                          material=(given["link_youngs_modulus"], given["link_shear_modulus"], 2700.0))  # fmt: skip
-    second = fm.Link.tube(outer, given["link_diameter"], given["link_wall"],
-                          material=(68.9e9, 26.0e9, given["link_density"]))  # fmt: skip
-    motor = fm.Motor(given["gear_ratio"], 0.05, 2e-6, torque_ripple=0.01, ripple_cycles=0.05)
-    joints = [fm.Joint(Z, stiffness=60.0, motor=motor), fm.Joint((0.0, 1.0, 0.0), 0.01, stiffness=40.0)]
-    load = fm.Payload(payload, offset=(0.0, 0.02, 0.0)) if payload else None
-    return fm.Arm([first, second], joints, load, gravity=(0.0, -9.81, 0.0), modal_damping_ratio=0.02)
-
-
-def scene(given, **choice):
-    start = fm.Initial((0.2, -0.4), (0.5, 0.1))
-    return fm.Scene(given, fm.ModelChoice((True, True), **choice), fm.ConstantTorque((1.2, -0.6)), start, duration=0.1,
-                    output_step=0.02)  # fmt: skip
-
-
-def outputs_of(run):
-    """Return the outputs (T, m) of a simulation in the order of OUTPUTS, with both energies added."""
-    return np.column_stack(
-        [run.tip, run.tip_velocity, run.readings["motor_rates"], run.readings["root_strains"], run.moving_energy]
-    )
 
 
 def differences(simulate, nominal):
@@ -57,16 +25,10 @@ def differences(simulate, nominal):
     )
 
 
-def moving(found):
-    """Return the derivatives (T, m, p) with kinetic and elastic energy added."""
-    both = found.jacobian[:, -2:].sum(axis=1, keepdims=True)
-    return np.concatenate([found.jacobian[:, :-2], both], axis=1)
-
-
 def check(found, column, expected):
     """Compare derivatives (T, m) with those of differences, relative to the largest of each output."""
     scale = np.abs(expected).max(axis=0)
-    deviation = np.abs(moving(found)[:, :, column] - expected).max(axis=0)
+    deviation = np.abs(reduced(found.jacobian)[:, :, column] - expected).max(axis=0)
     assert (deviation <= 2e-8 * scale + 1e-9 * scale.max()).all(), (NAMES[column], deviation / (scale + 1e-300))
 
 
@@ -129,7 +91,7 @@ def test_a_part_without_the_dimension_is_refused(name, words):
 
 def test_a_stepped_link_has_no_dimension_of_its_own():
     rods = [fm.Link.rod(0.3, diameter=0.012), fm.Link.rod(0.2, diameter=0.008)]
-    stepped = fm.Arm([fm.NonUniformLink(rods)], [fm.Joint(Z)])
+    stepped = fm.Arm([fm.NonUniformLink(rods)], [fm.Joint((0.0, 0.0, 1.0))])
     given = fm.Scene(
         stepped, fm.ModelChoice((True,), 1), fm.ConstantTorque((0.1,)), fm.Initial((0.0,), (0.0,)), 0.1, 0.02
     )

@@ -1,154 +1,39 @@
 """Tests of sensitivities: differences extrapolated to zero, Taylor remainders, closed forms, and equal values."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.model.model import scene_model
+from flexman_gym.simulation.differentiation import INPUTS
 from flexman_gym.simulation.methods import IteratedGauss
-from flexman_gym.simulation.parameters import PARAMETERS, nominal_parameters
+from studies.derivatives.differences import allowed, deviations, remainder_orders
+from studies.derivatives.scenes import OUTPUTS, ChangedScene, reduced, scene
 
 Z = (0.0, 0.0, 1.0)
-OUTPUTS = ("tip", "tip_velocity", "joint_angles", "motor_rates", "root_strains", "kinetic_energy", "elastic_energy",
-           "gravitational_energy")  # fmt: skip
 METHODS = ("midpoint_corrected_3", "midpoint_2", "gauss_2", "ros2", "extrapolated_euler_3")
 # methods whose arms are simulated one after the other, with their steps, s; differences need a converged solution
 CONVERGED = replace(fm.METHODS["generalised_alpha"], tolerance=1e-15)
 SEQUENTIAL = [("rk4", 2.5e-4), ("semi_implicit_euler", 1e-4), (CONVERGED, 0.005)]
-ROUNDING = 1e-14  # rounding error of an output, relative to its largest value
-STEPS = (4e-3, 5e-4, 6e-5)  # relative steps of the differences
-TORQUE = fm.SampledTorque((0.0, 0.11, 0.25, 0.4), ((1.2, 0.4), (-0.6, -0.3), (0.5, 0.2), (0.0, 0.1)))
-CHOICE = fm.ModelChoice(flexible_links=(True, True), elements=(2, 2), modes=(2, 2))
-
-
-def scene():
-    """A planar arm under gravity with all effects of joints, for 0.4 s."""
-    strip = fm.Link.strip(0.5, 0.04, 0.003)
-    motor = fm.Motor(gear_ratio=100.0, torque_constant=0.05, rotor_inertia=2e-6, torque_ripple=0.002, ripple_cycles=2.0)
-    friction = {"viscous_friction": 0.05, "coulomb_friction": 0.1, "coulomb_rate": 0.3, "static_friction": 0.14,
-                "stribeck_rate": 0.5}  # fmt: skip
-    first = fm.Joint(Z, stiffness=60.0, damping=0.05, motor=motor, **friction)
-    second = fm.Joint(Z, 0.01, stiffness=40.0, damping=0.02, backlash=1e-3, stiffness_pieces=((0.5, 0.6), (1.5, 0.8)))
-    arm = fm.Arm([strip, strip], [first, second], fm.Payload(0.1, offset=(0.02, 0.0, 0.0)), gravity=(0.0, -9.81, 0.0),
-                 modal_damping_ratio=0.01)  # fmt: skip
-    initial = fm.Initial(joint_angles=(0.2, -0.4), joint_rates=(0.5, 0.1))
-    return fm.Scene(arm, CHOICE, TORQUE, initial, duration=0.4, output_step=0.02)
-
-
-MODEL = scene_model(scene())
-
-
-def outputs_of(trajectory):
-    """Return the outputs (T, m) of a trajectory, in the order of OUTPUTS."""
-    readings, states = trajectory.readings, trajectory.states
-    n = trajectory.joint_angles.shape[1]
-    energies = [trajectory.moving_energy, trajectory.energy - trajectory.moving_energy]
-    assert states.shape[1] > 2 * n
-    return np.column_stack(
-        [trajectory.tip, trajectory.tip_velocity, trajectory.joint_angles, readings["motor_rates"],
-         readings["root_strains"], *energies]
-    )  # fmt: skip
-
-
-def reduced(values):
-    """Return outputs (T, m) of sensitivities with kinetic and elastic energy added, as in `outputs_of`."""
-    return np.column_stack([values[:, :-3], values[:, -3] + values[:, -2], values[:, -1]])
-
-
-def changed(name, index, step):
-    """Return the outputs with a parameter changed by a step, and by its opposite."""
-    given, method = scene(), changed.method
-    results = []
-    for change in (step, -step):
-        current, parameters = given, {}
-        if name.startswith("initial_"):
-            field = name.removeprefix("initial_")
-            values = np.array(getattr(given.initial, field))
-            values[index] += change
-            current = replace(given, initial=replace(given.initial, **{field: tuple(values)}))
-        elif name in ("tip_force", "base_acceleration"):
-            signals = [fm.Signal(offset=change * (axis == index)) for axis in range(3)]
-            current = replace(given, **{name: signals})
-        elif name == "motor_torques":
-            values = np.array(TORQUE.values)
-            values[:, index] += change
-            current = replace(given, torque=fm.SampledTorque(TORQUE.times, values))
-        else:
-            values = np.array(nominal_parameters(MODEL)[name], dtype=float)
-            values[() if index is None else index] += change
-            parameters = {name: np.array([values, values])}
-        results.append(outputs_of(fm.simulate_all([current] * 2, method=method, step=changed.step, **parameters)[0]))
-    return results
-
-
-changed.step = 0.005  # s
-
-
-def extrapolated(name, index, size):
-    """Return derivatives (3, T, m) from central differences extrapolated to order six, and estimates (3,) of errors.
-
-    Springs with knees have a second derivative that jumps: large steps of the differences cross knees.
-    """
-    results, errors = [], []
-    for largest in STEPS:
-        steps = largest * size * np.array([1.0, 0.5, 0.25])
-        plus_and_minus = np.concatenate([changed(name, index, step) for step in steps])
-        first, second, third = (
-            (plus - minus) / (2.0 * step)
-            for step, plus, minus in zip(steps, plus_and_minus[::2], plus_and_minus[1::2], strict=True)
-        )
-        finer, coarser = (4.0 * third - second) / 3.0, (4.0 * second - first) / 3.0
-        results.append((16.0 * finer - coarser) / 15.0)
-        rounding = ROUNDING * np.abs(plus_and_minus).max(axis=(0, 1)) / (0.25 * largest * size)
-        errors.append(np.abs(results[-1] - finer).max(axis=0) + rounding)
-    return np.array(results), np.array(errors)
-
-
-def every_parameter():
-    """Return name, index and typical size of each parameter of the arm."""
-    nominal = nominal_parameters(MODEL)
-    for name in ("payload_mass", "joint_stiffness[0]", "joint_damping[1]", "rotor_inertia[1]", "viscous_friction[0]",
-                 "coulomb_friction[0]", "coulomb_rate[0]", "static_excess[0]", "stribeck_rate[0]", "backlash[1]",
-                 "soft_stiffness[1]", "ripple_torque[0]", "link_stiffness_factor[0]", "link_damping[1]"):  # fmt: skip
-        key, _, index = name.partition("[")
-        value = np.ravel(nominal[key])[int(index[:-1]) if index else 0]
-        yield key, int(index[:-1]) if index else None, float(value)
-    yield from (("initial_joint_angles", 0, 0.1), ("initial_joint_rates", 1, 0.5), ("motor_torques", 1, 0.3))
-    yield from (("tip_force", 1, 1.0), ("base_acceleration", 0, 1.0))
-
-
-def label(name, index):
-    return name if index is None else f"{name}[{index}]"
+CHANGED = ChangedScene(scene(), "midpoint_corrected_3", 0.005)
+EVERY = dict(CHANGED.parameters())  # name -> size
 
 
 def test_every_parameter_is_differentiated():
-    """Of the physical parameters none is missing from this test."""
-    assert {name for name, _, _ in every_parameter()} >= set(PARAMETERS)
+    """Of the physical parameters and inputs none is missing from this test."""
+    assert {name.partition("[")[0] for name in EVERY} == {*INPUTS}
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_derivatives_are_those_of_extrapolated_differences(method):
-    compare_with_differences(method, 0.005, list(every_parameter()))
-
-
-@pytest.mark.parametrize("method, step", SEQUENTIAL)
-def test_derivatives_of_other_methods_are_those_of_extrapolated_differences(method, step, monkeypatch):
-    monkeypatch.setattr(changed, "step", step)
-    compare_with_differences(method, step, list(every_parameter())[::7])
-
-
-def compare_with_differences(method, step, names):
-    """Check the derivatives with respect to parameters, given by name, index and size, to 1e-8 or rounding."""
-    changed.method = method
-    found = fm.sensitivities(scene(), OUTPUTS, [label(*each[:2]) for each in names], method=method, step=step)
-    for column, (name, index, size) in enumerate(names):
+@pytest.mark.parametrize("method, step", [*((method, 0.005) for method in METHODS), *SEQUENTIAL])
+def test_derivatives_are_those_of_extrapolated_differences(method, step):
+    changed, names = replace(CHANGED, method=method, step=step), list(EVERY)[:: 1 if step == 0.005 else 7]
+    found = fm.sensitivities(scene(), OUTPUTS, names, method=method, step=step)
+    for column, name in enumerate(names):
         exact = reduced(found.jacobian[:, :, column])
-        best, error = extrapolated(name, index, size)
-        scale = np.abs(exact).max(axis=0) + 1e-6 * np.abs(exact).max()
-        deviation = np.abs(exact - best).max(axis=1)
-        assert (deviation <= np.maximum(1e-8 * scale, 3.0 * error)).any(axis=0).all(), (name, index)
+        deviation, error = deviations(exact, partial(changed.outputs, name), EVERY[name])
+        assert (deviation <= allowed(error)).all(), name
 
 
 @pytest.mark.parametrize("method, step", [*((method, 0.005) for method in METHODS), *SEQUENTIAL])
@@ -158,20 +43,13 @@ def test_values_have_the_bits_of_a_simulation(method, step):
     assert np.array_equal(found.values, np.column_stack([run.tip, run.joint_angles]))
 
 
-@pytest.mark.parametrize(
-    "name, size", [("payload_mass", 0.1), ("joint_stiffness[0]", 60.0), ("initial_joint_angles[0]", 1.0)]
-)
+@pytest.mark.parametrize("name, size", [("payload_mass", 0.1), ("joint_stiffness[0]", 60.0),
+                                        ("initial_joint_angles[0]", 1.0)])  # fmt: skip
 def test_the_taylor_remainder_is_of_second_order(name, size):
     """It falls by a hundred over a decade of the change, over two decades."""
-    changed.method = "midpoint_corrected_3"
-    found = fm.sensitivities(scene(), OUTPUTS, name, step=0.005)
-    key, _, index = name.partition("[")
+    found, changed = fm.sensitivities(scene(), OUTPUTS, name, step=0.005), partial(CHANGED.outputs, name)
     base, slope = reduced(found.values), reduced(found.jacobian[:, :, 0])
-    remainders = []
-    for step in 1e-2 * size / np.array([1.0, 10.0, 100.0]):
-        plus, _ = changed(key, int(index[:-1]) if index else None, step)
-        remainders.append(np.abs(plus - base - step * slope).max())
-    orders = np.log10(remainders[:-1]) - np.log10(remainders[1:])
+    orders = remainder_orders(base, slope, changed, size, np.geomspace(1e-2, 1e-4, 3))
     assert ((orders > 1.9) & (orders < 2.1)).all(), orders
 
 
@@ -207,7 +85,7 @@ def test_a_rotor_under_constant_torque_has_its_closed_form():
 
 
 def test_more_than_seven_parameters_take_several_passes():
-    names = [label(name, index) for name, index, _ in every_parameter()]
+    names = list(EVERY)
     together = fm.sensitivities(scene(), "tip", names, step=0.005)
     for column in (0, 6, 7, len(names) - 1):
         alone = fm.sensitivities(scene(), "tip", names[column], step=0.005)

@@ -10,6 +10,9 @@ from studies.benchmark.measure import BenchmarkRow
 from studies.benchmark.page import page as benchmark_page
 from studies.control.cases import ControlRow
 from studies.control.page import page as control_page
+from studies.derivatives.costs import CostRow
+from studies.derivatives.measure import DerivativeRow
+from studies.derivatives.page import page as derivatives_page
 from studies.faults import Fault
 from studies.faults import page as faults_page
 from studies.fidelity.measure import FidelityRow
@@ -46,6 +49,7 @@ SCREENS = {  # page -> function of its rows, and files and types of the rows
     "accuracy": (accuracy_page, {"accuracy": Errors}),
     "arm_design": (arm_design_page, {"arm_design": DesignRow, "arm_design_profiles": ProfileRow}),
     "benchmark": (benchmark_page, {"benchmark": BenchmarkRow, "endurance": EnduranceRow}),
+    "derivatives": (derivatives_page, {"derivatives": DerivativeRow, "derivatives_costs": CostRow}),
     "faults": (faults_page, {"faults": Fault}),
     "fidelity": (fidelity_page, {"fidelity": FidelityRow, "fidelity_open": FidelityRow}),
     "machine": (machine_page, {"machine": FitRow}),

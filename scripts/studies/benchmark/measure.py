@@ -1,10 +1,10 @@
-"""Benchmark measurements: environment steps, their parts, evaluations of the dynamics, derivatives, start-up times."""
+"""Benchmark measurements: environment steps, their parts, evaluations of the dynamics, start-up times."""
 
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,18 +20,11 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.kernels.layout import ARMS_PER_GROUP, OFFSET, OUTPUTS
-from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.batch_integrators import LaneIntegrator, WorkerThread
-from flexman_gym.simulation.integrator import Integrator, find_method
-from flexman_gym.simulation.methods import IteratedGauss
-from flexman_gym.simulation.period_map import PeriodMap
-from flexman_gym.simulation.tangent_integrator import TangentIntegrator
-from studies.stopwatch import Cost, Timer, timer
+from flexman_gym.simulation.batch_integrators import WorkerThread
+from studies.stopwatch import Timer, in_turns, repeated, timer
 
 EVALUATIONS, ENVIRONMENTS, PARTS, STARTS = "evaluations", "environments", "parts", "starts"
-DERIVATIVES = "derivatives"
 
 
 @dataclass(frozen=True)
@@ -59,15 +52,6 @@ class BenchmarkRow:
     peer: str = ""
     times_peer: float | None = None
     share: float | None = None
-
-
-def _in_turns(timers: Mapping[str, Timer], rounds: int) -> dict[str, Array]:
-    """Return the costs (rounds, 3) of each timer; interleaved, so that disturbances affect all timers alike."""
-    costs: dict[str, list[Cost]] = {name: [] for name in timers}
-    for _ in range(rounds):
-        for name, measure in timers.items():
-            costs[name].append(measure())
-    return {name: np.array(result) for name, result in costs.items()}
 
 
 REACHER, PENDULUM, OURS = "Reacher-v5", "Pendulum-v1", "FlexRRR-v0"
@@ -191,7 +175,7 @@ def _of_mujoco(grid: Grid, setup: Configuration) -> list[_BenchmarkEntry]:
 def environment_rows(grid: Grid) -> list[BenchmarkRow]:
     """Measure all environments and return their rows, with the speed relative to Reacher-v5 in the same rounds."""
     timed = _entries(grid)
-    costs = list(_in_turns({str(i): entry.timer for i, entry in enumerate(timed)}, grid.rounds).values())
+    costs = list(in_turns({str(i): entry.timer for i, entry in enumerate(timed)}, grid.rounds).values())
     peer = next((cost for entry, cost in zip(timed, costs, strict=True) if entry.name == REACHER), None)
     return [_row(entry, cost, peer) for entry, cost in zip(timed, costs, strict=True)]
 
@@ -274,75 +258,13 @@ def timers() -> dict[str, Timer]:
 
 def evaluation_rows(rounds: int) -> list[BenchmarkRow]:
     """Measure the evaluations of the dynamics and return their rows."""
-    costs, result = _in_turns(timers(), rounds), []
+    costs, result = in_turns(timers(), rounds), []
     for name, cost in costs.items():
         cpu, wall, _ = np.median(cost, axis=0)
         peer = PLAIN if name.startswith(" ") else ABA
         times = float(np.median(cost[:, 0] / costs[peer][:, 0])) if peer in costs else None
         compared = peer if times else "", times
         result.append(BenchmarkRow(EVALUATIONS, name.strip(), None, None, float(cpu), float(wall), *compared))
-    return result
-
-
-ROLLED, SEVEN = "rollout of 1 s", "rollout with seven derivatives"
-PERIOD, JACOBIANS = "control period of a rollout", "control period with its Jacobians A and B"
-DIFFERENCES = "central differences of a {}, eight arms at once"
-
-
-def _derivative_timers() -> dict[str, tuple[Timer, str]]:
-    """Return timers of motions of the arm of FlexRRR-v0 with and without derivatives, each with its peer.
-
-    A rollout starts with initial speeds. The Jacobians of a control period are those by the state and the torques.
-    """
-    setup, periods = Configuration(), 50
-    model, name, step, _ = resolve_fidelity(setup)
-    method, size, n = find_method(name), 2 * model.n_dof, model.n_joints
-    assert isinstance(method, IteratedGauss)  # the default method
-    grid = 0.0, step, round(setup.control_period / step)
-    table = signal_table([None] * (n + 6))
-    table[OFFSET, :n] = 0.3 * np.array(setup.torque_limit)
-    start = np.append(model.initial_state((0.3, -0.2, 0.5), (0.2, 0.1, -0.1)), (0.0, 0.0))
-
-    def plain(rows: int) -> Callable[[], object]:
-        integrator, states, outputs = Integrator(model, method, None, ()), *_records(1, rows, size)
-        return lambda: integrator(table, grid, start.copy(), states[0, 1:], outputs[0, 1:])
-
-    def lanes(arms: int, rows: int, tangents: bool) -> Callable[[], object]:
-        period, (states, outputs) = (setup.control_period, grid[2]), _records(arms, rows, size)
-        tables, counts = np.tile(table, (arms, 1, 1)), np.zeros((arms, 2), dtype=np.int64)
-        integrator = LaneIntegrator(model.constants, method, period, arms, 1)
-        states[:, 0] = start
-        if tangents:
-            integrator = TangentIntegrator(model.constants, method, period, arms // ARMS_PER_GROUP)
-            states[1:, 0], tables[1:] = np.eye(arms - 1, size + 2), np.zeros_like(table)
-        return lambda: integrator.run(tables, states, outputs, counts, grid)
-
-    directions = np.eye(size + n, size + 2), np.eye(size + n, n + 6, -size)
-    mapped = PeriodMap(model, method, (setup.control_period, grid[2]), [{}] * (size + n))
-    calls = {
-        ROLLED: (plain(periods), 1, ROLLED), SEVEN: (lanes(ARMS_PER_GROUP, periods, True), 1, ROLLED),
-        DIFFERENCES.format(ROLLED): (lanes(2 * (ARMS_PER_GROUP - 1), periods, False), 1, ROLLED),
-        PERIOD: (plain(periods), periods, PERIOD),
-        JACOBIANS: (_repeated(lambda: mapped.advance(start, table[OFFSET], *directions), periods), periods, PERIOD),
-        DIFFERENCES.format(PERIOD): (_repeated(lanes(2 * (size + n), 1, False), periods), periods, PERIOD),
-    }  # fmt: skip
-    return {name: (timer(call, count), peer) for name, (call, count, peer) in calls.items()}
-
-
-def _records(arms: int, rows: int, size: int) -> tuple[Array, Array]:
-    """Return empty records of states with energy ledgers, and of outputs, of a number of rows after the first."""
-    return np.zeros((arms, rows + 1, size + 2)), np.zeros((arms, rows + 1, OUTPUTS))
-
-
-def derivative_rows(rounds: int) -> list[BenchmarkRow]:
-    """Measure exact derivatives and differences of motions, and return their rows."""
-    timers = _derivative_timers()
-    costs = _in_turns({name: each for name, (each, _) in timers.items()}, rounds)
-    result = []
-    for name, (_, peer) in timers.items():
-        cpu, wall, _ = np.median(costs[name], axis=0)
-        times = float(np.median(costs[name][:, 0] / costs[peer][:, 0]))
-        result.append(BenchmarkRow(DERIVATIVES, name, None, None, float(cpu), float(wall), peer, times))
     return result
 
 
@@ -363,9 +285,9 @@ def part_rows(rounds: int, arms: Sequence[int] = ARMS, calls: int = CALLS) -> li
         helper.begin(_nothing)
         helper.finish()
 
-    timers = {f"{name} {count}": timer(_repeated(call, calls), calls) for (name, count), call in parts.items()}
-    timers[HANDED] = timer(_repeated(handed, calls), calls)
-    costs = [np.median(cost, axis=0) for cost in _in_turns(timers, rounds).values()]
+    timers = {f"{name} {count}": timer(repeated(call, calls), calls) for (name, count), call in parts.items()}
+    timers[HANDED] = timer(repeated(handed, calls), calls)
+    costs = [np.median(cost, axis=0) for cost in in_turns(timers, rounds).values()]
     heads = [*((name, float(count), 1.0) for name, count in parts), (HANDED, None, 2.0)]
     return [BenchmarkRow(PARTS, *head, float(cost[0]), float(cost[1])) for head, cost in zip(heads, costs, strict=True)]
 
@@ -388,14 +310,6 @@ def _calls(arms: int) -> dict[str, Callable[[], object]]:
         "sensors": episodes.sensors.read,
         "rewards and info": info,
     }
-
-
-def _repeated(call: Callable[[], object], times: int) -> Callable[[], None]:
-    def repeat() -> None:
-        for _ in range(times):
-            call()
-
-    return repeat
 
 
 def _nothing() -> None:

@@ -7,20 +7,14 @@ from flexman_gym.common.markdown import markdown_table
 from studies.benchmark.endurance import ALARMS, DIVERGED, MEMORY, STEPS, WARM_MEMORY, EnduranceRow
 from studies.benchmark.measure import (
     COLD,
-    DERIVATIVES,
-    DIFFERENCES,
     ENVIRONMENTS,
     FIRST,
     IMPORT,
-    JACOBIANS,
     MORE,
     OURS,
-    PERIOD,
     PHYSICS,
     PPO,
     REACHER,
-    ROLLED,
-    SEVEN,
     STARTS,
     VECTOR,
     WARM,
@@ -49,9 +43,6 @@ START = """- The import takes {after} s of CPU time, and the first reset {first}
   kernels are compiled in parts: {cold} s, of which {first_cold} s before the first reset of a single environment."""
 EFFECTS = """- Foreshortening multiplies the cost of an evaluation of the equations of motion by
   {foreshortening:.2f}, rotary inertia by {rotary:.2f}."""
-DERIVED = """- Seven exact derivatives of a motion cost {seven:.2g} simulations of it, central differences of eight arms
-  at once {differences:.2g}. The Jacobians A and B of a control period by state and torques cost {jacobians:.2g} control
-  periods of a simulation, their differences {period_differences:.2g}."""
 ENDURED = """- {steps} random steps with all randomisations: {diverged} divergences, {alarms} energy alarms,
   {growth:+.1%} memory."""
 HEADS = ("", "arms", "threads", "steps per CPU second", f"times {REACHER}")
@@ -81,7 +72,7 @@ def page(rows: Sequence[BenchmarkRow], endured: Sequence[EnduranceRow], files: M
         single=_speed(single.cpu), best=_speed(best.cpu), arms=number(best.arms), peer=REACHER,
         single_times=number(single.times_peer), best_times=number(best.times_peer),
     )  # fmt: skip
-    texts = [*_training(rows), *_starts(rows), *_effects(rows), *_derived(rows), *_endured(endured)]
+    texts = [*_training(rows), *_starts(rows), *_effects(rows), *_endured(endured)]
     body = BODY.format(table="\n".join(table), texts="\n".join(texts))
     return screen("Speed", QUESTION, answer, body, files, "benchmark")
 
@@ -118,15 +109,6 @@ def _effects(rows: Sequence[BenchmarkRow]) -> list[str]:
     if not foreshortening or not without:
         return []
     return [EFFECTS.format(foreshortening=foreshortening, rotary=1.0 / without)]
-
-
-def _derived(rows: Sequence[BenchmarkRow]) -> list[str]:
-    ratios = {row.name: row.times_peer for row in rows if row.table == DERIVATIVES}
-    if not ratios:
-        return []
-    differences, periods = ratios[DIFFERENCES.format(ROLLED)], ratios[DIFFERENCES.format(PERIOD)]
-    return [DERIVED.format(seven=ratios[SEVEN], differences=differences, jacobians=ratios[JACOBIANS],
-                           period_differences=periods)]  # fmt: skip
 
 
 def _endured(rows: Sequence[EnduranceRow]) -> list[str]:

@@ -1,0 +1,1 @@
+"""Exact derivatives of motions and episodes against differences."""
