@@ -8,9 +8,7 @@ from flexman_gym.common.arrays import Array
 
 ROUNDING = 1e-14  # rounding error of an output, relative to its largest value
 STEPS = np.array([4e-3, 5e-4, 6e-5])  # steps of the differences, relative to the size of the parameter
-DECADES = np.array(
-    [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6]
-)  # changes for the Taylor remainder, relative to the size of the parameter
+DECADES = np.array([1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6])  # changes for the Taylor remainder, relative to the size
 LARGEST, ESTIMATES = 1e-8, 3.0  # largest relative deviation, or the largest in error estimates of the differences
 Motions = Callable[[Array], Array]  # changes (c,) of a parameter -> outputs (c, T, m)
 
