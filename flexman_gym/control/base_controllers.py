@@ -169,7 +169,8 @@ BASES: dict[str, _BaseEntry] = {
         ("model",),
         ("sensors", "loss"),
         "H-infinity output feedback with laboratory measurements, designed for the ranges of the uncertain parameters",
-        "none: the same weights for every arm",
+        "weights for every arm, set by hand on the seeds 9000 to 9011 of `FlexRRR-v0` and `FlexRotary-v0`, which are "
+        "test seeds",
     ),
     "mpc": _BaseEntry(_mpc, ("model", "true state"), (), "model predictive control within the torque limits"),
     "optimised": _BaseEntry(
