@@ -6,10 +6,11 @@ from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.time_series import uniform_period
 
-MIN_CYCLES = 3.0  # cycles of a mode in the record
+MIN_CYCLES = 2.0  # cycles of a mode in the record
 MIN_AMPLITUDE = 0.01  # fraction of the root mean square of the record; smaller second modes are noise
 MIN_EXPLAINED = 0.5  # fraction of the variance that damped sinusoids explain
 MAX_DAMPING = 0.5  # damping ratio; a larger one is no vibration
+TRANSIENT_DAMPING = 0.2  # damping ratio; beside a mode with less, a larger one is a transient of a servo or a filter
 START_RATIOS = (0.001, 0.004, 0.015, 0.05, 0.15, 0.4)  # damping ratios from which the fit starts
 BLOCKS = 25  # blocks of residuals
 PADDING = 4  # length of the padded spectrum / length of the record
@@ -37,7 +38,7 @@ def fit_ring_down(times: Vector, values: Array) -> tuple[Array, Array]:
         errors = _residuals(found, moments, signals)
         before, after = float((left**2).sum()), float((errors**2).sum())
         gain = errors.size * np.log(before / max(after, 1e-30)) - (2 + 2 * signals.shape[1]) * np.log(errors.size)
-        inside = (0.0 < found[:, 1]) & (found[:, 1] < MAX_DAMPING) & (found[:, 0] * moments[-1] >= MIN_CYCLES)
+        inside = (found[:, 1] > 0.0) & (found[:, 1] < MAX_DAMPING) & (found[:, 0] * moments[-1] >= MIN_CYCLES)
         inside &= found[:, 0] < 0.5 / period
         if len(poles) and not (inside.all() and gain > 0.0 and before - after > MIN_AMPLITUDE**2 * total):
             break
@@ -49,7 +50,8 @@ def fit_ring_down(times: Vector, values: Array) -> tuple[Array, Array]:
             f"ringing: damped vibrations explain {100 * max(explained, 0.0):.0f} % of the record, less than "
             f"{100 * MIN_EXPLAINED:.0f} %; give a record that starts when the arm stops"
         )
-    return poles, _standard_deviations(poles, moments, signals)
+    ringing = poles[:, 1] < max(TRANSIENT_DAMPING, poles[:, 1].min() * 1.001)
+    return poles[ringing], _standard_deviations(poles, moments, signals)[ringing]
 
 
 def _check_mode(poles: Array, inside: Array, duration: float) -> None:

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning
 
 def said(capsys, *given):
     """The lines that the command prints."""
-    assert main(["resonance", *given]) == 0
+    assert main(["shape", *given]) == 0
     return capsys.readouterr().out.splitlines()
 
 
@@ -85,7 +85,7 @@ def test_what_does_not_bend_needs_no_shaper(tmp_path, capsys):
 )
 def test_what_is_wrong_is_said_in_one_line(given, line, capsys):
     try:
-        code = main(["resonance", *given])
+        code = main(["shape", *given])
     except SystemExit as stop:
         code = stop.code
     assert code == 2 and line in capsys.readouterr().err.splitlines()[-1]
