@@ -12,6 +12,8 @@ MIN_EXPLAINED = 0.5  # fraction of the variance that damped sinusoids explain
 MAX_DAMPING = 0.5  # damping ratio; a larger one is no vibration
 TRANSIENT_DAMPING = 0.2  # damping ratio; beside a mode with less, a larger one is a transient of a servo or a filter
 START_RATIOS = (0.001, 0.004, 0.015, 0.05, 0.15, 0.4)  # damping ratios from which the fit starts
+LARGEST_RATIO = 0.95  # damping ratio of a transient in the fit
+TERMS, MOST_MODES = 3, 2  # largest number of damped sinusoids in the fit, transients among them, and of modes
 BLOCKS = 25  # blocks of residuals
 PADDING = 4  # length of the padded spectrum / length of the record
 
@@ -33,43 +35,40 @@ def fit_ring_down(times: Vector, values: Array) -> tuple[Array, Array]:
     moments = period * np.arange(len(signals))
     poles, left = np.zeros((0, 2)), _residuals(np.zeros((0, 2)), moments, signals)
     total = float((left**2).sum())
-    for _ in range(2):
+    for _ in range(TERMS):
         found = _add_mode(poles, left, moments, signals)
         errors = _residuals(found, moments, signals)
         before, after = float((left**2).sum()), float((errors**2).sum())
         gain = errors.size * np.log(before / max(after, 1e-30)) - (2 + 2 * signals.shape[1]) * np.log(errors.size)
-        inside = (found[:, 1] > 0.0) & (found[:, 1] < MAX_DAMPING) & (found[:, 0] * moments[-1] >= MIN_CYCLES)
-        inside &= found[:, 0] < 0.5 / period
-        if len(poles) and not (inside.all() and gain > 0.0 and before - after > MIN_AMPLITUDE**2 * total):
+        valid = (found > 0.0) & (found < (0.5 / period, LARGEST_RATIO))
+        if len(poles) and not (valid.all() and gain > 0.0 and before - after > MIN_AMPLITUDE**2 * total):
             break
         poles, left = found, errors
-        if len(poles) == 1:
-            _check_mode(poles, inside, moments[-1])
     if (explained := 1.0 - float((left**2).sum()) / total) < MIN_EXPLAINED:
         raise ValueError(
             f"ringing: damped vibrations explain {100 * max(explained, 0.0):.0f} % of the record, less than "
             f"{100 * MIN_EXPLAINED:.0f} %; give a record that starts when the arm stops"
         )
-    ringing = poles[:, 1] < max(TRANSIENT_DAMPING, poles[:, 1].min() * 1.001)
+    ringing = np.flatnonzero(poles[:, 1] < max(TRANSIENT_DAMPING, poles[:, 1].min() * 1.001))[:MOST_MODES]
+    _check_modes(poles[ringing], moments[-1])
     return poles[ringing], _standard_deviations(poles, moments, signals)[ringing]
 
 
-def _check_mode(poles: Array, inside: Array, duration: float) -> None:
-    """Raise a ValueError for a first mode that is no vibration, or of which the record has too few cycles."""
-    frequency, ratio = poles[0].tolist()
-    if not 0.0 < ratio < MAX_DAMPING:
-        raise value_error("ringing: the damping ratio", round(ratio, 4), f"a vibration with 0 to {MAX_DAMPING:g}")
-    if not inside.all():
-        raise value_error(
-            "ringing", f"a record of {duration:.3g} s", f"{MIN_CYCLES:g} or more cycles of {frequency:.3g} Hz"
-        )
+def _check_modes(poles: Array, duration: float) -> None:
+    """Raise a ValueError for modes that are no vibration, or of which the record has too few cycles."""
+    for frequency, ratio in poles.tolist():
+        if not 0.0 < ratio < MAX_DAMPING:
+            raise value_error("ringing: the damping ratio", round(ratio, 4), f"a vibration with 0 to {MAX_DAMPING:g}")
+        if frequency * duration < MIN_CYCLES:
+            cycles = f"{MIN_CYCLES:g} or more cycles of {frequency:.3g} Hz"
+            raise value_error("ringing", f"a record of {duration:.3g} s", cycles)
 
 
 def _residuals(poles: Array, times: Array, signals: Array) -> Array:
     """Return signals (T, c) less their best fit by modes (k, 2) with free amplitudes and phases, offset and drift."""
-    rate = 2.0 * np.pi * poles[:, 0]
+    rate = 2.0 * np.pi * np.abs(poles[:, 0])
     slopes = poles[:, 1] / np.sqrt(np.maximum(1.0 - poles[:, 1] ** 2, 0.01))
-    decay = np.exp(-np.outer(times, np.clip(slopes, 0.0, 9.0) * rate))
+    decay = np.exp(np.maximum(-np.outer(times, np.clip(slopes, 0.0, 3.2) * rate), -700.0))
     phases = np.outer(times, rate)
     line = np.column_stack([np.ones(len(times)), times / times[-1]])
     basis = np.linalg.qr(np.hstack([decay * np.cos(phases), decay * np.sin(phases), line]))[0]
