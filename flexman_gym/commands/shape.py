@@ -140,7 +140,8 @@ def _arm_ringing(options: argparse.Namespace, motion: "Motion") -> "Ringing":
     values[..., 1] += TINY_DAMPING
     values[..., 0] *= np.sqrt(1.0 - values[..., 1] ** 2)
     ranges = np.hypot(np.ptp(values, axis=0) / (2.0 * values[0]), [FREQUENCY_DEVIATION, DAMPING_DEVIATION])
-    return Ringing(*values[0].T, joint_angles=posture, deviation=ranges[:, 0], damping_deviation=ranges[:, 1])
+    frequencies, damping = values[0].T
+    return Ringing(frequencies, damping, posture, deviation=ranges[:, 0], damping_deviation=ranges[:, 1])
 
 
 def _print_modes(ringing: "Ringing") -> int:

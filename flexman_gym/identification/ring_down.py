@@ -28,11 +28,11 @@ def fit_ring_down(times: Vector, values: Array) -> tuple[Array, Array]:
     signals = signals[:, np.ptp(signals, axis=0) > 0.0]
     if not signals.size:
         raise ValueError("ringing: constant values are not allowed; give a record of a vibration")
-    signals = signals / signals.std(axis=0)
+    signals = np.asarray(signals / signals.std(axis=0), dtype=np.float64)
     away = np.abs(signals - signals[-len(signals) // 4 :].mean(axis=0)).sum(axis=1)
     first = int(away.argmax())
     signals = signals[first if first < len(signals) // 2 else 0 :]
-    moments = period * np.arange(len(signals))
+    moments = period * np.arange(len(signals), dtype=np.float64)
     poles, left = np.zeros((0, 2)), _residuals(np.zeros((0, 2)), moments, signals)
     total = float((left**2).sum())
     for _ in range(TERMS):

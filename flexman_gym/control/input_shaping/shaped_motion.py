@@ -21,7 +21,8 @@ POINTS = (15, 5)  # frequencies and damping ratios in the box of a mode
 MAX_DAMPING = 0.5  # damping ratio; a larger one is no vibration
 EI_MARGIN = 0.9  # residual at the mode of an EI shaper / allowed residual
 MOST_SCALINGS = 60  # time scalings in a search
-LIMIT_ITERATIONS = 8  # of the time scaling that keeps limits
+LIMIT_ITERATIONS, LIMIT_MARGIN = 20, 1.001  # of the time scaling that keeps limits; factor on the scaling
+MAX_SAMPLES = 10**6  # samples of a motion that keeps limits
 MOVING = 1e-3  # fraction of the largest range of a position; less is no motion
 
 
@@ -170,7 +171,7 @@ def _on_grid(shaper: Shaper, frequency: float, ratio: float, period: float) -> A
             rows += [(growth * times).real / shaper.times[-1], (growth * times).imag / shaper.times[-1]]
         return np.array(rows)
 
-    matrix = conditions(period * used)
+    matrix = conditions(np.multiply(period, used, dtype=np.float64))
     missing = conditions(shaper.times) @ shaper.amplitudes - matrix @ fractions[used]
     corrected = fractions.copy()
     corrected[used] += np.linalg.lstsq(matrix, missing, rcond=None)[0]
@@ -180,7 +181,10 @@ def _on_grid(shaper: Shaper, frequency: float, ratio: float, period: float) -> A
 def _shaper_residuals(fractions: Array, period: float, box: Array) -> Array:
     """Return the residuals (m,), fractions, of a sampled shaper for modes (m, 2)."""
     used = np.flatnonzero(fractions)
-    return np.asarray(0.01 * shaper_residual(Shaper(period * used, fractions[used]), box[:, 0], box[:, 1]))
+    return np.asarray(
+        0.01
+        * shaper_residual(Shaper(np.multiply(period, used, dtype=np.float64), fractions[used]), box[:, 0], box[:, 1])
+    )
 
 
 def _ranges(residuals: list[Array]) -> Array:
@@ -220,12 +224,13 @@ def _within_limits(motion: Motion, fractions: Array, limits: Mapping[str, float]
     """Return a motion, slowed down so that the shaped motion keeps the limits, and the shaped motion."""
     base, shaped, count = motion, _shaped(motion, fractions), float(len(motion.values))
     for _ in range(LIMIT_ITERATIONS):
-        if (factor := _excess(shaped, limits)) <= 1.0 + 1e-9:
+        if (factor := _excess(shaped, limits)) <= 1.0:
+            return base, shaped
+        if (count := np.ceil(count * factor * LIMIT_MARGIN)) > MAX_SAMPLES:
             break
-        count = np.ceil(count * factor)
         base = _scaled(motion, int(count))
         shaped = _shaped(base, fractions)
-    return base, shaped
+    raise value_error("limits", limits, f"limits that a motion of at most {MAX_SAMPLES} samples can keep")
 
 
 def _slower(

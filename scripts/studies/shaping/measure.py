@@ -14,7 +14,7 @@ RECORD = 10.0  # s; length of a record of the ringing
 NOISE = 0.01  # fraction of the largest vibration; standard deviation of the gauge
 FREQUENCIES, RATIOS, SERVOS = (2.0, 30.0), (0.002, 0.05), (8.0, 20.0)  # Hz, 1 and Hz; ranges of random arms
 SERVO_RATIO = 0.7  # damping ratio of the servos
-STILL = 1.4  # s; shortest record of the real arm at rest
+STILL = 1.4  # s; shortest record of the real arm with the hub at rest
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class ServoArm:
 
 def _log_uniform(rng: np.random.Generator, limits: tuple[float, float], count: int) -> np.ndarray:
     """Return log-uniform numbers (count,)."""
-    return np.exp(rng.uniform(*np.log(limits), count))
+    return np.exp(rng.uniform(float(np.log(limits[0])), float(np.log(limits[1])), count))
 
 
 def _poles(frequencies: np.ndarray, ratios: np.ndarray) -> np.ndarray:
@@ -119,7 +119,7 @@ def trapezoid(duration: float, rise: float) -> Motion:
 def simulate(seed: int, residual: float = 0.05) -> ShapingRow:
     """Return the result for a random arm: one mode for even seeds, two for odd ones.
 
-    The ringing is recorded after the unshaped motion, with noise; modes are estimated from it, and the motion is shaped.
+    The ringing after the unshaped motion is recorded with noise; the shaper is chosen from the modes of this record.
     """
     rng = np.random.default_rng(seed)
     arm = ServoArm.random(rng, 1 + seed % 2)
