@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 DEFAULT_POSTURES = 8  # number of postures without --postures
 MAX_ANGLE = 1.2  # rad; largest joint angle of random postures, for an arm without a task
 MAX_FREQUENCY = 25.0  # Hz; highest frequency in the model of an arm without an environment
-MAX_DAMPING = 0.5  # damping ratio; a larger one is no vibration
 TINY_DAMPING = 1e-6  # damping ratio added to that of an arm, which may be undamped
 SHOWN_CYCLES = 10.0  # cycles of the first mode in a plot after the stop
 MOTOR_STATES = ("held", "free")
@@ -116,6 +115,7 @@ def _arm_ringing(options: argparse.Namespace, motion: "Motion") -> "Ringing":
     A second mode belongs to them if it moves the tip by more than the allowed residual of the first one.
     """
     from flexman_gym.control.input_shaping.shapers import excited_modes
+    from flexman_gym.identification.ring_down import MAX_DAMPING
     from flexman_gym.identification.ringing import DAMPING_DEVIATION, FREQUENCY_DEVIATION, Ringing
     from flexman_gym.simulation.parameters import varied_model
 

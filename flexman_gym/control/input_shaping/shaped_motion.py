@@ -12,13 +12,13 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import mapping, one_of, physical, positive, value_error
 from flexman_gym.control.input_shaping.motion import Motion
 from flexman_gym.control.input_shaping.shapers import SHAPERS, Shaper, design_shaper, shaper_residual
+from flexman_gym.identification.ring_down import MAX_DAMPING
 from flexman_gym.identification.ringing import DAMPING_DEVIATION, FREQUENCY_DEVIATION, Ringing
 
 AUTO, SCALING = "auto", "scaling"
 LIMITS = ("velocity", "acceleration", "jerk")
 COVERAGE = 0.95  # probability that frequencies and damping ratios are within their intervals
 POINTS = (15, 5)  # frequencies and damping ratios in the box of a mode
-MAX_DAMPING = 0.5  # damping ratio; a larger one is no vibration
 EI_MARGIN = 0.9  # residual at the mode of an EI shaper / allowed residual
 MOST_SCALINGS = 60  # time scalings in a search
 LIMIT_ITERATIONS, LIMIT_MARGIN = 20, 1.001  # of the time scaling that keeps limits; factor on the scaling
