@@ -34,6 +34,11 @@ def fit_ring_down(times: Vector, values: Array) -> tuple[Array, Array]:
     signals = signals[first if first < len(signals) // 2 else 0 :]
     moments = period * np.arange(len(signals), dtype=np.float64)
     poles, left = np.zeros((0, 2)), _residuals(np.zeros((0, 2)), moments, signals)
+    if signals.shape[1] > 1:  # columns without the vibration are left out
+        errors = _residuals(_add_mode(poles, left, moments, signals), moments, signals)
+        explained = 1.0 - (errors**2).sum(axis=0) / np.maximum((left**2).sum(axis=0), 1e-30)
+        showing = explained >= MIN_EXPLAINED * explained.max()
+        signals, left = signals[:, showing], left[:, showing]
     total = float((left**2).sum())
     for _ in range(TERMS):
         found = _add_mode(poles, left, moments, signals)

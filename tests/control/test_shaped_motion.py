@@ -171,3 +171,12 @@ def test_records_without_a_vibration_are_refused(values, line):
     times = 0.01 * np.arange(500)
     with pytest.raises(ValueError, match="^" + re.escape(line)):
         fm.Ringing.estimate(times, values(times, np.random.default_rng(0)))
+
+
+def test_columns_with_noise_alone_do_not_hide_the_vibration():
+    rng, times = np.random.default_rng(0), 0.004 * np.arange(2500)
+    vibration = np.exp(-0.3 * times) * np.cos(30.0 * times)
+    columns = [rng.standard_normal(len(times)), vibration + 0.01 * rng.standard_normal(len(times)), 0.1 * times]
+    found = fm.Ringing.estimate(times, np.column_stack(columns))
+    assert found.frequencies == pytest.approx([30.0 / (2.0 * np.pi)], rel=1e-4)
+    assert found.damping == pytest.approx([0.3 / np.hypot(30.0, 0.3)], rel=0.02)
