@@ -17,7 +17,7 @@ COMMAND_GROUPS = {  # group -> commands, in the order of the help
     "learn": ("train", "imitate", "search", "enjoy"),
     "evaluate": ("evaluate", "league", "certify", "why"),
     "simulate": ("simulate", "choose", "precision", "draw"),
-    "control": ("optimise", "resonance"),
+    "control": ("optimise", "shape"),
     "data": ("record", "replay", "export"),
 }
 MAX_SUMMARY = 65  # characters; longest summary of a command in the help, for a terminal of 80 columns
@@ -73,8 +73,8 @@ def _present_options(arguments: list[str]) -> list[str]:
     old = "optimise ENVIRONMENT" if command == "optimise" and words and not words[0].startswith("-") else command
     if old in COMMANDS and not (command == "optimise" and words[0] in OPTIMISED):
         warn_deprecated(f"flexman {old} is flexman {COMMANDS[old]} now")
-        command, added = COMMANDS[old].split()[:2]
-        words = [added, *words]
+        command, *added = COMMANDS[old].split()[:2]
+        words = [*added, *words]
     names, result = OPTIONS.get(command, {}), [command]
     for word in words:
         name, mark, value = word.partition("=")

@@ -18,6 +18,7 @@ from flexman_gym.common.files import regular_file
 MAX_CSV_BYTES = 200_000_000  # bytes of a CSV file
 MAX_LINE_LENGTH, MAX_HEADER_LENGTH = 100_000, 100  # characters of a line, and of the header of a column
 MAX_NAME_LENGTH = 40  # characters of the name of a file in an error
+MIN_SAMPLES = 4  # times of a record in equal steps
 DEGREE = math.pi / 180.0
 # Unit -> SI unit and conversion factor.
 UNITS: dict[str, tuple[str, float]] = {
@@ -40,11 +41,13 @@ class TimeSeries(NamedTuple):
         path: path of the file.
         times: times (T,), s.
         columns: SI unit and values (T,) of each column, by its name.
+        headers: header and factor of its unit of each column of the file, by its name; "time" among them.
     """
 
     path: Path
     times: NDArray[np.float64]
     columns: Mapping[str, tuple[str, NDArray[np.float64]]]
+    headers: Mapping[str, tuple[str, float]]
 
     def values(self, units: Sequence[str], names: object = None) -> NDArray[np.float64]:
         """Return the columns `names` (T, c), in units among `units` (SI); for None all columns in these units."""
@@ -73,7 +76,8 @@ def read_time_series(path: str | Path) -> TimeSeries:
             number and what is allowed. The text of a file without any unit in its header is not shown.
     """
     file, rows, numbers = _name(path), read_csv_rows(path), array("d")
-    headers = _headers(file, next(rows, []))
+    texts = next(rows, [])
+    headers = _headers(file, texts)
     names = [name for name, _, _ in headers]
     if "time" not in names or len(set(names)) < len(names) or len(names) < 2:
         raise value_error(f"{file}: the header", names, "a column time (s) and other columns, each name once")
@@ -87,7 +91,22 @@ def read_time_series(path: str | Path) -> TimeSeries:
     columns = {name: (unit, table[:, i]) for i, (name, unit, _) in enumerate(headers)}
     unit, times = columns.pop("time")
     one_of(f"{file}: the unit of time", unit, ("s",))
-    return TimeSeries(Path(path), times, columns)
+    written = {name: (text.strip(), factor) for text, (name, _, factor) in zip(texts, headers, strict=True)}
+    return TimeSeries(Path(path), times, columns, written)
+
+
+def uniform_period(name: str, times: Vector) -> float:
+    """Return the period (s) of times (T,) in equal steps, T > 3, up to rounding by a quarter of a step."""
+    moments = np.asarray(times, dtype=np.float64)
+    if len(moments) < MIN_SAMPLES or (np.diff(moments) <= 0.0).any():
+        wrong = int(np.argmax(np.diff(moments) <= 0.0)) + 1 if len(moments) >= MIN_SAMPLES else 0
+        given = f"{moments[wrong]:g} after {moments[wrong - 1]:g} s" if wrong else f"{len(moments)} times"
+        raise value_error(f"{name}: time", given, f"at least {MIN_SAMPLES} increasing times")
+    period = float(moments[-1] - moments[0]) / (len(moments) - 1)
+    if np.abs(moments - moments[0] - period * np.arange(len(moments))).max() > 0.25 * period:
+        steps = np.diff(moments)
+        raise value_error(f"{name}: time", f"steps of {steps.min():g} to {steps.max():g} s", "equal steps")
+    return period
 
 
 def read_csv_rows(path: str | Path) -> Iterator[list[str]]:

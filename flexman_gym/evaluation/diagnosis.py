@@ -36,7 +36,7 @@ ZERO_PADDING = 8  # length of the zero-padded signal of a spectrum / length of t
 RINGING, CYCLE, OFFSET, NOISE = "ringing", "limit cycle", "offset", "noise"
 TRANSIENT, FAILED = "transient", "failed"
 REMEDIES = {
-    RINGING: "shape the command (flexman resonance), slew more slowly, or damp by feedback of the links (lqr, lqg)",
+    RINGING: "shape the command (flexman shape), slew more slowly, or damp by feedback of the links (lqr, lqg)",
     CYCLE: "lower the gains or the delay: flexman optimise gains finds gains with margins for the largest delay",
     OFFSET: "add integral action or torques that compensate the true weight, or look for a bias of the sensors",
     TRANSIENT: "simulate a longer horizon, or use stiffer and better damped motors (flexman optimise gains)",

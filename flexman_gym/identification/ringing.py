@@ -17,6 +17,13 @@ DAMPING_DEVIATION = 0.1  # relative standard deviation of a measured damping rat
 KEYS = ("frequencies", "damping", "joint_angles", "lock_joints", "numbers", "deviation", "damping_deviation")
 
 
+def _positive(name: str, value: float | Vector, count: int) -> float | Vector:
+    """Return a checked number > 0 for all modes, or (count,) numbers."""
+    if np.ndim(value) == 0:
+        return positive(name, value)
+    return tuple(positive(f"{name}[{i}]", each) for i, each in enumerate(vector(name, value, count)))
+
+
 @dataclass(frozen=True)
 class Ringing:
     """Natural frequencies and damping ratios with given deviations, measured at one posture.
@@ -29,8 +36,8 @@ class Ringing:
         lock_joints: True if the motors, not the links, were locked in the measurement; False if they were free.
         numbers: indices (k,) of these modes among the modes of the model, from 0 for the lowest frequency; None for the
             k lowest frequencies.
-        deviation: relative standard deviation of the frequencies, 1.
-        damping_deviation: relative standard deviation of the damping ratios, 1.
+        deviation: relative standard deviation of the frequencies, 1, for all or (k,).
+        damping_deviation: relative standard deviation of the damping ratios, 1, for all or (k,).
 
     Examples:
         >>> ringing = fm.Ringing(frequencies=(1.3, 11.2), damping=(0.008, 0.007), joint_angles=(0.5,))
@@ -44,21 +51,22 @@ class Ringing:
     joint_angles: Vector | None = None
     lock_joints: bool = True
     numbers: Vector | None = None
-    deviation: float = FREQUENCY_DEVIATION
-    damping_deviation: float = DAMPING_DEVIATION
+    deviation: float | Vector = FREQUENCY_DEVIATION
+    damping_deviation: float | Vector = DAMPING_DEVIATION
 
     def __post_init__(self) -> None:
         values = vector("frequencies", self.frequencies, unit="Hz")
         count = len(values)
         if not values or min(values) <= 0.0:
             raise value_error("frequencies", self.frequencies, "numbers > 0 (Hz)")
-        set_fields(self, frequencies=values, deviation=positive("deviation", self.deviation))
+        set_fields(self, frequencies=values, deviation=_positive("deviation", self.deviation, count))
         flag("lock_joints", self.lock_joints)
         if self.damping is not None:
             damping = vector("damping", self.damping, count)
             if not all(0.0 < ratio < 1.0 for ratio in damping):
                 raise value_error("damping", self.damping, "damping ratios > 0 and < 1, one for each frequency")
-            set_fields(self, damping=damping, damping_deviation=positive("damping_deviation", self.damping_deviation))
+            deviation = _positive("damping_deviation", self.damping_deviation, count)
+            set_fields(self, damping=damping, damping_deviation=deviation)
         numbers = range(count) if self.numbers is None else sequence("numbers", self.numbers)
         set_fields(self, numbers=tuple(whole_number("numbers", each, 0, 10**4) for each in numbers))
         if len(self.numbers) != count:  # type: ignore[arg-type]
@@ -72,8 +80,30 @@ class Ringing:
     @property
     def deviations(self) -> Array:
         """Standard deviations (k,) of the frequencies, Hz; with damping (2 k,), then those of the damping ratios."""
-        parts = [self.deviation] * len(self.frequencies) + [self.damping_deviation] * len(self.damping or ())
-        return self.measured * parts
+        parts = [np.broadcast_to(self.deviation, len(self.frequencies))]
+        return self.measured * np.append(parts, np.broadcast_to(self.damping_deviation, len(self.damping or ())))
+
+    @classmethod
+    def estimate(cls, times: Vector, values: Array) -> "Ringing":
+        """Estimate frequencies and damping ratios of one or two modes from a record of free vibration.
+
+        The record is fitted by least squares with damped sinusoids, an offset and a drift. A second mode is kept if the
+        Bayesian information criterion accepts it, with at least MIN_AMPLITUDE of the signal. The standard deviations
+        are the larger ones of those of white noise and those of blocks of the residuals, which may be correlated.
+
+        Args:
+            times: (T,) times in equal steps, s.
+            values: (T,) or (T, c) readings, in any unit.
+
+        Raises:
+            ValueError: for a record of less than MIN_CYCLES cycles, and for one without a damped vibration.
+        """
+        from flexman_gym.identification.ring_down import fit_ring_down
+
+        poles, deviations = fit_ring_down(times, values)
+        order = np.argsort(poles[:, 0])
+        (frequencies, damping), (first, second) = poles[order].T, deviations[order].T
+        return cls(frequencies, damping, deviation=first / frequencies, damping_deviation=second / damping)
 
     def predict(self, model: Model, parameters: Mapping[str, Array], h: float) -> tuple[Array, Array]:
         """Compute the frequencies and damping ratios of a model, and their Jacobian.

@@ -60,7 +60,7 @@ def test_help_has_every_command_in_one_group_and_a_line(capsys):
 
 
 @pytest.mark.parametrize(("typed", "meant"), [("trian", "train"), ("eval", "evaluate"), ("sim", "simulate"),
-                                              ("optimize", "optimise"), ("resonanse", "resonance")])  # fmt: skip
+                                              ("optimize", "optimise"), ("shappe", "shape")])  # fmt: skip
 def test_a_misspelt_command_is_answered_with_the_nearest(typed, meant, capsys):
     with pytest.raises(SystemExit) as stop:
         main([typed, "--help"])

@@ -14,15 +14,16 @@ import numpy as np
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import flag, non_negative, one_of, physical, positive, value_error
 from flexman_gym.model.model import Model, check_model
-from flexman_gym.model.vibration import Eigenpairs, equilibrium_matrices, oscillatory_modes
+from flexman_gym.model.vibration import Eigenpairs, EquilibriumMatrices, equilibrium_matrices, oscillatory_modes
 from flexman_gym.simulation.parameters import varied_model
 
 RIGID_MODE_RATIO = 0.5  # fraction of the lowest frequency with held motors; slower modes are rigid-body motion
 RATIO_ROUNDING = 1e-9  # dimensionless; smaller damping ratios are set to 0
+SERVO_DAMPING = 0.7  # damping ratio of a rigid arm under a position servo
 MIN_TIP_AMPLITUDE = 1e-3  # fraction of the largest tip amplitude; modes with smaller amplitudes are omitted
 
 
-def excited_modes(model: Model, posture: Vector, held: bool = True) -> Array:
+def excited_modes(model: Model, posture: Vector, held: bool = True, servo: float | None = None) -> Array:
     """Return the modes (k, 3) excited by the motors and observable at the tip of an arm at rest, the lowest first.
 
     A mode is a pair of complex eigenvalues s of the linear model, see `model.vibration`. The columns are the natural
@@ -35,11 +36,15 @@ def excited_modes(model: Model, posture: Vector, held: bool = True) -> Array:
         model: model of the arm.
         posture: (n,) motor angles, rad.
         held: True for motors held in position; False for motors free to turn under constant holding torques.
+        servo: bandwidth of position servos that hold the motors, Hz; None for motors that do not move. Their stiffness
+            and damping give a rigid arm, with all other motors locked, a damping ratio of SERVO_DAMPING.
 
     Raises:
         ValueError: for a posture of wrong shape, and for an arm without an equilibrium.
     """
     resting = equilibrium_matrices(check_model(model), posture)
+    if servo is not None:
+        return _servo_modes(resting, 2.0 * np.pi * physical("servo", servo, "Hz"))
     motors, others = resting.motors, resting.free
     inertia, springs = (matrix[np.ix_(others, others)] for matrix in (resting.mass, resting.stiffness))
     result = np.zeros((0, 3))
@@ -58,6 +63,24 @@ def excited_modes(model: Model, posture: Vector, held: bool = True) -> Array:
     return _observable_modes(
         Eigenpairs(eigen.values[above], eigen.shapes[above]), eigen.shapes[np.ix_(above, motors)], resting.tip
     )
+
+
+def _servo_modes(resting: EquilibriumMatrices, bandwidth: float) -> Array:
+    """Return the modes (k, 3) of an arm under position servos of a bandwidth (rad/s), see `excited_modes`."""
+    motors, others, turned = resting.motors, resting.free, np.zeros((len(resting.mass), len(resting.motors)))
+    turned[motors, np.arange(len(motors))] = 1.0
+    turned[others] = -np.linalg.solve(
+        resting.stiffness[np.ix_(others, others)], resting.stiffness[np.ix_(others, motors)]
+    )
+    inertia = np.einsum("am,ab,bm->m", turned, resting.mass, turned)
+    stiffness, damping = resting.stiffness.copy(), resting.damping.copy()
+    stiffness[motors, motors] += inertia * bandwidth**2
+    damping[motors, motors] += 2.0 * SERVO_DAMPING * inertia * bandwidth
+    closed = resting._replace(stiffness=stiffness, damping=damping)
+    eigen = oscillatory_modes(closed, np.arange(len(closed.mass)))
+    pairs = zip(*eigen, strict=True)
+    amplitudes = [shape @ (value * closed.mass + damping) @ turned for value, shape in pairs]
+    return _observable_modes(eigen, np.array(amplitudes).reshape(-1, len(motors)), closed.tip)
 
 
 def _observable_modes(eigen: Eigenpairs, amplitudes: Array, tip: Array) -> Array:
@@ -165,7 +188,7 @@ def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: fl
     return Shaper(times, weighted / weighted.sum())
 
 
-def shaper_residual(shaper: Shaper, frequency: float | Array, ratio: float = 0.0) -> Any:
+def shaper_residual(shaper: Shaper, frequency: float | Array, ratio: float | Array = 0.0) -> Any:
     """Return the residual vibration after a shaper, shaped like `frequency`, in percent of that after a single impulse.
 
     Singer and Seering (1990): exp(-r w t_k) |sum of A_i exp(r w t_i + j w_d t_i)| with natural frequency w, damping
@@ -174,7 +197,7 @@ def shaper_residual(shaper: Shaper, frequency: float | Array, ratio: float = 0.0
     Args:
         shaper: shaper with impulses A_i at times t_i, i = 1 to k.
         frequency: natural frequency of the mode, Hz, a number or an array.
-        ratio: damping ratio of the mode.
+        ratio: damping ratio of the mode, a number or shaped like `frequency`.
     """
     rate = 2.0 * np.pi * np.asarray(frequency, dtype=np.float64)
     pole = rate * (ratio + 1j * np.sqrt(1.0 - ratio**2))

@@ -1,4 +1,4 @@
-"""Resonance: the command prints what was found, for environments, arms and files."""
+"""Shape: the command prints what was found, for environments, arms and files, and writes shaped trajectories."""
 
 import csv
 
@@ -7,7 +7,9 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.__main__ import main
+from flexman_gym.common.time_series import read_time_series, write_csv
 from flexman_gym.control.input_shaping.shapers import excited_modes
+from flexman_gym.control.references.trajectories import TIMING_LAWS
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 
@@ -18,7 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning
 
 def said(capsys, *given):
     """The lines that the command prints."""
-    assert main(["resonance", *given]) == 0
+    assert main(["shape", *given]) == 0
     return capsys.readouterr().out.splitlines()
 
 
@@ -85,7 +87,35 @@ def test_what_does_not_bend_needs_no_shaper(tmp_path, capsys):
 )
 def test_what_is_wrong_is_said_in_one_line(given, line, capsys):
     try:
-        code = main(["resonance", *given])
+        code = main(["shape", *given])
     except SystemExit as stop:
         code = stop.code
     assert code == 2 and line in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_trajectory_is_shaped_for_a_record_and_for_an_arm(tmp_path, capsys):
+    """The same arm, once by its ringing and once by its model, gives the same mode and a shaped file with a picture."""
+    frequency, ratio, _ = excited_modes(fm.build_model(fm.catalog.one_link(), 2), [0.5])[0]
+    times, damped = 0.01 * np.arange(1000), frequency * np.sqrt(1.0 - ratio**2)
+    vibration = np.exp(-2.0 * np.pi * frequency * ratio * times) * np.cos(2.0 * np.pi * damped * times)
+    noisy = vibration + 0.01 * np.random.default_rng(0).standard_normal(len(times))
+    write_csv(tmp_path / "ringing.csv", {"time (s)": times, "strain (um/m)": noisy})
+    moved = TIMING_LAWS["minimum-jerk"].at(np.linspace(0.0, 1.0, 201))[0]
+    move, out, picture = (str(tmp_path / name) for name in ("move.csv", "out.csv", "picture.png"))
+    write_csv(move, {"time (s)": 0.01 * np.arange(201), "joint (rad)": 0.5 * moved})
+    modes = []
+    for subject in (str(tmp_path / "ringing.csv"), "one_link"):
+        lines = said(capsys, subject, move, "--shaper", "zvd", "--out", out, "--picture", picture)
+        modes.append([float(lines[0].split()[1]), *[float(line.split()[4]) for line in lines if "residual at" in line]])
+        shaped = read_time_series(out).columns["joint"][1]
+        assert len(shaped) > 201 and shaped[-1] == pytest.approx(0.5)
+    assert (
+        modes[0][0] == pytest.approx(modes[1][0], rel=1e-3) and max(each for mode in modes for each in mode[1:]) < 5.0
+    )
+    assert said(capsys, str(tmp_path / "ringing.csv"))[0].startswith("mode: ")
+
+
+def test_the_old_name_is_deprecated(capsys):
+    with pytest.warns(DeprecationWarning, match="flexman resonance is flexman shape now"):
+        assert main(["resonance", "nowhere.json"]) == 2
+    assert "nowhere.json: there is no such file" in capsys.readouterr().err

@@ -1,7 +1,8 @@
-"""Compute the vibrations of an arm and compare input shapers.
+"""Shape a trajectory so that an arm stops without vibration.
 
-Prints frequencies and damping ratios over postures and payloads, the residual vibration after a command of each
-input shaper, and a recommendation.
+SUBJECT is a CSV file of the ringing after a stop, or an arm. The trajectory is a CSV file with units in its header, or
+a JointTrajectory of ROS 2 (YAML, JSON). Without it, the modes of the arm over postures and payloads are printed, with
+the residual vibration of each input shaper and a recommendation.
 """
 
 import argparse
@@ -13,52 +14,179 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flexman_gym.commands import CommandLine
+from flexman_gym.common.checks import finite, non_negative, value_error
 
 if TYPE_CHECKING:
+    from flexman_gym.control.input_shaping.motion import Motion
+    from flexman_gym.control.input_shaping.shaped_motion import ShapedMotion
     from flexman_gym.control.input_shaping.shapers import OperatingPoint, ShaperEvaluation
+    from flexman_gym.identification.ringing import Ringing
     from flexman_gym.model.model import Model
 
 DEFAULT_POSTURES = 8  # number of postures without --postures
 MAX_ANGLE = 1.2  # rad; largest joint angle of random postures, for an arm without a task
 MAX_FREQUENCY = 25.0  # Hz; highest frequency in the model of an arm without an environment
+TINY_DAMPING = 1e-6  # damping ratio added to that of an arm, which may be undamped
+SHOWN_CYCLES = 10.0  # cycles of the first mode in a plot after the stop
 MOTOR_STATES = ("held", "free")
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
+    from flexman_gym.control.input_shaping.shaped_motion import AUTO, LIMITS, SCALING
+    from flexman_gym.control.input_shaping.shapers import SHAPERS
     from flexman_gym.scene.serialization import ARMS
 
+    names = f"environment as in flexman evaluate, arm ({', '.join(ARMS)}), or file of an arm or a scene"
+    parser.add_argument("subject", help=f"CSV file of the ringing, {names}")
+    parser.add_argument("trajectory", type=Path, nargs="?", help="CSV, YAML or JSON file of joint positions over time")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="shaped trajectory, in the form of the given one")
     parser.add_argument(
-        "arm", help=f"environment as in flexman evaluate, arm ({', '.join(ARMS)}), or file of an arm or a scene"
-    )
-    parser.add_argument(
-        "--payload",
+        "--residual",
         type=float,
-        nargs=2,
-        metavar=("LOW", "HIGH"),
-        help="range of the payload, kg (default: that of the environment)",
+        metavar="X",
+        default=0.05,
+        help="allowed residual, as a fraction (default: %(default)s)",
     )
+    parser.add_argument(
+        "--shaper", default=AUTO, help=f"{', '.join(SHAPERS)}, {SCALING}, or {AUTO}: the shortest (default: {AUTO})"
+    )
+    parser.add_argument(
+        "--limits", nargs="+", default=[], metavar="NAME=VALUE", help=f"{', '.join(LIMITS)}; rad or m, and s"
+    )
+    parser.add_argument(
+        "--servo", type=float, metavar="HZ", help="bandwidth of the servos of an arm (default: its motors are held)"
+    )
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="plot of the trajectory and its vibration")
+    parser.add_argument("--payload", type=float, nargs=2, metavar=("LOW", "HIGH"), help="range of the payload, kg")
     parser.add_argument(
         "--postures",
         type=int,
         metavar="N",
         default=DEFAULT_POSTURES,
-        help="number of postures, the goals of the first episodes (default: %(default)s)",
+        help="without trajectory: number of postures, the first goals (default: %(default)s)",
     )
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="table of all modes and their residual vibrations")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="without trajectory: table of all modes")
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Print modes, shapers and a recommendation; return 0."""
+    """Shape a trajectory and write it, or print the modes of an arm or a record; return 0."""
+    from flexman_gym.common.time_series import read_time_series
+    from flexman_gym.control.input_shaping.motion import Motion
+    from flexman_gym.control.input_shaping.shaped_motion import ShapedMotion
+    from flexman_gym.identification.ringing import Ringing
+
+    ringing = None
+    if options.subject.endswith(".csv"):
+        series = read_time_series(options.subject)
+        ringing = Ringing.estimate(series.times, np.column_stack([values for _, values in series.columns.values()]))
+    if not options.trajectory:
+        return _print_modes(ringing) if ringing else _compare(options)
+    motion = Motion.read(options.trajectory)
+    ringing = ringing or _arm_ringing(options, motion)
+    given = [each.partition("=") for each in options.limits]
+    limits = {name: finite(f"--limits {name}", _number(value)) for name, _, value in given}
+    found = ShapedMotion.find(motion, ringing, options.residual, options.shaper, limits)
+    _print_modes(ringing)
+    if len(found.unshaped.values) > len(motion.values):
+        print(f"the limits need {found.unshaped.duration:.4g} s in place of {motion.duration:.4g} s before shaping")
+    print(f"shaper: {found.shaper}; {motion.duration:.4g} s become {found.motion.duration:.4g} s")
+    for frequency, (nominal, low, high) in zip(ringing.frequencies, 100.0 * found.residuals, strict=True):
+        print(f"residual at {frequency:.4g} Hz: {nominal:.2f} % of the unshaped one, from {low:.2f} to {high:.2f} %")
+    if options.out:
+        found.motion.write(options.out)
+        print(f"{options.out}: {len(found.motion.values)} samples")
+    if options.picture:
+        _draw(found, ringing, options.picture)
+    return 0
+
+
+def _number(text: str) -> object:
+    """Return the number of a text, or the text."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _arm_ringing(options: argparse.Namespace, motion: "Motion") -> "Ringing":
+    """Return the modes of an arm at the end of a motion, with deviations that cover the range of payloads.
+
+    A second mode belongs to them if it moves the tip by more than the allowed residual of the first one.
+    """
+    from flexman_gym.control.input_shaping.shapers import excited_modes
+    from flexman_gym.identification.ring_down import MAX_DAMPING
+    from flexman_gym.identification.ringing import DAMPING_DEVIATION, FREQUENCY_DEVIATION, Ringing
+    from flexman_gym.simulation.parameters import varied_model
+
+    model, posture = _find_model(options.subject, 1)[0], motion.positions[-1]
+    if len(posture) != model.n_joints:
+        columns = f"{len(posture)} columns of positions"
+        raise value_error(
+            options.trajectory.name, columns, f"{model.n_joints}, one for each joint of {options.subject}"
+        )
+    low, high = options.payload or 2 * [float(model.constants.payload_mass[0])]
+    found = []
+    for mass in (0.5 * (low + high), low, high):
+        loaded = varied_model(model, payload_mass=non_negative("payload_mass", mass, "kg"))
+        modes = excited_modes(loaded, posture, servo=options.servo)
+        found.append(modes[modes[:, 1] < MAX_DAMPING][:2])
+    count = min(map(len, found))
+    if count == 2 and found[0][1, 2] < options.residual * found[0][0, 2]:
+        count = 1
+    if not count:
+        raise ValueError(f"{options.subject}: the motors excite no vibration; there is nothing to shape")
+    values = np.array([each[:count, :2] for each in found])
+    values[..., 1] += TINY_DAMPING
+    values[..., 0] *= np.sqrt(1.0 - values[..., 1] ** 2)
+    ranges = np.hypot(np.ptp(values, axis=0) / (2.0 * values[0]), [FREQUENCY_DEVIATION, DAMPING_DEVIATION])
+    frequencies, damping = values[0].T
+    return Ringing(frequencies, damping, posture, deviation=ranges[:, 0], damping_deviation=ranges[:, 1])
+
+
+def _print_modes(ringing: "Ringing") -> int:
+    """Print frequencies and damping ratios with their standard deviations; return 0."""
+    assert ringing.damping is not None
+    for values in np.reshape([ringing.measured, ringing.deviations], (2, 2, -1)).T.tolist():
+        (frequency, error), (ratio, ratio_error) = values
+        print(f"mode: {frequency:.5g} +- {error:.2g} Hz, damping ratio {ratio:.3g} +- {ratio_error:.2g}")
+    return 0
+
+
+def _draw(found: "ShapedMotion", ringing: "Ringing", path: Path) -> None:
+    """Plot the position that moves most and the vibration that it excites, unshaped and shaped."""
+    from flexman_gym.common.plot_style import BLUE, SLATE, new_figure, save_figure
+
+    figure = new_figure((7.0, 4.4), 120, layout="constrained")
+    motion, response = figure.subplots(2, 1, sharex=True)
+    column = int(np.ptp(found.unshaped.positions, axis=0).argmax())
+    period, rates = found.motion.period, 2.0 * np.pi * np.array(ringing.frequencies)
+    count = int(len(found.motion.values) + SHOWN_CYCLES / (ringing.frequencies[0] * period))
+    times, scale = period * np.arange(count), 0.0
+    decay = np.exp(-np.outer(rates * np.array(ringing.damping), times)) * np.sin(np.outer(rates, times))
+    for each, name, colour in ((found.unshaped, "unshaped", SLATE), (found.motion, found.shaper, BLUE)):
+        positions = np.pad(each.positions[:, column], (1, count - len(each.values)), mode="edge")
+        vibration = np.convolve(decay.sum(axis=0), np.diff(positions, 2))[:count]
+        scale = scale or 100.0 / np.abs(vibration).max()
+        motion.plot(times, positions[1:], color=colour, label=name)
+        response.plot(times, scale * vibration, color=colour, label=name)
+    motion.set_ylabel("position (rad or m)")
+    motion.legend(frameon=False)
+    response.set(xlabel="time (s)", ylabel="vibration (% of largest)")
+    print(f"{save_figure(figure, path)} shows position and predicted vibration.")
+
+
+def _compare(options: argparse.Namespace) -> int:
+    """Print modes of an arm, shapers and a recommendation; return 0."""
     from flexman_gym.control.input_shaping.shapers import OperatingPoint, ShaperEvaluation
 
     if options.postures < 1:
         options.parser.error(f"--postures: {options.postures} is not allowed; give a whole number > 0")
-    model, postures, payloads = _find_model(options.arm, options.postures)
+    model, postures, payloads = _find_model(options.subject, options.postures)
     if options.payload:
         payloads = [options.payload[0], sum(options.payload) / 2.0, options.payload[1]]
     cases = OperatingPoint.find(model, postures, payloads)
-    print(f"{options.arm}: {len(postures)} postures, payloads of {', '.join(f'{mass:g}' for mass in payloads)} kg")
+    print(f"{options.subject}: {len(postures)} postures, payloads of {', '.join(f'{mass:g}' for mass in payloads)} kg")
     if not all(len(case.held) for case in cases):
         print("recommendation: none, as the motors excite no vibration")
         return 0
