@@ -50,6 +50,11 @@ class Body(NamedTuple):
         inertia = rotation.T @ self.inertia @ rotation
         return Body(self.mass, rotation.T @ (self.centre - origin), (inertia + inertia.T) / 2.0)
 
+    def plain(self, position: float = 0.0) -> dict[str, Any]:
+        """Return the plain form of a Payload, or of a LumpedMass at a position along its link, m; zeros left out."""
+        parts = {"inertia": self.inertia, "offset": self.centre - [position, 0.0, 0.0]}
+        return {"mass": self.mass} | {name: part.tolist() for name, part in parts.items() if part.any()}
+
 
 class _Joint(NamedTuple):
     """Joint of the file; `axis` and `origin` are in the frame of the parent link and of the joint, as in the file."""
@@ -116,8 +121,7 @@ def _arm(root: ElementTree.Element, sidecar: dict[str, Any], tip: str | None, he
             bodies[mover.child][name] = body.seen_from(turn.T, -turn.T @ place)
     last, payload = bodies[chain[-1].child], None
     if tip in last and len(last) > 1 and tip != chain[-1].child:
-        body = last.pop(tip).seen_from(np.eye(3), ends[-1])
-        payload = {"mass": body.mass, "inertia": body.inertia.tolist(), "offset": body.centre.tolist()}
+        payload = last.pop(tip).seen_from(np.eye(3), ends[-1]).plain()
     names = [joint.child for joint in chain]
     data = {
         "links": [
@@ -161,7 +165,7 @@ def _joint(name: str, element: ElementTree.Element) -> _Joint:
     field = f"joint {name!r}"
     kind = one_of(f"{field}.type", element.get("type"), (*DRIVEN, SLIDING, FIXED))
     ends = [_required(field, element, tag).get("link", "") for tag in ("parent", "child")]
-    axis = _numbers(f"{field}.axis", element.find("axis"), "xyz", "1 0 0")
+    axis = _numbers(f"{field}.axis", element.find("axis") if kind != FIXED else None, "xyz", "1 0 0")
     length = float(np.linalg.norm(axis))
     if not 1e-9 < length < np.inf:
         raise value_error(f"{field}.axis", axis.tolist(), "an axis of length > 0")
@@ -265,10 +269,8 @@ def _link(name: str, start: Array, end: Array, bodies: dict[str, Body], section:
     plain |= section
     if body.mass:
         body = body.seen_from(np.array(plain["orientation"]), start)
-        x, y, z = body.centre
-        position = float(np.clip(x, 0.0, length))
-        lump = {"position": position, "inertia": body.inertia.tolist(), "offset": [x - position, y, z]}
-        plain["masses"] = [*plain.get("masses", []), {"mass": body.mass, **lump}]
+        position = float(np.clip(body.centre[0], 0.0, length))
+        plain["masses"] = [*plain.get("masses", []), {"position": position, **body.plain(position)}]
     return plain
 
 
