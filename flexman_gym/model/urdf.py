@@ -56,7 +56,7 @@ def _body(link: Link | NonUniformLink) -> Body:
 
 def _lump(body: LumpedMass | Payload, position: float) -> Body:
     """Return a lumped mass or payload as a body, in axes with an origin at the distance `position` (m) along -x."""
-    centre = np.array(body.offset or np.zeros(3)) + [position, 0.0, 0.0]
+    centre = np.array([position, 0.0, 0.0]) + (body.offset or np.zeros(3))
     return Body(body.mass, centre, np.array(body.inertia or np.zeros((3, 3))))
 
 

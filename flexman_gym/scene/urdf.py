@@ -137,11 +137,11 @@ def _arm(root: ElementTree.Element, sidecar: dict[str, Any], tip: str | None, he
     try:
         arm = find_arm(data)
     except ValueError as error:  # name the parts as the files do
-        found = re.match(r"arm\.(link|joint)s\[(\d+)\]\.?(?:LumpedMass\.)?", str(error))
+        found = re.match(r"arm\.(link|joint)s\[(\d+)\](?:\.?LumpedMass)?", str(error))
         if not found:
             raise
         name = getattr(chain[int(found[2])], "child" if found[1] == "link" else "name")
-        raise ValueError(f"{found[1]} {name!r}.{str(error)[found.end() :]}") from None
+        raise ValueError(f"{found[1]} {name!r}{str(error)[found.end() :]}") from None
     for name, link, end in zip(names, arm.links, ends, strict=True):
         _check_tip(name, end - poses[name][1], link.length * np.array(link.orientation)[:, 0])
     return arm
@@ -312,8 +312,8 @@ def _body(name: str, element: ElementTree.Element) -> Body | None:
     inertial, field = element.find("inertial"), f"link {name!r}.inertial"
     if inertial is None:
         return None
-    mass = non_negative(f"{field}.mass", float(_numbers(f"{field}.mass", _required(field, inertial, "mass"), "value")[0]),
-                        "kg")  # fmt: skip
+    number = _numbers(f"{field}.mass", _required(field, inertial, "mass"), "value")[0]
+    mass = non_negative(f"{field}.mass", float(number), "kg")
     entries, tensor = _required(field, inertial, "inertia"), np.zeros((3, 3))
     for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
         entry = f"i{'xyz'[i]}{'xyz'[j]}"
