@@ -15,7 +15,16 @@ import numpy as np
 
 from flexman_gym.common import files
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import finite, mapping, non_negative, one_of, short_path, value_error
+from flexman_gym.common.checks import (
+    finite,
+    mapping,
+    non_negative,
+    number_array,
+    one_of,
+    sequence,
+    short_path,
+    value_error,
+)
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.serialization import find_arm
 
@@ -82,8 +91,7 @@ def read_urdf(path: str | Path, sidecar: object, tip: str | None, held: Mapping[
         root = ElementTree.fromstring(text, ElementTree.XMLParser(target=_Builder()))
         if root.tag != "robot":
             raise value_error("the root element", root.tag, "robot; expand macros (xacro) first")
-        extra = _sidecar(sidecar)
-        return _arm(root, extra, tip, dict(held or {}))
+        return _arm(root, _sidecar(sidecar), tip, {} if held is None else held)
     except ElementTree.ParseError as error:
         raise ValueError(f"{short_path(path)}: {error}; give valid XML; expand macros (xacro) first") from None
     except (ValueError, LookupError) as error:  # LookupError: an unknown encoding
@@ -102,11 +110,10 @@ def _sidecar(given: object) -> dict[str, Any]:
     return result
 
 
-def _arm(root: ElementTree.Element, sidecar: dict[str, Any], tip: str | None, held: dict[str, float]) -> Arm:
+def _arm(root: ElementTree.Element, sidecar: dict[str, Any], tip: str | None, held: Any) -> Arm:
     """Return the arm of a tree of elements, see `read_urdf`."""
     links, joints = _named(root, "link"), {name: _joint(name, each) for name, each in _named(root, "joint").items()}
-    for name in held:
-        one_of("held", name, [name for name, joint in joints.items() if joint.kind != FIXED])
+    held = mapping("held", held, [name for name, joint in joints.items() if joint.kind != FIXED])
     inboard = _inboard(links, joints.values())
     poses, movers = _place(links, inboard, held)
     tip, chain = _chain(links, inboard, movers, tip)
@@ -164,12 +171,12 @@ def _joint(name: str, element: ElementTree.Element) -> _Joint:
     """Return a joint of the file."""
     field = f"joint {name!r}"
     kind = one_of(f"{field}.type", element.get("type"), (*DRIVEN, SLIDING, FIXED))
-    ends = [_required(field, element, tag).get("link", "") for tag in ("parent", "child")]
+    parent, child = (_required(field, element, tag).get("link", "") for tag in ("parent", "child"))
     axis = _numbers(f"{field}.axis", element.find("axis") if kind != FIXED else None, "xyz", "1 0 0")
     length = float(np.linalg.norm(axis))
     if not 1e-9 < length < np.inf:
         raise value_error(f"{field}.axis", axis.tolist(), "an axis of length > 0")
-    return _Joint(name, kind, *ends, _origin(field, element), axis / length, element)
+    return _Joint(name, kind, parent, child, _origin(field, element), axis / length, element)
 
 
 def _inboard(links: Mapping[str, Any], joints: Any) -> dict[str, _Joint]:
@@ -224,10 +231,9 @@ def _chain(
     if tip is None and len(leaves) > 1:
         raise value_error("tip", tip, f"one of the ends of the branches: {', '.join(leaves)}")
     tip = one_of("tip", tip or (leaves or [""])[0], [name for name in links if movers[name]])
-    chain, mover = [], movers[tip]
-    while mover:
+    chain: list[_Joint] = []
+    while mover := movers[chain[0].parent if chain else tip]:
         chain.insert(0, mover)
-        mover = movers[mover.parent]
     for joint in {each.name: each for each in movers.values() if each}.values():
         field, hold = f"joint {joint.name!r}", f"held={{{joint.name!r}: position}}"
         if joint.kind == SLIDING:
@@ -268,9 +274,11 @@ def _link(name: str, start: Array, end: Array, bodies: dict[str, Body], section:
         del plain["length"]
     plain |= section
     if body.mass:
-        body = body.seen_from(np.array(plain["orientation"]), start)
-        position = float(np.clip(body.centre[0], 0.0, length))
-        plain["masses"] = [*plain.get("masses", []), {"position": position, **body.plain(position)}]
+        allowed = "3 rows of 3 numbers"
+        body = body.seen_from(number_array(f"link {name!r}.orientation", plain["orientation"], (3, 3), allowed), start)
+        position, given = float(np.clip(body.centre[0], 0.0, length)), plain.get("masses", ())
+        masses = sequence(f"link {name!r}.masses", given, "LumpedMass")
+        plain["masses"] = [*masses, {"position": position, **body.plain(position)}]
     return plain
 
 

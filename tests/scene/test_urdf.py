@@ -228,6 +228,12 @@ def test_other_arguments_are_refused_by_name(tmp_path):
         "link 'forearm'": {"sidecar": {"links": {"forearm": {"shape": "rod", "width": 0.1}}}},
         "link 'upper_arm'": {"sidecar": {"links": {"upper_arm": {"shape": "rod", "diameter": 0.01, "length": 0.31}}}},
     }
+    tool = EXAMPLE.replace('<parent link="forearm"/>', '<parent link="upper_arm"/>')  # a body merged with a section
+    for field, value in (("orientation", "x"), ("masses", 3.0)):
+        section = {"upper_arm": {"shape": "rod", "diameter": 0.01, field: value}}
+        line = refusal(lambda section=section: read(tmp_path, tool, tip="forearm", sidecar={"links": section}))
+        assert f"link 'upper_arm'.{field}: " in line
+    assert "held: [1]" in refusal(lambda: read(tmp_path, held=[1]))
     for field, given in cases.items():
         assert f"{field}: " in refusal(lambda given=given: read(tmp_path, **given)), field
     with pytest.raises(FileNotFoundError, match=r"none\.urdf"):
