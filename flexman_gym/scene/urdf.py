@@ -213,7 +213,7 @@ def _place(
             if joint.kind == SLIDING:
                 position = position + rotation @ joint.axis * value
             elif joint.kind != FIXED:
-                rotation = rotation @ turn_about(joint.axis, value)
+                rotation = rotation @ _turn_about(joint.axis, value)
             merged = joint.kind == FIXED or joint.name in held
             poses[joint.child], movers[joint.child] = (rotation, position), movers[parent] if merged else joint
             queue.append(joint.child)
@@ -337,11 +337,11 @@ def _origin(field: str, element: ElementTree.Element) -> Pose:
     origin = element.find("origin")
     roll, pitch, yaw = _numbers(f"{field}.origin", origin, "rpy", "0 0 0")
     x, y, z = np.eye(3)
-    turn = turn_about(z, yaw) @ turn_about(y, pitch) @ turn_about(x, roll)
+    turn = _turn_about(z, yaw) @ _turn_about(y, pitch) @ _turn_about(x, roll)
     return turn, _numbers(f"{field}.origin", origin, "xyz", "0 0 0")
 
 
-def turn_about(axis: Array, angle: float) -> Array:
+def _turn_about(axis: Array, angle: float) -> Array:
     """Return the rotation matrix (3, 3) about a unit vector (3,) by an angle, rad (Rodrigues' formula)."""
     cross = np.cross(np.eye(3), axis)
     return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
