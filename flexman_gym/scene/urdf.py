@@ -29,7 +29,6 @@ from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.serialization import find_arm
 
 DRIVEN, SLIDING, FIXED = ("revolute", "continuous"), "prismatic", "fixed"  # supported types of joints
-SIDECAR = ("links", "joints", "gravity", "stiffness_proportional_damping", "modal_damping_ratio")  # keys of the file
 DAMPING = {"gravity": (0.0, 0.0, -9.81), "stiffness_proportional_damping": 0.0, "modal_damping_ratio": 0.0}  # defaults
 NO_DISTANCE = 1e-12  # m; joints at a smaller distance are at the same place
 AGREEMENT = 1e-6  # dimensionless; largest difference of length and direction between sidecar and URDF
@@ -100,8 +99,11 @@ def read_urdf(path: str | Path, sidecar: object, tip: str | None, held: Mapping[
 
 def _sidecar(given: object) -> dict[str, Any]:
     """Return the mapping of a sidecar from its file, a mapping or None; the parts are checked with the arm."""
-    data = files.read_data(Path(given)) if isinstance(given, str | Path) else {} if given is None else given
-    result = mapping("sidecar", data, SIDECAR)
+    try:
+        data = files.read_data(Path(given)) if isinstance(given, str | Path) else {} if given is None else given
+    except ValueError as error:
+        raise ValueError(f"sidecar {short_path(given)}: {error}") from None
+    result = mapping("sidecar", data, ("links", "joints", *DAMPING))
     for name in ("links", "joints"):
         parts = result.get(name, {})
         for part, entries in mapping(f"sidecar.{name}", parts, parts if isinstance(parts, dict) else ()).items():
@@ -230,6 +232,8 @@ def _chain(
     leaves = [name for name in links if name not in parents and movers[name]]
     if tip is None and len(leaves) > 1:
         raise value_error("tip", tip, f"one of the ends of the branches: {', '.join(leaves)}")
+    if not any(movers.values()):
+        raise ValueError("joint: no joint moves; give at least one revolute or continuous joint that is not held")
     tip = one_of("tip", tip or (leaves or [""])[0], [name for name in links if movers[name]])
     chain: list[_Joint] = []
     while mover := movers[chain[0].parent if chain else tip]:
@@ -303,14 +307,12 @@ def _driven(joint: _Joint, turn: Array, extra: dict[str, Any]) -> dict[str, Any]
     plain = {"axis": (axis / np.linalg.norm(axis)).tolist(), "rotor_inertia": 0.0, "stiffness": None, "damping": 0.0,
              "viscous_friction": values["damping"], "coulomb_friction": values["friction"],
              "torque_limit": values["effort"] or None}  # fmt: skip
-    motor = extra.get("motor")
-    if isinstance(motor, dict):
+    motor = extra["motor"] if isinstance(extra.get("motor"), dict) else {}
+    if motor:
         del plain["rotor_inertia"]
         if values["velocity"] and isinstance(motor.get("gear_ratio"), int | float):
             extra = extra | {"motor": {"speed_limit": values["velocity"] * motor["gear_ratio"], **motor}}
-        if {"current_limit", "voltage_limit"} & motor.keys():
-            del plain["torque_limit"]
-    if extra.get("passive") is True:
+    if extra.get("passive") is True or {"current_limit", "voltage_limit"} & motor.keys():
         del plain["torque_limit"]
     return plain | extra
 

@@ -233,6 +233,11 @@ def test_other_arguments_are_refused_by_name(tmp_path):
         section = {"upper_arm": {"shape": "rod", "diameter": 0.01, field: value}}
         line = refusal(lambda section=section: read(tmp_path, tool, tip="forearm", sidecar={"links": section}))
         assert f"link 'upper_arm'.{field}: " in line
+    (tmp_path / "bad.yaml").write_text("links: [")
+    assert "bad.yaml: line" in refusal(lambda: read(tmp_path, sidecar=tmp_path / "bad.yaml"))
+    assert "no joint moves" in refusal(lambda: read(tmp_path, held={"shoulder": 0.0, "elbow": 0.0}))
+    passive = read(tmp_path, sidecar={"joints": {"elbow": {"passive": True, "stiffness": 3.0}}})
+    assert passive.joints[1].passive and passive.joints[1].torque_limit is None
     assert "held: [1]" in refusal(lambda: read(tmp_path, held=[1]))
     for field, given in cases.items():
         assert f"{field}: " in refusal(lambda given=given: read(tmp_path, **given)), field
