@@ -223,7 +223,7 @@ def test_iterations_lead_to_the_midpoint_rule():
 @pytest.mark.parametrize("radius", [0.0, 0.5, 0.9, 1.0])
 def test_generalised_alpha_has_its_spectral_radius_at_infinite_frequency(radius):
     """Of the matrix that takes (x, h v, h^2 a) of an undamped mode over a step, h w = 1e6 (Chung and Hulbert 1993)."""
-    am, af, beta, gamma, _ = generalised_alpha(radius).coefficients
+    am, af, beta, gamma, *_ = generalised_alpha(radius).coefficients
     square = 1e12
     # (1 - am) a1 + am a0 = -w^2 ((1 - af) x1 + af x0), with x1 and v1 by Newmark's formulas
     new = np.array([[1.0, 0.0, -beta], [0.0, 1.0, -gamma], [(1 - af) * square, 0.0, 1 - am]])
