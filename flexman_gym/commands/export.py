@@ -1,12 +1,15 @@
-"""Export a policy as data or ONNX, a controller as C, a linear model for MATLAB, or an arm for MuJoCo."""
+"""Export a policy as data or ONNX, a controller as C, a linear model for MATLAB, or an arm as MJCF or URDF."""
 
 import argparse
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from flexman_gym.commands import CommandLine, add_options
+
+if TYPE_CHECKING:
+    from flexman_gym.scene.arm import Arm
 
 
 class _Target(NamedTuple):
@@ -86,15 +89,11 @@ def _mujoco_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _mujoco(options: argparse.Namespace) -> str:
-    from flexman_gym.common import files
-    from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
     from flexman_gym.model.mjcf import to_mjcf
-    from flexman_gym.scene.serialization import ARMS, SUFFIXES, find_arm
 
     name = options.arm
-    alone = name in ARMS or (name.endswith(SUFFIXES) and "id" not in files.read_data(Path(name)))
-    arm = find_arm(name) if alone else Configuration.find(name).arm
+    arm = _find_arm(name)
     options.out.write_text(to_mjcf(arm, options.pieces), encoding="utf-8")
     known = f" of {name}" if name.partition("/")[0] in NAMED_ENVIRONMENTS else ""
     return f"{options.out} has the arm{known}: {arm.n_joints} links of {options.pieces} pieces a section."
@@ -138,11 +137,39 @@ def _matlab(options: argparse.Namespace) -> str:
     return f"{options.out}: {', '.join(write_matlab(options.name, options.out, options.env, options.goal))}"
 
 
+def _urdf_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("arm", help="environment, named arm, or file of an environment, an arm or a scene")
+    parser.add_argument("path", type=Path, metavar="FILE", help="file to write; the sidecar is FILE with suffix .yaml")
+
+
+def _urdf(options: argparse.Namespace) -> str:
+    from flexman_gym.common import files
+    from flexman_gym.common.checks import one_of
+    from flexman_gym.model.urdf import to_urdf
+
+    one_of("the suffix of FILE", options.path.suffix, (".urdf",))
+    text, sidecar = to_urdf(_find_arm(options.arm))
+    options.path.write_text(text, encoding="utf-8")
+    files.write_data(options.path.with_suffix(".yaml"), sidecar)
+    return f"{options.path} has the rigid arm, {options.path.with_suffix('.yaml')} its sections, springs and motors."
+
+
+def _find_arm(name: str) -> "Arm":
+    """Return the arm of an environment, by the name of an arm, or from a file of an environment, an arm or a scene."""
+    from flexman_gym.common import files
+    from flexman_gym.envs.config.configuration import Configuration
+    from flexman_gym.scene.serialization import ARMS, SUFFIXES, find_arm
+
+    alone = name in ARMS or (name.endswith(SUFFIXES) and "id" not in files.read_data(Path(name)))
+    return find_arm(name) if alone else Configuration.find(name).arm
+
+
 TARGETS = {
     "policy": _Target("Export a policy as arrays and JSON, to be run with NumPy only.", _policy_arguments, _policy),
     "c": _Target("Export a controller as C99, without allocation and with a test program.", _c_arguments, _c),
     "matlab": _Target("Export a linear model, and the gains of an agent, as .mat.", _matlab_arguments, _matlab),
     "mujoco": _Target("Export an arm as MJCF, each link as rigid bodies with springs.", _mujoco_arguments, _mujoco),
+    "urdf": _Target("Export an arm as URDF, with a sidecar for sections and motors.", _urdf_arguments, _urdf),
     "onnx": _Target("Export a policy as ONNX, including its normalisation.", _onnx_arguments, _onnx),
 }
 

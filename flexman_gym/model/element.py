@@ -40,7 +40,7 @@ class Element(NamedTuple):
         result: list[Self] = []
         start = 0.0
         for section in link.sections:
-            length = section.length / elements
+            length = (section.length or 1.0) / elements  # any length serves a rigid link of no length and mass
             for i in range(elements):
                 first = NODE_COORDINATES * len(result)
                 result.append(cls(section, start + i * length, length, slice(first, first + 2 * NODE_COORDINATES)))

@@ -62,7 +62,8 @@ def rigid_pieces(link: Link | NonUniformLink, pieces: int) -> list[_Piece]:
     halves, start = [], 0.0
     for section in link.sections:
         count = max(1, 2 * pieces)
-        halves += [(start + j * section.length / count, section.length / count, section) for j in range(count)]
+        length = section.length or 1.0  # any length serves a rigid link of no length and mass
+        halves += [(start + j * length / count, length / count, section) for j in range(count)]
         start += section.length
     ends = [0, *range(1, len(halves), 2), len(halves)] if pieces else [0, len(halves)]
     result = []
@@ -110,11 +111,11 @@ def to_mjcf(
         if joint.has_knees or joint.static_excess or joint.ripple_cycles:
             allowed = "a joint without static friction, backlash, stiffness pieces and torque ripple"
             raise value_error(f"arm.joints[{i}]", joint, allowed)
-    chains = [rigid_pieces(link, pieces) for link in arm.links]
+    chains = [rigid_pieces(link, pieces * link.flexible) for link in arm.links]
     outboard = outboard_inertias(arm, tuple(build_beam(link, 1, flexible=False) for link in arm.links))
     lumped_masses = [link.masses for link in arm.links]
-    modes = [_modes(*each) for each in zip(chains, outboard, lumped_masses, strict=True)] if pieces else []
-    highest = max(map(_highest_frequency, chains)) if pieces else 1.5e3
+    modes = [_modes(*each) if len(each[0]) > 1 else None for each in zip(chains, outboard, lumped_masses, strict=True)]
+    highest = max((_highest_frequency(chain) for chain in chains if len(chain) > 1), default=1.5e3)
     root = ElementTree.Element("mujoco")
     option = {"integrator": integrator, "gravity": _numbers(arm.gravity)}
     options = _add(root, "option", option, timestep=repr(float(STABLE_STEP / highest if step is None else step)))
@@ -132,8 +133,8 @@ def to_mjcf(
             parent, tip = add_link(root, body, link)
             continue
         parent, tip = _add_link(body, chains[i], link, arm.stiffness_proportional_damping)
-        if modes and arm.damping_ratios[i]:
-            _add_modal_dampers(tendons, f"link_{i}", modes[i], arm.damping_ratios[i])
+        if (shapes := modes[i]) and arm.damping_ratios[i]:
+            _add_modal_dampers(tendons, f"link_{i}", shapes, arm.damping_ratios[i])
     if arm.payload is not None:
         _add_rigid_body(_add(parent, "body", tip, name="payload"), arm.payload)
     _add(parent, "site", name="tip", pos=tip["pos"])

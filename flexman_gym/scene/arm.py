@@ -1,8 +1,10 @@
 """Arm: a serial chain of links and revolute joints with a payload, in SI units."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import (
@@ -60,6 +62,42 @@ class Arm:
     gravity: Vector = (0.0, 0.0, 0.0)
     stiffness_proportional_damping: float = 0.0
     modal_damping_ratio: float | Vector = 0.0
+
+    @classmethod
+    def from_urdf(
+        cls,
+        path: str | Path,
+        sidecar: str | Path | Mapping[str, Any] | None = None,
+        tip: str | None = None,
+        held: Mapping[str, float] | None = None,
+    ) -> "Arm":
+        """Read an arm of rigid links from a URDF file.
+
+        The base frame has the axes of the root link and its origin at the first joint. Links behind fixed and held
+        joints are merged with the link that carries them; the body of a separate link at the tip is the payload. Limits
+        of torque are read; a joint turns without stops, so that ranges of angles are not.
+
+        Args:
+            path: the file.
+            sidecar: .yaml or .json file, or a mapping, with what a URDF lacks: `links`, link of the URDF -> section as
+                in the file of an arm, without length and orientation (y is horizontal), in place of the <inertial>;
+                `joints`, joint -> fields of Joint; `gravity` in the axes of the root link (default: 9.81 m/s^2 against
+                z), `stiffness_proportional_damping` and `modal_damping_ratio`.
+            tip: link at the end of the chain, whose origin is the tip; may be omitted without branches.
+            held: joint -> constant angle (rad) or position (m), for joints that are not part of the chain.
+
+        Raises:
+            FileNotFoundError: if a file does not exist.
+            ValueError: for invalid XML, for entities, and for joints and bodies that an arm cannot have.
+
+        Examples:
+            >>> arm = fm.Arm.from_urdf("docs/examples/two_links.urdf")
+            >>> arm.n_joints
+            2
+        """
+        from flexman_gym.scene.urdf import read_urdf
+
+        return read_urdf(path, sidecar, tip, held)
 
     def __post_init__(self) -> None:
         set_fields(

@@ -53,23 +53,6 @@ FOREIGN_KEYWORDS: dict[str, dict[str, str]] = {
     },
     "Link": dict.fromkeys(("material", "width", "thickness", "diameter", "radius", "wall"), _SHAPE),
 }
-# Class -> attribute unknown to it -> advice.
-ABSENT_MEMBERS = {
-    "Arm": {
-        "from_urdf": "a URDF has rigid bodies, without sections and springs; build fm.Arm(links, joints), or use "
-        "Pinocchio, MuJoCo or Drake for its rigid arm"
-    }
-}
-
-
-class _AbsentMember:
-    """Missing attribute of a class; reading it raises an AttributeError with an explanation."""
-
-    def __init__(self, message: str) -> None:
-        self._message = message
-
-    def __get__(self, instance: object, owner: type) -> Any:
-        raise AttributeError(self._message)
 
 
 def check_keywords(cls: type[T]) -> type[T]:
@@ -91,8 +74,6 @@ def check_keywords(cls: type[T]) -> type[T]:
         construct(self, *values, **named)
 
     cls.__init__ = constructor  # type: ignore[method-assign]
-    for name, advice in ABSENT_MEMBERS.get(cls.__name__, {}).items():
-        setattr(cls, name, _AbsentMember(f"{cls.__name__}.{name}: {advice}"))
     return cls
 
 

@@ -173,6 +173,7 @@ def _total_mass(masses: Sequence[LumpedMass]) -> float:
 MAX_WIDTH = 5.0  # dimensionless; width of a cross-section / length of its link; above it the unit is probably wrong
 MAX_TORSION = 10.0  # dimensionless; torsion constant / polar moment of area; above it the unit is probably wrong
 NO_DENSITY = 1e-20  # kg/m^3; density of the beam of `Link.rigid`, whose mass is that of its lumped mass
+MIN_DRAWN = 0.01  # m; a shorter `Link.rigid` is drawn as thick as one of this length
 MAX_SECTIONS = 64  # largest number of sections of a link; each needs a finite element, and a link has at most 64
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -198,7 +199,7 @@ class Link:
     cause a UserWarning.
 
     Attributes:
-        length: length, m.
+        length: length, m; 0 is allowed for a rigid link.
         area: area of the cross-section, m^2.
         second_moment_y: second moment of area I_y about y, integral of z^2, m^4, for bending in the x-z plane.
         second_moment_z: second moment of area I_z about z, integral of y^2, m^4, for bending in the x-y plane.
@@ -236,15 +237,18 @@ class Link:
     flexible: bool = True
 
     def __post_init__(self) -> None:
-        set_fields(
-            self, **{name: physical(f"Link.{name}", getattr(self, name), unit) for name, unit in _LINK_UNITS.items()}
-        )
         set_fields(self, flexible=flag("Link.flexible", self.flexible))
+        for name, unit in _LINK_UNITS.items():
+            zero = name == "length" and not self.flexible
+            set_fields(self, **{name: physical(f"Link.{name}", getattr(self, name), unit, zero)})
         set_fields(self, orientation=_rotation("Link.orientation", self.orientation))
         set_fields(self, masses=_lumped_masses("Link.masses", self.masses, self.length))
         if self.outline is not None:
             _check_outline(self.outline, vars(self))
-        warn_unusual_units("Link", vars(self) if self.flexible else {"length": self.length})
+        if not self.flexible:
+            warn_unusual_units("Link", {"length": self.length} if self.length else {})
+            return
+        warn_unusual_units("Link", vars(self))
         polar, least = self.second_moment_y + self.second_moment_z, self.area * self.area / (2.0 * math.pi)
         if polar < (1.0 - 1e-9) * least:
             warn_caller(
@@ -340,9 +344,9 @@ class Link:
         """Build a rigid link of given mass, centre of mass and inertia.
 
         Args:
-            length: distance between its joint and its tip, along x, m.
+            length: distance between its joint and its tip, along x, m; 0 if the next joint is at the same place.
             mass: kg.
-            centre: (3,) centre of mass in the link frame, m, with an x from 0 to the length.
+            centre: (3,) centre of mass in the link frame, m.
             inertia: inertia matrix (3, 3) about the centre of mass, kg m^2; None for a point mass.
             orientation: rotation matrix (3, 3), see `Link`.
 
@@ -355,8 +359,10 @@ class Link:
             3.0
         """
         x, y, z = vector("Link.rigid.centre", centre, 3, "m")
-        body = LumpedMass(mass, x, inertia, (0.0, y, z) if y or z else None)
-        outline = _round_outline(physical("Link.rigid.length", length, "m") / 20.0)
+        position = min(max(x, 0.0), physical("Link.rigid.length", length, "m", zero=True))
+        offset = (x - position, y, z)
+        body = LumpedMass(mass, position, inertia, offset if any(offset) else None)
+        outline = _round_outline(max(length, MIN_DRAWN) / 20.0)
         names = ("area", "second_moment_y", "second_moment_z", "torsion_constant")
         numbers = {name: getattr(outline, name) for name in names}
         material = find_material("steel")._replace(density=NO_DENSITY)._asdict()

@@ -58,7 +58,7 @@ WANTED = {  # words -> pages, of which one is among the first two hits
         "own_arm.html#links-joints-and-payload", "tutorials/unknown_arms.html#randomise-payload-stiffness-and-delay",
     },
     "reward": {"own_task.html#reward"},
-    "urdf": {"own_arm.html#urdf-mjcf-and-mujoco"},
+    "urdf": {"own_arm.html#from-a-urdf"},
     "macos": {"concepts.html#supported-systems", "start.html#how-to-install"},
     "simulink": {"control_room.html#matlab-simulink-and-python-control"},
     "noise": {"own_task.html#sensor-noise-and-other-errors"},

@@ -134,3 +134,14 @@ def test_the_usual_step_is_stable_and_no_shorter_than_it_must_be(mujoco, name):
     data.qvel[0] = 0.3
     mujoco.mj_step(model, data, 200)
     assert data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number == 0
+
+
+def test_a_rigid_link_stays_one_body_among_flexible_links(mujoco):
+    """Also one without length. The mass matrix of the motors, with straight links, is that of the rigid arm."""
+    hub = fm.Link.rigid(0.0, 0.5, (0.02, 0.0, -0.03), np.diag([1e-3, 2e-3, 2e-3]))
+    arm = fm.Arm((hub, THIN), tuple(fm.Joint(joint.axis) for joint in JOINTS), PAYLOAD, modal_damping_ratio=0.01)
+    model, data = read(mujoco, arm, 4, angles=(0.0, 0.6))
+    motors = [model.joint(f"motor {i}").dofadr[0] for i in range(2)]
+    own = fm.mass_matrix(fm.build_model(arm, 1, flexible_links=False), [0.0, 0.6, 0.0, 0.0])
+    assert model.nv == 2 + 3 * 4
+    assert matrices(mujoco, model, data)[0][np.ix_(motors, motors)] == pytest.approx(own, rel=1e-12)

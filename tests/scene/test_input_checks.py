@@ -53,13 +53,6 @@ def test_a_file_is_answered_as_a_constructor_is():
         fm.Scene.from_dict(data)
 
 
-def test_an_arm_is_not_read_from_urdf_and_the_error_names_what_does():
-    """It stays an AttributeError, so that `hasattr` is false."""
-    with pytest.raises(AttributeError, match=r"URDF.*rigid.*fm\.Arm\(links, joints\).*Pinocchio"):
-        fm.Arm.from_urdf("arm.urdf")
-    assert not hasattr(fm.Arm, "from_urdf") and not hasattr(fm.Arm([LINK], [JOINT]), "from_urdf")
-
-
 def test_signatures_stay_typed_and_parts_are_copied_as_before():
     for kind in (fm.Joint, fm.Link, fm.Motor, fm.Payload, fm.Arm, fm.Scene):
         parameters = inspect.signature(kind).parameters

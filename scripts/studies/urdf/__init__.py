@@ -1,0 +1,1 @@
+"""Study of the import of URDF files: comparison with Pinocchio."""
