@@ -33,6 +33,8 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_gym.verification.table import PASS, VerificationTable
 
     if options.data is not None:
+        if options.table != "papers":
+            options.parser.error("--data belongs to: flexman verify papers --data FILE")
         from flexman_gym.verification.response import fit_response, read_response
 
         try:

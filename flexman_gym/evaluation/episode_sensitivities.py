@@ -37,6 +37,7 @@ from flexman_gym.envs.view import View
 from flexman_gym.evaluation.agent import AgentSpec, find_agent
 from flexman_gym.evaluation.rollout import TEST_SEEDS, Rollout, rollout
 from flexman_gym.kernels import layout
+from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation import differentiation
 from flexman_gym.simulation.batch import Batch
@@ -117,9 +118,13 @@ def sensitivities(
         if agent is not None:
             raise value_error("agent", agent, "None: a scene has no agent")
         return differentiation.sensitivities(scene, of, to, **simulation)
-    if agent is None or simulation:
-        name, value = next(iter(simulation.items()), ("agent", agent))
-        raise value_error(name, value, f"for an environment an agent alone: {DIFFERENTIATED}")
+    if simulation:
+        name, value = next(iter(simulation.items()))
+        raise value_error(name, value, "none for an environment, whose settings contain model, method and step")
+    if isinstance(scene, Arm):
+        raise value_error("scene", type(scene).__name__, "a Scene, or an environment")
+    if agent is None:
+        raise value_error("agent", agent, f"an agent for an environment: {DIFFERENTIATED}")
     environment, spec = Configuration.find(scene), find_agent(agent)
     derivatives = _Derivatives(spec, environment, (_names("of", of), _names("to", to)))
     return derivatives.result(rollout(spec, environment, [seed], derivatives))

@@ -246,7 +246,7 @@ def _names(argument: str, given: str | Sequence[str]) -> list[str]:
 
 def find_directions(text: str, model: Model, prescribed: Sequence[int]) -> list[ScalarParameter]:
     """Return the parameters of a name such as "joint_stiffness" or "joint_stiffness[0]"."""
-    name = one_of("to", text.partition("[")[0], INPUTS)
+    name = one_of("to", text.partition("[")[0], UNITS)
     parameter = PARAMETERS.get(name)
     if parameter and parameter.of == ARM:
         if name != text:

@@ -42,7 +42,7 @@ class _Dimension:
     value: Callable[[Any], float | None]
     changed: Callable[[Any, float], Any]
     part: str = "links"
-    lacking: str = "non-uniform"
+    lacking: str = "more than one section"
 
     def varied_arm(self, arm: Arm, index: int, value: float) -> Arm:
         """Return an arm with another value of one link or joint."""
@@ -80,7 +80,7 @@ def _size(shapes: tuple[str, ...], sides: Callable[[Any], tuple[str, ...]]) -> d
         names = ("area", "second_moment_y", "second_moment_z", "torsion_constant")
         return replace(link, outline=outline, **{name: getattr(outline, name) for name in names})
 
-    return {"value": value, "changed": changed, "lacking": f"without an outline of shape {' or '.join(shapes)}"}
+    return {"value": value, "changed": changed, "lacking": f"no outline of shape {' or '.join(shapes)}"}
 
 
 def _thin(outline: Any) -> tuple[str, ...]:
@@ -94,7 +94,7 @@ def _wide(outline: Any) -> tuple[str, ...]:
 def _geared(joint: Any, ratio: float) -> Any:
     """Return a joint whose motor has another gear ratio; motor torques are those at the joint."""
     motor = replace(joint.motor, gear_ratio=ratio)
-    limit = joint.torque_limit if motor.current_limit is None else None
+    limit = joint.torque_limit if motor.joint_torque_limit is None else None
     return replace(joint, motor=motor, rotor_inertia=motor.reflected_inertia, torque_limit=limit)
 
 
@@ -108,7 +108,7 @@ DIMENSIONS = {
     "link_shear_modulus": _Dimension("Pa", **_uniform("shear_modulus")),
     "link_density": _Dimension("kg/m^3", **_uniform("density")),
     "gear_ratio": _Dimension(
-        "1", lambda joint: joint.motor and joint.motor.gear_ratio, _geared, "joints", "without a motor"
+        "1", lambda joint: joint.motor and joint.motor.gear_ratio, _geared, "joints", "no motor"
     ),
 }  # fmt: skip
 
@@ -140,7 +140,7 @@ def dimension_parts(text: str, model: Model) -> list[ScalarParameter]:
     values = [dimension.value(each) for each in getattr(model.arm, dimension.part)]
     parts = select_parts("to", text, [i for i, value in enumerate(values) if value is not None], joints)
     if not parts:
-        raise value_error("to", text, f"a parameter that this arm has: {dimension.lacking} joints or links")
+        raise value_error("to", text, f"a parameter that this arm has: its {dimension.part} have {dimension.lacking}")
     return [ScalarParameter(name, part) for part in parts]
 
 

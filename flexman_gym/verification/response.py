@@ -17,6 +17,8 @@ from flexman_gym.simulation.parameters import PARAMETERS, varied_model
 
 COLUMNS = ("frequency (Hz)", "real (rad/V)", "imaginary (rad/V)")
 FITTED = ("link_stiffness_factor", "rotor_inertia", "viscous_friction", "link_damping")
+LARGE_ERROR = 0.2  # 1; error of a fit that does not explain the response
+BAD_FIT = "the fit does not explain the response: it must be that of the hub angle, rad, to the voltage of the motor, V"
 MIN_FREQUENCIES = 12  # of a file; half of them are left out of the fit
 
 
@@ -45,7 +47,9 @@ class _ResponseFit(NamedTuple):
         ]
         return "\n".join([
             *rows, f"clamped frequencies of the fitted arm: {self.clamped[0]:.3f} and {self.clamped[1]:.3f} Hz",
-            f"error at the frequencies left out: {100 * self.error:.2g} % (data sheet: {100 * self.before:.3g} %)",
+            f"root mean square of |computed / measured - 1| at the frequencies left out: {100 * self.error:.2g} % "
+            f"(data sheet: {100 * self.before:.3g} %)",
+            *(BAD_FIT,) * (self.error > LARGE_ERROR),
         ])  # fmt: skip
 
 

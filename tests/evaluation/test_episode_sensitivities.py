@@ -161,8 +161,8 @@ class Heavy:
 @pytest.mark.parametrize("arguments, words", [
     ({"agent": "adaptive-lqr"}, "agent: 'adaptive-lqr' is not allowed; give one with derivatives: zero, pd"),
     ({"agent": "mpc"}, "one with derivatives"),
-    ({"agent": None}, "agent: None is not allowed; give for an environment an agent alone: zero, pd"),
-    ({"step": 0.001}, "step: 0.001 is not allowed; give for an environment an agent alone"),
+    ({"agent": None}, "agent: None is not allowed; give an agent for an environment: zero, pd"),
+    ({"step": 0.001}, "step: 0.001 is not allowed; give none for an environment"),
     ({"of": "strain"}, "of: 'strain' is not allowed"),
     ({"to": "gain"}, "to: 'gain' is not allowed; give one of payload_mass"),
     ({"to": "stiffness[2]", "agent": PD}, "to: 2 is not allowed"),

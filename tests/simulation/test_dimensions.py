@@ -79,9 +79,9 @@ def test_values_have_the_bits_of_a_simulation():
 
 
 @pytest.mark.parametrize("name, words", [
-    ("link_thickness[1]", "without an outline of shape strip"),
-    ("link_wall[0]", "without an outline of shape tube"),
-    ("gear_ratio[1]", "without a motor"),
+    ("link_thickness[1]", "no outline of shape strip"),
+    ("link_wall[0]", "no outline of shape tube"),
+    ("gear_ratio[1]", "no motor"),
     ("link_length[2]", "to: 2 is not allowed"),
 ])  # fmt: skip
 def test_a_part_without_the_dimension_is_refused(name, words):
@@ -95,5 +95,22 @@ def test_a_stepped_link_has_no_dimension_of_its_own():
     given = fm.Scene(
         stepped, fm.ModelChoice((True,), 1), fm.ConstantTorque((0.1,)), fm.Initial((0.0,), (0.0,)), 0.1, 0.02
     )
-    with pytest.raises(ValueError, match="non-uniform"):
+    with pytest.raises(ValueError, match="more than one section"):
         fm.sensitivities(given, "tip", "link_length[0]", step=0.005)
+
+
+def test_the_gear_ratio_of_a_voltage_motor():
+    """Its torque limit, that of the voltage at standstill, changes with the ratio."""
+    arm = fm.catalog.quanser_rotary()
+
+    def tip(ratio):
+        joint = arm.joints[0]
+        motor = replace(joint.motor, gear_ratio=ratio)
+        changed = fm.Joint(joint.axis, viscous_friction=joint.viscous_friction, motor=motor)
+        scene = fm.Scene(replace(arm, joints=[changed]), fm.ModelChoice(False, 1), fm.ConstantTorque((0.2,)),
+                         fm.Initial((0.0,), (0.0,)), duration=0.1, output_step=0.02)  # fmt: skip
+        return scene, fm.simulate(scene, method="midpoint_corrected_3", step=0.002).tip[-1]
+
+    exact = fm.sensitivities(tip(70.0)[0], to="gear_ratio", step=0.002).jacobian[-1, :, 0]
+    coarse, fine = ((tip(70.0 + h)[1] - tip(70.0 - h)[1]) / (2.0 * h) for h in (0.2, 0.1))
+    np.testing.assert_allclose(exact, (4.0 * fine - coarse) / 3.0, rtol=1e-6, atol=1e-12)

@@ -54,3 +54,9 @@ def test_files(tmp_path):
         path.write_text(content, encoding="utf-8")
         with pytest.raises(ValueError, match=message):
             module.read_response(path)
+
+
+def test_a_response_of_another_arm_is_not_explained():
+    """That of a mass without a spring, of another gain, has no antiresonance."""
+    fit = module.fit_response(HERTZ, 30.0 / (2j * np.pi * HERTZ) ** 3)
+    assert fit.error > module.LARGE_ERROR and module.BAD_FIT in str(fit)

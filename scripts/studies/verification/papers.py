@@ -10,7 +10,7 @@ PAGE = """# Arms of published papers
 
 The catalogue has arms whose parameters papers print in full: `flexman list arms` prints their names, and
 `help(fm.catalog.gu_2005)` the source and the choices behind one of them. `flexman verify papers` computes the tables of
-this page in a few seconds.
+this page in less than a minute, with compiled kernels.
 
 What a source leaves open is stated with the arm. The length of the strip of Quanser's rotary link is 0.419 m in the
 data sheet and 0.381 m in the model file; a measured response does not say which of them it belongs to, and both are
@@ -27,9 +27,9 @@ within 4 %, the grid of the measurement.
 {reasons}
 
 The response that was measured at Kyoto University has no licence, so it is not part of this package. `flexman verify
-papers --data FILE` reads a response of your own, as CSV with frequency (Hz), real (rad/V) and imaginary part (rad/V) of
-hub angle to voltage, fits stiffness, inertia, friction, damping and the torque per volt to every second frequency, and
-prints the error at the others.
+papers --data FILE` reads a response of your own, a CSV file of at least 12 frequencies whose first line is
+`frequency (Hz),real (rad/V),imaginary (rad/V)`, for the hub angle as response to the voltage. It fits stiffness,
+inertia, friction, damping and the torque per volt to every second frequency, and prints the error at the others.
 
 ## Frequencies computed by other programs
 
