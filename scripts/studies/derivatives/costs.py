@@ -24,7 +24,6 @@ ROLLED, SEVEN = "rollout of 1 s", "rollout with seven derivatives"
 PERIOD, JACOBIANS = "control period of a rollout", "control period with its Jacobians A and B"
 DIFFERENCES = "central differences of a {}, eight arms at once"
 EPISODE, GAINS = "episode of a PD", "episode with its derivatives by six gains"
-TARGETS = {SEVEN: 2.5, JACOBIANS: 20.0}  # largest ratios asked for
 
 
 def _timers() -> dict[str, tuple[Timer, str]]:
@@ -91,7 +90,6 @@ class CostRow:
         least, median: CPU time, s; least and median of the rounds.
         times_least: ratio of the least CPU time to that of the peer.
         times_median: median over the rounds of the ratio of CPU times.
-        target: largest ratio asked for; None without one.
     """
 
     name: str
@@ -100,7 +98,6 @@ class CostRow:
     median: float
     times_least: float
     times_median: float
-    target: float | None = None
 
 
 def cost_rows(rounds: int = ROUNDS) -> list[CostRow]:
@@ -111,5 +108,5 @@ def cost_rows(rounds: int = ROUNDS) -> list[CostRow]:
     for name, (_, peer) in timers.items():
         own, other = costs[name], costs[peer]
         ratios = float(own.min() / other.min()), float(np.median(own / other))
-        result.append(CostRow(name, peer, float(own.min()), float(np.median(own)), *ratios, TARGETS.get(name)))
+        result.append(CostRow(name, peer, float(own.min()), float(np.median(own)), *ratios))
     return result
