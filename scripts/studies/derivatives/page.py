@@ -37,9 +37,9 @@ range of its orders over two decades of the change, without exceptions.
 BACKLASH = "A change moves the twist past a knee of the spring, where the second derivative jumps"
 VIBRATION = "The tip vibration, a length, has a kink at the start at rest, where its derivative is set to 0"
 EXCEPTION = "- Orders outside {low} to {high}: {names}. {reason}."
-COSTS = """- Seven derivatives of a motion cost {seven:.3g} simulations, differences {differences:.3g}. A and B of a control
-  period cost {jacobians:.3g} periods, differences {periods:.3g}. Derivatives of an episode by six gains cost {gains:.3g}
-  episodes."""
+COSTS = """- Seven derivatives of a motion cost {seven:.3g} simulations, differences {differences:.3g}. A and B of a
+  control period cost {jacobians:.3g} periods, differences {periods:.3g}. Derivatives of an episode by six gains cost
+  {gains:.3g} episodes."""
 
 
 def page(rows: Sequence[DerivativeRow], costs: Sequence[CostRow], files: Mapping[str, str]) -> str:
