@@ -80,10 +80,12 @@ def _entries(what: str) -> Iterable[tuple[str, str]]:
 
 
 def _first_sentence(path: Path) -> str:
-    """Return the first sentence of the comment at the top of a file, or of the docstring of Python code."""
+    """Return the first sentence of a file: of its first comment, or of the docstring of Python code."""
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".py":
         return (ast.get_docstring(ast.parse(text)) or "").splitlines()[0]
+    if path.suffix == ".urdf":
+        return text.partition("<!--")[2].partition("-->")[0].strip()
     lines = takewhile(lambda line: line.startswith("#"), text.splitlines())
     return " ".join(line.lstrip("# ") for line in lines).split(". ")[0].rstrip(".") + "."
 
