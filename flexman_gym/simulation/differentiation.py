@@ -252,11 +252,12 @@ def find_directions(text: str, model: Model, prescribed: Sequence[int]) -> list[
         if name != text:
             raise value_error("to", text, name)
         return [ScalarParameter(name, None)]
-    lacking = parameter.lacking if parameter else "with prescribed motion"
+    lacking = parameter.lacking if parameter else "passive or with prescribed motion"
     count = len(input_columns(model, name)) if name in INPUT_UNITS else model.n_joints
     fixed = parameter.fixed(model) if parameter else np.zeros(count, dtype=bool)
     if name == "motor_torques":
         fixed[list(prescribed)] = True
+        fixed |= model.constants.passive > 0
     parts = select_parts("to", text, np.flatnonzero(~fixed).tolist(), count)
     if not parts:
         raise value_error("to", text, f"a parameter that this arm has: {lacking} joints or links")

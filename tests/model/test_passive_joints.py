@@ -151,3 +151,10 @@ def test_torques_of_passive_joints_are_refused(pendulum):
     with pytest.raises(ValueError, match=r"Scene.prescribed\[1\].*passive"):
         fm.Scene(pendulum, FLEXIBLE, fm.ConstantTorque((0.0, 0.0)), REST, duration=0.1, output_step=0.1,
                  prescribed=(None, fm.Signal()))  # fmt: skip
+
+
+def test_a_passive_joint_has_no_torque_to_differentiate(pendulum):
+    scene = fm.Scene(pendulum, FLEXIBLE, fm.ConstantTorque((0.0, 0.0)), REST, duration=0.1, output_step=0.1)
+    assert fm.sensitivities(scene, to="motor_torques", step=0.01).parameters == ("motor_torques[0] (N m)",)
+    with pytest.raises(ValueError, match=r"to: 'motor_torques\[1\]'"):
+        fm.sensitivities(scene, to="motor_torques[1]", step=0.01)
