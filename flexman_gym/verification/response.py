@@ -77,14 +77,10 @@ def read_response(path: Path) -> tuple[Array, NDArray[np.complex128]]:
 
 def hub_response(model: Model, hertz: Array) -> NDArray[np.complex128]:
     """Return the response (f,) of the motor angle to a voltage at frequencies (f,) Hz, rad/V."""
-    linear = linearize(model, outputs=("motor_angles",))
     motor = model.arm.joints[0].motor
     assert motor is not None and motor.torque_per_volt is not None
-    poles, vectors = np.linalg.eig(linear.A)
-    left, right = linear.C @ vectors, np.linalg.solve(vectors, linear.B.astype(complex))
-    residues = left[0] * right[:, 0] * motor.torque_per_volt
-    result: NDArray[np.complex128] = (residues / (2j * np.pi * hertz[:, None] - poles)).sum(axis=1)
-    return result
+    response = linearize(model, outputs=("motor_angles",)).frequency_response(hertz)
+    return np.asarray(response[:, 0, 0] * motor.torque_per_volt, dtype=np.complex128)
 
 
 def fit_response(hertz: Array, response: NDArray[np.complex128]) -> _ResponseFit:
