@@ -49,16 +49,16 @@ def _run(options: argparse.Namespace) -> int:
         print(*map(VerificationTable, tables), sep="\n\n")
         explained = [row for row in rows if row.verdict != PASS and row.case in papers.REASONS]
         print(*(f"{row.case}: {papers.REASONS[row.case]}" for row in explained), sep="\n")
-        result = VerificationTable([row for row in rows if row not in explained])
+        result, judged = VerificationTable(rows), VerificationTable([row for row in rows if row not in explained])
     else:
-        result = VerificationTable([row for case in CLOSED_FORMS for row in case()])
+        result = judged = VerificationTable([row for case in CLOSED_FORMS for row in case()])
         print(result)
     print(f"{perf_counter() - started:.0f} s")
     if not options.quick and options.table != "papers":
         print(FULL_TABLE_HINT)
     if options.json is not None:
         options.json.write_text(result.to_json(), encoding="utf-8")
-    return result.exit_code
+    return judged.exit_code
 
 
 COMMAND = CommandLine(_arguments, _run)
