@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray
-from flexman_gym.common.checks import one_of, sequence, value_error
+from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.control.agent import History
 from flexman_gym.control.controller import Controller, Readings
 from flexman_gym.envs.config.configuration import Configuration
@@ -45,6 +45,7 @@ from flexman_gym.simulation.differentiation import (
     INPUTS,
     OUTPUTS,
     Sensitivities,
+    checked_names,
     constant_derivatives,
     count_kinks,
     find_directions,
@@ -74,9 +75,9 @@ def sensitivities(
     """Simulate a scene, or an episode of an agent, together with the derivatives of its outputs.
 
     Seven derivatives of a scene cost two to three simulations; those of an episode by the six gains of a PD cost three
-    to four episodes. The values have the bits of `simulate` with the same step, or of
-    `rollout`. The component modes of the model do not change with a parameter, as in `Batch.vary`; the derivative is
-    exact for the model with these modes.
+    to four episodes. The values have the bits of `simulate` with the same step, or of `rollout`. The component modes of
+    the model do not change with a parameter, as in `Batch.vary`; the derivative is exact for the model with these
+    modes. Torques that begin or end at a time act as they do in the scene.
 
     In an episode the parameters of the arm change, while agent, goal, noise and disturbances stay those of the rollout.
     A torque at its limit has the derivative 0. Rounding to float32 and quantisation have the derivative 1. An episode
@@ -91,12 +92,15 @@ def sensitivities(
         to: names of parameters, for all joints or links or, as in "joint_stiffness[0]", for one: those of `Batch.vary`,
             "initial_joint_angles" and "initial_joint_rates" (of joint and motor together), and a constant added to an
             input where its signal acts: "motor_torques", "tip_force" or "base_acceleration" (components x, y and z). Of
-            an episode also gains of a controller, "stiffness" and "damping", and actions of the agent: "torque_1[3]" is
-            its fourth action for the first motor, "position_1[3]" with the setting actions="position".
+            a scene also dimensions as in `simulation.dimensions`, such as "link_length[0]", for which other kernels are
+            compiled. Of an episode also gains of a controller, "stiffness" and "damping", and actions of the agent:
+            "torque_1[3]" is its fourth action for the first motor, "position_1[3]" with the setting actions="position".
         agent: as in `rollout`, for an environment.
         seed: seed of the episode.
         **simulation: of a scene, `model`, `method` and `step` as in `simulate`: a model of its arm, a method of fixed
-            steps, and the integration step (s), by default the longest step up to that of an environment.
+            steps, and the integration step (s), by default the longest step up to that of an environment. Of a method
+            that iterates until it converges, the last iterations are differentiated; the result tends to the derivative
+            of the converged solution as the tolerance of the method falls.
 
     Returns:
         Values and derivatives.
@@ -126,13 +130,8 @@ def sensitivities(
     if agent is None:
         raise value_error("agent", agent, f"an agent for an environment: {DIFFERENTIATED}")
     environment, spec = Configuration.find(scene), find_agent(agent)
-    derivatives = _Derivatives(spec, environment, (_names("of", of), _names("to", to)))
+    derivatives = _Derivatives(spec, environment, (checked_names("of", of), checked_names("to", to)))
     return derivatives.result(rollout(spec, environment, [seed], derivatives))
-
-
-def _names(argument: str, given: str | Sequence[str]) -> list[str]:
-    """Return names given as one string or several."""
-    return [given] if isinstance(given, str) else [str(each) for each in sequence(argument, given, "names")]
 
 
 class _Derivatives:

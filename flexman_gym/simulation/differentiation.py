@@ -84,50 +84,18 @@ def sensitivities(
     method: str | Method = "auto",
     step: float | None = None,
 ) -> Sensitivities:
-    """Simulate a scene together with the derivatives of its outputs.
-
-    Seven derivatives cost two to three simulations. The values have the bits of `simulate` with the same step.
-    The component modes of the model do not change with a parameter, as in `simulation.parameters.varied_model`; the
-    derivative is exact for the model with these modes. Torques that begin or end at a time act as they do in the scene.
-
-    Args:
-        scene: the scene.
-        of: names of outputs: those of `linearize` without "tip_acceleration", "kinetic_energy", "elastic_energy" and
-            "gravitational_energy".
-        to: names of parameters, for all joints or links or, as in "joint_stiffness[0]", for one: those of `Batch.vary`,
-            "initial_joint_angles" and "initial_joint_rates" (of joint and motor together), dimensions as in
-            `simulation.dimensions`, such as "link_length[0]", for which other kernels are compiled, and a constant
-            added to an input where its signal acts: "motor_torques", "tip_force" or "base_acceleration" (components x,
-            y and z).
-        model: a model of the scene's arm; None builds the model specified by the scene.
-        method: a method with fixed steps; "auto" selects the default method. Of a method that iterates until it
-            converges, the last iterations are differentiated; the result tends to the derivative of the converged
-            solution as the tolerance of the method falls.
-        step: integration step, s, as in `simulate`; None selects the longest step up to that of an environment.
-
-    Returns:
-        Values and derivatives.
-
-    Raises:
-        ValueError: for an unknown output or parameter, a parameter that the arm lacks, and an adaptive method.
-
-    Examples:
-        >>> scene = fm.catalog.paper_scene("rr")
-        >>> found = fm.sensitivities(scene, of="tip", to=("payload_mass", "viscous_friction[0]"))
-        >>> found.jacobian.shape, found.parameters
-        ((201, 3, 2), ('payload_mass (kg)', 'viscous_friction[0] (N m s/rad)'))
-    """
+    """Simulate a scene together with the derivatives of its outputs; arguments as in `evaluation.sensitivities`."""
     step = default_step(scene.output_step) if step is None else step
     settings = scene_settings(scene, model, method, step, 1e-6, 1e-9)
     chosen, model = settings.method, settings.model
     if not isinstance(chosen, FixedStepMethod) or chosen.adaptive or settings.tolerance is not None:
         allowed = [name for name, each in METHODS.items() if not each.adaptive]
         raise value_error("method", chosen.name, f"one of fixed steps: {', '.join(allowed)}")
-    names = [one_of("of", name, OUTPUTS) for name in _names("of", of)]
+    names = [one_of("of", name, OUTPUTS) for name in checked_names("of", of)]
     prescribed = prescribed_joints(scene)
     directions = [
         each
-        for name in _names("to", to)
+        for name in checked_names("to", to)
         for each in dimension_parts(name, model) or find_directions(name, model, prescribed)
     ]
     found = dimension_derivatives(model, directions)
@@ -236,7 +204,7 @@ def _passages(values: Array, levels: Array) -> int:
     return int((sides[1:] * sides[:-1] < 0.0).any(axis=1).sum())
 
 
-def _names(argument: str, given: str | Sequence[str]) -> list[str]:
+def checked_names(argument: str, given: str | Sequence[str]) -> list[str]:
     """Return names given as one string or several."""
     names = [given] if isinstance(given, str) else [str(each) for each in sequence(argument, given, "names")]
     if not names:
