@@ -14,6 +14,7 @@ from flexman_gym.common.checks import number_array, one_of, value_error
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import Controller, EpisodeInfo
+from flexman_gym.control.safety import STATUS, SafetyFilter
 from flexman_gym.envs.active_effects import ActiveEffects
 from flexman_gym.envs.compiled_period import CompiledPeriod
 from flexman_gym.envs.config.configuration import Configuration
@@ -174,6 +175,11 @@ class Episodes:
     def base(self) -> Controller | None:
         """Base controller that acts together with the agent; None if there is no base controller."""
         return self.agent.base
+
+    @property
+    def safety(self) -> SafetyFilter | None:
+        """Safety filter of the agent; None without."""
+        return getattr(self.agent.mode, "filter", None)
 
     @property
     def sensors(self) -> SensorArray:
@@ -482,6 +488,12 @@ class Episodes:
             info |= {"limits": self.limits.distances(view), "cost": self.cost.copy()}
             if len(self.over) == 1:
                 info["cost"] = self.cost.item()
+        if (safety := self.safety) is not None:
+            names = [STATUS[each] for each in safety.status]
+            one = len(self.over) == 1
+            info["safety_status"], info["safety_change"] = (
+                (names[0], safety.change[0].copy()) if one else (np.array(names), safety.change.copy())
+            )
         for name, value in self.task.info(view).items():
             info[name] = copy(value)  # as the arrays of a view change
         for name in self._info_keys:

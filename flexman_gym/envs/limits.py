@@ -5,9 +5,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Vector
+from flexman_gym.common.arrays import Array, IntArray, Vector
 from flexman_gym.common.checks import mapping, non_negative, one_of, positive, sequence, set_fields, value_error, vector
 from flexman_gym.envs.view import View
+from flexman_gym.kernels.control_period import sparse_product
+from flexman_gym.kernels.layout import TIP, TIP_VELOCITY
+from flexman_gym.model.linearization import LinearMeasurements, sparse_rows
+from flexman_gym.model.model import Model
 from flexman_gym.scene.material import YIELD_STRAINS
 
 ON_VIOLATION = ("end", "cost", "record")  # values of Limits.on_violation
@@ -164,10 +168,14 @@ class Limits:
             values["spring_torque"] = view.spring_torques
         result = {name: self._scale(name, view) - np.abs(value) for name, value in values.items()}
         if self.workspace is not None:
-            result["workspace"] = self._depths(view.tip)
+            result["workspace"] = self.depths(view.tip)
         for name, margin in (self.margin or {}).items():
             result[name] = result[name] - margin
         return result
+
+    def predicted(self, model: Model) -> "LimitShares":
+        """Return the quantities with limits as functions of states, for `control.safety`."""
+        return LimitShares(self, model)
 
     def excess(self, view: View) -> Array:
         """Return the largest excess (b,) beyond limits minus margins, 1; negative if all of them are satisfied.
@@ -180,7 +188,7 @@ class Limits:
     def contains(self, tips: Array) -> bool:
         """Return True if all tips (r, 3), m, are in the workspace minus its margin."""
         margin = (self.margin or {}).get("workspace", 0.0)
-        return self.workspace is None or bool((self._depths(tips) >= margin).all())
+        return self.workspace is None or bool((self.depths(tips) >= margin).all())
 
     def violation(self, view: View, arm: int) -> str:
         """Describe the first violation of an arm for on_violation="end"; "" if there is none."""
@@ -195,7 +203,7 @@ class Limits:
         value = view.reach if name == "workspace" else getattr(self, name)
         return np.repeat(value, 3) if name == "strain" and isinstance(value, tuple) else np.asarray(value)
 
-    def _depths(self, tips: Array) -> Array:
+    def depths(self, tips: Array) -> Array:
         """Return the distances (..., k), m, of tips (..., 3) from the boundaries of k regions, negative outside."""
         result = []
         for region in self.workspace:
@@ -225,6 +233,64 @@ class Limits:
         first = int(np.argmin(inside))
         name = next(name for name, columns in slices.items() if first < columns.stop)
         return f"{name} {values[first]:.4g} {units[name]} beyond {bound[first]:.4g}"
+
+
+class LimitShares:
+    """Quantities of an arm as fractions of their limits minus margins, computed from states.
+
+    A torque of a spring with backlash or stiffness pieces is bounded by that of a spring with its largest stiffness.
+
+    Args:
+        limits: limits of the arm.
+        model: model of the arm.
+    """
+
+    def __init__(self, limits: Limits, model: Model) -> None:
+        measured = LinearMeasurements(model).measure(np.eye(2 * model.n_dof))
+        self._limits, self._margins, self._reach = limits, limits.margin or {}, float(model.constants.length.sum())
+        rows: dict[str, Array] = {
+            "angle": measured["motor_angles"],
+            "rate": np.hstack([measured["motor_rates"], measured["joint_twist_rates"]]),
+            "twist": measured["joint_twists"],
+            "deflection": measured["link_deflections"] / np.repeat(model.constants.length, 2),
+            "deflection_rate": measured["link_deflection_rates"],
+        }
+        if limits.strain is not None:
+            rows["strain"] = measured["root_strains"]
+        bounds = [self._bound(name) * np.ones(each.shape[1]) for name, each in rows.items()]
+        scaled = np.hstack(list(rows.values())) / np.concatenate(bounds)
+        self._rows = sparse_rows(scaled.T)
+        slopes = [
+            np.abs(np.cumsum(each)).max(initial=1.0)
+            for each in np.split(model.constants.knee_share, model.constants.knee_start[1:-1])
+        ]
+        self._twists = sparse_rows(measured["joint_twists"].T)
+        self._slopes: Array = np.array(slopes)
+
+    def _bound(self, name: str) -> Any:
+        value = getattr(self._limits, name)
+        value = np.repeat(value, 3) if name == "strain" and isinstance(value, tuple) else np.asarray(value)
+        return value - self._margins.get(name, 0.0)
+
+    def shares(self, states: Array, outputs: Array, stiffness: Array) -> Array:
+        """Return quantities as fractions (k, T, m) of their limits; arguments as in `control.safety.PredictedLimits`."""
+        (k, periods), flat = states.shape[:2], states.reshape(-1, states.shape[2])
+        parts = [_product(self._rows, flat).reshape(k, periods, -1)]
+        parts.append(outputs[..., TIP_VELOCITY] / self._bound("tip_speed"))
+        if self._limits.spring_torque is not None:
+            torques = _product(self._twists, flat).reshape(k, periods, -1) * (self._slopes * stiffness)[:, None]
+            parts.append(torques / self._bound("spring_torque"))
+        if self._limits.workspace is not None:
+            depths = self._limits.depths(outputs[..., TIP]) - self._margins.get("workspace", 0.0)
+            parts.append(1.0 - depths / self._reach)
+        return np.concatenate(parts, axis=2)
+
+
+def _product(rows: tuple[IntArray, IntArray, Array], states: Array) -> Array:
+    """Return the products (r, m) of a sparse matrix (m, 2 d), see `sparse_rows`, with states (r, 2 d)."""
+    result = np.zeros((len(states), len(rows[0]) - 1))
+    sparse_product(states, *rows, result)
+    return result
 
 
 def _one_or_each(name: str, value: Any, unit: str) -> float | tuple[float, ...] | None:

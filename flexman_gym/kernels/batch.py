@@ -62,7 +62,7 @@ def _advance_steps(constants, work, tableau, counts, steps, state):
 
 
 @released
-def advance_batch(tables, work_table, method, drives, steps, rows, out, status, trail):
+def advance_batch(tables, work_table, method, drives, steps, rows, out, status, trail, feedback):
     """Integrate arms over T control periods of constant inputs.
 
     Args:
@@ -78,6 +78,8 @@ def advance_batch(tables, work_table, method, drives, steps, rows, out, status, 
         status: (b,) arms whose status is not OK are not integrated; set to DIVERGED for arms that diverge.
         trail: record of the rows (b, T, 2 d + 2) and outputs (b, T, OUTPUTS) after each successful period, overwritten;
             (b, 0, ...) records none.
+        feedback: PD control of the motors within the torque limits, see `_add_feedback`; it needs a trail. A tuple of
+            arrays with b = 0 for none.
     """
     work = work_of_arms(work_table)
     state = work.row
@@ -87,6 +89,10 @@ def advance_batch(tables, work_table, method, drives, steps, rows, out, status, 
             _set_lanes(rows, first, state)
             for t in range(drives.shape[1]):
                 _set_lanes(drives[:, t], first, work.drive)
+                if len(feedback[0]) > 0:
+                    _add_feedback(
+                        constants_of_arms(tables[group]).motor, feedback, trail[0], (first, end, t), work.drive
+                    )
                 _advance_steps(constants_of_arms(tables[group]), work, method[0], method[1], steps, state)
                 for arm in range(first, end):
                     if status[arm] == OK and not _lane_in_bounds(state, arm - first):
@@ -95,6 +101,33 @@ def advance_batch(tables, work_table, method, drives, steps, rows, out, status, 
                         _copy_lane(state, arm - first, rows[arm])
                         _copy_lane(work.outputs, arm - first, out[arm])
                         _record_period(trail, arm, t, rows, out)
+
+
+@inner
+def _add_feedback(motor, feedback, rows, place, drive):
+    """Add sampled PD torques, delayed by whole periods, to the drive in period t, and clip the sums to the limits.
+
+    Args:
+        motor: `Constants.motor`.
+        feedback: table (b, 4, n) of stiffness (N m/rad), damping (N m s/rad), torque limit (N m) and reference (rad) of
+            each motor; (b, 2) first period with feedback and delay in periods; (b, 2 d + 2) rows at the start, from
+            which the motors are read while the delayed period precedes it.
+        rows: (b, T, 2 d + 2) rows after each period up to t - 1.
+        place: first and end index of the arms of the group, and t.
+        drive: inputs of the group, overwritten.
+    """
+    (table, timing, start), (first, end, t) = feedback, place
+    d = start.shape[1] // 2 - 1
+    for arm in range(first, end):
+        if t >= timing[arm, 0]:
+            read = t - 1 - timing[arm, 1]
+            for j in range(table.shape[2]):
+                column = motor[j] if motor[j] >= 0 else j
+                angle = rows[arm, read, column] if read >= 0 else start[arm, column]
+                rate = rows[arm, read, d + column] if read >= 0 else start[arm, d + column]
+                torque = extract_lane(drive, j, arm - first)
+                torque += table[arm, 0, j] * (table[arm, 3, j] - angle) - table[arm, 1, j] * rate
+                insert_lane(drive, j, arm - first, min(max(torque, -table[arm, 2, j]), table[arm, 2, j]))
 
 
 @released

@@ -124,8 +124,8 @@ class LinearMeasurements:
         *parts, strains = _measurement_rows(model).values()
         ends = np.cumsum([0, *map(len, parts)]).tolist()
         self.columns = {name: slice(*both) for name, *both in zip(MEASUREMENT_UNITS, ends, ends[1:], strict=False)}
-        self.motion = _entries(np.vstack(parts))
-        self.strains = _entries(strains)
+        self.motion = sparse_rows(np.vstack(parts))
+        self.strains = sparse_rows(strains)
 
     def measure(self, states: Array) -> dict[str, Array]:
         """Return measurement -> values (T, n), (T, 2 n) or (T, 3 n) for states (T, 2 d); see MEASUREMENT_UNITS."""
@@ -137,7 +137,7 @@ class LinearMeasurements:
         return {name: motion[:, place] for name, place in self.columns.items()} | {"root_strains": strains}
 
 
-def _entries(rows: Array) -> tuple[IntArray, IntArray, Array]:
+def sparse_rows(rows: Array) -> tuple[IntArray, IntArray, Array]:
     """Return row starts, column indices and values of the non-zero entries of a matrix, for `sparse_product`."""
     start: IntArray = np.append(0, np.cumsum(np.count_nonzero(rows, axis=1)))
     source: IntArray = np.ascontiguousarray(np.nonzero(rows)[1])

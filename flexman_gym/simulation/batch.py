@@ -12,7 +12,7 @@ from flexman_gym.kernels.batch import advance_single
 from flexman_gym.kernels.control_period import NOT_DONE, close_period
 from flexman_gym.kernels.rigid_arm import rigid_tips
 from flexman_gym.model.model import Model, check_model
-from flexman_gym.simulation.batch_integrators import BatchIntegrator, LaneIntegrator, SequentialIntegrator
+from flexman_gym.simulation.batch_integrators import BatchIntegrator, Feedback, LaneIntegrator, SequentialIntegrator
 from flexman_gym.simulation.integrator import (
     MAX_STEPS,
     Integrator,
@@ -197,7 +197,7 @@ class Batch:
         result: int = advance_single(*arguments)
         return result
 
-    def roll(self, drives: Array) -> tuple[Array, Array]:
+    def roll(self, drives: Array, feedback: Feedback | None = None) -> tuple[Array, Array]:
         """Integrate all arms whose status is OK over T control periods, with Python's global interpreter lock released.
 
         The results equal the results of T calls of `step` to the bit; `tip_accelerations` are then at the end of the
@@ -205,6 +205,8 @@ class Batch:
 
         Args:
             drives: (b, T, n + 6) inputs in each control period, as in `step`; not checked.
+            feedback: PD control of the motors in addition to the drives, for several arms and methods that integrate in
+                lanes; see `kernels.batch._add_feedback`. None for none. The result of `step` then has the summed torques.
 
         Returns:
             States (b, T, 2 d) and outputs (b, T, OUTPUTS) after each control period; NaN from the period in which an
@@ -212,11 +214,15 @@ class Batch:
         """
         count, periods = drives.shape[:2]
         rows, read = (np.full((count, periods, each.shape[1]), np.nan) for each in (self.rows, self.outputs))
-        self._mover.integrate_periods(drives, self._periods, self.rows, self.outputs, self.status, (rows, read))
+        moved = self.rows, self.outputs, self.status, (rows, read)
+        if feedback is None:
+            self._mover.integrate_periods(drives, self._periods, *moved)
+        else:
+            self._mover.integrate_feedback(drives, *moved, feedback)  # type: ignore[attr-defined]
         good = np.isfinite(rows[:, :, 0]).sum(axis=1)
         self._periods += good
-        moved = np.flatnonzero(good)
-        self._drive[moved] = drives[moved, good[moved] - 1]
+        advanced = np.flatnonzero(good)
+        self._drive[advanced] = drives[advanced, good[advanced] - 1]
         self._known = False
         for period in range(periods):
             valid = period < good

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import value_error
 from flexman_gym.kernels import batch as kernels
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.arguments import PER_ARM, address_table, aligned_zeros
@@ -219,6 +220,8 @@ def _kernel_method(method: FixedStepMethod) -> tuple[Tableau | None, tuple[int, 
     return method.tableau, (0, 0.0 if isinstance(method, Explicit) else None, None)
 
 
+Feedback = tuple[Array, IntArray, Array]  # PD control of the motors, see `kernels.batch._add_feedback`
+NO_FEEDBACK: Feedback = (np.zeros((0, 4, 1)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
 NO_PERIOD = np.zeros((0, 3), dtype=np.int64)  # addresses of no environment
 GROUPS_PER_THREAD = 4  # least number of groups of arms per thread; passing a task costs as much as one or two groups
 
@@ -318,6 +321,18 @@ class LaneIntegrator(BatchIntegrator):
         span = self._step, self._substeps
         return tables, self._method, drives[:, None], span, rows, outputs, status, self._no_record
 
+    def integrate_feedback(
+        self, drives: Array, rows: Array, outputs: Array, status: IntArray, record: PeriodRecord, feedback: Feedback
+    ) -> None:
+        """Integrate several arms over the T periods of `integrate_periods` under PD control of their motors.
+
+        Raises:
+            ValueError: for a single arm, and for more steps than a kernel call may have.
+        """
+        if self._single or self._substeps * drives.shape[1] > self._max_steps:
+            raise value_error("drives", drives.shape, f"several arms, and at most {self._max_steps} steps")
+        self._integrate_groups(drives, [self._substeps], (rows, outputs, status), len(self._tables), record, feedback)
+
     def integrate_periods(
         self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray, record: PeriodRecord
     ) -> None:
@@ -416,6 +431,7 @@ class LaneIntegrator(BatchIntegrator):
         moved: tuple[Array, Array, IntArray],
         groups_per_call: int,
         record: PeriodRecord | None = None,
+        feedback: Feedback = NO_FEEDBACK,
     ) -> None:
         """Integrate the arms over T periods of constant inputs and overwrite their rows, outputs and status.
 
@@ -425,6 +441,7 @@ class LaneIntegrator(BatchIntegrator):
             moved: rows, outputs and status of the arms.
             groups_per_call: number of groups in a kernel call.
             record: rows and outputs after each period, overwritten; None records none.
+            feedback: PD control of the motors of several arms.
         """
         rows, outputs, status = moved
         recorded = record or self._no_record
@@ -443,6 +460,7 @@ class LaneIntegrator(BatchIntegrator):
                     kernels.advance_batch(
                         self._tables[some], work, self._method, drives[arms], (self._step, part),
                         rows[arms], outputs[arms], status[arms], (recorded[0][arms], recorded[1][arms]),
+                        (feedback[0][arms], feedback[1][arms], feedback[2][arms]),
                     )  # fmt: skip
                     yield
 

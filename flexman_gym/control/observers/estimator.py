@@ -13,12 +13,13 @@ from flexman_gym.control.observers.innovations import (
     InnovationGains,
 )
 from flexman_gym.control.observers.internal_model import DelayCompensation, DiscreteJacobians
-from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, MeasurementModel
+from flexman_gym.control.observers.observer import MAX_BIAS, Estimate, MeasurementModel, UncertainStates
 from flexman_gym.control.observers.perturbed_models import (
     PerturbedModels,
     Prior,
     Resimulation,
     UncertainParameters,
+    covariance_factors,
     levenberg_marquardt_step,
     solve_scaled,
     standard_deviations,
@@ -200,6 +201,35 @@ class Estimator:
         values = self._models.parameters(self._prior.clip(self.theta + self._change))
         spread = self._models.uncertain.deviations(standard_deviations(self._information))
         return values | spread | {"delay": self.delays.astype(float), "misfit": self._detector.misfit}
+
+    def confidence_region(self, arms: IntArray, deviations: float) -> UncertainStates:
+        """Return the estimates of arms (r,), with deviations of each uncertain parameter, and the likely delays.
+
+        The entries of a parameter (of all joints) deviate together, and the parameters after it by their covariance: by
+        columns of the Cholesky factor of the covariance of theta.
+
+        Args:
+            arms: (r,) indices.
+            deviations: number of standard deviations.
+        """
+        theta, names = self._prior.clip(self.theta + self._change)[arms], np.array(self.uncertain.names)
+        factors, late = covariance_factors(self._information[arms]), self._likely.shape[1] > 1
+        parts = [np.zeros_like(theta)]
+        for name in dict.fromkeys(self.uncertain.names):
+            sign = deviations if name == "payload_mass" else -deviations  # a heavier payload, less stiffness
+            parts.append(sign * factors[:, :, np.flatnonzero(names == name)].sum(axis=2))
+        changes = np.stack(parts + [parts[0]] * (2 * late), axis=1)
+        changes = self._prior.clip(theta[:, None] + changes) - theta[:, None]
+        jacobian = self._state_jacobian(arms)
+        states = self._current_states(arms)[:, None] + row_dots(jacobian[:, None], changes[:, :, None])
+        delays = np.repeat(self.delays[arms, None], changes.shape[1], axis=1)
+        if late:
+            likely, least = self._likely[arms], self._plant.delay[0]
+            delays[:, -2] = least + likely.argmax(axis=1)
+            delays[:, -1] = least + likely.shape[1] - 1 - likely[:, ::-1].argmax(axis=1)
+        values = self._models.parameters((theta[:, None] + changes).reshape(-1, theta.shape[1]))
+        parameters = {name: each.reshape(*changes.shape[:2], *each.shape[1:]) for name, each in values.items()}
+        return UncertainStates(states, parameters, delays, len(parts) - 1)
 
     def _begin(self, arms: IntArray, now: Array) -> None:
         """Start the fits of arms (r,) with their first measurements (r, m)."""

@@ -28,6 +28,22 @@ class Estimate(NamedTuple):
     disturbance: Array | float = 0.0
 
 
+class UncertainStates(NamedTuple):
+    """Present states of k models of each of r arms: the most probable model, p deviations of it, and other delays.
+
+    Attributes:
+        states: (r, k, 2 d) present states; the first is that of the most probable model.
+        parameters: name -> (r, k, ...) physical parameters in their units, see `Batch.vary`.
+        delays: (r, k) delays of the torques, control periods.
+        deviations: p, number of models after the first that deviate by one parameter each; k - 1 - p have other delays.
+    """
+
+    states: Array
+    parameters: Mapping[str, Array]
+    delays: IntArray
+    deviations: int
+
+
 class Observer(Protocol):
     """Protocol of observers of b arms. The estimate of an arm must not depend on the other arms, to the last bit.
 

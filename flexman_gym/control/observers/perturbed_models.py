@@ -376,6 +376,17 @@ def standard_deviations(information: Array) -> Array:
     return np.where(finite[:, None], scale * np.sqrt(np.maximum(variances, 0.0)), np.inf)
 
 
+def covariance_factors(information: Array) -> Array:
+    """Return Cholesky factors L (r, p, p) of the covariances L L^T for information matrices (r, p, p).
+
+    Factors of non-finite matrices are 0.
+    """
+    finite: BoolArray = np.all(np.isfinite(information), axis=(1, 2))
+    matrix, scale = _unit_diagonal(np.where(finite[:, None, None], information, np.eye(information.shape[1])))
+    result: Array = scale[:, :, None] * np.linalg.cholesky(np.linalg.inv(matrix))
+    return np.where(finite[:, None, None], result, 0.0)
+
+
 def _unit_diagonal(matrices: Array) -> tuple[Array, Array]:
     """Return matrices (r, p, p) scaled to unit diagonals, and the scales (r, p)."""
     each = np.arange(matrices.shape[1])

@@ -7,7 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.checks import finite, one_of, physical, positive, sequence, text, value_error, whole_number
+from flexman_gym.common.checks import (
+    finite,
+    flag,
+    one_of,
+    physical,
+    positive,
+    sequence,
+    text,
+    value_error,
+    whole_number,
+)
 from flexman_gym.control.actions import ACTIONS, ActionMode
 from flexman_gym.control.agent import MAX_HISTORY
 from flexman_gym.control.base_controllers import BASES, parse_kind
@@ -206,6 +216,12 @@ class EnvironmentSettings:
         "returns the mean of their rewards and the info of the last one, and stops early if the episode ends.",
         partial(whole_number, "action_repeat", low=1, high=MAX_REPEATS), 1, deprecated=("hold",),
         foreign={"frame_skip": "action_repeat, the number of control periods for which an action is held"},
+    )
+    safety: bool = _setting(
+        "True to change the torques of the agent, as little as possible, so that the arm can always be stopped within "
+        "its limits, see control.safety. The filter uses the estimator of the base controller or, for sensors of a "
+        "laboratory, its own; otherwise the true state. It needs the extra mpc.",
+        partial(flag, "safety"), False,
     )
     fidelity: str = _setting(
         f"Selection of the model. 'auto' chooses {', '.join(AUTO_SETTINGS)} for a tolerance; 'default' uses these "

@@ -8,7 +8,10 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.control.actions import ActionMode, make_action_mode
 from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.controller import Controller, Plant
+from flexman_gym.control.observers.estimator import Estimator
+from flexman_gym.control.observers.uncertain_states import EstimatedState, StateSource, TrueState
 from flexman_gym.control.pd import PD
+from flexman_gym.control.safety import SafeMode, SafetyFilter
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.randomisation import Randomisation
@@ -62,7 +65,22 @@ def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Cont
         base = make_base(base, plant)
         if isinstance(base, PD) and (text := base.unstable(model, plant.period, configuration.max_delay)):
             warnings.warn(text, stacklevel=2)
-    return base, make_action_mode(configuration.actions, plant, base)
+    mode = make_action_mode(configuration.actions, plant, base)
+    if configuration.safety:
+        mode = SafeMode(
+            mode, SafetyFilter(plant, configuration.limits.predicted(model), _state_source(plant, base))
+        )
+    return base, mode
+
+
+def _state_source(plant: Plant, base: Controller | None) -> StateSource:
+    """Return the source of states of the safety filter: the true state only for an arm without uncertain parameters."""
+    observer = getattr(base, "observer", None)
+    if isinstance(observer, Estimator):
+        return EstimatedState(observer, shared=True)
+    if plant.unknown or plant.delay[0] < plant.delay[1]:
+        return EstimatedState(Estimator(plant), shared=False)
+    return TrueState(plant)
 
 
 def _measurement_errors(configuration: Configuration, model: Model) -> dict[str, Array]:

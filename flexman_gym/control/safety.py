@@ -1,0 +1,343 @@
+"""Safety filter: the smallest change of the torques of an agent after which the arm can be stopped within its limits.
+
+In every control period the motion is predicted for the torques of the agent in this period, followed by a stop: the
+backup, a damper at each motor. The torques pass unchanged if all limits are kept until the arm is at rest. Otherwise a
+quadratic program finds the closest torques for which they are kept, and a second prediction confirms them. If there are
+none, the backup acts. A stop that was found in one period is still possible in the next one: the argument of predictive
+safety filters (Wabersich and Zeilinger, Automatica 129, 2021, 109597) and of backup controllers.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
+from flexman_gym.control.actions import ActionMode
+from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
+from flexman_gym.control.mpc import _import_solver
+from flexman_gym.control.observers.observer import UncertainStates
+from flexman_gym.control.observers.uncertain_states import StateSource
+from flexman_gym.model.statics import holding_torques
+from flexman_gym.simulation.batch import Batch
+
+BRAKE = 0.3  # fraction of the damping of the PD tuned for the arm; a stronger brake strains the links
+NEAR_PERIODS = 14  # control periods predicted with the brake sampled at the control rate, after the delay
+STAGES = ((0.025, 40), (0.25, 8))  # interval (s) and number of intervals of the later motion, with a continuous damper
+METHOD, MAX_STEP = "midpoint_corrected_3", 0.007  # of the prediction; longest step (s) in the near periods
+PULSE = 0.05  # fraction of the torque limits; pulse of a finite difference
+RESPONSE_PERIODS = 5  # control periods for which the response to a pulse is used again
+SKIPPED_PERIODS = 10  # largest number of control periods without a prediction, far from all limits
+RENEWAL_PERIODS = 25  # control periods after which the growth of the quantities is computed again
+GROWTH, SMALLEST_GROWTH = 1.5, 1e-6  # factor for models other than the most probable one, and least growth in a period
+TRIALS = 3  # quadratic programs until the prediction confirms a change
+REMAINDER = 0.985  # fraction of the limits; the rest is for the errors of the prediction
+TOLERANCE = 0.002  # fraction of the limits; accepted by the confirmation
+DIVERGED = 1e3  # magnitude that replaces a prediction that diverged
+STATUS = ("passed", "changed", "stopped")
+PASSED, CHANGED, STOPPED = range(len(STATUS))
+
+
+class PredictedLimits(Protocol):
+    """Quantities with limits, as functions of predicted states, see `envs.limits.Limits.predicted`."""
+
+    def shares(self, states: Array, outputs: Array, stiffness: Array) -> Array:
+        """Return quantities as fractions (k, T, m) of their limits, magnitudes up to 1 within the limits.
+
+        Args:
+            states: (k, T, 2 d) states.
+            outputs: (k, T, OUTPUTS) outputs of these states, see `kernels.layout`.
+            stiffness: (k, n) joint stiffness, N m/rad.
+        """
+        ...
+
+
+class _Prediction:
+    """Prediction of the motion of k models: torques in one period, then the brake.
+
+    Args:
+        plant: plant model.
+        limits: quantities with limits.
+        damping: (n,) damping of the brake, N m s/rad.
+        count: k, number of models.
+    """
+
+    def __init__(self, plant: Plant, limits: PredictedLimits, damping: Array, count: int) -> None:
+        self._plant, self._limits, self._damping = plant, limits, damping
+        self.count, period, arms = count, plant.period, max(2, count)  # a single arm has another kernel
+        steps = int(np.ceil(period / MAX_STEP))
+        self._near = Batch(plant.model, METHOD, period / steps, period, arms=arms)
+        self._later = [Batch(plant.model, METHOD, interval, interval, arms=arms) for interval, _ in STAGES]
+        self._parameters: Mapping[str, Array] = {}
+        self._stiffness = np.repeat(plant.model.constants.joint_stiffness[None], arms, axis=0)
+        self.set_parameters({})
+
+    def set_parameters(self, parameters: Mapping[str, Array]) -> None:
+        """Set physical parameters, name -> (k, ...), of the models, if they have changed."""
+        before = self._parameters
+        if before and all(np.array_equal(before.get(name), values) for name, values in parameters.items()):
+            return
+        every, nominal = np.arange(self.count), self._near.nominal["viscous_friction"]
+        friction = parameters.get("viscous_friction", np.tile(nominal, (self.count, 1)))
+        for batch in (self._near, *self._later):
+            own = dict(parameters)
+            if batch is not self._near:
+                own["viscous_friction"] = friction + self._damping
+            if own:
+                batch.vary(every, **own)
+        self._stiffness[: self.count] = parameters.get("joint_stiffness", self._stiffness[: self.count])
+        self._parameters = {**parameters, "viscous_friction": friction}
+
+    def __call__(self, states: Array, commands: Array, delays: IntArray, hold: Array) -> Array:
+        """Return the quantities (r, T, m) of r <= k models as fractions of their limits.
+
+        Args:
+            states: (r, 2 d) present states.
+            commands: (r, D + 1, n) torques of this period, then those commanded before, the latest first, N m.
+            delays: (r,) delays of the torques up to D, control periods.
+            hold: (r, n) torques of the brake at rest, N m.
+        """
+        used, n = len(states), len(self._damping)
+        rows = np.minimum(np.arange(len(self._near.rows)), used - 1)
+        every, delays, limits = np.arange(len(rows)), delays[rows], np.array(self._plant.torque_limit)
+        periods = commands.shape[1] + NEAR_PERIODS
+        drives = np.zeros((len(rows), periods, n + 6))
+        drives[..., :n] = hold[rows, None]
+        for t in range(commands.shape[1]):  # a torque acts after the delay
+            known = delays >= t
+            drives[known, t, :n] = commands[rows[known], delays[known] - t]
+        gains = np.array([np.zeros(n), self._damping, limits, np.zeros(n)])
+        timing = np.stack([1 + delays, delays], axis=1)
+        self._near.reset(every, states[rows])
+        feedback = np.repeat(gains[None], len(rows), axis=0), timing, self._near.rows.copy()
+        parts = [self._near.roll(drives, feedback)]
+        for batch, (_, count) in zip(self._later, STAGES, strict=True):
+            batch.reset(every, np.nan_to_num(parts[-1][0][:, -1], nan=DIVERGED))
+            drives = np.zeros((len(rows), count, n + 6))
+            drives[..., :n] = hold[rows, None]
+            parts.append(batch.roll(drives))
+        motion, outputs = (np.concatenate([each[i][:used] for each in parts], axis=1) for i in range(2))
+        return np.nan_to_num(self._limits.shares(motion, outputs, self._stiffness[:used]), nan=DIVERGED)
+
+
+class SafetyFilter:
+    """Safety filter of b arms with n joints, see the module.
+
+    The predictions cover the models that a `StateSource` leaves possible: the deviations of the quantities between
+    these models are subtracted from the limits. A period without a prediction follows a prediction so far within the
+    limits that no torques can exceed them.
+
+    Args:
+        plant: plant model.
+        limits: quantities with limits.
+        source: source of the uncertain states.
+
+    Attributes:
+        change: (b, n) change of the torques in the last period, as fractions of the torque limits.
+        status: (b,) PASSED, CHANGED or STOPPED in the last period, indices of STATUS.
+
+    Raises:
+        ImportError: without daqp (Arnström, Bemporad and Axehill, IEEE Trans. Automatic Control 67, 2022, 4362).
+        ValueError: for an arm without PD gains, from which the brake follows.
+    """
+
+    state_fields = ("_past", "change", "status", "_ages", "_next", "_growth", "_responses", "_response_ages")
+
+    def __init__(self, plant: Plant, limits: PredictedLimits, source: StateSource) -> None:
+        self._daqp, self._plant, self._limits, self.source = _import_solver(), plant, limits, source
+        n, late = plant.model.n_joints, plant.delay[1]
+        self.torque_limits = np.array(plant.torque_limit)
+        self._damping = BRAKE * np.array(plant.gains()["damping"])
+        self._models: _Prediction | None = None
+        self._single = _Prediction(plant, limits, self._damping, 1 + n)
+        self._past, self.change = np.zeros((0, late, n)), np.zeros((0, n))
+        self.status, self._ages, self._next = (np.zeros(0, dtype=np.int64) for _ in range(3))
+        self._growth, self._response_ages = np.zeros(0), np.zeros(0, dtype=np.int64)
+        self._responses = np.zeros((0, 0, 0, n))
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the sensors that the filter reads."""
+        return self.source.sensors
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
+        """Start new episodes; arguments as in `Controller.reset`."""
+        for name in ("_past", "change", "status", "_ages", "_next", "_growth", "_responses", "_response_ages"):
+            setattr(self, name, pad_rows(getattr(self, name), count))
+        self._past[arms] = self.change[arms] = self._growth[arms] = 0.0
+        self.status[arms] = self._ages[arms] = self._next[arms] = 0
+        self._response_ages[arms] = -RENEWAL_PERIODS
+        self.source.reset(arms, episode, count)
+
+    def __call__(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return safe torques (b, n) for torques `actions` (b, n), as fractions of the torque limits.
+
+        Args:
+            actions: torques of the agent.
+            readings: as in `Controller.act`.
+            applied: as in `Controller.act`.
+            active: as in `Controller.act`.
+        """
+        self.source.update(readings, applied, active)
+        running, result = np.flatnonzero(active), actions.copy()
+        if self._past.shape[1]:
+            self._past[running, 1:] = self._past[running, :-1]
+            self._past[running, 0] = applied[running] * self.torque_limits
+        self.status[running], self.change[running] = PASSED, 0.0
+        due = running[self._ages[running] >= self._next[running]]
+        if len(due):
+            self._check(due, actions, result)
+        self.change[running] = result[running] - actions[running]
+        self._ages[running] += 1
+        return result
+
+    def _check(self, arms: IntArray, actions: Array, result: Array) -> None:
+        """Predict the motion of arms (r,) for actions (b, n), and overwrite their rows of the result (b, n)."""
+        possible = self.source.read(arms)
+        (r, k), count = possible.delays.shape, len(self.status)
+        if self._models is None or self._models.count < count * k:
+            self._models = _Prediction(self._plant, self._limits, self._damping, count * k)
+        flat = {name: values.reshape(r * k, *values.shape[2:]) for name, values in possible.parameters.items()}
+        self._models.set_parameters(
+            {name: np.resize(each, (count * k, *each.shape[1:])) for name, each in flat.items()}
+        )
+        commands = np.concatenate([(actions[arms] * self.torque_limits)[:, None], self._past[arms]], axis=1)
+        hold = self._holding_torques(possible.states[:, 0])
+        given = possible.states.reshape(r * k, -1), np.repeat(commands, k, axis=0), possible.delays.ravel()
+        shares = self._models(*given, np.repeat(hold, k, axis=0))
+        for i, arm in enumerate(arms.tolist()):
+            own = shares[i * k : (i + 1) * k]
+            radius = _radius(own, possible)
+            parameters = {name: np.repeat(each[i, :1], 1 + len(self.torque_limits), axis=0)
+                          for name, each in possible.parameters.items()}  # fmt: skip
+            case = _Case(possible.states[i, 0], commands[i], possible.delays[i, :1], hold[i], radius, parameters)
+            largest = float((np.abs(own[0]) + radius).max())
+            if largest > REMAINDER:
+                result[arm], self.status[arm] = self._change(arm, case, actions[arm], own[0])
+            elif self._ages[arm] - self._response_ages[arm] >= RENEWAL_PERIODS:
+                self._respond(arm, case)
+            else:
+                free = int((REMAINDER - largest) / self._growth[arm])
+                self._next[arm] = self._ages[arm] + min(1 + free, SKIPPED_PERIODS)
+
+    def _holding_torques(self, states: Array) -> Array:
+        """Return the torques (r, n) that hold the weight of the arms at the motor angles of states (r, 2 d), N m."""
+        model = self._plant.model
+        if not model.constants.gravity.any():
+            return np.zeros((len(states), model.n_joints))
+        return np.array([holding_torques(model, state[model.motor_columns]) for state in states])
+
+    def _change(self, arm: int, case: "_Case", action: Array, shares: Array) -> tuple[Array, int]:
+        """Return the safe torques (n,) closest to an action (n,), and the status.
+
+        Args:
+            arm: index of the arm.
+            case: situation of the arm.
+            action: torques of the agent as fractions of their limits.
+            shares: (T, m) quantities of the most probable model for this action.
+        """
+        if self._ages[arm] - self._response_ages[arm] >= RESPONSE_PERIODS:
+            self._respond(arm, case)
+        response, changed = self._responses[arm], action
+        for _ in range(TRIALS):
+            near = np.abs(shares) + case.radius + 2.0 * np.abs(response).sum(axis=2) > REMAINDER
+            room, now = REMAINDER - case.radius[near], shares[near]
+            if (room < 0.0).any():
+                break
+            upper = np.concatenate([1.0 - changed, room - now])
+            lower = np.concatenate([-1.0 - changed, -room - now])
+            rows = np.ascontiguousarray(response[near])
+            step, _, solved, _ = self._daqp.solve(np.eye(len(action)), changed - action, rows, upper, lower)
+            if solved <= 0:
+                break
+            changed = np.clip(changed + np.array(step), -1.0, 1.0)
+            shares = self._predict_one(case, changed[None])[0]
+            if (np.abs(shares) + case.radius).max() <= REMAINDER + TOLERANCE:
+                return changed, CHANGED
+        return self._stop(case), STOPPED
+
+    def _stop(self, case: "_Case") -> Array:
+        """Return the torques (n,) of the brake in this period, as fractions of their limits."""
+        model = self._plant.model
+        rates = case.state[model.n_dof :][model.motor_columns]
+        return np.asarray(np.clip((case.hold - self._damping * rates) / self.torque_limits, -1.0, 1.0))
+
+    def _respond(self, arm: int, case: "_Case") -> None:
+        """Compute the response (T, m, n) of the quantities of an arm to its torques of this period."""
+        n = len(self.torque_limits)
+        action = case.commands[0] / self.torque_limits
+        pulses = np.where(action > 0.0, -PULSE, PULSE)  # inwards
+        shares = self._predict_one(case, action + np.vstack([np.zeros(n), np.diag(pulses)]))
+        response = np.moveaxis((shares[1:] - shares[:1]) / pulses[:, None, None], 0, -1)
+        if self._responses.shape[1:3] != response.shape[:2]:
+            self._responses = np.zeros((len(self.status), *response.shape))
+        self._responses[arm], self._response_ages[arm] = response, self._ages[arm]
+        self._growth[arm] = max(GROWTH * 2.0 * np.abs(response).sum(axis=2).max(), SMALLEST_GROWTH)
+
+    def _predict_one(self, case: "_Case", actions: Array) -> Array:
+        """Return the quantities (a, T, m) of the most probable model of an arm for actions (a, n)."""
+        a = len(actions)
+        self._single.set_parameters(case.parameters)
+        commands = np.repeat(case.commands[None], a, axis=0)
+        commands[:, 0] = actions * self.torque_limits
+        given = np.repeat(case.state[None], a, axis=0), commands, np.repeat(case.delay, a)
+        return self._single(*given, np.repeat(case.hold[None], a, axis=0))
+
+
+class _Case(NamedTuple):
+    """Situation of an arm.
+
+    Attributes:
+        state: (2 d,) present state of the most probable model.
+        commands: (D + 1, n) torques of the agent in this period, then those commanded before, N m.
+        delay: (1,) delay of the torques, control periods.
+        hold: (n,) torques that hold the weight, N m.
+        radius: (T, m) largest deviation of the quantities of the possible models, as fractions of the limits.
+        parameters: name -> (1 + n, ...) physical parameters of the most probable model, repeated for its predictions.
+    """
+
+    state: Array
+    commands: Array
+    delay: IntArray
+    hold: Array
+    radius: Array
+    parameters: Mapping[str, Array]
+
+
+def _radius(shares: Array, possible: UncertainStates) -> Array:
+    """Return the deviations (T, m) of quantities (k, T, m) of k models from those of the first model.
+
+    The deviations of parameters are conditionally independent and add in the mean square.
+    """
+    deviations, last = np.abs(shares[1:] - shares[0]), possible.deviations
+    parameters, delays = deviations[:last], deviations[last:]
+    return np.asarray(np.sqrt((parameters**2).sum(axis=0)) + (delays.max(axis=0) if len(delays) else 0.0))
+
+
+class SafeMode:
+    """Action mode whose torques pass a safety filter.
+
+    Args:
+        mode: action mode of the agent, with its base controller.
+        filter: safety filter.
+    """
+
+    state_fields = ("_mode", "filter")
+
+    def __init__(self, mode: ActionMode, filter: SafetyFilter) -> None:
+        self._mode, self.filter = mode, filter
+        self.joints, self.names, self.sensors = mode.joints, mode.names, (*mode.sensors, *filter.sensors)
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("observe", "observation_sizes", "strength"):  # optional members of action modes but derivatives
+            return getattr(self.__dict__["_mode"], name)
+        raise AttributeError(f"{type(self).__name__} has no attribute {name}")
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
+        """Start new episodes; arguments as in `Controller.reset`."""
+        self._mode.reset(arms, episode, count)
+        self.filter.reset(arms, episode, count)
+
+    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the safe torques (b, n); arguments as in `ActionMode.act`."""
+        return self.filter(self._mode.act(actions, readings, applied, active), readings, applied, active)
