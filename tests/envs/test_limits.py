@@ -285,6 +285,35 @@ def test_half_of_the_slews_of_the_lqr_exceed_a_limit_of_the_study(name):
     assert (np.abs(shares - 0.5) < 0.2).all(), shares
 
 
+def test_an_episode_names_the_times_of_its_violations():
+    limits = {"spring_torque": 0.5, "on_violation": "record"}
+    result = fm.rollout("lqr", Configuration("FlexOne-v0", {"limits": limits, "horizon": 2.0}), range(3))
+    for i, excess in enumerate(result.excess):
+        about = result.episode(i).about
+        times = result.period * (1.0 + np.flatnonzero(excess > 0.0))
+        listed = [time for time in result.period * np.arange(101)
+                  if any(first - 1e-9 < time < last + 1e-9 for first, last, _ in about["violations"])]  # fmt: skip
+        assert listed == pytest.approx(times) and len(times) > 0
+        assert max(largest for *_, largest in about["violations"]) == excess.max()
+        assert about["limits"]["spring_torque"] == 0.5
+    assert "limits" not in fm.rollout("pd", "FlexOne-v0", [0]).episode(0).about
+
+
+def test_frames_show_the_strain_over_its_limit_and_the_workspace():
+    floor = {"half_space": [[0, 0, -1], 0.3]}
+    limits = fm.Limits(strain=1e-5, workspace=[floor], margin={"strain": 2e-6}, on_violation="record")
+    env = gym.make("FlexPlanar-v0", limits=limits, render_mode="rgb_array").unwrapped
+    plain = gym.make("FlexPlanar-v0", render_mode="rgb_array").unwrapped
+    for each in (env, plain):
+        each.reset(seed=0)
+        each.step(np.ones(2))
+    assert (env.render() != plain.render()).any()
+    share = limits.strain_share(env.episodes.view)
+    assert share[0] == pytest.approx(np.abs(env.episodes.view.root_strains[0]).max() / 1e-5) and share[0] > 1.0
+    painter = env._rendering._painter
+    assert painter.workspace == limits.workspace and painter.scale == pytest.approx(3.0**0.5 * 1e-5)
+
+
 def test_metrics_of_violations_are_those_of_the_states():
     limits = {"spring_torque": 1.0, "margin": {"spring_torque": 0.2}, "on_violation": "cost"}
     environment = Configuration("FlexOne-v0", {"limits": limits, "horizon": 2.0})
