@@ -14,6 +14,7 @@ from flexman_gym.evaluation.rollout import SELECTION_SEEDS
 from flexman_gym.simulation.parameters import varied_model
 
 from oracles.assertions import refusal, same, same_alone_and_among_others, same_side_by_side
+from oracles.files import ROOT
 from oracles.random_inputs import actions
 
 FLOOR, BOX, BALL = {"half_space": [[0, 3, -4], 5.0]}, {"box": [[-8, -7, -6], [8, 7, 6]]}, {"sphere": [[0, 0, 1], 8.5]}
@@ -297,6 +298,23 @@ def test_an_episode_names_the_times_of_its_violations():
         assert max(largest for *_, largest in about["violations"]) == excess.max()
         assert about["limits"]["spring_torque"] == 0.5
     assert "limits" not in fm.rollout("pd", "FlexOne-v0", [0]).episode(0).about
+
+
+def test_the_rotary_joint_has_the_limits_of_its_benchmark():
+    """Motor angle 1 rad, motor rate 5 rad/s, deflection 0.1 rad of the spring; 10 V; an LQR ignores the spring."""
+    environment = Configuration.load(ROOT / "docs/examples/rotary_joint.yaml")
+    env = gym.make("FlexRotary-v0", configuration=environment).unwrapped
+    env.reset(seed=0, options={"start": [0.3], "goal_angles": [0.8]})
+    distances = env.step(np.ones(1))[-1]["limits"]
+    view = env.episodes.view
+    assert distances["angle"] == pytest.approx(1.0 - np.abs(view.motor_angles[0]))
+    assert distances["rate"][0] == pytest.approx(5.0 - abs(view.motor_rates[0, 0]))
+    assert distances["spring_torque"] / 1.61 == pytest.approx(0.1 - np.abs(view.joint_twists[0]), abs=1e-12)
+    motor = environment.arm.joints[0].motor
+    standstill = motor.gear_ratio * motor.torque_constant * 10.0 / 2.6
+    assert environment.torque_limit == pytest.approx((standstill,)) and environment.arm.gravity == (0.0, 0.0, 0.0)
+    found = evaluate("lqr", environment, range(10))
+    assert found["settled"] == 1.0 and found["violations"] > 500.0 and found["failed"] == 0.0
 
 
 def test_frames_show_the_strain_over_its_limit_and_the_workspace():
