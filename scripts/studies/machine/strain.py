@@ -12,7 +12,20 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.control.observers.kalman_filter import measurement_update, stationary_covariance
 from flexman_gym.identification.least_squares import FreeParameters
 from flexman_gym.model.linearization import LinearMeasurements
-from studies.machine.measure import DATA, FACTORS, HALF, LENGTHS, LOGGED, ONE, TWO, both_stages, moving
+from studies.machine.measure import (
+    CURRENT,
+    DATA,
+    FACTORS,
+    HALF,
+    LENGTHS,
+    LOGGED,
+    ONE,
+    TWO,
+    both_stages,
+    driven,
+    friction_fit,
+    moving,
+)
 
 THICKNESSES = (1.27e-3, 0.889e-3)  # m; thicknesses of the strips; strains are compared at the radius of gyration
 HORIZONS = (0.0, 0.1, 0.3, 1.0)  # s; 0 for the whole record from its initial state
@@ -32,7 +45,7 @@ class StrainRow:
     """Error of the predicted strain at a gauge in held-out records.
 
     Attributes:
-        part: "one stage" or "both stages".
+        part: "one stage", "both stages", or "currents" for both stages with currents in place of hub angles as inputs.
         run: name of the record; "all" for the records of the part whose peak is at least half of the median peak.
         stage: number of the gauge.
         horizon: time of the prediction from the state of the observer, s; 0 for the whole record.
@@ -70,15 +83,16 @@ def unfiltered(values: Array, period: float) -> Array:
 
 
 def strain_record(record: fm.Measurement) -> fm.Measurement:
-    """Return a record of deflections w(L) as a record of strains at the root, for a force at the end of the strip."""
-    names = {old: old.replace("link_deflection", "root_strain") for old in record.outputs}
+    """Return a record with strains at the root in place of deflections w(L), for a force at the end of the strip."""
+    names = {old: old.replace("link_deflection", "root_strain") for old in record.outputs if "deflection" in old}
+    rest = {name: values for name, values in record.outputs.items() if name not in names}
     factors = {
         old: -(3.0**0.5) / 2.0 * thickness / length**2
         for old, thickness, length in zip(names, THICKNESSES, LENGTHS, strict=False)
     }
     return replace(
         record,
-        outputs={names[old]: factors[old] * np.asarray(values) for old, values in record.outputs.items()},
+        outputs=rest | {new: factors[old] * np.asarray(record.outputs[old]) for old, new in names.items()},
         filters={names[old]: each for old, each in record.filters.items()},
         gains=tuple(names[old] for old in record.gains),
         offsets=tuple(names[old] for old in record.offsets),
@@ -156,7 +170,8 @@ class _Compared:
     def of(cls, found: fm.Fit, record: fm.Measurement, known: slice = slice(0)) -> "_Compared":
         """Simulate a record; offsets are mean residuals of the known samples."""
         computed = found.predicted(replace(record, offsets=()))
-        log, shown = (np.array([each[name] for name in record.outputs]) for each in (record.outputs, computed))
+        names = [name for name in record.outputs if "strain" in name]
+        log, shown = (np.array([each[name] for name in names]) for each in (record.outputs, computed))
         if len(log[0, known]):
             shown = shown + (log - shown)[:, known].mean(axis=1, keepdims=True)
         period = record.period
@@ -217,7 +232,8 @@ def two_stages(folder: Path = DATA) -> Iterator[StrainRow]:
 
     The stiffness and damping of link 1 are those of the runs of the first stage, and those of link 2 are fitted to the
     first half of the record. If this half determines all four, its residuals are smaller, but the factors of the
-    stiffness become 2 and 0.2, and the errors in the second half are larger.
+    stiffness become 2 and 0.2, and the errors in the second half are larger. For the prediction from currents the
+    friction is fitted to the first half, too.
     """
     runs = [strain_record(record) for record in moving(folder).values()]
     first = _fit(fm.catalog.quanser_2dsfl(1), FACTORS, runs, ONE)
@@ -234,6 +250,11 @@ def two_stages(folder: Path = DATA) -> Iterator[StrainRow]:
         peaks, values = compared.errors(observer, horizon, late)
         errors |= {("second half", j + 1, horizon): (float(peaks[j]), values[j]) for j in range(len(names))}
     yield from _rows(BOTH, errors)
+    moved = replace(friction_fit(found, strain_record(driven(folder / "two_stages.csv"))), step=record.period)
+    peaks, values = _Compared.of(moved, strain_record(driven(folder / "two_stages.csv", 1)), early).errors(
+        observer, 0.0, late
+    )
+    yield from _rows(CURRENT, {("second half", j + 1, 0.0): (float(peaks[j]), values[j]) for j in range(len(names))})
 
 
 def _fit(arm: fm.Arm, free: Sequence[str], records: Sequence[fm.Measurement], choice: dict[str, Any]) -> fm.Fit:
