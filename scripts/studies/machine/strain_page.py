@@ -5,7 +5,8 @@ from itertools import product
 from math import ceil
 
 from flexman_gym.common.markdown import markdown_table
-from studies.machine.strain import ALL, CURRENT, ONE_STAGE, StrainRow
+from studies.machine.measure import CURRENT
+from studies.machine.strain import ALL, ONE_STAGE, StrainRow
 from studies.screen import screen
 
 QUESTION = "Which margin of the strain limit does the error of the model need on a real arm?"
@@ -15,14 +16,14 @@ not its initial state."""
 BODY = """{table}
 
 Error: measured minus predicted strain, as a fraction of the peak of its record. "From rest" is the whole record; other
-predictions start from a Kalman filter of hub angles and gauges. One stage: {runs} runs of a Quanser arm, each
+predictions start from a Kalman filter. One stage: {runs} runs of a Quanser arm, each
 predicted with parameters fitted to the other half. Both stages: second half of a record; link 1 as fitted to the runs
 of one stage, link 2 to the first half.
 
 - The margin (`Limits.margin` over `Limits.strain`) is the largest 99.9 % quantile. Runs below half of the median peak
   are left out: `{small}`, with {peak:.0f} microstrain, has errors up to {worst:.0%}, since friction stalls the hub.
-- Hub angles are given, also in the predicted time. With currents in their place the errors of both stages from rest
-  are {driven} (99.9 %).
+- Hub angles are given, also in the predicted time. With currents in their place the errors from rest are {driven}
+  (99.9 %).
 - The log is filtered at 2 Hz; its derivatives give the strain up to 25 Hz. The factor of a gauge is fitted."""
 PAIRS = {"RMS, 95 %": ("rms", "most"), "99.9 %, largest": ("nearly_all", "largest")}  # name of a line -> fields
 
