@@ -11,8 +11,8 @@ from studies.screen import screen
 
 QUESTION = "Which margin of the strain limit does the error of the model need on a real arm?"
 ANSWER = """**For one flexible link, a margin of {one:.0%} of the strain limit covers 99.9 % of the errors of held-out
-predictions; two links in series need {first:.0%} and {second:.0%}.** An observer helps over 0.1 s at most: the model errs,
-not its initial state."""
+predictions; two links in series need {first:.0%} and {second:.0%}.** An observer helps over 0.1 s at most: the
+model errs, not its initial state."""
 BODY = """{table}
 
 Error: measured minus predicted strain, as a fraction of the peak of its record. "From rest" is the whole record; other
