@@ -1,7 +1,7 @@
 """Frames of an arm, rendered by compiled kernels: camera, painter, and grid of frames."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,13 @@ from flexman_gym.draw.mesh import (
     SHARP_CYLINDER,
     SPHERE,
     Mesh,
+    boundaries,
     section_outlines,
     tube_surfaces,
 )
 from flexman_gym.draw.overlay import Caption, strain_colours
 from flexman_gym.kernels import raster
-from flexman_gym.model.deformation import curves
+from flexman_gym.model.deformation import curves, gauge_radii
 from flexman_gym.model.model import Model, check_model
 
 AZIMUTH, ELEVATION = -58.0, 24.0  # degrees; direction from the base to the camera; +X points right, +Y away from it
@@ -135,7 +136,7 @@ MOTOR_HALF_LENGTH, RING_RADIUS = 1.15, 2.0  # half length / radius of a motor; r
 FLOOR_GAP = 0.05  # dimensionless; distance of the floor from the lowest point as a fraction of the reach
 REFERENCE_DEFLECTION = 0.01  # deflection / length of a link with the largest strain of the colours, if no torque limit
 GHOST, MOTOR, TIP, TARGET, POST = "#5b6b82", "#334155", "#1e293b", "#e11d48", "#64748b"
-PAYLOAD, TRAIL, PLUMB_LINE = "#8a6d3b", VIOLET, "#e58ba0"
+PAYLOAD, TRAIL, PLUMB_LINE, BOUNDARY = "#8a6d3b", VIOLET, "#e58ba0", "#d97706"
 GHOST_SHARE, SHADOW_SHARE, TRAIL_START = 0.42, 0.34, 0.05  # opacities, 0 to 1: rigid arm, shadow, oldest path point
 PAYLOAD_DENSITY = 7800.0  # kg/m^3; steel; sets the size of the sphere of a payload
 
@@ -180,8 +181,10 @@ class FramePainter:
         direction: azimuth and elevation of the camera, degrees, and its zoom (dimensionless).
         reach: sum of the lengths of the links, m.
         radii: drawn radii of the motors (n,), m.
-        scale: strain at the ends of the colour scale; 0 for a rigid arm.
+        scale: strain at the ends of the colour scale; 0 for a rigid arm. An array (n,) has a strain for each link, such
+            as `limiting_strains`.
         grid: spacing of the grid on the floor, m.
+        workspace: regions whose boundaries are drawn within the reach, see `Limits.workspace`.
     """
 
     def __init__(
@@ -204,7 +207,8 @@ class FramePainter:
         self._sections = section_outlines(model, POINTS)
         self.radii = np.clip([1.3 * each.radius for each in self._sections], 0.012 * self.reach, 0.05 * self.reach)
         self.grid = round_up(self.reach / 10)
-        self.scale = _strain_scale(model) if model.n_elastic else 0.0
+        self.scale: Any = _strain_scale(model) if model.n_elastic else 0.0
+        self.workspace: Sequence[Mapping[str, Any]] = ()
         samples, memory = (height * SUPERSAMPLING, width * SUPERSAMPLING), (height, width)
         self._canvas = raster.Canvas(
             *(np.zeros(each, dtype=kind) for each, kind in (
@@ -278,7 +282,9 @@ class FramePainter:
         assert self._shown is not None
         bent, rigid = (curves(self.model, x, POINTS, *gains) for gains in (self.gains, (0.0, 0.0)))
         tubes, strain = tube_surfaces(bent, self._sections)
-        links = strain_colours(strain / self.scale) if self.scale else np.tile(rgb("#b8bec8"), (len(strain), 1))
+        links, scale = np.tile(rgb("#b8bec8"), (len(strain), 1)), np.broadcast_to(self.scale, self.model.n_joints)
+        if scale.all():
+            links = strain_colours(strain / np.repeat(scale, len(strain) // len(scale)))
         parts = self._parts(bent.positions, bent.frames, place)
         mesh = _join_meshes([tubes, *(part for part, _ in parts)])
         colours = np.concatenate([links, *(np.tile(rgb(colour), (len(part.points), 1)) for part, colour in parts)])
@@ -286,6 +292,8 @@ class FramePainter:
         if trail is not None and len(trail) > 1:
             path = number_array("trail", trail, (len(trail), 3), "positions (t, 3), m")
             self._line(path, 1.2, TRAIL_START, TRAIL)
+        for border in boundaries(self.workspace, self.reach):
+            self._line(border, 1.0, 1.0, BOUNDARY)
         if place is not None:
             self._line(np.array([[*place[:2], self._shown.floor], place]), 0.5, 1.0, PLUMB_LINE)
         if self.gains != (1.0, 1.0):
@@ -296,7 +304,7 @@ class FramePainter:
         raster.resolve(canvas, rgb(GHOST), GHOST_SHARE)
         picture = canvas.picture.copy()
         if self.overlays:
-            (caption or Caption()).draw(picture, self.gains, self.scale, self.grid)
+            (caption or Caption()).draw(picture, self.gains, float(np.max(self.scale)), self.grid)
         return picture
 
     def _show(self, shot: _Shot) -> None:
@@ -417,6 +425,19 @@ def _gains(gain: object) -> tuple[float, float]:
         links, joints = vector("gain", gain, 2)
         return non_negative("gain[0]", links), non_negative("gain[1]", joints)
     return non_negative("gain", gain), 1.0
+
+
+def limiting_strains(model: Model, limits: float | Sequence[float]) -> Array:
+    """Return the strains (n,) at the surface of the links for limits of the strains at their gauges, one or n.
+
+    Args:
+        model: model of the arm.
+        limits: limits for the gauges of `deformation.root_strain_matrix`, m/m.
+    """
+    outlines, radii = [link.sections[0].outline for link in model.arm.links], gauge_radii(model)[:, :2]
+    edges = [np.sqrt(3.0) * radius if each is None else np.array([each.y, each.z]) / 2.0
+             for each, radius in zip(outlines, radii, strict=True)]  # fmt: skip
+    return np.asarray(limits) * (edges / radii).min(axis=1)
 
 
 def _strain_scale(model: Model) -> float:

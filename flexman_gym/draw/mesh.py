@@ -1,7 +1,8 @@
 """Triangle meshes of deformed links and of round parts: motors, payload, target."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
+from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,6 +43,57 @@ class Mesh(NamedTuple):
         side = np.array([0.0, z, -y] if abs(x) < 0.6 else [-z, 0.0, x]) / np.hypot(z, y if abs(x) < 0.6 else x)
         turned = np.array([side, axis[[1, 2, 0]] * side[[2, 0, 1]] - axis[[2, 0, 1]] * side[[1, 2, 0]], axis])
         return Mesh(self.points * (radius, radius, half) @ turned + origin, self.normals @ turned, self.faces)
+
+
+BORDER_POINTS = 120  # number of points of a circle or an edge
+BORDER_TOLERANCE = 1e-6  # dimensionless; relative rounding error of points on the sphere of the reach
+
+
+def boundaries(regions: Sequence[Mapping[str, Any]], reach: float) -> list[Array]:
+    """Return lines (p, 3), m, on the boundaries of regions, within the sphere of the reach of an arm.
+
+    A plane is drawn as the circle in which it intersects this sphere, a box as its edges and the circles of its sides,
+    and a sphere as three circles.
+
+    Args:
+        regions: regions, see `Limits.workspace`.
+        reach: sum of the lengths of the links, m.
+    """
+    turn, lines = np.linspace(0.0, 2.0 * np.pi, BORDER_POINTS), []
+    circle = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(BORDER_POINTS)])
+    for region in regions:
+        [(shape, (first, second))] = region.items()
+        if shape == "sphere":
+            parts = [np.array(first) + second * np.roll(circle, axis, axis=1) for axis in range(3)]
+            lines += [(line, np.ones(BORDER_POINTS, dtype=bool)) for line in parts]
+        elif shape == "half_space":
+            lines += _plane_circle(np.array(first), second, reach * circle)
+        else:
+            ends = np.array([first, second])
+            corners = [ends[list(each), range(3)] for each in product((0, 1), repeat=3)]
+            edges = [pair for pair in combinations(corners, 2) if np.count_nonzero(pair[0] != pair[1]) == 1]
+            lines += [(np.linspace(*pair, BORDER_POINTS), np.ones(BORDER_POINTS, dtype=bool)) for pair in edges]
+            for axis, end in product(range(3), ends):
+                for line, _ in _plane_circle(np.eye(3)[axis], end[axis], reach * circle):
+                    line[:, axis] = end[axis]
+                    lines.append((line, ((line >= ends[0]) & (line <= ends[1])).all(axis=1)))
+    result = []
+    for line, shown in lines:
+        shown = shown & (np.linalg.norm(line, axis=1) <= (1.0 + BORDER_TOLERANCE) * reach)
+        changes = np.flatnonzero(np.diff(np.concatenate([[False], shown, [False]]))).reshape(-1, 2)
+        result += [line[start:stop] for start, stop in changes if stop - start > 1]
+    return result
+
+
+def _plane_circle(normal: Array, offset: float, circle: Array) -> list[tuple[Array, Any]]:
+    """Return the circle in which a plane, normal . x = offset (m), intersects the sphere of a circle about 0."""
+    size, reach = float(np.linalg.norm(normal)), float(circle[:, 0].max())
+    distance, axes = offset / size, np.linalg.svd(normal[None] / size)[2]
+    if abs(distance) >= reach:
+        return []
+    scale = np.sqrt(1.0 - (distance / reach) ** 2)
+    around = distance * normal / size + scale * circle[:, :2] @ axes[1:]
+    return [(around, np.ones(len(circle), dtype=bool))]
 
 
 class _SectionOutlines(NamedTuple):

@@ -28,6 +28,7 @@ class Caption(NamedTuple):
         error: distance of the tip from its target, m.
         reward: reward of the last environment step.
         torques: commanded motor torques (n,) as fractions of their limits.
+        strain: largest strain as a fraction of its limit, which the ends of the colour scale then stand for.
     """
 
     title: str = ""
@@ -35,6 +36,7 @@ class Caption(NamedTuple):
     error: float | None = None
     reward: float | None = None
     torques: Array | None = None
+    strain: float | None = None
 
     @staticmethod
     def margins(height: int) -> Array:
@@ -81,7 +83,10 @@ class Caption(NamedTuple):
             _write_dot_legend(picture, (-edge, edge // 2 + line), small)
         if scale > 0.0:
             _draw_colour_bar(picture, (edge, height - edge), small)
-        write_text(picture, line_text, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small)
+        if self.strain is not None:
+            line_text = f"{describe_frame(gains, 0.0, grid)[1]}   strain {self.strain:.0%} of its limit"
+        colour = WARNING if (self.strain or 0.0) > 1.0 else INK
+        write_text(picture, line_text, (edge, height - edge - max(small // 2, 5) - round(1.4 * small)), small, colour)
         if self.torques is not None:
             _draw_torque_bars(picture, self.torques, (width - edge, height - edge // 2), small)
 

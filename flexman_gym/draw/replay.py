@@ -20,7 +20,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.plot_style import BLUE, DARK, LINK_COLOURS, VIOLET, round_up
 from flexman_gym.draw.comparison import suggested_gain
-from flexman_gym.draw.frames import FLOOR_GAP, FramePainter
+from flexman_gym.draw.frames import FLOOR_GAP, FramePainter, limiting_strains
 from flexman_gym.draw.mesh import section_outlines
 from flexman_gym.model.deformation import curves, link_shapes
 from flexman_gym.model.model import Model
@@ -75,7 +75,9 @@ def _html_page(data: dict[str, Any], title: str, words: str) -> str:
     )
     return Template(frame).substitute(
         title=html.escape(title), about=html.escape(words), data=text, style=style,
-        script=script.replace("</script", "<\\/script"), strain=_percent(data["stage"]["strain"]),
+        script=script.replace("</script", "<\\/script"),
+        strain=" or ".join(dict.fromkeys("limit" if "scales" in run else _percent(data["stage"]["strain"])
+                                         for run in data["runs"])),
     )  # fmt: skip
 
 
@@ -131,7 +133,14 @@ def _episode_data(episode: Episode, colour: str) -> dict[str, Any]:
         "x": _encode_array(episode.states[:, : episode.states.shape[1] // 2]), "target": _encode_array(episode.targets),
         "error": _encode_array(episode.errors), "torque": _encode_array(torques),
         "readings": [_reading_data(name, values) for name, values in episode.readings.items()],
+        "violations": episode.about.get("violations", []), **_limit_data(episode),
     }  # fmt: skip
+
+
+def _limit_data(episode: Episode) -> dict[str, list[float]]:
+    """Return the strains of the links at the ends of the colour scale, if the environment limits them."""
+    limit = episode.about.get("limits", {}).get("strain")
+    return {} if limit is None else {"scales": limiting_strains(episode.model, limit).tolist()}
 
 
 def _reading_data(name: str, values: Array) -> dict[str, Any]:

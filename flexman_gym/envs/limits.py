@@ -185,6 +185,10 @@ class Limits:
         parts = [-each / self._scale(name, view) for name, each in self.distances(view).items()]
         return np.asarray(np.concatenate(parts, axis=-1).max(axis=-1))
 
+    def strain_share(self, view: View) -> Array:
+        """Return the largest strain of each arm as a fraction of its limit, (b,)."""
+        return np.asarray((np.abs(view.root_strains) / self._scale("strain", view)).max(axis=-1))
+
     def contains(self, tips: Array) -> bool:
         """Return True if all tips (r, 3), m, are in the workspace minus its margin."""
         margin = (self.margin or {}).get("workspace", 0.0)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of
-from flexman_gym.draw.frames import FramePainter
+from flexman_gym.draw.frames import FramePainter, limiting_strains
 from flexman_gym.draw.overlay import Caption
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.model.deformation import curves
@@ -34,7 +34,11 @@ class _Renderer:
     """
 
     def __init__(self, episodes: Episodes, title: str, look: tuple[Any, ...]) -> None:
-        self._episodes, self._title, self._painter = episodes, title, FramePainter(episodes.batch.model, *look)
+        model, limits = episodes.batch.model, episodes.limits
+        self._episodes, self._title, self._painter = episodes, title, FramePainter(model, *look)
+        self._painter.workspace = limits.workspace or ()
+        if model.n_elastic and not isinstance(limits.strain, str | None):
+            self._painter.scale = limiting_strains(model, limits.strain)
         self.screen: Any = None
         arms = len(episodes.over)
         self._last_parameters: list[object] = [None] * arms
@@ -50,7 +54,9 @@ class _Renderer:
         trail = [entry for entry in self._trails[arm] if time - TRAIL_DURATION <= entry[0] < time]
         self._trails[arm] = [*trail, (time, view.tip[arm].copy())]
         reward = float(episodes.rewards()[arm]) if time > 0.0 else None
-        caption = Caption(self._title, time, float(view.tip_error[arm]), reward, view.action[arm].copy())
+        limits = episodes.limits
+        strain = None if limits.strain is None else float(limits.strain_share(view)[arm])
+        caption = Caption(self._title, time, float(view.tip_error[arm]), reward, view.action[arm].copy(), strain)
         path = np.array([tip for _, tip in self._trails[arm]])
         return self._painter.paint(view.state[arm], view.target[arm], caption, path, self._shots[arm])
 
@@ -68,7 +74,7 @@ class _Renderer:
         view, model = self._episodes.view, self._episodes.batch.model
         period = self._episodes.agent.action_repeat * view.control_period
         if self.screen is None:
-            size, scale = self._painter.size, self._painter.scale
+            size, scale = self._painter.size, float(np.max(self._painter.scale))
             window = _has_display()
             self.screen = Window(size, self._title, period) if window else LivePage(model, self._title, period, scale)
         if isinstance(self.screen, Window):

@@ -130,6 +130,8 @@ class Rollout:
         arrays |= {name: getattr(self, name)[number, :end] for name in ("actions", "torques", "rewards")}
         metadata = {name: value for name, value in self.metadata.items() if name not in ("seeds", "slices")}
         metadata |= {"seed": self.metadata["seeds"][number], "failure": self.failures[number], "band": self.band}
+        if self.excess is not None:
+            metadata["violations"] = _violations(self.excess[number, :end], self.period)
         slices = {name: slice(*ends) for name, ends in self.metadata["slices"].items()}
         readings = {name: self.readings[number, : end + 1, columns] for name, columns in slices.items()}
         return Episode(self.period * np.arange(end + 1.0), **arrays, readings=readings, about=metadata)
@@ -257,13 +259,20 @@ def _check_joint_count(agent: AgentSpec, environment: Configuration) -> None:
 
 def _metadata(env: Any, agent: AgentSpec, environment: Configuration) -> dict[str, Any]:
     """Return the metadata of all episodes of an agent in an environment, as JSON-compatible data."""
-    sensors = env.episodes.sensors
+    sensors, limits = env.episodes.sensors, env.episodes.limits
     settings = {"environment": split_interface(environment)[0].to_plain(strict=False), "interface": agent.interface}
     return Episode.metadata(
         env.batch.model, settings, name=agent.name, environment=environment.id, units=dict(sensors.units),
         slices={name: [columns.start, columns.stop] for name, columns in sensors.slices.items()},
-        torque_limits=env.torque_limit.tolist(),
+        torque_limits=env.torque_limit.tolist(), **{"limits": limits.to_plain()} if limits.recorded else {},
     )  # fmt: skip
+
+
+def _violations(excess: Array, period: float) -> list[list[float]]:
+    """Return start and end (s) of each violation, and the largest excess in it, for the excess (T,) of an episode."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], excess > 0.0, [False]])))
+    parts = edges.reshape(-1, 2).tolist()
+    return [[(start + 1) * period, end * period, float(excess[start:end].max())] for start, end in parts]
 
 
 class _Recorder:

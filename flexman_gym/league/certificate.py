@@ -21,10 +21,10 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS, NOMINAL
 from flexman_gym.envs.tasks import plain_task
 from flexman_gym.evaluation.agent import INTERFACE, find_agent
-from flexman_gym.evaluation.metrics import METRICS, task_metrics
+from flexman_gym.evaluation.metrics import LIMIT_METRICS, METRICS, task_metrics
 from flexman_gym.evaluation.policy_files import CERTIFICATE, millimetres, policy_folder, read_policy
 from flexman_gym.evaluation.rollout import TEST_SEEDS
-from flexman_gym.league.rows import VALUES, EpisodeRow, run_league
+from flexman_gym.league.rows import LIMITED, VALUES, EpisodeRow, run_league
 from flexman_gym.league.scenarios import CHANGES, GIVEN, PLANTS, find_scenario
 from flexman_gym.league.worst_case import worst_case
 
@@ -57,10 +57,11 @@ def certify(
     change. In the last row, the search for the worst episodes, "worst" has the worst random episodes, and "worst_case"
     the physical parameters, start and goal with the largest final error found by gradient ascent, see `worst_case`.
 
-    Limits of each scenario: at least 95 % of the episodes settle; no episode ends at a limit of the environment; the
-    median settling time is at most 1.3 times that in the environment of the training; the median vibration (peak to
-    peak) is at most 5 mm for a reach of 8.5 m, in proportion to the reach, and on the plants "finer" and "mujoco" at
-    most 1 mm larger than in the environment of the training, in the same proportion.
+    Limits of each scenario: at least 95 % of the episodes settle; no episode ends at a limit of the environment, or
+    exceeds a recorded limit (the row then has the LIMIT_METRICS, such as the largest excess); the median settling time
+    is at most 1.3 times that in the environment of the training; the median vibration (peak to peak) is at most 5 mm
+    for a reach of 8.5 m, in proportion to the reach, and on the plants "finer" and "mujoco" at most 1 mm larger than in
+    the environment of the training, in the same proportion.
 
     Args:
         name: name of a shipped policy, or folder of an exported policy.
@@ -145,6 +146,7 @@ def _certificate_row(
         reach: sum of the lengths of the links, m.
     """
     now, trained = _aggregates(METRIC_NAMES, rows), _aggregates(METRIC_NAMES, reference)
+    limited = _aggregates(LIMITED, rows)
     reasons = []
     if not now["settled"] >= MIN_SETTLED:
         reasons.append(f"{now['settled']:.0%} settle (limit {MIN_SETTLED:.0%})")
@@ -157,6 +159,9 @@ def _certificate_row(
         limit = min(limit, trained["vibration"] + MAX_VIBRATION_INCREASE * reach)
     if now["vibration"] > limit:
         reasons.append(f"vibration {millimetres(now['vibration'])} (limit {millimetres(limit)})")
+    if limited["excess"] > 0.0:
+        reasons.append(f"{100.0 * limited['excess']:.2g} % beyond the limits of the environment")
+    now |= {name: value for name, value in limited.items() if not np.isnan(value)}
     return {"scenario": scenario, "seeds": [seeds.start, seeds.stop], **_plain(now), "fails": ", ".join(reasons)}
 
 
@@ -213,7 +218,8 @@ def _changes_beyond_training(environment: Configuration, trained: Configuration)
 
 def _row_text(row: dict[str, Any]) -> str:
     """Return the result of a scenario as a line of text."""
-    values = ", ".join(f"{name} {row[name]:.3g}" for name in METRIC_NAMES if row[name] is not None)
+    names = (*METRIC_NAMES, *LIMITED)
+    values = ", ".join(f"{name} {row[name]:.3g}" for name in names if row.get(name) is not None)
     reasons = f" ({row['fails']})" if row["fails"] else ""
     verdict = (
         ("beyond its limits" if reasons else "within its limits") if is_counted(row["scenario"]) else "does not count"
@@ -231,7 +237,8 @@ def _worst_episodes(rows: Sequence[EpisodeRow]) -> list[dict[str, Any]]:
 def _aggregates(names: Sequence[str], rows: Sequence[EpisodeRow]) -> dict[str, float]:
     """Return the metrics over all rows by name."""
     values = {name: np.array([row.values[VALUES.index(name)] for row in rows]) for name in names}
-    return {name: float(METRICS[name].aggregate(values[name])) for name in names}
+    metrics = METRICS | {each.name: each for each in LIMIT_METRICS}
+    return {name: float(metrics[name].aggregate(values[name])) for name in names}
 
 
 def _plain(metrics: dict[str, float]) -> dict[str, float | None]:

@@ -8,7 +8,14 @@ from flexman_gym.common.checks import value_error
 from flexman_gym.common.markdown import markdown_table, number_text
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.evaluation.agent_info import describe_agent, training_seconds
-from flexman_gym.evaluation.metrics import MEAN, MEDIAN, Metric, optimised_settling_times, task_metrics
+from flexman_gym.evaluation.metrics import (
+    LIMIT_METRICS,
+    MEDIAN,
+    SHARE,
+    Metric,
+    optimised_settling_times,
+    task_metrics,
+)
 from flexman_gym.league.rows import DAMPING, TIME_RATIO
 from flexman_gym.league.scenarios import GIVEN, SWEEPS, find_scenario
 from flexman_gym.league.standings import Interval, Standings
@@ -105,6 +112,7 @@ def _scenario_table(standings: Standings, scenario: str) -> list[str]:
     """Return a table of the agents with all metrics of a scenario, and notes on missing entries."""
     environment = find_scenario(scenario).environment
     metrics = [each for each in task_metrics(environment.task) if each.name != "reward"]  # the score is in its place
+    metrics += LIMIT_METRICS if environment.limits.recorded else ()
     times, slews = optimised_settling_times(environment), find_scenario(scenario).has_settling
     agents = [each for each in standings.agents if not standings.why(each, scenario)]
     scores = {each: standings.score(each, scenario) or (np.nan,) * 3 for each in agents}
@@ -137,8 +145,8 @@ def _cell(metric: Metric, values: dict[int, float]) -> str:
     numbers = metric.scale * np.array([*values.values()])
     if metric.statistic == MEDIAN:
         return _interval_text(median_interval(numbers))
-    if metric.statistic == MEAN:
-        return number_text(float(numbers.mean()))
+    if metric.statistic != SHARE:
+        return number_text(metric.aggregate(numbers))
     return _share_text((float(numbers.mean()), *stratified_interval(numbers[:, None], mean)))
 
 

@@ -24,7 +24,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.agent import BASELINES, find_agent
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent
-from flexman_gym.evaluation.metrics import METRICS, optimised_settling_times
+from flexman_gym.evaluation.metrics import LIMIT_METRICS, METRICS, optimised_settling_times
 from flexman_gym.evaluation.policy_files import ARRAYS, METADATA, policy_folder
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.league.scenarios import PLANTS, find_scenario
@@ -35,7 +35,8 @@ ROWS, CELLS = "rows.csv", "cells.csv"
 BLOCK = 25  # episodes of a cell, which are simulated together as one batch
 TIME_RATIO = "multiple"  # dimensionless; settling time relative to the settling time of the optimised slew
 DAMPING = "damping"  # dimensionless; equivalent damping ratio of the tip's oscillation after its first arrival
-VALUES = (*METRICS, TIME_RATIO, DAMPING)  # columns of the values of a row
+LIMITED = tuple(metric.name for metric in LIMIT_METRICS)
+VALUES = (*METRICS, TIME_RATIO, DAMPING, *LIMITED)  # columns of the values of a row
 FORMER_METRICS: tuple[str, ...] = ()  # columns of removed metrics; they are skipped in rows of earlier versions
 # Sources on which the results in a row depend, in addition to agent, scenario and package versions.
 SOURCES = ("common/arrays.py", "kernels", "scene", "model", "simulation", "control", "envs", "metrics",
@@ -100,6 +101,7 @@ class EpisodeBlock(NamedTuple):
             values = {name: metric.function(record) for name, metric in METRICS.items()}
             multiple = values["settling_time"] / times.get(seed, np.nan)
             values |= {TIME_RATIO: multiple, DAMPING: record.equivalent_damping()}
+            values |= {each.name: np.nan if record.excess is None else each.function(record) for each in LIMIT_METRICS}
             rows.append(EpisodeRow(self.key, self.agent, self.scenario, seed, tuple(values.values())))
         action, design = (clock.action_seconds, clock.start_seconds) if clock else (0.0, 0.0)
         action = 1e6 * action / float(np.sum(result.lengths))

@@ -165,12 +165,17 @@ class Standings:
         return float(np.mean(np.isfinite(times))), -float(times[len(times) // 2])
 
     def settling_text(self, agent: str, scenario: str) -> str:
-        """Return the share of settled episodes and the median settling time, or the score for a moving goal."""
+        """Return the share of settled episodes and the median settling time, or the score for a moving goal.
+
+        In an environment with limits that are recorded, the largest excess of an episode with a settling time follows.
+        """
         if self.why(agent, scenario):
             return "no row"
         if find_scenario(scenario).has_settling:
             settled, time = self.settled(agent, scenario)
-            return f"{100.0 * settled:.0f} %" + (f", {-time:.2f} s" if np.isfinite(time) else "")
+            excess = max(self.values(agent, scenario, "excess").values())
+            beyond = f", excess {100.0 * excess:.2g} %" if excess >= 0.0 else ""  # nan without limits
+            return f"{100.0 * settled:.0f} %" + (f", {-time:.2f} s" if np.isfinite(time) else "") + beyond
         score = self.score(agent, scenario)
         return "no scale" if score is None else f"score {number_text(score[0])}"
 

@@ -41,7 +41,8 @@ class Episode:
         torques: (T, n) motor torques after delays and other effects, N m.
         rewards: (T,) rewards of the control periods.
         about: metadata as JSON-compatible data: name of the agent, environment, its settings and their hash, seed,
-            versions, failure, arm and model, units of the readings.
+            versions, failure, arm and model, units of the readings; in an environment with limits that are recorded
+            also "limits" and "violations": start and end (s) of each violation, and its largest excess.
 
     Examples:
         >>> trajectory = fm.simulate(fm.catalog.paper_scene("rr"), step=0.01)

@@ -36,13 +36,21 @@ const millimetres = e => Number.isFinite(e) ? `tip error ${(1e3 * e).toPrecision
 function pose() {
   runs.forEach((run, k) => {
     if (run.rows && views[k]) views[k].pose(Math.min(time, run.last), gains, show, data.stage.strain, stage.camera);
-    labels[k].said.textContent = [run.rows ? millimetres(run.at('error', 0, time)) : 'waiting', time > run.last ? run.note : ''].filter(Boolean).join(', ');
+    const over = run.violations.find(([from, to]) => from <= time + 1e-9 && time - 1e-9 <= to);
+    labels[k].said.textContent = [run.rows ? millimetres(run.at('error', 0, time)) : 'waiting', time > run.last ? run.note : '', over ? `beyond a limit by up to ${(100 * over[2]).toPrecision(2)} %` : ''].filter(Boolean).join(', ');
   });
   $('clock').textContent = time.toFixed(2) + ' s';
   $('time').value = time;
   if (!following) plots.forEach(plot => plot.mark(time));
   dirty = true;
 }
+
+// Violations of limits: red parts below the time line.
+runs.forEach(run => run.violations.forEach(([from, to]) => {
+  const mark = document.createElement('i');
+  Object.assign(mark.style, { left: `${100 * from / last()}%`, width: `${100 * (to - from) / last()}%` });
+  $('marks').append(mark);
+}));
 
 // Plots
 
@@ -140,9 +148,10 @@ requestAnimationFrame(function loop(now) {
   requestAnimationFrame(loop);
 });
 
-// For tests and the console: tips in metres at the displayed time.
+// For tests and the console: tips in metres at the displayed time, colours of the surfaces.
 window.replay = {
   seek, runs, rows: () => runs.map(run => run.rows),
   tips: (g = 1, j = 1) => runs.map(run => Array.from(tip(curves(run.arm, run.coordinates(time, new Float64Array(run.arm.width)), [g, j], memory(run.arm))))),
   drawn: () => views.map(view => view.tip.position.toArray()),
+  colours: () => views.map(view => Array.from(view.body.geometry.attributes.color.array)),
 };

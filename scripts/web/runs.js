@@ -11,7 +11,7 @@ export const readArm = arm => ({ ...arm, links: arm.links.map(link => ({
 // Columns of a row: coordinates, target, error, torques relative to their limits.
 export class Run {
   constructor(data, arm) {
-    Object.assign(this, { name: data.name, colour: data.colour, note: data.note, dt: data.dt, arm });
+    Object.assign(this, { name: data.name, colour: data.colour, note: data.note, dt: data.dt, arm, scales: data.scales, violations: data.violations ?? [] });
     this.sizes = { x: arm.width, target: 3, error: 1, torque: arm.links.length };
     this.rows = data.rows;
     for (const name in this.sizes) this[name] = data.rows ? floats(data[name]) : new Float32Array(1024 * this.sizes[name]);

@@ -26,6 +26,7 @@ function tube(arm, material) {
   return mesh;
 }
 
+// Set positions and colours; scale: strain at the ends of the colours, one for all links or one for each, 0 for no colours.
 function bend(mesh, arm, out, scale) {
   const { position, normal, color } = mesh.geometry.attributes, X = position.array, N = normal.array, C = color.array;
   arm.links.forEach((link, i) => {
@@ -38,7 +39,7 @@ function bend(mesh, arm, out, scale) {
           N[v + a] = F[3 * a + 1] * normals[o] + F[3 * a + 2] * normals[o + 1];
         }
         const strain = out.stretch[b] - gauges[o] * out.curvature[3 * b + 2] + gauges[o + 1] * out.curvature[3 * b + 1];
-        const part = scale ? Math.max(-1, Math.min(1, strain / scale)) : 0, end = part < 0 ? COLD : HOT;
+        const part = scale ? Math.max(-1, Math.min(1, strain / (scale[i] ?? scale))) : 0, end = part < 0 ? COLD : HOT;
         for (let a = 0; a < 3; a++) C[v + a] = linear(MIDDLE[a] + (end[a] - MIDDLE[a]) * Math.abs(part));
       }
     }
@@ -91,7 +92,7 @@ export class View {
     const { run, out, other, q } = this, arm = run.arm, P = arm.points;
     const end = each => each.position.slice(-3);
     curves(arm, run.coordinates(time, q), gains, out);
-    bend(this.body, arm, out, show.strain ? scale : 0);
+    bend(this.body, arm, out, show.strain ? run.scales ?? scale : 0);
     this.ghost.visible = show.ghost;
     if (show.ghost) bend(this.ghost, arm, curves(arm, q, [0, 0], other), 0);
     this.joints.forEach((mesh, j) => {

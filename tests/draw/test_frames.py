@@ -8,9 +8,20 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.common.plot_style import rgb
-from flexman_gym.draw.frames import GHOST, GHOST_SHARE, PAYLOAD, TARGET, TIP, FramePainter, arm_frame, grid
-from flexman_gym.draw.mesh import CYLINDER, RING, SPHERE, section_outlines, tube_surfaces
-from flexman_gym.draw.overlay import Caption, font_size, strain_colours, write_text
+from flexman_gym.draw.frames import (
+    BOUNDARY,
+    GHOST,
+    GHOST_SHARE,
+    PAYLOAD,
+    TARGET,
+    TIP,
+    FramePainter,
+    arm_frame,
+    grid,
+    limiting_strains,
+)
+from flexman_gym.draw.mesh import CYLINDER, RING, SPHERE, boundaries, section_outlines, tube_surfaces
+from flexman_gym.draw.overlay import WARNING, Caption, font_size, strain_colours, write_text
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 
@@ -213,6 +224,53 @@ def test_the_scale_ends_at_the_strain_of_half_a_torque_limit_at_the_root():
     limit = 2.0 * 1e-3 * 0.999 * link.youngs_modulus * 0.04 * 0.002**3 / 12.0 / 0.001
     arm = fm.Arm([link], [fm.Joint((0.0, 0.0, 1.0), rotor_inertia=1.0, torque_limit=limit)])
     assert FramePainter(fm.build_model(arm)).scale == pytest.approx(1e-3)
+
+
+REGIONS = {
+    "half_space": ((0.0, 3.0, 4.0), 10.0),
+    "box": ((-100.0, -2.0, -100.0), (3.0, 100.0, 100.0)),
+    "sphere": ((4.0, 0.0, 0.0), 3.0),
+}
+
+
+@pytest.mark.parametrize("shape", REGIONS)
+def test_boundaries_of_a_workspace_lie_on_it_within_the_reach_and_are_drawn_there(shape, painter):
+    region = {shape: REGIONS[shape]}
+    lines = boundaries([region], painter.reach)
+    limits = fm.Limits(workspace=[region])
+    depths = limits._depths(np.concatenate(lines))
+    assert np.abs(depths).max() < 1e-12 and max(np.linalg.norm(line, axis=1).max() for line in lines) < 8.5 + 1e-5
+    assert (np.ptp(np.concatenate(lines), axis=0) > 5.9).all(), "seen from every side"
+    gaps = [np.linalg.norm(np.diff(line, axis=0), axis=1).max() for line in lines]
+    assert max(gaps) < 2.5 and boundaries([{"half_space": ((0.0, 0.0, 1.0), 9.0)}], 8.5) == []
+    shown = FramePainter(MODEL, (320, 240), overlays=False, shadow=False)
+    shown.workspace = limits.workspace
+    shot = shown.shot()
+    picture, plain = shown.paint(BENT, shot=shot), painter.paint(BENT, shot=painter.shot())
+    places = shot.camera.project(np.concatenate(lines))
+    inside = places[((places > 4) & (places < np.array([316, 236]))).all(axis=1)]
+    assert np.mean([hue(picture, place, BOUNDARY) > 0.9 for place in inside]) > 0.8
+    assert np.mean([hue(plain, place, BOUNDARY) > 0.9 for place in inside]) < 0.1
+
+
+def test_a_limit_at_the_gauges_is_a_strain_at_the_surface():
+    """Radius / radius of gyration: 2 for a round rod, the root of 3 for a strip; each link has its own colours."""
+    rod, strip = fm.Link.rod(1.0, 0.01), fm.Link.strip(1.0, 0.04, 0.005)
+    model = fm.build_model(fm.Arm([rod, strip], [fm.Joint((0.0, 0.0, 1.0))] * 2), 1)
+    assert limiting_strains(model, (1e-3, 2e-3)) == pytest.approx((2e-3, 2e-3 * 3.0**0.5))
+    painters = [FramePainter(MODEL, (320, 240), overlays=False) for _ in range(3)]
+    painters[1].scale, painters[2].scale = np.full(3, painters[0].scale), np.array([1e3, 1e3, 1e3])
+    first, second, third = (each.paint(BENT) for each in painters)
+    assert np.array_equal(first, second) and (first != third).any()
+
+
+def test_the_overlay_shows_the_strain_over_its_limit_in_red_above_it():
+    reds = []
+    for strain in (None, 0.99, 1.01):
+        picture = np.full((360, 480, 3), 255, dtype=np.uint8)
+        Caption(strain=strain).draw(picture, (1.0, 1.0), 0.0, 1.0)
+        reds.append((picture[300:] == rgb(WARNING)).all(axis=2).any())
+    assert reds == [False, False, True]
 
 
 @pytest.mark.parametrize("mass", [3000.0, 24000.0])

@@ -17,7 +17,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
-from flexman_gym.draw.frames import FramePainter
+from flexman_gym.draw.frames import FramePainter, limiting_strains
 from flexman_gym.draw.mesh import section_outlines
 from flexman_gym.draw.replay import replay_page
 from flexman_gym.draw.video import Window
@@ -123,6 +123,41 @@ def test_a_reading_takes_all_steps_of_two_bytes():
         assert (steps.max(axis=0) == 2**15 - 1).all() and (steps.min(axis=0) == 1 - 2**15).all()
         off = np.abs(steps * reading["scale"] + reading["middle"] - values)
         assert (off <= 0.5001 * np.ptp(values, axis=0) / (2**16 - 2)).all()
+
+
+def limited(*limits):
+    """An episode with limits of the strains of the links and two violations."""
+    one = episode()
+    about = {"limits": {"strain": limits}, "violations": [[0.4, 0.4, 0.01], [1.0, 1.5, 0.25]]}
+    return replace(one, about=one.about | about)
+
+
+def test_colours_end_at_the_limits_of_the_strains():
+    pages = [
+        replay_page(each) for each in ([limited(1e-4, 2e-4, 1e-4)], [episode()], [episode(), limited(1e-4, 2e-4, 1e-4)])
+    ]
+    scales = embedded(pages[0])["runs"][0]["scales"]
+    assert scales == pytest.approx(limiting_strains(episode().model, (1e-4, 2e-4, 1e-4)))
+    assert "scales" not in embedded(pages[1])["runs"][0] and embedded(pages[1])["runs"][0]["violations"] == []
+    assert "+limit strain" in pages[0] and "limit strain" not in pages[1] and " or limit strain" in pages[2]
+
+
+def test_the_time_line_marks_violations(browser, tmp_path):
+    """From 1 to 1.5 of 2 s a mark covers the second half of the line up to its third quarter."""
+    (tmp_path / "page.html").write_text(replay_page([limited(1e3, 1e-12, 1e3)]), encoding="utf-8")
+    browser.open((tmp_path / "page.html").as_uri())
+    script = "const whole = document.getElementById('marks').getBoundingClientRect();"
+    script += "return [...document.getElementById('marks').children].map(each => each.getBoundingClientRect())"
+    script += ".map(box => [box.left, box.right].map(x => (x - whole.left) / whole.width))"
+    first, second = browser.run(script)
+    assert first[0] == pytest.approx(0.2, abs=1e-3) and second == pytest.approx([0.5, 0.75], abs=1e-3)
+    texts = []
+    for time in (0.9, 1.0, 1.25, 1.6):
+        browser.run("replay.seek(arguments[0])", time)
+        texts.append(browser.run("return document.getElementById('labels').innerText"))
+    assert ["beyond a limit by up to 25 %" in text for text in texts] == [False, True, True, False]
+    hues = np.ptp(np.reshape(browser.run("return replay.colours()[0]"), (3, -1, 3)), axis=2)
+    assert hues[[0, 2]].max() < 0.1 < np.median(hues[1]), "only the second link is at its limit"
 
 
 def test_every_run_moves_its_own_arm():

@@ -138,10 +138,11 @@ def test_a_certificate_with_a_row_of_no_scenario_is_refused_in_one_line(folder, 
     assert "this is no certificate (give rows that are mappings with a scenario)" in refusal(read_certificate, folder)
 
 
-def episodes(vibration=0.0, failed=0.0, settled=1.0, count=1, time=2.0):
+def episodes(vibration=0.0, failed=0.0, settled=1.0, count=1, time=2.0, excess=np.nan):
     """Rows with these metrics, 0 for all others."""
     values = dict.fromkeys(VALUES, 0.0) | {
-        "vibration": vibration, "failed": failed, "settled": settled, "settling_time": time if settled else np.inf,
+        "excess": excess, "vibration": vibration, "failed": failed, "settled": settled,
+        "settling_time": time if settled else np.inf,
     }  # fmt: skip
     return [EpisodeRow("", "a", "b", 9000 + i, tuple(values.values())) for i in range(count)]
 
@@ -154,6 +155,7 @@ def episodes(vibration=0.0, failed=0.0, settled=1.0, count=1, time=2.0):
         ("a/delay=3", episodes(count=19) + episodes(settled=0.0), ""),
         ("a/delay=3", episodes(count=18) + episodes(settled=0.0, count=2), "90% settle (limit 95%)"),
         ("a/delay=3", episodes(count=99) + episodes(failed=1.0), "1% end at a limit of the environment"),
+        ("a", episodes(count=99, excess=0.0) + episodes(excess=0.123), "12 % beyond the limits of the environment"),
         ("a/delay=3+given", episodes(time=2.59), ""),
         ("a/delay=3+given", episodes(time=2.61), "settling in 2.61 s (limit 2.60 s)"),
         ("a/delay=3+given", episodes(settled=0.0), "0% settle (limit 95%), settling in inf s (limit 2.60 s)"),

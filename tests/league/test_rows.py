@@ -17,9 +17,10 @@ from flexman_gym.evaluation import METRICS, rollout
 from flexman_gym.evaluation import agent as agent_module
 from flexman_gym.evaluation.agent import BASELINES, AgentSpec
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent, training_seconds
-from flexman_gym.evaluation.metrics import optimised_settling_times
+from flexman_gym.evaluation.metrics import LIMIT_METRICS, optimised_settling_times
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, EpisodeRecord, training_seed
 from flexman_gym.league.rows import (
+    LIMITED,
     ROWS,
     TIME_RATIO,
     VALUES,
@@ -67,6 +68,17 @@ def test_rows_hold_the_figures_of_a_rollout_to_the_bit(scenario, tmp_path):
         for name, metric in METRICS.items():
             assert [float(row[name]) for row in ours] == metric.values(records).tolist(), name
     assert all(row[TIME_RATIO] == "nan" for row in rows), "no table has slews of this one"
+    assert all(row[name] == "nan" for row in rows for name in LIMITED), "it has no limits"
+
+
+def test_rows_of_an_environment_with_limits_hold_its_violations(tmp_path):
+    path = tmp_path / "limited.yaml"
+    path.write_text("id: FlexOne-v0\nhorizon: 1.5\nlimits: {spring_torque: 0.5, on_violation: cost}\n")
+    _, rows = EpisodeBlock("", "lqr", str(path), 9000, 9003).run()
+    records = rollout("lqr", str(path), range(9000, 9003)).records
+    for metric in LIMIT_METRICS:
+        values = [row.values[VALUES.index(metric.name)] for row in rows]
+        assert values == metric.values(records).tolist() and max(values) > 0.0, metric.name
 
 
 def test_rows_are_the_same_in_repeats_and_over_two_processes(scenario, tmp_path, small_blocks):

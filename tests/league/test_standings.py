@@ -10,7 +10,7 @@ from flexman_gym.league import charts
 from flexman_gym.league.charts import CHART, LABEL_DISTANCE, LINE_COLOURS, SWEEP_CHART
 from flexman_gym.league.details import league_details
 from flexman_gym.league.page import PAGE, write_page
-from flexman_gym.league.rows import VALUES, EpisodeBlock, EpisodeRow, LeagueRows
+from flexman_gym.league.rows import LIMITED, VALUES, EpisodeBlock, EpisodeRow, LeagueRows
 from flexman_gym.league.scenarios import LAB_SCENARIO, SWEEPS, find_scenario
 from flexman_gym.league.standings import Standings
 
@@ -41,7 +41,11 @@ def book(rewards=REWARDS, scenarios=(NOMINAL, UNKNOWN, LAB_SCENARIO), settled=No
             cells.append(EpisodeBlock("k", agent, scenario, 9000, 9000 + count, 12.0, 3000.0))
             for i, part in enumerate(np.linspace(-1.0, 1.0, count)):
                 time = (settled or {}).get((agent, scenario), 3.0)
-                values = dict.fromkeys(VALUES, 0.0) | {"reward": reward + spread * part, "settling_time": time}
+                values = (
+                    dict.fromkeys(VALUES, 0.0)
+                    | dict.fromkeys(LIMITED, np.nan)
+                    | {"reward": reward + spread * part, "settling_time": time}
+                )
                 values |= {"settled": float(np.isfinite(time)), "multiple": time / 2.0}
                 rows.append(EpisodeRow("k", agent, scenario, 9000 + i, tuple(values[name] for name in VALUES)))
     return LeagueRows(rows, cells)
@@ -133,6 +137,25 @@ def test_no_cell_of_a_table_is_empty(tmp_path):
         assert "no row of lqr-tracking: it has no model" in details[scenario]
     wrong = details[UNKNOWN].split("designed for the nominal arm: ")[1]
     assert "lqg" in wrong and "privileged-lqr" not in wrong and "pd" not in wrong
+
+
+def test_an_environment_with_limits_shows_the_largest_excess_of_each_agent(tmp_path):
+    path = tmp_path / "limited.yaml"
+    path.write_text("id: FlexRRR-v0\nlimits: {strain: 1.0e-4, on_violation: cost}\n")
+    known = standing(scenarios=[NOMINAL, str(path)])
+    for (scenario, agent, seed), row in known.results.rows.items():
+        if scenario == str(path):
+            excess = (seed - 9000) / 100.0 if agent == "pd" else 0.0
+            new = dict(zip(VALUES, row.values, strict=True)) | {"excess": excess, "violations": 1e3 * (excess > 0.0)}
+            known.results.rows[scenario, agent, seed] = row._replace(values=tuple(new.values()))
+    head, _, *rows = league_details(known, str(path))[1:]
+    at = [each.strip() for each in head.split("|")].index("excess")
+    cells = {row.split("|")[1].strip(" `"): row.split("|")[at].strip() for row in rows if row.startswith("|")}
+    assert (
+        float(cells["pd"]) == 0.11 and float(cells["lqr"]) == 0.0 and "excess" not in league_details(known, NOMINAL)[1]
+    )
+    assert known.settling_text("pd", str(path)) == "100 %, 3.00 s, excess 11 %"
+    assert known.settling_text("pd", NOMINAL) == "100 %, 3.00 s"
 
 
 def test_each_is_compared_with_the_next():

@@ -23,7 +23,18 @@ def test_what_is_no_folder_is_one_line(tmp_path, name):
 
 
 @pytest.mark.parametrize(
-    "script", ["benchmark", "compare_peers", "learning", "ring_down", "robust", "servos", "stability", "work_precision"]
+    "script",
+    [
+        "benchmark",
+        "compare_peers",
+        "learning",
+        "ring_down",
+        "robust",
+        "servos",
+        "stability",
+        "strain",
+        "work_precision",
+    ],
 )
 def test_every_study_refuses_it_at_once(script, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", [script, "--folder", "/dev/null/here"])

@@ -13,6 +13,16 @@ from studies.machine.measure import (
     driven,
     moving,
 )
+from studies.machine.strain import (
+    ALL,
+    LENGTHS,
+    LOGGED,
+    THICKNESSES,
+    GaugeObserver,
+    one_stage,
+    strain_record,
+    unfiltered,
+)
 
 
 def test_half_of_the_runs_of_a_real_arm_predicts_the_others():
@@ -45,3 +55,42 @@ def test_the_truth_of_a_made_up_arm_is_where_the_fit_says():
     found = [each for each in draws(3, 1) if each[2]]
     assert len(found) >= 4
     assert max(abs(error) for _, error, _ in found) < 4.0
+
+
+def test_the_signal_before_the_filter_of_the_log_comes_back():
+    times = 0.002 * np.arange(2000)
+    signal = np.sin(2.0 * np.pi * 1.9 * times) * times**2 + 0.1 * np.sin(2.0 * np.pi * 5.0 * times)
+    error = unfiltered(LOGGED.applied(signal, 0.002), 0.002) - signal
+    assert np.abs(error).max() < 0.002 * np.abs(signal).max()
+
+
+def test_a_logged_deflection_is_the_strain_of_a_cantilever_with_a_force_at_its_end():
+    logged = both_stages(DATA / "two_stages.csv")
+    strains = strain_record(logged).outputs
+    for i, (length, thickness) in enumerate(zip(LENGTHS, THICKNESSES, strict=True), 1):
+        link = fm.Link.strip(length, 0.05, thickness, material="steel")
+        model = fm.build_model(fm.Arm([link], [fm.Joint((0.0, 0.0, 1.0))]), elements=3)
+        pulled = fm.linearize(model, inputs=("tip_force",), outputs=("link_deflections", "root_strains"))
+        forces, held = pulled.balance.forces, np.arange(1, model.n_dof)  # the hub does not move
+        bent = np.linalg.solve(-forces[np.ix_(held, held)], forces[held, 2 * model.n_dof + 1])
+        deflection, strain = pulled.C[0, held] @ bent, pulled.C[2, held] @ bent
+        expected = strain / deflection * np.asarray(logged.outputs[f"link_deflection_{i}_y"])
+        assert np.allclose(strains[f"root_strain_{i}_y"], expected, rtol=1e-6, atol=0.0)
+
+
+def test_the_observer_has_the_vibrations_of_the_held_arm_and_the_filter_of_the_log():
+    arm = fm.catalog.quanser_2dsfl(1)
+    found = fm.fit(arm, ["link_damping"], frequencies=[2.0], damping=[0.1], **ONE)
+    found.gains["root_strain_1_y"] = (1.0, 0.0)
+    poles = np.log(np.linalg.eigvals(GaugeObserver(found, ["root_strain_1_y"], 0.002, 1.0).transition)) / 0.002
+    modes = fm.modes(fm.build_model(found.arm, **ONE))
+    ratio, rate = modes.damping_ratios[0], 2.0 * np.pi * modes.frequencies[0]
+    rate /= np.sqrt(1.0 - ratio**2)
+    for pole in (-ratio * rate + 1j * rate * np.sqrt(1.0 - ratio**2), *np.roots(LOGGED.denominator)):
+        assert np.abs(poles - pole).min() < 1e-6 * abs(pole)
+
+
+def test_held_out_strains_of_a_real_link_are_predicted_within_a_fifth_of_their_peak():
+    pooled = {row.horizon: row for row in one_stage() if row.run == ALL}
+    assert max(row.nearly_all for row in pooled.values()) < 0.2
+    assert pooled[0.1].rms < pooled[0.3].rms < pooled[1.0].rms < pooled[0.0].rms < 0.05

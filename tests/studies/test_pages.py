@@ -20,6 +20,8 @@ from studies.fidelity.page import page as fidelity_page
 from studies.files import read_comment, read_comments, read_rows
 from studies.machine.measure import FitRow
 from studies.machine.page import page as machine_page
+from studies.machine.strain import StrainRow
+from studies.machine.strain_page import page as strain_page
 from studies.peers.measure import Decay
 from studies.peers.page import page as peers_page
 from studies.planted.measure import Planted
@@ -59,6 +61,7 @@ SCREENS = {  # page -> function of its rows, and files and types of the rows
     "robust": (robust_page, {"robust": RobustRow}),
     "servos": (servos_page, {"servos": ServoRow, "servos_friction": FrictionRow}),
     "stability": (stability_page, {"stability": StabilityRow}),
+    "strain": (strain_page, {"strain": StrainRow}),
     "verification": (verification_page, {"verification": VerificationRow}),
     "work_precision": (precision_page, {"work_precision": PrecisionRow, "work_precision_truths": Floor}),
 }

@@ -67,15 +67,15 @@ def both_stages(path: Path) -> Measurement:
     )
 
 
-def driven(path: Path) -> Measurement:
-    """Return a record of both stages with currents as inputs and hub angles among the outputs, at 100 Hz."""
+def driven(path: Path, fewer: int = FEWER) -> Measurement:
+    """Return a record of both stages with currents as inputs and hub angles among the outputs, by default at 100 Hz."""
     data, record = _columns(path), both_stages(path)
-    angles = {f"motor_angle_{i}": data[f"hub_angle_{i}_rad"][::FEWER] for i in (1, 2)}
+    angles = {f"motor_angle_{i}": data[f"hub_angle_{i}_rad"][::fewer] for i in (1, 2)}
     return replace(
         record,
-        times=np.asarray(record.times)[::FEWER],
-        inputs={f"current_{i}": data[f"current_{i}_A"][::FEWER] for i in (1, 2)},
-        outputs=angles | {name: values[::FEWER] for name, values in record.outputs.items()},
+        times=np.asarray(record.times)[::fewer],
+        inputs={f"current_{i}": data[f"current_{i}_A"][::fewer] for i in (1, 2)},
+        outputs=angles | {name: values[::fewer] for name, values in record.outputs.items()},
         deviations={},
     )
 
@@ -219,13 +219,17 @@ def _coupled(found: fm.Fit, record: fm.Measurement, part: str) -> Iterator[FitRo
 def _currents(found: fm.Fit, path: Path) -> Iterator[FitRow]:
     """Fit the friction with currents as inputs to the first half, with the fitted links; yield results."""
     record = driven(path)
+    yield from _coupled(friction_fit(found, record), record, CURRENT)
+
+
+def friction_fit(found: fm.Fit, record: fm.Measurement) -> fm.Fit:
+    """Return the fit of the friction of both joints to the first half of a record with currents as inputs."""
     joints = [
         replace(joint, coulomb_friction=0.5 * size) for joint, size in zip(found.arm.joints, (2.0, 0.2), strict=True)
     ]
     arm = replace(found.arm, joints=joints)
     free = ["viscous_friction", "coulomb_friction"]
-    result = fm.fit(arm, free, records=[record.part(0.0, HALF)], starts=0, check=False, **TWO)  # type: ignore[arg-type]
-    yield from _coupled(result, record, CURRENT)
+    return fm.fit(arm, free, records=[record.part(0.0, HALF)], starts=0, check=False, **TWO)  # type: ignore[arg-type]
 
 
 PERIOD, SAMPLES, NOISE, FINER = 0.005, 241, 0.005, 4

@@ -17,6 +17,13 @@ data sheet and 0.381 m in the model file; a measured response does not say which
 in the tables. The disturbances of the ABB benchmark are files that are not published with its parameters, so only its
 frequencies are computed here, and no score.
 
+Quanser's rotary flexible joint (`fm.catalog.rotary_joint`) is the arm of a benchmark of safety filters, a command
+governor and a control barrier function (Liao, Breschi and Nicotra, *Experimental Demonstration and Benchmarking of
+Data-Driven Safety Filters*, with programs under the MIT licence). Its text says that motor angle, spring deflection,
+both rates and the input are limited, and that a solve takes about 2 ms. The values of the limits are in binary files;
+the axes of its plots end at 3 s, 1.1 rad, 0.15 rad, 6 rad/s and an input of 7. `docs/examples/rotary_joint.yaml` is an
+environment with limits within these axes: 1 rad, 0.1 rad (as a torque of the spring) and 5 rad/s, at 10 V.
+
 ## Printed and measured results
 
 {printed} of {of_printed} results are met, printed ones within 2 % or their last digit, measured ones of the rotary link
