@@ -75,7 +75,7 @@ class _Prediction:
     def set_parameters(self, parameters: Mapping[str, Array]) -> None:
         """Set physical parameters, name -> (k, ...), of the models, if they have changed."""
         before = self._parameters
-        if before and all(np.array_equal(before.get(name), values) for name, values in parameters.items()):
+        if before and all(name in before and np.array_equal(before[name], each) for name, each in parameters.items()):
             return
         every, nominal = np.arange(self.count), self._near.nominal["viscous_friction"]
         friction = parameters.get("viscous_friction", np.tile(nominal, (self.count, 1)))

@@ -489,11 +489,9 @@ class Episodes:
             if len(self.over) == 1:
                 info["cost"] = self.cost.item()
         if (safety := self.safety) is not None:
-            names = [STATUS[each] for each in safety.status]
-            one = len(self.over) == 1
-            info["safety_status"], info["safety_change"] = (
-                (names[0], safety.change[0].copy()) if one else (np.array(names), safety.change.copy())
-            )
+            names, one = np.array(STATUS)[safety.status], len(self.over) == 1
+            info["safety_status"] = str(names[0]) if one else names
+            info["safety_change"] = safety.change[0].copy() if one else safety.change.copy()
         for name, value in self.task.info(view).items():
             info[name] = copy(value)  # as the arrays of a view change
         for name in self._info_keys:

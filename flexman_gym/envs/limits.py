@@ -204,7 +204,11 @@ class Limits:
 
     def _scale(self, name: str, view: View) -> Any:
         """Return the limit of a quantity, a number or (m,); for the workspace the reach of the arm, m."""
-        value = view.reach if name == "workspace" else getattr(self, name)
+        return view.reach if name == "workspace" else self.of_quantities(name)
+
+    def of_quantities(self, name: str) -> Array:
+        """Return a limit but the workspace as a number or (m,), for its m quantities; in UNITS."""
+        value = getattr(self, name)
         return np.repeat(value, 3) if name == "strain" and isinstance(value, tuple) else np.asarray(value)
 
     def depths(self, tips: Array) -> Array:
@@ -272,12 +276,11 @@ class LimitShares:
         self._slopes: Array = np.array(slopes)
 
     def _bound(self, name: str) -> Any:
-        value = getattr(self._limits, name)
-        value = np.repeat(value, 3) if name == "strain" and isinstance(value, tuple) else np.asarray(value)
-        return value - self._margins.get(name, 0.0)
+        """Return a limit minus its margin, a number or (m,)."""
+        return self._limits.of_quantities(name) - self._margins.get(name, 0.0)
 
     def shares(self, states: Array, outputs: Array, stiffness: Array) -> Array:
-        """Return quantities as fractions (k, T, m) of their limits; arguments as in `control.safety.PredictedLimits`."""
+        """Return quantities as fractions (k, T, m) of their limits; see `control.safety.PredictedLimits`."""
         (k, periods), flat = states.shape[:2], states.reshape(-1, states.shape[2])
         parts = [_product(self._rows, flat).reshape(k, periods, -1)]
         parts.append(outputs[..., TIP_VELOCITY] / self._bound("tip_speed"))

@@ -82,6 +82,11 @@ def _vibration(record: EpisodeRecord) -> float:
     return np.inf if record.failure else peak_to_peak(record.tips, record.period)
 
 
+def _mean_square(values: Array | None) -> float:
+    """Return the mean square of an array; 0 for None."""
+    return 0.0 if values is None else float(np.mean(np.square(values)))
+
+
 def _excess(record: EpisodeRecord) -> Array:
     """Return the excess (T,) beyond the limits, 0 within."""
     return np.zeros(1) if record.excess is None else np.maximum(record.excess, 0.0)
@@ -110,6 +115,8 @@ LIMIT_METRICS = (
 )  # fmt: skip
 """Metrics of environments with limits that are recorded: number of episodes with a violation per 1000 episodes, largest
 excess as a fraction of the limit, and mean time in violation."""
+SAFETY_METRIC = Metric("change", "change", "", "low", lambda record: _mean_square(record.changes), MEAN)
+"""Metric of environments with a safety filter: mean square of its changes of the torques as fractions of the limits."""
 DEFAULT_TASK_METRICS = ("settling_time", "error")  # metrics of a task without the attribute `metrics`
 
 
@@ -123,9 +130,18 @@ def task_metrics(task: Any) -> tuple[Metric, ...]:
     return tuple(metric for name, metric in METRICS.items() if metric.for_all_tasks or name in checked)
 
 
+def _limit_metrics(record: EpisodeRecord) -> tuple[Metric, ...]:
+    """Return the metrics of recorded limits and of the safety filter that apply to a record."""
+    limits = () if record.excess is None else LIMIT_METRICS
+    return limits if record.changes is None else (*limits, SAFETY_METRIC)
+
+
 @deprecated_arguments(**ARGUMENTS["evaluate"])
 def evaluate(
-    agent: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int] | int
+    agent: str | AgentSpec | Controller,
+    environment: str | Configuration,
+    seeds: Sequence[int] | int,
+    safety: bool = False,
 ) -> dict[str, float]:
     """Simulate one episode for each seed and return all metrics of METRICS over these episodes.
 
@@ -137,11 +153,13 @@ def evaluate(
         agent: name of a baseline or a shipped policy, folder of a run, Controller, or another object of `find_agent`.
         environment: id, id and condition such as "FlexRRR-v0/delay", path of a file, or Configuration.
         seeds: seeds of the episodes; a number n <= 100 stands for the first n test seeds.
+        safety: True to run the agent with the setting safety=True of the environment.
 
     Returns:
         Metrics by name. Means: reward, roughness and effort; medians: settling_time (s), vibration (m), error (m) and
         rms_error (m); shares of the episodes: settled and failed. With limits of strain, spring torque or workspace or
-        a margin also the LIMIT_METRICS violations, excess and violation_time (s).
+        a margin also the LIMIT_METRICS violations, excess and violation_time (s), and with a safety filter the mean
+        square "change" of the torques.
 
     Raises:
         FileNotFoundError: for an unknown agent or environment.
@@ -153,8 +171,8 @@ def evaluate(
         >>> result["settling_time"] < 3.0  # s
         True
     """
-    records = rollout(agent, environment, seeds).records
-    metrics = (*METRICS.values(), *(() if records[0].excess is None else LIMIT_METRICS))
+    records = rollout(agent, environment, seeds, safety=safety).records
+    metrics = (*METRICS.values(), *_limit_metrics(records[0]))
     return {metric.name: metric.evaluate(records) for metric in metrics}
 
 
@@ -187,7 +205,7 @@ def metrics_table(
         Lines of text: title, headers, one row for each agent, and a caption.
     """
     first = next(iter(results.values()))
-    columns = (*task_metrics(environment.task), *(() if first[0].excess is None else LIMIT_METRICS))
+    columns = (*task_metrics(environment.task), *_limit_metrics(first[0]))
     settings = environment.settings.keys() - ({"method"} if environment.method == DEFAULT_METHOD else set())
     changes = ", ".join(sorted(settings)) or "as it is"
     title = f"{len(first)} episodes of {environment.id} ({changes}), the same for all"

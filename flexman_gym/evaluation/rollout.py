@@ -60,6 +60,7 @@ class EpisodeRecord:
         failure: cause of a failure, which terminated the episode; "" without a failure.
         period: control period, s.
         band: distance from the target within which a tip counts as settled, m.
+        changes: (T, n) changes of the actions by the safety filter; None without a filter.
         excess: (T,) largest excess beyond the limits in each control period, see `Limits.excess`; None without limits
             that are recorded.
     """
@@ -72,6 +73,7 @@ class EpisodeRecord:
     period: float
     band: float
     excess: Array | None = None
+    changes: Array | None = None
 
     def equivalent_damping(self) -> float:
         """Return the damping ratio of the oscillation of the tip after its first arrival in the band.
@@ -106,6 +108,7 @@ class Rollout:
         readings: (b, T + 1, size) readings of the agent's sensors.
         metadata: common metadata of the episodes, their "seeds", and the "slices" of the readings by entry.
         excess: (b, T) largest excess beyond the limits, see `EpisodeRecord`.
+        changes: (b, T, n) changes of the actions by the safety filter, see `EpisodeRecord`.
     """
 
     tips: Array
@@ -122,6 +125,7 @@ class Rollout:
     readings: Array
     metadata: dict[str, Any]
     excess: Array | None = None
+    changes: Array | None = None
 
     def episode(self, number: int) -> Episode:
         """Return the episode with an index from 0 to b - 1, up to its end."""
@@ -161,7 +165,8 @@ class Rollout:
         return [
             EpisodeRecord(
                 self.tips[i, : end + 1], self.errors[i, : end + 1], self.actions[i, :end], self.rewards[i, :end],
-                self.failures[i], self.period, self.band, None if self.excess is None else self.excess[i, :end],
+                self.failures[i], self.period, self.band,
+                *(None if each is None else each[i, :end] for each in (self.excess, self.changes)),
             )
             for i, end in enumerate(self.lengths)
         ]  # fmt: skip
@@ -175,6 +180,7 @@ def rollout(
     callback: Callable[[Episodes], None] | None = None,
     set_plant: Callable[[Batch], None] | None = None,
     options: dict[str, Any] | None = None,
+    safety: bool = False,
 ) -> Rollout:
     """Simulate one episode for each seed, all episodes together, and record every control period.
 
@@ -189,6 +195,7 @@ def rollout(
         set_plant: function that makes the simulated `Batch` use another simulation of the arms, see
             `league.scenarios.PLANTS`; None for the integrator of the environment.
         options: options of the reset, such as start, goal and physical parameters, of all or of each of the arms.
+        safety: True to run the agent with the setting safety=True of the environment.
 
     Returns:
         Records of b episodes of at most T control periods: tips (b, T + 1, 3) m, errors (b, T + 1) m, torques
@@ -206,6 +213,7 @@ def rollout(
         True
     """
     spec, environment = find_agent(agent), Configuration.find(environment)
+    environment = environment.replace(safety=True) if safety else environment
     seeds, (bare, interface) = _episode_seeds(seeds), split_interface(environment)
     _check_joint_count(spec, environment)
     venv = gym.make_vec(environment.id, len(seeds), "vector_entry_point", **_keywords(spec, bare, interface))
@@ -281,6 +289,7 @@ class _Recorder:
     def __init__(self, episodes: Episodes, callback: Callable[[Episodes], None] | None) -> None:
         self._episodes, self._callback = episodes, callback
         names = (*INSTANT_ARRAYS, *PERIOD_ARRAYS, *["excess"] * episodes.limits.recorded)
+        names += ("changes",) * (episodes.safety is not None)
         self._rows: dict[str, list[Array]] = {name: [] for name in names}
         self.ends = np.zeros(len(episodes.over), dtype=np.int64)
         self._failures = [""] * len(self.ends)
@@ -296,6 +305,8 @@ class _Recorder:
         now = {"actions": view.action.copy(), "torques": episodes.motors.torques.copy(), "rewards": episodes.rewards()}
         if episodes.limits.recorded:
             now["excess"] = episodes.excess
+        if episodes.safety is not None:
+            now["changes"] = episodes.safety.change.copy()
         self._append(self._instant() | now)
         self._progress.count()
         for arm in np.flatnonzero(episodes.over & (self.ends == 0)).tolist():

@@ -62,15 +62,16 @@ def _advance_steps(constants, work, tableau, counts, steps, state):
 
 
 @released
-def advance_batch(tables, work_table, method, drives, steps, rows, out, status, trail, feedback):
+def advance_batch(tables, work_table, method, inputs, steps, rows, out, status, trail):
     """Integrate arms over T control periods of constant inputs.
 
     Args:
         tables: (groups, fields, 3) address table of the constants of each group of ARMS_PER_GROUP arms.
         work_table: (fields, 3) address table of the scratch arrays.
         method: tableau (or None) and counts, as in `_fixed_step`.
-        drives: (b, T, n + 6) inputs in each period: n motor torques (N m), or accelerations (rad/s^2) of motors with
-            prescribed motion, tip force (3, N) and base acceleration (3, m/s^2).
+        inputs: drives (b, T, n + 6) in each period: n motor torques (N m), or accelerations (rad/s^2) of motors with
+            prescribed motion, tip force (3, N) and base acceleration (3, m/s^2). Then a table, times and rows of PD
+            control of the motors, see `_add_feedback`, which needs a trail; arrays with b = 0 for none.
         steps: length (s) and number of the steps in a period.
         rows: (b, 2 d + 2) states, each followed by work and dissipation, J (the energy ledger), at the end of the last
             successful period, overwritten.
@@ -78,10 +79,8 @@ def advance_batch(tables, work_table, method, drives, steps, rows, out, status, 
         status: (b,) arms whose status is not OK are not integrated; set to DIVERGED for arms that diverge.
         trail: record of the rows (b, T, 2 d + 2) and outputs (b, T, OUTPUTS) after each successful period, overwritten;
             (b, 0, ...) records none.
-        feedback: PD control of the motors within the torque limits, see `_add_feedback`; it needs a trail. A tuple of
-            arrays with b = 0 for none.
     """
-    work = work_of_arms(work_table)
+    work, drives = work_of_arms(work_table), inputs[0]
     state = work.row
     for group in range(len(tables)):
         first, end = group * ARMS_PER_GROUP, min((group + 1) * ARMS_PER_GROUP, len(rows))
@@ -89,10 +88,9 @@ def advance_batch(tables, work_table, method, drives, steps, rows, out, status, 
             _set_lanes(rows, first, state)
             for t in range(drives.shape[1]):
                 _set_lanes(drives[:, t], first, work.drive)
-                if len(feedback[0]) > 0:
-                    _add_feedback(
-                        constants_of_arms(tables[group]).motor, feedback, trail[0], (first, end, t), work.drive
-                    )
+                if len(inputs[1]) > 0:
+                    motor = constants_of_arms(tables[group]).motor
+                    _add_feedback(motor, inputs[1:], trail[0], (first, end, t), work.drive)
                 _advance_steps(constants_of_arms(tables[group]), work, method[0], method[1], steps, state)
                 for arm in range(first, end):
                     if status[arm] == OK and not _lane_in_bounds(state, arm - first):

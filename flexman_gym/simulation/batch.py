@@ -205,8 +205,8 @@ class Batch:
 
         Args:
             drives: (b, T, n + 6) inputs in each control period, as in `step`; not checked.
-            feedback: PD control of the motors in addition to the drives, for several arms and methods that integrate in
-                lanes; see `kernels.batch._add_feedback`. None for none. The result of `step` then has the summed torques.
+            feedback: PD control of the motors in addition to the drives, see `kernels.batch._add_feedback`, for several
+                arms and methods that integrate in lanes; None for none.
 
         Returns:
             States (b, T, 2 d) and outputs (b, T, OUTPUTS) after each control period; NaN from the period in which an

@@ -457,10 +457,10 @@ class LaneIntegrator(BatchIntegrator):
                 some = slice(groups.start + first, groups.start + first + count)
                 arms = _arm_slice(some)
                 for part in parts:
+                    inputs = (drives[arms], feedback[0][arms], feedback[1][arms], feedback[2][arms])
                     kernels.advance_batch(
-                        self._tables[some], work, self._method, drives[arms], (self._step, part),
+                        self._tables[some], work, self._method, inputs, (self._step, part),
                         rows[arms], outputs[arms], status[arms], (recorded[0][arms], recorded[1][arms]),
-                        (feedback[0][arms], feedback[1][arms], feedback[2][arms]),
                     )  # fmt: skip
                     yield
 

@@ -67,9 +67,7 @@ def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Cont
             warnings.warn(text, stacklevel=2)
     mode = make_action_mode(configuration.actions, plant, base)
     if configuration.safety:
-        mode = SafeMode(
-            mode, SafetyFilter(plant, configuration.limits.predicted(model), _state_source(plant, base))
-        )
+        mode = SafeMode(mode, SafetyFilter(plant, configuration.limits.predicted(model), _state_source(plant, base)))
     return base, mode
 
 
