@@ -11,7 +11,7 @@ from flexman_gym.common.renamed import PARAMETER_KEYS, rename_keys
 from flexman_gym.control.controller import Plant
 from flexman_gym.control.observers.internal_model import InternalModels
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN
+from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN, varied_model
 
 PARAMETER_STEP = 0.0003  # fraction of a range; perturbation; 0.03 would shift the phase by a radian in 2 s
 RANGE_MARGIN = 0.35  # fraction of a range by which an estimate may exceed the range
@@ -31,6 +31,7 @@ class UncertainParameters:
         names: (p,) name of the physical parameter of each entry.
         joints: (p,) index of the joint or link of each entry; 0 for a parameter of the whole arm.
         scales: (p,) physical value per unit of each entry: the nominal value where the entry is a factor.
+        ranges: (p, 2) range of each entry.
         mean: (p,) mean of a uniform distribution over the range.
         deviation: (p,) standard deviation of this distribution.
         step: (p,) perturbation for finite differences.
@@ -55,7 +56,8 @@ class UncertainParameters:
                 joints.append(int(joint))
                 scales.append(float(nominal[joint]) if row.factor else 1.0)
                 spans.append((low, high))
-        low, high = np.array(spans).reshape(-1, 2).T
+        self.ranges = np.array(spans).reshape(-1, 2)
+        low, high = self.ranges.T
         width = np.where(high > low, high - low, KNOWN_RANGE * np.where(high > 0.0, high, 1.0))
         self.names, self.joints, self.scales = tuple(names), np.array(joints, dtype=np.int64), np.array(scales)
         self.mean, self.deviation, self.step = 0.5 * (low + high), width / np.sqrt(12.0), PARAMETER_STEP * width
@@ -75,6 +77,10 @@ class UncertainParameters:
             else:
                 result[name] = values[:, 0]
         return result
+
+    def varied_model(self, model: Model, theta: Array) -> Model:
+        """Return a model with the parameters of a vector (p,), see `simulation.parameters.varied_model`."""
+        return varied_model(model, **{name: rows[0] for name, rows in self.values(model, theta[None]).items()})
 
     def deviations(self, deviations: Array) -> dict[str, Array]:
         """Convert standard deviations (r, p) of theta to a mapping NAME_deviation -> (r,) or (r, entries), SI units."""

@@ -12,20 +12,18 @@ from flexman_gym.control.hinf import (
     GeneralisedPlant,
     HInfinity,
     Synthesis,
-    System,
     centred_model,
     closed_loop,
-    frequency_response,
     generalised_plant,
     grid,
+    linear_parameters,
     robustness,
     synthesise,
-    uncertain_ranges,
-    varied,
 )
 from flexman_gym.control.observers.observer import MeasurementModel
 from flexman_gym.kernels.layout import TIP
 from flexman_gym.model.linearization import LinearMeasurements
+from flexman_gym.model.state_space import LinearModel
 from flexman_gym.model.statics import rest_state
 from flexman_gym.simulation.batch import Batch
 
@@ -84,28 +82,28 @@ def gu_plant(elements: int = 2) -> Plant:
     return Plant(model, (TORQUE_LIMIT,), PERIOD, dict, UNKNOWN, measured=measured)
 
 
-def random_values(plant: Plant, seed: int) -> list[tuple[str, int | None, float]]:
-    """Return values of the uncertain numbers of a random plant, uniform in their ranges."""
-    random = np.random.default_rng(seed)
-    return [(name, part, float(random.uniform(low, high))) for name, part, low, high in uncertain_ranges(plant)]
+def random_values(plant: Plant, seed: int) -> Array:
+    """Return the uncertain parameters (p,) of a random plant, uniform in their ranges."""
+    low, high = linear_parameters(plant).ranges.T
+    return np.random.default_rng(seed).uniform(low, high)
 
 
-def exact_plant(plant: Plant, values: list[tuple[str, int | None, float]]) -> GeneralisedPlant:
-    """Return the generalised plant for given values, sampled without any approximation, with all excited modes."""
-    known = plant._replace(model=varied(centred_model(plant), values), unknown={})
+def exact_plant(plant: Plant, theta: Array) -> GeneralisedPlant:
+    """Return the generalised plant for given parameters (p,), sampled without approximation, with all excited modes."""
+    known = plant._replace(model=linear_parameters(plant).varied_model(plant.model, theta), unknown={})
     return generalised_plant(known, MeasurementModel(known, SENSORS), np.zeros(1), np.inf)
 
 
-def peak_gain(plant: GeneralisedPlant, loop: System) -> float:
+def peak_gain(plant: GeneralisedPlant, loop: LinearModel) -> float:
     """Return the peak gain from disturbances to performance outputs; infinite for an unstable loop."""
     closed, n = closed_loop(plant, loop), plant.motors
     if np.abs(np.linalg.eigvals(closed.A)).max() >= 1.0:
         return np.inf
-    part = System(closed.A, closed.B[:, n:], closed.C[n:], closed.D[n:, n:])
-    return float(np.linalg.norm(frequency_response(part, grid(plant, loop), plant.period), 2, axis=(1, 2)).max())
+    gains = closed.frequency_response(grid(plant, loop))[:, n:, n:]
+    return float(np.linalg.norm(gains, 2, axis=(1, 2)).max())
 
 
-def worst_gain(plant: GeneralisedPlant, loop: System) -> float:
+def worst_gain(plant: GeneralisedPlant, loop: LinearModel) -> float:
     """Return an upper bound of the gain for all values in the ranges, by bisection; infinite without robust stability.
 
     The bound is the least gain for which the structured singular value with the performance block is below 1.
@@ -151,10 +149,9 @@ def simulate_move(plant: Plant, design: Synthesis | None, count: int) -> tuple[f
     periods = round(HORIZON / plant.period)
     path = book_move(plant, periods)
     batch = Batch(plant.model, step=plant.period, control_period=plant.period, arms=count)
-    drawn = [random_values(plant, seed) for seed in range(count)]
-    numbers = {name: np.array([each[i][2] for each in drawn]) for i, (name, *_) in enumerate(drawn[0])}
+    drawn = np.array([random_values(plant, seed) for seed in range(count)])
     arms = np.arange(count)
-    batch.vary(arms, **{name: value if name == "payload_mass" else value[:, None] for name, value in numbers.items()})
+    batch.vary(arms, **linear_parameters(plant).values(plant.model, drawn))
     batch.reset(arms, np.tile(rest_state(plant.model, np.zeros(1)), (count, 1)))
     paths, controller = np.tile(path, (count, 1, 1)), None if design is None else _Designed(plant, design)
     if controller:
@@ -201,9 +198,10 @@ def rows(plants: int = PLANTS, moved: int = MOVED) -> Iterator[RobustRow]:
     exact = [exact_plant(plant, random_values(plant, seed)) for seed in range(plants)]
     for name, design in designs(plant):
         peaks = np.array([peak_gain(each, design.loop) for each in exact])
+        nominal = peak_gain(exact_plant(plant, linear_parameters(plant).mean), design.loop)
         yield RobustRow(
             name, design.norm, design.share, float(robustness(full, design.loop).max()), worst_gain(full, design.loop),
-            float(peaks.max()), peak_gain(exact_plant(plant, []), design.loop), float(np.isfinite(peaks).mean()),
+            float(peaks.max()), nominal, float(np.isfinite(peaks).mean()),
             *simulate_move(plant, design, moved),
         )  # fmt: skip
     yield RobustRow("PD of the book", *(None,) * 7, *simulate_move(plant, None, moved))
