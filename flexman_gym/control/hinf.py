@@ -11,13 +11,13 @@ dynamics. Inputs of channels are held over a control period, as torques are. Cou
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_dots
 from flexman_gym.common.checks import positive, value_error
+from flexman_gym.common.computer import optional_module
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.friction_compensation import friction_coefficients, friction_torques, frictionless
 from flexman_gym.control.lqr import CostWeights
@@ -43,6 +43,7 @@ PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of a slew; postures at which holding torq
 NORM_RATIO, SHARE_RATIO = 1.03, 1.05  # relative accuracy of the least norm and of the largest share
 LEAST_SHARE = 1e-3  # dimensionless; channels with a smaller share are left out
 MAX_DESIGNS = 1000  # number of goals whose controllers are kept
+SLYCOT = "slycot", "the agent hinf", "control"  # arguments of `optional_module`
 RIGID_RATE = 6.0  # rad/s; least scale of modal velocities over modal coordinates
 NONLINEAR = ("coulomb_friction", "coulomb_rate", "static_excess")  # parameters without a channel
 
@@ -83,16 +84,6 @@ class Synthesis(NamedTuple):
     saturation: Array
     norm: float
     share: float
-
-
-def _slycot() -> ModuleType:
-    """Return the module slycot, which the extra "control" installs."""
-    try:
-        import slycot
-    except ImportError:
-        raise ImportError("the agent hinf needs slycot: pip install 'flexman_gym[control]'", name="slycot") from None
-    module: ModuleType = slycot
-    return module
 
 
 def linear_parameters(plant: Plant) -> UncertainParameters:
@@ -265,7 +256,7 @@ def robustness(plant: GeneralisedPlant, loop: LinearModel, gain: float | None = 
         loop: controller.
         gain: bound of the gain; None for robust stability alone.
     """
-    slycot, r, blocks = _slycot(), sum(plant.blocks), list(plant.blocks)
+    slycot, r, blocks = optional_module(*SLYCOT), sum(plant.blocks), list(plant.blocks)
     kinds = [2, *(1 if size == 1 else 2 for size in blocks[1:])]
     result = []
     for matrix in closed_loop(plant, loop).frequency_response(grid(plant, loop)):
@@ -290,7 +281,7 @@ def _central(plant: GeneralisedPlant, scales: Array, share: float, level: float,
         level: factor of the performance outputs.
         bound: bound of the H-infinity norm.
     """
-    slycot, n, r, w, z = _slycot(), plant.motors, sum(plant.blocks), plant.disturbances, plant.outputs
+    slycot, n, r, w, z = optional_module(*SLYCOT), plant.motors, sum(plant.blocks), plant.disturbances, plant.outputs
     A, B, C, D = plant.system
     y, each = len(C) - r - z, np.repeat(scales, plant.blocks)
     noise = np.diag(D[-y:, r + w - y : r + w])
@@ -395,7 +386,7 @@ class HInfinity:
     state_fields = ("_states", "_now")
 
     def __init__(self, plant: Plant, sensors: Sequence[str] = ("motor_encoders", "strain"), loss: float = LOSS) -> None:
-        _slycot()
+        optional_module(*SLYCOT)
         self._plant, self._instruments, self._loss = plant, MeasurementModel(plant, sensors), positive("loss", loss)
         self.sensors, self._model, self._limits = tuple(sensors), centred_model(plant), np.array(plant.torque_limit)
         self._delay = (sum(plant.delay) + 1) // 2
