@@ -1,7 +1,6 @@
 """Stable-Baselines3: models from settings, policies from its files, and recipes in the format of rl_zoo3."""
 
 import pickle
-import zipfile
 from dataclasses import replace
 from inspect import signature
 from pathlib import Path
@@ -114,10 +113,7 @@ def action_function(model: BaseAlgorithm, statistics: VecNormalize) -> Law:
 STATISTICS_FILE, BEST_FOLDER = "normalisation.pkl", "best"
 # Class of the policy in a zip -> algorithm; the zip does not name the algorithm.
 POLICY_CLASSES: dict[str, type[BaseAlgorithm]] = {"ActorCriticPolicy": PPO, "SACPolicy": SAC, "TD3Policy": TD3}
-LOADING_ERRORS = (
-    ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, RuntimeError, AssertionError, ImportError,
-    pickle.UnpicklingError, zipfile.BadZipFile,
-)  # fmt: skip
+LOADING_ERRORS = (*files.READ_ERRORS, RuntimeError, AssertionError, ImportError, pickle.UnpicklingError)
 
 
 def load_sb3(path: Path, environment: Configuration | None = None) -> AgentSpec:
@@ -136,13 +132,8 @@ def load_sb3(path: Path, environment: Configuration | None = None) -> AgentSpec:
         ValueError: for files that are not of Stable-Baselines3.
     """
     kind = "policy" if path.suffix == ".zip" else "run"
-    try:
+    with files.reading(path, f"is not a {kind} of Stable-Baselines3", LOADING_ERRORS):
         return _load_zip(path, environment) if kind == "policy" else _load_run(path)
-    except FileNotFoundError:
-        raise
-    except LOADING_ERRORS as error:
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise ValueError(f"{path}: this is not a {kind} of Stable-Baselines3 ({reason})") from None
 
 
 def _load_run(folder: Path) -> AgentSpec:

@@ -13,7 +13,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from flexman_gym.common.checks import one_of, short_path, short_repr, value_error
-from flexman_gym.common.files import READ_ERRORS, existing_file, regular_file, write_atomically
+from flexman_gym.common.files import existing_file, reading, regular_file, write_atomically
 from flexman_gym.common.renamed import CERTIFICATE_KEYS, complete_environment, current_methods
 from flexman_gym.control.network import Network, policy_parameters
 
@@ -58,19 +58,15 @@ def read_policy(folder: Path) -> _ExportedPolicy:
         ValueError: for a file that is too large or damaged, for wrong hashes of arrays, environment or settings, and
             for a network whose actions differ from the stored actions.
     """
-    path = existing_file(folder / METADATA)
-    try:
+    path, wrong = existing_file(folder / METADATA), "is no exported policy"
+    with reading(path, wrong):
         metadata = _parse_metadata(_read_bytes(path))
-        path = existing_file(folder / ARRAYS)
+    path = existing_file(folder / ARRAYS)
+    with reading(path, wrong):
         content = _read_bytes(path)
         if hashlib.sha256(content).hexdigest() != metadata["arrays_hash"]:
             raise value_error("arrays_hash", metadata["arrays_hash"], "that of the arrays: one of them was changed")
         return _ExportedPolicy(metadata, _check_network(metadata, _read_tensors(content)))
-    except FileNotFoundError:
-        raise
-    except READ_ERRORS as error:
-        reason = " ".join(str(error).split())[:300] or type(error).__name__
-        raise ValueError(f"{short_path(path)}: this is no exported policy ({reason})") from None
 
 
 def write_policy(folder: Path, metadata: Mapping[str, Any], arrays: dict[str, NDArray[np.floating]]) -> None:

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import MAX_VALUE_LENGTH, short_path, value_error
-from flexman_gym.common.files import READ_ERRORS, open_arrays
+from flexman_gym.common.checks import value_error
+from flexman_gym.common.files import open_arrays, reading, write_atomically
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.lqr import FEEDFORWARD_FRACTION, LQR
 from flexman_gym.control.references.trajectories import plan_slew
@@ -328,20 +328,17 @@ class SlewTable:
     def save(self, path: Path) -> None:
         """Write the table to a file (npz), atomically."""
         rows = [self.found[seed] for seed in sorted(self.found)]
-        partial = path.with_name(f"{path.name}.part")
-        with partial.open("wb") as file:
-            np.savez_compressed(
-                file,
-                about=np.array(json.dumps(dict(self.about))),
-                arm=self.arm,
-                seeds=np.array(sorted(self.found), dtype=np.int64),
-                ends=np.array([ends for ends, _, _ in rows]),
-                periods=np.array([(slew.periods, slew.arrival) for _, slew, _ in rows], dtype=np.int64),
-                times=np.array([time for _, _, time in rows]),
-                counts=np.array([len(slew.knots) for _, slew, _ in rows], dtype=np.int64),
-                knots=np.concatenate([slew.knots for _, slew, _ in rows]) if rows else np.zeros((0, 1)),
-            )
-        partial.replace(path)
+        arrays: dict[str, Any] = {
+            "about": np.array(json.dumps(dict(self.about))),
+            "arm": self.arm,
+            "seeds": np.array(sorted(self.found), dtype=np.int64),
+            "ends": np.array([ends for ends, _, _ in rows]),
+            "periods": np.array([(slew.periods, slew.arrival) for _, slew, _ in rows], dtype=np.int64),
+            "times": np.array([time for _, _, time in rows]),
+            "counts": np.array([len(slew.knots) for _, slew, _ in rows], dtype=np.int64),
+            "knots": np.concatenate([slew.knots for _, slew, _ in rows]) if rows else np.zeros((0, 1)),
+        }
+        write_atomically(path, lambda file: np.savez_compressed(file, **arrays))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -354,7 +351,7 @@ class SlewTable:
             FileNotFoundError: if there is no file.
             ValueError: for a file without a table of slews.
         """
-        try:
+        with reading(path, f"is not a table of slews, as computed by {COMMAND}"):
             with open_arrays(path, packed=True) as data:
                 about, arm, seeds, ends, periods, times, counts, knots = (data[name] for name in ENTRIES)
             parts = np.split(knots, np.cumsum(counts))[:-1]
@@ -364,13 +361,6 @@ class SlewTable:
                 for seed, both, part, ages, time in rows
             }
             return cls(json.loads(str(about)), arm, slews)
-        except FileNotFoundError:
-            raise
-        except READ_ERRORS as error:
-            message = " ".join(str(error).split())[:MAX_VALUE_LENGTH] or type(error).__name__
-            raise ValueError(
-                f"{short_path(path)}: not a table of slews, as computed by {COMMAND} ({message})"
-            ) from None
 
 
 def arm_fingerprint(model: Model, limits: Array, period: float) -> Array:
