@@ -28,14 +28,14 @@ from flexman_agents.callbacks import (
     stop_on_interrupt,
 )
 from flexman_agents.imitation import DAggerRun
-from flexman_agents.sb3 import action_function, make_model
+from flexman_agents.sb3 import make_model
 from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, lock_folder, read_npz, read_settings, write_npz
 from flexman_gym.common.snapshot import get_state, set_state
-from flexman_gym.evaluation.agent import check_settings
+from flexman_gym.evaluation.agent import AgentSpec, check_settings
 
 # Names of attributes of Stable-Baselines3 models, wrappers and buffers that form the state of a training.
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
@@ -395,9 +395,8 @@ class _Run:
         self._before = 0  # steps of the earlier runs in the folder
         self._evaluation: Evaluation | None = None
         if settings.eval_every:
-            statistics = model.get_vec_normalize_env()
-            assert statistics is not None
-            self._evaluation = Evaluation(settings, action_function(model, statistics), self._save_best)
+            law = AgentSpec.from_predictor(model, settings.environment).law
+            self._evaluation = Evaluation(settings, law, self._save_best)
 
     @property
     def done(self) -> int:
