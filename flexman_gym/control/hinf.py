@@ -19,7 +19,7 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_
 from flexman_gym.common.checks import positive, value_error
 from flexman_gym.common.computer import optional_module
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
-from flexman_gym.control.friction_compensation import friction_coefficients, friction_torques, frictionless
+from flexman_gym.control.friction_compensation import friction_torques, frictionless
 from flexman_gym.control.lqr import CostWeights
 from flexman_gym.control.observers.observer import MeasurementModel
 from flexman_gym.control.observers.perturbed_models import UncertainParameters
@@ -426,11 +426,7 @@ class HInfinity:
             else plan_path(free, paths[i], self._plant.period)
         )
         rates = slew.states[:, free.n_dof + free.motor_columns]
-        friction = friction_torques(
-            self._model,
-            friction_coefficients(self._model, {}, np.zeros(1, dtype=np.int64))[0],
-            0.5 * (rates[1:] + rates[:-1]),
-        )
+        friction = friction_torques(self._model, 0.5 * (rates[1:] + rates[:-1]))
         last = holding_torques(free, goal)[None] if paths is None else slew.torques[-1:]
         return slew.states, np.vstack([slew.torques + friction, last])
 

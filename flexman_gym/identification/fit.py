@@ -74,7 +74,7 @@ def _data_warnings(problem: LeastSquaresProblem, x: Array) -> tuple[str, ...]:
         computed = block.measured + before * block.sigma
         wrong = _check_scale(label, block.name, block.measured, computed) if block.gain < 0 else ""
         lines += [wrong] if wrong else []
-        score = 1.0 - np.mean(residual**2) / max(float(np.var(block.measured)), 1e-300)
+        score = _r_squared(block.measured, block.measured + residual)
         if score < MAX_SCORE and not wrong and not data.filters.get(block.name):
             unexplained.add(block.name)
         if score < 0.5:
@@ -380,7 +380,7 @@ def _is_poor(problem: LeastSquaresProblem, x: Array) -> bool:
         if block.record < 0:
             if np.abs(rows).max() > MAX_DEVIATIONS:
                 return True
-        elif 1.0 - np.mean((rows * block.sigma) ** 2) / max(float(np.var(block.measured)), 1e-300) < MIN_SCORE:
+        elif _r_squared(block.measured, block.measured + rows * block.sigma) < MIN_SCORE:
             return True
     return False
 

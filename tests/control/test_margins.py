@@ -121,9 +121,7 @@ def test_the_pd_of_every_environment_has_a_gain_margin_of_two_and_a_phase_margin
     environment = Configuration.find(name)
     gains = environment.pd_gains
     reached = margins(optimisation._motor_loops(environment), gains["stiffness"], gains["damping"])
-    assert (
-        reached.gain >= MIN_MARGINS.gain * (1.0 - 1e-9) and reached.phase >= MIN_MARGINS.phase
-    )
+    assert reached.gain >= MIN_MARGINS.gain * (1.0 - 1e-9) and reached.phase >= MIN_MARGINS.phase
 
 
 RUBBING = (1.2, 0.4)  # N m
