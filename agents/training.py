@@ -32,6 +32,7 @@ from flexman_agents.sb3 import make_model
 from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common.checks import value_error, whole_number
+from flexman_gym.common.files import reading
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, lock_folder, read_npz, read_settings, write_npz
 from flexman_gym.common.snapshot import get_state, set_state
@@ -44,6 +45,7 @@ NORMALISER_FIELDS = ("old_obs", "old_reward")
 MONITOR_FIELDS = ("episode_returns", "episode_lengths", "episode_count")
 REPLAY_FIELDS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 STATISTICS_FIELDS = ("mean", "var", "count")
+NO_STATE = "has no state of a run"  # predicate of a damaged file
 
 
 def policy_state(model: BaseAlgorithm) -> dict[str, Any]:
@@ -410,16 +412,12 @@ class _Run:
             data: content of the file with the state.
             further: True if the saved run is finished and a further run starts, which counts its steps from zero.
         """
-        path = self.folder / NEWEST
-        try:
+        with reading(self.folder / NEWEST, NO_STATE):
             _set_policy_state(self.model, data)
             _set_training_state(self.model, data["training"])
             if self._evaluation and data["judge"] is not None:  # "judge": name of the evaluation in files
                 set_state("evaluation", self._evaluation, data["judge"])
             self._before = whole_number("before", data["before"], 0, MAX_STEPS)
-        except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise ValueError(f"{path}: {reason}") from None
         if further:
             count = self.model.num_timesteps
             print(
@@ -475,10 +473,8 @@ class _Run:
 
 
 def _steps_done(path: Path, data: Any) -> int:
-    try:
+    with reading(path, NO_STATE):
         return whole_number("num_timesteps", data["training"]["counts"]["num_timesteps"], 0, MAX_STEPS)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {' '.join(str(error).split())} is wrong in the state of the run") from None
 
 
 def _continued_settings(settings: Settings, folder: Path, steps: int | None, done: int, finished: bool) -> Settings:

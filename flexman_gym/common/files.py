@@ -19,7 +19,7 @@ from flexman_gym.common.checks import one_of, short_path, short_repr
 
 # Possible errors while reading a damaged file of text or arrays.
 READ_ERRORS = (
-    ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, MemoryError, RecursionError, OverflowError,
+    ValueError, LookupError, TypeError, AttributeError, EOFError, OSError, MemoryError, RecursionError, OverflowError,
     NotImplementedError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
 )  # fmt: skip
 MAX_REASON = 300  # characters of the error of another package in an error message

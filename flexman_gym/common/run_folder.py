@@ -16,6 +16,7 @@ from flexman_gym.common.files import existing_file, open_arrays, reading, regula
 from flexman_gym.common.renamed import RUN_SETTINGS, complete_environment, rename_keys
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
+NO_SETTINGS = "has no settings of a training run"  # predicate of a damaged file of settings
 PLAIN_DATA = "data.json"  # name of the JSON-compatible data among the arrays of a file
 
 
