@@ -1,7 +1,7 @@
 """Optimisation of PD gains with stability margins, and of minimum-time slews, for an environment."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -25,6 +25,7 @@ from flexman_gym.control.references.optimised_slews import (
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.agent import split_interface
 from flexman_gym.evaluation.metrics import METRICS
@@ -235,13 +236,10 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
     def make_batch(arms: int) -> Batch:
         return Batch(model, method, step, period, arms=arms)
 
-    draws: list[Array] = []
-    tracked = rollout(
-        "lqr-tracking",
-        environment,
-        missing,
-        lambda episodes: _record_start_and_goal(draws, episodes.view.episode_parameters),
-    )
+    episodes: list[Episodes] = []
+    tracked = rollout("lqr-tracking", environment, missing, episodes.append)
+    parameters = episodes[0].view.episode_parameters
+    draws = np.stack([parameters["start"], parameters["goal_angles"]], axis=1)
     for seed, start_and_goal, record in zip(missing, draws, tracked.records, strict=True):
         start = time.process_time()
         slew = SingleShooting(regulator, make_batch, record.band, environment.limits.rate, *start_and_goal).search()
@@ -251,9 +249,3 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
             settling = SETTLING.evaluate(rollout(replay, environment, [seed]).records)
             table.found[seed] = start_and_goal, slew, settling
         yield _SlewResult(seed, settling, SETTLING.evaluate([record]), cpu_time)
-
-
-def _record_start_and_goal(draws: list[Array], parameters: Mapping[str, Array]) -> None:
-    """Append start and goal (2, n), rad, of each episode to an empty list."""
-    if not draws:
-        draws += list(np.stack([parameters["start"], parameters["goal_angles"]], axis=1))

@@ -81,12 +81,14 @@ def write_policy(folder: Path, metadata: Mapping[str, Any], arrays: dict[str, ND
         OSError: if the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    _write_tensors(folder / ARRAYS, arrays)
+    _check_dtypes(arrays)
+    content = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+    write_atomically(folder / ARRAYS, lambda file: file.write(content))
     computed = {
         "format": FORMAT,
         "environment_hash": _json_hash(metadata["environment"]),
         "settings_hash": _json_hash(metadata["recipe"]["settings"]),
-        "arrays_hash": hashlib.sha256((folder / ARRAYS).read_bytes()).hexdigest(),
+        "arrays_hash": hashlib.sha256(content).hexdigest(),
     }
     complete = {name: computed.get(name, metadata.get(name)) for name in KEYS}
     write_atomically(folder / METADATA, lambda file: file.write((json.dumps(complete, indent=1) + "\n").encode()))
@@ -240,17 +242,6 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _refuse_constant(text: str) -> Any:
     raise ValueError(f"{text} is no JSON number")
-
-
-def _write_tensors(path: Path, arrays: Mapping[str, NDArray[np.floating]]) -> None:
-    """Write arrays of float32 or float64 atomically to a file in the format of safetensors.
-
-    Raises:
-        OSError: if the file cannot be written.
-    """
-    _check_dtypes(arrays)
-    content = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
-    write_atomically(path, lambda file: file.write(content))
 
 
 def _read_tensors(content: bytes) -> dict[str, NDArray[np.floating]]:
