@@ -11,7 +11,7 @@ dynamics. Inputs of channels are held over a control period, as torques are. Cou
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -68,6 +68,115 @@ class GeneralisedPlant(NamedTuple):
     outputs: int
     motors: int
     period: float
+
+    @classmethod
+    def linearised(
+        cls, plant: Plant, instruments: MeasurementModel, posture: Array, mode_limit: float | None = None
+    ) -> Self:
+        """Return the plant of the synthesis about the equilibrium at motor angles (n,) rad.
+
+        Args:
+            plant: plant model with uncertain parameters.
+            instruments: measurements.
+            posture: (n,) motor angles, rad.
+            mode_limit: frequency above which modes are left out, Hz; None for 0.4 times the control rate.
+        """
+        model, limits = centred_model(plant), np.array(plant.torque_limit)
+        modes = _modes(model, posture, limits, MODE_LIMIT / plant.period if mode_limit is None else mode_limit)
+        linear, motion = _linearised(model, posture)
+        k, n, d = len(modes.rates), len(limits), model.n_dof
+        pairs = _channels(plant, modes)
+        scale = np.concatenate([modes.rates, np.ones(k)])
+        into = np.kron(np.eye(2), modes.shapes) / scale
+        out = scale[:, None] * np.kron(np.eye(2), modes.shapes.T @ motion[:, 2 * d :])
+        reach = float(model.constants.length.sum())
+        sizes = np.concatenate([limits, np.full(3, limits.max() / reach)])
+        forces = np.hstack([*(-left for left, _ in pairs.values()), (out @ linear.B * sizes)[k:]])
+        A = out @ linear.A @ into
+        transition, held = discretize(A, np.vstack([np.zeros_like(forces), forces]), plant.period)
+        rows = np.vstack([np.zeros((0, 3 * k)), *(right for _, right in pairs.values())])
+        rows[:, :k] /= modes.rates
+        outputs = rows[:, : 2 * k] + rows[:, 2 * k :] @ A[k:], rows[:, 2 * k :] @ forces
+        cost = CostWeights.default(model).outputs(linear, model.motor_columns) @ into
+        noise = np.maximum(NOISE[0] * instruments.deviations, NOISE[1] * instruments.ranges)
+        undelayed = LinearModel(transition, held, *outputs, period=plant.period)
+        system = _assembled(undelayed, cost, instruments.matrix @ into, noise, n, (sum(plant.delay) + 1) // 2)
+        named = [(label, left.shape[1]) for label, (left, _) in pairs.items() if left.shape[1]]
+        return cls(
+            system, ("torques", *(name for name, _ in named)), (n, *(rank for _, rank in named)),
+            n + 3 + len(noise), len(cost) + n, n, plant.period,
+        )  # fmt: skip
+
+    def closed_loop(self, loop: LinearModel) -> LinearModel:
+        """Return the closed loop from (channels, disturbances) to (channels, performance)."""
+        (A, B, C, D), w = self.system, sum(self.blocks) + self.disturbances
+        z = sum(self.blocks) + self.outputs
+        fed, seen = B[:, w:], C[z:]
+        return LinearModel(
+            np.block([[A + fed @ loop.D @ seen, fed @ loop.C], [loop.B @ seen, loop.A]]),
+            np.vstack([B[:, :w] + fed @ loop.D @ D[z:, :w], loop.B @ D[z:, :w]]),
+            np.hstack([C[:z] + D[:z, w:] @ loop.D @ seen, D[:z, w:] @ loop.C]),
+            D[:z, :w] + D[:z, w:] @ loop.D @ D[z:, :w],
+            period=self.period,
+        )
+
+    def grid(self, loop: LinearModel, count: int = 100) -> Array:
+        """Return frequencies (Hz) up to half the control rate: a logarithmic grid and the poles of the closed loop."""
+        poles = np.abs(np.angle(np.linalg.eigvals(self.closed_loop(loop).A))) / (2.0 * np.pi * self.period)
+        return np.union1d(np.geomspace(1e-4, 0.5, count) / self.period, poles[poles > 0.0])
+
+    def robustness(self, loop: LinearModel, gain: float | None = None) -> Array:
+        """Return upper bounds (f,) of the structured singular value of a loop at the frequencies of `grid`.
+
+        Parameters with one input are real; those with several inputs count as full complex blocks, a larger set. Below
+        1 at all frequencies, the loop is stable for all values in the ranges; with a gain, the gain from disturbances
+        to performance outputs is below it, too (robust performance).
+
+        Args:
+            loop: controller.
+            gain: bound of the gain; None for robust stability alone.
+        """
+        slycot, r, blocks = optional_module(*SLYCOT), sum(self.blocks), list(self.blocks)
+        kinds = [2, *(1 if size == 1 else 2 for size in blocks[1:])]
+        result = []
+        for matrix in self.closed_loop(loop).frequency_response(self.grid(loop)):
+            square = matrix[:r, :r]
+            if gain is not None:
+                size = max(matrix.shape) - r
+                square = np.zeros((r + size, r + size), dtype=complex)
+                square[: matrix.shape[0], : matrix.shape[1]] = matrix
+                square[r:] /= gain
+            extra = [] if gain is None else [len(square) - r]
+            result.append(slycot.ab13md(square, np.array(blocks + extra), np.array(kinds + [2] * len(extra)))[0])
+        return np.array(result)
+
+    def synthesise(self, loss: float = LOSS, scaled: bool = True) -> "Synthesis":
+        """Return the controller with the largest share of the channels for an allowed loss of performance.
+
+        The least norm without channels is found first. Then the channels are multiplied by the largest share, at most
+        1, for which a controller has at most `loss` times this norm. If this share is 1 and the controller itself is
+        unstable, 1.5 times the loss is allowed.
+
+        Args:
+            loss: norm allowed with channels over the least norm without channels.
+            scaled: True for channels whose gains are balanced with those of the performance, twice.
+
+        Raises:
+            ValueError: for a plant that no controller with these measurements stabilises.
+        """
+        ones = np.ones(len(self.blocks))
+        norm, best = _search(lambda bound: _central(self, ones, 0.0, 1.0, bound), 1.0, 0.25, NORM_RATIO)
+        result = _central(self, ones, 0.0, 1.0 / norm, loss) or best
+        if best is None or result is None:
+            raise value_error("sensors", "these measurements", "measurements from which the arm can be stabilised")
+        result = result._replace(norm=norm)
+        for _ in range(2 if scaled else 1):
+            scales = _channel_scales(self, result.loop, result.share or 0.3, 1.0 / norm) if scaled else ones
+            found = _largest_share(self, scales, 1.0 / norm, loss)
+            if found is None or found.share <= result.share:
+                break
+            result = found._replace(norm=norm)
+        return result
 
 
 class Synthesis(NamedTuple):
@@ -128,7 +237,7 @@ def _modes(model: Model, posture: Array, limits: Array, limit: float) -> _Modes:
     return _Modes(shapes[:, chosen], np.maximum(rates[chosen], RIGID_RATE), posture)
 
 
-def channel(modes: _Modes, low: Model, high: Model) -> tuple[Array, Array]:
+def _channel(modes: _Modes, low: Model, high: Model) -> tuple[Array, Array]:
     """Return the matrices L (k, r) and R (r, 3 k) of a parameter in modal coordinates, from models at both its ends.
 
     L R is half the difference of (K, D, M) between the ends; r is its numerical rank.
@@ -143,52 +252,14 @@ def channel(modes: _Modes, low: Model, high: Model) -> tuple[Array, Array]:
     return modes.rates[:, None] * left[:, :rank] * roots, roots[:, None] * right[:rank] / scale
 
 
-def generalised_plant(
-    plant: Plant, instruments: MeasurementModel, posture: Array, mode_limit: float | None = None
-) -> GeneralisedPlant:
-    """Return the plant of the synthesis about the equilibrium at motor angles (n,) rad.
-
-    Args:
-        plant: plant model with uncertain parameters.
-        instruments: measurements.
-        posture: (n,) motor angles, rad.
-        mode_limit: frequency above which modes are left out, Hz; None for 0.4 times the control rate.
-    """
-    model, limits = centred_model(plant), np.array(plant.torque_limit)
-    modes = _modes(model, posture, limits, MODE_LIMIT / plant.period if mode_limit is None else mode_limit)
-    linear, motion = _linearised(model, posture)
-    k, n, d = len(modes.rates), len(limits), model.n_dof
-    pairs = _channels(plant, modes)
-    scale = np.concatenate([modes.rates, np.ones(k)])
-    into = np.kron(np.eye(2), modes.shapes) / scale
-    out = scale[:, None] * np.kron(np.eye(2), modes.shapes.T @ motion[:, 2 * d :])
-    reach = float(model.constants.length.sum())
-    sizes = np.concatenate([limits, np.full(3, limits.max() / reach)])
-    forces = np.hstack([*(-left for left, _ in pairs.values()), (out @ linear.B * sizes)[k:]])
-    A = out @ linear.A @ into
-    transition, held = discretize(A, np.vstack([np.zeros_like(forces), forces]), plant.period)
-    rows = np.vstack([np.zeros((0, 3 * k)), *(right for _, right in pairs.values())])
-    rows[:, :k] /= modes.rates
-    outputs = rows[:, : 2 * k] + rows[:, 2 * k :] @ A[k:], rows[:, 2 * k :] @ forces
-    cost = CostWeights.default(model).outputs(linear, model.motor_columns) @ into
-    noise = np.maximum(NOISE[0] * instruments.deviations, NOISE[1] * instruments.ranges)
-    undelayed = LinearModel(transition, held, *outputs, period=plant.period)
-    system = _assembled(undelayed, cost, instruments.matrix @ into, noise, n, (sum(plant.delay) + 1) // 2)
-    named = [(label, left.shape[1]) for label, (left, _) in pairs.items() if left.shape[1]]
-    return GeneralisedPlant(
-        system, ("torques", *(name for name, _ in named)), (n, *(rank for _, rank in named)),
-        n + 3 + len(noise), len(cost) + n, n, plant.period,
-    )  # fmt: skip
-
-
 def _channels(plant: Plant, modes: _Modes) -> dict[str, tuple[Array, Array]]:
-    """Return the `channel` of each uncertain number, with the others at the centres of their ranges."""
+    """Return the `_channel` of each uncertain number, with the others at the centres of their ranges."""
     uncertain, result = linear_parameters(plant), {}
     for i, (name, joint) in enumerate(zip(uncertain.names, uncertain.joints, strict=True)):
         low, high = (np.where(np.arange(len(uncertain.names)) == i, end, uncertain.mean) for end in uncertain.ranges[i])
         label = name if PARAMETERS[name].of == ARM else f"{name}[{joint}]"
         ends = (uncertain.varied_model(plant.model, theta) for theta in (low, high))
-        result[label] = channel(modes, *ends)
+        result[label] = _channel(modes, *ends)
     return result
 
 
@@ -224,53 +295,6 @@ def _assembled(motion: LinearModel, cost: Array, matrix: Array, noise: Array, n:
     return LinearModel(A, B, C, D, period=motion.period)
 
 
-def closed_loop(plant: GeneralisedPlant, loop: LinearModel) -> LinearModel:
-    """Return the closed loop from (channels, disturbances) to (channels, performance)."""
-    (A, B, C, D), w = plant.system, sum(plant.blocks) + plant.disturbances
-    z = sum(plant.blocks) + plant.outputs
-    fed, seen = B[:, w:], C[z:]
-    return LinearModel(
-        np.block([[A + fed @ loop.D @ seen, fed @ loop.C], [loop.B @ seen, loop.A]]),
-        np.vstack([B[:, :w] + fed @ loop.D @ D[z:, :w], loop.B @ D[z:, :w]]),
-        np.hstack([C[:z] + D[:z, w:] @ loop.D @ seen, D[:z, w:] @ loop.C]),
-        D[:z, :w] + D[:z, w:] @ loop.D @ D[z:, :w],
-        period=plant.period,
-    )
-
-
-def grid(plant: GeneralisedPlant, loop: LinearModel, count: int = 100) -> Array:
-    """Return frequencies (Hz) up to half the control rate: a logarithmic grid and the poles of the closed loop."""
-    poles = np.abs(np.angle(np.linalg.eigvals(closed_loop(plant, loop).A))) / (2.0 * np.pi * plant.period)
-    return np.union1d(np.geomspace(1e-4, 0.5, count) / plant.period, poles[poles > 0.0])
-
-
-def robustness(plant: GeneralisedPlant, loop: LinearModel, gain: float | None = None) -> Array:
-    """Return upper bounds (f,) of the structured singular value of a loop at the frequencies of `grid`.
-
-    Parameters with one input are real; those with several inputs count as full complex blocks, a larger set. Below 1 at
-    all frequencies, the loop is stable for all values in the ranges; with a gain, the gain from disturbances to
-    performance outputs is below it, too (robust performance).
-
-    Args:
-        plant: generalised plant.
-        loop: controller.
-        gain: bound of the gain; None for robust stability alone.
-    """
-    slycot, r, blocks = optional_module(*SLYCOT), sum(plant.blocks), list(plant.blocks)
-    kinds = [2, *(1 if size == 1 else 2 for size in blocks[1:])]
-    result = []
-    for matrix in closed_loop(plant, loop).frequency_response(grid(plant, loop)):
-        square = matrix[:r, :r]
-        if gain is not None:
-            size = max(matrix.shape) - r
-            square = np.zeros((r + size, r + size), dtype=complex)
-            square[: matrix.shape[0], : matrix.shape[1]] = matrix
-            square[r:] /= gain
-        extra = [] if gain is None else [len(square) - r]
-        result.append(slycot.ab13md(square, np.array(blocks + extra), np.array(kinds + [2] * len(extra)))[0])
-    return np.array(result)
-
-
 def _central(plant: GeneralisedPlant, scales: Array, share: float, level: float, bound: float) -> Synthesis | None:
     """Return the central controller whose closed loop has a norm below a bound; None without such a controller.
 
@@ -294,7 +318,7 @@ def _central(plant: GeneralisedPlant, scales: Array, share: float, level: float,
     except slycot.exceptions.SlycotError:
         return None
     loop = LinearModel(found[0], found[1] / noise, found[2], found[3] / noise)
-    stable = np.abs(np.linalg.eigvals(closed_loop(plant, loop).A)).max() < 1.0
+    stable = np.abs(np.linalg.eigvals(plant.closed_loop(loop).A)).max() < 1.0
     return Synthesis(loop, B[:, -n:], bound, share) if stable else None
 
 
@@ -317,7 +341,7 @@ def _search(
 
 def _channel_scales(plant: GeneralisedPlant, loop: LinearModel, share: float, level: float) -> Array:
     """Return the scales (c,) of channels that balance the gains between channels and performance (Perron vectors)."""
-    matrices = closed_loop(plant, loop).frequency_response(np.geomspace(1e-3, 0.5, 40) / plant.period)
+    matrices = plant.closed_loop(loop).frequency_response(np.geomspace(1e-3, 0.5, 40) / plant.period)
     into = np.cumsum([0, *plant.blocks, plant.disturbances])
     out = np.cumsum([0, *plant.blocks, plant.outputs])
     blocks = [[matrices[:, a:b, c:d] for c, d in pairwise(into)]
@@ -330,36 +354,6 @@ def _channel_scales(plant: GeneralisedPlant, loop: LinearModel, share: float, le
     vectors = [np.abs(vector[:, np.argmax(value.real)]) for value, vector in (right, left)]
     scales: Array = np.sqrt(vectors[1] / vectors[0])
     return scales[:-1] / scales[-1]
-
-
-def synthesise(plant: GeneralisedPlant, loss: float = LOSS, scaled: bool = True) -> Synthesis:
-    """Return the controller with the largest share of the channels for an allowed loss of performance.
-
-    The least norm without channels is found first. Then the channels are multiplied by the largest share, at most 1,
-    for which a controller has at most `loss` times this norm. If this share is 1 and the controller itself is
-    unstable, 1.5 times the loss is allowed.
-
-    Args:
-        plant: generalised plant.
-        loss: norm allowed with channels over the least norm without channels.
-        scaled: True for channels scaled by `_channel_scales`, twice.
-
-    Raises:
-        ValueError: for a plant that no controller with these measurements stabilises.
-    """
-    ones = np.ones(len(plant.blocks))
-    norm, best = _search(lambda bound: _central(plant, ones, 0.0, 1.0, bound), 1.0, 0.25, NORM_RATIO)
-    result = _central(plant, ones, 0.0, 1.0 / norm, loss) or best
-    if best is None or result is None:
-        raise value_error("sensors", "these measurements", "measurements from which the arm can be stabilised")
-    result = result._replace(norm=norm)
-    for _ in range(2 if scaled else 1):
-        scales = _channel_scales(plant, result.loop, result.share or 0.3, 1.0 / norm) if scaled else ones
-        found = _largest_share(plant, scales, 1.0 / norm, loss)
-        if found is None or found.share <= result.share:
-            break
-        result = found._replace(norm=norm)
-    return result
 
 
 def _largest_share(plant: GeneralisedPlant, scales: Array, level: float, loss: float) -> Synthesis | None:
@@ -380,7 +374,7 @@ class HInfinity:
     Args:
         plant: plant model with its uncertain parameters, delay and noise of the instruments.
         sensors: names in `model.linearization.LINEAR_SENSORS`, "motor_encoders" among them.
-        loss: see `synthesise`.
+        loss: see `GeneralisedPlant.synthesise`.
     """
 
     state_fields = ("_states", "_now")
@@ -401,7 +395,9 @@ class HInfinity:
         if key not in self._designs:
             if len(self._designs) > MAX_DESIGNS:
                 self._designs.clear()
-            self._designs[key] = synthesise(generalised_plant(self._plant, self._instruments, goal), self._loss)
+            self._designs[key] = GeneralisedPlant.linearised(self._plant, self._instruments, goal).synthesise(
+                self._loss
+            )
         return self._designs[key]
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:

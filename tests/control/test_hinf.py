@@ -10,11 +10,8 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control import hinf
 from flexman_gym.control.hinf import (
-    closed_loop,
-    generalised_plant,
+    GeneralisedPlant,
     linear_parameters,
-    robustness,
-    synthesise,
 )
 from flexman_gym.control.lqr import CostWeights
 from flexman_gym.control.observers.observer import MeasurementModel
@@ -42,7 +39,7 @@ def plant():
 @pytest.fixture(scope="module")
 def whole(plant):
     """Generalised plant with all excited modes."""
-    return generalised_plant(plant, MeasurementModel(plant, SENSORS), GOAL, np.inf)
+    return GeneralisedPlant.linearised(plant, MeasurementModel(plant, SENSORS), GOAL, np.inf)
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +69,7 @@ def test_the_channels_of_parameters_are_the_differences_of_the_equations_of_moti
 def test_the_sampled_plant_has_the_responses_of_the_linear_model_with_delay(plant):
     late = plant._replace(delay=(2, 2))
     model, instruments = hinf.centred_model(late), MeasurementModel(late, SENSORS)
-    result, weights = generalised_plant(late, instruments, GOAL, np.inf), CostWeights.default(model)
+    result, weights = GeneralisedPlant.linearised(late, instruments, GOAL, np.inf), CostWeights.default(model)
     outputs = ("tip", "tip_velocity", "motor_angles", "motor_angles", "motor_rates", "root_strains")
     linear = fm.linearize(model, GOAL, outputs=outputs)
     frequencies = np.array([0.3, 4.0, 17.0, 120.0])
@@ -98,13 +95,16 @@ def test_the_sampled_plant_has_the_responses_of_the_linear_model_with_delay(plan
 def test_a_channel_closed_with_its_largest_value_is_the_changed_plant(plant, found, name):
     """Only the lag of the hold of the channel, half a period, and the ranks left out remain."""
     uncertain = plant._replace(unknown={name: UNKNOWN.get(name, (0.95, 1.05))})
-    whole, loop = generalised_plant(uncertain, MeasurementModel(plant, SENSORS), GOAL, np.inf), found["channels"].loop
+    whole, loop = (
+        GeneralisedPlant.linearised(uncertain, MeasurementModel(plant, SENSORS), GOAL, np.inf),
+        found["channels"].loop,
+    )
     frequencies, (_, rank) = np.array([0.3, 1.0, 3.0]), whole.blocks
-    matrix = closed_loop(whole, loop).frequency_response(frequencies)[:, 1:, 1:]
+    matrix = whole.closed_loop(loop).frequency_response(frequencies)[:, 1:, 1:]
     inner = np.linalg.solve(np.eye(rank) - matrix[:, :rank, :rank], matrix[:, :rank, rank:])
     nominal, changed = matrix[:, rank:, rank:], matrix[:, rank:, rank:] + matrix[:, rank:, :rank] @ inner
     exact = exact_plant(uncertain, linear_parameters(uncertain).ranges[:, 1])
-    expected = closed_loop(exact, loop).frequency_response(frequencies)[:, 1:, 1:]
+    expected = exact.closed_loop(loop).frequency_response(frequencies)[:, 1:, 1:]
     errors = np.abs(changed - expected).max(axis=(1, 2)) / np.abs(nominal - expected).max(axis=(1, 2))
     if name == "viscous_friction_factor":
         np.testing.assert_allclose(errors, np.pi * frequencies * plant.period, rtol=0.1)
@@ -113,10 +113,10 @@ def test_a_channel_closed_with_its_largest_value_is_the_changed_plant(plant, fou
 
 def test_the_closed_loop_has_the_norm_of_the_synthesis(plant, found):
     centre = plant._replace(model=hinf.centred_model(plant), unknown={})
-    ignored = generalised_plant(centre, MeasurementModel(centre, SENSORS), GOAL)
+    ignored = GeneralisedPlant.linearised(centre, MeasurementModel(centre, SENSORS), GOAL)
     ones, norm = np.ones(1), found["ranges ignored"].norm
     best = hinf._central(ignored, ones, 0.0, 1.0, norm)
-    closed = closed_loop(ignored, best.loop)
+    closed = ignored.closed_loop(best.loop)
     A, B, C, D = closed.A, closed.B[:, 1:], closed.C[1:], closed.D[1:, 1:]
     gain = slycot.ab13dd("D", "I", "N", "D", len(A), B.shape[1], len(C), A, np.eye(len(A)), B, C, D)[0]
     assert 0.8 * norm < gain < norm
@@ -128,11 +128,11 @@ def test_random_plants_are_within_the_bound_of_the_scaled_design_only(plant, who
     exact = [exact_plant(plant, random_values(plant, seed)) for seed in range(12)]
     exact += [exact_plant(plant, end) for end in linear_parameters(plant).ranges.T]
     gains = [peak_gain(each, scaled.loop) for each in exact]
-    assert robustness(whole, scaled.loop).max() < 1.0
+    assert whole.robustness(scaled.loop).max() < 1.0
     nominal, bound = peak_gain(exact_plant(plant, linear_parameters(plant).mean), scaled.loop), LOSS * scaled.norm
-    assert robustness(whole, scaled.loop, bound).max() < 1.0 < robustness(whole, scaled.loop, nominal).max()
+    assert whole.robustness(scaled.loop, bound).max() < 1.0 < whole.robustness(scaled.loop, nominal).max()
     assert nominal < max(gains) < bound, "robust performance at the gain that the design allows"
-    assert robustness(whole, unscaled.loop).max() > 1.0 and scaled.share > unscaled.share
+    assert whole.robustness(unscaled.loop).max() > 1.0 and scaled.share > unscaled.share
     assert max(peak_gain(each, unscaled.loop) for each in exact) == np.inf, "without scales some are unstable"
 
 
@@ -180,7 +180,7 @@ def test_no_other_module_imports_slycot_and_a_missing_package_is_one_line(monkey
 def test_wrong_arguments_are_one_line(plant):
     with pytest.raises(ValueError, match=r"^loss: 0\.0"):
         hinf.HInfinity(plant, loss=0.0)
-    blind = generalised_plant(plant, MeasurementModel(plant, SENSORS), GOAL)
+    blind = GeneralisedPlant.linearised(plant, MeasurementModel(plant, SENSORS), GOAL)
     system = blind.system
     with pytest.raises(ValueError, match=r"^sensors: "):
-        synthesise(blind._replace(system=replace(system, C=np.concatenate([system.C[:-5], 0.0 * system.C[-5:]]))))
+        blind._replace(system=replace(system, C=np.concatenate([system.C[:-5], 0.0 * system.C[-5:]]))).synthesise()

@@ -13,12 +13,7 @@ from flexman_gym.control.hinf import (
     HInfinity,
     Synthesis,
     centred_model,
-    closed_loop,
-    generalised_plant,
-    grid,
     linear_parameters,
-    robustness,
-    synthesise,
 )
 from flexman_gym.control.observers.observer import MeasurementModel
 from flexman_gym.kernels.layout import TIP
@@ -33,7 +28,7 @@ RANGES = {"motor_angles": 0.5, "motor_rates": 5.0, "root_strains": 1e-3}  # rad,
 RELATIVE_NOISE = 1e-4  # fraction of the range; standard deviation of the noise
 UNKNOWN = {"payload_mass": (0.15, 0.35), "viscous_friction_factor": (0.8, 1.2)}  # kg, factor; printed in the book
 SENSORS = ("motor_encoders", "strain")
-LOSS = 2.0  # dimensionless; allowed loss of performance, see `synthesise`
+LOSS = 2.0  # dimensionless; allowed loss of performance, see `GeneralisedPlant.synthesise`
 PLANTS, MOVED = 1000, 30  # numbers of random plants of the linear analysis and of simulated moves
 GAINS = 358.0, 28.5  # N m/rad, N m s/rad; PD controller of the book
 ANGLE, DURATION, HORIZON = np.pi / 12.0, 1.0, 3.0  # rad, s, s; move of the book, and simulated time
@@ -91,15 +86,15 @@ def random_values(plant: Plant, seed: int) -> Array:
 def exact_plant(plant: Plant, theta: Array) -> GeneralisedPlant:
     """Return the generalised plant for given parameters (p,), sampled without approximation, with all excited modes."""
     known = plant._replace(model=linear_parameters(plant).varied_model(plant.model, theta), unknown={})
-    return generalised_plant(known, MeasurementModel(known, SENSORS), np.zeros(1), np.inf)
+    return GeneralisedPlant.linearised(known, MeasurementModel(known, SENSORS), np.zeros(1), np.inf)
 
 
 def peak_gain(plant: GeneralisedPlant, loop: LinearModel) -> float:
     """Return the peak gain from disturbances to performance outputs; infinite for an unstable loop."""
-    closed, n = closed_loop(plant, loop), plant.motors
+    closed, n = plant.closed_loop(loop), plant.motors
     if np.abs(np.linalg.eigvals(closed.A)).max() >= 1.0:
         return np.inf
-    gains = closed.frequency_response(grid(plant, loop))[:, n:, n:]
+    gains = closed.frequency_response(plant.grid(loop))[:, n:, n:]
     return float(np.linalg.norm(gains, 2, axis=(1, 2)).max())
 
 
@@ -108,14 +103,14 @@ def worst_gain(plant: GeneralisedPlant, loop: LinearModel) -> float:
 
     The bound is the least gain for which the structured singular value with the performance block is below 1.
     """
-    if robustness(plant, loop).max() >= 1.0:
+    if plant.robustness(loop).max() >= 1.0:
         return np.inf
     low, high = 1e-3, 1e-3
-    while robustness(plant, loop, high).max() >= 1.0:
+    while plant.robustness(loop, high).max() >= 1.0:
         low, high = high, 4.0 * high
     while high / low > GAIN_RATIO:
         middle = float(np.sqrt(low * high))
-        low, high = (low, middle) if robustness(plant, loop, middle).max() < 1.0 else (middle, high)
+        low, high = (low, middle) if plant.robustness(loop, middle).max() < 1.0 else (middle, high)
     return high
 
 
@@ -188,19 +183,20 @@ def designs(plant: Plant) -> Iterator[tuple[str, Synthesis]]:
     centre = plant._replace(model=centred_model(plant), unknown={})
     for name, each, scaled in (("ranges ignored", centre, True), ("channels", plant, False),
                                ("scaled channels", plant, True)):  # fmt: skip
-        yield name, synthesise(generalised_plant(each, MeasurementModel(each, SENSORS), np.zeros(1)), LOSS, scaled)
+        sampled = GeneralisedPlant.linearised(each, MeasurementModel(each, SENSORS), np.zeros(1))
+        yield name, sampled.synthesise(LOSS, scaled)
 
 
 def rows(plants: int = PLANTS, moved: int = MOVED) -> Iterator[RobustRow]:
     """Yield the rows of the study."""
     plant = gu_plant()
-    full = generalised_plant(plant, MeasurementModel(plant, SENSORS), np.zeros(1), np.inf)
+    full = GeneralisedPlant.linearised(plant, MeasurementModel(plant, SENSORS), np.zeros(1), np.inf)
     exact = [exact_plant(plant, random_values(plant, seed)) for seed in range(plants)]
     for name, design in designs(plant):
         peaks = np.array([peak_gain(each, design.loop) for each in exact])
         nominal = peak_gain(exact_plant(plant, linear_parameters(plant).mean), design.loop)
         yield RobustRow(
-            name, design.norm, design.share, float(robustness(full, design.loop).max()), worst_gain(full, design.loop),
+            name, design.norm, design.share, float(full.robustness(design.loop).max()), worst_gain(full, design.loop),
             float(peaks.max()), nominal, float(np.isfinite(peaks).mean()),
             *simulate_move(plant, design, moved),
         )  # fmt: skip
