@@ -20,7 +20,6 @@ from flexman_gym.control.references.optimised_slews import (
     OptimisedController,
     SingleShooting,
     SlewTable,
-    arm_fingerprint,
 )
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
@@ -203,7 +202,7 @@ def empty_slew_table(environment: Configuration) -> SlewTable:
         "environment": environment.to_plain(),
         "model": f"{model.n_dof} coordinates, method {getattr(method, 'name', method)}, step {step:.9g} s",
     }
-    fingerprint = arm_fingerprint(model, np.array(environment.torque_limit), environment.control_period)
+    fingerprint = SlewTable.fingerprint(model, np.array(environment.torque_limit), environment.control_period)
     return SlewTable(metadata, fingerprint)
 
 

@@ -170,6 +170,21 @@ class Resimulation(NamedTuple):
         """Return the results of the flagged arms, or of arms with the indices (r,)."""
         return Resimulation(*(values[arms] for values in self))
 
+    def step(self, theta: Array, prior: Prior, damping: Array | float = 0.0) -> tuple[Array, Array]:
+        """Return the changes (r, p) of parameter vectors (r, p) in a Levenberg-Marquardt step.
+
+        Returns:
+            The changes, and the predicted decreases (r,) of the cost and of the cost of the prior together.
+        """
+        precision = 1.0 / prior.deviation**2
+        posterior, each = self.information.copy(), np.arange(theta.shape[1])
+        posterior[:, each, each] += precision
+        gradient = self.gradient + precision * (prior.mean - theta)
+        damped = posterior.copy()
+        damped[:, each, each] *= 1.0 + np.reshape(damping, (-1, 1))
+        change = solve_scaled(damped, gradient)
+        return change, (change * gradient).sum(axis=1)
+
 
 class PerturbedModels:
     """Estimated model and s perturbed models of each arm, for a parameter vector theta (p,).
@@ -335,7 +350,7 @@ class PerturbedModels:
         best, result = theta.copy(), self.resimulate(origin, theta, *data)
         least = np.nan_to_num(result.cost + prior.cost(theta), nan=np.inf)
         for _ in range(MAX_ITERATIONS - 1):
-            change, decrease = levenberg_marquardt_step(result.select(rows), best[rows], prior, damping[rows])
+            change, decrease = result.select(rows).step(best[rows], prior, damping[rows])
             unfinished = decrease >= max(MIN_DECREASE[0], MIN_DECREASE[1] * data[0].shape[1])
             rows, candidate = rows[unfinished], prior.clip(best[rows] + change)[unfinished]
             if not len(rows):
@@ -348,20 +363,6 @@ class PerturbedModels:
             for values, new in zip(result, simulation, strict=True):
                 values[improved] = new[better]
         return best, result
-
-
-def levenberg_marquardt_step(
-    simulation: Resimulation, theta: Array, prior: Prior, damping: Array | float = 0.0
-) -> tuple[Array, Array]:
-    """Return a change (r, p) of parameter vectors (r, p) and the predicted decrease (r,) of the cost and its prior."""
-    precision = 1.0 / prior.deviation**2
-    posterior, each = simulation.information.copy(), np.arange(theta.shape[1])
-    posterior[:, each, each] += precision
-    gradient = simulation.gradient + precision * (prior.mean - theta)
-    damped = posterior.copy()
-    damped[:, each, each] *= 1.0 + np.reshape(damping, (-1, 1))
-    change = solve_scaled(damped, gradient)
-    return change, (change * gradient).sum(axis=1)
 
 
 def solve_scaled(matrices: Array, vectors: Array) -> Array:

@@ -272,7 +272,7 @@ class SlewTable:
 
     Attributes:
         about: metadata of the table: environment, method, model, command and so on, as texts, numbers and lists.
-        arm: (k,) numbers that identify the arm, see `arm_fingerprint`.
+        arm: (k,) numbers that identify the arm, see `fingerprint`.
         found: seed of an episode -> start and goal (2, n) rad, torques of the slew (knots, periods, arrival), and
             settling time (s) of the replay in the environment; infinite if the tip did not settle.
     """
@@ -280,6 +280,18 @@ class SlewTable:
     about: Mapping[str, Any]
     arm: Array
     found: dict[int, tuple[Array, _SlewTorques, float]] = field(default_factory=dict)
+
+    @staticmethod
+    def fingerprint(model: Model, limits: Array, period: float) -> Array:
+        """Return numbers (k,) that identify an arm with limits (n,) N m and a control period (s).
+
+        The numbers are lengths, joint stiffnesses, rotor inertias, payload, gravity, torque limits and control period.
+        They do not depend on the discretisation of the links.
+        """
+        constants = model.constants
+        mass = np.atleast_1d(constants.payload_mass).ravel()
+        parts = constants.length, constants.joint_stiffness, constants.rotor_inertia, mass, constants.gravity, limits
+        return np.concatenate([*parts, [period]])
 
     def torques(self, start: Array, goal: Array) -> Array:
         """Return the torques (T, n) of the slew between two postures (n,) rad, N m.
@@ -314,7 +326,7 @@ class SlewTable:
         """Check that the table belongs to an arm.
 
         Args:
-            arm: (k,) numbers from `arm_fingerprint`.
+            arm: (k,) numbers from `fingerprint`.
 
         Raises:
             ValueError: for another arm.
@@ -363,18 +375,6 @@ class SlewTable:
             return cls(json.loads(str(about)), arm, slews)
 
 
-def arm_fingerprint(model: Model, limits: Array, period: float) -> Array:
-    """Return numbers (k,) that identify an arm with limits (n,) N m and a control period (s).
-
-    The numbers are lengths, joint stiffnesses, rotor inertias, payload, gravity, torque limits and control period. They
-    do not depend on the discretisation of the links.
-    """
-    constants = model.constants
-    mass = np.atleast_1d(constants.payload_mass).ravel()
-    parts = constants.length, constants.joint_stiffness, constants.rotor_inertia, mass, constants.gravity, limits
-    return np.concatenate([*parts, [period]])
-
-
 class OptimisedController(LQR):
     """Replay of the optimised torques of a slew, followed by an LQR about the goal.
 
@@ -395,7 +395,7 @@ class OptimisedController(LQR):
 
     def __init__(self, table: SlewTable, model: Model, torque_limit: float | Vector, period: float) -> None:
         super().__init__(model, torque_limit, period)
-        table.check_arm(arm_fingerprint(self.model, self.limits, self.period))
+        table.check_arm(SlewTable.fingerprint(self.model, self.limits, self.period))
         self._table, self._slews, self._now = table, list[Array](), np.zeros(0, dtype=np.int64)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
