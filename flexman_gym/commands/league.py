@@ -65,7 +65,7 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_gym.common.computer import computer_text
     from flexman_gym.common.parallel import Workers
     from flexman_gym.evaluation.agent import AGENTS
-    from flexman_gym.league.details import league_details, settling_table
+    from flexman_gym.league.details import league_details
     from flexman_gym.league.page import PAGE, write_page
     from flexman_gym.league.rows import LeagueRows, run_league
     from flexman_gym.league.standings import Standings
@@ -90,7 +90,7 @@ def _run(options: argparse.Namespace) -> int:
         results = run_league(agents, scenarios, seeds, folder, workers, lambda line: print(line, flush=True))
     names = [name for scenarios in groups.values() for name in scenarios] or Standings(results).scenarios
     standings = Standings(results)
-    print("\n".join(settling_table(standings, standings.agents, names, ["agent", *names])))
+    print("\n".join(standings.settling_table(standings.agents, names, ["agent", *names])))
     write_page(results, folder, None if options.redraw else computer_text())
     print(f"{folder / PAGE} has the results.")
     return 0
