@@ -3,7 +3,7 @@
 import random
 import sys
 from collections import deque
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -66,8 +66,10 @@ def _set_policy_state(model: BaseAlgorithm, data: Any) -> None:
 def _training_state(model: BaseAlgorithm) -> dict[str, Any]:
     """Return the state of a training at the beginning of a rollout, without the policy."""
     result: dict[str, Any] = {
-        "counts": {name: getattr(model, name) for name in _counts(model)},
-        "last": {name: get_state(getattr(model, name)) for name in LAST_FIELDS},
+        part: {name: get_state(getattr(owner, name)) for name in names}
+        for part, (owner, names) in _attributes(model).items()
+    }
+    result |= {
         "optimizers": {  # states by parameter; hyperparameters belong to the model
             name: {str(key): _tensor_state(each) for key, each in optimizer.state_dict()["state"].items()}
             for name, optimizer in _optimizers(model).items()
@@ -75,10 +77,8 @@ def _training_state(model: BaseAlgorithm) -> dict[str, Any]:
         "episodes": [[float(each[key]) for key in "rlt"] for each in model.ep_info_buffer or ()],
         "random": _random_state(),
     }
-    normaliser, monitor, arms = _layers(model)
+    normaliser, _, arms = _layers(model)
     result["returns"] = {"statistics": _statistics_state(normaliser.ret_rms), "running": normaliser.returns.copy()}
-    result["seen"] = {name: get_state(getattr(normaliser, name)) for name in NORMALISER_FIELDS}
-    result["monitor"] = {name: get_state(getattr(monitor, name)) for name in MONITOR_FIELDS}
     result["environment"] = arms.env.unwrapped.get_state()  # type: ignore[attr-defined]
     if isinstance(model, SAC):
         coefficient = model.log_ent_coef
@@ -89,17 +89,15 @@ def _training_state(model: BaseAlgorithm) -> dict[str, Any]:
 
 def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
     """Restore the state of a training in a model made from the same settings."""
-    names = ["counts", "last", "optimizers", "episodes", "random", "returns", "seen", "monitor", "environment"]
+    attributes, (normaliser, _, arms) = _attributes(model), _layers(model)
+    names = [*attributes, "optimizers", "episodes", "random", "returns", "environment"]
     _check(data, names + ["entropy", "replay"] * isinstance(model, SAC))
-    normaliser, monitor, arms = _layers(model)
-    parts = {"counts": _counts(model), "last": LAST_FIELDS, "seen": NORMALISER_FIELDS, "monitor": MONITOR_FIELDS}
-    for part, fields in parts.items():
+    for part, (_, fields) in attributes.items():
         _check(data[part], fields, part)
     arms.env.unwrapped.set_state(data["environment"])  # type: ignore[attr-defined]
-    for name in _counts(model):
-        setattr(model, name, data["counts"][name])
-    for name in LAST_FIELDS:
-        setattr(model, name, get_state(data["last"][name]))
+    for part, (owner, fields) in attributes.items():
+        for name in fields:
+            setattr(owner, name, get_state(data[part][name]))
     for name, optimizer in _optimizers(model).items():
         _set_optimizer_state(name, optimizer, data["optimizers"].get(name))
     episodes = [dict(zip("rlt", each, strict=True)) for each in data["episodes"]]
@@ -107,10 +105,6 @@ def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
     model.ep_success_buffer = deque(maxlen=model._stats_window_size)  # the tasks report no success
     _set_statistics("returns", normaliser.ret_rms, data["returns"]["statistics"])
     set_state("returns", normaliser.returns, data["returns"]["running"])
-    for name in NORMALISER_FIELDS:
-        setattr(normaliser, name, get_state(data["seen"][name]))
-    for name in MONITOR_FIELDS:
-        setattr(monitor, name, get_state(data["monitor"][name]))
     if isinstance(model, SAC):
         if model.log_ent_coef is not None:
             logarithm = model.log_ent_coef.detach().numpy().copy()
@@ -132,8 +126,14 @@ def _normaliser(model: BaseAlgorithm) -> VecNormalize:
     return result
 
 
-def _counts(model: BaseAlgorithm) -> list[str]:
-    return [name for name in COUNTERS if hasattr(model, name)]
+def _attributes(model: BaseAlgorithm) -> dict[str, tuple[Any, Sequence[str]]]:
+    """Return part of the state -> object, and the names of its attributes that form this part."""
+    normaliser, monitor, _ = _layers(model)
+    counters = [name for name in COUNTERS if hasattr(model, name)]
+    return {
+        "counts": (model, counters), "last": (model, LAST_FIELDS), "seen": (normaliser, NORMALISER_FIELDS),
+        "monitor": (monitor, MONITOR_FIELDS),
+    }  # fmt: skip
 
 
 def _check(data: Any, names: Collection[str], field: str = "run") -> None:
