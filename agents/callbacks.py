@@ -207,7 +207,7 @@ class Evaluation(BaseCallback):
 
     state_fields = ("_best", "_next", "_warned")
 
-    def __init__(self, settings: Settings, law: Law, save_best: Callable[[], None]) -> None:
+    def __init__(self, settings: Settings, law: Law | None, save_best: Callable[[], None]) -> None:
         super().__init__()
         self._environment, interface = split_interface(settings.environment)
         self._agent = AgentSpec("training", law, interface)

@@ -208,7 +208,7 @@ POLICY_HYPERPARAMETERS = ("net_arch", "activation", "log_std_init", "learning_ra
 SB3_PREFIXES = {"encoder.actor_encoder.net.mlp.": "mlp_extractor.policy_net.", "pi.net.mlp.0.": "action_net."}
 
 
-def ppo_config(settings: Settings, runners: int) -> PPOConfig:
+def _ppo_config(settings: Settings, runners: int) -> PPOConfig:
     """Convert the settings of a run to a configuration of RLlib.
 
     Args:
@@ -281,7 +281,7 @@ def train_rllib(settings: Settings, folder: Path, runners: int = 0, every: int =
         ValueError: for unsupported settings, or a folder that holds a run.
     """
     runners, every = whole_number("runners", runners, 0, 10_000), whole_number("checkpoint_every", every, 0, 10**10)
-    config, place = ppo_config(settings, runners), Path(folder).absolute() / CHECKPOINT_FOLDER
+    config, place = _ppo_config(settings, runners), Path(folder).absolute() / CHECKPOINT_FOLDER
     checkpoints = sorted(place.glob("[0-9]*"), key=lambda path: int(path.name))
     if resume and not checkpoints:
         raise FileNotFoundError(f"{place}: no checkpoint; give the folder of a training with RLlib")

@@ -1,18 +1,15 @@
 """Stable-Baselines3: models from settings, policies from its files, and recipes in the format of rl_zoo3."""
 
 import pickle
-import zipfile
 from dataclasses import replace
 from inspect import signature
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 import stable_baselines3 as sb3
 import torch
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file
@@ -31,9 +28,8 @@ from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common import files
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.files import existing_file
-from flexman_gym.control.agent import Law
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import SB3_MODEL, AgentSpec, split_interface
+from flexman_gym.evaluation.agent import SB3_MODEL, AgentSpec
 from flexman_gym.evaluation.rollout import training_seed
 
 ACTIVATION_LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # name in settings.ACTIVATIONS -> layer
@@ -93,31 +89,10 @@ def _algorithm_arguments(settings: Settings) -> dict[str, Any]:
     return arguments | {"policy_kwargs": policy_arguments}
 
 
-def action_function(model: BaseAlgorithm, statistics: VecNormalize) -> Law:
-    """Return the deterministic policy of a model, including the normalisation of observations, as a function.
-
-    Args:
-        model: model with the policy.
-        statistics: running mean and variance of its observations.
-
-    Returns:
-        Function from observations (b, size) to actions (b, n).
-    """
-
-    def law(observations: NDArray[np.float32]) -> NDArray[np.floating]:
-        actions, _ = model.predict(statistics.normalize_obs(observations), deterministic=True)
-        return np.asarray(actions, dtype=np.float32)
-
-    return law
-
-
 STATISTICS_FILE, BEST_FOLDER = "normalisation.pkl", "best"
 # Class of the policy in a zip -> algorithm; the zip does not name the algorithm.
 POLICY_CLASSES: dict[str, type[BaseAlgorithm]] = {"ActorCriticPolicy": PPO, "SACPolicy": SAC, "TD3Policy": TD3}
-LOADING_ERRORS = (
-    ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, RuntimeError, AssertionError, ImportError,
-    pickle.UnpicklingError, zipfile.BadZipFile,
-)  # fmt: skip
+LOADING_ERRORS = (*files.READ_ERRORS, RuntimeError, AssertionError, ImportError, pickle.UnpicklingError)
 
 
 def load_sb3(path: Path, environment: Configuration | None = None) -> AgentSpec:
@@ -136,23 +111,17 @@ def load_sb3(path: Path, environment: Configuration | None = None) -> AgentSpec:
         ValueError: for files that are not of Stable-Baselines3.
     """
     kind = "policy" if path.suffix == ".zip" else "run"
-    try:
+    with files.reading(path, f"is not a {kind} of Stable-Baselines3", LOADING_ERRORS):
         return _load_zip(path, environment) if kind == "policy" else _load_run(path)
-    except FileNotFoundError:
-        raise
-    except LOADING_ERRORS as error:
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise ValueError(f"{path}: this is not a {kind} of Stable-Baselines3 ({reason})") from None
 
 
 def _load_run(folder: Path) -> AgentSpec:
     settings = Settings.load(folder)
     place = folder / BEST_FOLDER if (folder / BEST_FOLDER / SB3_MODEL).is_file() else folder
-    model = ALGORITHMS[settings.algo].load(existing_file(place / SB3_MODEL), device="cpu")
     arms = _make_environments(replace(settings, envs=1))
-    statistics = VecNormalize.load(str(existing_file(place / STATISTICS_FILE)), arms)
-    environment, interface = split_interface(settings.environment)
-    return AgentSpec(folder.name, action_function(model, statistics), interface, environment)
+    model_file, statistics = (existing_file(place / name) for name in (SB3_MODEL, STATISTICS_FILE))
+    model = ALGORITHMS[settings.algo].load(model_file, VecNormalize.load(str(statistics), arms), device="cpu")
+    return replace(AgentSpec.from_predictor(model, settings.environment), name=folder.name)
 
 
 def _load_zip(path: Path, environment: Configuration | None) -> AgentSpec:

@@ -14,7 +14,7 @@ from flexman_agents.callbacks import TrainingReport
 from flexman_agents.settings import Settings
 from flexman_agents.training import train_or_resume
 from flexman_gym.common.checks import finite, mapping, one_of, sequence, value_error, whole_number
-from flexman_gym.common.computer import computer_text
+from flexman_gym.common.computer import computer_text, optional_module
 from flexman_gym.common.files import write_atomically
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
 from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
@@ -202,8 +202,4 @@ def _study(folder: Path) -> Any:
 
 
 def _optuna() -> Any:
-    try:
-        import optuna
-    except ImportError:
-        raise ImportError("a search needs Optuna: pip install 'flexman_gym[scale]'") from None
-    return optuna
+    return optional_module("optuna", "a search", "scale")

@@ -25,7 +25,7 @@ from flexman_gym.common.checks import (
     whole_number,
 )
 from flexman_gym.common.renamed import RUN_SETTINGS, deprecated_arguments, rename_keys
-from flexman_gym.common.run_folder import SETTINGS, read_settings
+from flexman_gym.common.run_folder import NO_SETTINGS, SETTINGS, read_settings
 from flexman_gym.control.base_controllers import BASES, parse_kind
 from flexman_gym.envs.config.configuration import Configuration
 
@@ -192,14 +192,9 @@ class Settings:
             ValueError: if they are not settings of a training run.
         """
         record = read_settings(folder)
-        try:
+        with files.reading(folder / SETTINGS, NO_SETTINGS):
             record = {"base_in_use": None, "value_warmup": 0, **record}  # settings that earlier releases lack
             return cls.from_dict({name: record[name] for name in (each.name for each in fields(cls))})
-        except (KeyError, TypeError, ValueError) as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise ValueError(
-                f"{short_path(folder / SETTINGS)}: {reason}; give the settings of a training run"
-            ) from None
 
     def check_run(self, folder: Path) -> None:
         """Raise ValueError if a folder, which may be missing, holds a run with different settings."""

@@ -3,7 +3,7 @@
 import random
 import sys
 from collections import deque
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,14 +28,15 @@ from flexman_agents.callbacks import (
     stop_on_interrupt,
 )
 from flexman_agents.imitation import DAggerRun
-from flexman_agents.sb3 import action_function, make_model
+from flexman_agents.sb3 import make_model
 from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common.checks import value_error, whole_number
+from flexman_gym.common.files import reading
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, lock_folder, read_npz, read_settings, write_npz
 from flexman_gym.common.snapshot import get_state, set_state
-from flexman_gym.evaluation.agent import check_settings
+from flexman_gym.evaluation.agent import AgentSpec, check_settings
 
 # Names of attributes of Stable-Baselines3 models, wrappers and buffers that form the state of a training.
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
@@ -44,6 +45,7 @@ NORMALISER_FIELDS = ("old_obs", "old_reward")
 MONITOR_FIELDS = ("episode_returns", "episode_lengths", "episode_count")
 REPLAY_FIELDS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 STATISTICS_FIELDS = ("mean", "var", "count")
+NO_STATE = "has no state of a run"  # predicate of a damaged file
 
 
 def policy_state(model: BaseAlgorithm) -> dict[str, Any]:
@@ -64,8 +66,10 @@ def _set_policy_state(model: BaseAlgorithm, data: Any) -> None:
 def _training_state(model: BaseAlgorithm) -> dict[str, Any]:
     """Return the state of a training at the beginning of a rollout, without the policy."""
     result: dict[str, Any] = {
-        "counts": {name: getattr(model, name) for name in _counts(model)},
-        "last": {name: get_state(getattr(model, name)) for name in LAST_FIELDS},
+        part: {name: get_state(getattr(owner, name)) for name in names}
+        for part, (owner, names) in _attributes(model).items()
+    }
+    result |= {
         "optimizers": {  # states by parameter; hyperparameters belong to the model
             name: {str(key): _tensor_state(each) for key, each in optimizer.state_dict()["state"].items()}
             for name, optimizer in _optimizers(model).items()
@@ -73,10 +77,8 @@ def _training_state(model: BaseAlgorithm) -> dict[str, Any]:
         "episodes": [[float(each[key]) for key in "rlt"] for each in model.ep_info_buffer or ()],
         "random": _random_state(),
     }
-    normaliser, monitor, arms = _layers(model)
+    normaliser, _, arms = _layers(model)
     result["returns"] = {"statistics": _statistics_state(normaliser.ret_rms), "running": normaliser.returns.copy()}
-    result["seen"] = {name: get_state(getattr(normaliser, name)) for name in NORMALISER_FIELDS}
-    result["monitor"] = {name: get_state(getattr(monitor, name)) for name in MONITOR_FIELDS}
     result["environment"] = arms.env.unwrapped.get_state()  # type: ignore[attr-defined]
     if isinstance(model, SAC):
         coefficient = model.log_ent_coef
@@ -87,17 +89,15 @@ def _training_state(model: BaseAlgorithm) -> dict[str, Any]:
 
 def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
     """Restore the state of a training in a model made from the same settings."""
-    names = ["counts", "last", "optimizers", "episodes", "random", "returns", "seen", "monitor", "environment"]
+    attributes, (normaliser, _, arms) = _attributes(model), _layers(model)
+    names = [*attributes, "optimizers", "episodes", "random", "returns", "environment"]
     _check(data, names + ["entropy", "replay"] * isinstance(model, SAC))
-    normaliser, monitor, arms = _layers(model)
-    parts = {"counts": _counts(model), "last": LAST_FIELDS, "seen": NORMALISER_FIELDS, "monitor": MONITOR_FIELDS}
-    for part, fields in parts.items():
+    for part, (_, fields) in attributes.items():
         _check(data[part], fields, part)
     arms.env.unwrapped.set_state(data["environment"])  # type: ignore[attr-defined]
-    for name in _counts(model):
-        setattr(model, name, data["counts"][name])
-    for name in LAST_FIELDS:
-        setattr(model, name, get_state(data["last"][name]))
+    for part, (owner, fields) in attributes.items():
+        for name in fields:
+            setattr(owner, name, get_state(data[part][name]))
     for name, optimizer in _optimizers(model).items():
         _set_optimizer_state(name, optimizer, data["optimizers"].get(name))
     episodes = [dict(zip("rlt", each, strict=True)) for each in data["episodes"]]
@@ -105,10 +105,6 @@ def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
     model.ep_success_buffer = deque(maxlen=model._stats_window_size)  # the tasks report no success
     _set_statistics("returns", normaliser.ret_rms, data["returns"]["statistics"])
     set_state("returns", normaliser.returns, data["returns"]["running"])
-    for name in NORMALISER_FIELDS:
-        setattr(normaliser, name, get_state(data["seen"][name]))
-    for name in MONITOR_FIELDS:
-        setattr(monitor, name, get_state(data["monitor"][name]))
     if isinstance(model, SAC):
         if model.log_ent_coef is not None:
             logarithm = model.log_ent_coef.detach().numpy().copy()
@@ -130,8 +126,14 @@ def _normaliser(model: BaseAlgorithm) -> VecNormalize:
     return result
 
 
-def _counts(model: BaseAlgorithm) -> list[str]:
-    return [name for name in COUNTERS if hasattr(model, name)]
+def _attributes(model: BaseAlgorithm) -> dict[str, tuple[Any, Sequence[str]]]:
+    """Return part of the state -> object, and the names of its attributes that form this part."""
+    normaliser, monitor, _ = _layers(model)
+    counters = [name for name in COUNTERS if hasattr(model, name)]
+    return {
+        "counts": (model, counters), "last": (model, LAST_FIELDS), "seen": (normaliser, NORMALISER_FIELDS),
+        "monitor": (monitor, MONITOR_FIELDS),
+    }  # fmt: skip
 
 
 def _check(data: Any, names: Collection[str], field: str = "run") -> None:
@@ -395,9 +397,8 @@ class _Run:
         self._before = 0  # steps of the earlier runs in the folder
         self._evaluation: Evaluation | None = None
         if settings.eval_every:
-            statistics = model.get_vec_normalize_env()
-            assert statistics is not None
-            self._evaluation = Evaluation(settings, action_function(model, statistics), self._save_best)
+            law = AgentSpec.from_predictor(model, settings.environment).law
+            self._evaluation = Evaluation(settings, law, self._save_best)
 
     @property
     def done(self) -> int:
@@ -411,16 +412,12 @@ class _Run:
             data: content of the file with the state.
             further: True if the saved run is finished and a further run starts, which counts its steps from zero.
         """
-        path = self.folder / NEWEST
-        try:
+        with reading(self.folder / NEWEST, NO_STATE):
             _set_policy_state(self.model, data)
             _set_training_state(self.model, data["training"])
             if self._evaluation and data["judge"] is not None:  # "judge": name of the evaluation in files
                 set_state("evaluation", self._evaluation, data["judge"])
             self._before = whole_number("before", data["before"], 0, MAX_STEPS)
-        except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise ValueError(f"{path}: {reason}") from None
         if further:
             count = self.model.num_timesteps
             print(
@@ -476,10 +473,8 @@ class _Run:
 
 
 def _steps_done(path: Path, data: Any) -> int:
-    try:
+    with reading(path, NO_STATE):
         return whole_number("num_timesteps", data["training"]["counts"]["num_timesteps"], 0, MAX_STEPS)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {' '.join(str(error).split())} is wrong in the state of the run") from None
 
 
 def _continued_settings(settings: Settings, folder: Path, steps: int | None, done: int, finished: bool) -> Settings:

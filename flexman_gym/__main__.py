@@ -15,7 +15,7 @@ from flexman_gym.common.renamed import COMMANDS, OPTIMISED, OPTIONS, warn_deprec
 COMMAND_GROUPS = {  # group -> commands, in the order of the help
     "start": ("demo", "check", "compile", "list", "verify"),
     "learn": ("train", "imitate", "search", "enjoy"),
-    "evaluate": ("evaluate", "league", "certify", "why"),
+    "evaluate": ("evaluate", "league", "why"),
     "simulate": ("simulate", "choose", "precision", "draw"),
     "control": ("optimise", "shape"),
     "data": ("record", "replay", "export"),

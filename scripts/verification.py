@@ -5,7 +5,7 @@ import sys
 import warnings
 
 from flexman_gym.common.computer import computer_text
-from flexman_gym.verification.papers import computed_rows, printed_rows
+from flexman_gym.verification.papers import paper_tables
 from flexman_gym.verification.table import VerificationRow, VerificationTable
 from studies.files import folder, read_comments, read_rows, write_rows
 from studies.verification.motions import REFERENCE, rows
@@ -13,7 +13,7 @@ from studies.verification.page import page
 from studies.verification.papers import page as page_of_papers
 
 FILE = "verification.csv"
-PAPERS = {"papers_printed.csv": printed_rows, "papers_computed.csv": computed_rows}
+PAPERS = ("printed", "computed")
 
 
 def main() -> int:
@@ -29,12 +29,12 @@ def main() -> int:
     file = options.folder / FILE
     if not options.redraw:
         write_rows(rows(REFERENCE, options.quick), file, 12, computer_text())
-        for name, make in PAPERS.items():
-            write_rows(make(), options.folder / name, 12, computer_text())
+        for name, table in paper_tables().items():
+            write_rows(table, options.folder / f"papers_{name}.csv", 12, computer_text())
     result = VerificationTable(read_rows(file, VerificationRow))
     print(result)
     (options.folder / "verification.md").write_text(page(result, read_comments(file)), encoding="utf-8")
-    tables = [read_rows(options.folder / name, VerificationRow) for name in PAPERS]
+    tables = [read_rows(options.folder / f"papers_{name}.csv", VerificationRow) for name in PAPERS]
     (options.folder / "papers.md").write_text(page_of_papers(*tables), encoding="utf-8")
     return result.exit_code
 

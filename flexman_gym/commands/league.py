@@ -1,15 +1,19 @@
 """Compare agents over many scenarios in a league table.
 
 All agents run the same episodes. Rows, page and charts are written to a folder; stored rows are not run again.
+With --agent, a policy is tested under other physics, parameters, delays and noise instead: its certificate is written
+to its folder, and the exit status is 1 if the policy exceeds a limit.
 """
 
 import argparse
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexman_gym.commands import CommandLine, certify
+from flexman_gym.commands import CommandLine
 
 if TYPE_CHECKING:
+    from flexman_gym.common.parallel import Workers
     from flexman_gym.league.rows import LeagueRows
 
 DEFAULT_FOLDER = Path("out/league")
@@ -19,19 +23,19 @@ PHYSICAL_EPISODES = 10  # episodes per scenario with --physical
 def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.common.parallel import Workers
-    from flexman_gym.evaluation.agent import AGENTS
     from flexman_gym.evaluation.rollout import TEST_SEEDS
     from flexman_gym.league.scenarios import SWEEPS
 
     parser.add_argument(
-        "--agents", nargs="+", metavar="AGENT", help=f"folders of runs, or {', '.join(AGENTS)} (default: all of these)"
-    )
+        "--agents", nargs="+", metavar="AGENT",
+        help="folders of runs, or names of controllers and policies (default: all of flexman list, zero and random)",
+    )  # fmt: skip
     parser.add_argument(
         "--scenarios", nargs="+",
         metavar="SCENARIO", help="environments with a condition or a change, such as FlexRRR-v0/delay=3+given "
         "(default: the usual ones)",
     )  # fmt: skip
-    parser.add_argument("--agent", metavar="POLICY", help="write the certificate of a policy, as flexman certify")
+    parser.add_argument("--agent", metavar="NAME", help="write the certificate of a policy, by its name or folder")
     parser.add_argument(
         "--sweep", nargs="+", default=[], metavar="NAME", help=f"run sweeps of {', '.join(SWEEPS)} instead"
     )
@@ -61,7 +65,7 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_gym.common.computer import computer_text
     from flexman_gym.common.parallel import Workers
     from flexman_gym.evaluation.agent import AGENTS
-    from flexman_gym.league.details import league_details, settling_table
+    from flexman_gym.league.details import league_details
     from flexman_gym.league.page import PAGE, write_page
     from flexman_gym.league.rows import LeagueRows, run_league
     from flexman_gym.league.standings import Standings
@@ -72,7 +76,7 @@ def _run(options: argparse.Namespace) -> int:
         if given is not None and given < minimum:
             options.parser.error(f"--{name}: {given} is not allowed; give a whole number >= {minimum}")
     if options.agent:
-        return certify.COMMAND.run(argparse.Namespace(policy=options.agent, workers=workers))
+        return _certify(options.agent, workers)
     agents, folder = options.add or options.agents or AGENTS, options.folder or DEFAULT_FOLDER
     results = LeagueRows.load(folder)
     if (options.redraw or options.details) and not results.cells:
@@ -86,10 +90,20 @@ def _run(options: argparse.Namespace) -> int:
         results = run_league(agents, scenarios, seeds, folder, workers, lambda line: print(line, flush=True))
     names = [name for scenarios in groups.values() for name in scenarios] or Standings(results).scenarios
     standings = Standings(results)
-    print("\n".join(settling_table(standings, standings.agents, names, ["agent", *names])))
+    print("\n".join(standings.settling_table(standings.agents, names, ["agent", *names])))
     write_page(results, folder, None if options.redraw else computer_text())
     print(f"{folder / PAGE} has the results.")
     return 0
+
+
+def _certify(name: str, workers: "Workers") -> int:
+    """Write the certificate of a policy and print its rows; return 0, or 1 if the policy exceeds a limit."""
+    from flexman_gym.league.certificate import certify
+
+    path = certify(name, jobs=workers, log=lambda line: print(line, flush=True))
+    fails = json.loads(path.read_bytes())["fails"]
+    print(f"{path}: {'beyond its limits in ' + ', '.join(fails) if fails else 'within all limits'}")
+    return 1 if fails else 0
 
 
 def _scenarios(options: argparse.Namespace, results: "LeagueRows") -> dict[int, list[str]]:

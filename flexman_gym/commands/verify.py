@@ -44,9 +44,9 @@ def _run(options: argparse.Namespace) -> int:
         return 0
     started = perf_counter()
     if options.table == "papers":
-        tables = [papers.printed_rows(), papers.computed_rows()]
+        tables = papers.paper_tables().values()
         rows = [row for table in tables for row in table]
-        print(*map(VerificationTable, tables), sep="\n\n")
+        print(*tables, sep="\n\n")
         explained = [row for row in rows if row.verdict != PASS and row.case in papers.REASONS]
         print(*(f"{row.case}: {papers.REASONS[row.case]}" for row in explained), sep="\n")
         result, judged = VerificationTable(rows), VerificationTable([row for row in rows if row not in explained])

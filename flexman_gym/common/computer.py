@@ -1,10 +1,12 @@
-"""Computer: processor, Python version and package versions behind a result."""
+"""Computer: processor, Python version and package versions behind a result, and imports of optional packages."""
 
 import platform
 import re
 from collections.abc import Iterable
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 CORE_PACKAGES = ("flexman_gym", "numba", "numpy", "scipy")
 
@@ -20,6 +22,25 @@ def computer_info(more: Iterable[str] = ()) -> dict[str, str]:
 def computer_text(more: Iterable[str] = ()) -> str:
     """Return the entries of `computer_info` on one line."""
     return ", ".join(f"{name} {value}" for name, value in computer_info(more).items())
+
+
+def optional_module(name: str, user: str, extra: str) -> Any:
+    """Return a module of an optional package.
+
+    Args:
+        name: name of the module.
+        user: part of the library that needs it, for the error message.
+        extra: extra of this package that installs it.
+
+    Raises:
+        ImportError: if it is not installed, with a one-line message.
+    """
+    try:
+        return import_module(name)
+    except ImportError:
+        package = name.partition(".")[0]
+        text = f"{user} needs {package}: pip install 'flexman_gym[{extra}]'"
+        raise ImportError(text, name=package) from None
 
 
 def _versions(names: Iterable[str]) -> dict[str, str]:

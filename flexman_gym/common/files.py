@@ -19,9 +19,10 @@ from flexman_gym.common.checks import one_of, short_path, short_repr
 
 # Possible errors while reading a damaged file of text or arrays.
 READ_ERRORS = (
-    ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, MemoryError, RecursionError, OverflowError,
+    ValueError, LookupError, TypeError, AttributeError, EOFError, OSError, MemoryError, RecursionError, OverflowError,
     NotImplementedError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
 )  # fmt: skip
+MAX_REASON = 300  # characters of the error of another package in an error message
 MAX_TEXT_BYTES = 1_000_000  # bytes of a text file
 MAX_UNPACKED_BYTES = 100_000_000  # bytes of all arrays of a file after decompression
 
@@ -111,6 +112,24 @@ def open_arrays(path: str | Path, packed: bool = False) -> Iterator[Any]:
             raise ValueError("its arrays are larger than 100 MB" if packed else "its arrays are packed")
     with np.load(path, allow_pickle=False) as result:
         yield result
+
+
+@contextmanager
+def reading(path: str | Path, wrong: str, errors: tuple[type[Exception], ...] = READ_ERRORS) -> Iterator[None]:
+    """Raise ValueError with one line for the errors of reading a damaged file; FileNotFoundError is not changed.
+
+    Args:
+        path: path of the file.
+        wrong: predicate of a damaged file, such as "is not a saved episode".
+        errors: errors of reading.
+    """
+    try:
+        yield
+    except FileNotFoundError:
+        raise
+    except errors as error:
+        reason = " ".join(str(error).split())[:MAX_REASON] or type(error).__name__
+        raise ValueError(f"{short_path(path)}: this {wrong} ({reason})") from None
 
 
 def read_data(path: Path, kind: type = dict, of_package: bool = False) -> Any:

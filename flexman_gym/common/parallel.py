@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from flexman_gym.common.checks import one_of, set_fields, value_error, whole_number
-from flexman_gym.common.computer import computer_text
+from flexman_gym.common.computer import computer_text, optional_module
 from flexman_gym.common.progress import Progress
 from flexman_gym.common.run_folder import read_npz, write_npz
 
@@ -95,7 +95,7 @@ def ray_cluster(jobs: int, address: str = "local", **variables: str) -> Iterator
     Raises:
         ImportError: if Ray is not installed.
     """
-    ray = _import_package("ray")
+    ray = optional_module("ray", "a Ray cluster", "scale")
     own = not ray.is_initialized()
     if own:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
@@ -129,7 +129,7 @@ class _ArrayJob:
         self._jobs, self._cluster, self._logs, self._every = jobs, cluster, logs, every
 
     def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
-        submitit = _import_package("submitit")
+        submitit = optional_module("submitit", "an array job", "scale")
         executor = submitit.AutoExecutor(self._logs, cluster=self._cluster)
         executor.update_parameters(name="flexman", timeout_min=TIME_LIMIT, cpus_per_task=1,
                                    slurm_array_parallelism=self._jobs)  # fmt: skip
@@ -184,14 +184,6 @@ def _count_death(deaths: int) -> int:
         raise RuntimeError(f"workers died {MAX_DEATHS} times in a row: memory may be short, or a cell may crash")
     print("a worker died: its cells are run again", file=sys.stderr, flush=True)
     return deaths + 1
-
-
-def _import_package(name: str) -> Any:
-    """Return an optional package; raise an ImportError with advice if it is not installed."""
-    try:
-        return __import__(name)
-    except ImportError:
-        raise ImportError(f"{name} is not installed: pip install 'flexman_gym[scale]'") from None
 
 
 def _end_with_parent() -> None:

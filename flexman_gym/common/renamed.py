@@ -84,7 +84,10 @@ OPTIONS = {
     "train": {"--judge-every": "--eval-every"},
 }
 """Command -> old option or value on its command line -> present one."""
-COMMANDS = {"tune": "optimise gains", "optimise ENVIRONMENT": "optimise slews ENVIRONMENT", "resonance": "shape"}
+COMMANDS = {
+    "certify": "league --agent", "tune": "optimise gains", "optimise ENVIRONMENT": "optimise slews ENVIRONMENT",
+    "resonance": "shape",
+}  # fmt: skip
 """Old command -> present command; a word in capitals stands for one that is none of OPTIMISED."""
 OPTIMISED = ("slews", "gains", "arm")
 """First words of `flexman optimise`."""

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.checks import short_path
-from flexman_gym.common.files import READ_ERRORS, existing_file, open_arrays, regular_file, write_atomically
+from flexman_gym.common.files import existing_file, open_arrays, reading, regular_file, write_atomically
 from flexman_gym.common.renamed import RUN_SETTINGS, complete_environment, rename_keys
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
+NO_SETTINGS = "has no settings of a training run"  # predicate of a damaged file of settings
 PLAIN_DATA = "data.json"  # name of the JSON-compatible data among the arrays of a file
 
 
@@ -40,15 +41,9 @@ def read_npz(path: Path) -> Any:
         FileNotFoundError: if the file does not exist.
         ValueError: for a damaged file, another kind of file, or arrays larger than the file, with a one-line message.
     """
-    try:
-        with open_arrays(existing_file(path)) as result:
-            text = result[PLAIN_DATA].tobytes().decode("utf-8")
-            return _join_arrays(json.loads(text), result)
-    except FileNotFoundError:
-        raise
-    except READ_ERRORS as error:
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise ValueError(f"{short_path(path)}: this is no file of a training run ({reason})") from None
+    with reading(path, "is no file of a training run"), open_arrays(existing_file(path)) as result:
+        text = result[PLAIN_DATA].tobytes().decode("utf-8")
+        return _join_arrays(json.loads(text), result)
 
 
 def _split_arrays(data: Any, arrays: dict[str, np.ndarray], path: str = "") -> Any:

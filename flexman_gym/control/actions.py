@@ -234,9 +234,7 @@ class _ReferenceShapingMode:
         constants, estimated = self._plant.model.constants, estimate.parameters
         stiffness = np.where(constants.motor >= 0, constants.joint_stiffness, 1.0)
         ones = np.ones((len(arms), self.joints))
-        payload = (
-            estimated["payload_mass"][arms] if "payload_mass" in estimated else constants.payload_mass[0] * ones[:, 0]
-        )
+        payload = self._law.slews.payloads(estimated, arms)
         joints = estimated["joint_stiffness"][arms] / stiffness if "joint_stiffness" in estimated else ones
         links = estimated["link_stiffness_factor"][arms] if "link_stiffness_factor" in estimated else ones
         return np.concatenate([payload[:, None], joints, links], axis=1)

@@ -44,20 +44,28 @@ def friction_coefficients(model: Model, parameters: Mapping[str, Array], arms: I
         parameters: name -> (b, ...) estimated physical parameters; a missing name stands for the value of the model.
         arms: (r,) indices.
     """
-    result = np.zeros((len(arms), 2, model.n_joints))
-    for i, name in enumerate(("viscous_friction", "coulomb_friction")):
-        result[:, i] = parameters[name][arms] if name in parameters else getattr(model.constants, name)
+    result = np.tile(_model_coefficients(model), (len(arms), 1, 1))
+    for i, name in enumerate(FRICTION[:2]):
+        if name in parameters:
+            result[:, i] = parameters[name][arms]
     return result
 
 
-def friction_torques(model: Model, coefficients: Array, rates: Array) -> Array:
+def _model_coefficients(model: Model) -> Array:
+    """Return the viscous (N m s/rad) and Coulomb friction (N m) of a model, (2, n)."""
+    return np.array([model.constants.viscous_friction, model.constants.coulomb_friction])
+
+
+def friction_torques(model: Model, rates: Array, coefficients: Array | None = None) -> Array:
     """Return the friction torques (..., n), N m.
 
     Args:
         model: model of the arm.
-        coefficients: (..., 2, n) viscous (N m s/rad) and Coulomb friction (N m).
         rates: (..., n) motor rates, rad/s.
+        coefficients: (..., 2, n) viscous (N m s/rad) and Coulomb friction (N m); None for those of the model.
     """
+    if coefficients is None:
+        coefficients = _model_coefficients(model)
     sliding = np.tanh(rates / model.constants.coulomb_rate)
     return coefficients[..., 0, :] * rates + coefficients[..., 1, :] * sliding
 
@@ -186,7 +194,5 @@ class FrictionCompensation:
         end = self._map.advance(np.append(state[0], (0.0, 0.0)), drive, np.pad(changes, ledger), drives)
         rates = self.model.n_dof + self.model.motor_columns
         before, after = (state[:, rates], changes[:, rates]), (end.row[None, rates], end.rows[:, rates])
-        coefficients = friction_coefficients(self._rubbing_model, {}, np.zeros(1, dtype=np.int64))[0]
-        return COMPENSATION_FACTOR * mean_friction_derivatives(
-            coefficients, before, after, self.model.constants.coulomb_rate
-        )
+        coefficients, width = _model_coefficients(self._rubbing_model), self.model.constants.coulomb_rate
+        return COMPENSATION_FACTOR * mean_friction_derivatives(coefficients, before, after, width)

@@ -11,23 +11,24 @@ dynamics. Inputs of channels are held over a control period, as torques are. Cou
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from types import ModuleType
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_dots
 from flexman_gym.common.checks import positive, value_error
+from flexman_gym.common.computer import optional_module
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
-from flexman_gym.control.friction_compensation import friction_coefficients, friction_torques, frictionless
+from flexman_gym.control.friction_compensation import friction_torques, frictionless
 from flexman_gym.control.lqr import CostWeights
 from flexman_gym.control.observers.observer import MeasurementModel
+from flexman_gym.control.observers.perturbed_models import UncertainParameters
 from flexman_gym.control.references.trajectories import plan_path, plan_slew
 from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel, discretize
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.linearization import linearize
-from flexman_gym.simulation.parameters import PARAMETERS, UNCERTAIN, varied_model
+from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN
 
 TORQUE_DISTURBANCE = 0.1  # fraction of the torque limits; torque disturbance of unit size
 TIP_DISTURBANCE = 0.1  # fraction of the largest torque limit over the reach; tip force of unit size
@@ -42,24 +43,16 @@ PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of a slew; postures at which holding torq
 NORM_RATIO, SHARE_RATIO = 1.03, 1.05  # relative accuracy of the least norm and of the largest share
 LEAST_SHARE = 1e-3  # dimensionless; channels with a smaller share are left out
 MAX_DESIGNS = 1000  # number of goals whose controllers are kept
+SLYCOT = "slycot", "the agent hinf", "control"  # arguments of `optional_module`
 RIGID_RATE = 6.0  # rad/s; least scale of modal velocities over modal coordinates
 NONLINEAR = ("coulomb_friction", "coulomb_rate", "static_excess")  # parameters without a channel
-
-
-class System(NamedTuple):
-    """Discrete-time system x+ = A x + B u, y = C x + D u."""
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
 
 
 class GeneralisedPlant(NamedTuple):
     """Sampled plant with inputs (channels, disturbances, torques) and outputs (channels, performance, measurements).
 
     Attributes:
-        system: matrices; torques are fractions of their limits.
+        system: discrete-time model; torques are fractions of their limits.
         names: names of the channels: "torques", then the uncertain parameters.
         blocks: number of inputs and outputs of each channel.
         disturbances: number of disturbances, the last of which are the noise of the measurements.
@@ -68,13 +61,122 @@ class GeneralisedPlant(NamedTuple):
         period: control period, s.
     """
 
-    system: System
+    system: LinearModel
     names: tuple[str, ...]
     blocks: tuple[int, ...]
     disturbances: int
     outputs: int
     motors: int
     period: float
+
+    @classmethod
+    def linearised(
+        cls, plant: Plant, instruments: MeasurementModel, posture: Array, mode_limit: float | None = None
+    ) -> Self:
+        """Return the plant of the synthesis about the equilibrium at motor angles (n,) rad.
+
+        Args:
+            plant: plant model with uncertain parameters.
+            instruments: measurements.
+            posture: (n,) motor angles, rad.
+            mode_limit: frequency above which modes are left out, Hz; None for 0.4 times the control rate.
+        """
+        model, limits = centred_model(plant), np.array(plant.torque_limit)
+        modes = _modes(model, posture, limits, MODE_LIMIT / plant.period if mode_limit is None else mode_limit)
+        linear, motion = _linearised(model, posture)
+        k, n, d = len(modes.rates), len(limits), model.n_dof
+        pairs = _channels(plant, modes)
+        scale = np.concatenate([modes.rates, np.ones(k)])
+        into = np.kron(np.eye(2), modes.shapes) / scale
+        out = scale[:, None] * np.kron(np.eye(2), modes.shapes.T @ motion[:, 2 * d :])
+        reach = float(model.constants.length.sum())
+        sizes = np.concatenate([limits, np.full(3, limits.max() / reach)])
+        forces = np.hstack([*(-left for left, _ in pairs.values()), (out @ linear.B * sizes)[k:]])
+        A = out @ linear.A @ into
+        transition, held = discretize(A, np.vstack([np.zeros_like(forces), forces]), plant.period)
+        rows = np.vstack([np.zeros((0, 3 * k)), *(right for _, right in pairs.values())])
+        rows[:, :k] /= modes.rates
+        outputs = rows[:, : 2 * k] + rows[:, 2 * k :] @ A[k:], rows[:, 2 * k :] @ forces
+        cost = CostWeights.default(model).outputs(linear, model.motor_columns) @ into
+        noise = np.maximum(NOISE[0] * instruments.deviations, NOISE[1] * instruments.ranges)
+        undelayed = LinearModel(transition, held, *outputs, period=plant.period)
+        system = _assembled(undelayed, cost, instruments.matrix @ into, noise, n, (sum(plant.delay) + 1) // 2)
+        named = [(label, left.shape[1]) for label, (left, _) in pairs.items() if left.shape[1]]
+        return cls(
+            system, ("torques", *(name for name, _ in named)), (n, *(rank for _, rank in named)),
+            n + 3 + len(noise), len(cost) + n, n, plant.period,
+        )  # fmt: skip
+
+    def closed_loop(self, loop: LinearModel) -> LinearModel:
+        """Return the closed loop from (channels, disturbances) to (channels, performance)."""
+        (A, B, C, D), w = self.system, sum(self.blocks) + self.disturbances
+        z = sum(self.blocks) + self.outputs
+        fed, seen = B[:, w:], C[z:]
+        return LinearModel(
+            np.block([[A + fed @ loop.D @ seen, fed @ loop.C], [loop.B @ seen, loop.A]]),
+            np.vstack([B[:, :w] + fed @ loop.D @ D[z:, :w], loop.B @ D[z:, :w]]),
+            np.hstack([C[:z] + D[:z, w:] @ loop.D @ seen, D[:z, w:] @ loop.C]),
+            D[:z, :w] + D[:z, w:] @ loop.D @ D[z:, :w],
+            period=self.period,
+        )
+
+    def grid(self, loop: LinearModel, count: int = 100) -> Array:
+        """Return frequencies (Hz) up to half the control rate: a logarithmic grid and the poles of the closed loop."""
+        poles = np.abs(np.angle(np.linalg.eigvals(self.closed_loop(loop).A))) / (2.0 * np.pi * self.period)
+        return np.union1d(np.geomspace(1e-4, 0.5, count) / self.period, poles[poles > 0.0])
+
+    def robustness(self, loop: LinearModel, gain: float | None = None) -> Array:
+        """Return upper bounds (f,) of the structured singular value of a loop at the frequencies of `grid`.
+
+        Parameters with one input are real; those with several inputs count as full complex blocks, a larger set. Below
+        1 at all frequencies, the loop is stable for all values in the ranges; with a gain, the gain from disturbances
+        to performance outputs is below it, too (robust performance).
+
+        Args:
+            loop: controller.
+            gain: bound of the gain; None for robust stability alone.
+        """
+        slycot, r, blocks = optional_module(*SLYCOT), sum(self.blocks), list(self.blocks)
+        kinds = [2, *(1 if size == 1 else 2 for size in blocks[1:])]
+        result = []
+        for matrix in self.closed_loop(loop).frequency_response(self.grid(loop)):
+            square = matrix[:r, :r]
+            if gain is not None:
+                size = max(matrix.shape) - r
+                square = np.zeros((r + size, r + size), dtype=complex)
+                square[: matrix.shape[0], : matrix.shape[1]] = matrix
+                square[r:] /= gain
+            extra = [] if gain is None else [len(square) - r]
+            result.append(slycot.ab13md(square, np.array(blocks + extra), np.array(kinds + [2] * len(extra)))[0])
+        return np.array(result)
+
+    def synthesise(self, loss: float = LOSS, scaled: bool = True) -> "Synthesis":
+        """Return the controller with the largest share of the channels for an allowed loss of performance.
+
+        The least norm without channels is found first. Then the channels are multiplied by the largest share, at most
+        1, for which a controller has at most `loss` times this norm. If this share is 1 and the controller itself is
+        unstable, 1.5 times the loss is allowed.
+
+        Args:
+            loss: norm allowed with channels over the least norm without channels.
+            scaled: True for channels whose gains are balanced with those of the performance, twice.
+
+        Raises:
+            ValueError: for a plant that no controller with these measurements stabilises.
+        """
+        ones = np.ones(len(self.blocks))
+        norm, best = _search(lambda bound: _central(self, ones, 0.0, 1.0, bound), 1.0, 0.25, NORM_RATIO)
+        result = _central(self, ones, 0.0, 1.0 / norm, loss) or best
+        if best is None or result is None:
+            raise value_error("sensors", "these measurements", "measurements from which the arm can be stabilised")
+        result = result._replace(norm=norm)
+        for _ in range(2 if scaled else 1):
+            scales = _channel_scales(self, result.loop, result.share or 0.3, 1.0 / norm) if scaled else ones
+            found = _largest_share(self, scales, 1.0 / norm, loss)
+            if found is None or found.share <= result.share:
+                break
+            result = found._replace(norm=norm)
+        return result
 
 
 class Synthesis(NamedTuple):
@@ -87,48 +189,22 @@ class Synthesis(NamedTuple):
         share: factor of the channels for which the norm is below the allowed norm.
     """
 
-    loop: System
+    loop: LinearModel
     saturation: Array
     norm: float
     share: float
 
 
-def _slycot() -> ModuleType:
-    """Return the module slycot, which the extra "control" installs."""
-    try:
-        import slycot
-    except ImportError:
-        raise ImportError("the agent hinf needs slycot: pip install 'flexman_gym[control]'", name="slycot") from None
-    module: ModuleType = slycot
-    return module
-
-
-def uncertain_ranges(plant: Plant) -> list[tuple[str, int | None, float, float]]:
-    """Return name, index of joint or link, and range of each uncertain number, without Coulomb friction."""
-    result: list[tuple[str, int | None, float, float]] = []
-    for key, (low, high) in plant.unknown.items():
-        name, parameter = UNCERTAIN[key], PARAMETERS[UNCERTAIN[key]]
-        nominal = np.atleast_1d(np.array(parameter.nominal(plant.model), dtype=float))
-        scales = nominal if parameter.factor else np.ones_like(nominal)
-        varied = np.array([True]) if parameter.of == "arm" else ~parameter.fixed(plant.model)
-        for part in np.flatnonzero(varied & (scales > 0.0)).tolist() if name not in NONLINEAR else ():
-            index = None if parameter.of == "arm" else part
-            result.append((name, index, float(low * scales[part]), float(high * scales[part])))
-    return result
-
-
-def varied(model: Model, values: list[tuple[str, int | None, float]]) -> Model:
-    """Return a model with changed numbers: name, index of joint or link (None for the arm), and value."""
-    parameters: dict[str, Array] = {}
-    for name, part, value in values:
-        numbers = parameters.setdefault(name, np.array(PARAMETERS[name].nominal(model), dtype=float))
-        numbers[() if part is None else (part,)] = value
-    return varied_model(model, **parameters) if parameters else model
+def linear_parameters(plant: Plant) -> UncertainParameters:
+    """Return the uncertain parameters of a plant without those of Coulomb friction."""
+    ranges = {key: span for key, span in plant.unknown.items() if UNCERTAIN[key] not in NONLINEAR}
+    return UncertainParameters(plant.model, ranges)
 
 
 def centred_model(plant: Plant) -> Model:
     """Return the model of a plant with its uncertain parameters at the centres of their ranges."""
-    return varied(plant.model, [(name, part, 0.5 * (low + high)) for name, part, low, high in uncertain_ranges(plant)])
+    uncertain = linear_parameters(plant)
+    return uncertain.varied_model(plant.model, uncertain.mean)
 
 
 def _linearised(model: Model, posture: Array) -> tuple[LinearModel, Array]:
@@ -140,12 +216,11 @@ def _linearised(model: Model, posture: Array) -> tuple[LinearModel, Array]:
 
 
 class _Modes(NamedTuple):
-    """Modes (d, k) with free motors, their rates (k,) rad/s, and the posture (n,) and model of the linearisation."""
+    """Modes (d, k) with free motors, their rates (k,) rad/s, and the posture (n,) of the linearisation."""
 
     shapes: Array
     rates: Array
     posture: Array
-    model: Model
 
 
 def _modes(model: Model, posture: Array, limits: Array, limit: float) -> _Modes:
@@ -159,15 +234,15 @@ def _modes(model: Model, posture: Array, limits: Array, limit: float) -> _Modes:
     strengths = np.linalg.norm(shapes.T @ linear.balance.forces[:, 2 * d : 2 * d + n] * limits, axis=1)
     rates = np.sqrt(np.abs(squares))
     chosen = (strengths > 1e-6 * strengths.max()) & (rates < 2.0 * np.pi * limit)
-    return _Modes(shapes[:, chosen], np.maximum(rates[chosen], RIGID_RATE), posture, model)
+    return _Modes(shapes[:, chosen], np.maximum(rates[chosen], RIGID_RATE), posture)
 
 
-def channel(modes: _Modes, name: str, part: int | None, ends: tuple[float, float]) -> tuple[Array, Array]:
-    """Return the matrices L (k, r) and R (r, 3 k) of a parameter between the ends of its range, in modal coordinates.
+def _channel(modes: _Modes, low: Model, high: Model) -> tuple[Array, Array]:
+    """Return the matrices L (k, r) and R (r, 3 k) of a parameter in modal coordinates, from models at both its ends.
 
     L R is half the difference of (K, D, M) between the ends; r is its numerical rank.
     """
-    matrices = [_linearised(varied(modes.model, [(name, part, end)]), modes.posture)[1] for end in ends]
+    matrices = [_linearised(model, modes.posture)[1] for model in (low, high)]
     scale = np.concatenate([1.0 / modes.rates, np.ones(len(modes.rates)), modes.rates])
     change = modes.shapes.T @ (0.5 * (matrices[1] - matrices[0])) @ np.kron(np.eye(3), modes.shapes) * scale
     change /= modes.rates[:, None]  # forces relative to those of the springs, so that no mode outweighs the others
@@ -177,47 +252,18 @@ def channel(modes: _Modes, name: str, part: int | None, ends: tuple[float, float
     return modes.rates[:, None] * left[:, :rank] * roots, roots[:, None] * right[:rank] / scale
 
 
-def generalised_plant(
-    plant: Plant, instruments: MeasurementModel, posture: Array, mode_limit: float | None = None
-) -> GeneralisedPlant:
-    """Return the plant of the synthesis about the equilibrium at motor angles (n,) rad.
-
-    Args:
-        plant: plant model with uncertain parameters.
-        instruments: measurements.
-        posture: (n,) motor angles, rad.
-        mode_limit: frequency above which modes are left out, Hz; None for 0.4 times the control rate.
-    """
-    model, limits = centred_model(plant), np.array(plant.torque_limit)
-    modes = _modes(model, posture, limits, MODE_LIMIT / plant.period if mode_limit is None else mode_limit)
-    linear, motion = _linearised(model, posture)
-    k, n, d = len(modes.rates), len(limits), model.n_dof
-    ranges = uncertain_ranges(plant)
-    pairs = [channel(modes, name, part, (low, high)) for name, part, low, high in ranges]
-    scale = np.concatenate([modes.rates, np.ones(k)])
-    into = np.kron(np.eye(2), modes.shapes) / scale
-    out = scale[:, None] * np.kron(np.eye(2), modes.shapes.T @ motion[:, 2 * d :])
-    reach = float(model.constants.length.sum())
-    sizes = np.concatenate([limits, np.full(3, limits.max() / reach)])
-    forces = np.hstack([*(-left for left, _ in pairs), (out @ linear.B * sizes)[k:]])
-    A = out @ linear.A @ into
-    transition, held = discretize(A, np.vstack([np.zeros_like(forces), forces]), plant.period)
-    rows = np.vstack([np.zeros((0, 3 * k)), *(right for _, right in pairs)])
-    rows[:, :k] /= modes.rates
-    outputs = rows[:, : 2 * k] + rows[:, 2 * k :] @ A[k:], rows[:, 2 * k :] @ forces
-    cost = CostWeights.default(model).outputs(linear, model.motor_columns) @ into
-    noise = np.maximum(NOISE[0] * instruments.deviations, NOISE[1] * instruments.ranges)
-    undelayed = System(transition, held, *outputs)
-    system = _assembled(undelayed, cost, instruments.matrix @ into, noise, n, (sum(plant.delay) + 1) // 2)
-    labels = (name if part is None else f"{name}[{part}]" for name, part, *_ in ranges)
-    named = [(label, left.shape[1]) for label, (left, _) in zip(labels, pairs, strict=True) if left.shape[1]]
-    return GeneralisedPlant(
-        system, ("torques", *(name for name, _ in named)), (n, *(rank for _, rank in named)),
-        n + 3 + len(noise), len(cost) + n, n, plant.period,
-    )  # fmt: skip
+def _channels(plant: Plant, modes: _Modes) -> dict[str, tuple[Array, Array]]:
+    """Return the `_channel` of each uncertain number, with the others at the centres of their ranges."""
+    uncertain, result = linear_parameters(plant), {}
+    for i, (name, joint) in enumerate(zip(uncertain.names, uncertain.joints, strict=True)):
+        low, high = (np.where(np.arange(len(uncertain.names)) == i, end, uncertain.mean) for end in uncertain.ranges[i])
+        label = name if PARAMETERS[name].of == ARM else f"{name}[{joint}]"
+        ends = (uncertain.varied_model(plant.model, theta) for theta in (low, high))
+        result[label] = _channel(modes, *ends)
+    return result
 
 
-def _assembled(motion: System, cost: Array, matrix: Array, noise: Array, n: int, delay: int) -> System:
+def _assembled(motion: LinearModel, cost: Array, matrix: Array, noise: Array, n: int, delay: int) -> LinearModel:
     """Return the system with inputs (torque errors, parameters, torques and tip force, noise, torques).
 
     Args:
@@ -245,60 +291,8 @@ def _assembled(motion: System, cost: Array, matrix: Array, noise: Array, n: int,
     C = np.vstack([np.zeros((n, s)), C_r[:, :s], cost, np.zeros((n, s)), matrix])
     C = np.pad(C, ((0, 0), (0, queue)))
     C[n : n + r] = C_r
-    return System(A, B, C, np.vstack([commands, direct, np.zeros((z, B.shape[1])), commands, noises]))
-
-
-def closed_loop(plant: GeneralisedPlant, loop: System) -> System:
-    """Return the closed loop from (channels, disturbances) to (channels, performance)."""
-    (A, B, C, D), w = plant.system, sum(plant.blocks) + plant.disturbances
-    z = sum(plant.blocks) + plant.outputs
-    fed, seen = B[:, w:], C[z:]
-    return System(
-        np.block([[A + fed @ loop.D @ seen, fed @ loop.C], [loop.B @ seen, loop.A]]),
-        np.vstack([B[:, :w] + fed @ loop.D @ D[z:, :w], loop.B @ D[z:, :w]]),
-        np.hstack([C[:z] + D[:z, w:] @ loop.D @ seen, D[:z, w:] @ loop.C]),
-        D[:z, :w] + D[:z, w:] @ loop.D @ D[z:, :w],
-    )
-
-
-def frequency_response(system: System, frequencies: Vector, period: float) -> Array:
-    """Return the complex gains (f, p, m) of a discrete-time system at frequencies (f,) Hz."""
-    z = np.exp(2j * np.pi * period * np.asarray(frequencies))[:, None, None]
-    result: Array = system.C @ np.linalg.solve(z * np.eye(len(system.A)) - system.A, system.B + 0.0 * z) + system.D
-    return result
-
-
-def grid(plant: GeneralisedPlant, loop: System, count: int = 100) -> Array:
-    """Return frequencies (Hz) up to half the control rate: a logarithmic grid and the poles of the closed loop."""
-    poles = np.abs(np.angle(np.linalg.eigvals(closed_loop(plant, loop).A))) / (2.0 * np.pi * plant.period)
-    return np.union1d(np.geomspace(1e-4, 0.5, count) / plant.period, poles[poles > 0.0])
-
-
-def robustness(plant: GeneralisedPlant, loop: System, gain: float | None = None) -> Array:
-    """Return upper bounds (f,) of the structured singular value of a loop at the frequencies of `grid`.
-
-    Parameters with one input are real; those with several inputs count as full complex blocks, a larger set. Below 1 at
-    all frequencies, the loop is stable for all values in the ranges; with a gain, the gain from disturbances to
-    performance outputs is below it, too (robust performance).
-
-    Args:
-        plant: generalised plant.
-        loop: controller.
-        gain: bound of the gain; None for robust stability alone.
-    """
-    slycot, r, blocks = _slycot(), sum(plant.blocks), list(plant.blocks)
-    kinds = [2, *(1 if size == 1 else 2 for size in blocks[1:])]
-    result = []
-    for matrix in frequency_response(closed_loop(plant, loop), grid(plant, loop), plant.period):
-        square = matrix[:r, :r]
-        if gain is not None:
-            size = max(matrix.shape) - r
-            square = np.zeros((r + size, r + size), dtype=complex)
-            square[: matrix.shape[0], : matrix.shape[1]] = matrix
-            square[r:] /= gain
-        extra = [] if gain is None else [len(square) - r]
-        result.append(slycot.ab13md(square, np.array(blocks + extra), np.array(kinds + [2] * len(extra)))[0])
-    return np.array(result)
+    D = np.vstack([commands, direct, np.zeros((z, B.shape[1])), commands, noises])
+    return LinearModel(A, B, C, D, period=motion.period)
 
 
 def _central(plant: GeneralisedPlant, scales: Array, share: float, level: float, bound: float) -> Synthesis | None:
@@ -311,7 +305,7 @@ def _central(plant: GeneralisedPlant, scales: Array, share: float, level: float,
         level: factor of the performance outputs.
         bound: bound of the H-infinity norm.
     """
-    slycot, n, r, w, z = _slycot(), plant.motors, sum(plant.blocks), plant.disturbances, plant.outputs
+    slycot, n, r, w, z = optional_module(*SLYCOT), plant.motors, sum(plant.blocks), plant.disturbances, plant.outputs
     A, B, C, D = plant.system
     y, each = len(C) - r - z, np.repeat(scales, plant.blocks)
     noise = np.diag(D[-y:, r + w - y : r + w])
@@ -323,8 +317,8 @@ def _central(plant: GeneralisedPlant, scales: Array, share: float, level: float,
         found = slycot.sb10dd(len(A), B.shape[1], len(C), n, y, bound, A, B, C, D)[1:5]
     except slycot.exceptions.SlycotError:
         return None
-    loop = System(found[0], found[1] / noise, found[2], found[3] / noise)
-    stable = np.abs(np.linalg.eigvals(closed_loop(plant, loop).A)).max() < 1.0
+    loop = LinearModel(found[0], found[1] / noise, found[2], found[3] / noise)
+    stable = np.abs(np.linalg.eigvals(plant.closed_loop(loop).A)).max() < 1.0
     return Synthesis(loop, B[:, -n:], bound, share) if stable else None
 
 
@@ -345,9 +339,9 @@ def _search(
     return good, best
 
 
-def channel_scales(plant: GeneralisedPlant, loop: System, share: float, level: float) -> Array:
+def _channel_scales(plant: GeneralisedPlant, loop: LinearModel, share: float, level: float) -> Array:
     """Return the scales (c,) of channels that balance the gains between channels and performance (Perron vectors)."""
-    matrices = frequency_response(closed_loop(plant, loop), np.geomspace(1e-3, 0.5, 40) / plant.period, plant.period)
+    matrices = plant.closed_loop(loop).frequency_response(np.geomspace(1e-3, 0.5, 40) / plant.period)
     into = np.cumsum([0, *plant.blocks, plant.disturbances])
     out = np.cumsum([0, *plant.blocks, plant.outputs])
     blocks = [[matrices[:, a:b, c:d] for c, d in pairwise(into)]
@@ -360,36 +354,6 @@ def channel_scales(plant: GeneralisedPlant, loop: System, share: float, level: f
     vectors = [np.abs(vector[:, np.argmax(value.real)]) for value, vector in (right, left)]
     scales: Array = np.sqrt(vectors[1] / vectors[0])
     return scales[:-1] / scales[-1]
-
-
-def synthesise(plant: GeneralisedPlant, loss: float = LOSS, scaled: bool = True) -> Synthesis:
-    """Return the controller with the largest share of the channels for an allowed loss of performance.
-
-    The least norm without channels is found first. Then the channels are multiplied by the largest share, at most 1,
-    for which a controller has at most `loss` times this norm. If this share is 1 and the controller itself is
-    unstable, 1.5 times the loss is allowed.
-
-    Args:
-        plant: generalised plant.
-        loss: norm allowed with channels over the least norm without channels.
-        scaled: True for channels scaled by `channel_scales`, twice.
-
-    Raises:
-        ValueError: for a plant that no controller with these measurements stabilises.
-    """
-    ones = np.ones(len(plant.blocks))
-    norm, best = _search(lambda bound: _central(plant, ones, 0.0, 1.0, bound), 1.0, 0.25, NORM_RATIO)
-    result = _central(plant, ones, 0.0, 1.0 / norm, loss) or best
-    if best is None or result is None:
-        raise value_error("sensors", "these measurements", "measurements from which the arm can be stabilised")
-    result = result._replace(norm=norm)
-    for _ in range(2 if scaled else 1):
-        scales = channel_scales(plant, result.loop, result.share or 0.3, 1.0 / norm) if scaled else ones
-        found = _largest_share(plant, scales, 1.0 / norm, loss)
-        if found is None or found.share <= result.share:
-            break
-        result = found._replace(norm=norm)
-    return result
 
 
 def _largest_share(plant: GeneralisedPlant, scales: Array, level: float, loss: float) -> Synthesis | None:
@@ -410,13 +374,13 @@ class HInfinity:
     Args:
         plant: plant model with its uncertain parameters, delay and noise of the instruments.
         sensors: names in `model.linearization.LINEAR_SENSORS`, "motor_encoders" among them.
-        loss: see `synthesise`.
+        loss: see `GeneralisedPlant.synthesise`.
     """
 
     state_fields = ("_states", "_now")
 
     def __init__(self, plant: Plant, sensors: Sequence[str] = ("motor_encoders", "strain"), loss: float = LOSS) -> None:
-        _slycot()
+        optional_module(*SLYCOT)
         self._plant, self._instruments, self._loss = plant, MeasurementModel(plant, sensors), positive("loss", loss)
         self.sensors, self._model, self._limits = tuple(sensors), centred_model(plant), np.array(plant.torque_limit)
         self._delay = (sum(plant.delay) + 1) // 2
@@ -431,7 +395,9 @@ class HInfinity:
         if key not in self._designs:
             if len(self._designs) > MAX_DESIGNS:
                 self._designs.clear()
-            self._designs[key] = synthesise(generalised_plant(self._plant, self._instruments, goal), self._loss)
+            self._designs[key] = GeneralisedPlant.linearised(self._plant, self._instruments, goal).synthesise(
+                self._loss
+            )
         return self._designs[key]
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
@@ -456,11 +422,7 @@ class HInfinity:
             else plan_path(free, paths[i], self._plant.period)
         )
         rates = slew.states[:, free.n_dof + free.motor_columns]
-        friction = friction_torques(
-            self._model,
-            friction_coefficients(self._model, {}, np.zeros(1, dtype=np.int64))[0],
-            0.5 * (rates[1:] + rates[:-1]),
-        )
+        friction = friction_torques(self._model, 0.5 * (rates[1:] + rates[:-1]))
         last = holding_torques(free, goal)[None] if paths is None else slew.torques[-1:]
         return slew.states, np.vstack([slew.torques + friction, last])
 

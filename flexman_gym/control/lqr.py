@@ -59,8 +59,20 @@ class CostWeights(NamedTuple):
         Raises:
             ValueError: for an arm whose Riccati equation has no solution within rounding.
         """
+        from scipy.linalg import solve_discrete_are
+
         with check_solvable("gains of a regulator"):
-            return _riccati_gain(linear, motors, limits, self, period)
+            transition, inputs = discretize(linear.A, linear.B, period)
+            n, outputs = len(limits), self.outputs(linear, motors)
+            scaled = inputs * limits  # torques as fractions of their limits, for a well-scaled equation
+            cost = np.diag(1.0 / limits**2) * np.outer(limits, limits)
+            equation = transition, scaled, outputs.T @ outputs, cost
+            try:
+                solution = solve_discrete_are(*equation)
+            except (ValueError, np.linalg.LinAlgError):  # caused by balancing
+                solution = solve_discrete_are(*equation, balanced=False)
+            gain = np.linalg.solve(np.eye(n) + scaled.T @ solution @ scaled, scaled.T @ solution @ transition)
+        return limits[:, None] * gain
 
     def outputs(self, linear: LinearModel, motors: Array) -> Array:
         """Return the matrix (6 + n, 2 d) of the outputs in the cost: tip, its rate and motor angles over weights."""
@@ -69,24 +81,6 @@ class CostWeights(NamedTuple):
         outputs[:3, :d], outputs[3:6, d:] = tip / self.tip, tip / self.tip_speed
         outputs[6:, motors] = np.eye(n) / self.motor
         return outputs
-
-
-def _riccati_gain(linear: LinearModel, motors: Array, limits: Array, weights: CostWeights, period: float) -> Array:
-    """Solve the Riccati equation; where balancing it makes the solution fail, solve it without balancing."""
-    from scipy.linalg import solve_discrete_are
-
-    transition, inputs = discretize(linear.A, linear.B, period)
-    n, outputs = len(limits), weights.outputs(linear, motors)
-    cost = np.diag(1.0 / limits**2)
-    # torques as fractions of their limits, for a well-scaled equation
-    scaled = inputs * limits
-    equation = transition, scaled, outputs.T @ outputs, cost * np.outer(limits, limits)
-    try:
-        solution = solve_discrete_are(*equation)
-    except (ValueError, np.linalg.LinAlgError):
-        solution = solve_discrete_are(*equation, balanced=False)
-    gain = np.linalg.solve(np.eye(n) + scaled.T @ solution @ scaled, scaled.T @ solution @ transition)
-    return limits[:, None] * gain
 
 
 POSTURE_SPACING = 0.17  # rad; distance of postures in the table; with 0.43 rad a folded arm oscillates

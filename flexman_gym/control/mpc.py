@@ -8,6 +8,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import value_error
+from flexman_gym.common.computer import optional_module
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.friction_compensation import FrictionCompensation
 from flexman_gym.control.lqr import MOTOR_WEIGHT, CostWeights
@@ -122,7 +123,7 @@ class MPC:
         period: float,
         integration: tuple[str | Method, float | str] = (DEFAULT_METHOD, "auto"),
     ) -> None:
-        self._daqp = _import_solver()
+        self._daqp = optional_module("daqp", "the MPC", "mpc")
         reach = float(check_model(model).constants.length.sum())
         self.model, self.period, self._integration = model, period, integration
         self.limits = np.array(torque_limits("torque_limit", torque_limit, model.n_joints))
@@ -228,13 +229,3 @@ def _solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array
     """Return x (m,) between low and high with least x H x / 2 + g x, curvature H (m, m), gradient g; 0 on failure."""
     changes, _, status, _ = daqp.solve(curvature, gradient, np.zeros((0, len(gradient))), high, low)
     return np.array(changes) if status > 0 else np.clip(np.zeros(len(gradient)), low, high)
-
-
-def _import_solver() -> ModuleType:
-    """Return the module `daqp`; raise ImportError, with the name of the extra, if the package is missing."""
-    try:
-        import daqp
-    except ImportError:
-        raise ImportError("the MPC needs daqp: pip install 'flexman_gym[mpc]'", name="daqp") from None
-    result: ModuleType = daqp
-    return result

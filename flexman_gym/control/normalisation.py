@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import finite, short_path, value_error
-from flexman_gym.common.files import open_arrays
+from flexman_gym.common.checks import finite
+from flexman_gym.common.files import open_arrays, reading
 from flexman_gym.common.snapshot import get_state, set_state
-
-VARIANCE_OFFSET = 1e-8  # added to variances to avoid division by zero
+from flexman_gym.control.network import VARIANCE_OFFSET
 
 
 class RunningMeanStd:
@@ -81,16 +80,11 @@ class RunningMeanStd:
             FileNotFoundError: if there is no file.
             ValueError: for a file without statistics.
         """
-        try:
+        with reading(path, "is not a file of RunningMeanStd.save"):
             with open_arrays(path) as file:
                 state = {name: file[name] for name in cls.state_fields}
             result = cls(state["mean"].shape)
             result.set_state(state | {"count": float(state["count"])})
-        except FileNotFoundError:
-            raise
-        except Exception as error:  # a damaged zip file may raise anything
-            allowed = f"a file of RunningMeanStd.save ({type(error).__name__})"
-            raise value_error("scales", short_path(path), allowed) from None
         return result
 
     def _join(self, count: float, mean: Array, squares: Array) -> None:

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
+from flexman_gym.common.checks import optional_module
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
-from flexman_gym.control.mpc import _import_solver
 from flexman_gym.control.observers.observer import UncertainStates
 from flexman_gym.control.observers.uncertain_states import StateSource
 from flexman_gym.model.statics import holding_torques
@@ -144,7 +144,8 @@ class SafetyFilter:
     state_fields = ("_past", "change", "status", "_ages", "_next", "_growth", "_responses", "_response_ages")
 
     def __init__(self, plant: Plant, limits: PredictedLimits, source: StateSource) -> None:
-        self._daqp, self._plant, self._limits, self.source = _import_solver(), plant, limits, source
+        self._daqp, self._plant = optional_module("daqp", "the safety filter", "mpc"), plant
+        self._limits, self.source = limits, source
         n, late = plant.model.n_joints, plant.delay[1]
         self.torque_limits = np.array(plant.torque_limit)
         self._damping = BRAKE * np.array(plant.gains()["damping"])

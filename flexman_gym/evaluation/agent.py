@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import short_path, value_error
-from flexman_gym.common.files import existing_file
+from flexman_gym.common.files import existing_file, reading
 from flexman_gym.common.renamed import RUN_SETTINGS, complete_environment, rename_keys
-from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, read_settings
+from flexman_gym.common.run_folder import BEST, NEWEST, NO_SETTINGS, SETTINGS, read_npz, read_settings
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.agent import Law
 from flexman_gym.control.base_controllers import BASES, parse_kind
@@ -197,13 +197,10 @@ def _load_run(folder: Path) -> AgentSpec:
     if is_sb3_folder(folder):
         raise _untrusted_file_error(folder)
     settings = read_settings(folder)
-    try:
+    with reading(folder / SETTINGS, NO_SETTINGS):
         environment = Configuration.from_plain(settings["environment"])
         algo, activation = settings["algo"], settings["hyperparameters"].get("activation")
         base_in_use = settings.get("base_in_use")
-    except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"{short_path(folder / SETTINGS)}: {reason}; give the settings of a training run") from None
     path = folder / BEST if (folder / BEST).is_file() else existing_file(folder / NEWEST)
     data = read_npz(path)
     check_settings(path, data, settings)

@@ -79,7 +79,7 @@ class _LinearOutputFeedback:
 
 
 @dataclass
-class Program:
+class _Program:
     """Parts of a controller in C.
 
     Attributes:
@@ -186,9 +186,9 @@ def begin_agent(name: object, environment: str = "", seed: int = TEST_SEEDS[0], 
     return _Session(spec, bare, episodes, layout, (start, episodes.view.goal_angles[0].copy()))
 
 
-def read_program(session: _Session) -> Program:
+def read_program(session: _Session) -> _Program:
     """Return the parts of the agent of a session."""
-    program, agent, mode = Program(), session.episodes.agent, session.episodes.agent.mode
+    program, agent, mode = _Program(), session.episodes.agent, session.episodes.agent.mode
     base, readings = agent.base, "readings"
     if isinstance(base, InputShapedController):
         shifts = base.move_tables(session.episodes.measurements.readings)
@@ -218,7 +218,7 @@ def read_program(session: _Session) -> Program:
     return program
 
 
-def _add_network(program: Program, network: Network, agent: Agent, strength: float | Array, period: float) -> None:
+def _add_network(program: _Program, network: Network, agent: Agent, strength: float | Array, period: float) -> None:
     """Add a policy network with the history, action repeat and strength of its agent."""
     length = history_length(agent.history)
     sizes = [network.size, *(len(bias) for _, bias in network.layers)]

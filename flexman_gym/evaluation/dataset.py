@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from flexman_gym.common.computer import optional_module
 from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.envs.config.configuration import Configuration
@@ -41,11 +42,8 @@ def record_dataset(
         FileNotFoundError: for an unknown agent or environment.
         ValueError: for arguments that are not allowed, such as the name of an existing dataset.
     """
-    try:
-        import minari
-        from minari.data_collector import EpisodeBuffer
-    except ImportError:
-        raise ImportError("datasets need Minari: pip install 'flexman_gym[scale]'") from None
+    minari = optional_module("minari", "the export of datasets", "scale")
+    EpisodeBuffer = optional_module("minari.data_collector", "the export of datasets", "scale").EpisodeBuffer
     simulated = _without_agent(Configuration.find(environment))
     single = gym.make(simulated.id, **simulated.settings)
     tasks = [(agent, simulated, tuple(seeds[i : i + BLOCK])) for i in range(0, len(seeds), BLOCK)]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
+from flexman_gym.common.computer import optional_module
 from flexman_gym.common.files import existing_file
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.common.run_folder import BEST, NEWEST, read_npz, read_settings
@@ -140,11 +141,7 @@ def write_onnx(agent: str, path: Path) -> float:
         ValueError: for an agent without a network, for a policy with a base controller, and for a graph whose actions
             differ from the actions of the policy.
     """
-    try:
-        import onnx
-        from onnx.reference import ReferenceEvaluator
-    except ImportError as error:
-        raise ImportError("ONNX needs another package: pip install 'flexman_gym[onnx]'") from error
+    onnx, reference = (optional_module(name, "the export", "onnx") for name in ("onnx", "onnx.reference"))
     policy = find_agent(agent)
     network = policy.law
     if not isinstance(network, Network):
@@ -157,7 +154,7 @@ def write_onnx(agent: str, path: Path) -> float:
     onnx.checker.check_model(model, full_check=True)
     spread = np.random.default_rng(0).normal(0.0, 3.0, (ONNX_ROWS, network.size))
     observations = (network.mean + spread / network.scale).astype(np.float32)
-    actions: Any = ReferenceEvaluator(model).run(None, {"observation": observations})
+    actions: Any = reference.ReferenceEvaluator(model).run(None, {"observation": observations})
     difference = float(np.abs(actions[0] - network(observations)).max())
     if not difference <= ONNX_TOLERANCE:
         given = f"actions that differ by {difference:.2g} from those of the policy"

@@ -209,7 +209,8 @@ def metrics_table(
     settings = environment.settings.keys() - ({"method"} if environment.method == DEFAULT_METHOD else set())
     changes = ", ".join(sorted(settings)) or "as it is"
     title = f"{len(first)} episodes of {environment.id} ({changes}), the same for all"
-    headers = ["agent", *(_header(metric, first[0].band) for metric in columns)]
+    within = f"in {1e3 * first[0].band:.3g} mm"
+    headers = ["agent", *(within if metric.name == "settled" else metric.header for metric in columns)]
     values = {metric: [metric.values(records) for records in results.values()] for metric in columns}
     rows = [[_shorten(name), *(_cell(metric, values[metric][i]) for metric in columns)]
             for i, name in enumerate(results)]  # fmt: skip
@@ -220,10 +221,6 @@ def metrics_table(
         caption.append(f"{ALL_SEEDS}: intervals of a hierarchical bootstrap over {sampled}")
     widths = [max(map(len, column)) for column in zip(headers, *rows, strict=True)]
     return "\n".join([title, *(_line(row, widths) for row in (headers, *rows)), *caption])
-
-
-def _header(metric: Metric, band: float) -> str:
-    return f"in {1e3 * band:.3g} mm" if metric.name == "settled" else metric.header
 
 
 def _cell(metric: Metric, values: Array) -> str:

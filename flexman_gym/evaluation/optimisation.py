@@ -1,7 +1,7 @@
 """Optimisation of PD gains with stability margins, and of minimum-time slews, for an environment."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -20,11 +20,11 @@ from flexman_gym.control.references.optimised_slews import (
     OptimisedController,
     SingleShooting,
     SlewTable,
-    arm_fingerprint,
 )
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.agent import split_interface
 from flexman_gym.evaluation.metrics import METRICS
@@ -98,7 +98,7 @@ def tune(
         >>> env = gym.make("FlexOne-v0", base="pd", gains=found.gains)
     """
     environment = Configuration.find(environment)
-    random, loops = np.random.default_rng(seed), motor_loops(environment)
+    random, loops = np.random.default_rng(seed), _motor_loops(environment)
     limits = np.array(environment.torque_limit)
     rotors = np.array([joint.rotor_inertia for joint in environment.arm.joints])
     max_damping = stability_limit(environment.max_delay) * rotors / (MIN_MARGINS.gain * environment.control_period)
@@ -106,12 +106,12 @@ def tune(
     high = np.log(np.concatenate([STIFFNESS_RANGE[1] * limits, max_damping]))
     checked_loops = loops if margin else []
     gains = _draw_gains(checked_loops, first, lambda: random.uniform(low, high))
-    returns = gain_returns(environment, gains, episodes, workers)
+    returns = _gain_returns(environment, gains, episodes, workers)
     for deviation in LOCAL_DEVIATIONS:
         best = np.log(gains[np.argmax(returns)])
         draw = partial(_draw_near, random, best, float(deviation), low, high)
         near = _draw_gains(checked_loops, around, draw)
-        returns = np.append(returns, gain_returns(environment, near, episodes, workers))
+        returns = np.append(returns, _gain_returns(environment, near, episodes, workers))
         gains = np.vstack([gains, near])
     stiffness, damping = np.split(gains[np.argmax(returns)], 2)
     reached = margins(loops, stiffness, damping)
@@ -122,7 +122,7 @@ def _draw_near(random: np.random.Generator, best: Array, deviation: float, low: 
     return np.clip(best + deviation * random.standard_normal(len(best)), low, high)
 
 
-def motor_loops(environment: Configuration) -> list[SampledLoop]:
+def _motor_loops(environment: Configuration) -> list[SampledLoop]:
     """Return the sampled loops of the motors, with the largest delay, at the goals of episodes with seeds 0 to 3.
 
     With Coulomb friction, each posture has a loop for every set of motors that stick while the rest slide, see
@@ -158,7 +158,7 @@ def _draw_gains(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Arr
     raise value_error("gains", f"{len(result)} of {DRAWS * count} drawn", allowed)
 
 
-def gain_returns(environment: Configuration, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:
+def _gain_returns(environment: Configuration, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:
     """Return the mean return (c,) of c candidate gains (c, 2 n) over the episodes with seeds 0 to `episodes` - 1."""
     parts = [(environment, gains[i : i + BLOCK_CANDIDATES], episodes) for i in range(0, len(gains), BLOCK_CANDIDATES)]
     return np.concatenate(parallel_map(_block_returns, parts, workers, prepare=compile_kernels))
@@ -202,7 +202,7 @@ def empty_slew_table(environment: Configuration) -> SlewTable:
         "environment": environment.to_plain(),
         "model": f"{model.n_dof} coordinates, method {getattr(method, 'name', method)}, step {step:.9g} s",
     }
-    fingerprint = arm_fingerprint(model, np.array(environment.torque_limit), environment.control_period)
+    fingerprint = SlewTable.fingerprint(model, np.array(environment.torque_limit), environment.control_period)
     return SlewTable(metadata, fingerprint)
 
 
@@ -235,13 +235,10 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
     def make_batch(arms: int) -> Batch:
         return Batch(model, method, step, period, arms=arms)
 
-    draws: list[Array] = []
-    tracked = rollout(
-        "lqr-tracking",
-        environment,
-        missing,
-        lambda episodes: _record_start_and_goal(draws, episodes.view.episode_parameters),
-    )
+    episodes: list[Episodes] = []
+    tracked = rollout("lqr-tracking", environment, missing, episodes.append)
+    parameters = episodes[0].view.episode_parameters
+    draws = np.stack([parameters["start"], parameters["goal_angles"]], axis=1)
     for seed, start_and_goal, record in zip(missing, draws, tracked.records, strict=True):
         start = time.process_time()
         slew = SingleShooting(regulator, make_batch, record.band, environment.limits.rate, *start_and_goal).search()
@@ -251,9 +248,3 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
             settling = SETTLING.evaluate(rollout(replay, environment, [seed]).records)
             table.found[seed] = start_and_goal, slew, settling
         yield _SlewResult(seed, settling, SETTLING.evaluate([record]), cpu_time)
-
-
-def _record_start_and_goal(draws: list[Array], parameters: Mapping[str, Array]) -> None:
-    """Append start and goal (2, n), rad, of each episode to an empty list."""
-    if not draws:
-        draws += list(np.stack([parameters["start"], parameters["goal_angles"]], axis=1))

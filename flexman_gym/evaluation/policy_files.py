@@ -13,7 +13,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from flexman_gym.common.checks import one_of, short_path, short_repr, value_error
-from flexman_gym.common.files import READ_ERRORS, existing_file, regular_file, write_atomically
+from flexman_gym.common.files import existing_file, reading, regular_file, write_atomically
 from flexman_gym.common.renamed import CERTIFICATE_KEYS, complete_environment, current_methods
 from flexman_gym.control.network import Network, policy_parameters
 
@@ -58,19 +58,15 @@ def read_policy(folder: Path) -> _ExportedPolicy:
         ValueError: for a file that is too large or damaged, for wrong hashes of arrays, environment or settings, and
             for a network whose actions differ from the stored actions.
     """
-    path = existing_file(folder / METADATA)
-    try:
+    path, wrong = existing_file(folder / METADATA), "is no exported policy"
+    with reading(path, wrong):
         metadata = _parse_metadata(_read_bytes(path))
-        path = existing_file(folder / ARRAYS)
+    path = existing_file(folder / ARRAYS)
+    with reading(path, wrong):
         content = _read_bytes(path)
         if hashlib.sha256(content).hexdigest() != metadata["arrays_hash"]:
             raise value_error("arrays_hash", metadata["arrays_hash"], "that of the arrays: one of them was changed")
         return _ExportedPolicy(metadata, _check_network(metadata, _read_tensors(content)))
-    except FileNotFoundError:
-        raise
-    except READ_ERRORS as error:
-        reason = " ".join(str(error).split())[:300] or type(error).__name__
-        raise ValueError(f"{short_path(path)}: this is no exported policy ({reason})") from None
 
 
 def write_policy(folder: Path, metadata: Mapping[str, Any], arrays: dict[str, NDArray[np.floating]]) -> None:
@@ -85,12 +81,14 @@ def write_policy(folder: Path, metadata: Mapping[str, Any], arrays: dict[str, ND
         OSError: if the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    _write_tensors(folder / ARRAYS, arrays)
+    _check_dtypes(arrays)
+    content = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+    write_atomically(folder / ARRAYS, lambda file: file.write(content))
     computed = {
         "format": FORMAT,
         "environment_hash": _json_hash(metadata["environment"]),
         "settings_hash": _json_hash(metadata["recipe"]["settings"]),
-        "arrays_hash": hashlib.sha256((folder / ARRAYS).read_bytes()).hexdigest(),
+        "arrays_hash": hashlib.sha256(content).hexdigest(),
     }
     complete = {name: computed.get(name, metadata.get(name)) for name in KEYS}
     write_atomically(folder / METADATA, lambda file: file.write((json.dumps(complete, indent=1) + "\n").encode()))
@@ -244,17 +242,6 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _refuse_constant(text: str) -> Any:
     raise ValueError(f"{text} is no JSON number")
-
-
-def _write_tensors(path: Path, arrays: Mapping[str, NDArray[np.floating]]) -> None:
-    """Write arrays of float32 or float64 atomically to a file in the format of safetensors.
-
-    Raises:
-        OSError: if the file cannot be written.
-    """
-    _check_dtypes(arrays)
-    content = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
-    write_atomically(path, lambda file: file.write(content))
 
 
 def _read_tensors(content: bytes) -> dict[str, NDArray[np.floating]]:

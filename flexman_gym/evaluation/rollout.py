@@ -14,7 +14,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.progress import Progress
-from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments, warn_deprecated
+from flexman_gym.common.renamed import ARGUMENTS, MEMBERS, deprecated_arguments, deprecated_members
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes, validate_actions
@@ -89,6 +89,7 @@ class EpisodeRecord:
         return np.inf if np.isnan(ratio) else ratio
 
 
+@deprecated_members(**MEMBERS["Rollout"])
 @dataclass(frozen=True, eq=False)
 class Rollout:
     """Records of b episodes as arrays, with NaN after the end of each episode.
@@ -152,12 +153,6 @@ class Rollout:
         name = re.sub(r"[^\w.-]+", "-", self.metadata["name"]).strip("-.") or "episode"
         paths = [Path(folder) / f"{name}-{seed}.npz" for seed in self.metadata["seeds"]]
         return [self.episode(i).save(path) for i, path in enumerate(paths)]
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """Deprecated name of `metadata`."""
-        warn_deprecated("Rollout.about is Rollout.metadata now")
-        return self.metadata
 
     @property
     def records(self) -> list[EpisodeRecord]:

@@ -10,6 +10,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import instance, mapping, positive, value_error, whole_number
 from flexman_gym.common.files import write_data
+from flexman_gym.common.plot_style import BLUE, MIDDLE, new_figure
 from flexman_gym.identification.least_squares import FreeParameters, LeastSquaresProblem
 from flexman_gym.identification.measurement import Measurement, SimulatedResponse, output_unit
 from flexman_gym.identification.ringing import KEYS, Ringing
@@ -73,7 +74,7 @@ def _data_warnings(problem: LeastSquaresProblem, x: Array) -> tuple[str, ...]:
         computed = block.measured + before * block.sigma
         wrong = _check_scale(label, block.name, block.measured, computed) if block.gain < 0 else ""
         lines += [wrong] if wrong else []
-        score = 1.0 - np.mean(residual**2) / max(float(np.var(block.measured)), 1e-300)
+        score = _r_squared(block.measured, block.measured + residual)
         if score < MAX_SCORE and not wrong and not data.filters.get(block.name):
             unexplained.add(block.name)
         if score < 0.5:
@@ -148,7 +149,6 @@ REPORT = """# Arm fitted to measurements
 
 The arm is stored in `arm.yaml`.
 """
-MEASURED, COMPUTED = "#8a8f98", "#0072B2"
 
 
 def _write_report(found: "Fit", folder: Path) -> None:
@@ -174,23 +174,17 @@ def _write_report(found: "Fit", folder: Path) -> None:
 
 def _draw(found: "Fit", file: Path) -> None:
     """Plot each output of each record, measured and computed, to a file."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError("plots need Matplotlib: pip install 'flexman_gym[render]'") from error
     panels = [(i, record, name) for i, record in enumerate(found.records) for name in record.outputs]
     computed = [found.predicted(record) for record in found.records]
-    figure = Figure(figsize=(9.0, 2.4 * max(1, len(panels))), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure((9.0, 2.4 * max(1, len(panels))), 100.0, layout="constrained")
     grid = figure.subplots(max(1, len(panels)), 1, squeeze=False)[:, 0]
     for axes, (i, record, name) in zip(grid, panels, strict=False):
-        axes.plot(record.times, record.outputs[name], color=MEASURED, linewidth=2.0, label="measured")
-        axes.plot(record.times, computed[i][name], color=COMPUTED, linewidth=1.0, label="computed")
+        axes.plot(record.times, record.outputs[name], color=MIDDLE, linewidth=2.0, label="measured")
+        axes.plot(record.times, computed[i][name], color=BLUE, linewidth=1.0, label="computed")
         axes.set(title=f"record {i}, {name}", xlabel="time (s)")
         axes.legend(frameon=False)
     if not panels:
-        grid[0].errorbar(*found.frequencies.T[:2], xerr=found.frequencies[:, 2], fmt="o", color=COMPUTED)
+        grid[0].errorbar(*found.frequencies.T[:2], xerr=found.frequencies[:, 2], fmt="o", color=BLUE)
         grid[0].set(xlabel="measured (Hz, or damping ratio)", ylabel="computed")
     figure.savefig(file)
 
@@ -386,7 +380,7 @@ def _is_poor(problem: LeastSquaresProblem, x: Array) -> bool:
         if block.record < 0:
             if np.abs(rows).max() > MAX_DEVIATIONS:
                 return True
-        elif 1.0 - np.mean((rows * block.sigma) ** 2) / max(float(np.var(block.measured)), 1e-300) < MIN_SCORE:
+        elif _r_squared(block.measured, block.measured + rows * block.sigma) < MIN_SCORE:
             return True
     return False
 

@@ -296,17 +296,15 @@ class SimulatedResponse:
         arm: the arm.
         measurement: the measurement.
         step: time step, s; None for the sampling interval.
-        method: name of the integration method.
 
     Attributes:
         measurement: the measurement.
-        method: name of the integration method.
         step: time step, s.
         scene: scene with the inputs of the measurement.
     """
 
-    def __init__(self, arm: Arm, measurement: Measurement, step: float | None, method: str = METHOD) -> None:
-        self.measurement, self.method = measurement, method
+    def __init__(self, arm: Arm, measurement: Measurement, step: float | None) -> None:
+        self.measurement = measurement
         self.step = measurement.period if step is None else step
         times = np.asarray(measurement.times) - measurement.times[0]
         torques, motions = np.zeros((len(times), arm.n_joints)), [None] * arm.n_joints
@@ -350,7 +348,7 @@ class SimulatedResponse:
         """
         count = len(next(iter(parameters.values())))
         varied: dict[str, Any] = dict(parameters)
-        runs = simulate_all([self.scene] * count, model, self.method, self.step, **varied)
+        runs = simulate_all([self.scene] * count, model, METHOD, self.step, **varied)
         size, period = len(self.measurement.times), self.measurement.period
         complete = [run for run in runs if len(run.time) == size]
         result = np.full((count, len(self.measurement.outputs), size), np.nan)

@@ -1,6 +1,6 @@
 """Details of a league for the terminal: all metrics of a scenario, values of a sweep, agents, and overall scores."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -41,14 +41,6 @@ def league_details(standings: Standings, name: str) -> list[str]:
     if name in standings.agents:
         return _agent_lines(standings, name)
     return _sweep_table(standings, name, sweeps[name]) if name in sweeps else _scenario_table(standings, name)
-
-
-def settling_table(
-    standings: Standings, agents: Iterable[str], scenarios: Iterable[str], heads: Sequence[str]
-) -> list[str]:
-    """Return a table with these heads, and a row for each agent: name, and result in each scenario."""
-    rows = [[f"`{each}`", *(standings.settling_text(each, name) for name in scenarios)] for each in agents]
-    return markdown_table(heads, rows)
 
 
 def short_name(scenario: str) -> str:
@@ -105,7 +97,7 @@ def _overall_table(standings: Standings) -> list[str]:
 def _sweep_table(standings: Standings, name: str, values: dict[str, float]) -> list[str]:
     heads = [sweep_text(name.removesuffix("=")), *(f"{value:g}" for value in values.values())]
     agents = [each for each in standings.agents if any(not standings.why(each, scenario) for scenario in values)]
-    return settling_table(standings, agents, values, heads)
+    return standings.settling_table(agents, values, heads)
 
 
 def _scenario_table(standings: Standings, scenario: str) -> list[str]:

@@ -56,6 +56,7 @@ USUAL_SCENARIOS = (DEFAULT_ID, *(f"{DEFAULT_ID}/{condition}" for condition in CO
 LAB_SCENARIO = f"{DEFAULT_ID}/unknown-lab"  # unknown arm with the sensors of a laboratory
 PLANT_SCENARIOS = [f"{each}@{plant}" for each in (DEFAULT_ID, LAB_SCENARIO) for plant in PLANTS if plant != "usual"]
 GIVEN_NOISE = 0.001  # fraction of the range of a sensor; noise for which controllers are designed in a noise sweep
+NOISY = {"randomisation": {"sensor_noise": [GIVEN_NOISE, GIVEN_NOISE]}}  # background of sweeps of sensor errors
 GIVEN = "+given"  # suffix of a scenario whose controllers are designed for the changed environment
 
 
@@ -127,7 +128,7 @@ CHANGES = {
         "sensor noise relative to the range",
         _range_settings("sensor_noise"),
         (0.0, 0.001, 0.003, 0.01),
-        background={"randomisation": {"sensor_noise": [GIVEN_NOISE, GIVEN_NOISE]}},
+        background=NOISY,
     ),
     "period": _ParameterChange(
         "control period, s",
@@ -139,14 +140,14 @@ CHANGES = {
         "largest sensor bias relative to the range",
         lambda environment, value: _range_settings("sensor_bias")(environment, f"-{value}:{value}"),
         (0.0, 0.001, 0.003, 0.005),
-        background={"randomisation": {"sensor_noise": [GIVEN_NOISE, GIVEN_NOISE]}},
+        background=NOISY,
         always_given=True,
     ),
     "lost": _ParameterChange(
         "share of lost samples",
         _range_settings("dropped_samples"),
         (0.0, 0.01, 0.03, 0.1),
-        background={"randomisation": {"sensor_noise": [GIVEN_NOISE, GIVEN_NOISE]}},
+        background=NOISY,
     ),
     "friction": _ParameterChange(
         "motor friction relative to that of the condition", _friction_settings, (0.0, 0.5, 1.0, 1.5), "friction"

@@ -1,13 +1,13 @@
 """Standings: scores, settled shares, comparisons and costs of the agents of a league."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.markdown import number_text
+from flexman_gym.common.markdown import markdown_table, number_text
 from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.evaluation.agent import SIMPLE_AGENTS
 from flexman_gym.evaluation.agent_info import describe_agent
@@ -163,6 +163,11 @@ class Standings:
         values = self.values(agent, scenario, "settling_time")
         times = np.sort([time for seed, time in values.items() if seeds is None or seed in seeds])
         return float(np.mean(np.isfinite(times))), -float(times[len(times) // 2])
+
+    def settling_table(self, agents: Iterable[str], scenarios: Iterable[str], heads: Sequence[str]) -> list[str]:
+        """Return a table with these heads, and a row for each agent: name, and result in each scenario."""
+        rows = [[f"`{each}`", *(self.settling_text(each, name) for name in scenarios)] for each in agents]
+        return markdown_table(heads, rows)
 
     def settling_text(self, agent: str, scenario: str) -> str:
         """Return the share of settled episodes and the median settling time, or the score for a moving goal.

@@ -44,7 +44,7 @@ def worst_case(agent: str, environment: Configuration, seed: int, starts: int = 
         return np.where(failed, np.inf, result.errors[:, -periods:].mean(axis=1))
 
     points = np.random.default_rng(seed).uniform(-1.0, 1.0, (starts, box.size))
-    point, error = ascend(final_errors, points)
+    point, error = _ascend(final_errors, points)
     options = {name: values[0].tolist() for name, values in box.options(point[None]).items() if name != "parameters"}
     options["parameters"] = {name: each[0].tolist() for name, each in box.parameters(point[None]).items()}
     return {"error": error if np.isfinite(error) else None, "seed": seed, "options": options}
@@ -83,7 +83,7 @@ class _Box:
         return options
 
 
-def ascend(objective: Callable[[Array], Array], points: Array) -> tuple[Array, float]:
+def _ascend(objective: Callable[[Array], Array], points: Array) -> tuple[Array, float]:
     """Maximise a function > 0 in the box from -1 to 1 by projected gradient ascent from the best of some points.
 
     Gradients are forward differences. All points of the gradients and of the line searches are evaluated together.

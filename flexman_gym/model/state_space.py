@@ -1,13 +1,13 @@
 """Linear state-space model with named inputs and outputs: order reduction, discretisation, export; natural modes."""
 
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import check_solvable, non_negative, positive, sequence, value_error
+from flexman_gym.common.computer import optional_module
 
 SHIFT = 1e-9  # spectral shift / largest scaled stiffness; it makes K positive definite despite rigid-body modes
 ZERO_SQUARE = 1e-10  # dimensionless; squared frequency / shift, below which the frequency is a rounded zero
@@ -191,12 +191,9 @@ class LinearModel:
         """Return the model as a StateSpace of python-control, with its names.
 
         Raises:
-            ModuleNotFoundError: if python-control is not installed, see the extra "control".
+            ImportError: if python-control is not installed, see the extra "control".
         """
-        try:
-            control = import_module("control")
-        except ModuleNotFoundError:
-            raise ModuleNotFoundError("to_control needs python-control: pip install flexman_gym[control]") from None
+        control = optional_module("control", "to_control", "control")
         names = {"inputs": list(self.inputs), "outputs": list(self.outputs), "states": list(self.states)}
         given = {name: each for name, each in names.items() if each}
         return control.ss(self.A, self.B, self.C, self.D, 0 if self.period is None else self.period, **given)

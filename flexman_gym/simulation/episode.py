@@ -10,9 +10,8 @@ from typing import Any, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import short_path
 from flexman_gym.common.computer import computer_info
-from flexman_gym.common.files import READ_ERRORS, open_arrays
+from flexman_gym.common.files import open_arrays, reading
 from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.common.time_series import write_csv
 from flexman_gym.model.model import Model, build_model
@@ -151,7 +150,7 @@ class Episode:
             FileNotFoundError: if the file does not exist.
             ValueError: for a file that is no saved episode.
         """
-        try:
+        with reading(path, "is not a saved episode"):
             with open_arrays(path) as data:
                 metadata = json.loads(data[METADATA_KEY].tobytes())
                 names = [each.name for each in fields(cls) if each.name not in ("readings", METADATA_KEY)]
@@ -160,11 +159,6 @@ class Episode:
                 readings = {name.removeprefix(prefix): data[name] for name in data.files if name.startswith(prefix)}
             result = cls(**arrays, readings=readings, about=metadata)
             result._check()
-        except FileNotFoundError:
-            raise FileNotFoundError(f"{short_path(path)}: no such file; give a saved episode") from None
-        except READ_ERRORS as error:
-            reason = " ".join(str(error).split())[:120] or type(error).__name__
-            raise ValueError(f"{short_path(path)}: this is not a saved episode ({reason})") from None
         return result
 
     def _check(self) -> None:

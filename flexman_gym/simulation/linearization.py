@@ -11,7 +11,7 @@ from flexman_gym.model.dynamics import coulomb_torques, split_state
 from flexman_gym.model.linearization import SLIDING, continuous_model, input_columns
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import LinearModel
-from flexman_gym.simulation.integrator import default_step
+from flexman_gym.simulation.integrator import MAX_STEPS, default_step
 from flexman_gym.simulation.methods import DEFAULT_METHOD, METHODS
 from flexman_gym.simulation.period_map import period_jacobian
 
@@ -53,7 +53,7 @@ def linearize(
         friction: treatment of Coulomb friction. "sliding": a constant torque, that of the motor rates of the state,
             which does not contribute to A. "at rest": a damper with the slope of the smoothed friction law, for motors
             that hardly move; in continuous time at the motor rates of the state, with a period along the motion.
-        period: control period of constant inputs, s; None for a model in continuous time.
+        period: control period of constant inputs, at most 500 s; None for a model in continuous time.
 
     Raises:
         ValueError: for arguments that are not allowed, and for a motion that diverges within the period.
@@ -79,7 +79,8 @@ def linearize(
         torques = torques - coulomb_torques(model, v[model.motor_columns])
         without = model.constants._replace(coulomb_friction=np.zeros(model.n_joints))
         model = replace(model, constants=without)
-    steps = round(period / default_step(period))
+    if (steps := round(period / default_step(period))) > MAX_STEPS:  # as in a control period of `Simulator`
+        raise value_error("period", period, f"at most {MAX_STEPS * default_step(period):g} s, {MAX_STEPS} steps")
     drive = np.concatenate([torques, np.zeros(6)])
     jacobian = period_jacobian(model, METHODS[DEFAULT_METHOD], (period, steps), np.concatenate([x, v]), drive)
     transition, by_input = np.split(jacobian, [2 * model.n_dof], axis=1)

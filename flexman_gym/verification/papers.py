@@ -15,7 +15,7 @@ from flexman_gym.scene.link import Link
 from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.simulation.linearization import linearize
 from flexman_gym.verification.cases import slender_link
-from flexman_gym.verification.table import VerificationRow
+from flexman_gym.verification.table import VerificationRow, VerificationTable
 
 _series = VerificationRow.series
 
@@ -48,12 +48,6 @@ REASONS = {
 }
 
 
-def printed_row(case: str, source: str, text: str, computed: float) -> VerificationRow:
-    """Return a row with a printed expected value; the tolerance is half a unit of its last digit."""
-    expected, unit = float(text), 10.0 ** -len(text.partition(".")[2])
-    return VerificationRow(case, source, expected, float(computed), 0.5001 * unit / abs(expected))
-
-
 def catalog_rows() -> Iterator[VerificationRow]:
     """Yield frequencies (Hz) of published arms of the catalog.
 
@@ -68,7 +62,7 @@ def catalog_rows() -> Iterator[VerificationRow]:
     for number, (mass, inertia, texts) in loads.items():
         result = _clamped(second, Payload(mass, (inertia * np.eye(3)).tolist()))
         for i, text in enumerate(texts):
-            yield printed_row(f"two links, link {number} clamped, f_{i + 1}, Hz", DE_LUCA, text, result[i])
+            yield VerificationRow.printed(f"two links, link {number} clamped, f_{i + 1}, Hz", DE_LUCA, text, result[i])
     result = 2.0 * np.pi * frequencies(build_model(catalog.nasa_beam(), 12))
     for i, (column, known) in enumerate(zip((1, 2, 4, 5), (5.28, 20.9, 46.7, 83.4), strict=True)):
         yield VerificationRow(
@@ -80,7 +74,7 @@ def catalog_rows() -> Iterator[VerificationRow]:
     for link, text in zip(catalog.gifu_2link().links[1:], ("35.6", "29.4"), strict=True):
         bare = replace(link.sections[0], masses=())
         case = f"rod of {bare.youngs_modulus / 1e9:g} GPa, clamped and bare, f_1, Hz"
-        yield printed_row(case, GIFU, text, _clamped(bare)[0])
+        yield VerificationRow.printed(case, GIFU, text, _clamped(bare)[0])
 
 
 def _clamped(link: Link, payload: Payload | None = None) -> Array:
@@ -112,11 +106,6 @@ def _rotary_rows() -> Iterator[VerificationRow]:
         result = frequencies(build_model(catalog.quanser_rotary(option), 8), lock_joints=True)
         yield from _series(f"rotary link of {length} m, clamped f_{{}}, Hz", KYOTO, (4.14, 25.65), result[:2],
                                MEASURED)  # fmt: skip
-
-
-def printed_rows() -> list[VerificationRow]:
-    """Return the rows of printed and measured results."""
-    return [*catalog_rows(), *_rotary_rows()]
 
 
 def _beam_rows() -> Iterator[VerificationRow]:
@@ -166,6 +155,9 @@ def _chain_rows() -> Iterator[VerificationRow]:
         yield from _series(f"{name}, motors locked f_{{}}, Hz", source, locked, result, CHAIN_OF_MASSES)
 
 
-def computed_rows() -> list[VerificationRow]:
-    """Return the rows of frequencies computed by other programs from the printed parameters."""
-    return [*_beam_rows(), *_chain_rows()]
+def paper_tables() -> dict[str, VerificationTable]:
+    """Return the tables "printed", of printed and measured results, and "computed", of results of other programs."""
+    return {
+        "printed": VerificationTable([*catalog_rows(), *_rotary_rows()]),
+        "computed": VerificationTable([*_beam_rows(), *_chain_rows()]),
+    }

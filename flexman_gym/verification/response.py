@@ -75,7 +75,7 @@ def read_response(path: Path) -> tuple[Array, NDArray[np.complex128]]:
     return hertz, response
 
 
-def hub_response(model: Model, hertz: Array) -> NDArray[np.complex128]:
+def _hub_response(model: Model, hertz: Array) -> NDArray[np.complex128]:
     """Return the response (f,) of the motor angle to a voltage at frequencies (f,) Hz, rad/V."""
     motor = model.arm.joints[0].motor
     assert motor is not None and motor.torque_per_volt is not None
@@ -104,7 +104,7 @@ def fit_response(hertz: Array, response: NDArray[np.complex128]) -> _ResponseFit
         return varied_model(model, **{name: f * nominal[name] for name, f in zip(FITTED, factors, strict=True)})
 
     def errors(logarithms: Array, part: slice) -> Array:
-        computed = np.exp(logarithms[-1]) * hub_response(changed(logarithms), hertz[part])
+        computed = np.exp(logarithms[-1]) * _hub_response(changed(logarithms), hertz[part])
         relative = computed / response[part] - 1.0
         return np.concatenate([relative.real, relative.imag])
 

@@ -44,6 +44,12 @@ class VerificationRow:
         return PASS if self.error <= self.tolerance else FAIL
 
     @classmethod
+    def printed(cls, case: str, source: str, text: str, computed: float) -> Self:
+        """Return a row with a printed expected value; the tolerance is half a unit of its last digit."""
+        expected, unit = float(text), 10.0 ** -len(text.partition(".")[2])
+        return cls(case, source, expected, float(computed), 0.5001 * unit / abs(expected))
+
+    @classmethod
     def series(
         cls, case: str, source: str, expected: Iterable[float], computed: Iterable[float], tolerance: float
     ) -> list[Self]:

@@ -37,14 +37,14 @@ def run(request, tmp_path_factory):
 
 
 def test_a_recipe_is_translated_and_what_cannot_be_is_refused():
-    config = rllib.ppo_config(SETTINGS, 2)
+    config = rllib._ppo_config(SETTINGS, 2)
     assert config.train_batch_size_per_learner == 8 * 24 and config.minibatch_size == 64 and config.num_epochs == 2
     assert config.gamma == 0.95 and config.lambda_ == 0.99 and config.num_envs_per_env_runner == 4
     assert config.lr == [[0, 1e-3], [768, 1e-12]] and config.env_config["first_seed"] == training_seed(3)
-    assert refusal(rllib.ppo_config, SETTINGS, 3).startswith("runners: 3 is not allowed; give a number that divides")
+    assert refusal(rllib._ppo_config, SETTINGS, 3).startswith("runners: 3 is not allowed; give a number that divides")
     for change in ({"eval_every": 5}, {"hyperparameters": {"use_sde": True}}):
-        assert refusal(rllib.ppo_config, replace(SETTINGS, **change), 0).startswith(next(iter(change)))
-    assert refusal(rllib.ppo_config, Settings("sac"), 0).startswith("algo: 'sac' is not allowed")
+        assert refusal(rllib._ppo_config, replace(SETTINGS, **change), 0).startswith(next(iter(change)))
+    assert refusal(rllib._ppo_config, Settings("sac"), 0).startswith("algo: 'sac' is not allowed")
 
 
 def test_a_run_is_a_folder_that_evaluate_reads_and_whose_scales_saw_every_observation_once(run):
@@ -59,8 +59,8 @@ def test_a_run_is_a_folder_that_evaluate_reads_and_whose_scales_saw_every_observ
 
 def test_runners_begin_with_episodes_of_their_own():
     """Observations after a reset, of two runners as RLlib makes them, beside those of one."""
-    both = rllib.ppo_config(SETTINGS, 2)
-    whole = rllib.ppo_config(SETTINGS, 0)
+    both = rllib._ppo_config(SETTINGS, 2)
+    whole = rllib._ppo_config(SETTINGS, 0)
     seen = []
     for config, index in ((both, 1), (both, 2), (whole, 0)):
         runner = config.env_runner_cls(config=config, worker_index=index)
@@ -70,7 +70,7 @@ def test_runners_begin_with_episodes_of_their_own():
 
 
 def test_a_sample_holds_what_the_environment_said_cut_into_episodes():
-    config = rllib.ppo_config(replace(SETTINGS, normalise_reward=False), 0)
+    config = rllib._ppo_config(replace(SETTINGS, normalise_reward=False), 0)
     runner = config.env_runner_cls(config=config, worker_index=0)
     episodes = runner.sample(num_timesteps=8 * 24)
     assert sum(map(len, episodes)) == 8 * 24 and sum(each.is_truncated for each in episodes) == 8

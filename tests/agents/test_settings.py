@@ -132,7 +132,7 @@ def test_a_bad_recipe_names_its_file_and_the_field(tmp_path):
 def test_a_broken_record_names_its_file(tmp_path, text):
     (tmp_path / "settings.json").write_text(text)
     line = refusal(Settings.load, tmp_path)
-    assert line.startswith(f"{tmp_path / 'settings.json'}: ") and line.endswith("; give the settings of a training run")
+    assert line.startswith(f"{tmp_path / 'settings.json'}: ") and "settings of a training run" in line
 
 
 # Names of release 0.2

@@ -219,7 +219,7 @@ def test_missing_and_broken_runs_give_one_line(trained, tmp_path):
     with pytest.raises(FileNotFoundError, match=f"{SETTINGS}: no such file; give a folder"):
         find_agent(str(tmp_path))
     (tmp_path / SETTINGS).write_text("{}")
-    with pytest.raises(ValueError, match="give the settings of a training run"):
+    with pytest.raises(ValueError, match="settings of a training run"):
         find_agent(str(tmp_path))
     (tmp_path / SETTINGS).write_text((trained[0] / SETTINGS).read_text())
     with pytest.raises(FileNotFoundError, match=f"{NEWEST}: no such file"):

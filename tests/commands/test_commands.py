@@ -19,9 +19,10 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import CONDITIONS
 from flexman_gym.envs.sensors import SENSOR_NAMES
 from flexman_gym.evaluation.diagnosis import REMEDIES, RINGING, Diagnosis, diagnose
-from flexman_gym.league import certificate, details, page, rows
+from flexman_gym.league import certificate, page, rows
 from flexman_gym.league.rows import EpisodeBlock, LeagueRows
 from flexman_gym.league.scenarios import PLANT_SCENARIOS, USUAL_SCENARIOS
+from flexman_gym.league.standings import Standings
 
 from oracles.files import REFERENCE, ROOT
 
@@ -219,7 +220,7 @@ def test_a_league_takes_few_episodes_on_other_plants_and_those_of_others_for_one
         return dict(runs)
 
     monkeypatch.setattr(rows, "run_league", run_league)
-    monkeypatch.setattr(details, "settling_table", lambda *_: [])
+    monkeypatch.setattr(Standings, "settling_table", lambda *_: [])
     monkeypatch.setattr(page, "write_page", lambda *_: None)
     usual = {100: [each.removesuffix("/nominal") for each in USUAL_SCENARIOS]}
     assert found() == found("--add", "pd") == usual
@@ -285,9 +286,10 @@ def test_the_exit_status_says_whether_a_policy_is_within_its_limits(
     path = tmp_path / "certificate.json"
     path.write_text(json.dumps({"arrays_hash": "", "fails": fails}))
     monkeypatch.setattr(certificate, "certify", lambda *_, **__: path)
-    for command in (["certify", "lab-flexrrr"], ["league", "--agent", "lab-flexrrr"]):
-        assert main(command) == status
-        assert capsys.readouterr().out == f"{path}: {words}\n"
+    assert main(["league", "--agent", "lab-flexrrr"]) == status
+    with pytest.warns(DeprecationWarning, match="flexman certify is flexman league --agent now"):
+        assert main(["certify", "lab-flexrrr"]) == status
+    assert capsys.readouterr().out == 2 * f"{path}: {words}\n"
 
 
 def drawn(capsys, *words):

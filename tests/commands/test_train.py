@@ -127,14 +127,14 @@ def test_what_is_wrong_is_one_line_and_leaves_no_folder(run, tmp_path, monkeypat
 
 def test_tuning_finds_gains_that_beat_most_and_finds_them_again(monkeypatch):
     """The best of a few: among the candidates, within their ranges, and the same every time."""
-    seen, rewards = [], optimisation.gain_returns
+    seen, rewards = [], optimisation._gain_returns
 
     def watched(name, gains, episodes, workers):
         result = rewards(name, gains, episodes)
         seen.append((gains, result))
         return result
 
-    monkeypatch.setattr(optimisation, "gain_returns", watched)
+    monkeypatch.setattr(optimisation, "_gain_returns", watched)
     first, again = (
         optimisation.tune(Configuration("FlexOne-v0"), first=6, around=4, episodes=2, seed=1) for _ in range(2)
     )
@@ -161,9 +161,9 @@ def test_the_gains_in_the_catalog_are_better_than_gains_nearby_at_random():
     pd, environment = NAMED_ENVIRONMENTS["FlexOne-v0"].pd, Configuration("FlexOne-v0")
     own = np.array([[*pd["stiffness"], *pd["damping"]]])
     others = own * np.random.default_rng(0).uniform(0.4, 1.6, (24, 2))
-    loops = optimisation.motor_loops(environment)
+    loops = optimisation._motor_loops(environment)
     others = [each for each in others if has_margins(loops, each[:1], each[1:], optimisation.MIN_MARGINS)]
-    result = optimisation.gain_returns(environment, np.vstack([own, *others]), 8)
+    result = optimisation._gain_returns(environment, np.vstack([own, *others]), 8)
     assert len(others) > 6 and (result.argmax() == 0 or result[0] > 0.99 * result.max())
 
 

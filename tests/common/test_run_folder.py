@@ -172,7 +172,7 @@ def test_settings_that_were_changed_give_one_line(run, tmp_path, name, change):
 def test_broken_settings_give_one_line(run, tmp_path, text):
     (tmp_path / SETTINGS).write_bytes(text.encode("utf-8", errors="surrogateescape"))
     (tmp_path / NEWEST).write_bytes((run / NEWEST).read_bytes())
-    assert "give the settings of a training run" in refusal(find_agent, str(tmp_path))
+    assert "settings of a training run" in refusal(find_agent, str(tmp_path))
 
 
 @pytest.mark.parametrize("seed", range(25))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.friction_compensation import friction_coefficients, friction_torques, frictionless
+from flexman_gym.control.friction_compensation import friction_torques, frictionless
 from flexman_gym.control.references.adaptive_references import (
     CANDIDATE_DURATIONS,
     PathReferences,
@@ -94,10 +94,10 @@ def test_no_torque_is_above_the_share_of_the_limits_and_the_way_is_not_slower_th
     """Durations are tried in steps of 4.5 %, by which torques of inertia change by 9 %."""
     own = model(**rubbing)
     slews = begun(own, parameters={"payload_mass": np.array([payload])})
-    coefficients, shares = friction_coefficients(own, {}, ONE)[0], []
+    shares = []
     for now in times(slews, 200)[:, None]:
         rates = slews.at(now, ONE)[1] * slews.displacement[0]
-        shares.append(np.abs((slews.torques(now, ONE)[0] + friction_torques(own, coefficients, rates)) / LIMITS).max())
+        shares.append(np.abs((slews.torques(now, ONE)[0] + friction_torques(own, rates)) / LIMITS).max())
     assert 0.85 * SHARE < max(shares) < 1.01 * SHARE
     assert CANDIDATE_DURATIONS[0] < slews.duration[0] < CANDIDATE_DURATIONS[-1]
 

@@ -81,9 +81,9 @@ def test_the_mean_over_a_change_of_sign_does_not_drive_a_motor_and_at_equal_rate
     own, c = model(viscous=0.0), np.array([[0.0, 0.0], [0.6, 0.6]])
     width, rate = own.constants.coulomb_rate, np.array([0.2, -0.01])
     assert mean_friction_torques(c, rate, -rate, width) == pytest.approx(0.0, abs=1e-12)
-    assert mean_friction_torques(c, rate, rate, width) == pytest.approx(friction_torques(own, c, rate), rel=1e-12)
+    assert mean_friction_torques(c, rate, rate, width) == pytest.approx(friction_torques(own, rate, c), rel=1e-12)
     assert mean_friction_torques(c, rate, rate + 2e-6, width) == pytest.approx(
-        friction_torques(own, c, rate + 1e-6), rel=1e-6
+        friction_torques(own, rate + 1e-6, c), rel=1e-6
     )
 
 

@@ -15,7 +15,8 @@ from flexman_gym.control.margins import (
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-from flexman_gym.evaluation.optimisation import MIN_MARGINS, motor_loops
+from flexman_gym.evaluation import optimisation
+from flexman_gym.evaluation.optimisation import MIN_MARGINS
 from flexman_gym.model import mass_matrix
 from flexman_gym.simulation.parameters import varied_model
 from studies.servos.measure import AT_REST, FrictionCase, friction_rows, remaining_vibration, smoothed_loop
@@ -119,7 +120,7 @@ def test_the_pd_of_every_environment_has_a_gain_margin_of_two_and_a_phase_margin
     monkeypatch.setattr("flexman_gym.control.margins.PHASE_SHIFTS", shifts)
     environment = Configuration.find(name)
     gains = environment.pd_gains
-    reached = margins(motor_loops(environment), gains["stiffness"], gains["damping"])
+    reached = margins(optimisation._motor_loops(environment), gains["stiffness"], gains["damping"])
     assert reached.gain >= MIN_MARGINS.gain * (1.0 - 1e-9) and reached.phase >= MIN_MARGINS.phase
 
 

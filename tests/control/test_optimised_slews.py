@@ -276,7 +276,7 @@ def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path, table):
     for broken in (lambda: None, lambda: np.savez(path, seeds=ONLY), lambda: path.write_bytes(b"")):
         broken()
         said = refusal(SlewTable.load, path)
-        assert said.startswith(f"{path}: not a table of slews") and "\n" not in said
+        assert said.startswith(f"{path}: this is not a table of slews") and "\n" not in said
     with pytest.raises(FileNotFoundError):
         SlewTable.load(tmp_path / "none.npz")
 

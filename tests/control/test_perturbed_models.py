@@ -1,7 +1,6 @@
 """Perturbed models and uncertain parameters, against independent simulations and sums."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,8 +12,8 @@ from flexman_gym.control.observers.perturbed_models import (
     RANGE_MARGIN,
     PerturbedModels,
     Prior,
+    Resimulation,
     UncertainParameters,
-    levenberg_marquardt_step,
     solve_scaled,
 )
 from flexman_gym.simulation.batch import Batch
@@ -220,7 +219,7 @@ def test_a_fit_finds_the_numbers_from_readings_without_noise(biased):
     found = np.tile(mean, (ARMS, 1))
     for _ in range(5):
         found, sweep = trials.fit(ORIGIN, found, prior, (torques, readings, weights))
-    found += levenberg_marquardt_step(sweep, found, prior)[0]
+    found += sweep.step(found, prior)[0]
     error = np.abs(found - true)
     assert error[:, : len(trials.uncertain.names)].max() < 1e-6
     assert error.max() < (1e-6 if not biased else 1e-5)
@@ -281,22 +280,20 @@ def test_a_step_is_that_of_the_normal_equations_with_the_prior():
     sweep = _sweep(slopes, errors)
     numbers = random.standard_normal((2, 4))
     prior = Prior(random.standard_normal(4), np.array([0.1, 1.0, 10.0, 2.0]), np.full(4, -9.0), np.full(4, 9.0))
-    change, fall = levenberg_marquardt_step(sweep, numbers, prior)
+    change, fall = sweep.step(numbers, prior)
     for arm in range(2):
         rows = np.vstack([slopes[arm], np.diag(1.0 / prior.deviation)])
         wanted = np.concatenate([errors[arm], (prior.mean - numbers[arm]) / prior.deviation])
         best, left, *_ = np.linalg.lstsq(rows, wanted, rcond=None)
         assert change[arm] == pytest.approx(best, rel=1e-9)
         assert fall[arm] == pytest.approx(wanted @ wanted - left[0], rel=1e-9), "by how much the cost falls"
-    assert (
-        np.abs(levenberg_marquardt_step(sweep, numbers, prior, 10.0)[0]).max(axis=1) < np.abs(change).max(axis=1)
-    ).all()
+    assert (np.abs(sweep.step(numbers, prior, 10.0)[0]).max(axis=1) < np.abs(change).max(axis=1)).all()
 
 
 def _sweep(slopes, errors):
     across = slopes.transpose(0, 2, 1)
     gradient = (across @ errors[..., None])[..., 0]
-    return SimpleNamespace(information=across @ slopes, gradient=gradient, cost=(errors**2).sum(axis=1))
+    return Resimulation(np.zeros(0), across @ slopes, gradient, (errors**2).sum(axis=1))
 
 
 def test_equations_in_units_far_apart_are_solved():

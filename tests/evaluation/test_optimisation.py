@@ -16,9 +16,9 @@ from oracles.assertions import refusal
 def test_loops_of_a_servo_for_which_gains_are_looked_for_have_its_drive_in_them():
     """Of an arm of one's own, for which nothing is tuned yet; an agent that holds its actions changes nothing."""
     given = {"id": "FlexPlanar-v0", "arm": {"catalog": "planar_2r"}, "torque_limit": 2.0, "control_period": 0.005}
-    plain = optimisation.motor_loops(Configuration.from_plain(given))
+    plain = optimisation._motor_loops(Configuration.from_plain(given))
     servo = {"actions": "position", "action_repeat": 4, "drive_bandwidth": 20.0}
-    lagging = optimisation.motor_loops(Configuration.from_plain(given | servo))
+    lagging = optimisation._motor_loops(Configuration.from_plain(given | servo))
     for loop, late in zip(plain, lagging, strict=True):
         assert len(late.transition) == len(loop.transition) + 2
         radii = [each.spectral_radius([5.0, 2.0], [1.0, 0.4]) for each in (loop, late)]
@@ -28,7 +28,7 @@ def test_loops_of_a_servo_for_which_gains_are_looked_for_have_its_drive_in_them(
 def test_gains_are_drawn_up_to_half_of_what_a_late_motor_bears(monkeypatch):
     """Where more damping is always better, and margins are not asked for, the result comes close to that bound."""
     environment = Configuration("FlexOne-v0", {"randomisation": {"delay": [0, 3]}})
-    monkeypatch.setattr(optimisation, "gain_returns", lambda environment, gains, episodes, workers: gains[:, -1])
+    monkeypatch.setattr(optimisation, "_gain_returns", lambda environment, gains, episodes, workers: gains[:, -1])
     result, setup = optimisation.tune(environment, margin=False), environment
     model = gym.make(environment.id).unwrapped.simulator.model
     half, beyond = (PD(result.stiffness, [part * result.damping[0]], setup.torque_limit) for part in (1.99, 2.1))
@@ -41,7 +41,7 @@ def test_all_gains_that_are_tried_have_margins_with_the_largest_delay(delay, mon
     environment = Configuration("FlexPlanar-v0", {"randomisation": {"delay": [0, delay]}})
     tried = []
     monkeypatch.setattr(
-        optimisation, "gain_returns", lambda environment, gains, episodes, workers: tried.append(gains) or gains[:, 0]
+        optimisation, "_gain_returns", lambda environment, gains, episodes, workers: tried.append(gains) or gains[:, 0]
     )
     result = optimisation.tune(environment, first=8, around=3)
     model, setup = gym.make(environment.id).unwrapped.simulator.model, environment
@@ -71,7 +71,7 @@ def test_the_reward_is_that_of_whole_episodes_and_of_no_others():
     """Limits so tight that episodes end at different times: simulated one by one, they have that mean reward."""
     environment = Configuration("FlexOne-v0", {"horizon": 1.0, "limits": {"rate": 1.3}})
     episodes = 3
-    (mean,) = optimisation.gain_returns(environment, np.array([[0.3, 0.1]]), episodes)
+    (mean,) = optimisation._gain_returns(environment, np.array([[0.3, 0.1]]), episodes)
     gains = {"stiffness": (0.3,), "damping": (0.1,)}
     env = gym.make(environment.id, base="pd", gains=gains, **environment.keywords())
     rewards, periods = [], []
@@ -96,7 +96,7 @@ def test_every_round_is_around_the_best_so_far(monkeypatch):
         tried.append(np.log(gains))
         return -((tried[-1] - peak) ** 2).sum(axis=1)
 
-    monkeypatch.setattr(optimisation, "gain_returns", rewards)
+    monkeypatch.setattr(optimisation, "_gain_returns", rewards)
     result = optimisation.tune(Configuration("FlexOne-v0"))
     so_far = tried[0]
     assert len(so_far) == 60 and len(tried) == 9
@@ -109,6 +109,6 @@ def test_every_round_is_around_the_best_so_far(monkeypatch):
 
 def test_gains_that_are_evaluated_in_parts_have_the_same_rewards_to_the_bit(monkeypatch):
     gains, environment = np.geomspace(0.1, 2.0, 14).reshape(7, 2), Configuration("FlexOne-v0", {"horizon": 0.5})
-    whole = optimisation.gain_returns(environment, gains, 2)
+    whole = optimisation._gain_returns(environment, gains, 2)
     monkeypatch.setattr(optimisation, "BLOCK_CANDIDATES", 3)
-    assert optimisation.gain_returns(environment, gains, 2).tobytes() == whole.tobytes() and len(set(whole)) == 7
+    assert optimisation._gain_returns(environment, gains, 2).tobytes() == whole.tobytes() and len(set(whole)) == 7

@@ -85,6 +85,7 @@ REFUSED = [  # call, and the beginning of its message
     (lambda: fm.linearize(RIGID, REST, state=np.zeros(4)), "state: "),
     (lambda: fm.linearize(RIGID, torque=[1.0]), "torque: "),
     (lambda: fm.linearize(RIGID, torque=[1.0, "much"]), "torque[1]: "),
+    (lambda: fm.linearize(BENT, period=501.0), "period: 501.0 is not allowed; give at most 500 s, 100000 steps"),
     (lambda: fm.linearize(BENT, friction="none"), "friction: 'none' is not allowed; give "),
     (lambda: fm.linearize(BENT, outputs=["tips"]), "outputs[0]: 'tips' is not allowed; give one of motor_angles"),
     (lambda: fm.linearize(BENT, inputs=["torque"]), "inputs[0]: 'torque' is not allowed; give one of motor_torques"),

@@ -119,5 +119,5 @@ def test_other_files_are_refused_in_one_line(episode, tmp_path, wrong):
 
 
 def test_a_file_that_is_not_there_is_said_so(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"a\.npz: no such file; give a saved episode"):
+    with pytest.raises(FileNotFoundError, match=r"a\.npz: there is no such file"):
         Episode.load(tmp_path / "a.npz")

@@ -7,7 +7,7 @@ import pytest
 
 from flexman_gym.verification.table import VerificationRow, VerificationTable
 from studies.files import read_rows
-from studies.verification.arms import catalog_rows, printed_row, rayleigh_frequencies
+from studies.verification.arms import catalog_rows, rayleigh_frequencies
 from studies.verification.motions import rows as table_rows
 from studies.verification.page import page
 
@@ -34,7 +34,7 @@ def test_the_fast_rows_pass(rows):
 
 def test_a_printed_value_is_met_to_half_its_last_digit():
     for value, verdict in ((4.549, "pass"), (4.451, "pass"), (4.56, "fail"), (4.44, "fail")):
-        assert printed_row("a frequency, Hz", "a book", "4.5", value).verdict == verdict
+        assert VerificationRow.printed("a frequency, Hz", "a book", "4.5", value).verdict == verdict
 
 
 def test_published_frequencies_are_those_of_the_catalog():

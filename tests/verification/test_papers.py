@@ -10,7 +10,7 @@ from flexman_gym.verification.table import PASS
 
 @pytest.fixture(scope="module")
 def rows():
-    return {"printed": papers.printed_rows(), "computed": papers.computed_rows()}
+    return papers.paper_tables()
 
 
 @pytest.mark.parametrize("table, count", [("printed", 15), ("computed", 39)])

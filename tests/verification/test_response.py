@@ -17,7 +17,7 @@ def made_up(noise):
     """Return the response of an arm with changed parameters, 1.05 times the torque per volt, and relative noise."""
     model, random = fm.build_model(fm.catalog.quanser_rotary(), 8), np.random.default_rng(3)
     values = {name: factor * np.array(PARAMETERS[name].nominal(model)) for name, factor in FACTORS.items()}
-    exact = 1.05 * module.hub_response(varied_model(model, **values), HERTZ)
+    exact = 1.05 * module._hub_response(varied_model(model, **values), HERTZ)
     return exact * (1.0 + noise * (random.standard_normal((2, len(HERTZ))) * [[1.0], [1.0j]]).sum(axis=0))
 
 
@@ -33,7 +33,7 @@ def test_the_response_without_link_damping_has_an_antiresonance_at_the_clamped_f
     """With the hub held the link vibrates alone: the response of the hub has a zero at each clamped frequency."""
     model = fm.build_model(replace(fm.catalog.quanser_rotary(), modal_damping_ratio=0.0), 8)
     clamped = fm.frequencies(model, lock_joints=True)[:2]
-    near, at = np.abs(module.hub_response(model, clamped * 1.1)), np.abs(module.hub_response(model, clamped))
+    near, at = np.abs(module._hub_response(model, clamped * 1.1)), np.abs(module._hub_response(model, clamped))
     assert (at < 1e-9 * near).all()
 
 

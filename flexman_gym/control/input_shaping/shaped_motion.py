@@ -12,8 +12,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import mapping, one_of, physical, positive, value_error
 from flexman_gym.control.input_shaping.motion import Motion
 from flexman_gym.control.input_shaping.shapers import SHAPERS, Shaper, design_shaper, shaper_residual
-from flexman_gym.identification.ring_down import MAX_DAMPING
-from flexman_gym.identification.ringing import DAMPING_DEVIATION, FREQUENCY_DEVIATION, Ringing
+from flexman_gym.identification.ringing import DAMPING_DEVIATION, FREQUENCY_DEVIATION, MAX_DAMPING, Ringing
 
 AUTO, SCALING = "auto", "scaling"
 LIMITS = ("velocity", "acceleration", "jerk")

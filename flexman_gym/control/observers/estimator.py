@@ -20,7 +20,6 @@ from flexman_gym.control.observers.perturbed_models import (
     Resimulation,
     UncertainParameters,
     covariance_factors,
-    levenberg_marquardt_step,
     solve_scaled,
     standard_deviations,
 )
@@ -439,7 +438,7 @@ class Estimator:
             self._detector.reset(arms, len(self._ages))  # innovations so far include linearisation errors
         count = self._weights[: age + 1].size - np.count_nonzero(self._lost[arms, : age + 1], axis=(1, 2))
         self._detector.misfit[arms] = simulation.cost / count
-        self._change[arms], _ = levenberg_marquardt_step(simulation, self.theta[arms], self._prior)
+        self._change[arms], _ = simulation.step(self.theta[arms], self._prior)
         self._apply_change(arms)
 
     def _fit_delays(self, arms: IntArray, age: int) -> tuple[Array, Resimulation]:

@@ -11,7 +11,7 @@ from flexman_gym.common.renamed import PARAMETER_KEYS, rename_keys
 from flexman_gym.control.controller import Plant
 from flexman_gym.control.observers.internal_model import InternalModels
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN
+from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN, varied_model
 
 PARAMETER_STEP = 0.0003  # fraction of a range; perturbation; 0.03 would shift the phase by a radian in 2 s
 RANGE_MARGIN = 0.35  # fraction of a range by which an estimate may exceed the range
@@ -31,6 +31,7 @@ class UncertainParameters:
         names: (p,) name of the physical parameter of each entry.
         joints: (p,) index of the joint or link of each entry; 0 for a parameter of the whole arm.
         scales: (p,) physical value per unit of each entry: the nominal value where the entry is a factor.
+        ranges: (p, 2) range of each entry.
         mean: (p,) mean of a uniform distribution over the range.
         deviation: (p,) standard deviation of this distribution.
         step: (p,) perturbation for finite differences.
@@ -55,7 +56,8 @@ class UncertainParameters:
                 joints.append(int(joint))
                 scales.append(float(nominal[joint]) if row.factor else 1.0)
                 spans.append((low, high))
-        low, high = np.array(spans).reshape(-1, 2).T
+        self.ranges = np.array(spans).reshape(-1, 2)
+        low, high = self.ranges.T
         width = np.where(high > low, high - low, KNOWN_RANGE * np.where(high > 0.0, high, 1.0))
         self.names, self.joints, self.scales = tuple(names), np.array(joints, dtype=np.int64), np.array(scales)
         self.mean, self.deviation, self.step = 0.5 * (low + high), width / np.sqrt(12.0), PARAMETER_STEP * width
@@ -75,6 +77,10 @@ class UncertainParameters:
             else:
                 result[name] = values[:, 0]
         return result
+
+    def varied_model(self, model: Model, theta: Array) -> Model:
+        """Return a model with the parameters of a vector (p,), see `simulation.parameters.varied_model`."""
+        return varied_model(model, **{name: rows[0] for name, rows in self.values(model, theta[None]).items()})
 
     def deviations(self, deviations: Array) -> dict[str, Array]:
         """Convert standard deviations (r, p) of theta to a mapping NAME_deviation -> (r,) or (r, entries), SI units."""
@@ -163,6 +169,21 @@ class Resimulation(NamedTuple):
     def select(self, arms: BoolArray | IntArray) -> "Resimulation":
         """Return the results of the flagged arms, or of arms with the indices (r,)."""
         return Resimulation(*(values[arms] for values in self))
+
+    def step(self, theta: Array, prior: Prior, damping: Array | float = 0.0) -> tuple[Array, Array]:
+        """Return the changes (r, p) of parameter vectors (r, p) in a Levenberg-Marquardt step.
+
+        Returns:
+            The changes, and the predicted decreases (r,) of the cost and of the cost of the prior together.
+        """
+        precision = 1.0 / prior.deviation**2
+        posterior, each = self.information.copy(), np.arange(theta.shape[1])
+        posterior[:, each, each] += precision
+        gradient = self.gradient + precision * (prior.mean - theta)
+        damped = posterior.copy()
+        damped[:, each, each] *= 1.0 + np.reshape(damping, (-1, 1))
+        change = solve_scaled(damped, gradient)
+        return change, (change * gradient).sum(axis=1)
 
 
 class PerturbedModels:
@@ -329,7 +350,7 @@ class PerturbedModels:
         best, result = theta.copy(), self.resimulate(origin, theta, *data)
         least = np.nan_to_num(result.cost + prior.cost(theta), nan=np.inf)
         for _ in range(MAX_ITERATIONS - 1):
-            change, decrease = levenberg_marquardt_step(result.select(rows), best[rows], prior, damping[rows])
+            change, decrease = result.select(rows).step(best[rows], prior, damping[rows])
             unfinished = decrease >= max(MIN_DECREASE[0], MIN_DECREASE[1] * data[0].shape[1])
             rows, candidate = rows[unfinished], prior.clip(best[rows] + change)[unfinished]
             if not len(rows):
@@ -342,20 +363,6 @@ class PerturbedModels:
             for values, new in zip(result, simulation, strict=True):
                 values[improved] = new[better]
         return best, result
-
-
-def levenberg_marquardt_step(
-    simulation: Resimulation, theta: Array, prior: Prior, damping: Array | float = 0.0
-) -> tuple[Array, Array]:
-    """Return a change (r, p) of parameter vectors (r, p) and the predicted decrease (r,) of the cost and its prior."""
-    precision = 1.0 / prior.deviation**2
-    posterior, each = simulation.information.copy(), np.arange(theta.shape[1])
-    posterior[:, each, each] += precision
-    gradient = simulation.gradient + precision * (prior.mean - theta)
-    damped = posterior.copy()
-    damped[:, each, each] *= 1.0 + np.reshape(damping, (-1, 1))
-    change = solve_scaled(damped, gradient)
-    return change, (change * gradient).sum(axis=1)
 
 
 def solve_scaled(matrices: Array, vectors: Array) -> Array:

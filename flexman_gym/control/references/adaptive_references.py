@@ -146,7 +146,7 @@ class SlewReferences:
                 self.shift[arm] += self._compensation.rotation(target, deflected)
 
     def payloads(self, parameters: Mapping[str, Array], arms: IntArray) -> Array:
-        """Return the estimated payloads (r,) of the arms (r,), kg, see `Estimate`."""
+        """Return the estimated payloads (r,) of the arms (r,), kg, see `Estimate`; without estimate the nominal one."""
         return _estimated_payloads(self.model, parameters, arms)
 
     def plan_timing(self, arms: IntArray, times: Array, first: bool) -> None:
@@ -166,7 +166,7 @@ class SlewReferences:
         torques = self._interpolate(self._adapted_torques, arms, progress, accelerations, speeds)
         if self._friction[arms].any():
             rates = speeds[..., None] * self.displacement[arms][:, None, None]
-            torques += friction_torques(self.model, self._friction[arms][:, None, None], rates)
+            torques += friction_torques(self.model, rates, self._friction[arms][:, None, None])
         ratios = (np.abs(torques) / self._limits).max(axis=(2, 3))
         feasible = ratios <= self._torque_fraction
         chosen = np.where(feasible.any(axis=1), feasible.argmax(axis=1), ratios.argmin(axis=1))

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import MAX_VALUE_LENGTH, short_path, value_error
-from flexman_gym.common.files import READ_ERRORS, open_arrays
+from flexman_gym.common.checks import value_error
+from flexman_gym.common.files import open_arrays, reading, write_atomically
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.lqr import FEEDFORWARD_FRACTION, LQR
 from flexman_gym.control.references.trajectories import plan_slew
@@ -272,7 +272,7 @@ class SlewTable:
 
     Attributes:
         about: metadata of the table: environment, method, model, command and so on, as texts, numbers and lists.
-        arm: (k,) numbers that identify the arm, see `arm_fingerprint`.
+        arm: (k,) numbers that identify the arm, see `fingerprint`.
         found: seed of an episode -> start and goal (2, n) rad, torques of the slew (knots, periods, arrival), and
             settling time (s) of the replay in the environment; infinite if the tip did not settle.
     """
@@ -280,6 +280,18 @@ class SlewTable:
     about: Mapping[str, Any]
     arm: Array
     found: dict[int, tuple[Array, _SlewTorques, float]] = field(default_factory=dict)
+
+    @staticmethod
+    def fingerprint(model: Model, limits: Array, period: float) -> Array:
+        """Return numbers (k,) that identify an arm with limits (n,) N m and a control period (s).
+
+        The numbers are lengths, joint stiffnesses, rotor inertias, payload, gravity, torque limits and control period.
+        They do not depend on the discretisation of the links.
+        """
+        constants = model.constants
+        mass = np.atleast_1d(constants.payload_mass).ravel()
+        parts = constants.length, constants.joint_stiffness, constants.rotor_inertia, mass, constants.gravity, limits
+        return np.concatenate([*parts, [period]])
 
     def torques(self, start: Array, goal: Array) -> Array:
         """Return the torques (T, n) of the slew between two postures (n,) rad, N m.
@@ -314,7 +326,7 @@ class SlewTable:
         """Check that the table belongs to an arm.
 
         Args:
-            arm: (k,) numbers from `arm_fingerprint`.
+            arm: (k,) numbers from `fingerprint`.
 
         Raises:
             ValueError: for another arm.
@@ -328,20 +340,17 @@ class SlewTable:
     def save(self, path: Path) -> None:
         """Write the table to a file (npz), atomically."""
         rows = [self.found[seed] for seed in sorted(self.found)]
-        partial = path.with_name(f"{path.name}.part")
-        with partial.open("wb") as file:
-            np.savez_compressed(
-                file,
-                about=np.array(json.dumps(dict(self.about))),
-                arm=self.arm,
-                seeds=np.array(sorted(self.found), dtype=np.int64),
-                ends=np.array([ends for ends, _, _ in rows]),
-                periods=np.array([(slew.periods, slew.arrival) for _, slew, _ in rows], dtype=np.int64),
-                times=np.array([time for _, _, time in rows]),
-                counts=np.array([len(slew.knots) for _, slew, _ in rows], dtype=np.int64),
-                knots=np.concatenate([slew.knots for _, slew, _ in rows]) if rows else np.zeros((0, 1)),
-            )
-        partial.replace(path)
+        arrays: dict[str, Any] = {
+            "about": np.array(json.dumps(dict(self.about))),
+            "arm": self.arm,
+            "seeds": np.array(sorted(self.found), dtype=np.int64),
+            "ends": np.array([ends for ends, _, _ in rows]),
+            "periods": np.array([(slew.periods, slew.arrival) for _, slew, _ in rows], dtype=np.int64),
+            "times": np.array([time for _, _, time in rows]),
+            "counts": np.array([len(slew.knots) for _, slew, _ in rows], dtype=np.int64),
+            "knots": np.concatenate([slew.knots for _, slew, _ in rows]) if rows else np.zeros((0, 1)),
+        }
+        write_atomically(path, lambda file: np.savez_compressed(file, **arrays))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -354,7 +363,7 @@ class SlewTable:
             FileNotFoundError: if there is no file.
             ValueError: for a file without a table of slews.
         """
-        try:
+        with reading(path, f"is not a table of slews, as computed by {COMMAND}"):
             with open_arrays(path, packed=True) as data:
                 about, arm, seeds, ends, periods, times, counts, knots = (data[name] for name in ENTRIES)
             parts = np.split(knots, np.cumsum(counts))[:-1]
@@ -364,25 +373,6 @@ class SlewTable:
                 for seed, both, part, ages, time in rows
             }
             return cls(json.loads(str(about)), arm, slews)
-        except FileNotFoundError:
-            raise
-        except READ_ERRORS as error:
-            message = " ".join(str(error).split())[:MAX_VALUE_LENGTH] or type(error).__name__
-            raise ValueError(
-                f"{short_path(path)}: not a table of slews, as computed by {COMMAND} ({message})"
-            ) from None
-
-
-def arm_fingerprint(model: Model, limits: Array, period: float) -> Array:
-    """Return numbers (k,) that identify an arm with limits (n,) N m and a control period (s).
-
-    The numbers are lengths, joint stiffnesses, rotor inertias, payload, gravity, torque limits and control period. They
-    do not depend on the discretisation of the links.
-    """
-    constants = model.constants
-    mass = np.atleast_1d(constants.payload_mass).ravel()
-    parts = constants.length, constants.joint_stiffness, constants.rotor_inertia, mass, constants.gravity, limits
-    return np.concatenate([*parts, [period]])
 
 
 class OptimisedController(LQR):
@@ -405,7 +395,7 @@ class OptimisedController(LQR):
 
     def __init__(self, table: SlewTable, model: Model, torque_limit: float | Vector, period: float) -> None:
         super().__init__(model, torque_limit, period)
-        table.check_arm(arm_fingerprint(self.model, self.limits, self.period))
+        table.check_arm(SlewTable.fingerprint(self.model, self.limits, self.period))
         self._table, self._slews, self._now = table, list[Array](), np.zeros(0, dtype=np.int64)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:

@@ -183,9 +183,7 @@ class _JointPath(NamedTuple):
 
     def friction(self, fractions: Array, duration: float) -> Array:
         """Return the friction torques (k, n) of the motors at fractions (k,) of a duration (s), N m."""
-        model = self.deflection.model
-        coefficients = np.array([model.constants.viscous_friction, model.constants.coulomb_friction])
-        return friction_torques(model, coefficients, self.motion(fractions)[1] / duration)
+        return friction_torques(self.deflection.model, self.motion(fractions)[1] / duration)
 
 
 class _ReferenceTrajectory(NamedTuple):

@@ -12,20 +12,13 @@ from flexman_gym.control.hinf import (
     GeneralisedPlant,
     HInfinity,
     Synthesis,
-    System,
     centred_model,
-    closed_loop,
-    frequency_response,
-    generalised_plant,
-    grid,
-    robustness,
-    synthesise,
-    uncertain_ranges,
-    varied,
+    linear_parameters,
 )
 from flexman_gym.control.observers.observer import MeasurementModel
 from flexman_gym.kernels.layout import TIP
 from flexman_gym.model.linearization import LinearMeasurements
+from flexman_gym.model.state_space import LinearModel
 from flexman_gym.model.statics import rest_state
 from flexman_gym.simulation.batch import Batch
 
@@ -35,7 +28,7 @@ RANGES = {"motor_angles": 0.5, "motor_rates": 5.0, "root_strains": 1e-3}  # rad,
 RELATIVE_NOISE = 1e-4  # fraction of the range; standard deviation of the noise
 UNKNOWN = {"payload_mass": (0.15, 0.35), "viscous_friction_factor": (0.8, 1.2)}  # kg, factor; printed in the book
 SENSORS = ("motor_encoders", "strain")
-LOSS = 2.0  # dimensionless; allowed loss of performance, see `synthesise`
+LOSS = 2.0  # dimensionless; allowed loss of performance, see `GeneralisedPlant.synthesise`
 PLANTS, MOVED = 1000, 30  # numbers of random plants of the linear analysis and of simulated moves
 GAINS = 358.0, 28.5  # N m/rad, N m s/rad; PD controller of the book
 ANGLE, DURATION, HORIZON = np.pi / 12.0, 1.0, 3.0  # rad, s, s; move of the book, and simulated time
@@ -84,40 +77,40 @@ def gu_plant(elements: int = 2) -> Plant:
     return Plant(model, (TORQUE_LIMIT,), PERIOD, dict, UNKNOWN, measured=measured)
 
 
-def random_values(plant: Plant, seed: int) -> list[tuple[str, int | None, float]]:
-    """Return values of the uncertain numbers of a random plant, uniform in their ranges."""
-    random = np.random.default_rng(seed)
-    return [(name, part, float(random.uniform(low, high))) for name, part, low, high in uncertain_ranges(plant)]
+def random_values(plant: Plant, seed: int) -> Array:
+    """Return the uncertain parameters (p,) of a random plant, uniform in their ranges."""
+    low, high = linear_parameters(plant).ranges.T
+    return np.random.default_rng(seed).uniform(low, high)
 
 
-def exact_plant(plant: Plant, values: list[tuple[str, int | None, float]]) -> GeneralisedPlant:
-    """Return the generalised plant for given values, sampled without any approximation, with all excited modes."""
-    known = plant._replace(model=varied(centred_model(plant), values), unknown={})
-    return generalised_plant(known, MeasurementModel(known, SENSORS), np.zeros(1), np.inf)
+def exact_plant(plant: Plant, theta: Array) -> GeneralisedPlant:
+    """Return the generalised plant for given parameters (p,), sampled without approximation, with all excited modes."""
+    known = plant._replace(model=linear_parameters(plant).varied_model(plant.model, theta), unknown={})
+    return GeneralisedPlant.linearised(known, MeasurementModel(known, SENSORS), np.zeros(1), np.inf)
 
 
-def peak_gain(plant: GeneralisedPlant, loop: System) -> float:
+def peak_gain(plant: GeneralisedPlant, loop: LinearModel) -> float:
     """Return the peak gain from disturbances to performance outputs; infinite for an unstable loop."""
-    closed, n = closed_loop(plant, loop), plant.motors
+    closed, n = plant.closed_loop(loop), plant.motors
     if np.abs(np.linalg.eigvals(closed.A)).max() >= 1.0:
         return np.inf
-    part = System(closed.A, closed.B[:, n:], closed.C[n:], closed.D[n:, n:])
-    return float(np.linalg.norm(frequency_response(part, grid(plant, loop), plant.period), 2, axis=(1, 2)).max())
+    gains = closed.frequency_response(plant.grid(loop))[:, n:, n:]
+    return float(np.linalg.norm(gains, 2, axis=(1, 2)).max())
 
 
-def worst_gain(plant: GeneralisedPlant, loop: System) -> float:
+def worst_gain(plant: GeneralisedPlant, loop: LinearModel) -> float:
     """Return an upper bound of the gain for all values in the ranges, by bisection; infinite without robust stability.
 
     The bound is the least gain for which the structured singular value with the performance block is below 1.
     """
-    if robustness(plant, loop).max() >= 1.0:
+    if plant.robustness(loop).max() >= 1.0:
         return np.inf
     low, high = 1e-3, 1e-3
-    while robustness(plant, loop, high).max() >= 1.0:
+    while plant.robustness(loop, high).max() >= 1.0:
         low, high = high, 4.0 * high
     while high / low > GAIN_RATIO:
         middle = float(np.sqrt(low * high))
-        low, high = (low, middle) if robustness(plant, loop, middle).max() < 1.0 else (middle, high)
+        low, high = (low, middle) if plant.robustness(loop, middle).max() < 1.0 else (middle, high)
     return high
 
 
@@ -151,10 +144,9 @@ def simulate_move(plant: Plant, design: Synthesis | None, count: int) -> tuple[f
     periods = round(HORIZON / plant.period)
     path = book_move(plant, periods)
     batch = Batch(plant.model, step=plant.period, control_period=plant.period, arms=count)
-    drawn = [random_values(plant, seed) for seed in range(count)]
-    numbers = {name: np.array([each[i][2] for each in drawn]) for i, (name, *_) in enumerate(drawn[0])}
+    drawn = np.array([random_values(plant, seed) for seed in range(count)])
     arms = np.arange(count)
-    batch.vary(arms, **{name: value if name == "payload_mass" else value[:, None] for name, value in numbers.items()})
+    batch.vary(arms, **linear_parameters(plant).values(plant.model, drawn))
     batch.reset(arms, np.tile(rest_state(plant.model, np.zeros(1)), (count, 1)))
     paths, controller = np.tile(path, (count, 1, 1)), None if design is None else _Designed(plant, design)
     if controller:
@@ -191,19 +183,21 @@ def designs(plant: Plant) -> Iterator[tuple[str, Synthesis]]:
     centre = plant._replace(model=centred_model(plant), unknown={})
     for name, each, scaled in (("ranges ignored", centre, True), ("channels", plant, False),
                                ("scaled channels", plant, True)):  # fmt: skip
-        yield name, synthesise(generalised_plant(each, MeasurementModel(each, SENSORS), np.zeros(1)), LOSS, scaled)
+        sampled = GeneralisedPlant.linearised(each, MeasurementModel(each, SENSORS), np.zeros(1))
+        yield name, sampled.synthesise(LOSS, scaled)
 
 
 def rows(plants: int = PLANTS, moved: int = MOVED) -> Iterator[RobustRow]:
     """Yield the rows of the study."""
     plant = gu_plant()
-    full = generalised_plant(plant, MeasurementModel(plant, SENSORS), np.zeros(1), np.inf)
+    full = GeneralisedPlant.linearised(plant, MeasurementModel(plant, SENSORS), np.zeros(1), np.inf)
     exact = [exact_plant(plant, random_values(plant, seed)) for seed in range(plants)]
     for name, design in designs(plant):
         peaks = np.array([peak_gain(each, design.loop) for each in exact])
+        nominal = peak_gain(exact_plant(plant, linear_parameters(plant).mean), design.loop)
         yield RobustRow(
-            name, design.norm, design.share, float(robustness(full, design.loop).max()), worst_gain(full, design.loop),
-            float(peaks.max()), peak_gain(exact_plant(plant, []), design.loop), float(np.isfinite(peaks).mean()),
+            name, design.norm, design.share, float(full.robustness(design.loop).max()), worst_gain(full, design.loop),
+            float(peaks.max()), nominal, float(np.isfinite(peaks).mean()),
             *simulate_move(plant, design, moved),
         )  # fmt: skip
     yield RobustRow("PD of the book", *(None,) * 7, *simulate_move(plant, None, moved))

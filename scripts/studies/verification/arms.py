@@ -27,7 +27,7 @@ from flexman_gym.verification.cases import (
     slender_link,
 )
 from flexman_gym.verification.closed_forms import bar_frequencies, cantilever_frequencies
-from flexman_gym.verification.papers import catalog_rows, printed_row
+from flexman_gym.verification.papers import catalog_rows
 from flexman_gym.verification.table import VerificationRow
 
 HERMITE = "known of cubic elements with consistent mass"
@@ -66,7 +66,9 @@ def _convergence_rows() -> Iterator[VerificationRow]:
     exact, counts = cantilever_frequencies(1)[0], (1, 2, 4, 8)
     errors = [2.0 * np.pi * link_frequencies(slender_link(), n, BENDING_Y)[0] / exact - 1.0 for n in counts]
     for count, text, error in zip(counts, ("0.475", "0.0483", "0.0033", "0.0002"), errors, strict=True):
-        yield printed_row(f"cantilever f_1, elements: {count}, error in percent", HERMITE, text, 100.0 * error)
+        yield VerificationRow.printed(
+            f"cantilever f_1, elements: {count}, error in percent", HERMITE, text, 100.0 * error
+        )
     slope = np.log2(errors[-2] / errors[-1])
     yield VerificationRow("cantilever f_1, order of convergence, 4 to 8 elements", HERMITE, 4.0, slope, 0.02)
 
@@ -123,7 +125,7 @@ def _paper_arm_rows() -> Iterator[VerificationRow]:
         ("link 3", three, "23.11"),
     )
     for name, link, mass in known:
-        yield printed_row(f"paper's {name}, mass, kg", TABLE_1, mass, build_beam(link, 2).masses.sum())
+        yield VerificationRow.printed(f"paper's {name}, mass, kg", TABLE_1, mass, build_beam(link, 2).masses.sum())
         rigidity, density = link.youngs_modulus * link.second_moment_z, link.density * link.area
         scale = np.sqrt(rigidity / density) / (2.0 * np.pi * link.length**2)
         expected = scale * rayleigh_frequencies(2, link.second_moment_z / (link.area * link.length**2))
@@ -140,7 +142,7 @@ def _paper_arm_rows() -> Iterator[VerificationRow]:
     light = frequencies(build_model(catalog.paper_rrr(rotor_inertia=0.0, joint_stiffness=None)))
     for i, text in enumerate(("4.5", "9.5")):
         case = f"paper's arm, straight, motors free and weightless, f_{i + 1}, Hz"
-        yield printed_row(case, "independent modal analysis", text, light[3 + i])
+        yield VerificationRow.printed(case, "independent modal analysis", text, light[3 + i])
 
 
 def _rigid_paper_rows() -> Iterator[VerificationRow]:
