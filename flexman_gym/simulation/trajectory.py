@@ -13,7 +13,7 @@ from flexman_gym.common.checks import positive, value_error, vector, whole_numbe
 from flexman_gym.common.time_series import write_csv
 from flexman_gym.kernels import layout
 from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurements, column_names
-from flexman_gym.model.loads import FrameMotion, part_energies, section_forces
+from flexman_gym.model.loads import FrameMotion
 from flexman_gym.model.model import Model
 
 ENERGY_ALARM = 0.01  # dimensionless; fraction of `energy_turnover` above which the energy residual is too large
@@ -114,10 +114,10 @@ class Trajectory:
         return LinearMeasurements(self.model).measure(self.states)
 
     @cached_property
-    def _motion(self) -> tuple[Kinetics, FrameMotion]:
-        """Kinetics of the trajectory, and the motion of all frames."""
+    def _motion(self) -> FrameMotion:
+        """Motion of all frames."""
         kinetics = self.kinetics(self)
-        return kinetics, FrameMotion(kinetics.model, self.states, kinetics.accelerations, kinetics.drives)
+        return FrameMotion(kinetics.model, self.states, kinetics.accelerations, kinetics.drives)
 
     @property
     def accelerations(self) -> Array:
@@ -127,7 +127,7 @@ class Trajectory:
             ValueError: for a trajectory of a `Simulator`, whose inputs are not recorded. `joint_reactions`,
                 `section_forces` and `energies` raise the same error.
         """
-        return self._motion[0].accelerations
+        return self._motion.accelerations
 
     @property
     def joint_reactions(self) -> Array:
@@ -135,7 +135,7 @@ class Trajectory:
 
         The component of the moment about the joint axis is the driving torque of the link.
         """
-        return self._motion[1].reaction[:, :-1]
+        return self._motion.reaction[:, :-1]
 
     def section_forces(self, link: int, positions: Sequence[float]) -> Array:
         """Return the internal forces of sections of a link, (T, P, 6), in the link frame at its origin.
@@ -150,13 +150,13 @@ class Trajectory:
             link: index of the link, from 0.
             positions: (P,) distances of the sections from the joint of the link, 0 to the length of the link, m.
         """
-        i, (kinetics, motion) = whole_number("link", link, 0, self.model.n_joints - 1), self._motion
+        i, motion = whole_number("link", link, 0, self.model.n_joints - 1), self._motion
         length, checked = self.model.arm.links[i].length, vector("positions", positions, unit="m")
         for k, position in enumerate(checked):
             if not 0.0 <= position <= length:
                 allowed = f"a number from 0 to {length} (m), the length of link {i}"
                 raise value_error(f"positions[{k}]", position, allowed)
-        return section_forces(kinetics.model, motion, self.states, kinetics.accelerations, i, checked)
+        return motion.section_forces(i, checked)
 
     def energies(self) -> dict[str, Array]:
         """Return the energy of each part, J: (T, n) for links, rotors and joints, (T, 1) for the payload.
@@ -164,7 +164,7 @@ class Trajectory:
         The keys are link_kinetic, link_elastic, link_gravitational, rotor_kinetic, joint_elastic, payload_kinetic and
         payload_gravitational. Their sum is `energy`.
         """
-        return part_energies(self._motion[0].model, self._motion[1], self.states)
+        return self._motion.part_energies()
 
     def explanation(self) -> str:
         """Return the first quantity out of bounds in a failure or at an energy alarm, with remedies; otherwise "".
