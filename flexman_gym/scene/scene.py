@@ -289,12 +289,12 @@ class Scene:
         return replace(self.initial, joint_angles=tuple(angles), joint_rates=tuple(rates))
 
     @property
-    def pieces(self) -> PiecewiseSignals:
-        """Signals of n motors, 3 components of the tip force and 3 of the base acceleration, for the kernels."""
-        return self._pieces
+    def prescribed_joints(self) -> list[int]:
+        """Indices, from 0, of the joints with prescribed motion."""
+        return [i for i, motion in enumerate(self.prescribed or ()) if motion is not None]
 
     @cached_property
-    def _pieces(self) -> PiecewiseSignals:
+    def pieces(self) -> PiecewiseSignals:
         """Signals of n motors, 3 components of the tip force and 3 of the base acceleration, for the kernels."""
         motions, none = self.prescribed or [None] * self.arm.n_joints, [None] * 3
         accelerations = [motion.acceleration if isinstance(motion, SampledAngles) else motion for motion in motions]

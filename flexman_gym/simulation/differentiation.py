@@ -22,7 +22,7 @@ from flexman_gym.simulation.dimensions import DIMENSIONS, dimension_derivatives,
 from flexman_gym.simulation.integrator import default_step, prescribed_flags
 from flexman_gym.simulation.methods import METHODS, FixedStepMethod, Method
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, ScalarParameter, select_parts
-from flexman_gym.simulation.scene_simulation import initial_row, prescribed_joints, run_in_lanes, scene_settings
+from flexman_gym.simulation.scene_simulation import initial_row, run_in_lanes, scene_settings
 from flexman_gym.simulation.tangent_integrator import DIRECTIONS, TangentIntegrator
 
 INITIAL = {"initial_joint_angles": "rad", "initial_joint_rates": "rad/s"}  # initial conditions -> unit
@@ -92,7 +92,7 @@ def sensitivities(
         allowed = [name for name, each in METHODS.items() if not each.adaptive]
         raise value_error("method", chosen.name, f"one of fixed steps: {', '.join(allowed)}")
     names = [one_of("of", name, OUTPUTS) for name in checked_names("of", of)]
-    prescribed = prescribed_joints(scene)
+    prescribed = scene.prescribed_joints
     directions = [
         each
         for name in checked_names("to", to)
