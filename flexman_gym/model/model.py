@@ -12,13 +12,7 @@ from flexman_gym.common.checks import check_magnitudes, instance, value_error, v
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LANES
 from flexman_gym.model.beam import Beam, build_beam
-from flexman_gym.model.component_modes import (
-    loaded_modes,
-    modal_damping,
-    outboard_inertias,
-    select_modes,
-    zero_pose_rotations,
-)
+from flexman_gym.model.component_modes import LoadedModes, outboard_inertias, zero_pose_rotations
 from flexman_gym.model.element import Element
 from flexman_gym.model.joint_constants import joint_constants
 from flexman_gym.scene.arm import Arm
@@ -261,7 +255,7 @@ def _axial(tensors: Array) -> Array:
     return np.stack([difference[..., 1, 2], difference[..., 2, 0], difference[..., 0, 1]], axis=-1)
 
 
-_Links = list[tuple[Beam, tuple[Array, Array]]]  # see `_build_links`
+_Links = list[tuple[Beam, LoadedModes]]  # see `_build_links`
 MAX_CACHED_ELEMENTS = 24  # largest number of finite elements of an arm whose unreduced links are cached
 
 
@@ -383,7 +377,7 @@ def build_model(
         arm: an `Arm`, the name of an arm in the catalog, a file, or a mapping; see `scene.serialization.find_arm`.
         elements: number of finite elements of a Link, or of each section of a NonUniformLink; one value or one per
             link. A link has at most 64 elements in total, and 6 * elements * number of sections elastic coordinates.
-        modes: retained component modes (`model.component_modes.loaded_modes`) of a flexible link; one value or one per
+        modes: retained component modes (`model.component_modes.LoadedModes`) of a flexible link; one value or one per
             link. A number m retains the m lowest, a tuple retains modes by index from 0, None all elastic coordinates.
         flexible_links: False makes a link rigid; one value or one per link.
         flexible_joints: False makes all joints rigid; their rotor inertia remains.
@@ -413,10 +407,9 @@ def build_model(
     size = sum(len(link.sections) for link in arm.links) * max(counts)
     build_links = _build_links_cached if size <= MAX_CACHED_ELEMENTS else _build_links
     beams = build_links(arm, counts, flexible, choice.rotary_inertia)
-    _warn_unusual_frequency([loaded[0][0] for _, loaded in beams if len(loaded[0])])
+    _warn_unusual_frequency([loaded.frequencies[0] for _, loaded in beams if len(loaded.frequencies)])
     bases = tuple(
-        select_modes(loaded[1], retained[i] if flexible[i] else None, f"modes[{i}]")
-        for i, (_, loaded) in enumerate(beams)
+        loaded.basis(retained[i] if flexible[i] else None, f"modes[{i}]") for i, (_, loaded) in enumerate(beams)
     )
     return _assemble(arm, choice, beams, bases, UNCOUPLED)
 
@@ -446,7 +439,7 @@ def _assemble(arm: Arm, choice: ModelChoice, beams: _Links, bases: tuple[Array, 
     """Return the model of an arm from its links and bases; see `_remove_rounded_couplings` for `rounded`."""
     reduced = tuple(beam.reduced(basis) for (beam, _), basis in zip(beams, bases, strict=True))
     dampings = [
-        basis.T @ modal_damping(beam.stiffness, loaded, ratio) @ basis
+        basis.T @ loaded.damping(beam.stiffness, ratio) @ basis
         for (beam, loaded), basis, ratio in zip(beams, bases, arm.damping_ratios, strict=True)
     ]
     damping = _pack([*dampings, np.zeros(LANES)], 1)
@@ -457,7 +450,8 @@ def _build_links(arm: Arm, elements: tuple[int, ...], flexible: tuple[bool, ...]
     """Return each link with all its elastic coordinates, and frequencies (rad/s) and shapes of its loaded modes."""
     beams = tuple(map(build_beam, arm.links, elements, flexible, [rotary_inertia] * arm.n_joints))
     return [
-        (beam, loaded_modes(beam, inertia)) for beam, inertia in zip(beams, outboard_inertias(arm, beams), strict=True)
+        (beam, LoadedModes.of(beam, inertia))
+        for beam, inertia in zip(beams, outboard_inertias(arm, beams), strict=True)
     ]
 
 
