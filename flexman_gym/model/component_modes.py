@@ -114,7 +114,7 @@ class LoadedModes(NamedTuple):
         return self.shapes[:, range(modes) if isinstance(modes, int) else modes]
 
     def damping(self, stiffness: Array, ratio: float) -> Array:
-        """Return the damping matrix (k, k) of a link with a stiffness matrix (k, k), by one damping ratio of all modes."""
+        """Return the damping matrix (k, k) of a link by one damping ratio of all modes, from its stiffness matrix."""
         # K shapes / frequencies^2 = M shapes with the loaded mass matrix M; its transpose is the inverse of the shapes
         inverse = stiffness @ self.shapes / self.frequencies**2
         return 2.0 * ratio * inverse * self.frequencies @ inverse.T

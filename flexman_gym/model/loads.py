@@ -205,7 +205,7 @@ def _inboard_points(model: Model, link: int, position: float = np.inf) -> _Point
     positions = np.concatenate([positions, stations[:, 1:], stations[:, 1:]])
     shapes = np.concatenate([shapes, station_shapes, station_shapes])
     matrices = np.concatenate([matrices, 0.0 * shortening, shortening])
-    return _Points(masses, positions, shapes, matrices, polar, twist).reduced(_basis(model, link, size))
+    return _Points(masses, positions, shapes, matrices, polar, twist).reduced(model.node_basis(link))
 
 
 def _section_point(model: Model, link: int, position: float) -> _Points:
@@ -217,13 +217,7 @@ def _section_point(model: Model, link: int, position: float) -> _Points:
     shapes[0][:, element.nodes] = element.shapes(xi)
     shortening = foreshortening_matrix(position, elements, size)[None] * model.choice.stiffening
     point, no_twist = np.array([[position, 0.0, 0.0]]), np.zeros((0, size))
-    return _Points(np.zeros(1), point, shapes, shortening, np.zeros(0), no_twist).reduced(_basis(model, link, size))
-
-
-def _basis(model: Model, link: int, size: int) -> Array:
-    """Return all node coordinates (size, k) of a link, clamped ones included, per unit of each elastic coordinate."""
-    basis = model.bases[link]
-    return np.vstack([np.zeros((size - len(basis), basis.shape[1])), basis])
+    return _Points(np.zeros(1), point, shapes, shortening, np.zeros(0), no_twist).reduced(model.node_basis(link))
 
 
 def _cross(vector: Array, points: Array) -> Array:

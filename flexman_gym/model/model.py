@@ -13,7 +13,7 @@ from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LANES
 from flexman_gym.model.beam import Beam, build_beam
 from flexman_gym.model.component_modes import LoadedModes, outboard_inertias, zero_pose_rotations
-from flexman_gym.model.element import Element
+from flexman_gym.model.element import NODE_COORDINATES, Element
 from flexman_gym.model.joint_constants import joint_constants
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import warn_caller
@@ -77,16 +77,13 @@ def _pack_constants(
     widths = LANES * ((sizes + 6 + LANES - 1) // LANES)
     parts = [_integrate(beam) for beam in beams]
 
-    shape = _sparse([part.shape_shape for part in parts], 9, parts)
-    cross = _sparse([_axial(part.shape_shape) for part in parts], 3, parts)
-
     end = np.zeros(LANES)  # the kernels read groups of LANES numbers, the last one beyond the last row
     pairs = list(zip(parts, beams, strict=True))
     stiffness = _pack([*[beam.stiffness for beam in beams], end], 1)
     coupled = _remove_rounded_couplings(rounded, sizes, stiffness, modal)
     return layout.Constants(
-        elastic_start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
-        square_start=np.concatenate([[0], np.cumsum(sizes**2)]).astype(np.int64),
+        elastic_start=_starts(sizes),
+        square_start=_starts(sizes**2),
         gravity=np.array(arm.gravity, dtype=float),
         mount=zero_pose_rotations(arm).ravel(),
         axis=np.array([np.array(li.orientation).T @ jo.axis for li, jo in zip(arm.links, arm.joints, strict=True)]),
@@ -97,13 +94,9 @@ def _pack_constants(
         second_moment=np.array([part.second_moment for part in parts]).ravel(),
         first_moment_shape=_pack([part.first_moment_shape for part in parts], 3),
         position_shape=_pack([part.position_shape for part in parts], 1),
-        shape_start=shape.start,
-        shape_source=shape.source,
-        shape_value=shape.value,
-        cross_start=cross.start,
-        cross_source=cross.source,
-        cross_value=cross.value,
-        factor_start=np.concatenate([[0], np.cumsum(sizes * widths)])[:-1].astype(np.int64),
+        **_sparse("shape", [part.shape_shape for part in parts], 9, parts),
+        **_sparse("cross", [_axial(part.shape_shape) for part in parts], 3, parts),
+        factor_start=_starts(sizes * widths)[:-1],
         factor_width=widths,
         tip_start=_first_moving(beams, choice.stiffening),
         tip_linear_start=_first_moving(beams, False),
@@ -147,17 +140,12 @@ def _pack(blocks: list[Array], width: int) -> Array:
     return np.ascontiguousarray(rows[:, 0] if width == 1 else rows)
 
 
-class _Sparse(NamedTuple):
-    """Non-zero entries [b, a, ...] of square blocks, one block per link; see `layout.Constants`."""
+def _sparse(name: str, blocks: list[Array], width: int, parts: list[_ShapeIntegrals]) -> dict[str, np.ndarray]:
+    """Return the fields start, source and value of `layout.Constants` with the non-zero entries [b, a, ...] of blocks.
 
-    start: np.ndarray
-    source: np.ndarray
-    value: Array
-
-
-def _sparse(blocks: list[Array], width: int, parts: list[_ShapeIntegrals]) -> _Sparse:
-    """Return the non-zero entries of blocks (k, k, ...), one for each link, with `width` numbers for each pair."""
-    offset, counts, sources, values = 0, [np.zeros(1, dtype=np.int64)], [], []
+    The names of the fields begin with `name`; the block (k, k, ...) of a link has `width` numbers for each pair.
+    """
+    offset, counts, sources, values = 0, [], [], []
     for block, part in zip(blocks, parts, strict=True):
         k = len(part.elastic)
         entries = block.reshape(k, width * k).T
@@ -167,11 +155,11 @@ def _sparse(blocks: list[Array], width: int, parts: list[_ShapeIntegrals]) -> _S
         values.append(entries[retained])
         sources.append(np.nonzero(retained)[1] + offset)
         offset += k
-    return _Sparse(
-        np.cumsum(np.concatenate(counts), dtype=np.int64),
-        np.concatenate(sources).astype(np.int64),
-        np.concatenate(values),
-    )
+    return {
+        f"{name}_start": _starts(np.concatenate(counts)),
+        f"{name}_source": np.concatenate(sources).astype(np.int64),
+        f"{name}_value": np.concatenate(values),
+    }
 
 
 def _station_constants(beams: tuple[Beam, ...], stiffening: bool) -> dict[str, np.ndarray]:
@@ -335,6 +323,11 @@ class Model:
     def elements(self, link: int) -> list[Element]:
         """Return the finite elements of a link (index from 0), base to tip."""
         return Element.divide(self.arm.links[link], _each("elements", self.choice.elements, self.n_joints)[link])
+
+    def node_basis(self, link: int) -> Array:
+        """Return all node coordinates (size, k) of a link, clamped ones too, per unit of each elastic coordinate."""
+        basis, count = self.bases[link], len(self.elements(link))
+        return np.vstack([np.zeros((NODE_COORDINATES * (count + 1) - len(basis), basis.shape[1])), basis])
 
     def initial_state(self, joint_angles: Vector, joint_rates: Vector | None = None) -> Array:
         """Return the state (2 d,) of the undeformed arm with the motors at the angles and rates of the joints.
