@@ -4,7 +4,7 @@ import math
 import sys
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from difflib import get_close_matches
 from functools import wraps
 from typing import Any, TypeVar
@@ -112,6 +112,13 @@ def warn_unusual_units(owner: str, values: Mapping[str, Any]) -> None:
             usual = f"at most {high:g}" if value > high else f"at least {low:g}"
             warn_caller(f"{field}: {value:g} ({unit}) is unusual, expected {usual}; wrong unit ({hint})?")
             return
+
+
+def replace_quietly(part: T, **changes: Any) -> T:
+    """Return a part of an arm with changed fields, without the warnings that were issued when the part was made."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return replace(part, **changes)  # type: ignore[type-var]
 
 
 def warn_caller(message: str) -> None:

@@ -1,6 +1,5 @@
 """Physical parameters in which the arms of a batch may differ: table, checks, and their model constants."""
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -20,6 +19,7 @@ from flexman_gym.common.renamed import PARAMETER_KEYS, rename_keys
 from flexman_gym.model.joint_constants import spring_knees
 from flexman_gym.model.model import Model
 from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.input_checks import replace_quietly
 from flexman_gym.scene.link import NonUniformLink
 from flexman_gym.scene.rigid_body import Payload
 
@@ -387,6 +387,5 @@ def _scale_moduli(link: Any, factor: float) -> Any:
     """Return a link with its elastic moduli scaled by a factor."""
     if isinstance(link, NonUniformLink):
         return replace(link, sections=[_scale_moduli(section, factor) for section in link.sections])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # issued when the given link was made
-        return replace(link, youngs_modulus=factor * link.youngs_modulus, shear_modulus=factor * link.shear_modulus)
+    moduli = {name: factor * getattr(link, name) for name in ("youngs_modulus", "shear_modulus")}
+    return replace_quietly(link, **moduli)
