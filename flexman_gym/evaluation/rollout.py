@@ -12,9 +12,9 @@ import gymnasium as gym
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
-from flexman_gym.common.checks import value_error, whole_number
+from flexman_gym.common.checks import value_error, warn_caller, whole_number
 from flexman_gym.common.progress import Progress
-from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments, warn_deprecated
+from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes, validate_actions
@@ -150,7 +150,7 @@ class Rollout:
     @property
     def about(self) -> dict[str, Any]:
         """Deprecated name of `metadata`."""
-        warn_deprecated("Rollout.about is Rollout.metadata now")
+        warn_caller("Rollout.about is Rollout.metadata now", DeprecationWarning)
         return self.metadata
 
     @property
