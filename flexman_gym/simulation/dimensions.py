@@ -102,7 +102,7 @@ DIMENSIONS = {
 }  # fmt: skip
 
 
-class DimensionDerivatives(NamedTuple):
+class _DimensionDerivatives(NamedTuple):
     """Constants of a model and their derivatives with respect to dimensions.
 
     Attributes:
@@ -133,7 +133,7 @@ def dimension_parts(text: str, model: Model) -> list[ScalarParameter]:
     return [ScalarParameter(name, part) for part in parts]
 
 
-def dimension_derivatives(model: Model, directions: Sequence[ScalarParameter]) -> DimensionDerivatives:
+def dimension_derivatives(model: Model, directions: Sequence[ScalarParameter]) -> _DimensionDerivatives:
     """Return the derivatives of the constants of a model with respect to the dimensions among several directions.
 
     They are central differences extrapolated to order six, exact to rounding as the constants are smooth functions of
@@ -149,7 +149,7 @@ def dimension_derivatives(model: Model, directions: Sequence[ScalarParameter]) -
             constants = [_dense(each.constants) for each in changed]
             fields[number] = {field: _weigh(weights, [each[field] for each in constants]) for field in constants[0]}
             strains[number] = _weigh(weights, [root_strain_matrix(each) for each in changed])
-    return DimensionDerivatives(*_with_entries(model.constants, fields, strains), strains)
+    return _DimensionDerivatives(*_with_entries(model.constants, fields, strains), strains)
 
 
 def _differences(nominal: float) -> tuple[Array, Array]:
