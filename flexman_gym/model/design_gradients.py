@@ -62,12 +62,6 @@ def resized(arm: Arm, thickness: Vector, gears: Vector | None = None) -> Arm:
     return replace(arm, links=links, joints=joints)
 
 
-def thickness_limit(section: Link) -> float:
-    """Return the factor at which a strip is as thick as wide; infinity for other sections."""
-    outline = section.outline
-    return max(outline.y, outline.z) / min(outline.y, outline.z) if outline and outline.thin_axis else math.inf
-
-
 def _resized_section(section: Link, factor: float) -> Link:
     """Return a section with its thickness multiplied by a factor."""
     outline = section.outline
@@ -254,6 +248,12 @@ class DesignModel:
         motors, gears = self.model.motor_columns, np.exp(x[len(self.sections) :])
         by_gears = 2.0 * self.rotors * gears**2 * mass[:, motors, motors].sum(axis=0)
         return np.concatenate([(by_sizes * at.slopes).sum(axis=1), by_gears])
+
+    @property
+    def thickness_limits(self) -> list[float]:
+        """Factors (S,) at which strips are as thick as wide; infinity for other sections."""
+        outlines = [section.outline for section in self.sections]
+        return [max(each.y, each.z) / min(each.y, each.z) if each and each.thin_axis else math.inf for each in outlines]
 
     def link_masses(self, x: Array) -> tuple[Array, Array]:
         """Return the masses of the sections of each link (n,), kg, and their Jacobian (n, S + n)."""
