@@ -19,7 +19,7 @@ from flexman_gym.model.linearization import INPUT_UNITS, OUTPUT_UNITS, LinearMea
 from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.dimensions import DIMENSIONS, dimension_derivatives, dimension_parts
-from flexman_gym.simulation.integrator import default_step, prescribed_flags
+from flexman_gym.simulation.integrator import default_step, with_prescribed
 from flexman_gym.simulation.methods import METHODS, FixedStepMethod, Method
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, ScalarParameter, select_parts
 from flexman_gym.simulation.period_map import DIRECTIONS, TangentIntegrator
@@ -99,7 +99,7 @@ def sensitivities(
         for each in dimension_parts(name, model) or find_directions(name, model, prescribed)
     ]
     found = dimension_derivatives(model, directions)
-    constants = found.constants._replace(prescribed=prescribed_flags(model.n_joints, prescribed))
+    constants = with_prescribed(found.constants, prescribed)
     motion, period = _Motion.start(scene, model, directions, settings.rows), (settings.interval, settings.substeps)
     for group in range(-(-len(directions) // DIRECTIONS)):
         integrator = TangentIntegrator(constants, chosen, period, 1, whole=bool(found.strains))

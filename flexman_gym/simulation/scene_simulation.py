@@ -29,16 +29,17 @@ from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
 from flexman_gym.kernels.outputs import tip_accelerations as compute_tip_accelerations
 from flexman_gym.kernels.runge_kutta import state_derivative
+from flexman_gym.model.loads import FrameMotion
 from flexman_gym.model.model import Model, check_model, scene_model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.scene.signals import PiecewiseSignals
 from flexman_gym.simulation.batch import MAX_ARMS, MAX_THREADS
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
 from flexman_gym.simulation.diagnostics import explain_energy, explain_failure
-from flexman_gym.simulation.integrator import MAX_STEPS, Integrator, find_method, find_tolerance, prescribed_flags
+from flexman_gym.simulation.integrator import MAX_STEPS, Integrator, find_method, find_tolerance, with_prescribed
 from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
 from flexman_gym.simulation.parameters import varied_constants
-from flexman_gym.simulation.trajectory import Kinetics, Trajectory
+from flexman_gym.simulation.trajectory import Trajectory
 
 TIP_ACCELERATIONS = {  # name of a component -> column of `tip_accelerations`
     f"{name}_{axis}": part.start + i
@@ -265,8 +266,8 @@ class _SceneRun(NamedTuple):
         before = result.states[result.time <= (alarm or 0.0)]
         return "" if alarm is None else explain_energy(model, integrator, interval / substeps, alarm, before)
 
-    def kinetics(self, result: Trajectory) -> Kinetics:
-        """Return the accelerations and inputs of a trajectory of the scene; at a jump of the inputs, after the jump."""
+    def kinetics(self, result: Trajectory) -> FrameMotion:
+        """Return the motion of the frames in a trajectory of the scene; at a jump of the inputs, after the jump."""
         integrator, size, pieces = self.integrator(), result.states.shape[1], self.scene.pieces
         rates, accelerations, drives = np.zeros(size + 2), [], []
         for time, state in zip(result.time, result.states, strict=True):
@@ -276,7 +277,7 @@ class _SceneRun(NamedTuple):
             accelerations.append(rates[size // 2 : size].copy())
             drives.append(integrator.work.drive.copy())
         model = replace(self.settings.model, constants=integrator.constants)
-        return Kinetics(model, np.array(accelerations), np.array(drives))
+        return FrameMotion(model, result.states, np.array(accelerations), np.array(drives))
 
 
 def _output_interval(method: Method, step: float | None, output_step: float) -> tuple[float, int]:
@@ -366,8 +367,7 @@ def _simulate_in_lanes(
     """Simulate scenes by fixed steps of a linearly implicit method; the pieces of all drives have equal boundaries."""
     model, method, interval, last = settings.model, settings.method, settings.interval, settings.rows
     assert isinstance(method, LinearlyImplicit | IteratedGauss)
-    flags = prescribed_flags(model.n_joints, scenes[0].prescribed_joints)
-    shared = model.constants._replace(prescribed=flags)
+    shared = with_prescribed(model.constants, scenes[0].prescribed_joints)
     integrator = LaneIntegrator(shared, method, (interval, settings.substeps), len(scenes), threads)
     integrator.set_constants(np.arange(len(scenes)), varied)
     starts = np.array([initial_row(scene, model) for scene in scenes])
@@ -427,7 +427,7 @@ def tip_accelerations(scene: Scene, runs: Sequence[Trajectory], model: Model, pa
         (b, T, 6) m/s^2, columns as in TIP_ACCELERATIONS, see `Batch.tip_accelerations`; NaN after a failure.
     """
     own, size = varied_constants(model, len(runs), parameters), round(scene.duration / scene.output_step) + 1
-    flags = prescribed_flags(model.n_joints, scene.prescribed_joints)
+    shared = with_prescribed(model.constants, scene.prescribed_joints)
     pieces, d = scene.pieces, model.n_dof
     times = scene.output_step * np.arange(size)
     drives = np.array([pieces.table(p) for p in range(len(pieces.times) - 1)])
@@ -436,7 +436,7 @@ def tip_accelerations(scene: Scene, runs: Sequence[Trajectory], model: Model, pa
     result = np.full((len(runs), size, layout.TIP_ACCELERATIONS), np.nan)
     work = layout.make_work(model.constants)
     for i, run in enumerate(runs):
-        constants = model.constants._replace(prescribed=flags, **{name: each[i] for name, each in own.items()})
+        constants = shared._replace(**{name: each[i] for name, each in own.items()})
         for state, drive, out in zip(run.states, applied, result[i], strict=False):
             compute_tip_accelerations(constants, work, state[:d], state[d:], drive, out)
     return result

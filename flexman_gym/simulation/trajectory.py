@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
@@ -19,22 +19,11 @@ from flexman_gym.model.model import Model
 ENERGY_ALARM = 0.01  # dimensionless; fraction of `energy_turnover` above which the energy residual is too large
 
 
-class Kinetics(NamedTuple):
-    """Model with the constants of a simulation, and its accelerations (T, d) and inputs (T, n + 6) at T times.
-
-    Accelerations and inputs have the order and units of `kernels.layout`.
-    """
-
-    model: Model
-    accelerations: Array
-    drives: Array
-
-
 def _no_explanation(result: "Trajectory") -> str:
     return ""
 
 
-def _no_kinetics(result: "Trajectory") -> Kinetics:
+def _no_kinetics(result: "Trajectory") -> FrameMotion:
     raise value_error("trajectory", "one without a scene", "a result of simulate or simulate_all")
 
 
@@ -62,7 +51,7 @@ class Trajectory:
         wall_seconds: wall-clock time of the integration without compilation, s.
         model: the simulated model.
         explain: function: trajectory -> its `explanation`.
-        kinetics: function: trajectory -> its `Kinetics`, for loads and energies.
+        kinetics: function: trajectory -> motion of its frames, for loads and energies.
 
     Examples:
         >>> trajectory = fm.simulate(fm.catalog.paper_scene("rr"), step=0.01)
@@ -88,7 +77,7 @@ class Trajectory:
     wall_seconds: float
     model: Model
     explain: Callable[["Trajectory"], str] = field(default=_no_explanation, repr=False)
-    kinetics: Callable[["Trajectory"], Kinetics] = field(default=_no_kinetics, repr=False)
+    kinetics: Callable[["Trajectory"], FrameMotion] = field(default=_no_kinetics, repr=False)
 
     def __repr__(self) -> str:
         n = self.joint_angles.shape[1]
@@ -116,8 +105,7 @@ class Trajectory:
     @cached_property
     def _motion(self) -> FrameMotion:
         """Motion of all frames."""
-        kinetics = self.kinetics(self)
-        return FrameMotion(kinetics.model, self.states, kinetics.accelerations, kinetics.drives)
+        return self.kinetics(self)
 
     @property
     def accelerations(self) -> Array:
@@ -241,7 +229,7 @@ class Trajectory:
         outputs: Array,
         outcome: tuple[str, int, float],
         explain: Callable[["Trajectory"], str] = _no_explanation,
-        kinetics: Callable[["Trajectory"], Kinetics] = _no_kinetics,
+        kinetics: Callable[["Trajectory"], FrameMotion] = _no_kinetics,
     ) -> Self:
         """Return the trajectory given by states and outputs at equal intervals.
 
@@ -252,7 +240,7 @@ class Trajectory:
             outputs: (T, OUTPUTS) columns of `kernels.layout`.
             outcome: status, number of evaluations, and wall-clock time of the integration, s.
             explain: function: trajectory -> its explanation.
-            kinetics: function: trajectory -> its `Kinetics`.
+            kinetics: function: trajectory -> motion of its frames.
         """
         size = 2 * model.n_dof
         return cls(
