@@ -186,13 +186,15 @@ def modes(model: Model, joint_angles: Vector | None = None, motors: str = "held"
         np.take_along_axis(shapes, np.abs(shapes).argmax(axis=1)[:, None], axis=1) if shapes.size else shapes[:, :1]
     )
     shapes = shapes * (np.abs(largest) / largest) / np.sqrt(masses)[:, None]
+    energies = elastic_energies(model, shapes)
+    total = energies.sum(axis=1, keepdims=True)
     ratios = -pairs.values.real / np.abs(pairs.values)
     ratios[np.abs(ratios) < ZERO_DAMPING] = 0.0
     return Modes(
         frequencies=pairs.values.imag / (2.0 * np.pi),
         damping_ratios=ratios,
         shapes=shapes,
-        shares=_shares(model, shapes),
+        shares=np.divide(energies, total, out=np.zeros_like(energies), where=total > 0.0),
         parts=tuple(f"{kind} {i}" for kind in ("link", "joint") for i in range(1, n + 1)),
         motors=motors,
         eigenvalues=pairs.values,
@@ -213,13 +215,6 @@ def elastic_energies(model: Model, coordinates: Array) -> Array:
         energies[:, n + i] = constants.joint_stiffness[i] * np.abs(twist) ** 2
         energies[:, n + i] += constants.passive_stiffness[i] * np.abs(coordinates[:, i]) ** 2
     return energies
-
-
-def _shares(model: Model, shapes: Array) -> Array:
-    """Return the fractions (k, 2 n) of the elastic energy in links and joints for mode shapes (k, d)."""
-    energies = elastic_energies(model, shapes)
-    total = energies.sum(axis=1, keepdims=True)
-    return np.divide(energies, total, out=np.zeros_like(energies), where=total > 0.0)
 
 
 def rotating_frequencies(model: Model, rates: Vector, joint_angles: Vector | None = None) -> Array:
