@@ -217,25 +217,25 @@ def elastic_energies(model: Model, coordinates: Array) -> Array:
     return energies
 
 
-def rotating_frequencies(model: Model, rates: Vector, joint_angles: Vector | None = None) -> Array:
+def rotating_frequencies(model: Model, rates: Vector) -> Array:
     """Return the natural frequencies (r, k), Hz, ascending, of an arm in steady rotation about its first joint.
 
-    The first motor rotates at a constant rate, all others are held, and there is no gravity. The arm is linearised
-    about its steady deformation; `stiffening` of the model includes the stiffening of the links by centrifugal forces.
-    A row is NaN if no steady deformation is found; non-oscillatory modes give NaN at the end of a row.
+    The first motor rotates at a constant rate, all others are held at an angle of zero, and there is no gravity. The
+    arm is linearised about its steady deformation; `stiffening` of the model includes the stiffening of the links by
+    centrifugal forces. A row is NaN if no steady deformation is found; non-oscillatory modes give NaN at the end of a
+    row.
 
     Args:
         model: model of the arm.
         rates: (r,) angular velocities of the first motor, rad/s.
-        joint_angles: (n,) motor angles, rad, zero by default.
     """
-    d, n, result = check_model(model).n_dof, model.n_joints, []
+    d, result = check_model(model).n_dof, []
     weightless = replace(model, constants=model.constants._replace(gravity=np.zeros(3)))
     free = np.setdiff1d(np.arange(d), model.driven_columns)
     columns, k = np.concatenate([free, d + free]), len(free)
     for rate in vector("rates", rates, unit="rad/s"):
         row = np.full(k, np.nan)
-        equilibrium = _rotating_equilibrium(weightless, np.zeros(n) if joint_angles is None else joint_angles, rate)
+        equilibrium = _rotating_equilibrium(weightless, rate)
         if equilibrium is not None:
             state, torque = equilibrium
             mass = mass_matrix(weightless, state)
@@ -250,10 +250,10 @@ def rotating_frequencies(model: Model, rates: Vector, joint_angles: Vector | Non
     return np.array(result).reshape(-1, k)
 
 
-def _rotating_equilibrium(model: Model, angles: Vector, rate: float) -> tuple[Array, Array] | None:
+def _rotating_equilibrium(model: Model, rate: float) -> tuple[Array, Array] | None:
     """Return state (2 d,) and motor torques (n,), N m, of a steady rotation at a rate (rad/s); None if not found."""
     d, n = model.n_dof, model.n_joints
-    state, motors = model.initial_state(angles, np.eye(n)[0] * rate), model.motor_columns
+    state, motors = model.initial_state(np.zeros(n), np.eye(n)[0] * rate), model.motor_columns
     free, stiffness, forces = np.setdiff1d(np.arange(d), motors), stiffness_matrix(model), inertial_forces(model)
     free_stiffness = stiffness[np.ix_(free, free)]
     for _ in range(MAX_ITERATIONS):
