@@ -10,7 +10,8 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from flexman_gym import __version__, commands
-from flexman_gym.common.renamed import COMMANDS, OPTIMISED, OPTIONS, warn_deprecated
+from flexman_gym.common.checks import warn_caller
+from flexman_gym.common.renamed import COMMANDS, OPTIMISED, OPTIONS
 
 COMMAND_GROUPS = {  # group -> commands, in the order of the help
     "start": ("demo", "check", "compile", "list", "verify"),
@@ -72,14 +73,14 @@ def _present_options(arguments: list[str]) -> list[str]:
     command, *words = arguments
     old = "optimise ENVIRONMENT" if command == "optimise" and words and not words[0].startswith("-") else command
     if old in COMMANDS and not (command == "optimise" and words[0] in OPTIMISED):
-        warn_deprecated(f"flexman {old} is flexman {COMMANDS[old]} now")
+        warn_caller(f"flexman {old} is flexman {COMMANDS[old]} now", DeprecationWarning)
         command, *added = COMMANDS[old].split()[:2]
         words = [*added, *words]
     names, result = OPTIONS.get(command, {}), [command]
     for word in words:
         name, mark, value = word.partition("=")
         if name in names:
-            warn_deprecated(f"flexman {command}: {name} is {names[name]} now")
+            warn_caller(f"flexman {command}: {name} is {names[name]} now", DeprecationWarning)
         result.append(names.get(name, name) + mark + value)
     return result
 

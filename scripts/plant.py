@@ -4,9 +4,9 @@ import argparse
 import sys
 from pathlib import Path
 
+from flexman_gym.common.checks import warn_caller
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
-from flexman_gym.common.renamed import warn_deprecated
 from studies.files import folder, read_comments, read_rows, write_rows
 from studies.planted.measure import CAUGHT, CHECKOUT, PARTS, SURVIVED, Planted, kept, misplaced, planted
 from studies.planted.page import counts, page
@@ -24,7 +24,7 @@ def main() -> int:
     Workers.arguments(parser)
     options = parser.parse_args()
     if options.room:
-        warn_deprecated("plant.py: --room is --part now")
+        warn_caller("plant.py: --room is --part now", DeprecationWarning)
         options.part = options.room
     file = options.folder / "planted.csv"
     if options.redraw:

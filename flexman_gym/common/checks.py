@@ -2,6 +2,8 @@
 
 import math
 import numbers
+import sys
+import warnings
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -11,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Kind = TypeVar("Kind")
+LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")  # packages skipped in the search for the caller of a warning
 UNIT_TOLERANCE = 1e-9  # dimensionless; largest error of the length of a unit vector, and of R R^T of a rotation R
 MIN_SIZE, MAX_SIZE = 1e-30, 1e30  # SI units; range of a physical quantity > 0
 MAX_FIELD_LENGTH = 60  # characters of the name of a field in an error
@@ -238,6 +241,14 @@ def set_fields(instance: object, **values: object) -> None:
     """Set fields of a frozen dataclass in its `__post_init__`."""
     for name, value in values.items():
         object.__setattr__(instance, name, value)
+
+
+def warn_caller(message: str, category: type[Warning] = UserWarning) -> None:
+    """Issue a warning at the source line of the first caller outside LIBRARIES."""
+    frame, depth = sys._getframe(1), 2
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in LIBRARIES:
+        frame, depth = frame.f_back, depth + 1
+    warnings.warn(message, category, stacklevel=depth)
 
 
 def _in(unit: str) -> str:

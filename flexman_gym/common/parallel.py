@@ -15,7 +15,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,6 +31,8 @@ MAX_DEATHS = 3  # number of workers that die in a row, without a finished cell i
 SHARES_PER_JOB = 2  # shares of the cells per simultaneous job of an array; a killed job loses one share
 MAX_SHARES = 1000  # largest number of jobs of an array, the default limit of SLURM
 TIME_LIMIT = 24 * 60  # min; time limit of a job of an array unless SBATCH_TIMELIMIT is set
+LOGS = "submitit"  # folder for the logs of an array
+POLL_INTERVAL = 0.5  # s; interval at which the jobs of an array are polled
 OBJECT_STORE_BYTES = 200_000_000  # bytes of shared memory of a local Ray cluster
 
 
@@ -39,45 +41,35 @@ def _run_serially(task: Task, cells: Sequence[Any], prepare: Prepare | None) -> 
     yield from enumerate(map(task, cells))
 
 
-class _Processes:
-    """Executor with processes on this computer, which end with the parent process even if it is killed."""
-
-    def __init__(self, jobs: int) -> None:
-        self._jobs = jobs
-
-    def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
-        if prepare is not None:
-            prepare()
-        remaining, deaths, context = dict(enumerate(cells)), 0, multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(["flexman_gym"])
-        while remaining:
-            with ProcessPoolExecutor(min(self._jobs, len(remaining)), context, _end_with_parent) as pool:
-                numbers = {pool.submit(task, cell): number for number, cell in remaining.items()}
-                try:
-                    for done in as_completed(numbers):
-                        result, deaths = done.result(), 0
-                        del remaining[numbers[done]]
-                        yield numbers[done], result
-                except BrokenProcessPool:
-                    deaths = _count_death(deaths)
-                finally:
-                    pool.shutdown(cancel_futures=True)
+def _run_in_processes(jobs: int, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
+    """Run the cells in processes on this computer, which end with the parent process even if it is killed."""
+    if prepare is not None:
+        prepare()
+    remaining, deaths, context = dict(enumerate(cells)), 0, multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["flexman_gym"])
+    while remaining:
+        with ProcessPoolExecutor(min(jobs, len(remaining)), context, _end_with_parent) as pool:
+            numbers = {pool.submit(task, cell): number for number, cell in remaining.items()}
+            try:
+                for done in as_completed(numbers):
+                    result, deaths = done.result(), 0
+                    del remaining[numbers[done]]
+                    yield numbers[done], result
+            except BrokenProcessPool:
+                deaths = _count_death(deaths)
+            finally:
+                pool.shutdown(cancel_futures=True)
 
 
-class _RayTasks:
-    """Executor with one Ray call per cell on a Ray cluster; a local cluster runs at most `jobs` calls at once."""
-
-    def __init__(self, jobs: int, address: str) -> None:
-        self._jobs, self._address = jobs, address
-
-    def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
-        with ray_cluster(self._jobs, self._address) as ray:
-            own = {"env_vars": {"PYTHONPATH": _python_path()}}
-            remote = ray.remote(num_cpus=1, max_retries=MAX_DEATHS, runtime_env=own)(_run_prepared)
-            waiting = {remote.remote(prepare, task, cell): number for number, cell in enumerate(cells)}
-            while waiting:
-                for done in ray.wait(list(waiting))[0]:
-                    yield waiting.pop(done), _ray_result(ray, done)
+def _run_on_ray(jobs: int, address: str, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
+    """Run the cells by one Ray call each on a Ray cluster; a local cluster runs at most `jobs` calls at once."""
+    with ray_cluster(jobs, address) as ray:
+        own = {"env_vars": {"PYTHONPATH": _python_path()}}
+        remote = ray.remote(num_cpus=1, max_retries=MAX_DEATHS, runtime_env=own)(_run_prepared)
+        waiting = {remote.remote(prepare, task, cell): number for number, cell in enumerate(cells)}
+        while waiting:
+            for done in ray.wait(list(waiting))[0]:
+                yield waiting.pop(done), _ray_result(ray, done)
 
 
 @contextmanager
@@ -118,44 +110,37 @@ def _ray_result(ray: Any, done: Any) -> Any:
         raise error.cause from None
 
 
-class _ArrayJob:
-    """Executor with the jobs of a SLURM array, or processes started by submitit, each with a share of the cells.
+def _run_array_job(jobs: int, cluster: str, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
+    """Run shares of the cells by the jobs of a SLURM array, or by processes started by submitit.
 
     Further options are read from environment variables of SLURM: SBATCH_PARTITION, SBATCH_ACCOUNT, SBATCH_TIMELIMIT.
-    Logs are written to the folder `submitit`, which must be on a file system of all nodes.
+    Logs are written to the folder LOGS, which must be on a file system of all nodes.
     """
-
-    def __init__(self, jobs: int, cluster: str, logs: str | Path = "submitit", every: float = 0.5) -> None:
-        self._jobs, self._cluster, self._logs, self._every = jobs, cluster, logs, every
-
-    def __call__(self, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
-        submitit = optional_module("submitit", "an array job", "scale")
-        executor = submitit.AutoExecutor(self._logs, cluster=self._cluster)
-        executor.update_parameters(name="flexman", timeout_min=TIME_LIMIT, cpus_per_task=1,
-                                   slurm_array_parallelism=self._jobs)  # fmt: skip
-        shares = min(len(cells), SHARES_PER_JOB * self._jobs, MAX_SHARES)
-        remaining, deaths = {first: cells[first::shares] for first in range(shares)}, 0
-        running: dict[int, Any] = {}
-        while remaining:
-            slots = len(remaining) if self._cluster == "slurm" else self._jobs
-            waiting = [first for first in remaining if first not in running][: slots - len(running)]
-            if waiting:
-                os.environ["PYTHONPATH"] = _python_path()
-                with executor.batch():
-                    running |= {
-                        first: executor.submit(_run_share, prepare, task, remaining[first]) for first in waiting
-                    }
-            for first in [first for first, job in running.items() if job.done()]:
-                try:
-                    results = running.pop(first).result()
-                except submitit.core.utils.UncompletedJobError:
-                    deaths = _count_death(deaths)
-                    continue
-                if isinstance(results, Exception):
-                    raise results
-                deaths, own = 0, remaining.pop(first)
-                yield from ((first + shares * i, results[i]) for i in range(len(own)))
-            time.sleep(self._every)
+    submitit = optional_module("submitit", "an array job", "scale")
+    executor = submitit.AutoExecutor(LOGS, cluster=cluster)
+    executor.update_parameters(name="flexman", timeout_min=TIME_LIMIT, cpus_per_task=1,
+                               slurm_array_parallelism=jobs)  # fmt: skip
+    shares = min(len(cells), SHARES_PER_JOB * jobs, MAX_SHARES)
+    remaining, deaths = {first: cells[first::shares] for first in range(shares)}, 0
+    running: dict[int, Any] = {}
+    while remaining:
+        slots = len(remaining) if cluster == "slurm" else jobs
+        waiting = [first for first in remaining if first not in running][: slots - len(running)]
+        if waiting:
+            os.environ["PYTHONPATH"] = _python_path()
+            with executor.batch():
+                running |= {first: executor.submit(_run_share, prepare, task, remaining[first]) for first in waiting}
+        for first in [first for first, job in running.items() if job.done()]:
+            try:
+                results = running.pop(first).result()
+            except submitit.core.utils.UncompletedJobError:
+                deaths = _count_death(deaths)
+                continue
+            if isinstance(results, Exception):
+                raise results
+            deaths, own = 0, remaining.pop(first)
+            yield from ((first + shares * i, results[i]) for i in range(len(own)))
+        time.sleep(POLL_INTERVAL)
 
 
 def _run_share(prepare: Prepare | None, task: Task, cells: Sequence[Any]) -> list[Any] | Exception:
@@ -298,13 +283,13 @@ def parallel_map(
     return [results[number] for number in range(len(cells))]
 
 
-def _executor(workers: Workers) -> Callable[..., Iterator[tuple[int, Any]]]:
-    """Return the executor of the workers."""
+def _executor(workers: Workers) -> Callable[..., Results]:
+    """Return the function that runs cells by the workers."""
     if workers.ray is not None:
-        return _RayTasks(workers.jobs, workers.ray)
+        return partial(_run_on_ray, workers.jobs, workers.ray)
     if workers.submitit is not None:
-        return _ArrayJob(workers.jobs, workers.submitit)
-    return _run_serially if workers.jobs == 1 else _Processes(workers.jobs)
+        return partial(_run_array_job, workers.jobs, workers.submitit)
+    return _run_serially if workers.jobs == 1 else partial(_run_in_processes, workers.jobs)
 
 
 def _key(task: Callable[..., Any], cell: object) -> str:

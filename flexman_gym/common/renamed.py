@@ -11,6 +11,8 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any, TypeVar, cast
 
+from flexman_gym.common.checks import warn_caller
+
 MODULES = {
     "flexman_agents.algorithm": "flexman_agents.sb3",
     "flexman_agents.memory": "flexman_agents.training",
@@ -141,8 +143,6 @@ BASE_ARGUMENTS = {"law": "timing_law"}
 PARAMETER_KEYS = {"link_stiffness": "link_stiffness_factor"}
 """Old name of a physical parameter in fits, reset options and draws -> present name."""
 FORMER_DEFAULT_METHOD = "midpoint_3"  # method of environments in run folders and policies of 0.2 that name none
-# packages that are skipped in the search for the caller of a deprecated name
-LIBRARIES = ("flexman_gym", "flexman_agents", "gymnasium")
 
 
 def complete_environment(data: object) -> None:
@@ -164,16 +164,8 @@ def current_methods(text: str, warn: bool = False) -> str:
     pattern = rf"\b({'|'.join(METHODS)})\b"
     if warn:
         for old in re.findall(pattern, text):
-            warn_deprecated(f"method {old!r} is deprecated; give {METHODS[old]!r}")
+            warn_caller(f"method {old!r} is deprecated; give {METHODS[old]!r}", DeprecationWarning)
     return re.sub(pattern, lambda match: METHODS[match[0]], text)
-
-
-def warn_deprecated(text: str) -> None:
-    """Issue a DeprecationWarning attributed to the first caller outside LIBRARIES."""
-    frame, depth = sys._getframe(1), 2
-    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in LIBRARIES:
-        frame, depth = frame.f_back, depth + 1
-    warnings.warn(text, DeprecationWarning, stacklevel=depth)
 
 
 def rename_keys(
@@ -196,7 +188,7 @@ def rename_keys(
         if name in names and names[name] in data:
             raise ValueError(f"{prefix}{name}: {value!r} is not allowed; give {names[name]} only, its present name")
         if name in names and warn:
-            warn_deprecated(f"{prefix}{name} is {names[name]} now")
+            warn_caller(f"{prefix}{name} is {names[name]} now", DeprecationWarning)
         inner = nested and isinstance(value, dict)
         result[names.get(name, name)] = rename_keys(value, names, warn, field) if inner else value
     return result
@@ -256,7 +248,7 @@ class _OldMember:
         self._old, self._present = old, present
 
     def __get__(self, instance: object, kind: type[object]) -> Any:
-        warn_deprecated(f"{kind.__name__}.{self._old} is {kind.__name__}.{self._present} now")
+        warn_caller(f"{kind.__name__}.{self._old} is {kind.__name__}.{self._present} now", DeprecationWarning)
         return getattr(kind if instance is None else instance, self._present)
 
 

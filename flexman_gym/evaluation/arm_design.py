@@ -14,7 +14,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.tasks.slew import Slew
 from flexman_gym.evaluation.optimisation import MIN_MARGINS, goal_postures
 from flexman_gym.metrics import BAND, SETTLING_WINDOW
-from flexman_gym.model.design_gradients import DesignLoop, DesignModel, divide_links, resized, thickness_limit
+from flexman_gym.model.design_gradients import DesignLoop, DesignModel, divide_links, resized
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.link import MAX_SECTIONS
 
@@ -110,7 +110,7 @@ def optimise_arm(
         raise value_error("tip_force", tip_force, "a force (N) for an arm without gravity")
     design, kind = DesignModel(arm, postures), "eq" if keep == "links" and metric != "mass" else "ineq"
     count, n = len(design.sections), arm.n_joints
-    largest = np.minimum(high[0], np.log([thickness_limit(section) for section in design.sections]))
+    largest = np.minimum(high[0], np.log(design.thickness_limits))
     gear_bounds, gain_bounds = (low[1], high[1]) if loop else (0.0, 0.0), (np.log(MIN_GAIN), 0.0)
     bounds = np.array([*((low[0], most) for most in largest), *[gear_bounds] * n, *[gain_bounds] * len(start)]).T
     x = np.concatenate([np.zeros(count + n), start])

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, Vector
+from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.progress import Progress
 from flexman_gym.model.dynamics import mass_matrix, stiffness_matrix, tip_jacobian
@@ -44,64 +44,6 @@ class Candidate(NamedTuple):
         modes = tuple(self.compact(numbers) for numbers in self.modes)
         options = vars(scene.model) | {"flexible_joints": self.springs, "stiffening": self.stiffening, "modes": modes}
         return build_model(scene.arm, **options)
-
-
-def _tip_contributions(model: Model, full: Candidate, states: Array) -> dict[tuple[int, int], float]:
-    """Return the largest tip displacement by each component mode in the motion of the reference, smallest first.
-
-    The displacement includes the rotation of the free joints by conservation of momentum when the mode deflects.
-
-    Args:
-        model: model of the full candidate.
-        full: the full candidate.
-        states: (T, 2 d) states of the reference.
-
-    Returns:
-        (link, mode number) -> displacement, m.
-    """
-    rotations = np.eye(model.n_dof)[:, : model.n_joints]  # of joints together with their motors
-    rotations[model.motor_columns] = np.eye(model.n_joints)
-    displacements = np.zeros(model.n_dof)
-    for state in states[:: max(1, len(states) // 8)]:
-        momentum = rotations.T @ mass_matrix(model, state)
-        projection = np.eye(model.n_dof) - rotations @ np.linalg.solve(momentum @ rotations, momentum)
-        tip = tip_jacobian(model, state[: model.n_dof]) @ projection
-        displacements = np.maximum(displacements, np.linalg.norm(tip, axis=0))
-    displacements *= np.abs(states[:, : model.n_dof]).max(axis=0)
-    contributions = {}
-    for link, numbers in enumerate(full.modes):
-        for number, displacement in zip(numbers, displacements[model.elastic_columns(link)], strict=True):
-            contributions[link, number] = float(displacement)
-    return dict(sorted(contributions.items(), key=lambda item: item[1]))
-
-
-def _stiffest_modes(model: Model, full: Candidate, angles: Vector) -> list[tuple[int, int]]:
-    """Return all component modes, ordered so that omitting them in turn lowers the highest natural frequency fast.
-
-    Each is the component mode with the largest amplitude in the vibration mode of highest frequency of the arm without
-    the component modes already listed.
-
-    Args:
-        model: model of the full candidate.
-        full: the full candidate.
-        angles: (n,) joint angles, rad.
-
-    Returns:
-        All component modes of the full candidate, as (link, mode number).
-    """
-    from scipy.linalg import eigh
-
-    mass = mass_matrix(model, model.initial_state(angles))
-    stiffness, size = stiffness_matrix(model), np.sqrt(np.diag(mass))
-    modes = [(link, number) for link, numbers in enumerate(full.modes) for number in numbers]
-    first, order = model.n_dof - len(modes), []
-    remaining = list(range(model.n_dof))
-    while len(remaining) > first:
-        block = np.ix_(remaining, remaining)
-        shape = eigh(stiffness[block], mass[block])[1][:, -1]
-        largest = first + int(np.argmax(np.abs(shape * size[remaining])[first:]))
-        order.append(modes[remaining.pop(largest) - first])
-    return order
 
 
 TOLERANCE_SHARES = (0.6, 0.25)  # dimensionless; error by omitted modes / tolerance; a candidate is built for each value
@@ -366,12 +308,46 @@ class ModelSearch:
         )
 
     def contributions(self) -> dict[tuple[int, int], float]:
-        """Return (link, mode number) -> largest tip displacement (m) in the motion of the reference, smallest first."""
-        return _tip_contributions(self.model(self.full), self.full, self.reference.states)
+        """Return (link, mode number) -> largest tip displacement (m) in the motion of the reference, smallest first.
+
+        The displacement includes the rotation of the free joints by conservation of momentum when the mode deflects.
+        """
+        model, states = self.model(self.full), self.reference.states
+        rotations = np.eye(model.n_dof)[:, : model.n_joints]  # of joints together with their motors
+        rotations[model.motor_columns] = np.eye(model.n_joints)
+        displacements = np.zeros(model.n_dof)
+        for state in states[:: max(1, len(states) // 8)]:
+            momentum = rotations.T @ mass_matrix(model, state)
+            projection = np.eye(model.n_dof) - rotations @ np.linalg.solve(momentum @ rotations, momentum)
+            tip = tip_jacobian(model, state[: model.n_dof]) @ projection
+            displacements = np.maximum(displacements, np.linalg.norm(tip, axis=0))
+        displacements *= np.abs(states[:, : model.n_dof]).max(axis=0)
+        contributions = {}
+        for link, numbers in enumerate(self.full.modes):
+            for number, displacement in zip(numbers, displacements[model.elastic_columns(link)], strict=True):
+                contributions[link, number] = float(displacement)
+        return dict(sorted(contributions.items(), key=lambda item: item[1]))
 
     def stiffest_modes(self) -> list[tuple[int, int]]:
-        """Return the modes (link, mode number), ordered so that omitting them lowers the highest frequency fast."""
-        return _stiffest_modes(self.model(self.full), self.full, self.scene.initial.joint_angles)
+        """Return the modes (link, mode number), ordered so that omitting them lowers the highest frequency fast.
+
+        Each is the component mode with the largest amplitude in the vibration mode of highest frequency of the arm
+        without the component modes already listed.
+        """
+        from scipy.linalg import eigh
+
+        model = self.model(self.full)
+        mass = mass_matrix(model, model.initial_state(self.scene.initial.joint_angles))
+        stiffness, size = stiffness_matrix(model), np.sqrt(np.diag(mass))
+        modes = [(link, number) for link, numbers in enumerate(self.full.modes) for number in numbers]
+        first, order = model.n_dof - len(modes), []
+        remaining = list(range(model.n_dof))
+        while len(remaining) > first:
+            block = np.ix_(remaining, remaining)
+            shape = eigh(stiffness[block], mass[block])[1][:, -1]
+            largest = first + int(np.argmax(np.abs(shape * size[remaining])[first:]))
+            order.append(modes[remaining.pop(largest) - first])
+        return order
 
     def reduced(self, start: Candidate, limit: float, order: list[tuple[int, int]]) -> Candidate:
         """Return a candidate from which as many modes are omitted, in a given order, as an error limit allows.

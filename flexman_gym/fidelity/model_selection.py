@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import check_solvable, positive, value_error
+from flexman_gym.common.checks import check_solvable, instance, positive, value_error
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.fidelity.mesh_search import MeshSearch
 from flexman_gym.fidelity.model_search import Candidate, CandidateRun, ModelSearch
@@ -111,8 +111,7 @@ def choose_model(scene: Scene, tolerance: float, longest_step: float | None = No
         >>> choice.estimated_error < 0.01
         True
     """
-    if not isinstance(scene, Scene):
-        raise value_error("scene", scene, "a Scene")
+    instance("scene", scene, Scene, "a Scene")
     if scene.initial.state is not None:
         raise value_error(
             "scene.initial.state", scene.initial.state, "None: the candidate models have different states"

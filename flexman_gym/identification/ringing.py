@@ -10,7 +10,7 @@ from flexman_gym.common.checks import flag, positive, sequence, set_fields, valu
 from flexman_gym.common.time_series import uniform_period
 from flexman_gym.model.dynamics import damping_matrix, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model
-from flexman_gym.model.vibration import EquilibriumMatrices, equilibrium_matrices, oscillatory_modes
+from flexman_gym.model.vibration import EquilibriumMatrices
 from flexman_gym.simulation.parameters import varied_model
 
 FREQUENCY_DEVIATION = 0.005  # relative standard deviation of a measured frequency
@@ -124,7 +124,7 @@ class Ringing:
         rows = [{name: values[i] for name, values in parameters.items()} for i in range(count)]
         matrices = [self._equilibrium(varied_model(model, **row)) for row in rows]
         columns = matrices[0].free if self.lock_joints else np.arange(model.n_dof)
-        found = oscillatory_modes(matrices[0], columns)
+        found = matrices[0].oscillatory_modes(columns)
         chosen = list(self.numbers or ())
         if len(found.values) <= max(chosen):
             raise value_error(
@@ -148,7 +148,7 @@ class Ringing:
         """Return the matrices at the equilibrium, which is the undeformed arm if there is no gravity."""
         angles = np.zeros(model.n_joints) if self.joint_angles is None else self.joint_angles
         if any(model.arm.gravity):
-            return equilibrium_matrices(model, angles)
+            return EquilibriumMatrices.of(model, angles)
         matrices = mass_matrix(model, model.initial_state(angles)), damping_matrix(model), stiffness_matrix(model)
         return EquilibriumMatrices(*matrices, np.zeros((3, model.n_dof)), model.motor_columns)
 

@@ -4,8 +4,10 @@ The machine code is cached on the disk, see `cache`. Messages on stderr announce
 silences the messages.
 """
 
+import pkgutil
 import sys
 import time
+from importlib import import_module
 from typing import Any
 
 import numba
@@ -67,31 +69,9 @@ event.register("numba:compile", _CompileMessages())
 # Numba reads this setting when a kernel is decorated; it is restored afterwards for other packages.
 _setting = numba.config.CACHE_DIR
 numba.config.CACHE_DIR = CACHE_FOLDER or ""
+__all__ = [each.name for each in pkgutil.iter_modules(__path__)]
 try:
-    from flexman_gym.kernels import (
-        arguments,
-        batch,
-        compile,
-        control_period,
-        dynamics,
-        forces,
-        implicit,
-        inverse,
-        kinematics,
-        lanes,
-        layout,
-        linalg,
-        outputs,
-        raster,
-        rigid_arm,
-        runge_kutta,
-        tangents,
-        thread_sync,
-    )
+    for _name in __all__:
+        import_module(f"{__name__}.{_name}")
 finally:
     numba.config.CACHE_DIR = _setting
-
-__all__ = [
-    "arguments", "batch", "compile", "control_period", "dynamics", "forces", "implicit", "inverse", "kinematics",
-    "lanes", "layout", "linalg", "outputs", "raster", "rigid_arm", "runge_kutta", "tangents", "thread_sync",
-]  # fmt: skip

@@ -61,7 +61,7 @@ def _motor_forces(constants, work, x, v):
         m = constants.motor[i] if constants.motor[i] >= 0 else i
         friction = constants.viscous_friction[i] * v[m]
         if constants.has_coulomb_friction[i]:
-            friction += coulomb_torque(constants, i, v[m])
+            friction += _coulomb_torque(constants, i, v[m])
         torque = 0.0 if constants.prescribed[i] else work.drive[i]
         if constants.has_ripple[i] and not constants.prescribed[i]:
             torque += ripple_torque(constants, i, x[m])
@@ -72,7 +72,7 @@ def _motor_forces(constants, work, x, v):
 
 
 @inner
-def coulomb_torque(constants, i, rate):
+def _coulomb_torque(constants, i, rate):
     """Return the friction torque (N m) of motor i at a rate (rad/s), without its viscous part.
 
     With the Coulomb friction c, the width r, the static excess s and the Stribeck rate p, it is

@@ -20,8 +20,8 @@ from numba.core.typeconv import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
-from flexman_gym.kernels import tangents
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, LANES
+from flexman_gym.kernels.tangents import Tangents
 
 INDEX = ir.IntType(32)
 
@@ -61,7 +61,7 @@ def _broadcast(context: Any, builder: Any, kind: Any, target: Any, value: Any) -
     if kind == target:
         return value
     if target == TANGENTS:
-        return tangents.from_number(builder, target.vector, value)
+        return Tangents(builder).from_number(value)
     undefined = ir.Constant(target.vector, ir.Undefined)
     one = builder.insert_element(undefined, value, ir.Constant(INDEX, 0))
     return builder.shuffle_vector(one, undefined, ir.Constant(ir.VectorType(INDEX, target.width), [0] * target.width))
@@ -92,9 +92,8 @@ class _LanesArithmetic(AbstractTemplate):
 def _call_instruction(builder: Any, name: str, kind: Any, operands: Any) -> Any:
     """Return the call of an LLVM intrinsic function, fma or sqrt, on numbers or groups."""
     if kind == TANGENTS:
-        if name == "fma":
-            return tangents.multiply_add(builder, kind.vector, *operands)
-        return tangents.square_root(builder, kind.vector, *operands)
+        groups = Tangents(builder)
+        return groups.multiply_add(*operands) if name == "fma" else groups.square_root(*operands)
     element, suffix = (kind.vector, f"v{kind.width}f64") if isinstance(kind, Lanes) else (ir.DoubleType(), "f64")
     function = ir.FunctionType(element, [element] * len(operands))
     return builder.call(cgutils.get_or_insert_function(builder.module, function, f"llvm.{name}.{suffix}"), operands)
@@ -105,10 +104,7 @@ def _declare(symbol: Callable) -> None:
 
 
 # instructions with a rule of their own for tangents
-PRODUCTS = {
-    "fmul": tangents.multiply,
-    "fdiv": tangents.divide,
-}
+PRODUCTS = {"fmul": Tangents.multiply, "fdiv": Tangents.divide}
 
 
 def _operator(symbol: Callable, instruction: str) -> None:
@@ -118,7 +114,7 @@ def _operator(symbol: Callable, instruction: str) -> None:
     def lower(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
         pairs = zip(kinds.args, values, strict=True)
         if kinds.return_type == TANGENTS and instruction in PRODUCTS:
-            return PRODUCTS[instruction](builder, TANGENTS.vector, *values)
+            return PRODUCTS[instruction](Tangents(builder), *values)
         operands = [_broadcast(context, builder, kind, kinds.return_type, value) for kind, value in pairs]
         return getattr(builder, instruction)(*operands)
 
@@ -161,7 +157,7 @@ def _map_function(symbol: Callable) -> None:
             def call(name: Callable, number: Any) -> Any:
                 return context.get_function(name, NUMBER(NUMBER))(builder, [number])
 
-            return tangents.apply_function(builder, symbol, call, group)
+            return Tangents(builder).apply_function(symbol, call, group)
         for k in range(kinds.return_type.width):
             lane = ir.Constant(INDEX, k)
             group = builder.insert_element(group, function(builder, [builder.extract_element(values[0], lane)]), lane)
@@ -211,7 +207,7 @@ def is_below(typing_context, a, limit):
     def generate(context, builder, kinds, values):
         kind = kinds.args[0]
         if kind == TANGENTS:
-            return builder.fcmp_ordered("<", tangents.value_of(builder, values[0]), values[1])
+            return builder.fcmp_ordered("<", Tangents(builder).value_of(values[0]), values[1])
         bound = _broadcast(context, builder, NUMBER, kind, values[1])
         return _all(builder, kind, builder.fcmp_ordered("<", values[0], bound))
 
@@ -227,7 +223,7 @@ def select_below(typing_context, a, limit, below, otherwise):
         pairs = zip(kinds.args, values, strict=True)
         a, bound, below, otherwise = (_broadcast(context, builder, each, kind, value) for each, value in pairs)
         if kind == TANGENTS:
-            a, bound = tangents.value_of(builder, a), tangents.value_of(builder, bound)
+            a, bound = Tangents(builder).value_of(a), Tangents(builder).value_of(bound)
         return builder.select(builder.fcmp_ordered("<", a, bound), below, otherwise)
 
     return kind(a, limit, below, otherwise), generate
@@ -239,7 +235,7 @@ def number_of(typing_context, a):
     kind = NUMBER if a == TANGENTS else a
 
     def generate(context, builder, kinds, values):
-        return tangents.value_of(builder, values[0]) if kinds.args[0] == TANGENTS else values[0]
+        return Tangents(builder).value_of(values[0]) if kinds.args[0] == TANGENTS else values[0]
 
     return kind(a), generate
 
@@ -250,7 +246,7 @@ def chain(typing_context, value, slope, a):
     kind = TANGENTS if a == TANGENTS else value
 
     def generate(context, builder, kinds, values):
-        return tangents.chain(builder, *values) if kinds.args[2] == TANGENTS else values[0]
+        return Tangents(builder).chain(*values) if kinds.args[2] == TANGENTS else values[0]
 
     return kind(value, slope, a), generate
 

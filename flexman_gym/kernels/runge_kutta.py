@@ -340,8 +340,8 @@ def _implicit_stage(constants, work, tableau, table, span, state, i, update):
     With g = gamma step and r = sum of c_ij u_j / step, the stage u = (u_x, u_v) for x and v solves
     u_x / g = v + u_v + r_x and M u_v / g = F(x, v) - K u_x - D u_v + M r_v. For w = u_v / g - r_v this is
     (M + g D + g^2 K) w = F with springs at x + g (v + r_x + g r_v) and dampers at v + g r_v: no product with M is
-    needed. D contains the secant of friction and K the
-    tangents of springs with knees at the start of the step. Kinematics are computed if `update`.
+    needed. D contains the secant of friction and K the tangents of springs with knees at the start of the step.
+    Kinematics are computed if `update`.
     """
     d, size, (time, step) = len(state) // 2 - 1, len(state), span
     g = tableau.gamma * step

@@ -81,12 +81,10 @@ def root_strain_matrix(model: Model) -> Array:
     """
     result = np.zeros((2 * model.n_dof, 3 * model.n_joints))
     for i, radii in enumerate(gauge_radii(model)):
-        basis = model.bases[i]
-        if basis.shape[1] == 0:
+        if model.bases[i].shape[1] == 0:
             continue
         root = model.elements(i)[0]
-        nodes = np.vstack([np.zeros((NODE_COORDINATES, basis.shape[1])), basis])[root.nodes]
-        _, twist, about_y, about_z = _element_strains(0.0, root.length) @ nodes
+        _, twist, about_y, about_z = _element_strains(0.0, root.length) @ model.node_basis(i)[root.nodes]
         rows = radii[:, None] * np.array([-about_z, about_y, twist])
         result[model.elastic_columns(i), 3 * i : 3 * i + 3] = rows.T
     return result
@@ -223,9 +221,8 @@ def link_shapes(model: Model, points: int) -> tuple[_LinkShapes, ...]:
 
 def _shapes(model: Model, link: int, points: int) -> _LinkShapes:
     """Return the shape functions of one link at equally spaced points."""
-    length, basis, elements = model.constants.length[link], model.bases[link], model.elements(link)
-    nodes = np.vstack([np.zeros((NODE_COORDINATES if basis.size else 0, basis.shape[1])), basis])
-    positions, k = np.linspace(0.0, length, points), basis.shape[1]
+    elements, nodes = model.elements(link), model.node_basis(link)
+    positions, k = np.linspace(0.0, model.constants.length[link], points), nodes.shape[1]
     rows, radii = np.zeros((points, 10, k)), np.zeros((points, 3))
     for row, radius, place in zip(rows, radii, positions, strict=True):
         element, xi = Element.find(elements, place)

@@ -11,7 +11,6 @@ directions. A gear ratio multiplies the torque limit of its joint, and its squar
 """
 
 import math
-import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -26,10 +25,10 @@ from flexman_gym.model.element import GAUSS_POINTS, NODE_COORDINATES
 from flexman_gym.model.model import build_model
 from flexman_gym.model.state_space import natural_modes
 from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.input_checks import replace_quietly
 from flexman_gym.scene.joint import Joint
-from flexman_gym.scene.link import SERIES_TERMS, Link, NonUniformLink, Outline
+from flexman_gym.scene.link import SERIES_TERMS, SIZES, Link, NonUniformLink, Outline
 
-SIZES = ("area", "second_moment_y", "second_moment_z", "torsion_constant")
 SOFT_POWER = 150  # exponent of the soft minimum of squared frequencies; two equal frequencies give 0.2 % less
 SPEED_TIME = 0.1  # s; weight of the speed of the tip, as in the reward "distance"
 TIME_TOLERANCE = 1e-12  # relative; last step of the iteration for the settling time
@@ -40,7 +39,7 @@ def divide_links(arm: Arm, sections: int) -> Arm:
     """Return an arm whose uniform links are divided into equal sections; stepped links are unchanged."""
     links = [
         link if isinstance(link, NonUniformLink) else NonUniformLink(
-            [_quiet(link, length=link.length / sections, orientation=Link.orientation, masses=())] * sections,
+            [replace_quietly(link, length=link.length / sections, orientation=Link.orientation, masses=())] * sections,
             link.orientation, link.masses,
         )
         for link in arm.links
@@ -63,37 +62,18 @@ def resized(arm: Arm, thickness: Vector, gears: Vector | None = None) -> Arm:
     return replace(arm, links=links, joints=joints)
 
 
-def _quiet(link: Link, **changes: Any) -> Link:
-    """Return a changed link without the warnings that were issued when the link was made."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        return replace(link, **changes)
-
-
-def _thin_axis(section: Link) -> str:
-    """Return the axis, "y" or "z", along which a strip is thin; "" for other sections."""
-    outline = section.outline
-    return "" if outline is None or outline.shape != "strip" else "y" if outline.y <= outline.z else "z"
-
-
-def thickness_limit(section: Link) -> float:
-    """Return the factor at which a strip is as thick as wide; infinity for other sections."""
-    outline = section.outline
-    return max(outline.y, outline.z) / min(outline.y, outline.z) if outline and _thin_axis(section) else math.inf
-
-
 def _resized_section(section: Link, factor: float) -> Link:
     """Return a section with its thickness multiplied by a factor."""
-    outline, thin = section.outline, _thin_axis(section)
+    outline = section.outline
     if outline is None:
         powers = (2, 4, 4, 4)
-        return _quiet(
+        return replace_quietly(
             section, **{name: getattr(section, name) * factor**p for name, p in zip(SIZES, powers, strict=True)}
         )
-    along = {axis: factor if thin in ("", axis) else 1.0 for axis in "yz"}
+    along = {axis: factor if outline.thin_axis in ("", axis) else 1.0 for axis in "yz"}
     wall = None if outline.wall is None else factor * outline.wall
     outline = Outline(outline.shape, along["y"] * outline.y, along["z"] * outline.z, wall)
-    return _quiet(section, outline=outline, **{name: getattr(outline, name) for name in SIZES})
+    return replace_quietly(section, outline=outline, **outline.sizes)
 
 
 def _regeared(joint: Joint, factor: float) -> Joint:
@@ -108,17 +88,16 @@ def _regeared(joint: Joint, factor: float) -> Joint:
 
 def _section_slopes(section: Link) -> Array:
     """Return the derivatives (4,) of SIZES with respect to the logarithm of the thickness of a section."""
-    thin, sizes = _thin_axis(section), np.array([getattr(section, name) for name in SIZES])
-    if not thin:
+    outline, sizes = section.outline, np.array([getattr(section, name) for name in SIZES])
+    if outline is None or not outline.thin_axis:
         return sizes * [2.0, 4.0, 4.0, 4.0]
-    assert section.outline is not None
-    low, wide = sorted((section.outline.y, section.outline.z))
+    low, wide = sorted((outline.y, outline.z))
     odd = np.arange(1, 2 * SERIES_TERMS, 2)
     tanh = np.tanh(odd * math.pi * wide / (2.0 * low))
     # J = wide low^3 / 3 - 64 low^4 / pi^5 sum tanh(n pi wide / (2 low)) / n^5
     series, slope = (tanh / odd**5).sum(), ((1.0 - tanh**2) / odd**4).sum()
     torsion = wide * low**3 - 256.0 * low**4 * series / math.pi**5 + 32.0 * wide * low**3 * slope / math.pi**4
-    powers = (1.0, 1.0, 3.0) if thin == "y" else (1.0, 3.0, 1.0)
+    powers = (1.0, 1.0, 3.0) if outline.thin_axis == "y" else (1.0, 3.0, 1.0)
     return np.append(sizes[:3] * powers, torsion)
 
 
@@ -269,6 +248,12 @@ class DesignModel:
         motors, gears = self.model.motor_columns, np.exp(x[len(self.sections) :])
         by_gears = 2.0 * self.rotors * gears**2 * mass[:, motors, motors].sum(axis=0)
         return np.concatenate([(by_sizes * at.slopes).sum(axis=1), by_gears])
+
+    @property
+    def thickness_limits(self) -> list[float]:
+        """Factors (S,) at which strips are as thick as wide; infinity for other sections."""
+        outlines = [section.outline for section in self.sections]
+        return [max(each.y, each.z) / min(each.y, each.z) if each and each.thin_axis else math.inf for each in outlines]
 
     def link_masses(self, x: Array) -> tuple[Array, Array]:
         """Return the masses of the sections of each link (n,), kg, and their Jacobian (n, S + n)."""

@@ -198,10 +198,12 @@ def _input_forces(model: Model, x: Array, tip: Array, names: object) -> tuple[Ar
         names: names of inputs in INPUT_UNITS; at least one.
     """
     n, d = model.n_joints, model.n_dof
+    rest = np.zeros(d)
     makers: dict[str, Callable[[], Array]] = {
         "motor_torques": lambda: np.eye(d)[:, model.driven_columns],
         "tip_force": lambda: tip.T,
-        "base_acceleration": lambda: np.transpose([_base_acceleration_forces(model, x, axis) for axis in np.eye(3)]),
+        # an acceleration of the base has the forces of static equilibrium under gravity of the same direction
+        "base_acceleration": lambda: np.transpose([inertial_forces(model, axis)(x, rest, rest) for axis in np.eye(3)]),
     }
     kinds = [one_of(f"inputs[{i}]", name, INPUT_UNITS) for i, name in enumerate(sequence("inputs", names, "names"))]
     if not kinds:
@@ -211,15 +213,6 @@ def _input_forces(model: Model, x: Array, tip: Array, names: object) -> tuple[Ar
     names = {"motor_torques": motors.tolist()}
     labels = [names.get(kind) or column_names(kind, INPUT_UNITS[kind], 3, n) for kind in kinds]
     return np.hstack(columns), [label for each in labels for label in each]
-
-
-def _base_acceleration_forces(model: Model, x: Array, axis: Array) -> Array:
-    """Return the generalised forces (d,) of a unit acceleration of the base along an axis (3,).
-
-    They equal the forces in static equilibrium under unit gravity along the axis.
-    """
-    rest = np.zeros(model.n_dof)
-    return inertial_forces(model, axis)(x, rest, rest)
 
 
 SLIDING, AT_REST = "sliding", "at rest"  # treatments of Coulomb friction in a linear model

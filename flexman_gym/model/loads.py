@@ -27,6 +27,7 @@ class FrameMotion:
         inputs: (T, n + 6), n motor torques (N m, not used), tip force (3, N) and base acceleration (3, m/s^2).
 
     Attributes:
+        model, states, accelerations: the arguments.
         reaction: (T, n + 1, 6) force (N) and moment (N m) on each link at its origin, and on the payload at the tip.
         frame_acceleration: (T, n, 6) acceleration of the origin minus the acceleration of gravity (m/s^2), and angular
             acceleration (rad/s^2).
@@ -54,6 +55,7 @@ class FrameMotion:
     tip_velocity: Array
 
     def __init__(self, model: Model, states: Array, accelerations: Array, inputs: Array) -> None:
+        self.model, self.states, self.accelerations = model, states, accelerations
         n, d, count = model.n_joints, model.n_dof, len(states)
         work, out, records = make_work(model.constants), np.zeros(d), []
         for state, acceleration, row in zip(states, accelerations, inputs, strict=True):
@@ -74,84 +76,77 @@ class FrameMotion:
             arm = self.tip[:, i] + (np.einsum("tij,tj->ti", self.rotation[:, i + 1], arm) if i + 1 < n else 0.0)
             self.reaction[:, i] -= np.hstack([tip_force, np.cross(arm, tip_force)])
 
+    def section_forces(self, link: int, positions: Sequence[float]) -> Array:
+        """Return force (N) and moment (N m) (T, P, 6) of the outboard part of a link on its inboard part, beam frame.
 
-def section_forces(
-    model: Model, motion: FrameMotion, states: Array, accelerations: Array, link: int, positions: Sequence[float]
-) -> Array:
-    """Return force (N) and moment (N m) (T, P, 6) of the outboard part of a link on its inboard part, beam frame.
+        By d'Alembert's principle they equal the inertial and gravity forces of the inboard part minus the reaction at
+        the origin of the link. At a lumped mass the cross-section lies on the inboard side of the mass. With
+        foreshortening the stations represent the inboard part.
 
-    By d'Alembert's principle they equal the inertial and gravity forces of the inboard part minus the reaction at the
-    origin of the link. At a lumped mass the cross-section lies on the inboard side of the mass. With foreshortening the
-    stations represent the inboard part.
+        Args:
+            link: index of the link, from 0.
+            positions: (P,) distances along the link, m.
+        """
+        q, q_rate, q_acceleration = self._elastic(link)
+        w, w_rate, root = self.spin[:, link], self.frame_acceleration[:, link, 3:], self.reaction[:, link]
+        result = np.zeros((len(self.states), len(positions), 6))
+        for k, position in enumerate(positions):
+            inboard = _inboard_points(self.model, link, position)
+            points, velocities, relative = inboard.motion(q, q_rate, q_acceleration)
+            absolute = relative + self.frame_acceleration[:, None, link, :3] + _cross(w_rate, points)
+            absolute += _cross(w, _cross(w, points) + 2.0 * velocities)
+            forces = inboard.masses[:, None] * absolute
+            section = _section_point(self.model, link, position).motion(q, q_rate, q_acceleration)[0][:, 0]
+            moment = root[:, 3:] - np.cross(section, root[:, :3])
+            moment -= np.cross(points - section[:, None], forces).sum(axis=1)
+            twist_rate, twist_acceleration = q_rate @ inboard.twist.T, q_acceleration @ inboard.twist.T
+            along = (inboard.polar * (w_rate[:, :1] + twist_acceleration)).sum(axis=1)
+            across = (inboard.polar * (w[:, :1] + twist_rate)).sum(axis=1)[:, None] * np.cross(w, [1.0, 0.0, 0.0])
+            moment -= across + np.outer(along, [1.0, 0.0, 0.0])
+            result[:, k] = np.hstack([forces.sum(axis=1) - root[:, :3], -moment])
+        return result
 
-    Args:
-        model: model of the arm.
-        motion: motion of the beam frames.
-        states: (T, 2 d), as passed to `motion`.
-        accelerations: (T, d) generalised accelerations.
-        link: index of the link, from 0.
-        positions: (P,) distances along the link, m.
-    """
-    q, q_rate, q_acceleration = _elastic(model, link, states, accelerations)
-    w, w_rate = motion.spin[:, link], motion.frame_acceleration[:, link, 3:]
-    root = motion.reaction[:, link]
-    result = np.zeros((len(states), len(positions), 6))
-    for k, position in enumerate(positions):
-        inboard = _inboard_points(model, link, position)
-        points, velocities, relative = inboard.motion(q, q_rate, q_acceleration)
-        absolute = relative + motion.frame_acceleration[:, None, link, :3] + _cross(w_rate, points)
-        absolute += _cross(w, _cross(w, points) + 2.0 * velocities)
-        forces = inboard.masses[:, None] * absolute
-        section = _section_point(model, link, position).motion(q, q_rate, q_acceleration)[0][:, 0]
-        moment = root[:, 3:] - np.cross(section, root[:, :3]) - np.cross(points - section[:, None], forces).sum(axis=1)
-        twist_rate, twist_acceleration = q_rate @ inboard.twist.T, q_acceleration @ inboard.twist.T
-        along = (inboard.polar * (w_rate[:, :1] + twist_acceleration)).sum(axis=1)
-        across = (inboard.polar * (w[:, :1] + twist_rate)).sum(axis=1)[:, None] * np.cross(w, [1.0, 0.0, 0.0])
-        moment -= across + np.outer(along, [1.0, 0.0, 0.0])
-        result[:, k] = np.hstack([forces.sum(axis=1) - root[:, :3], -moment])
-    return result
+    def part_energies(self) -> dict[str, Array]:
+        """Return the energies of each link and joint, (T, n), and of the payload, (T, 1), J, by name.
 
+        Their sum is the total energy of the arm.
+        """
+        model, states = self.model, self.states
+        n, d, constants = model.n_joints, model.n_dof, model.constants
+        kinetic, gravitational = np.zeros((2, len(states), n))
+        rotation, origin = np.eye(3)[None].repeat(len(states), axis=0), np.zeros((len(states), 3))
+        for i in range(n):
+            points = _inboard_points(model, i)
+            q, q_rate, _ = self._elastic(i)
+            positions, velocities, _ = points.motion(q, q_rate, q_rate)
+            velocities = velocities + self.velocity[:, None, i] + _cross(self.spin[:, i], positions)
+            section_rates = self.spin[:, i, :1] + q_rate @ points.twist.T  # rad/s, about the beam axis
+            kinetic[:, i] = ((velocities**2).sum(axis=2) @ points.masses + section_rates**2 @ points.polar) / 2.0
+            rotation = rotation @ self.rotation[:, i]
+            centre = np.einsum("p,tpi->ti", points.masses, positions)
+            first_moment = points.masses.sum() * origin + np.einsum("tij,tj->ti", rotation, centre)
+            gravitational[:, i] = -first_moment @ constants.gravity
+            origin = origin + np.einsum("tij,tj->ti", rotation, self.tip[:, i])
+        mass, w, v = constants.payload_mass[0], self.payload_spin, self.tip_velocity
+        payload_kinetic = mass * (v**2).sum(axis=1) / 2.0 + np.einsum("ti,ti->t", v, np.cross(w, self.payload_moment))
+        payload_kinetic += np.einsum("ti,tij,tj->t", w, self.payload_rotary, w) / 2.0
+        payload_first_moment = mass * origin + np.einsum("tij,tj->ti", rotation, self.payload_moment)
+        motor_rates = states[:, d + model.motor_columns]
+        # rad/s; angular velocity of the inboard link, which carries the rotor, about the joint axis
+        carrier_rates = np.einsum("tni,ni->tn", self.spin, constants.axis) - states[:, d : d + n]
+        rotors = constants.rotor_inertia * (motor_rates + carrier_rates * (constants.carried_inertia > 0.0)) ** 2 / 2.0
+        elastic = elastic_energies(model, states[:, :d]) / 2.0
+        return {
+            "link_kinetic": kinetic, "link_elastic": elastic[:, :n], "link_gravitational": gravitational,
+            "rotor_kinetic": rotors, "joint_elastic": elastic[:, n:],
+            "payload_kinetic": payload_kinetic[:, None],
+            "payload_gravitational": -(payload_first_moment @ constants.gravity)[:, None],
+        }  # fmt: skip
 
-def part_energies(model: Model, motion: FrameMotion, states: Array) -> dict[str, Array]:
-    """Return the energies of each link and joint, (T, n), and of the payload, (T, 1), J, by name.
-
-    Their sum is the total energy of the arm.
-
-    Args:
-        model: model of the arm.
-        motion: motion of the beam frames.
-        states: (T, 2 d), as passed to `motion`.
-    """
-    n, d, constants = model.n_joints, model.n_dof, model.constants
-    kinetic, gravitational = np.zeros((2, len(states), n))
-    rotation, origin = np.eye(3)[None].repeat(len(states), axis=0), np.zeros((len(states), 3))
-    for i in range(n):
-        points = _inboard_points(model, i)
-        q, q_rate, _ = _elastic(model, i, states, states[:, d:])
-        positions, velocities, _ = points.motion(q, q_rate, q_rate)
-        velocities = velocities + motion.velocity[:, None, i] + _cross(motion.spin[:, i], positions)
-        section_rates = motion.spin[:, i, :1] + q_rate @ points.twist.T  # rad/s, about the beam axis
-        kinetic[:, i] = ((velocities**2).sum(axis=2) @ points.masses + section_rates**2 @ points.polar) / 2.0
-        rotation = rotation @ motion.rotation[:, i]
-        centre = np.einsum("p,tpi->ti", points.masses, positions)
-        first_moment = points.masses.sum() * origin + np.einsum("tij,tj->ti", rotation, centre)
-        gravitational[:, i] = -first_moment @ constants.gravity
-        origin = origin + np.einsum("tij,tj->ti", rotation, motion.tip[:, i])
-    mass, w, v = constants.payload_mass[0], motion.payload_spin, motion.tip_velocity
-    payload_kinetic = mass * (v**2).sum(axis=1) / 2.0 + np.einsum("ti,ti->t", v, np.cross(w, motion.payload_moment))
-    payload_kinetic += np.einsum("ti,tij,tj->t", w, motion.payload_rotary, w) / 2.0
-    payload_first_moment = mass * origin + np.einsum("tij,tj->ti", rotation, motion.payload_moment)
-    motor_rates = states[:, d + model.motor_columns]
-    # rad/s; angular velocity of the inboard link, which carries the rotor, about the joint axis
-    carrier_rates = np.einsum("tni,ni->tn", motion.spin, constants.axis) - states[:, d : d + n]
-    rotors = constants.rotor_inertia * (motor_rates + carrier_rates * (constants.carried_inertia > 0.0)) ** 2 / 2.0
-    elastic = elastic_energies(model, states[:, :d]) / 2.0
-    return {
-        "link_kinetic": kinetic, "link_elastic": elastic[:, :n], "link_gravitational": gravitational,
-        "rotor_kinetic": rotors, "joint_elastic": elastic[:, n:],
-        "payload_kinetic": payload_kinetic[:, None],
-        "payload_gravitational": -(payload_first_moment @ constants.gravity)[:, None],
-    }  # fmt: skip
+    def _elastic(self, link: int) -> tuple[Array, Array, Array]:
+        """Return elastic coordinates of a link, their speeds and their accelerations, (T, k) each."""
+        columns, d = self.model.elastic_columns(link), self.model.n_dof
+        return self.states[:, columns], self.states[:, d:][:, columns], self.accelerations[:, columns]
 
 
 class _Points(NamedTuple):
@@ -210,7 +205,7 @@ def _inboard_points(model: Model, link: int, position: float = np.inf) -> _Point
     positions = np.concatenate([positions, stations[:, 1:], stations[:, 1:]])
     shapes = np.concatenate([shapes, station_shapes, station_shapes])
     matrices = np.concatenate([matrices, 0.0 * shortening, shortening])
-    return _Points(masses, positions, shapes, matrices, polar, twist).reduced(_basis(model, link, size))
+    return _Points(masses, positions, shapes, matrices, polar, twist).reduced(model.node_basis(link))
 
 
 def _section_point(model: Model, link: int, position: float) -> _Points:
@@ -222,19 +217,7 @@ def _section_point(model: Model, link: int, position: float) -> _Points:
     shapes[0][:, element.nodes] = element.shapes(xi)
     shortening = foreshortening_matrix(position, elements, size)[None] * model.choice.stiffening
     point, no_twist = np.array([[position, 0.0, 0.0]]), np.zeros((0, size))
-    return _Points(np.zeros(1), point, shapes, shortening, np.zeros(0), no_twist).reduced(_basis(model, link, size))
-
-
-def _basis(model: Model, link: int, size: int) -> Array:
-    """Return all node coordinates (size, k) of a link, clamped ones included, per unit of each elastic coordinate."""
-    basis = model.bases[link]
-    return np.vstack([np.zeros((size - len(basis), basis.shape[1])), basis])
-
-
-def _elastic(model: Model, link: int, states: Array, accelerations: Array) -> tuple[Array, Array, Array]:
-    """Return elastic coordinates of a link, their speeds and their accelerations, (T, k) each."""
-    columns, d = model.elastic_columns(link), model.n_dof
-    return states[:, columns], states[:, d:][:, columns], accelerations[:, columns]
+    return _Points(np.zeros(1), point, shapes, shortening, np.zeros(0), no_twist).reduced(model.node_basis(link))
 
 
 def _cross(vector: Array, points: Array) -> Array:

@@ -8,21 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import check_magnitudes, instance, value_error, vector
+from flexman_gym.common.checks import check_magnitudes, instance, value_error, vector, warn_caller
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LANES
 from flexman_gym.model.beam import Beam, build_beam
-from flexman_gym.model.component_modes import (
-    loaded_modes,
-    modal_damping,
-    outboard_inertias,
-    select_modes,
-    zero_pose_rotations,
-)
-from flexman_gym.model.element import Element
+from flexman_gym.model.component_modes import LoadedModes, outboard_inertias, zero_pose_rotations
+from flexman_gym.model.element import NODE_COORDINATES, Element
 from flexman_gym.model.joint_constants import joint_constants
 from flexman_gym.scene.arm import Arm
-from flexman_gym.scene.input_checks import warn_caller
 from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import MAX_ELEMENTS, ModelChoice, Scene
 from flexman_gym.scene.serialization import ArmLike, find_arm
@@ -83,16 +76,13 @@ def _pack_constants(
     widths = LANES * ((sizes + 6 + LANES - 1) // LANES)
     parts = [_integrate(beam) for beam in beams]
 
-    shape = _sparse([part.shape_shape for part in parts], 9, parts)
-    cross = _sparse([_axial(part.shape_shape) for part in parts], 3, parts)
-
     end = np.zeros(LANES)  # the kernels read groups of LANES numbers, the last one beyond the last row
     pairs = list(zip(parts, beams, strict=True))
     stiffness = _pack([*[beam.stiffness for beam in beams], end], 1)
     coupled = _remove_rounded_couplings(rounded, sizes, stiffness, modal)
     return layout.Constants(
-        elastic_start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
-        square_start=np.concatenate([[0], np.cumsum(sizes**2)]).astype(np.int64),
+        elastic_start=_starts(sizes),
+        square_start=_starts(sizes**2),
         gravity=np.array(arm.gravity, dtype=float),
         mount=zero_pose_rotations(arm).ravel(),
         axis=np.array([np.array(li.orientation).T @ jo.axis for li, jo in zip(arm.links, arm.joints, strict=True)]),
@@ -103,13 +93,9 @@ def _pack_constants(
         second_moment=np.array([part.second_moment for part in parts]).ravel(),
         first_moment_shape=_pack([part.first_moment_shape for part in parts], 3),
         position_shape=_pack([part.position_shape for part in parts], 1),
-        shape_start=shape.start,
-        shape_source=shape.source,
-        shape_value=shape.value,
-        cross_start=cross.start,
-        cross_source=cross.source,
-        cross_value=cross.value,
-        factor_start=np.concatenate([[0], np.cumsum(sizes * widths)])[:-1].astype(np.int64),
+        **_sparse("shape", [part.shape_shape for part in parts], 9, parts),
+        **_sparse("cross", [_axial(part.shape_shape) for part in parts], 3, parts),
+        factor_start=_starts(sizes * widths)[:-1],
         factor_width=widths,
         tip_start=_first_moving(beams, choice.stiffening),
         tip_linear_start=_first_moving(beams, False),
@@ -153,17 +139,12 @@ def _pack(blocks: list[Array], width: int) -> Array:
     return np.ascontiguousarray(rows[:, 0] if width == 1 else rows)
 
 
-class _Sparse(NamedTuple):
-    """Non-zero entries [b, a, ...] of square blocks, one block per link; see `layout.Constants`."""
+def _sparse(name: str, blocks: list[Array], width: int, parts: list[_ShapeIntegrals]) -> dict[str, np.ndarray]:
+    """Return the fields start, source and value of `layout.Constants` with the non-zero entries [b, a, ...] of blocks.
 
-    start: np.ndarray
-    source: np.ndarray
-    value: Array
-
-
-def _sparse(blocks: list[Array], width: int, parts: list[_ShapeIntegrals]) -> _Sparse:
-    """Return the non-zero entries of blocks (k, k, ...), one for each link, with `width` numbers for each pair."""
-    offset, counts, sources, values = 0, [np.zeros(1, dtype=np.int64)], [], []
+    The names of the fields begin with `name`; the block (k, k, ...) of a link has `width` numbers for each pair.
+    """
+    offset, counts, sources, values = 0, [], [], []
     for block, part in zip(blocks, parts, strict=True):
         k = len(part.elastic)
         entries = block.reshape(k, width * k).T
@@ -173,11 +154,11 @@ def _sparse(blocks: list[Array], width: int, parts: list[_ShapeIntegrals]) -> _S
         values.append(entries[retained])
         sources.append(np.nonzero(retained)[1] + offset)
         offset += k
-    return _Sparse(
-        np.cumsum(np.concatenate(counts), dtype=np.int64),
-        np.concatenate(sources).astype(np.int64),
-        np.concatenate(values),
-    )
+    return {
+        f"{name}_start": _starts(np.concatenate(counts)),
+        f"{name}_source": np.concatenate(sources).astype(np.int64),
+        f"{name}_value": np.concatenate(values),
+    }
 
 
 def _station_constants(beams: tuple[Beam, ...], stiffening: bool) -> dict[str, np.ndarray]:
@@ -261,7 +242,7 @@ def _axial(tensors: Array) -> Array:
     return np.stack([difference[..., 1, 2], difference[..., 2, 0], difference[..., 0, 1]], axis=-1)
 
 
-_Links = list[tuple[Beam, tuple[Array, Array]]]  # see `_build_links`
+_Links = list[tuple[Beam, LoadedModes]]  # see `_build_links`
 MAX_CACHED_ELEMENTS = 24  # largest number of finite elements of an arm whose unreduced links are cached
 
 
@@ -342,6 +323,11 @@ class Model:
         """Return the finite elements of a link (index from 0), base to tip."""
         return Element.divide(self.arm.links[link], _each("elements", self.choice.elements, self.n_joints)[link])
 
+    def node_basis(self, link: int) -> Array:
+        """Return all node coordinates (size, k) of a link, clamped ones too, per unit of each elastic coordinate."""
+        basis, count = self.bases[link], len(self.elements(link))
+        return np.vstack([np.zeros((NODE_COORDINATES * (count + 1) - len(basis), basis.shape[1])), basis])
+
     def initial_state(self, joint_angles: Vector, joint_rates: Vector | None = None) -> Array:
         """Return the state (2 d,) of the undeformed arm with the motors at the angles and rates of the joints.
 
@@ -383,7 +369,7 @@ def build_model(
         arm: an `Arm`, the name of an arm in the catalog, a file, or a mapping; see `scene.serialization.find_arm`.
         elements: number of finite elements of a Link, or of each section of a NonUniformLink; one value or one per
             link. A link has at most 64 elements in total, and 6 * elements * number of sections elastic coordinates.
-        modes: retained component modes (`model.component_modes.loaded_modes`) of a flexible link; one value or one per
+        modes: retained component modes (`model.component_modes.LoadedModes`) of a flexible link; one value or one per
             link. A number m retains the m lowest, a tuple retains modes by index from 0, None all elastic coordinates.
         flexible_links: False makes a link rigid; one value or one per link.
         flexible_joints: False makes all joints rigid; their rotor inertia remains.
@@ -413,10 +399,9 @@ def build_model(
     size = sum(len(link.sections) for link in arm.links) * max(counts)
     build_links = _build_links_cached if size <= MAX_CACHED_ELEMENTS else _build_links
     beams = build_links(arm, counts, flexible, choice.rotary_inertia)
-    _warn_unusual_frequency([loaded[0][0] for _, loaded in beams if len(loaded[0])])
+    _warn_unusual_frequency([loaded.frequencies[0] for _, loaded in beams if len(loaded.frequencies)])
     bases = tuple(
-        select_modes(loaded[1], retained[i] if flexible[i] else None, f"modes[{i}]")
-        for i, (_, loaded) in enumerate(beams)
+        loaded.basis(retained[i] if flexible[i] else None, f"modes[{i}]") for i, (_, loaded) in enumerate(beams)
     )
     return _assemble(arm, choice, beams, bases, UNCOUPLED)
 
@@ -446,7 +431,7 @@ def _assemble(arm: Arm, choice: ModelChoice, beams: _Links, bases: tuple[Array, 
     """Return the model of an arm from its links and bases; see `_remove_rounded_couplings` for `rounded`."""
     reduced = tuple(beam.reduced(basis) for (beam, _), basis in zip(beams, bases, strict=True))
     dampings = [
-        basis.T @ modal_damping(beam.stiffness, loaded, ratio) @ basis
+        basis.T @ loaded.damping(beam.stiffness, ratio) @ basis
         for (beam, loaded), basis, ratio in zip(beams, bases, arm.damping_ratios, strict=True)
     ]
     damping = _pack([*dampings, np.zeros(LANES)], 1)
@@ -457,7 +442,8 @@ def _build_links(arm: Arm, elements: tuple[int, ...], flexible: tuple[bool, ...]
     """Return each link with all its elastic coordinates, and frequencies (rad/s) and shapes of its loaded modes."""
     beams = tuple(map(build_beam, arm.links, elements, flexible, [rotary_inertia] * arm.n_joints))
     return [
-        (beam, loaded_modes(beam, inertia)) for beam, inertia in zip(beams, outboard_inertias(arm, beams), strict=True)
+        (beam, LoadedModes.of(beam, inertia))
+        for beam, inertia in zip(beams, outboard_inertias(arm, beams), strict=True)
     ]
 
 

@@ -1,7 +1,7 @@
 """Vibration modes about a static equilibrium, with the motors held or free, and frequencies of a rotating arm."""
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -19,6 +19,19 @@ ZERO_DAMPING = 1e-12  # dimensionless; damping ratio below which it is a rounded
 SHOWN_MODES = 3  # number of modes in the repr
 MAX_ITERATIONS = 200  # for the equilibrium of a rotating arm
 MAX_COORDINATE = 1e3  # m or rad; a larger coordinate ends the iteration without an equilibrium
+
+
+class Eigenpairs(NamedTuple):
+    """Complex eigenvalues with positive imaginary part, by which they are sorted, and their eigenvectors.
+
+    Attributes:
+        values: (k,) eigenvalues s, 1/s.
+        shapes: (k, d) complex mode shapes, normalised to shape^T (2 s M + C) shape = 1 with mass matrix M and damping
+            matrix C. An initial state q, v then has the modal amplitude shape^T (s M q + C q + M v).
+    """
+
+    values: Array
+    shapes: Array
 
 
 class EquilibriumMatrices(NamedTuple):
@@ -40,23 +53,65 @@ class EquilibriumMatrices(NamedTuple):
     tip: Array
     motors: IntArray
 
+    @classmethod
+    def of(cls, model: Model, motor_angles: Vector) -> Self:
+        """Return the matrices of an arm linearised about its static equilibrium.
+
+        Args:
+            model: model of the arm.
+            motor_angles: (n,) rad.
+
+        Raises:
+            ValueError: if no equilibrium is found, see `rest_state`.
+        """
+        linear = continuous_model(model, rest_state(model, motor_angles), holding_torques(model, motor_angles))
+        d, second_order = model.n_dof, linear.balance
+        assert second_order is not None
+        stiffness = -second_order.forces[:, :d]
+        damping = -second_order.forces[:, d : 2 * d]
+        return cls(
+            second_order.mass,
+            (damping + damping.T) / 2.0,
+            (stiffness + stiffness.T) / 2.0,
+            linear.C[:, :d],
+            model.driven_columns,
+        )
+
     @property
     def free(self) -> IntArray:
         """Indices (d - n,) of the coordinates other than the motor angles."""
         return np.setdiff1d(np.arange(len(self.mass)), self.motors)
 
+    def oscillatory_modes(self, moving: IntArray) -> Eigenpairs:
+        """Return the oscillatory modes of an arm with some of its coordinates fixed.
 
-class Eigenpairs(NamedTuple):
-    """Complex eigenvalues with positive imaginary part, by which they are sorted, and their eigenvectors.
+        The eigenvalues are computed in the modal coordinates of the undamped arm, so that low frequencies are accurate
+        even if the arm also has very high ones.
 
-    Attributes:
-        values: (k,) eigenvalues s, 1/s.
-        shapes: (k, d) complex mode shapes, normalised to shape^T (2 s M + C) shape = 1 with mass matrix M and damping
-            matrix C. An initial state q, v then has the modal amplitude shape^T (s M q + C q + M v).
-    """
+        Args:
+            moving: (m,) indices of the coordinates that are not fixed.
 
-    values: Array
-    shapes: Array
+        Returns:
+            Eigenvalues (k,), and shapes (k, m) over the moving coordinates.
+        """
+        block = np.ix_(moving, moving)
+        mass, damping = self.mass[block], self.damping[block]
+        if not len(mass):
+            return Eigenpairs(np.zeros(0, dtype=complex), np.zeros((0, 0), dtype=complex))
+        squares, natural = natural_modes(mass, self.stiffness[block])
+        lowest = np.sqrt(squares[squares > 0.0].min(initial=np.inf))
+        sizes = np.sqrt(np.maximum(np.abs(squares), lowest**2 if np.isfinite(lowest) else 1.0))
+        with check_solvable("modes"):
+            modal_damping = natural.T @ damping @ natural
+            values, vectors = np.linalg.eig(
+                np.block([[np.zeros_like(modal_damping), np.diag(sizes)], [-np.diag(squares / sizes), -modal_damping]])
+            )
+        oscillatory = (values.imag > OVERDAMPED_LIMIT * np.abs(values)) & (np.abs(values) > RIGID_BODY_LIMIT * lowest)
+        rows = np.flatnonzero(oscillatory)
+        rows = rows[np.argsort(values[rows].imag, kind="stable")]
+        values, modal = values[rows], (vectors[: len(mass), rows] / sizes[:, None]).T
+        norm = 2.0 * values * (modal**2).sum(axis=1) + np.einsum("ka,ab,kb->k", modal, modal_damping, modal)
+        return Eigenpairs(values, (modal / np.sqrt(norm)[:, None]) @ natural.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +176,9 @@ def modes(model: Model, joint_angles: Vector | None = None, motors: str = "held"
     """
     held = one_of("motors", motors, ("held", "free")) == "held"
     n = check_model(model).n_joints
-    resting = equilibrium_matrices(model, np.zeros(n) if joint_angles is None else joint_angles)
+    resting = EquilibriumMatrices.of(model, np.zeros(n) if joint_angles is None else joint_angles)
     moving = resting.free if held else np.arange(model.n_dof)
-    pairs = oscillatory_modes(resting, moving)
+    pairs = resting.oscillatory_modes(moving)
     shapes = np.zeros((len(pairs.values), model.n_dof), dtype=complex)
     shapes[:, moving] = pairs.shapes
     masses = np.einsum("ka,ab,kb->k", shapes.conj(), resting.mass, shapes).real
@@ -131,74 +186,19 @@ def modes(model: Model, joint_angles: Vector | None = None, motors: str = "held"
         np.take_along_axis(shapes, np.abs(shapes).argmax(axis=1)[:, None], axis=1) if shapes.size else shapes[:, :1]
     )
     shapes = shapes * (np.abs(largest) / largest) / np.sqrt(masses)[:, None]
+    energies = elastic_energies(model, shapes)
+    total = energies.sum(axis=1, keepdims=True)
     ratios = -pairs.values.real / np.abs(pairs.values)
     ratios[np.abs(ratios) < ZERO_DAMPING] = 0.0
     return Modes(
         frequencies=pairs.values.imag / (2.0 * np.pi),
         damping_ratios=ratios,
         shapes=shapes,
-        shares=_shares(model, shapes),
+        shares=np.divide(energies, total, out=np.zeros_like(energies), where=total > 0.0),
         parts=tuple(f"{kind} {i}" for kind in ("link", "joint") for i in range(1, n + 1)),
         motors=motors,
         eigenvalues=pairs.values,
     )
-
-
-def equilibrium_matrices(model: Model, motor_angles: Vector) -> EquilibriumMatrices:
-    """Return the matrices of an arm linearised about its static equilibrium.
-
-    Args:
-        model: model of the arm.
-        motor_angles: (n,) rad.
-
-    Raises:
-        ValueError: if no equilibrium is found, see `rest_state`.
-    """
-    linear = continuous_model(model, rest_state(model, motor_angles), holding_torques(model, motor_angles))
-    d, second_order = model.n_dof, linear.balance
-    assert second_order is not None
-    stiffness = -second_order.forces[:, :d]
-    damping = -second_order.forces[:, d : 2 * d]
-    return EquilibriumMatrices(
-        second_order.mass,
-        (damping + damping.T) / 2.0,
-        (stiffness + stiffness.T) / 2.0,
-        linear.C[:, :d],
-        model.driven_columns,
-    )
-
-
-def oscillatory_modes(resting: EquilibriumMatrices, moving: IntArray) -> Eigenpairs:
-    """Return the oscillatory modes of an arm with some of its coordinates fixed.
-
-    The eigenvalues are computed in the modal coordinates of the undamped arm, so that low frequencies are accurate even
-    if the arm also has very high ones.
-
-    Args:
-        resting: matrices of the linearised arm.
-        moving: (m,) indices of the coordinates that are not fixed.
-
-    Returns:
-        Eigenvalues (k,), and shapes (k, m) over the moving coordinates.
-    """
-    block = np.ix_(moving, moving)
-    mass, damping = resting.mass[block], resting.damping[block]
-    if not len(mass):
-        return Eigenpairs(np.zeros(0, dtype=complex), np.zeros((0, 0), dtype=complex))
-    squares, natural = natural_modes(mass, resting.stiffness[block])
-    lowest = np.sqrt(squares[squares > 0.0].min(initial=np.inf))
-    sizes = np.sqrt(np.maximum(np.abs(squares), lowest**2 if np.isfinite(lowest) else 1.0))
-    with check_solvable("modes"):
-        modal_damping = natural.T @ damping @ natural
-        values, vectors = np.linalg.eig(
-            np.block([[np.zeros_like(modal_damping), np.diag(sizes)], [-np.diag(squares / sizes), -modal_damping]])
-        )
-    oscillatory = (values.imag > OVERDAMPED_LIMIT * np.abs(values)) & (np.abs(values) > RIGID_BODY_LIMIT * lowest)
-    rows = np.flatnonzero(oscillatory)
-    rows = rows[np.argsort(values[rows].imag, kind="stable")]
-    values, modal = values[rows], (vectors[: len(mass), rows] / sizes[:, None]).T
-    norm = 2.0 * values * (modal**2).sum(axis=1) + np.einsum("ka,ab,kb->k", modal, modal_damping, modal)
-    return Eigenpairs(values, (modal / np.sqrt(norm)[:, None]) @ natural.T)
 
 
 def elastic_energies(model: Model, coordinates: Array) -> Array:
@@ -217,32 +217,25 @@ def elastic_energies(model: Model, coordinates: Array) -> Array:
     return energies
 
 
-def _shares(model: Model, shapes: Array) -> Array:
-    """Return the fractions (k, 2 n) of the elastic energy in links and joints for mode shapes (k, d)."""
-    energies = elastic_energies(model, shapes)
-    total = energies.sum(axis=1, keepdims=True)
-    return np.divide(energies, total, out=np.zeros_like(energies), where=total > 0.0)
-
-
-def rotating_frequencies(model: Model, rates: Vector, joint_angles: Vector | None = None) -> Array:
+def rotating_frequencies(model: Model, rates: Vector) -> Array:
     """Return the natural frequencies (r, k), Hz, ascending, of an arm in steady rotation about its first joint.
 
-    The first motor rotates at a constant rate, all others are held, and there is no gravity. The arm is linearised
-    about its steady deformation; `stiffening` of the model includes the stiffening of the links by centrifugal forces.
-    A row is NaN if no steady deformation is found; non-oscillatory modes give NaN at the end of a row.
+    The first motor rotates at a constant rate, all others are held at an angle of zero, and there is no gravity. The
+    arm is linearised about its steady deformation; `stiffening` of the model includes the stiffening of the links by
+    centrifugal forces. A row is NaN if no steady deformation is found; non-oscillatory modes give NaN at the end of a
+    row.
 
     Args:
         model: model of the arm.
         rates: (r,) angular velocities of the first motor, rad/s.
-        joint_angles: (n,) motor angles, rad, zero by default.
     """
-    d, n, result = check_model(model).n_dof, model.n_joints, []
+    d, result = check_model(model).n_dof, []
     weightless = replace(model, constants=model.constants._replace(gravity=np.zeros(3)))
     free = np.setdiff1d(np.arange(d), model.driven_columns)
     columns, k = np.concatenate([free, d + free]), len(free)
     for rate in vector("rates", rates, unit="rad/s"):
         row = np.full(k, np.nan)
-        equilibrium = _rotating_equilibrium(weightless, np.zeros(n) if joint_angles is None else joint_angles, rate)
+        equilibrium = _rotating_equilibrium(weightless, rate)
         if equilibrium is not None:
             state, torque = equilibrium
             mass = mass_matrix(weightless, state)
@@ -257,10 +250,10 @@ def rotating_frequencies(model: Model, rates: Vector, joint_angles: Vector | Non
     return np.array(result).reshape(-1, k)
 
 
-def _rotating_equilibrium(model: Model, angles: Vector, rate: float) -> tuple[Array, Array] | None:
+def _rotating_equilibrium(model: Model, rate: float) -> tuple[Array, Array] | None:
     """Return state (2 d,) and motor torques (n,), N m, of a steady rotation at a rate (rad/s); None if not found."""
     d, n = model.n_dof, model.n_joints
-    state, motors = model.initial_state(angles, np.eye(n)[0] * rate), model.motor_columns
+    state, motors = model.initial_state(np.zeros(n), np.eye(n)[0] * rate), model.motor_columns
     free, stiffness, forces = np.setdiff1d(np.arange(d), motors), stiffness_matrix(model), inertial_forces(model)
     free_stiffness = stiffness[np.ix_(free, free)]
     for _ in range(MAX_ITERATIONS):

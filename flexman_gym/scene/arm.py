@@ -15,8 +15,9 @@ from flexman_gym.common.checks import (
     set_fields,
     value_error,
     vector,
+    warn_caller,
 )
-from flexman_gym.scene.input_checks import check_keywords, warn_caller, warn_unusual_units
+from flexman_gym.scene.input_checks import check_keywords, warn_unusual_units
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link, NonUniformLink
 from flexman_gym.scene.rigid_body import LumpedMass, Payload
@@ -123,7 +124,10 @@ class Arm:
 
     def _warn_of_wrong_units(self) -> None:
         warn_unusual_units("Arm", vars(self))
-        _warn_of_gravity(tuple(self.gravity))
+        if (gravity := math.hypot(*self.gravity)) > MAX_GRAVITY:
+            warn_caller(
+                f"Arm.gravity: {gravity:g} (m/s^2) is unusual; wrong unit? is it in mm/s^2? 9810 mm/s^2 are 9.81"
+            )
         length = sum(link.length for link in self.links)
         beam_mass = sum(link.mass - link.flexible * sum(body.mass for body in link.masses) for link in self.links)
         bodies: list[tuple[str, LumpedMass | Payload]] = [
@@ -214,10 +218,3 @@ def _warn_of_body(name: str, body: LumpedMass | Payload, link_mass: float, lengt
     else:
         return
     warn_caller(message)
-
-
-def _warn_of_gravity(gravity: tuple[float, ...]) -> None:
-    """Warn (UserWarning) of an acceleration of gravity (3,), m/s^2, with a magnitude above MAX_GRAVITY."""
-    magnitude = math.hypot(*gravity)
-    if magnitude > MAX_GRAVITY:
-        warn_caller(f"Arm.gravity: {magnitude:g} (m/s^2) is unusual; wrong unit? is it in mm/s^2? 9810 mm/s^2 are 9.81")

@@ -1,15 +1,14 @@
 """Checks for common input errors: keywords of URDF and other libraries, and values in a wrong unit."""
 
 import math
-import sys
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from difflib import get_close_matches
 from functools import wraps
 from typing import Any, TypeVar
 
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.checks import value_error, warn_caller
 
 T = TypeVar("T")
 
@@ -95,7 +94,6 @@ USUAL_RANGES: dict[str, tuple[float, float, str, str]] = {
     "horizon": (0.0, 300.0, "s", "steps; 500 steps of 0.02 s are 10 s"),
 }
 NEAREST = 6  # number of keywords in an error message
-OWN_PACKAGES = ("flexman_gym", "gymnasium")  # packages skipped in the search for the caller
 
 
 def warn_unusual_units(owner: str, values: Mapping[str, Any]) -> None:
@@ -114,9 +112,8 @@ def warn_unusual_units(owner: str, values: Mapping[str, Any]) -> None:
             return
 
 
-def warn_caller(message: str) -> None:
-    """Issue a UserWarning at the source line of the first caller outside this package and Gymnasium."""
-    frame, depth = sys._getframe(1), 2
-    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in OWN_PACKAGES:
-        frame, depth = frame.f_back, depth + 1
-    warnings.warn(message, UserWarning, stacklevel=depth)
+def replace_quietly(part: T, **changes: Any) -> T:
+    """Return a part of an arm with changed fields, without the warnings that were issued when the part was made."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return replace(part, **changes)  # type: ignore[type-var]

@@ -19,12 +19,15 @@ from flexman_gym.common.checks import (
     set_fields,
     value_error,
     vector,
+    warn_caller,
 )
-from flexman_gym.scene.input_checks import check_keywords, warn_caller, warn_unusual_units
+from flexman_gym.scene.input_checks import check_keywords, warn_unusual_units
 from flexman_gym.scene.material import find_material
 from flexman_gym.scene.rigid_body import LumpedMass
 
 SHAPES = ("strip", "tube", "rod")
+# fields of a link that follow from the outline of its cross-section
+SIZES = ("area", "second_moment_y", "second_moment_z", "torsion_constant")
 OTHER_AXIS = {"y": "z", "z": "y"}
 OUTLINE_TOLERANCE = 1e-6  # largest relative difference between the values of a link and those of its outline
 SERIES_TERMS = 60  # terms of the series for the torsion constant of a rectangle; 30 are exact to rounding
@@ -95,6 +98,16 @@ class Outline:
         return wide * thin**3 * (1.0 - 192.0 * thin * series / (math.pi**5 * wide)) / 3.0
 
     @property
+    def sizes(self) -> dict[str, Any]:
+        """SIZES of a link with this outline, by name."""
+        return {name: getattr(self, name) for name in SIZES}
+
+    @property
+    def thin_axis(self) -> str:
+        """Axis, "y" or "z", along which a strip is thin, y for a square; "" for the other shapes."""
+        return "" if self.shape != "strip" else "y" if self.y <= self.z else "z"
+
+    @property
     def description(self) -> str:
         """Text with the dimensions of the cross-section, and with the bending plane of least stiffness of a strip."""
         if self.shape != "strip":
@@ -102,8 +115,7 @@ class Outline:
         sizes = f"{self.y:g} m along y, {self.z:g} m along z"
         if self.y == self.z:
             return sizes
-        thin = "y" if self.y < self.z else "z"
-        return f"{sizes}: thin along {thin}, it bends easily in its x-{thin} plane"
+        return f"{sizes}: thin along {self.thin_axis}, it bends easily in its x-{self.thin_axis} plane"
 
 
 def _strip_outline(width: float, thickness: float, thin: str) -> Outline:
@@ -128,7 +140,7 @@ def _round_outline(diameter: float, wall: float | None = None) -> Outline:
 def _check_outline(outline: object, numbers: dict[str, float]) -> None:
     """Check that an outline has the area and the second moments of area of its link."""
     checked = instance("Link.outline", outline, Outline, "an Outline or None")
-    for name in ("area", "second_moment_y", "second_moment_z"):
+    for name in SIZES[:3]:
         if not math.isclose(numbers[name], getattr(checked, name), rel_tol=OUTLINE_TOLERANCE):
             allowed = f"{getattr(checked, name):.6g}, the value of its outline, or a link without an outline"
             raise value_error(f"Link.{name}", numbers[name], allowed)
@@ -158,8 +170,7 @@ def _lumped_masses(name: str, value: object, length: float) -> tuple[LumpedMass,
     if len(masses) > MAX_MASSES:
         raise value_error(name, f"{len(masses)} masses", f"at most {MAX_MASSES}")
     for i, mass in enumerate(masses):
-        if not isinstance(mass, LumpedMass):
-            raise value_error(f"{name}[{i}]", mass, "a LumpedMass")
+        instance(f"{name}[{i}]", mass, LumpedMass, "a LumpedMass")
         if mass.position > length:
             raise value_error(f"{name}[{i}].position", mass.position, f"at most the length {length} of the link (m)")
     return masses
@@ -289,7 +300,9 @@ class Link:
             >>> round(ruler.mass, 3)
             0.108
         """
-        return cls._from_outline(length, _strip_outline(width, thickness, thin), material, orientation, masses)
+        return cls._from_outline(
+            length, _strip_outline(width, thickness, thin), material, orientation=orientation, masses=masses
+        )
 
     @classmethod
     def tube(
@@ -315,7 +328,9 @@ class Link:
             >>> round(fm.Link.tube(1.0, diameter=0.05, wall=0.002).mass, 3)
             0.814
         """
-        return cls._from_outline(length, _round_outline(diameter, wall), material, orientation, masses)
+        return cls._from_outline(
+            length, _round_outline(diameter, wall), material, orientation=orientation, masses=masses
+        )
 
     @classmethod
     def rod(
@@ -335,7 +350,7 @@ class Link:
             orientation: rotation matrix (3, 3), see `Link`.
             masses: lumped masses, see `Link`.
         """
-        return cls._from_outline(length, _round_outline(diameter), material, orientation, masses)
+        return cls._from_outline(length, _round_outline(diameter), material, orientation=orientation, masses=masses)
 
     @classmethod
     def rigid(
@@ -363,22 +378,13 @@ class Link:
         offset = (x - position, y, z)
         body = LumpedMass(mass, position, inertia, offset if any(offset) else None)
         outline = _round_outline(max(length, MIN_DRAWN) / 20.0)
-        names = ("area", "second_moment_y", "second_moment_z", "torsion_constant")
-        numbers = {name: getattr(outline, name) for name in names}
-        material = find_material("steel")._replace(density=NO_DENSITY)._asdict()
-        return cls(
-            length, orientation=orientation, masses=(body,), outline=outline, flexible=False, **numbers, **material
-        )
+        material = find_material("steel")._replace(density=NO_DENSITY)
+        return cls._from_outline(length, outline, material, orientation=orientation, masses=(body,), flexible=False)
 
     @classmethod
-    def _from_outline(
-        cls, length: float, outline: Outline, material: Any, orientation: Matrix, masses: Sequence[LumpedMass]
-    ) -> Self:
-        """Build a link from an outline and a material."""
-        names = ("area", "second_moment_y", "second_moment_z", "torsion_constant")
-        numbers = {name: getattr(outline, name) for name in names}
-        moduli = find_material(material)._asdict()
-        return cls(length, orientation=orientation, masses=masses, outline=outline, **numbers, **moduli)
+    def _from_outline(cls, length: float, outline: Outline, material: Any, **rest: Any) -> Self:
+        """Build a link from an outline, a material and further fields."""
+        return cls(length, outline=outline, **outline.sizes, **find_material(material)._asdict(), **rest)
 
     def __repr__(self) -> str:
         if self.outline is None:

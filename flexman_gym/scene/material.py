@@ -5,7 +5,7 @@ from typing import NamedTuple
 from flexman_gym.common.checks import mapping, one_of, physical, sequence, value_error
 
 
-class Material(NamedTuple):
+class _Material(NamedTuple):
     """Young's modulus and shear modulus (Pa) and density (kg/m^3) of a link."""
 
     youngs_modulus: float
@@ -14,15 +14,15 @@ class Material(NamedTuple):
 
 
 MATERIALS = {
-    "aluminium": Material(68.9e9, 26.0e9, 2700.0),
-    "steel": Material(205.0e9, 80.0e9, 7850.0),
-    "titanium": Material(113.8e9, 44.0e9, 4430.0),
+    "aluminium": _Material(68.9e9, 26.0e9, 2700.0),
+    "steel": _Material(205.0e9, 80.0e9, 7850.0),
+    "titanium": _Material(113.8e9, 44.0e9, 4430.0),
 }
 YIELD_STRENGTHS = {"aluminium": 276e6, "steel": 435e6, "titanium": 880e6}  # Pa; same data sheets, see `find_material`
 YIELD_STRAINS = {name: yield_ / MATERIALS[name].youngs_modulus for name, yield_ in YIELD_STRENGTHS.items()}  # m/m
 
 
-def find_material(value: object) -> Material:
+def find_material(value: object) -> _Material:
     """Return a material given by name, or by its three numbers as a list or a mapping.
 
     The names stand for typical alloys with values from the data sheets of ASM (Aerospace Specification Metals):
@@ -33,11 +33,11 @@ def find_material(value: object) -> Material:
     if isinstance(value, str):
         return MATERIALS[one_of("Link.material", value, MATERIALS)]
     if isinstance(value, dict):
-        value = tuple(mapping("Link.material", value, Material._fields).get(name) for name in Material._fields)
+        value = tuple(mapping("Link.material", value, _Material._fields).get(name) for name in _Material._fields)
     allowed = f"youngs_modulus (Pa), shear_modulus (Pa) and density (kg/m^3), or one of {', '.join(MATERIALS)}"
     numbers = sequence("Link.material", value, allowed)
     if len(numbers) != 3:
         raise value_error("Link.material", value, allowed)
     units = ("Pa", "Pa", "kg/m^3")
-    named = zip(Material._fields, numbers, units, strict=True)
-    return Material(*(physical(f"Link.{name}", number, unit) for name, number, unit in named))
+    named = zip(_Material._fields, numbers, units, strict=True)
+    return _Material(*(physical(f"Link.{name}", number, unit) for name, number, unit in named))

@@ -289,12 +289,12 @@ class Scene:
         return replace(self.initial, joint_angles=tuple(angles), joint_rates=tuple(rates))
 
     @property
-    def pieces(self) -> PiecewiseSignals:
-        """Signals of n motors, 3 components of the tip force and 3 of the base acceleration, for the kernels."""
-        return self._pieces
+    def prescribed_joints(self) -> list[int]:
+        """Indices, from 0, of the joints with prescribed motion."""
+        return [i for i, motion in enumerate(self.prescribed or ()) if motion is not None]
 
     @cached_property
-    def _pieces(self) -> PiecewiseSignals:
+    def pieces(self) -> PiecewiseSignals:
         """Signals of n motors, 3 components of the tip force and 3 of the base acceleration, for the kernels."""
         motions, none = self.prescribed or [None] * self.arm.n_joints, [None] * 3
         accelerations = [motion.acceleration if isinstance(motion, SampledAngles) else motion for motion in motions]
@@ -447,11 +447,11 @@ def _split_samples(path: Path, data: dict[str, Any]) -> tuple[dict[str, Any], di
         heads = [f"torque_{i} (N m)" for i in range(1, len(data["torque"]["values"][0]) + 1)]
         columns = dict(zip(heads, zip(*data["torque"]["values"], strict=True), strict=True))
         result["torque"] = move("torque", data["torque"], columns)
-    for name, unit in (("prescribed", "rad/s^2"), ("tip_force", "N"), ("base_acceleration", "m/s^2")):
+    for name, units in COLUMN_UNITS.items():
         for i, item in enumerate(data.get(name) or ()):
             if item is not None and len(item.get("times", ())) > MAX_INLINE_SAMPLES:
                 label, is_angle = f"{name}_{i}", "angles" in item
-                columns = {f"{label} ({'rad' if is_angle else unit})": item["angles" if is_angle else "values"]}
+                columns = {f"{label} ({units[0 if is_angle else -1]})": item["angles" if is_angle else "values"]}
                 result[name] = list(result[name])
                 result[name][i] = move(label, item, columns) | {"column": label}
     return result, tables

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from functools import cache, partial
 from inspect import Parameter, Signature, signature
 from pathlib import Path
@@ -15,7 +15,6 @@ from flexman_gym.scene.input_checks import FOREIGN_KEYWORDS
 from flexman_gym.scene.joint import Joint, Motor
 from flexman_gym.scene.link import IDENTITY, SHAPES, Link, NonUniformLink, Outline
 from flexman_gym.scene.rigid_body import LumpedMass, Payload
-from flexman_gym.scene.signals import Signal
 
 Part = TypeVar("Part")
 
@@ -23,27 +22,21 @@ Part = TypeVar("Part")
 SECTION_FIELDS = ("area", "second_moment_y", "second_moment_z")
 IMPOSSIBLE_SECTIONS = ((0.028, 8.33e-7, 8.33e-7), (4e-4, 1.3e-8, 4e-9))
 
-# Class -> optional keys in a scene file, written only if they differ from the default. The keys "payload" and "note"
-# are also optional, but always written.
-OPTIONAL_KEYS: dict[str, tuple[str, ...]] = {
-    "Arm": ("modal_damping_ratio",),
-    "Link": ("masses", "outline", "flexible"),
-    "NonUniformLink": ("masses",),
-    "LumpedMass": ("inertia", "offset"),
-    "Outline": ("wall",),
-    "Payload": ("inertia", "offset"),
-    "Joint": ("viscous_friction", "coulomb_friction", "coulomb_rate", "torque_limit", "motor", "static_friction",
-              "stribeck_rate", "backlash", "stiffness_pieces", "knee_width", "passive"),
-    "Motor": ("current_limit", "speed_limit", "efficiency", "encoder_resolution", "torque_ripple", "ripple_cycles",
-              "ripple_phase", "resistance", "back_emf_constant", "voltage_limit"),
-    "ModelChoice": ("modes", "spinning_rotors", "rotary_inertia"),
-    "Initial": ("state",),
-    "Signal": tuple(field.name for field in fields(Signal)),
-    "SampledSignal": ("hold",),
-    "SampledTorque": ("hold",),
-    "SampledAngles": ("deviation",),
-    "Scene": ("prescribed", "tip_force", "base_acceleration"),
-}  # fmt: skip
+# Class -> fields with a default that its mapping in a file must have all the same; other fields with a default may be
+# missing, and are written only if they differ from it, except the payload and the note.
+REQUIRED_KEYS: dict[str, tuple[str, ...]] = {
+    "Arm": ("gravity", "stiffness_proportional_damping"),
+    "Link": ("orientation",),
+    "NonUniformLink": ("orientation",),
+    "Joint": ("rotor_inertia", "stiffness", "damping"),
+    "ModelChoice": ("flexible_joints", "stiffening"),
+}
+
+
+def _optional_keys(kind: Any) -> list[str]:
+    """Return the fields of a dataclass that its mapping in a file may lack."""
+    required = REQUIRED_KEYS.get(kind.__name__, ())
+    return [each.name for each in fields(kind) if each.default is not MISSING and each.name not in required]
 
 
 def _arm_from_plain(data: object) -> Arm:
@@ -149,7 +142,7 @@ def _check_entries(kind: Any, path: str, data: object, *excluded: str) -> dict[s
             allowed = FOREIGN_KEYWORDS.get(kind.__name__, {}).get(name) or "only the keys " + ", ".join(names)
             raise value_error(f"{prefix}{name}", value, allowed)
     for name in names:
-        if name not in data and name not in ("payload", "note", *OPTIONAL_KEYS.get(kind.__name__, ())):
+        if name not in data and name not in _optional_keys(kind):
             raise ValueError(f"{prefix}{name}: missing; give the keys " + ", ".join(names))
     return dict(data)
 
@@ -172,9 +165,10 @@ def to_plain(value: Any) -> Any:
     if not is_dataclass(value):
         return value
     entries: dict[str, Any] = {"kind": value.kind} if hasattr(value, "kind") else {}
+    optional = {*_optional_keys(type(value))} - {"payload", "note"}
     for field in fields(value):
         entry = getattr(value, field.name)
-        if field.name not in OPTIONAL_KEYS.get(type(value).__name__, ()) or entry != field.default:
+        if field.name not in optional or entry != field.default:
             entries[field.name] = to_plain(entry)
     if isinstance(value, Joint) and value.motor:
         del entries["rotor_inertia"]

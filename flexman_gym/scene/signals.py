@@ -157,7 +157,8 @@ class SampledTorque:
 
     def to_csv(self, path: str | Path) -> None:
         """Write times and values, without `hold`, to a CSV file for `from_csv`."""
-        write_csv(path, {"time (s)": self.times, **_headed_columns("torque", "N m", self.values)})
+        columns = enumerate(zip(*self.values, strict=True), 1)
+        write_csv(path, {"time (s)": self.times, **{f"torque_{i} (N m)": column for i, column in columns}})
 
     def signals(self) -> list[Any]:
         """Return the torques of the n motors as n SampledSignals."""
@@ -234,11 +235,6 @@ class SampledAngles:
         """Return angle (rad) and rate (rad/s) of the spline at a time (s)."""
         spline, _ = self._spline
         return float(spline(time)), float(spline.derivative()(time))
-
-
-def _headed_columns(name: str, unit: str, values: Sequence[Vector]) -> dict[str, Any]:
-    """Return the columns by heads numbered from 1, such as "torque_1 (N m)"."""
-    return {f"{name}_{i} ({unit})": column for i, column in enumerate(zip(*values, strict=True), 1)}
 
 
 def _checked_times(name: str, value: object) -> Array:

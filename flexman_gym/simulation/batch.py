@@ -19,7 +19,7 @@ from flexman_gym.simulation.integrator import (
     default_step,
     find_method,
     find_tolerance,
-    prescribed_flags,
+    with_prescribed,
 )
 from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
 from flexman_gym.simulation.parameters import nominal_parameters, varied_constants
@@ -95,7 +95,7 @@ class Batch:
         self._mover: BatchIntegrator
         self._bound_mover: BatchIntegrator | None = None  # integrator for which `bind_period` was called
         if isinstance(self.method, LinearlyImplicit | IteratedGauss) and tolerance is None:
-            constants = model.constants._replace(prescribed=prescribed_flags(n, joints))
+            constants = with_prescribed(model.constants, joints)
             self._mover = LaneIntegrator(constants, self.method, period, count, threads)
         else:
             self._mover = SequentialIntegrator(

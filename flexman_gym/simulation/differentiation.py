@@ -19,11 +19,11 @@ from flexman_gym.model.linearization import INPUT_UNITS, OUTPUT_UNITS, LinearMea
 from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.dimensions import DIMENSIONS, dimension_derivatives, dimension_parts
-from flexman_gym.simulation.integrator import default_step, prescribed_flags
+from flexman_gym.simulation.integrator import default_step, with_prescribed
 from flexman_gym.simulation.methods import METHODS, FixedStepMethod, Method
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, ScalarParameter, select_parts
-from flexman_gym.simulation.scene_simulation import initial_row, prescribed_joints, run_in_lanes, scene_settings
-from flexman_gym.simulation.tangent_integrator import DIRECTIONS, TangentIntegrator
+from flexman_gym.simulation.period_map import DIRECTIONS, TangentIntegrator
+from flexman_gym.simulation.scene_simulation import initial_row, run_in_lanes, scene_settings
 
 INITIAL = {"initial_joint_angles": "rad", "initial_joint_rates": "rad/s"}  # initial conditions -> unit
 RELATIVE_STEP = 1e-2  # relative step of the differences of constants
@@ -92,14 +92,14 @@ def sensitivities(
         allowed = [name for name, each in METHODS.items() if not each.adaptive]
         raise value_error("method", chosen.name, f"one of fixed steps: {', '.join(allowed)}")
     names = [one_of("of", name, OUTPUTS) for name in checked_names("of", of)]
-    prescribed = prescribed_joints(scene)
+    prescribed = scene.prescribed_joints
     directions = [
         each
         for name in checked_names("to", to)
         for each in dimension_parts(name, model) or find_directions(name, model, prescribed)
     ]
     found = dimension_derivatives(model, directions)
-    constants = found.constants._replace(prescribed=prescribed_flags(model.n_joints, prescribed))
+    constants = with_prescribed(found.constants, prescribed)
     motion, period = _Motion.start(scene, model, directions, settings.rows), (settings.interval, settings.substeps)
     for group in range(-(-len(directions) // DIRECTIONS)):
         integrator = TangentIntegrator(constants, chosen, period, 1, whole=bool(found.strains))
@@ -142,22 +142,15 @@ class _Motion(NamedTuple):
     @classmethod
     def start(cls, scene: Scene, model: Model, directions: list[ScalarParameter], last: int) -> "_Motion":
         """Return the motion before the simulation of `last` output intervals."""
-        pieces, d = scene.pieces, model.n_dof
-        drives: list[Any] = []
-        groups = -(-len(directions) // DIRECTIONS)
+        pieces, lanes = scene.pieces, TangentIntegrator.derivative_rows(len(directions))
         starts, inputs = unit_changes(directions, model)
-        rows = np.zeros((groups * ARMS_PER_GROUP, last + 1, 2 * d + 2))
-        for row in range(len(rows)):
-            group, lane = divmod(row, ARMS_PER_GROUP)
-            if lane == 0:
-                drives.append(pieces)
-                rows[row, 0] = initial_row(scene, model)
-                continue
-            drive = _Drive(pieces.times, np.zeros_like(pieces.table()))
-            drives.append(drive)
-            number = group * DIRECTIONS + lane - 1
-            if number < len(directions):
-                rows[row, 0], drive.values[layout.OFFSET] = starts[number], inputs[number]
+        groups = -(-len(directions) // DIRECTIONS)
+        rows = np.zeros((groups * ARMS_PER_GROUP, last + 1, 2 * model.n_dof + 2))
+        rows[::ARMS_PER_GROUP, 0], rows[lanes, 0] = initial_row(scene, model), starts
+        tables = np.zeros((len(rows), *pieces.table().shape))
+        tables[lanes, layout.OFFSET] = inputs
+        drives: list[Any] = [_Drive(pieces.times, table) for table in tables]
+        drives[::ARMS_PER_GROUP] = [pieces] * groups
         return cls(directions, drives, rows, np.zeros((*rows.shape[:2], layout.OUTPUTS)))
 
     def read(
@@ -169,8 +162,7 @@ class _Motion(NamedTuple):
         """
         motion = self.rows[:, : valid + 1], self.outputs[:, : valid + 1]
         parts, labels = zip(*(motion_output(name, model, *motion) for name in names), strict=True)
-        every, count = np.concatenate(parts, axis=2), len(self.directions)
-        lanes = np.arange(len(every)).reshape(-1, ARMS_PER_GROUP)[:, 1:].ravel()[:count]
+        every, lanes = np.concatenate(parts, axis=2), TangentIntegrator.derivative_rows(len(self.directions))
         ends = np.cumsum([part.shape[2] for part in parts])
         for name, end in zip(names, ends.tolist(), strict=True):
             for number, matrix in strains.items() if name == "root_strains" else ():

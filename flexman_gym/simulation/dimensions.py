@@ -5,7 +5,6 @@ coordinate do not change with it: the shapes of component modes are held. Withou
 node coordinates themselves, and the derivative is that of the complete finite-element model.
 """
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -19,7 +18,8 @@ from flexman_gym.model.deformation import root_strain_matrix
 from flexman_gym.model.dynamics import RICHARDSON
 from flexman_gym.model.model import Model, changed_model
 from flexman_gym.scene.arm import Arm
-from flexman_gym.scene.link import Link
+from flexman_gym.scene.input_checks import replace_quietly
+from flexman_gym.scene.link import OTHER_AXIS, Link
 from flexman_gym.simulation.parameters import ScalarParameter, select_parts
 
 RELATIVE_STEP = 1e-2  # relative step of the differences of constants
@@ -47,9 +47,7 @@ class _Dimension:
     def varied_arm(self, arm: Arm, index: int, value: float) -> Arm:
         """Return an arm with another value of one link or joint."""
         parts: Any = list(getattr(arm, self.part))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # issued when the given part was made
-            parts[index] = self.changed(parts[index], value)
+        parts[index] = self.changed(parts[index], value)
         changes: dict[str, Any] = {self.part: parts}
         return replace(arm, **changes)
 
@@ -58,14 +56,14 @@ def _uniform(field: str) -> dict[str, Any]:
     """Return value and change of a field of uniform links."""
     return {
         "value": lambda link: getattr(link, field) if isinstance(link, Link) else None,
-        "changed": lambda link, value: replace(link, **{field: value}),
+        "changed": lambda link, value: replace_quietly(link, **{field: value}),
     }
 
 
 def _longer(link: Link, length: float) -> Link:
     """Return a link of another length, with its lumped masses at the same fractions of the length."""
     masses = [replace(each, position=each.position * (length / link.length)) for each in link.masses]
-    return replace(link, length=length, masses=masses)
+    return replace_quietly(link, length=length, masses=masses)
 
 
 def _size(shapes: tuple[str, ...], sides: Callable[[Any], tuple[str, ...]]) -> dict[str, Any]:
@@ -77,31 +75,22 @@ def _size(shapes: tuple[str, ...], sides: Callable[[Any], tuple[str, ...]]) -> d
 
     def changed(link: Link, size: float) -> Link:
         outline: Any = replace(link.outline, **dict.fromkeys(sides(link.outline), size))  # type: ignore[type-var]
-        names = ("area", "second_moment_y", "second_moment_z", "torsion_constant")
-        return replace(link, outline=outline, **{name: getattr(outline, name) for name in names})
+        return replace_quietly(link, outline=outline, **outline.sizes)
 
     return {"value": value, "changed": changed, "lacking": f"no outline of shape {' or '.join(shapes)}"}
 
 
-def _thin(outline: Any) -> tuple[str, ...]:
-    return ("y",) if outline.y <= outline.z else ("z",)
-
-
-def _wide(outline: Any) -> tuple[str, ...]:
-    return ("z",) if outline.y <= outline.z else ("y",)
-
-
 def _geared(joint: Any, ratio: float) -> Any:
     """Return a joint whose motor has another gear ratio; motor torques are those at the joint."""
-    motor = replace(joint.motor, gear_ratio=ratio)
+    motor = replace_quietly(joint.motor, gear_ratio=ratio)
     limit = joint.torque_limit if motor.joint_torque_limit is None else None
-    return replace(joint, motor=motor, rotor_inertia=motor.reflected_inertia, torque_limit=limit)
+    return replace_quietly(joint, motor=motor, rotor_inertia=motor.reflected_inertia, torque_limit=limit)
 
 
 DIMENSIONS = {
     "link_length": _Dimension("m", _uniform("length")["value"], _longer),
-    "link_width": _Dimension("m", **_size(("strip",), _wide)),
-    "link_thickness": _Dimension("m", **_size(("strip",), _thin)),
+    "link_width": _Dimension("m", **_size(("strip",), lambda outline: (OTHER_AXIS[outline.thin_axis],))),
+    "link_thickness": _Dimension("m", **_size(("strip",), lambda outline: (outline.thin_axis,))),
     "link_diameter": _Dimension("m", **_size(("tube", "rod"), lambda outline: ("y", "z"))),
     "link_wall": _Dimension("m", **_size(("tube",), lambda outline: ("wall",))),
     "link_youngs_modulus": _Dimension("Pa", **_uniform("youngs_modulus")),
@@ -113,7 +102,7 @@ DIMENSIONS = {
 }  # fmt: skip
 
 
-class DimensionDerivatives(NamedTuple):
+class _DimensionDerivatives(NamedTuple):
     """Constants of a model and their derivatives with respect to dimensions.
 
     Attributes:
@@ -144,7 +133,7 @@ def dimension_parts(text: str, model: Model) -> list[ScalarParameter]:
     return [ScalarParameter(name, part) for part in parts]
 
 
-def dimension_derivatives(model: Model, directions: Sequence[ScalarParameter]) -> DimensionDerivatives:
+def dimension_derivatives(model: Model, directions: Sequence[ScalarParameter]) -> _DimensionDerivatives:
     """Return the derivatives of the constants of a model with respect to the dimensions among several directions.
 
     They are central differences extrapolated to order six, exact to rounding as the constants are smooth functions of
@@ -160,7 +149,7 @@ def dimension_derivatives(model: Model, directions: Sequence[ScalarParameter]) -
             constants = [_dense(each.constants) for each in changed]
             fields[number] = {field: _weigh(weights, [each[field] for each in constants]) for field in constants[0]}
             strains[number] = _weigh(weights, [root_strain_matrix(each) for each in changed])
-    return DimensionDerivatives(*_with_entries(model.constants, fields, strains), strains)
+    return _DimensionDerivatives(*_with_entries(model.constants, fields, strains), strains)
 
 
 def _differences(nominal: float) -> tuple[Array, Array]:

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -22,6 +22,11 @@ from flexman_gym.simulation.trajectory import Trajectory
 FORMAT = 1  # version of the file format
 METADATA_KEY = "about"  # name of the metadata in a file and of their attribute
 AXES = "xyz"
+# array of an episode -> its axes, see `Episode.to_xarray`
+ARRAY_AXES = {
+    "time": ("time",), "states": ("time", "state"), "tips": ("time", "axis"), "targets": ("time", "axis"),
+    "errors": ("time",), "actions": ("period", "joint"), "torques": ("period", "joint"), "rewards": ("period",),
+}  # fmt: skip
 
 
 @deprecated_members(**MEMBERS["Episode"])
@@ -70,13 +75,13 @@ class Episode:
             name: name of the episode in plots.
         """
         rows, n = trajectory.joint_angles.shape
-        missing = {"targets": (rows, 3), "errors": (rows,), "actions": (rows - 1, n), "torques": (rows - 1, n),
-                   "rewards": (rows - 1,)}  # fmt: skip
+        sizes = {"time": rows, "period": rows - 1, "axis": 3, "joint": n}
+        missing = ("targets", "errors", "actions", "torques", "rewards")
         failure = "" if trajectory.status == "ok" else trajectory.status
         return cls(
             trajectory.time, trajectory.states, trajectory.tip, readings=trajectory.readings,
             about=cls.metadata(trajectory.model, name=name, failure=failure),
-            **{each: np.full(shape, np.nan) for each, shape in missing.items()},
+            **{name: np.full([sizes[axis] for axis in ARRAY_AXES[name]], np.nan) for name in missing},
         )  # fmt: skip
 
     @staticmethod
@@ -130,9 +135,7 @@ class Episode:
             OSError: where it cannot be written.
         """
         path, text = Path(path), json.dumps(self.about).encode()
-        arrays = {
-            each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("readings", METADATA_KEY)
-        }
+        arrays = {name: getattr(self, name) for name in ARRAY_AXES}
         arrays |= {f"readings/{name}": values for name, values in self.readings.items()}
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("wb") as file:
@@ -153,8 +156,7 @@ class Episode:
         with reading(path, "is not a saved episode"):
             with open_arrays(path) as data:
                 metadata = json.loads(data[METADATA_KEY].tobytes())
-                names = [each.name for each in fields(cls) if each.name not in ("readings", METADATA_KEY)]
-                arrays = {name: data[name] for name in names}
+                arrays = {name: data[name] for name in ARRAY_AXES}
                 prefix = "readings/"
                 readings = {name.removeprefix(prefix): data[name] for name in data.files if name.startswith(prefix)}
             result = cls(**arrays, readings=readings, about=metadata)
@@ -166,11 +168,10 @@ class Episode:
         if self.about["format"] != FORMAT or not isinstance(self.about["name"], str):
             raise ValueError("unknown format")
         rows, n = len(self.time), len(self.about["arm"]["links"])
-        expected = {"time": (rows,), "states": (rows, self.states.shape[-1]), "tips": (rows, 3), "targets": (rows, 3),
-                    "errors": (rows,), "actions": (rows - 1, n), "torques": (rows - 1, n), "rewards": (rows - 1,),
-                    **{f"readings.{name}": (rows, each.shape[-1]) for name, each in self.readings.items()}}  # fmt: skip
-        for name, shape in expected.items():
-            values = self.readings[name[9:]] if name.startswith("readings.") else getattr(self, name)
+        sizes = {"time": rows, "period": rows - 1, "axis": 3, "joint": n, "state": self.states.shape[-1]}
+        arrays = {name: (getattr(self, name), tuple(sizes[axis] for axis in axes)) for name, axes in ARRAY_AXES.items()}
+        arrays |= {f"readings.{name}": (each, (rows, each.shape[-1])) for name, each in self.readings.items()}
+        for name, (values, shape) in arrays.items():
             if values.shape != shape or values.dtype.kind != "f" or rows < 1:
                 raise ValueError(f"{name} is {values.dtype} {values.shape}")
 
@@ -224,10 +225,9 @@ class Episode:
         """
         import xarray
 
-        named = {"states": ("time", "state"), "tips": ("time", "axis"), "targets": ("time", "axis"),
-                 "errors": ("time",), "actions": ("period", "joint"), "torques": ("period", "joint"),
-                 "rewards": ("period",)}  # fmt: skip
-        data: dict[str, Any] = {name: (axes, getattr(self, name)) for name, axes in named.items()}
+        data: dict[str, Any] = {
+            name: (axes, getattr(self, name)) for name, axes in ARRAY_AXES.items() if name != "time"
+        }
         data |= {name: (("time", f"{name}_part"), values) for name, values in self.readings.items()}
         coordinates = {"time": self.time, "axis": list(AXES), "period": self.time[1:]}
         return xarray.Dataset(data, coordinates, attrs=self.about)

@@ -174,9 +174,7 @@ def _shape_matrices(model: Model, stations: Stations) -> tuple[Array, Array]:
 
 def _station_shapes(model: Model, link: int, positions: Array) -> Array:
     """Return translations and rotations (6 s, k) of sections at positions (s,), m, per unit elastic coordinate."""
-    elements, basis = model.elements(link), model.bases[link]
-    nodes = np.vstack([np.zeros((NODE_COORDINATES, basis.shape[1])), basis])
-    result = []
+    elements, nodes, result = model.elements(link), model.node_basis(link), []
     for position in positions:
         element, xi = Element.find(elements, position)
         slopes, twist = element.slopes(xi), np.zeros(2 * NODE_COORDINATES)

@@ -86,9 +86,10 @@ def default_step(control_period: float, longest: float = DEFAULT_MAX_STEP) -> fl
     return control_period / max(1, math.ceil(control_period / longest - 1e-9))
 
 
-def prescribed_flags(joints: int, prescribed: Collection[int]) -> IntArray:
-    """Return flags (n,) of n joints: 1 for the indices, from 0, of joints with prescribed motor motion, else 0."""
-    return np.isin(np.arange(joints), list(prescribed)).astype(np.int64)
+def with_prescribed(constants: Constants, joints: Collection[int]) -> Constants:
+    """Return the constants of an arm whose motors follow prescribed motions at the joints with some indices, from 0."""
+    flags = np.isin(np.arange(len(constants.prescribed)), list(joints))
+    return constants._replace(prescribed=flags.astype(np.int64))
 
 
 def _extrapolation_schedule(sequence: Sequence[int], lanes: int) -> IntArray:
@@ -133,7 +134,7 @@ class Integrator:
     def __init__(
         self, model: Model, method: Method, tolerance: tuple[float, float] | None, prescribed: Collection[int]
     ) -> None:
-        self.constants = model.constants._replace(prescribed=prescribed_flags(model.n_joints, prescribed))
+        self.constants = with_prescribed(model.constants, prescribed)
         self.work: Work = make_work(model.constants)
         self.method = method
         self.tolerance = tolerance or (0.0, 0.0)

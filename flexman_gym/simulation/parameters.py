@@ -1,6 +1,5 @@
 """Physical parameters in which the arms of a batch may differ: table, checks, and their model constants."""
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -20,38 +19,25 @@ from flexman_gym.common.renamed import PARAMETER_KEYS, rename_keys
 from flexman_gym.model.joint_constants import spring_knees
 from flexman_gym.model.model import Model
 from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.input_checks import replace_quietly
 from flexman_gym.scene.link import NonUniformLink
 from flexman_gym.scene.rigid_body import Payload
 
 ARM, JOINT, LINK = "arm", "joint", "link"
 
 
-def _no_joints(model: Model) -> BoolArray:
-    return np.zeros(model.n_joints, dtype=bool)
-
-
-def _rigid_joints(model: Model) -> BoolArray:
-    return model.constants.motor < 0
-
-
-def _flexible_joints(model: Model) -> BoolArray:
-    return model.constants.motor >= 0
-
-
-def _joints_without_coulomb_friction(model: Model) -> BoolArray:
-    return model.constants.has_coulomb_friction == 0
-
-
-def _joints_with_coulomb_friction(model: Model) -> BoolArray:
-    return model.constants.has_coulomb_friction == 1
-
-
-def _joints_without_backlash(model: Model) -> BoolArray:
-    return np.array([joint.backlash is None for joint in model.arm.joints]) | _rigid_joints(model)
-
-
-def _springs_with_pieces(model: Model) -> BoolArray:
-    return np.diff(model.constants.knee_start) > 1
+# Reason why the value of a joint or link must stay nominal -> function: model -> flags (n,) of these joints or links.
+LACKING: dict[str, Callable[[Model], BoolArray]] = {
+    "": lambda model: np.zeros(model.n_joints, dtype=bool),
+    "rigid": lambda model: model.constants.motor < 0,
+    "without Coulomb friction": lambda model: model.constants.has_coulomb_friction == 0,
+    "without backlash": lambda model: (
+        np.array([joint.backlash is None for joint in model.arm.joints]) | (model.constants.motor < 0)
+    ),
+    "without stiffness pieces": lambda model: np.diff(model.constants.knee_start) <= 1,
+    "without torque ripple": lambda model: model.constants.has_ripple == 0,
+    "of links without modal damping": lambda model: np.array(model.arm.damping_ratios) == 0.0,
+}
 
 
 @dataclass(frozen=True)
@@ -65,9 +51,8 @@ class _Parameter:
         constants: function: model and values of all given parameters of r arms, by name -> changed fields (r, ...) of
             `kernels.layout.Constants`, all of them in `kernels.arguments.PER_ARM`.
         factor: True if a randomisation draws factors on the nominal value instead of values.
-        fixed: function: model -> flags (n,) of joints or links whose value must stay nominal.
-        needed: function: model -> flags (n,) of joints or links whose value must be positive.
-        lacking: reason why the values of `fixed` joints or links must stay nominal, for the error message.
+        lacking: reason, in LACKING, why the values of some joints or links must stay nominal; "" if none must.
+        positive_unless: reason, in LACKING, without which the value of a joint or link must be positive; None allows 0.
     """
 
     unit: str
@@ -75,14 +60,17 @@ class _Parameter:
     nominal: Callable[[Model], Array]
     constants: Callable[[Model, Mapping[str, Array]], dict[str, Array]]
     factor: bool = False
-    fixed: Callable[[Model], BoolArray] = _no_joints
-    needed: Callable[[Model], BoolArray] = _no_joints
-    lacking: str = "rigid"
+    lacking: str = ""
+    positive_unless: str | None = None
 
     @property
     def may_be_zero(self) -> bool:
         """True if a value of 0 is allowed in every model."""
-        return self.needed is _no_joints
+        return self.positive_unless is None
+
+    def fixed(self, model: Model) -> BoolArray:
+        """Return flags (n,) of the joints or links whose value must stay nominal."""
+        return LACKING[self.lacking](model)
 
     def shape(self, joints: int) -> tuple[int, ...]:
         """Return the shape of the values of one arm."""
@@ -107,10 +95,11 @@ class _Parameter:
         if not ((values >= 0.0) & (values <= MAX_SIZE)).all():
             raise value_error(name, value, allowed)
         if self.of != ARM:
-            fixed, needed = self.fixed(model), self.needed(model)
+            fixed = self.fixed(model)
             if (values != nominal)[:, fixed].any():
                 joints = np.flatnonzero(fixed).tolist()
                 raise value_error(name, value, f"{nominal[fixed].tolist()} for joints {joints}: {self.lacking}")
+            needed = np.zeros_like(fixed) if self.positive_unless is None else ~LACKING[self.positive_unless](model)
             if (values == 0.0)[:, needed].any():
                 raise value_error(name, value, f"numbers > 0 for joints or links {np.flatnonzero(needed).tolist()}")
         return values
@@ -127,8 +116,10 @@ def _rotor_constants(model: Model, given: Mapping[str, Array]) -> dict[str, Arra
     return {"rotor_inertia": inertia, "carried_inertia": inertia * model.choice.spinning_rotors}
 
 
-def _constant_of_same_name(name: str) -> Callable[[Model, Mapping[str, Array]], dict[str, Array]]:
-    return lambda model, given: {name: given[name]}
+def _joint_constant(name: str, unit: str, **more: Any) -> _Parameter:
+    """Return the parameter of joints that is the constant with this name."""
+    nominal, constants = lambda model: getattr(model.constants, name), lambda model, given: {name: given[name]}
+    return _Parameter(unit, JOINT, nominal, constants, **more)
 
 
 def _first_knees(model: Model, values: Array, without: float) -> Array:
@@ -188,59 +179,39 @@ PARAMETERS: dict[str, _Parameter] = {
     "payload_mass": _Parameter("kg", ARM, lambda model: model.constants.payload_mass[0], _payload_constants),
     "joint_stiffness": _Parameter(
         "N m/rad", JOINT, lambda model: model.constants.joint_stiffness, _spring_constants,
-        factor=True, fixed=_rigid_joints, needed=_flexible_joints,
+        factor=True, lacking="rigid", positive_unless="rigid",
     ),
-    "joint_damping": _Parameter(
-        "N m s/rad", JOINT, lambda model: model.constants.joint_damping, _constant_of_same_name("joint_damping"),
-        fixed=_rigid_joints,
-    ),
+    "joint_damping": _joint_constant("joint_damping", "N m s/rad", lacking="rigid"),
     "rotor_inertia": _Parameter(
         "kg m^2", JOINT, lambda model: model.constants.rotor_inertia, _rotor_constants, factor=True,
-        needed=_flexible_joints,
+        positive_unless="rigid",
     ),
-    "viscous_friction": _Parameter(
-        "N m s/rad", JOINT, lambda model: model.constants.viscous_friction, _constant_of_same_name("viscous_friction"),
-        factor=True,
+    "viscous_friction": _joint_constant("viscous_friction", "N m s/rad", factor=True),
+    "coulomb_friction": _joint_constant(
+        "coulomb_friction", "N m", factor=True, lacking="without Coulomb friction",
     ),
-    "coulomb_friction": _Parameter(
-        "N m", JOINT, lambda model: model.constants.coulomb_friction, _constant_of_same_name("coulomb_friction"),
-        factor=True, fixed=_joints_without_coulomb_friction, lacking="without Coulomb friction",
+    "coulomb_rate": _joint_constant(
+        "coulomb_rate", "rad/s", lacking="without Coulomb friction", positive_unless="without Coulomb friction",
     ),
-    "coulomb_rate": _Parameter(
-        "rad/s", JOINT, lambda model: model.constants.coulomb_rate, _constant_of_same_name("coulomb_rate"),
-        fixed=_joints_without_coulomb_friction, needed=_joints_with_coulomb_friction,
-        lacking="without Coulomb friction",
+    "static_excess": _joint_constant(
+        "static_excess", "1, static friction / Coulomb friction - 1", lacking="without Coulomb friction",
     ),
-    "static_excess": _Parameter(
-        "1, static friction / Coulomb friction - 1", JOINT, lambda model: model.constants.static_excess,
-        _constant_of_same_name("static_excess"), fixed=_joints_without_coulomb_friction,
-        lacking="without Coulomb friction",
+    "stribeck_rate": _joint_constant(
+        "stribeck_rate", "rad/s", lacking="without Coulomb friction", positive_unless="without Coulomb friction",
     ),
-    "stribeck_rate": _Parameter(
-        "rad/s", JOINT, lambda model: model.constants.stribeck_rate, _constant_of_same_name("stribeck_rate"),
-        fixed=_joints_without_coulomb_friction, needed=_joints_with_coulomb_friction,
-        lacking="without Coulomb friction",
-    ),
-    "backlash": _Parameter(
-        "rad", JOINT, _backlash, _spring_constants, fixed=_joints_without_backlash, lacking="without backlash",
-    ),
+    "backlash": _Parameter("rad", JOINT, _backlash, _spring_constants, lacking="without backlash"),
     "soft_stiffness": _Parameter(
         "1, stiffness at small torques / joint_stiffness", JOINT, _soft_stiffness, _spring_constants,
-        fixed=lambda model: ~_springs_with_pieces(model),
-        needed=_springs_with_pieces, lacking="without stiffness pieces",
+        lacking="without stiffness pieces", positive_unless="without stiffness pieces",
     ),
-    "ripple_torque": _Parameter(
-        "N m", JOINT, lambda model: model.constants.ripple_torque, _constant_of_same_name("ripple_torque"),
-        fixed=lambda model: model.constants.has_ripple == 0, lacking="without torque ripple",
-    ),
+    "ripple_torque": _joint_constant("ripple_torque", "N m", lacking="without torque ripple"),
     "link_stiffness_factor": _Parameter(
         "1, factor on the elastic moduli", LINK, lambda model: np.ones(model.n_joints), _link_constants, factor=True,
-        needed=lambda model: np.ones(model.n_joints, dtype=bool),
+        positive_unless="",
     ),
     "link_damping": _Parameter(
         "damping ratio of every mode", LINK, lambda model: np.array(model.arm.damping_ratios), _link_constants,
-        factor=True, fixed=lambda model: np.array(model.arm.damping_ratios) == 0.0,
-        lacking="of links without modal damping",
+        factor=True, lacking="of links without modal damping",
     ),
 }  # fmt: skip
 
@@ -387,6 +358,5 @@ def _scale_moduli(link: Any, factor: float) -> Any:
     """Return a link with its elastic moduli scaled by a factor."""
     if isinstance(link, NonUniformLink):
         return replace(link, sections=[_scale_moduli(section, factor) for section in link.sections])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # issued when the given link was made
-        return replace(link, youngs_modulus=factor * link.youngs_modulus, shear_modulus=factor * link.shear_modulus)
+    moduli = {name: factor * getattr(link, name) for name in ("youngs_modulus", "shear_modulus")}
+    return replace_quietly(link, **moduli)

@@ -8,7 +8,6 @@ import math
 import time as clock
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -30,16 +29,17 @@ from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
 from flexman_gym.kernels.outputs import tip_accelerations as compute_tip_accelerations
 from flexman_gym.kernels.runge_kutta import state_derivative
+from flexman_gym.model.loads import FrameMotion
 from flexman_gym.model.model import Model, check_model, scene_model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.scene.signals import PiecewiseSignals
 from flexman_gym.simulation.batch import MAX_ARMS, MAX_THREADS
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
 from flexman_gym.simulation.diagnostics import explain_energy, explain_failure
-from flexman_gym.simulation.integrator import MAX_STEPS, Integrator, find_method, find_tolerance, prescribed_flags
+from flexman_gym.simulation.integrator import MAX_STEPS, Integrator, find_method, find_tolerance, with_prescribed
 from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
 from flexman_gym.simulation.parameters import varied_constants
-from flexman_gym.simulation.trajectory import Kinetics, Trajectory
+from flexman_gym.simulation.trajectory import Trajectory
 
 TIP_ACCELERATIONS = {  # name of a component -> column of `tip_accelerations`
     f"{name}_{axis}": part.start + i
@@ -171,8 +171,7 @@ def simulate(
         >>> trajectory.status, trajectory.tip.shape, trajectory.tip[-1].round(1)
         ('ok', (201, 3), array([ 1.1,  2.1, -0.6]))
     """
-    settings = scene_settings(scene, model, method, step, rtol, atol)
-    return _simulate_scene(scene, settings)
+    return _SceneRun(scene, scene_settings(scene, model, method, step, rtol, atol), {}).simulate()
 
 
 class _Settings(NamedTuple):
@@ -213,69 +212,72 @@ def scene_settings(
 
 def initial_row(scene: Scene, model: Model) -> Array:
     """Return the initial state (2 d) of a scene, followed by zero work and dissipation, as an array (2 d + 2,)."""
-    return np.append(_initial_state(scene, model), [0.0, 0.0])
+    state = scene.initial.state
+    if state is None:
+        state = model.initial_state(scene.initial.joint_angles, scene.initial.joint_rates)
+    else:
+        check_magnitudes("Initial.state", vector("Initial.state", state, 2 * model.n_dof), layout.LARGEST_STATE)
+    return np.append(state, [0.0, 0.0])
 
 
-def prescribed_joints(scene: Scene) -> list[int]:
-    """Return the indices, from 0, of the joints with prescribed motion in a scene."""
-    return [i for i, motion in enumerate(scene.prescribed or ()) if motion is not None]
+class _SceneRun(NamedTuple):
+    """Scene with the settings of its simulation, and constants that replace those of the model, by name."""
 
+    scene: Scene
+    settings: _Settings
+    constants: Mapping[str, Any]
 
-def _simulate_scene(scene: Scene, settings: _Settings, constants: dict[str, Any] | None = None) -> Trajectory:
-    """Simulate a scene with given settings; `constants` replace constants of the model by name."""
-    model, interval, rows = settings.model, settings.interval, settings.rows
-    integrator, state = _make_integrator(scene, settings, constants), initial_row(scene, model)
-    states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
-    integrator.start(state, states[0], outputs[0])
-    started = clock.perf_counter()
-    times = interval, settings.substeps
-    status, valid, evaluations, _ = _run_pieces(integrator, scene.pieces, times, state, states[1:], outputs[1:])
-    elapsed = clock.perf_counter() - started
-    outcome = (STATUS[status], evaluations, elapsed)
-    sources = partial(_explanation, scene, settings, constants), partial(_kinetics, scene, settings, constants)
-    return Trajectory.from_rows(model, interval, states[: valid + 1], outputs[: valid + 1], outcome, *sources)
+    def simulate(self) -> Trajectory:
+        """Simulate the scene."""
+        (model, _, _, interval, substeps, rows), pieces = self.settings, self.scene.pieces
+        integrator, state = self.integrator(), initial_row(self.scene, model)
+        states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
+        integrator.start(state, states[0], outputs[0])
+        started = clock.perf_counter()
+        status, valid, evaluations, _ = _run_pieces(
+            integrator, pieces, (interval, substeps), state, states[1:], outputs[1:]
+        )
+        outcome = STATUS[status], evaluations, clock.perf_counter() - started
+        return self.trajectory(states[: valid + 1], outputs[: valid + 1], outcome)
 
+    def integrator(self) -> Integrator:
+        """Return a new integrator of the scene."""
+        model, method, tolerance, *_ = self.settings
+        integrator = Integrator(model, method, tolerance, self.scene.prescribed_joints)
+        integrator.constants = integrator.constants._replace(**self.constants)
+        return integrator
 
-def _make_integrator(scene: Scene, settings: _Settings, constants: dict[str, Any] | None = None) -> Integrator:
-    """Return the integrator for given settings; `constants` replace constants of the model by name."""
-    integrator = Integrator(settings.model, settings.method, settings.tolerance, prescribed_joints(scene))
-    integrator.constants = integrator.constants._replace(**(constants or {}))
-    return integrator
+    def trajectory(self, states: Array, outputs: Array, outcome: tuple[str, int, float]) -> Trajectory:
+        """Return the trajectory of a simulation; arguments as in `Trajectory.from_rows`."""
+        settings = self.settings
+        return Trajectory.from_rows(
+            settings.model, settings.interval, states, outputs, outcome, self.explanation, self.kinetics
+        )
 
+    def explanation(self, result: Trajectory) -> str:
+        """Return the explanation of a failure or an energy alarm of a trajectory; "" without either."""
+        integrator, (model, _, _, interval, substeps, _) = self.integrator(), self.settings
+        if result.status != STATUS[layout.OK]:
+            last = np.append(result.states[-1], [result.work[-1], result.dissipation[-1]])
+            row, rows, outputs = len(result.time) - 1, np.zeros((1, len(last))), np.zeros((1, layout.OUTPUTS))
+            again = _run_pieces(integrator, self.scene.pieces, (interval, substeps), last, rows, outputs, row)
+            return explain_failure(self.integrator(), model, *again[3], result.status)
+        alarm = result.energy_alarm()
+        before = result.states[result.time <= (alarm or 0.0)]
+        return "" if alarm is None else explain_energy(model, integrator, interval / substeps, alarm, before)
 
-def _explanation(scene: Scene, settings: _Settings, constants: dict[str, Any] | None, result: Trajectory) -> str:
-    """Return the explanation of a failure or an energy alarm of a trajectory; "" without either."""
-    integrator, step = _make_integrator(scene, settings, constants), settings.interval / settings.substeps
-    if result.status != STATUS[layout.OK]:
-        last = np.append(result.states[-1], [result.work[-1], result.dissipation[-1]])
-        row, rows, outputs = len(result.time) - 1, np.zeros((1, len(last))), np.zeros((1, layout.OUTPUTS))
-        again = _run_pieces(integrator, scene.pieces, (settings.interval, settings.substeps), last, rows, outputs, row)
-        return explain_failure(_make_integrator(scene, settings, constants), settings.model, *again[3], result.status)
-    alarm = result.energy_alarm()
-    before = result.states[result.time <= (alarm or 0.0)]
-    return "" if alarm is None else explain_energy(settings.model, integrator, step, alarm, before)
-
-
-def _kinetics(scene: Scene, settings: _Settings, constants: dict[str, Any] | None, result: Trajectory) -> Kinetics:
-    """Return the accelerations and inputs of a trajectory of a scene; at a jump of the inputs, after the jump."""
-    integrator, size, pieces = _make_integrator(scene, settings, constants), result.states.shape[1], scene.pieces
-    rates, accelerations, drives = np.zeros(size + 2), [], []
-    for time, state in zip(result.time, result.states, strict=True):
-        piece = min(int(np.searchsorted(pieces.times, time, side="right")), len(pieces.times) - 1) - 1
-        row = np.append(state, [0.0, 0.0])
-        state_derivative(integrator.constants, integrator.work, pieces.table(piece), time, row, rates)
-        accelerations.append(rates[size // 2 : size].copy())
-        drives.append(integrator.work.drive.copy())
-    return Kinetics(replace(settings.model, constants=integrator.constants), np.array(accelerations), np.array(drives))
-
-
-def _initial_state(scene: Scene, model: Model) -> Array:
-    """Return the initial state (2 d,) of a scene."""
-    given = scene.initial.state
-    if given is None:
-        return model.initial_state(scene.initial.joint_angles, scene.initial.joint_rates)
-    check_magnitudes("Initial.state", vector("Initial.state", given, 2 * model.n_dof), layout.LARGEST_STATE)
-    return np.array(given)
+    def kinetics(self, result: Trajectory) -> FrameMotion:
+        """Return the motion of the frames in a trajectory of the scene; at a jump of the inputs, after the jump."""
+        integrator, size, pieces = self.integrator(), result.states.shape[1], self.scene.pieces
+        rates, accelerations, drives = np.zeros(size + 2), [], []
+        for time, state in zip(result.time, result.states, strict=True):
+            piece = min(int(np.searchsorted(pieces.times, time, side="right")), len(pieces.times) - 1) - 1
+            row = np.append(state, [0.0, 0.0])
+            state_derivative(integrator.constants, integrator.work, pieces.table(piece), time, row, rates)
+            accelerations.append(rates[size // 2 : size].copy())
+            drives.append(integrator.work.drive.copy())
+        model = replace(self.settings.model, constants=integrator.constants)
+        return FrameMotion(model, result.states, np.array(accelerations), np.array(drives))
 
 
 def _output_interval(method: Method, step: float | None, output_step: float) -> tuple[float, int]:
@@ -341,22 +343,21 @@ def simulate_all(
     lanes = lanes and len(scenes) > 1
     drives = [scene.pieces for scene in scenes] if lanes else []
     if not lanes or not all(np.array_equal(each.times, drives[0].times) for each in drives):
-        return [_simulate_scene(scene, settings, _constants_of(varied, i)) for i, scene in enumerate(scenes)]
+        return [_SceneRun(scene, settings, _constants_of(varied, i)).simulate() for i, scene in enumerate(scenes)]
     return _simulate_in_lanes(scenes, settings, varied, drives, threads)
 
 
 def _check_compatible(name: str, scene: object, first: Scene, built: bool) -> None:
     """Check that a scene fits the first one; `built` means that the model is built from the scenes."""
-    if not isinstance(scene, Scene):
-        raise value_error(name, scene, "a Scene")
+    scene = instance(name, scene, Scene, "a Scene")
     for part in ("duration", "output_step"):
         if getattr(scene, part) != getattr(first, part):
             raise value_error(f"{name}.{part}", getattr(scene, part), f"that of scenes[0], {getattr(first, part)}")
     for part in ("arm", "model") if built else ():
         if getattr(scene, part) != getattr(first, part):
             raise value_error(f"{name}.{part}", "different", "that of scenes[0], or a model for all scenes")
-    joints = prescribed_joints(first)
-    if scene.arm.n_joints != first.arm.n_joints or prescribed_joints(scene) != joints:
+    joints = first.prescribed_joints
+    if scene.arm.n_joints != first.arm.n_joints or scene.prescribed_joints != joints:
         raise value_error(name, "a scene of different joints", f"{first.arm.n_joints} joints, with {joints} prescribed")
 
 
@@ -366,8 +367,7 @@ def _simulate_in_lanes(
     """Simulate scenes by fixed steps of a linearly implicit method; the pieces of all drives have equal boundaries."""
     model, method, interval, last = settings.model, settings.method, settings.interval, settings.rows
     assert isinstance(method, LinearlyImplicit | IteratedGauss)
-    flags = prescribed_flags(model.n_joints, prescribed_joints(scenes[0]))
-    shared = model.constants._replace(prescribed=flags)
+    shared = with_prescribed(model.constants, scenes[0].prescribed_joints)
     integrator = LaneIntegrator(shared, method, (interval, settings.substeps), len(scenes), threads)
     integrator.set_constants(np.arange(len(scenes)), varied)
     starts = np.array([initial_row(scene, model) for scene in scenes])
@@ -376,14 +376,12 @@ def _simulate_in_lanes(
     started = clock.perf_counter()
     counts = run_in_lanes(integrator, drives, settings, rows, outputs)
     seconds = (clock.perf_counter() - started) / len(scenes)
-    stages = method.evaluations
     result = []
     for i, (states, read, (valid, steps)) in enumerate(zip(rows, outputs, counts.tolist(), strict=True)):
         status = STATUS[layout.OK if valid == last else layout.DIVERGED]
-        outcome = status, steps * stages, seconds
-        own = scenes[i], settings, _constants_of(varied, i)
-        sources = partial(_explanation, *own), partial(_kinetics, *own)
-        result.append(Trajectory.from_rows(model, interval, states[: valid + 1], read[: valid + 1], outcome, *sources))
+        outcome = status, steps * method.evaluations, seconds
+        run = _SceneRun(scenes[i], settings, _constants_of(varied, i))
+        result.append(run.trajectory(states[: valid + 1], read[: valid + 1], outcome))
     return result
 
 
@@ -429,7 +427,7 @@ def tip_accelerations(scene: Scene, runs: Sequence[Trajectory], model: Model, pa
         (b, T, 6) m/s^2, columns as in TIP_ACCELERATIONS, see `Batch.tip_accelerations`; NaN after a failure.
     """
     own, size = varied_constants(model, len(runs), parameters), round(scene.duration / scene.output_step) + 1
-    flags = prescribed_flags(model.n_joints, prescribed_joints(scene))
+    shared = with_prescribed(model.constants, scene.prescribed_joints)
     pieces, d = scene.pieces, model.n_dof
     times = scene.output_step * np.arange(size)
     drives = np.array([pieces.table(p) for p in range(len(pieces.times) - 1)])
@@ -438,7 +436,7 @@ def tip_accelerations(scene: Scene, runs: Sequence[Trajectory], model: Model, pa
     result = np.full((len(runs), size, layout.TIP_ACCELERATIONS), np.nan)
     work = layout.make_work(model.constants)
     for i, run in enumerate(runs):
-        constants = model.constants._replace(prescribed=flags, **{name: each[i] for name, each in own.items()})
+        constants = shared._replace(**{name: each[i] for name, each in own.items()})
         for state, drive, out in zip(run.states, applied, result[i], strict=False):
             compute_tip_accelerations(constants, work, state[:d], state[d:], drive, out)
     return result

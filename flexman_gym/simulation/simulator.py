@@ -13,7 +13,6 @@ from flexman_gym.model.model import Model
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.diagnostics import explain_energy, explain_failure
-from flexman_gym.simulation.integrator import prescribed_flags
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 from flexman_gym.simulation.trajectory import ENERGY_ALARM, Trajectory
 
@@ -67,7 +66,7 @@ class Simulator:
         self.model, self.method = self.batch.model, self.batch.method
         self.control_period, self.substeps = self.batch.control_period, self.batch.substeps
         self.state, self.outputs = self.batch.state[0], self.batch.outputs[0]
-        self.prescribed = prescribed_flags(model.n_joints, prescribed) > 0
+        self.prescribed = np.isin(np.arange(model.n_joints), list(prescribed))
         self._drive = np.zeros((1, model.n_joints + 6))
         self._record: list[tuple[Array, Array]] | None = None
 

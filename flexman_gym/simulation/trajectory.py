@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
@@ -13,28 +13,17 @@ from flexman_gym.common.checks import positive, value_error, vector, whole_numbe
 from flexman_gym.common.time_series import write_csv
 from flexman_gym.kernels import layout
 from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurements, column_names
-from flexman_gym.model.loads import FrameMotion, part_energies, section_forces
+from flexman_gym.model.loads import FrameMotion
 from flexman_gym.model.model import Model
 
 ENERGY_ALARM = 0.01  # dimensionless; fraction of `energy_turnover` above which the energy residual is too large
-
-
-class Kinetics(NamedTuple):
-    """Model with the constants of a simulation, and its accelerations (T, d) and inputs (T, n + 6) at T times.
-
-    Accelerations and inputs have the order and units of `kernels.layout`.
-    """
-
-    model: Model
-    accelerations: Array
-    drives: Array
 
 
 def _no_explanation(result: "Trajectory") -> str:
     return ""
 
 
-def _no_kinetics(result: "Trajectory") -> Kinetics:
+def _no_kinetics(result: "Trajectory") -> FrameMotion:
     raise value_error("trajectory", "one without a scene", "a result of simulate or simulate_all")
 
 
@@ -62,7 +51,7 @@ class Trajectory:
         wall_seconds: wall-clock time of the integration without compilation, s.
         model: the simulated model.
         explain: function: trajectory -> its `explanation`.
-        kinetics: function: trajectory -> its `Kinetics`, for loads and energies.
+        kinetics: function: trajectory -> motion of its frames, for loads and energies.
 
     Examples:
         >>> trajectory = fm.simulate(fm.catalog.paper_scene("rr"), step=0.01)
@@ -88,7 +77,7 @@ class Trajectory:
     wall_seconds: float
     model: Model
     explain: Callable[["Trajectory"], str] = field(default=_no_explanation, repr=False)
-    kinetics: Callable[["Trajectory"], Kinetics] = field(default=_no_kinetics, repr=False)
+    kinetics: Callable[["Trajectory"], FrameMotion] = field(default=_no_kinetics, repr=False)
 
     def __repr__(self) -> str:
         n = self.joint_angles.shape[1]
@@ -114,10 +103,9 @@ class Trajectory:
         return LinearMeasurements(self.model).measure(self.states)
 
     @cached_property
-    def _motion(self) -> tuple[Kinetics, FrameMotion]:
-        """Kinetics of the trajectory, and the motion of all frames."""
-        kinetics = self.kinetics(self)
-        return kinetics, FrameMotion(kinetics.model, self.states, kinetics.accelerations, kinetics.drives)
+    def _motion(self) -> FrameMotion:
+        """Motion of all frames."""
+        return self.kinetics(self)
 
     @property
     def accelerations(self) -> Array:
@@ -127,7 +115,7 @@ class Trajectory:
             ValueError: for a trajectory of a `Simulator`, whose inputs are not recorded. `joint_reactions`,
                 `section_forces` and `energies` raise the same error.
         """
-        return self._motion[0].accelerations
+        return self._motion.accelerations
 
     @property
     def joint_reactions(self) -> Array:
@@ -135,7 +123,7 @@ class Trajectory:
 
         The component of the moment about the joint axis is the driving torque of the link.
         """
-        return self._motion[1].reaction[:, :-1]
+        return self._motion.reaction[:, :-1]
 
     def section_forces(self, link: int, positions: Sequence[float]) -> Array:
         """Return the internal forces of sections of a link, (T, P, 6), in the link frame at its origin.
@@ -150,13 +138,13 @@ class Trajectory:
             link: index of the link, from 0.
             positions: (P,) distances of the sections from the joint of the link, 0 to the length of the link, m.
         """
-        i, (kinetics, motion) = whole_number("link", link, 0, self.model.n_joints - 1), self._motion
+        i, motion = whole_number("link", link, 0, self.model.n_joints - 1), self._motion
         length, checked = self.model.arm.links[i].length, vector("positions", positions, unit="m")
         for k, position in enumerate(checked):
             if not 0.0 <= position <= length:
                 allowed = f"a number from 0 to {length} (m), the length of link {i}"
                 raise value_error(f"positions[{k}]", position, allowed)
-        return section_forces(kinetics.model, motion, self.states, kinetics.accelerations, i, checked)
+        return motion.section_forces(i, checked)
 
     def energies(self) -> dict[str, Array]:
         """Return the energy of each part, J: (T, n) for links, rotors and joints, (T, 1) for the payload.
@@ -164,7 +152,7 @@ class Trajectory:
         The keys are link_kinetic, link_elastic, link_gravitational, rotor_kinetic, joint_elastic, payload_kinetic and
         payload_gravitational. Their sum is `energy`.
         """
-        return part_energies(self._motion[0].model, self._motion[1], self.states)
+        return self._motion.part_energies()
 
     def explanation(self) -> str:
         """Return the first quantity out of bounds in a failure or at an energy alarm, with remedies; otherwise "".
@@ -241,7 +229,7 @@ class Trajectory:
         outputs: Array,
         outcome: tuple[str, int, float],
         explain: Callable[["Trajectory"], str] = _no_explanation,
-        kinetics: Callable[["Trajectory"], Kinetics] = _no_kinetics,
+        kinetics: Callable[["Trajectory"], FrameMotion] = _no_kinetics,
     ) -> Self:
         """Return the trajectory given by states and outputs at equal intervals.
 
@@ -252,7 +240,7 @@ class Trajectory:
             outputs: (T, OUTPUTS) columns of `kernels.layout`.
             outcome: status, number of evaluations, and wall-clock time of the integration, s.
             explain: function: trajectory -> its explanation.
-            kinetics: function: trajectory -> its `Kinetics`.
+            kinetics: function: trajectory -> motion of its frames.
         """
         size = 2 * model.n_dof
         return cls(

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import flexman_gym as fm
 from flexman_gym.model.beam import build_beam
-from flexman_gym.model.component_modes import loaded_modes, outboard_inertias, zero_pose_rotations
+from flexman_gym.model.component_modes import LoadedModes, outboard_inertias, zero_pose_rotations
 
 from oracles.chains import QUICK, samples, slender_link
 from oracles.dense import Chain, skew
@@ -53,7 +53,7 @@ def test_loaded_modes_of_a_link_with_a_tip_mass_have_its_frequencies(ratio):
     link = slender_link(1.0, 1.0, 1.0)
     arm = fm.Arm([link], [fm.Joint((0.0, 0.0, 1.0))], fm.Payload(ratio * link.mass))
     beam = build_beam(link, 24)
-    result, _ = loaded_modes(beam, outboard_inertias(arm, (beam,))[0])
+    result, _ = LoadedModes.of(beam, outboard_inertias(arm, (beam,))[0])
     assert result[:3] == pytest.approx(beam_eigenvalues(3, ratio), rel=2e-5)
 
 
@@ -72,7 +72,7 @@ def test_rounding_does_not_choose_which_of_two_equal_modes_comes_first(change):
     link = fm.catalog.paper_rrr().links[1]
     assert link.second_moment_y == link.second_moment_z
     beams = [build_beam(replace(link, second_moment_z=part * link.second_moment_y), 2) for part in (1.0, 1.0 + change)]
-    planes = [np.abs(loaded_modes(beam, np.zeros((6, 6)))[1]) > 0.0 for beam in beams]
+    planes = [np.abs(LoadedModes.of(beam, np.zeros((6, 6)))[1]) > 0.0 for beam in beams]
     assert np.array_equal(*planes)
 
 
@@ -80,7 +80,7 @@ def test_rounding_does_not_choose_which_of_two_equal_modes_comes_first(change):
 @given(samples(flexible_links=True))
 def test_loaded_modes_are_orthonormal_and_ascend(sample):
     for beam, outboard in zip(beams_of(sample), outboard_inertias(sample.arm, beams_of(sample)), strict=True):
-        frequencies, shapes = loaded_modes(beam, outboard)
+        frequencies, shapes = LoadedModes.of(beam, outboard)
         tip = np.vstack([beam.tip_translation, beam.tip_rotation])
         mass = beam.mass_matrix + tip.T @ outboard @ tip
         assert (np.diff(frequencies) >= 0.0).all() and frequencies[0] > 0.0
@@ -114,7 +114,7 @@ def test_all_modes_are_the_finite_element_model(sample):
     for i, outboard in enumerate(outboard_inertias(sample.arm, beams)):
         columns = all_modes.elastic_columns(i)
         if sample.flexible_links[i]:
-            change[columns, columns] = loaded_modes(beams[i], outboard)[1]
+            change[columns, columns] = LoadedModes.of(beams[i], outboard)[1]
     (x, v), torque = sample.state(), sample.torque()
     modal = np.r_[np.linalg.solve(change, x), np.linalg.solve(change, v)]
     result = change @ fm.acceleration(all_modes, modal, torque)

@@ -48,8 +48,3 @@ def copied(folder, value):
         (target / "kernels" / source.name).write_bytes(source.read_bytes())
     (target / "kernels" / "callee.py").write_text(CALLEE.format(value=value))
     (target / "kernels" / "caller.py").write_text(CALLER)
-    room = target / "kernels" / "__init__.py"
-    lines = room.read_text().splitlines(keepends=True)
-    first = next(i for i, line in enumerate(lines) if line.lstrip().startswith("from flexman_gym.kernels import"))
-    indent = lines[first][: -len(lines[first].lstrip())]
-    room.write_text("".join([*lines[:first], f"{indent}import flexman_gym.kernels.caller\n", *lines[first:]]))

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag, eigh
 
 import flexman_gym as fm
 from flexman_gym.model.beam import build_beam
-from flexman_gym.model.component_modes import loaded_modes, outboard_inertias
+from flexman_gym.model.component_modes import LoadedModes, outboard_inertias
 from flexman_gym.model.dynamics import stiffness_matrix
 from flexman_gym.simulation.stability import amplification_factors, spectral_radii, stability_limit
 from studies.methods import explicit_methods, fixed_step_methods, vibration_factor
@@ -230,7 +230,7 @@ def test_clamped_modes_without_torsion_miss_centimetres_and_loaded_modes_do_not(
         return observed @ kept @ shapes @ (amounts * (shapes.T @ kept.T @ push)), omegas[0] / (2.0 * np.pi)
 
     def basis(carried):
-        modes = [loaded_modes(beam, inertia)[1][:, :4] for beam, inertia in zip(beams, carried, strict=True)]
+        modes = [LoadedModes.of(beam, inertia)[1][:, :4] for beam, inertia in zip(beams, carried, strict=True)]
         return block_diag(np.eye(2 * n), *modes)
 
     tip, frequency = motion(np.eye(d))

@@ -14,7 +14,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import flag, non_negative, one_of, physical, positive, value_error
 from flexman_gym.model.model import Model, check_model
-from flexman_gym.model.vibration import Eigenpairs, EquilibriumMatrices, equilibrium_matrices, oscillatory_modes
+from flexman_gym.model.vibration import Eigenpairs, EquilibriumMatrices
 from flexman_gym.simulation.parameters import varied_model
 
 RIGID_MODE_RATIO = 0.5  # fraction of the lowest frequency with held motors; slower modes are rigid-body motion
@@ -42,7 +42,7 @@ def excited_modes(model: Model, posture: Vector, held: bool = True, servo: float
     Raises:
         ValueError: for a posture of wrong shape, and for an arm without an equilibrium.
     """
-    resting = equilibrium_matrices(check_model(model), posture)
+    resting = EquilibriumMatrices.of(check_model(model), posture)
     if servo is not None:
         return _servo_modes(resting, 2.0 * np.pi * physical("servo", servo, "Hz"))
     motors, others = resting.motors, resting.free
@@ -52,13 +52,13 @@ def excited_modes(model: Model, posture: Vector, held: bool = True, servo: float
         # a step of a motor moves the links at once by inertia; springs then pull them to the equilibrium
         inertial = -np.linalg.solve(inertia, resting.mass[np.ix_(others, motors)])
         starts = inertial + np.linalg.solve(springs, resting.stiffness[np.ix_(others, motors)])
-        eigen = oscillatory_modes(resting, others)
+        eigen = resting.oscillatory_modes(others)
         damping = resting.damping[np.ix_(others, others)]
         excited = [shape @ (value * inertia + damping) @ starts for value, shape in zip(*eigen, strict=True)]
         result = _observable_modes(eigen, np.array(excited), resting.tip[:, others])
     if flag("held", held) or not len(result):
         return result
-    eigen = oscillatory_modes(resting, np.arange(model.n_dof))
+    eigen = resting.oscillatory_modes(np.arange(model.n_dof))
     above = np.abs(eigen.values) > 2.0 * np.pi * RIGID_MODE_RATIO * result[0, 0]
     return _observable_modes(
         Eigenpairs(eigen.values[above], eigen.shapes[above]), eigen.shapes[np.ix_(above, motors)], resting.tip
@@ -77,7 +77,7 @@ def _servo_modes(resting: EquilibriumMatrices, bandwidth: float) -> Array:
     stiffness[motors, motors] += inertia * bandwidth**2
     damping[motors, motors] += 2.0 * SERVO_DAMPING * inertia * bandwidth
     closed = resting._replace(stiffness=stiffness, damping=damping)
-    eigen = oscillatory_modes(closed, np.arange(len(closed.mass)))
+    eigen = closed.oscillatory_modes(np.arange(len(closed.mass)))
     pairs = zip(*eigen, strict=True)
     amplitudes = [shape @ (value * closed.mass + damping) @ turned for value, shape in pairs]
     return _observable_modes(eigen, np.array(amplitudes).reshape(-1, len(motors)), closed.tip)

@@ -15,8 +15,7 @@ from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
 from flexman_gym.simulation.integrator import Integrator, find_method
 from flexman_gym.simulation.methods import IteratedGauss
-from flexman_gym.simulation.period_map import PeriodMap
-from flexman_gym.simulation.tangent_integrator import TangentIntegrator
+from flexman_gym.simulation.period_map import PeriodMap, TangentIntegrator
 from studies.stopwatch import Timer, in_turns, repeated, timer
 
 ROUNDS = 60
