@@ -340,17 +340,17 @@ def human(monkeypatch):
 
 
 def page_of(env):
-    return env.unwrapped._rendering.screen
+    return env.unwrapped._rendering.page
 
 
 def test_every_step_comes_to_whoever_listens(human, capsys):
     human.step(np.ones(1, dtype=np.float32))
     screen, rows = page_of(human), []
-    assert screen.address.startswith("http://127.0.0.1:") and human.render() is None
+    assert screen.url.startswith("http://127.0.0.1:") and human.render() is None
     model = human.unwrapped.simulator.model
 
     def listen():
-        with urllib.request.urlopen(screen.address + "live", timeout=30) as stream:
+        with urllib.request.urlopen(screen.url + "live", timeout=30) as stream:
             while len(rows) < 4:
                 line = stream.readline()
                 if line.startswith(b"data: A") or len(line) > 20:
@@ -367,10 +367,10 @@ def test_every_step_comes_to_whoever_listens(human, capsys):
         "after the reset, the step before it listened"
     )
     assert rows[1][-1] == 1.0 and len(rows[0]) == model.n_dof + 3 + 1 + 1
-    with urllib.request.urlopen(screen.address) as page:
+    with urllib.request.urlopen(screen.url) as page:
         assert b'"live":true' in page.read()
     with pytest.raises(urllib.error.HTTPError, match="404"):
-        urllib.request.urlopen(screen.address + "else")
+        urllib.request.urlopen(screen.url + "else")
     assert 0 <= screen.late <= screen.shown
 
 
@@ -383,7 +383,7 @@ def test_the_address_is_said_once_and_late_steps_at_the_end(human, capfd):
     said = capfd.readouterr().err
     assert f"1 of {screen.shown} steps came late" in said and "can be seen" not in said
     with pytest.raises(urllib.error.URLError):
-        urllib.request.urlopen(screen.address)
+        urllib.request.urlopen(screen.url)
 
 
 def test_a_browser_follows_the_arm_through_episodes(human):
@@ -391,7 +391,7 @@ def test_a_browser_follows_the_arm_through_episodes(human):
         pytest.skip(MISSING)
     browser = Browser()
     try:
-        browser.open(page_of(human).address)
+        browser.open(page_of(human).url)
         for seed in (5000, 5001):
             human.reset(seed=seed)
             for _ in range(5):
