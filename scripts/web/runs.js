@@ -8,11 +8,12 @@ export const readArm = arm => ({ ...arm, links: arm.links.map(link => ({
   ...link, rows: floats(link.rows), slopes: floats(link.slopes), points: floats(link.points),
   normals: floats(link.normals), gauges: floats(link.gauges) })) });
 
-// Columns of a row: coordinates, target, error, torques relative to their limits.
+// Columns of a row: coordinates, target, error, torques relative to their limits; of a live page also root strains.
 export class Run {
   constructor(data, arm) {
     Object.assign(this, { name: data.name, colour: data.colour, note: data.note, dt: data.dt, arm });
-    this.sizes = { x: arm.width, target: 3, error: 1, torque: arm.links.length };
+    this.sizes = { x: arm.width, target: 3, error: 1, torque: arm.links.length, ...(data.x ? {} : { strain: 3 * arm.links.length }) };
+    this.width = Object.values(this.sizes).reduce((a, b) => a + b);
     this.rows = data.rows;
     for (const name in this.sizes) this[name] = data.rows ? floats(data[name]) : new Float32Array(1024 * this.sizes[name]);
     this.readings = (data.readings ?? []).map(each => ({ ...each, values: new Int16Array(bytes(each.values)) }));
@@ -53,10 +54,10 @@ export class Run {
     return into;
   }
 
-  // Entry c of a column over time.
-  series(name, c, factor = 1) {
+  // Entry c of a column over time, from a row on.
+  series(name, c, factor = 1, first = 0) {
     const size = this.sizes[name];
-    return Array.from({ length: this.rows }, (_, i) => { const v = factor * this[name][i * size + c]; return Number.isFinite(v) ? v : null; });
+    return Array.from({ length: Math.max(0, this.rows - first) }, (_, i) => { const v = factor * this[name][(first + i) * size + c]; return Number.isFinite(v) ? v : null; });
   }
 
   // Entry c of a measurement over time.
