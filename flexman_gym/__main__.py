@@ -13,8 +13,8 @@ from flexman_gym import __version__, commands
 from flexman_gym.common.renamed import COMMANDS, OPTIMISED, OPTIONS, warn_deprecated
 
 COMMAND_GROUPS = {  # group -> commands, in the order of the help
-    "start": ("demo", "check", "compile", "list", "verify"),
-    "learn": ("train", "imitate", "search", "enjoy"),
+    "start": ("demo", "live", "check", "compile", "list", "verify"),
+    "learn": ("train", "imitate", "search"),
     "evaluate": ("evaluate", "league", "certify", "why"),
     "simulate": ("simulate", "choose", "precision", "draw"),
     "control": ("optimise", "shape"),
@@ -80,7 +80,8 @@ def _present_options(arguments: list[str]) -> list[str]:
         name, mark, value = word.partition("=")
         if name in names:
             warn_deprecated(f"flexman {command}: {name} is {names[name]} now")
-        result.append(names.get(name, name) + mark + value)
+        present = names.get(name, "")
+        result += [value] * bool(mark) if present.isupper() else [(present or name) + mark + value]
     return result
 
 

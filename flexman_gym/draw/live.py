@@ -22,6 +22,7 @@ HEADERS = {  # of every answer: nothing is stored, and the page loads nothing fr
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'",
 }  # fmt: skip
+START_TIMEOUT = 120.0  # s; time for which a browser waits for the first episode
 Control = Callable[[dict[str, Any]], dict[str, Any]]
 
 
@@ -63,7 +64,7 @@ class LivePage:
     """
 
     def __init__(self, control: Control | None = None, port: int = 0) -> None:
-        self.control, self._page, self._layout = control, b"", ""
+        self.control, self._page, self._layout, self._ready = control, b"", "", threading.Event()
         self._clients: list[queue.Queue[bytes]] = []
         self._rows: list[bytes] = []
         self._state = b""
@@ -89,6 +90,7 @@ class LivePage:
         with self._lock:
             self._page, self._layout, self._rows = html_page(data, scene.title, "live").encode(), layout, []
             self._send(self._begin())
+        self._ready.set()
         self._next = time.perf_counter()
 
     def show(self, rows: Array) -> None:
@@ -142,7 +144,8 @@ class LivePage:
             self._clients = [each for each in self._clients if each is not client]
 
     def html(self) -> bytes:
-        """Return the page of the present episode."""
+        """Return the page of the present episode, after the first one has begun."""
+        self._ready.wait(START_TIMEOUT)
         return self._page
 
     def close(self) -> None:

@@ -20,6 +20,7 @@ from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.rendering import live_row, make_renderer
 from flexman_gym.evaluation.agent import AGENTS, find_agent
+from flexman_gym.evaluation.policy_files import METADATA
 from flexman_gym.evaluation.rollout import TEST_SEEDS, RolloutLoop
 from flexman_gym.simulation.parameters import PARAMETERS
 
@@ -384,14 +385,14 @@ class LiveSession:
 
     def _set_target(self, value: object) -> None:
         """Start an episode from the present posture to the reachable position nearest to the given one."""
+        from scipy.optimize import least_squares
+
         view = self._loops[0].episodes.view
         if "goal_angles" not in view.episode_parameters:
             raise value_error("target", value, "it in an environment whose target does not move")
         start, position = view.motor_angles[0].copy(), np.array(vector("target", value, 3, "m"))
-        angles, _ = view.inverse_kinematics(position[None], start)
-        if not np.isfinite(angles).all():
-            raise value_error("target", value, f"a position within {view.reach:.3g} m of the base")
-        self._start(options={"start": start.tolist(), "goal_angles": angles[0].tolist()})
+        nearest = least_squares(lambda angles: (view.rest_tips(angles[None])[0] - position) / view.reach, start)
+        self._start(options={"start": start.tolist(), "goal_angles": nearest.x.tolist()})
 
     def _again(self, value: object) -> None:
         """Start the episode again (0), or the episode of the next seed (1)."""
@@ -481,7 +482,7 @@ def live(
     """
     given = [agents] if isinstance(agents, str) or not isinstance(agents, Sequence) else agents
     named = {each if isinstance(each, str) else find_agent(each).name: each for each in given}
-    runs = sorted(str(path.parent) for path in Path("runs").glob(f"*/{RUN_SETTINGS}"))
+    runs = sorted(str(path.parent) for name in (RUN_SETTINGS, METADATA) for path in Path("runs").glob(f"*/{name}"))
     known = {name: name for name in (*AGENTS, *runs)} | named
     if not 1 <= len(given) <= MAX_AGENTS:
         raise value_error("agents", given, f"1 or {MAX_AGENTS} of them")

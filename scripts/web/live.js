@@ -50,7 +50,7 @@ export class Controls {
       input.addEventListener('input', show);
       input[when] = () => this.post({ [group]: { [name]: value() } });
       this.sliders[`${group}.${name}`] = position => { if (!input.matches(':active')) { input.value = log ? Math.log10(position) : position; show(); } };
-      return tag('label', {}, tag('span', { textContent: label }), output, input);
+      return tag('label', {}, tag('span', { textContent: label }), input, output);
     });
     return tag('fieldset', { hidden: !rows.length }, tag('legend', { textContent: title }), ...rows);
   }

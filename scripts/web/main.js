@@ -34,7 +34,7 @@ const labels = runs.map(run => {
 });
 
 const seek = t => { time = Math.min(last(), Math.max(0, t)); playing = following = false; pose(); };
-const millimetres = e => Number.isFinite(e) ? `tip error ${(1e3 * e).toPrecision(e < 1e-3 ? 2 : 4)} mm` : '';
+const millimetres = e => Number.isFinite(e) ? `tip error ${e < 1e-6 ? 'below 0.001' : (1e3 * e).toPrecision(e < 1e-3 ? 2 : 4)} mm` : '';
 
 function pose() {
   runs.forEach((run, k) => {
@@ -66,7 +66,7 @@ const parts = [
 ];
 names.forEach(name => $('reading').append(new Option(name, name)));
 $('plot3').hidden = !names.length;
-const plots = [new Plot($('plot1'), 'tip error (mm)', seek, true), new Plot($('plot2'), 'torque / limit (joint 1 solid, 2 dashed, 3 dotted)', seek, false)];
+const plots = [new Plot($('plot1'), 'tip error (mm)', seek, true), new Plot($('plot2'), 'torque / limit (joints: solid, dashed, dotted)', seek, false)];
 if (names.length) plots.push(new Plot($('plot3'), '', seek, false));
 const redraw = () => plots.forEach((plot, k) => plot.show(times(), parts[k]()));
 $('reading').onchange = () => { plots[2].show(times(), parts[2]()); plots[2].mark(time); };
@@ -97,7 +97,8 @@ $('play').onclick = () => {
 $('speed').onchange = event => { if (controls) controls.post({ speed: +event.target.value }); else speed = +event.target.value; };
 $('step').onclick = () => { following = true; controls.post({ step: 1 }); };
 for (const name in show) $(name).onchange = event => { show[name] = event.target.checked; pose(); };
-$('home').onclick = () => { stage?.reset(); };
+const room = controls ? 0.8 : 1;  // a pushed arm leaves its path
+$('home').onclick = () => { stage?.reset(room); };
 addEventListener('keydown', event => {
   if (['SELECT', 'INPUT', 'TEXTAREA', 'BUTTON'].includes(event.target.tagName)) return;
   if (event.key === ' ') { event.preventDefault(); $('play').click(); }
@@ -123,20 +124,22 @@ if (data.live) {
   const source = new EventSource('live'), width = runs[0].width;
   source.addEventListener('begin', event => {
     if (event.data !== data.layout) { location.reload(); return; }
-    runs.forEach(run => { run.rows = 0; });
+    runs.forEach(run => { run.rows = 0; run.tips = []; });
     time = 0;
+    dirty = true;
   });
   source.addEventListener('state', event => {
     controls.update(JSON.parse(event.data));
     $('speed').value = speed = controls.state.speed;
   });
   source.onmessage = event => {
+    dirty = true;
     const rows = floats(event.data);
     for (let i = 0; i < rows.length / width; i++) runs[i % runs.length].add(rows.subarray(i * width, (i + 1) * width));
     $('time').max = last();
   };
   source.onerror = () => { $('note').textContent = 'the simulation is closed, or this page lost it'; };
-  setInterval(() => { if (following && runs[0].rows > 1) plots.forEach((plot, k) => { plot.set(times(), parts[k]()); plot.mark(time); }); }, 200);
+  setInterval(() => { if (following && runs[0].rows > 1) plots.forEach((plot, k) => { plot.set(times(), parts[k]()); plot.mark(last()); }); }, 200);
   $('speed').hidden = !controls;
   $('step').hidden = !controls;
   if (controls) $('speed').lastElementChild.remove();  // faster than real time
@@ -145,7 +148,7 @@ if (data.live) {
 redraw();
 said();
 layout();
-stage?.reset();
+stage?.reset(room);
 pose();
 addEventListener('resize', layout);
 let before = performance.now();
@@ -167,7 +170,7 @@ requestAnimationFrame(function loop(now) {
 
 // For tests and the console: tips in metres at the displayed time.
 window.replay = {
-  seek, runs, plots, controls, stage, views, frames: () => frames, rows: () => runs.map(run => run.rows),
+  seek, runs, plots, controls, stage, views, frames: () => frames, shown: () => !dirty && time === last(), rows: () => runs.map(run => run.rows),
   tips: (g = 1, j = 1) => runs.map(run => Array.from(tip(curves(run.arm, run.coordinates(time, new Float64Array(run.arm.width)), [g, j], memory(run.arm))))),
   drawn: () => views.map(view => view.tip.position.toArray()),
 };

@@ -1,5 +1,7 @@
 // Runs: episodes as arrays, read from the page or extended by received rows.
 
+import { curves, memory, tip } from './kinematics.js';
+
 const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer;
 const GAP = -(2 ** 15);  // code of a measurement that is not finite
 export const floats = text => new Float32Array(bytes(text));
@@ -15,6 +17,7 @@ export class Run {
     this.sizes = { x: arm.width, target: 3, error: 1, torque: arm.links.length, ...(data.x ? {} : { strain: 3 * arm.links.length }) };
     this.width = Object.values(this.sizes).reduce((a, b) => a + b);
     this.rows = data.rows;
+    this.tips = [];
     for (const name in this.sizes) this[name] = data.rows ? floats(data[name]) : new Float32Array(1024 * this.sizes[name]);
     this.readings = (data.readings ?? []).map(each => ({ ...each, values: new Int16Array(bytes(each.values)) }));
   }
@@ -52,6 +55,11 @@ export class Run {
   coordinates(time, into) {
     for (let c = 0; c < this.arm.width; c++) into[c] = this.at('x', c, time);
     return into;
+  }
+
+  // Position of the true tip in a row, computed once.
+  tip(row) {
+    return this.tips[row] ??= tip(curves(this.arm, this.x.subarray(row * this.arm.width, (row + 1) * this.arm.width), [1, 1], this.memory ??= memory(this.arm)));
   }
 
   // Entry c of a column over time, from a row on.

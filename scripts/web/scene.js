@@ -108,22 +108,28 @@ export class View {
     if (this.target.visible) this.target.position.fromArray(this.aim?.toArray() ?? target);
     this.target.quaternion.copy(camera.quaternion);
     this.trace.visible = show.trace;
-    if (show.trace) {  // true path of the tip
-      const way = this.trace.geometry.attributes.position;
-      for (let j = 0; j < TRACE; j++) {
-        curves(arm, run.coordinates(Math.max(0, time - (TRACE - 1 - j) * TRACE_STEP), q), [1, 1], other);
-        way.setXYZ(j, ...end(other));
-      }
+    if (show.trace) {  // true path of the tip, through stored states
+      const way = this.trace.geometry.attributes.position, step = Math.max(1, Math.round(TRACE_STEP / run.dt)), now = end(other);
+      const newest = step * Math.floor(run.place(time)[0] / step);
+      for (let j = 0; j < TRACE - 1; j++) way.setXYZ(j, ...run.tip(Math.max(0, newest - (TRACE - 2 - j) * step)));
+      way.setXYZ(TRACE - 1, ...now);
       way.needsUpdate = true;
     }
   }
 }
 
+// True where WebGL is computed without a graphics card.
+function software() {
+  const gl = document.createElement('canvas').getContext('webgl2'), info = gl?.getExtension('WEBGL_debug_renderer_info');
+  return /swiftshader|llvmpipe|software/i.test(info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : '');
+}
+
 // Renderer, camera and orbit controls shared by all views; throws without WebGL.
 export class Stage {
   constructor(canvas, stage) {
-    this.renderer = new WebGLRenderer({ canvas, antialias: true });
-    this.renderer.shadowMap.enabled = true;
+    this.coarse = software();  // half of the pixels in each direction, without shadows
+    this.renderer = new WebGLRenderer({ canvas, antialias: !this.coarse });
+    this.renderer.shadowMap.enabled = !this.coarse;
     this.renderer.shadowMap.type = PCFShadowMap;
     this.renderer.setScissorTest(true);
     this.camera = new PerspectiveCamera(30, 1, 0.02 * stage.reach, 60 * stage.reach);
@@ -133,10 +139,10 @@ export class Stage {
     this.stage = stage;
   }
 
-  // Nearest camera position with all points in view, as in draw/camera.py.
-  reset() {
+  // Nearest camera position with all points in a fraction of the view, as in draw/camera.py.
+  reset(part = 1) {
     const back = new Vector3(...this.stage.towards), right = new Vector3(-back.y, back.x, 0).normalize();
-    const axes = [right, back.clone().cross(right), back.clone().negate()], room = [0.88, 0.74];
+    const axes = [right, back.clone().cross(right), back.clone().negate()], room = [0.88 * part, 0.74 * part];
     const seen = this.stage.points.map(point => axes.map(axis => axis.dot(new Vector3(...point))));
     const slope = Math.tan(Math.PI / 12), half = [slope * this.camera.aspect * room[0], slope * room[1]];
     const depths = seen.map(each => each[2]), mean = depths.reduce((a, b) => a + b) / depths.length;
@@ -153,7 +159,7 @@ export class Stage {
 
   size(columns, lines) {
     const w = this.canvas.clientWidth, h = this.canvas.clientHeight;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setPixelRatio(this.coarse ? 0.5 : Math.min(devicePixelRatio, 2));
     this.renderer.setSize(w, h, false);
     this.camera.aspect = (w / columns) / (h / lines);
     this.camera.updateProjectionMatrix();
