@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
+from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.live import Events
 from flexman_gym.evaluation.policy_files import FOLDER
 from flexman_gym.evaluation.rollout import RolloutLoop
@@ -128,6 +129,18 @@ def test_sliders_set_the_parameters_of_the_arm(open_live):
     assert fm.modes(model).frequencies[0] == before, "the model of the agents is that of before"
 
 
+def test_gains_are_factors_on_the_tuned_ones_and_act_at_once(open_live):
+    session = open_live("FlexOne-v0", ["pd-shaped", "lqr"])
+    session.command({"step": 5})
+    loops, tuned = list(session._loops), NAMED_ENVIRONMENTS["FlexOne-v0"].pd
+    session.command({"gains": {"stiffness": 0.5}})
+    controller = loops[0].episodes.base.inner
+    assert session._loops == loops and controller.stiffness == pytest.approx(0.5 * np.array(tuned["stiffness"]))
+    assert controller.damping == pytest.approx(tuned["damping"]) and session._events[1].rows == []
+    session.command({"again": 0})
+    assert session._loops[0].episodes.base.inner.stiffness == controller.stiffness, "they remain"
+
+
 def test_sliders_begin_where_the_condition_drew_them(open_live):
     session = open_live("FlexRRR-v0/unknown")
     drawn = session._loops[0].episodes.effects.drawn_for(0)
@@ -204,11 +217,11 @@ WRONG = ["", "{", "[]", "1", '"a"', "{}", '{"a": 1}', '{"speed": 1, "pause": tru
 @pytest.mark.parametrize("body", WRONG, ids=range(len(WRONG)))
 def test_a_wrong_message_is_answered_in_a_line_and_changes_nothing(body, open_live):
     session = open_live("FlexOne-v0")
-    before, loops = session.state(), session._loops
+    before, loops, setup = session.state(), session._loops, session._setup
     status, answer = post(session, body)
     error = json.loads(answer)["error"]
     assert status == 400 and error and "\n" not in error
-    assert session.state() == before and session._loops is loops
+    assert session.state() == before and session._loops is loops and session._setup is setup
     session.command({"step": 1})
     assert post(session, None, "/")[0] == 200
 
