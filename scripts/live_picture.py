@@ -6,9 +6,11 @@ controller and a tracking LQR, again with softer joints, and a push on the tips.
 
 import argparse
 import base64
+import importlib
 import io
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -19,8 +21,7 @@ from flexman_gym.evaluation.live import LiveSession
 from studies.files import folder
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from oracles.browser import Browser
-
+Browser: Any = importlib.import_module("oracles.browser").Browser
 ENVIRONMENT, AGENTS, SEED = "FlexRRR-v0", ("pd", "lqr-tracking"), 9000
 PAGE, SIZE = (1120, 630), (800, 450)  # pixels; of the page, and of the picture
 RATE, PERIODS = 10, 10  # 1/s, and control periods of 0.02 s between two frames: twice real time

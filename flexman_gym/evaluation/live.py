@@ -30,7 +30,6 @@ MAX_AGENTS = 2  # number of agents side by side
 PULL_LENGTH = 0.25  # fraction of the reach; a pull over this length pushes the tip with torque limit / reach
 BEND_SHARE = 0.1  # fraction of the reach; drawn deflection for a quarter of the strains of the colour scale
 SPEEDS = (0.1, 0.25, 1.0)  # 1; simulated time / real time
-NEW_EPISODE = 10  # number of episodes after which the seed of the test episodes starts again
 
 
 class Events:
@@ -248,7 +247,8 @@ class LiveSession:
     def _start(self, **changes: Any) -> None:
         """Start new episodes with changes of the setup; an error leaves the running episodes as they are."""
         setup = self._setup._replace(**changes)
-        configuration, options = self._configuration(setup), self._options(setup)
+        configuration = Configuration.find(setup.name).replace(**self._settings(setup))
+        options = self._options(setup)
         events, rows = [Events() for _ in setup.agents], [list[Array]() for _ in setup.agents]
         loops = [
             RolloutLoop(self._known[agent], configuration, [setup.seed], partial(_watch, *both), options=options)  # type: ignore[arg-type]
@@ -265,11 +265,8 @@ class LiveSession:
         self._advance(1)
         self._send_state()
 
-    def _configuration(self, setup: _Setup, horizon: float | None = None) -> Configuration:
-        """Return the environment of a setup; with a horizon, s, for an environment with a fixed target."""
-        return Configuration.find(setup.name).replace(**self._settings(setup, horizon))
-
-    def _settings(self, setup: _Setup, horizon: float | None = None) -> dict[str, Any]:
+    def _settings(self, setup: _Setup, horizon: float = LIVE_HORIZON) -> dict[str, Any]:
+        """Return the changed settings of the environment; the horizon, s, if its target does not move."""
         found = Configuration.find(setup.name).replace(**setup.settings)
         signals = {name: self._sliders[name].value(x) for name, x in setup.values.items() if name in SIGNALS}
         ranges = {name: [value, value] for name, value in signals.items()}
@@ -277,7 +274,7 @@ class LiveSession:
         if ranges:
             result["randomisation"] = found.randomised_ranges | ranges
         if not found.task.moves:
-            result["horizon"] = horizon or LIVE_HORIZON
+            result["horizon"] = horizon
         return result
 
     def _options(self, setup: _Setup) -> dict[str, Any]:
@@ -358,12 +355,8 @@ class LiveSession:
         self._start(name=text("environment", value).removesuffix(f"/{NOMINAL}"), settings={}, values={}, options={})
 
     def _set_agents(self, value: object) -> None:
-        names = [text("agents", name) for name in sequence("agents", value)]
-        if not 1 <= len(names) <= MAX_AGENTS:
-            raise value_error("agents", names, f"1 or {MAX_AGENTS} of them")
-        for name in names:
-            self._known.setdefault(one_of("agents", name, self._known), name)
-        self._start(agents=tuple(names))
+        names = tuple(one_of("agents", text("agents", name), self._known) for name in sequence("agents", value))
+        self._start(agents=_check_count(names))
 
     def _set_values(self, value: object) -> None:
         self._start(values=self._setup.values | _positions("values", value, self._sliders))
@@ -452,6 +445,12 @@ def _positions(field: str, value: object, sliders: dict[str, _Slider]) -> dict[s
     return result
 
 
+def _check_count(names: tuple[str, ...]) -> tuple[str, ...]:
+    if not 1 <= len(names) <= MAX_AGENTS:
+        raise value_error("agents", names, f"1 or {MAX_AGENTS} of them")
+    return names
+
+
 def live(
     environment: str = DEFAULT_ID,
     agents: str | Sequence[object] = ("pd",),
@@ -481,11 +480,10 @@ def live(
         >>> session.close()
     """
     given = [agents] if isinstance(agents, str) or not isinstance(agents, Sequence) else agents
-    named = {each if isinstance(each, str) else find_agent(each).name: each for each in given}
-    runs = sorted(str(path.parent) for name in (RUN_SETTINGS, METADATA) for path in Path("runs").glob(f"*/{name}"))
-    known = {name: name for name in (*AGENTS, *runs)} | named
-    if not 1 <= len(given) <= MAX_AGENTS:
-        raise value_error("agents", given, f"1 or {MAX_AGENTS} of them")
     names = tuple(each if isinstance(each, str) else find_agent(each).name for each in given)
-    seed = whole_number("seed", seed, 0, 2**63)
-    return LiveSession(_Setup(text("environment", environment), settings, names, {}, {}, seed), known, port)
+    runs = sorted(str(path.parent) for name in (RUN_SETTINGS, METADATA) for path in Path("runs").glob(f"*/{name}"))
+    known = {name: name for name in (*AGENTS, *runs)} | dict(zip(names, given, strict=True))
+    setup = _Setup(
+        text("environment", environment), settings, _check_count(names), {}, {}, whole_number("seed", seed, 0, 2**63)
+    )
+    return LiveSession(setup, known, port)
