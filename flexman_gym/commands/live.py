@@ -1,6 +1,7 @@
 """Show an arm in real time on a web page, with controls."""
 
 import argparse
+from contextlib import suppress
 from dataclasses import replace
 
 from flexman_gym.commands import CommandLine, add_options
@@ -26,11 +27,11 @@ def _run(options: argparse.Namespace) -> int:
     named = Configuration.find(options.environment) if options.environment else None
     agents = [replace(load_agent(name, options.trust, named), name=name) for name in options.agent or ["pd"]]
     trained = next((agent.environment.id for agent in agents if agent.environment), DEFAULT_ID)
-    session = live(options.environment or trained, agents, options.seed, options.port)
-    try:
+    with (
+        suppress(KeyboardInterrupt),
+        live(options.environment or trained, agents, options.seed, options.port) as session,
+    ):
         session.wait()
-    except KeyboardInterrupt:
-        session.close()
     return 0
 
 

@@ -480,10 +480,10 @@ def live(
         >>> session.close()
     """
     given = [agents] if isinstance(agents, str) or not isinstance(agents, Sequence) else agents
-    names = tuple(each if isinstance(each, str) else find_agent(each).name for each in given)
+    specs = [find_agent(each) for each in given]
+    names = tuple(each if isinstance(each, str) else spec.name for each, spec in zip(given, specs, strict=True))
+    Configuration.find(environment).replace(**settings)  # checks them
     runs = sorted(str(path.parent) for name in (RUN_SETTINGS, METADATA) for path in Path("runs").glob(f"*/{name}"))
     known = {name: name for name in (*AGENTS, *runs)} | dict(zip(names, given, strict=True))
-    setup = _Setup(
-        text("environment", environment), settings, _check_count(names), {}, {}, whole_number("seed", seed, 0, 2**63)
-    )
-    return LiveSession(setup, known, port)
+    seed, port = whole_number("seed", seed, 0, 2**63), whole_number("port", port, 0, 65535)
+    return LiveSession(_Setup(environment, settings, _check_count(names), {}, {}, seed), known, port)

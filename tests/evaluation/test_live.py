@@ -4,12 +4,17 @@ import http.client
 import json
 import re
 import shutil
+import signal
+import subprocess
+import sys
 import urllib.parse
+import urllib.request
 
 import numpy as np
 import pytest
 
 import flexman_gym as fm
+from flexman_gym.__main__ import main
 from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.live import Events
 from flexman_gym.evaluation.policy_files import FOLDER
@@ -236,10 +241,26 @@ def test_names_of_folders_stay_text(open_live, tmp_path):
         assert_equal(episode, repeated)
 
 
+def test_the_command_shows_the_page_until_it_is_stopped(capsys):
+    command = [sys.executable, "-m", "flexman_gym", "live", "FlexOne-v0", "--agent", "zero", "--agent", "pd"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    address = process.stderr.readline().split()[-1]
+    with urllib.request.urlopen(address, timeout=120) as page:
+        assert b'"chosen":["zero","pd"]' in page.read()
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 0
+    process.stderr.close()
+    with pytest.warns(DeprecationWarning, match="is flexman live --agent now|--env is ENVIRONMENT now"):
+        assert main(["enjoy", "pd", "--env=FlexOne-v9"]) == 2
+    assert "FlexOne-v9: there is no such file" in capsys.readouterr().err
+
+
 def test_a_notebook_shows_the_page_and_an_unknown_agent_is_refused(open_live):
     session = open_live("FlexOne-v0", ["zero", "random"])
     assert f'<iframe src="{session.url}"' in session._repr_html_()
     with pytest.raises(FileNotFoundError, match="nobody is not allowed"):
         fm.live("FlexOne-v0", "nobody")
-    with pytest.raises(ValueError, match="agents: "):
-        fm.live("FlexOne-v0", [])
+    for wrong, words in (({"agents": []}, "agents: "), ({"port": 70000}, "port: 70000"), ({"seed": -1}, "seed: -1"),
+                         ({"gravity": 0}, "gravity: ")):  # fmt: skip
+        with pytest.raises(ValueError, match=words):
+            fm.live("FlexOne-v0", **wrong)
