@@ -22,6 +22,7 @@ HEADERS = {  # of every answer: nothing is stored, and the page loads nothing fr
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'",
 }  # fmt: skip
+CATCH_UP = 0.2  # s; longest delay after which the simulation hurries to be in real time again
 START_TIMEOUT = 120.0  # s; time for which a browser waits for the first episode
 Control = Callable[[dict[str, Any]], dict[str, Any]]
 
@@ -115,7 +116,7 @@ class LivePage:
         self.shown += 1
         now, self._next = time.perf_counter(), self._next + period
         if now > self._next:
-            self.late, self._next = self.late + 1, now
+            self.late, self._next = self.late + 1, max(self._next, now - CATCH_UP)
         else:
             time.sleep(self._next - now)
 
