@@ -15,7 +15,7 @@ const last = () => Math.max(...runs.map(run => run.last));
 const lines = runs.length > 3 ? 2 : 1, columns = Math.ceil(runs.length / lines);
 
 try {
-  stage = new Stage($('gl'), data.stage);
+  stage = new Stage($('gl'), data.stage, data.live);
   views = runs.map(run => new View(run, data.stage));
   controls?.listen(stage, views, [columns, lines]);
   stage.orbit.addEventListener('change', () => { dirty = true; });

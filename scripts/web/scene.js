@@ -126,8 +126,8 @@ function software() {
 
 // Renderer, camera and orbit controls shared by all views; throws without WebGL.
 export class Stage {
-  constructor(canvas, stage) {
-    this.coarse = software();  // half of the pixels in each direction, without shadows
+  constructor(canvas, stage, live) {
+    this.coarse = live && software();  // half of the pixels in each direction, without shadows
     this.renderer = new WebGLRenderer({ canvas, antialias: !this.coarse });
     this.renderer.shadowMap.enabled = !this.coarse;
     this.renderer.shadowMap.type = PCFShadowMap;
