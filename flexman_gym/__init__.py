@@ -9,7 +9,7 @@ from flexman_gym import control, draw, metrics
 from flexman_gym.common.checks import value_error
 from flexman_gym.envs import NAMED_ENVIRONMENTS, Limits, Randomisation, Slew
 from flexman_gym.envs.config.named_environments import CONDITIONS
-from flexman_gym.evaluation import evaluate, rollout, sensitivities, tune
+from flexman_gym.evaluation import evaluate, live, rollout, sensitivities, tune
 from flexman_gym.fidelity import Choice, choose_model
 from flexman_gym.identification import Filter, Fit, Measurement, Ringing, fit
 from flexman_gym.model import (
@@ -106,6 +106,7 @@ __all__ = [
     "holding_torques",
     "inverse_dynamics",
     "linearize",
+    "live",
     "mass_matrix",
     "metrics",
     "modes",

@@ -14,8 +14,8 @@ from flexman_gym.common.checks import warn_caller
 from flexman_gym.common.renamed import COMMANDS, OPTIMISED, OPTIONS
 
 COMMAND_GROUPS = {  # group -> commands, in the order of the help
-    "start": ("demo", "check", "compile", "list", "verify"),
-    "learn": ("train", "imitate", "search", "enjoy"),
+    "start": ("demo", "live", "check", "compile", "list", "verify"),
+    "learn": ("train", "imitate", "search"),
     "evaluate": ("evaluate", "league", "why"),
     "simulate": ("simulate", "choose", "precision", "draw"),
     "control": ("optimise", "shape"),
@@ -81,7 +81,8 @@ def _present_options(arguments: list[str]) -> list[str]:
         name, mark, value = word.partition("=")
         if name in names:
             warn_caller(f"flexman {command}: {name} is {names[name]} now", DeprecationWarning)
-        result.append(names.get(name, name) + mark + value)
+        present = names.get(name, "")
+        result += [value] * bool(mark) if present.isupper() else [(present or name) + mark + value]
     return result
 
 

@@ -82,13 +82,14 @@ RUN_SETTINGS = {"judge_every": "eval_every", "rounds_kept": "iterations_kept", "
 OPTIONS = {
     "compile": {"abreast": "batch", "one": "single"},
     "export": {"--words": "--description"},
+    "live": {"--env": "ENVIRONMENT"},
     "league": {"--entrants": "--agents", "--environments": "--scenarios"},
     "train": {"--judge-every": "--eval-every"},
 }
-"""Command -> old option or value on its command line -> present one."""
+"""Command -> old option or value on its command line -> present one; capitals for an argument without a name."""
 COMMANDS = {
     "certify": "league --agent", "tune": "optimise gains", "optimise ENVIRONMENT": "optimise slews ENVIRONMENT",
-    "resonance": "shape",
+    "resonance": "shape", "enjoy": "live --agent",
 }  # fmt: skip
 """Old command -> present command; a word in capitals stands for one that is none of OPTIMISED."""
 OPTIMISED = ("slews", "gains", "arm")

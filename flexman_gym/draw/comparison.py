@@ -77,10 +77,13 @@ def suggested_gain(episodes: Sequence[Episode]) -> float:
         )
         largest = float(np.nanmax(np.linalg.norm(bent - rigid, axis=1)))
         gains.append(VISIBLE_SHARE * float(episode.model.constants.length.sum()) / max(largest, 1e-12))
-    if len(gains) == 1:
-        return 1.0
-    steps = [step * 10.0**power for power in range(3) for step in (1, 2, 5)]
-    return max((step for step in steps if step <= min(gains)), default=1.0)
+    return 1.0 if len(gains) == 1 else rounded_gain(min(gains))
+
+
+def rounded_gain(gain: float) -> float:
+    """Return the largest of 1, 2, 5, 10, ... up to MAX_GAIN that is at most `gain`; 1 for smaller values."""
+    steps = [step * 10.0**power for power in range(3) for step in (1, 2, 5) if step * 10.0**power <= MAX_GAIN]
+    return max((step for step in steps if step <= gain), default=1.0)
 
 
 class _Panels:

@@ -1,13 +1,8 @@
-"""Replay page in a browser: saved episodes as one HTML file, and a live page of a running environment."""
+"""Replay page in a browser: saved episodes as one HTML file; parts of its data that the live page shares."""
 
 import base64
 import html
-import http.server
 import json
-import queue
-import sys
-import threading
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from string import Template
@@ -18,7 +13,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
-from flexman_gym.common.plot_style import BLUE, DARK, LINK_COLOURS, VIOLET, round_up
+from flexman_gym.common.plot_style import DARK, LINK_COLOURS, VIOLET, round_up
 from flexman_gym.draw.comparison import suggested_gain
 from flexman_gym.draw.frames import FLOOR_GAP, FramePainter, limiting_strains
 from flexman_gym.draw.mesh import section_outlines
@@ -46,7 +41,7 @@ def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
     arms: list[dict[str, Any]] = []
     runs = []
     for episode, colour in zip(episodes, COLOURS, strict=False):
-        arm = _arm_data(episode.model)
+        arm = arm_data(episode.model)
         if arm not in arms:
             arms.append(arm)
         runs.append(_episode_data(episode, colour) | {"arm": arms.index(arm)})
@@ -58,10 +53,10 @@ def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
     about = {"seed": first.get("seed"), "settings": first.get("hash"), **first.get("versions", {})}
     words = " \N{MIDDLE DOT} ".join(f"{name} {value}" for name, value in about.items() if value is not None)
     data = {"live": False, "arms": arms, "runs": runs, "stage": _episodes_view(episodes)}
-    return _html_page(data, title or f"{first.get('environment', '')} {' and '.join(names)}".strip(), words)
+    return html_page(data, title or f"{first.get('environment', '')} {' and '.join(names)}".strip(), words)
 
 
-def _html_page(data: dict[str, Any], title: str, words: str) -> str:
+def html_page(data: dict[str, Any], title: str, words: str) -> str:
     """Return the HTML page of JSON-compatible data, with escaped texts.
 
     Args:
@@ -81,7 +76,7 @@ def _html_page(data: dict[str, Any], title: str, words: str) -> str:
     )  # fmt: skip
 
 
-def _arm_data(model: Model) -> dict[str, Any]:
+def arm_data(model: Model) -> dict[str, Any]:
     """Return the data of a model for the page as JSON-compatible data, with arrays encoded as base64."""
     links, constants = [], model.constants
     painter, sections = FramePainter(model, (16, 16)), section_outlines(model, POINTS)
@@ -90,16 +85,16 @@ def _arm_data(model: Model) -> dict[str, Any]:
         links.append({
             "length": float(constants.length[i]), "motor": int(model.motor_columns[i]),
             "axis": constants.axis[i].tolist(), "mount": constants.mount.reshape(-1, 9)[i].tolist(),
-            "elastic": [columns.start, columns.stop], "rows": _encode_array(shapes.rows),
-            "slopes": _encode_array(shapes.slopes),
-            "before": shapes.inboard.tolist(), "points": _encode_array(section.points),
-            "normals": _encode_array(section.normals),
-            "gauges": _encode_array(section.gauges),
+            "elastic": [columns.start, columns.stop], "rows": encode_array(shapes.rows),
+            "slopes": encode_array(shapes.slopes),
+            "before": shapes.inboard.tolist(), "points": encode_array(section.points),
+            "normals": encode_array(section.normals),
+            "gauges": encode_array(section.gauges),
         })  # fmt: skip
     return {"points": POINTS, "width": model.n_dof, "links": links, "radii": painter.radii.tolist()}
 
 
-def _view_data(models: Sequence[Model], points: Array, strain: float, gain: float = 1.0) -> dict[str, Any]:
+def view_data(models: Sequence[Model], points: Array, strain: float, gain: float = 1.0) -> dict[str, Any]:
     """Return reach, points, camera, floor and scale of the page as JSON-compatible data.
 
     Args:
@@ -119,7 +114,7 @@ def _view_data(models: Sequence[Model], points: Array, strain: float, gain: floa
             "towards": towards.tolist(), "step": round_up(reach / 10), "strain": strain, "gain": gain}  # fmt: skip
 
 
-def _encode_array(values: NDArray[Any], kind: str = "<f4") -> str:
+def encode_array(values: NDArray[Any], kind: str = "<f4") -> str:
     """Return numbers as base64 of little-endian float32, or of another NumPy type."""
     return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
 
@@ -130,8 +125,8 @@ def _episode_data(episode: Episode, colour: str) -> dict[str, Any]:
     return {
         "name": episode.name, "colour": colour, "note": episode.about.get("failure") or "over",
         "dt": episode.period, "rows": len(episode.time),
-        "x": _encode_array(episode.states[:, : episode.states.shape[1] // 2]), "target": _encode_array(episode.targets),
-        "error": _encode_array(episode.errors), "torque": _encode_array(torques),
+        "x": encode_array(episode.states[:, : episode.states.shape[1] // 2]), "target": encode_array(episode.targets),
+        "error": encode_array(episode.errors), "torque": encode_array(torques),
         "readings": [_reading_data(name, values) for name, values in episode.readings.items()],
         "violations": episode.about.get("violations", []), **_limit_data(episode),
     }  # fmt: skip
@@ -149,7 +144,7 @@ def _reading_data(name: str, values: Array) -> dict[str, Any]:
     low, high = np.where(finite, values, np.inf).min(axis=0), np.where(finite, values, -np.inf).max(axis=0)
     low, high = np.where(finite.any(axis=0), (low, high), 0.0) / 2  # halves, as the range itself may overflow
     middle, scale = low + high, np.maximum((high - low) / QUANTISATION_STEPS, 1e-30)
-    steps = _encode_array(
+    steps = encode_array(
         np.where(finite, np.rint((np.where(finite, values, middle) - middle) / scale), MISSING_VALUE), "<i2"
     )
     return {"name": name, "size": values.shape[1], "values": steps, "scale": scale.tolist(), "middle": middle.tolist()}
@@ -166,7 +161,7 @@ def _episodes_view(episodes: Sequence[Episode]) -> dict[str, Any]:
         largest = max(largest, 2.0 * float(np.percentile(np.abs(bent.strains[..., :3]).max(axis=(1, 2, 3)), 90)))
     strain = round_up(largest) if largest > 0.0 else 0.0
     models = [episode.model for episode in episodes]
-    return _view_data(models, _outermost_points(np.concatenate(points)), strain, gain)
+    return view_data(models, _outermost_points(np.concatenate(points)), strain, gain)
 
 
 def _outermost_points(points: Array) -> Array:
@@ -180,127 +175,3 @@ def _outermost_points(points: Array) -> Array:
 
 def _percent(strain: float) -> str:
     return f"{1e6 * strain:g} µε" if strain < 1e-3 else f"{1e2 * strain:g} %"
-
-
-QUEUE_SIZE = 200  # states by which a slow browser may lag behind before states are dropped
-
-
-class LivePage:
-    """Page of a running environment in a browser, on a local web server whose address is printed to stderr.
-
-    Args:
-        model: model of the arm.
-        title: title of the page.
-        period: time between two states, s.
-        strain: strain at the ends of the colour scale; 0 for a rigid arm.
-
-    Attributes:
-        address: address of the page.
-        shown, late: number of shown states, and number of states shown later than in real time.
-    """
-
-    def __init__(self, model: Model, title: str, period: float, strain: float) -> None:
-        self._model, self._title, self._period, self._strain = model, title, period, strain
-        self._clients: list[queue.Queue[bytes]] = []
-        self._rows: list[bytes] = []
-        self._lock = threading.Lock()
-        self._page = b""
-        self.shown, self.late, self._next = 0, 0, 0.0
-        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _handler(self))
-        self._server.daemon_threads = True
-        threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True).start()
-        self.address = f"http://127.0.0.1:{self._server.server_address[1]}/"
-        print(f"the arm is shown at {self.address}", file=sys.stderr, flush=True)
-
-    def begin(self, points: Array) -> None:
-        """Start an episode.
-
-        Args:
-            points: points (p, 3), m, in the picture.
-        """
-        run = {"name": self._title, "colour": BLUE, "note": "", "dt": self._period, "rows": 0, "arm": 0}
-        data = {"live": True, "arms": [_arm_data(self._model)], "runs": [run],
-                "stage": _view_data([self._model], points, self._strain)}  # fmt: skip
-        with self._lock:
-            self._page, self._rows = _html_page(data, self._title, "live").encode(), []
-            self._send(b"event: begin\ndata: \n\n")
-        self._next = time.perf_counter()
-
-    def show(self, coordinates: Array, target: Array, error: float, torques: Array) -> None:
-        """Send the state of the arm and wait until the time of this state.
-
-        Args:
-            coordinates: generalised coordinates (d,).
-            target: target of the tip (3,), m.
-            error: distance of the tip from the target, m.
-            torques: commanded motor torques (n,) as fractions of their limits.
-        """
-        row = np.concatenate([coordinates, target, [error], torques])
-        message = b"data: " + _encode_array(row).encode() + b"\n\n"
-        with self._lock:
-            self._rows.append(message)
-            self._send(message)
-        self.shown += 1
-        now, self._next = time.perf_counter(), self._next + self._period
-        if now > self._next:
-            self.late, self._next = self.late + 1, now
-        else:
-            time.sleep(self._next - now)
-
-    def _send(self, message: bytes) -> None:
-        for client in self._clients:
-            if not client.full():
-                client.put_nowait(message)
-
-    def listen(self) -> "tuple[bytes, queue.Queue[bytes]]":
-        """Return the messages of the episode so far, and a queue of the following ones."""
-        with self._lock:
-            client: queue.Queue[bytes] = queue.Queue(QUEUE_SIZE)
-            self._clients.append(client)
-            return b"".join(self._rows), client
-
-    def leave(self, client: "queue.Queue[bytes]") -> None:
-        """Remove the queue of a closed connection."""
-        with self._lock:
-            self._clients.remove(client)
-
-    def html(self) -> bytes:
-        """Return the page of the present episode."""
-        return self._page
-
-    def close(self) -> None:
-        """Stop the server; print the number of late states, if any, to stderr."""
-        self._server.shutdown()
-        self._server.server_close()
-        if self.late:
-            print(f"{self.late} of {self.shown} steps came late", file=sys.stderr)
-
-
-def _handler(live: LivePage) -> type[http.server.BaseHTTPRequestHandler]:
-    class Handler(http.server.BaseHTTPRequestHandler):
-        """Handler that serves the page at / and the events at /live."""
-
-        def log_message(self, *_: Any) -> None:
-            pass
-
-        def do_GET(self) -> None:
-            types = {"/": "text/html; charset=utf-8", "/live": "text/event-stream"}
-            self.send_response(200 if self.path in types else 404)
-            self.send_header("Content-Type", types.get(self.path, "text/plain"))
-            self.send_header("Cache-Control", "no-store")
-            self.end_headers()
-            if self.path == "/":
-                self.wfile.write(live.html())
-            if self.path == "/live":
-                self._stream()
-
-        def _stream(self) -> None:
-            before, client = live.listen()
-            try:
-                self.wfile.write(before)
-                while True:
-                    self.wfile.write(client.get())
-            except OSError:  # the browser closed the connection
-                live.leave(client)
-
-    return Handler

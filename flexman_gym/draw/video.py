@@ -1,12 +1,9 @@
-"""Videos and pictures: frames in files, in a window, and of episodes side by side."""
+"""Videos and pictures: frames in files."""
 
-import os
 import struct
-import sys
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,42 +111,3 @@ def _write_gif(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> 
     for image in images:
         image.putpalette(numbers)
     first.save(path, save_all=True, append_images=rest, duration=round(1e3 / rate), loop=0, optimize=True)
-
-
-class Window:
-    """Window that shows frames in real time.
-
-    Args:
-        size: width and height, pixels.
-        title: title of the window.
-        period: time between two frames, s.
-
-    Attributes:
-        shown, late: number of shown frames, and number of frames shown later than in real time.
-    """
-
-    def __init__(self, size: tuple[int, int], title: str, period: float) -> None:
-        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-        import pygame
-
-        self._pygame: Any = pygame
-        pygame.display.init()
-        pygame.display.set_caption(title)
-        self._screen, self._clock = pygame.display.set_mode(size), pygame.time.Clock()
-        self._period, self.shown, self.late = period, 0, 0
-
-    def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a frame (height, width, 3) and wait until the time of the next."""
-        surface = self._pygame.surfarray.make_surface(picture.swapaxes(0, 1))
-        self._screen.blit(surface, (0, 0))
-        self._pygame.event.pump()
-        self._pygame.display.flip()
-        self.shown += 1
-        taken = self._clock.tick(1.0 / self._period)
-        self.late += bool(self.shown > 1 and taken > 1500.0 * self._period)
-
-    def close(self) -> None:
-        """Close the window; print the number of late frames, if any, to stderr."""
-        self._pygame.display.quit()
-        if self.late:
-            print(f"{self.late} of {self.shown} frames came late", file=sys.stderr)

@@ -125,17 +125,19 @@ class ActiveEffects:
             actions = hook(actions)
         return actions
 
-    def disturb(self, forces: Array, accelerations: Array, over: BoolArray) -> None:
+    def disturb(self, pushes: Array, forces: Array, accelerations: Array, over: BoolArray) -> None:
         """Write the disturbances of this control period.
 
         Args:
+            pushes: (b, 3) forces at the tips without effects, N, see `Episodes.push`.
             forces: (b, 3) forces at the tips, N; overwritten.
             accelerations: (b, 3) accelerations of the bases, m/s^2; overwritten.
             over: (b,) True for arms without a running episode, which are not disturbed.
         """
-        for hook, values in (("add_tip_forces", forces), ("add_base_accelerations", accelerations)):
+        places = ("add_tip_forces", forces, pushes), ("add_base_accelerations", accelerations, 0.0)
+        for hook, values, without in places:
             if self._hooks[hook]:
-                values[:] = 0.0
+                values[:] = without
                 for add in self._hooks[hook]:
                     add(values, over)
 

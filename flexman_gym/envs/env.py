@@ -107,8 +107,8 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         In release 0.2.0 the method was "midpoint_3", with the same steps; `method="midpoint_3"` restores it.
 
     Args:
-        render_mode: None, "rgb_array", or "human", which shows every step in real time: in a window of pygame, or
-            without a display on a local web page whose address is printed on stderr.
+        render_mode: None, "rgb_array", or "human", which shows every step in real time on a local web page whose
+            address is printed on stderr.
         render_size: width and height of a frame, pixels.
         render_camera: azimuth and elevation in degrees, and an optional zoom; None chooses them from the joint axes. A
             frame always contains the arm at start and goal, and the target.
@@ -234,7 +234,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
             self._rendering.show()
 
     def close(self) -> None:
-        """Close the window or the web page of render_mode="human"."""
+        """Close the web page of render_mode="human"."""
         if self._rendering is not None:
             self._rendering.close()
 

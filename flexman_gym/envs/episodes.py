@@ -67,6 +67,7 @@ class _Motors:
             base acceleration (3, m/s^2) of an arm.
         torques: (b, n) torques of the last control period, N m; a view of `drive`.
         forces: (b, 3) forces at the tips in the base frame, N; a view of `drive`.
+        pushes: (b, 3) the part of the forces that effects do not draw, N, see `Episodes.push`.
         accelerations: (b, 3) accelerations of the bases in the base frame, m/s^2; a view of `drive`.
         reached: (b, n) torques that the lagging motors have reached, as fractions of the limits; 0 at a reset.
     """
@@ -77,7 +78,7 @@ class _Motors:
         joints = len(limits)
         self.limits, self._lag = np.tile(limits, (arms, 1)), lag
         self.reached = np.zeros((arms, joints if lag else 0))
-        self.drive = np.zeros((arms, joints + 6))
+        self.drive, self.pushes = np.zeros((arms, joints + 6)), np.zeros((arms, 3))
         self.torques, self.forces = self.drive[:, :joints], self.drive[:, joints : joints + 3]
         self.accelerations = self.drive[:, joints + 3 :]
 
@@ -307,6 +308,10 @@ class Episodes:
                 field, value = ("options", options) if options else ("task", self.task)
                 raise value_error(field, value, f"a start and a goal within the limits ({failure})")
 
+    def push(self, forces: Array) -> None:
+        """Set forces (b, 3) at the tips in the base frame, N, which act until the next call; effects add theirs."""
+        self.motors.pushes[:] = self.motors.forces[:] = forces
+
     def step(self, commands: Array) -> Array:
         """Simulate the arms for `action_repeat` control periods with actions (b, k) of the agent; return rewards (b,).
 
@@ -360,11 +365,10 @@ class Episodes:
     def _advance(self, moving: BoolArray) -> None:
         """Simulate the arms selected by a mask (b,) for one control period."""
         view, motors, all_move = self.view, self.motors, moving is self._all
-        actions = np.ascontiguousarray(self.agent.act(self._readings(), view.action.copy(), ~self.over))
-        arriving = actions
+        arriving = actions = np.ascontiguousarray(self.agent.act(self._readings(), view.action.copy(), ~self.over))
         if self.effects is not None:
             arriving = np.ascontiguousarray(self.effects.motor_actions(actions))
-            self.effects.disturb(motors.forces, motors.accelerations, self.over)
+            self.effects.disturb(motors.pushes, motors.forces, motors.accelerations, self.over)
         arriving = motors.lagged(arriving)
         kernels.apply_actions(actions, arriving, motors.limits, moving, motors.drive, view.action, view.effort)
         self.batch.step(motors.drive, None if all_move else moving)
@@ -423,8 +427,7 @@ class Episodes:
 
     def _observe(self, arms: BoolArray) -> None:
         """Update the observations of the arms selected by a mask (b,)."""
-        observed = self.measurements.read()
-        readings = self._readings() if self.agent.mode_observes else {}
+        observed, readings = self.measurements.read(), self._readings() if self.agent.mode_observes else {}
         self.agent.observe(observed, readings, self.view.action.copy(), arms)
 
     def _fail(self, arms: IntArray) -> None:

@@ -1,8 +1,7 @@
-"""Rendering of arms during their episodes: frames, a window, or a web page."""
+"""Rendering of arms during their episodes: frames, or a local web page."""
 
-import os
-import sys
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,9 @@ from flexman_gym.draw.frames import FramePainter, limiting_strains
 from flexman_gym.draw.overlay import Caption
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.model.deformation import curves
+
+if TYPE_CHECKING:
+    from flexman_gym.draw.live import LiveScene
 
 RENDER_KEYWORDS = ("render_mode", "render_size", "render_camera", "render_gain", "render_overlays")
 RENDER_MODES = ("human", "rgb_array")
@@ -30,7 +32,7 @@ class _Renderer:
         look: tuple of frame size, camera, gains of the deflection and overlays, see `FramePainter`.
 
     Attributes:
-        screen: window or web page that shows the first arm; None before the first frame.
+        page: web page that shows the first arm; None before the first frame.
     """
 
     def __init__(self, episodes: Episodes, title: str, look: tuple[Any, ...]) -> None:
@@ -39,7 +41,7 @@ class _Renderer:
         self._painter.workspace = limits.workspace or ()
         if model.n_elastic and not isinstance(limits.strain, str | None):
             self._painter.scale = limiting_strains(model, limits.strain)
-        self.screen: Any = None
+        self.page: Any = None
         arms = len(episodes.over)
         self._last_parameters: list[object] = [None] * arms
         self._shots: list[Any] = [None] * arms
@@ -67,27 +69,35 @@ class _Renderer:
         return parameters != before
 
     def show(self) -> None:
-        """Show the first arm in a window, or on a local web page on a computer without a display."""
-        from flexman_gym.draw.replay import LivePage
-        from flexman_gym.draw.video import Window
+        """Show the first arm on a local web page, in real time."""
+        from flexman_gym.draw.live import LivePage
 
-        view, model = self._episodes.view, self._episodes.batch.model
-        period = self._episodes.agent.action_repeat * view.control_period
-        if self.screen is None:
-            size, scale = self._painter.size, float(np.max(self._painter.scale))
-            window = _has_display()
-            self.screen = Window(size, self._title, period) if window else LivePage(model, self._title, period, scale)
-        if isinstance(self.screen, Window):
-            return self.screen.show(self.frame(0))
+        period = self._episodes.agent.action_repeat * self._episodes.view.control_period
+        if self.page is None:
+            self.page = LivePage()
         if self._is_new(0) or self._episodes.batch.time[0] == 0.0:
-            self.screen.begin(self.extent(0))
-        self.screen.show(view.state[0, : model.n_dof], view.target[0], view.tip_error[0], view.action[0])
+            self.page.begin(self.scene([self._title], period))
+        self.page.show(live_row(self._episodes)[None, None])
+        self.page.wait(period)
 
     def close(self) -> None:
-        """Close the window or the web page."""
-        if self.screen is not None:
-            self.screen.close()
-            self.screen = None
+        """Close the web page."""
+        if self.page is not None:
+            self.page.close()
+            self.page = None
+
+    def scene(self, names: Sequence[str], period: float, **more: Any) -> "LiveScene":
+        """Return the scene of a live page with the first arm.
+
+        Args:
+            names: names of the agents.
+            period: time between two rows, s.
+            **more: gain and controls of the scene.
+        """
+        from flexman_gym.draw.live import LiveScene
+
+        model, scale = self._episodes.batch.model, float(np.max(self._painter.scale))
+        return LiveScene(model, self._title, names, period, self.extent(0), scale, **more)
 
     def extent(self, arm: int) -> Array:
         """Return points (p, 3), m, that a frame of the arm with this index must contain: motion and targets."""
@@ -121,9 +131,8 @@ def make_renderer(
     return _Renderer(episodes, title, look)
 
 
-def _has_display() -> bool:
-    """Return True if a window can be opened, which needs pygame and, on Linux, a display."""
-    from importlib.util import find_spec
-
-    shown = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"))
-    return find_spec("pygame") is not None and (shown or not sys.platform.startswith("linux"))
+def live_row(episodes: Episodes) -> Array:
+    """Return the row of a live page, see `LivePage.show`, with the present state of the first arm."""
+    view = episodes.view
+    parts = view.state[0, : episodes.batch.model.n_dof], view.target[0], view.tip_error[:1], view.action[0]
+    return np.concatenate([*parts, view.root_strains[0]])

@@ -4,6 +4,7 @@ from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.evaluation.agent import BASELINES, AgentSpec, find_agent
 from flexman_gym.evaluation.arm_design import ArmDesign, optimise_arm
 from flexman_gym.evaluation.episode_sensitivities import sensitivities
+from flexman_gym.evaluation.live import live
 from flexman_gym.evaluation.metrics import METRICS, Metric, evaluate, metrics_table
 from flexman_gym.evaluation.optimisation import TunedGains, tune
 from flexman_gym.evaluation.rollout import EpisodeRecord, Rollout, rollout
@@ -19,6 +20,7 @@ __all__ = [
     "TunedGains",
     "evaluate",
     "find_agent",
+    "live",
     "metrics_table",
     "optimise_arm",
     "rollout",

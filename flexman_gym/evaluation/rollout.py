@@ -207,26 +207,67 @@ def rollout(
         >>> max(final_errors) < result.band
         True
     """
-    spec, environment = find_agent(agent), Configuration.find(environment)
+    environment = Configuration.find(environment)
     environment = environment.replace(safety=True) if safety else environment
-    seeds, (bare, interface) = _episode_seeds(seeds), split_interface(environment)
-    _check_joint_count(spec, environment)
-    venv = gym.make_vec(environment.id, len(seeds), "vector_entry_point", **_keywords(spec, bare, interface))
-    episodes, size = venv.unwrapped.episodes, venv.action_space.shape or ()  # type: ignore[attr-defined]
-    if set_plant is not None:
-        set_plant(episodes.batch)
-    recorder = _Recorder(episodes, callback)
-    episodes.agent.check_law(spec.law)
-    venv.reset(seed=seeds, options=options)  # type: ignore[arg-type]
-    recorder.begin()
-    episodes.callback = recorder.record
-    while not recorder.ends.all():  # `venv.step` would reset an arm after the end of its episode
-        outputs = np.zeros(size) if spec.law is None else spec.law(episodes.agent.observations.copy())
+    loop = RolloutLoop(agent, environment, seeds, callback, set_plant, options)
+    episodes = loop.episodes
+    progress = Progress(f"control periods of {len(episodes.over)} episodes", episodes.max_periods)
+    while not loop.over:
+        loop.step()
+        for _ in range(episodes.agent.action_repeat):
+            progress.count()
+    return loop.result()
+
+
+class RolloutLoop:
+    """Rollout that is advanced step by step, for programs that act between two steps; arguments as in `rollout`.
+
+    Attributes:
+        episodes: simulated episodes.
+    """
+
+    def __init__(
+        self,
+        agent: str | AgentSpec | Controller,
+        environment: str | Configuration,
+        seeds: Sequence[int] | int,
+        callback: Callable[[Episodes], None] | None = None,
+        set_plant: Callable[[Batch], None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> None:
+        self._spec, environment = find_agent(agent), Configuration.find(environment)
+        seeds, (bare, interface) = _episode_seeds(seeds), split_interface(environment)
+        _check_joint_count(self._spec, environment)
+        keywords = _keywords(self._spec, bare, interface)
+        venv: Any = gym.make_vec(environment.id, len(seeds), "vector_entry_point", **keywords)
+        self.episodes: Episodes = venv.unwrapped.episodes
+        self._size = venv.action_space.shape or ()
+        if set_plant is not None:
+            set_plant(self.episodes.batch)
+        self._recorder = _Recorder(self.episodes, callback)
+        self.episodes.agent.check_law(self._spec.law)
+        venv.reset(seed=seeds, options=options)
+        self._recorder.begin()
+        self.episodes.callback = self._recorder.record
+        self._metadata = _metadata(venv.unwrapped, self._spec, environment) | {"seeds": [int(seed) for seed in seeds]}
+
+    @property
+    def over(self) -> bool:
+        """True if all episodes have ended."""
+        return bool(self._recorder.ends.all())
+
+    def step(self) -> None:
+        """Simulate one action of the agent, `action_repeat` control periods; ended episodes keep their last state."""
+        law, observations = self._spec.law, self.episodes.agent.observations
+        outputs = np.zeros(self._size) if law is None else law(observations.copy())
         commands = np.asarray(outputs, dtype=np.float32)
-        episodes.step(validate_actions("actions", commands, size, "a number from -1 to 1 for each motor of each arm"))
-    metadata = _metadata(venv.unwrapped, spec, environment) | {"seeds": [int(seed) for seed in seeds]}
-    venv.close()
-    return recorder.rollout(metadata)
+        self.episodes.step(
+            validate_actions("actions", commands, self._size, "a number from -1 to 1 for each motor of each arm")
+        )
+
+    def result(self) -> Rollout:
+        """Return the records of the simulated control periods, of which there must be at least one."""
+        return self._recorder.rollout(self._metadata)
 
 
 def _keywords(agent: AgentSpec, bare: Configuration, interface: dict[str, Any]) -> dict[str, Any]:
@@ -288,7 +329,6 @@ class _Recorder:
         self._rows: dict[str, list[Array]] = {name: [] for name in names}
         self.ends = np.zeros(len(episodes.over), dtype=np.int64)
         self._failures = [""] * len(self.ends)
-        self._progress = Progress(f"control periods of {len(self.ends)} episodes", episodes.max_periods)
 
     def begin(self) -> None:
         """Record the state after the reset."""
@@ -303,7 +343,6 @@ class _Recorder:
         if episodes.safety is not None:
             now["changes"] = episodes.safety.change.copy()
         self._append(self._instant() | now)
-        self._progress.count()
         for arm in np.flatnonzero(episodes.over & (self.ends == 0)).tolist():
             self.ends[arm], self._failures[arm] = len(self._rows["actions"]), episodes.failures.get(arm, "")
 
@@ -322,9 +361,10 @@ class _Recorder:
     def rollout(self, metadata: dict[str, Any]) -> Rollout:
         """Return the records, with NaN after the end of each episode."""
         arrays = {name: np.array(rows).swapaxes(0, 1).copy() for name, rows in self._rows.items()}
+        ends = np.where(self.ends, self.ends, len(self._rows["actions"]))
         for name, values in arrays.items():
-            for arm, end in enumerate(self.ends):
+            for arm, end in enumerate(ends):
                 values[arm, end + (name in INSTANT_ARRAYS) :] = np.nan
         view = self._episodes.view
-        return Rollout(**arrays, lengths=self.ends, failures=tuple(self._failures), period=view.control_period,
+        return Rollout(**arrays, lengths=ends, failures=tuple(self._failures), period=view.control_period,
                        band=BAND * view.reach, metadata=metadata)  # fmt: skip

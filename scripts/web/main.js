@@ -1,6 +1,7 @@
 // Replay page of recorded episodes, or of a running episode received by server-sent events.
 import './style.css';
 import { curves, memory, tip } from './kinematics.js';
+import { Controls } from './live.js';
 import { Plot } from './plots.js';
 import { Run, floats, readArm } from './runs.js';
 import { Stage, View } from './scene.js';
@@ -8,13 +9,15 @@ import { Stage, View } from './scene.js';
 const $ = id => document.getElementById(id), data = JSON.parse($('data').textContent);
 const arms = data.arms.map(readArm), runs = data.runs.map(run => new Run(run, arms[run.arm]));
 const show = { ghost: true, strain: true, trace: true };
-let time = 0, gains = [data.stage.gain, 1], playing = false, speed = 1, dirty = true, views = [], stage = null, following = data.live;
+let time = 0, gains = [data.stage.gain, 1], playing = false, speed = 1, dirty = true, views = [], stage = null, following = data.live, frames = 0;
+const controls = data.controls ? new Controls($('controls'), $('note'), data.controls) : null;
 const last = () => Math.max(...runs.map(run => run.last));
 const lines = runs.length > 3 ? 2 : 1, columns = Math.ceil(runs.length / lines);
 
 try {
-  stage = new Stage($('gl'), data.stage);
+  stage = new Stage($('gl'), data.stage, data.live);
   views = runs.map(run => new View(run, data.stage));
+  controls?.listen(stage, views, [columns, lines]);
   stage.orbit.addEventListener('change', () => { dirty = true; });
 } catch (error) {
   $('sorry').hidden = false;
@@ -31,7 +34,7 @@ const labels = runs.map(run => {
 });
 
 const seek = t => { time = Math.min(last(), Math.max(0, t)); playing = following = false; pose(); };
-const millimetres = e => Number.isFinite(e) ? `tip error ${(1e3 * e).toPrecision(e < 1e-3 ? 2 : 4)} mm` : '';
+const millimetres = e => Number.isFinite(e) ? `tip error ${e < 1e-6 ? 'below 0.001' : (1e3 * e).toPrecision(e < 1e-3 ? 2 : 4)} mm` : '';
 
 function pose() {
   runs.forEach((run, k) => {
@@ -54,19 +57,24 @@ runs.forEach(run => run.violations.forEach(([from, to]) => {
 
 // Plots
 
-const times = () => Float64Array.from({ length: Math.max(...runs.map(run => run.rows)) }, (_, i) => i * runs[0].dt);
-const names = [...new Set(runs.flatMap(run => run.readings.map(each => each.name)))];
+const STRIP = 10;  // s; length of the strip charts of a live page
+const first = () => data.live ? Math.max(0, runs[0].rows - Math.ceil(STRIP / runs[0].dt)) : 0;
+const times = () => Float64Array.from({ length: Math.max(...runs.map(run => run.rows)) - first() }, (_, i) => (first() + i) * runs[0].dt);
+const roots = runs[0].arm.links.map((_, j) => `root strain of link ${j + 1} (µε; y solid, z dashed)`);
+const names = data.live ? roots : [...new Set(runs.flatMap(run => run.readings.map(each => each.name)))];
 const parts = [
-  () => runs.map(run => ({ name: run.name, colour: run.colour, number: 0, values: run.series('error', 0, 1e3) })),
-  () => runs.flatMap(run => run.arm.links.map((_, j) => ({ name: `${run.name} ${j + 1}`, colour: run.colour, number: j, values: run.series('torque', j) }))),
+  () => runs.map(run => ({ name: run.name, colour: run.colour, number: 0, values: run.series('error', 0, 1e3, first()) })),
+  () => runs.flatMap(run => run.arm.links.map((_, j) => ({ name: `${run.name} ${j + 1}`, colour: run.colour, number: j, values: run.series('torque', j, 1, first()) }))),
   () => runs.flatMap(run => {
-    const chosen = $('reading').value, size = run.readings.find(each => each.name === chosen)?.size ?? 0;
+    const chosen = $('reading').value, link = roots.indexOf(chosen);
+    if (data.live) return [0, 1].map(c => ({ name: `${run.name} ${'yz'[c]}`, colour: run.colour, number: c, values: run.series('strain', 3 * link + c, 1e6, first()) }));
+    const size = run.readings.find(each => each.name === chosen)?.size ?? 0;
     return Array.from({ length: size }, (_, c) => ({ name: `${run.name} ${c + 1}`, colour: run.colour, number: c, values: run.reading(chosen, c) }));
   }),
 ];
 names.forEach(name => $('reading').append(new Option(name, name)));
 $('plot3').hidden = !names.length;
-const plots = [new Plot($('plot1'), 'tip error (mm)', seek, true), new Plot($('plot2'), 'torque / limit (joint 1 solid, 2 dashed, 3 dotted)', seek, false)];
+const plots = [new Plot($('plot1'), 'tip error (mm)', seek, true), new Plot($('plot2'), 'torque / limit (joints: solid, dashed, dotted)', seek, false)];
 if (names.length) plots.push(new Plot($('plot3'), '', seek, false));
 const redraw = () => plots.forEach((plot, k) => plot.show(times(), parts[k]()));
 $('reading').onchange = () => { plots[2].show(times(), parts[2]()); plots[2].mark(time); };
@@ -89,15 +97,18 @@ sliders.forEach((name, k) => {
 });
 $('time').oninput = event => seek(+event.target.value);
 $('play').onclick = () => {
+  if (controls) { controls.post({ pause: following && !controls.state.paused }); following = true; return; }
   if (data.live) { following = !following; return; }
   playing = !playing;
   if (playing && time >= last()) time = 0;
 };
-$('speed').onchange = event => { speed = +event.target.value; };
+$('speed').onchange = event => { if (controls) controls.post({ speed: +event.target.value }); else speed = +event.target.value; };
+$('step').onclick = () => { following = true; controls.post({ step: 1 }); };
 for (const name in show) $(name).onchange = event => { show[name] = event.target.checked; pose(); };
-$('home').onclick = () => { stage?.reset(); };
+const room = controls ? 0.8 : 1;  // a pushed arm leaves its path
+$('home').onclick = () => { stage?.reset(room); };
 addEventListener('keydown', event => {
-  if (event.target.tagName === 'SELECT' || event.target.tagName === 'INPUT') return;
+  if (['SELECT', 'INPUT', 'TEXTAREA', 'BUTTON'].includes(event.target.tagName)) return;
   if (event.key === ' ') { event.preventDefault(); $('play').click(); }
   const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
   if (step) { event.preventDefault(); seek(time + step * runs[0].dt); }
@@ -115,24 +126,37 @@ function layout() {
   dirty = true;
 }
 
-// Live: one row per message, event "begin" before a new episode
+// Live: rows of all runs, event "begin" before a new episode, event "state" for the controls
 
 if (data.live) {
-  const source = new EventSource('live');
-  source.addEventListener('begin', () => { runs[0].rows = 0; time = 0; });
+  const source = new EventSource('live'), width = runs[0].width;
+  source.addEventListener('begin', event => {
+    if (event.data !== data.layout) { location.reload(); return; }
+    runs.forEach(run => { run.rows = 0; run.tips = []; });
+    time = 0;
+    dirty = true;
+  });
+  source.addEventListener('state', event => {
+    controls.update(JSON.parse(event.data));
+    $('speed').value = speed = controls.state.speed;
+  });
   source.onmessage = event => {
-    runs[0].add(floats(event.data));
-    if (following) { time = last(); $('time').max = time; pose(); }
+    dirty = true;
+    const rows = floats(event.data);
+    for (let i = 0; i < rows.length / width; i++) runs[i % runs.length].add(rows.subarray(i * width, (i + 1) * width));
+    $('time').max = last();
   };
-  source.onerror = () => { labels[0].said.textContent = 'the environment is closed'; };
-  setInterval(() => { if (following && runs[0].rows > 1) { plots.slice(0, 2).forEach((plot, k) => { plot.set(times(), parts[k]()); plot.mark(time); }); } }, 250);
-  $('speed').hidden = true;
+  source.onerror = () => { $('note').textContent = 'the simulation is closed, or this page lost it'; };
+  setInterval(() => { if (following && runs[0].rows > 1) plots.forEach((plot, k) => { plot.set(times(), parts[k]()); plot.mark(last()); }); }, 200);
+  $('speed').hidden = !controls;
+  $('step').hidden = !controls;
+  if (controls) $('speed').lastElementChild.remove();  // faster than real time
 }
 
 redraw();
 said();
 layout();
-stage?.reset();
+stage?.reset(room);
 pose();
 addEventListener('resize', layout);
 let before = performance.now();
@@ -142,15 +166,19 @@ requestAnimationFrame(function loop(now) {
     if (time >= last()) { time = last(); playing = false; }
     pose();
   }
+  if (following) {  // the time of the newest row, reached smoothly
+    const newest = last(), then = Math.min(newest, Math.max(newest - 0.3 * speed, time + speed * (now - before) / 1e3));
+    if (then !== time || dirty) { time = then; pose(); controls?.draw?.(); }
+  }
   before = now;
-  $('play').textContent = (data.live ? following : playing) ? '\u275a\u275a' : '\u25b6';
-  if (dirty && stage) { dirty = false; stage.draw(views, columns, lines); }
+  $('play').textContent = (controls ? following && !controls.state.paused : data.live ? following : playing) ? '\u275a\u275a' : '\u25b6';
+  if (dirty && stage) { dirty = false; frames += 1; stage.draw(views, columns, lines); }
   requestAnimationFrame(loop);
 });
 
 // For tests and the console: tips in metres at the displayed time, colours of the surfaces.
 window.replay = {
-  seek, runs, rows: () => runs.map(run => run.rows),
+  seek, runs, plots, controls, stage, views, frames: () => frames, shown: () => !dirty && time === last(), rows: () => runs.map(run => run.rows),
   tips: (g = 1, j = 1) => runs.map(run => Array.from(tip(curves(run.arm, run.coordinates(time, new Float64Array(run.arm.width)), [g, j], memory(run.arm))))),
   drawn: () => views.map(view => view.tip.position.toArray()),
   colours: () => views.map(view => Array.from(view.body.geometry.attributes.color.array)),

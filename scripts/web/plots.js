@@ -2,7 +2,8 @@
 import uPlot from 'uplot';
 
 const DASHES = [[], [6, 3], [2, 3], [8, 3, 2, 3]];
-const LABEL = '12px system-ui, sans-serif', GRID = { stroke: '#e5e7eb', width: 1 };
+export const DARK = matchMedia('(prefers-color-scheme: dark)').matches;
+const INK = DARK ? '#d1d5db' : '#111827', LABEL = '12px system-ui, sans-serif', GRID = { stroke: DARK ? '#374151' : '#e5e7eb', width: 1 };
 const DECADES = (_, values) => values.map(v => Number.isInteger(Math.round(1e6 * Math.log10(v)) / 1e6) ? v : null);
 const LEAST = 1e-3;  // mm; lower limit of logarithmic axes
 
@@ -18,7 +19,7 @@ export class Plot {
       const x = u.valToPos(this.time, 'x', true), c = u.ctx;
       c.save();
       c.setLineDash([]);  // reset the dashes of the last line
-      c.strokeStyle = '#111827';
+      c.strokeStyle = INK;
       c.lineWidth = devicePixelRatio;
       c.beginPath();
       c.moveTo(x, u.bbox.top);
@@ -30,7 +31,7 @@ export class Plot {
     const series = lines.map(l => ({ label: l.name, stroke: l.colour, width: 1.4, dash: DASHES[l.number % DASHES.length], points: { show: false } }));
     const limits = { x: { time: false }, y: this.powers ? { distr: 3 } : {} };
     this.u = new uPlot({ title: this.title, ...this.room(), legend: { show: !small, live: false }, cursor: { drag: { x: false, y: false } },
-      scales: limits, axes: [{ size: 26, label: 'time (s)', labelSize: 18, labelGap: 0, labelFont: LABEL, grid: GRID }, { size: 58, ...(this.powers ? { grid: { ...GRID, filter: DECADES }, ticks: { filter: DECADES }, filter: DECADES } : { grid: GRID }) }], series: [{ label: 'time' }, ...series], hooks: { draw: [mark] } },
+      scales: limits, axes: [{ stroke: INK, size: 26, label: 'time (s)', labelSize: 18, labelGap: 0, labelFont: LABEL, grid: GRID }, { stroke: INK, size: 58, ...(this.powers ? { grid: { ...GRID, filter: DECADES }, ticks: { filter: DECADES }, filter: DECADES } : { grid: GRID }) }], series: [{ label: 'time' }, ...series], hooks: { draw: [mark] } },
     this.data(times, lines), this.element);
     this.u.over.addEventListener('pointerdown', event => {
       const go = e => this.seek(this.u.posToVal(e.clientX - this.u.over.getBoundingClientRect().left, 'x'));

@@ -1,5 +1,7 @@
 // Runs: episodes as arrays, read from the page or extended by received rows.
 
+import { curves, memory, tip } from './kinematics.js';
+
 const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer;
 const GAP = -(2 ** 15);  // code of a measurement that is not finite
 export const floats = text => new Float32Array(bytes(text));
@@ -8,12 +10,14 @@ export const readArm = arm => ({ ...arm, links: arm.links.map(link => ({
   ...link, rows: floats(link.rows), slopes: floats(link.slopes), points: floats(link.points),
   normals: floats(link.normals), gauges: floats(link.gauges) })) });
 
-// Columns of a row: coordinates, target, error, torques relative to their limits.
+// Columns of a row: coordinates, target, error, torques relative to their limits; of a live page also root strains.
 export class Run {
   constructor(data, arm) {
     Object.assign(this, { name: data.name, colour: data.colour, note: data.note, dt: data.dt, arm, scales: data.scales, violations: data.violations ?? [] });
-    this.sizes = { x: arm.width, target: 3, error: 1, torque: arm.links.length };
+    this.sizes = { x: arm.width, target: 3, error: 1, torque: arm.links.length, ...(data.x ? {} : { strain: 3 * arm.links.length }) };
+    this.width = Object.values(this.sizes).reduce((a, b) => a + b);
     this.rows = data.rows;
+    this.tips = [];
     for (const name in this.sizes) this[name] = data.rows ? floats(data[name]) : new Float32Array(1024 * this.sizes[name]);
     this.readings = (data.readings ?? []).map(each => ({ ...each, values: new Int16Array(bytes(each.values)) }));
   }
@@ -53,10 +57,15 @@ export class Run {
     return into;
   }
 
-  // Entry c of a column over time.
-  series(name, c, factor = 1) {
+  // Position of the true tip in a row, computed once.
+  tip(row) {
+    return this.tips[row] ??= tip(curves(this.arm, this.x.subarray(row * this.arm.width, (row + 1) * this.arm.width), [1, 1], this.memory ??= memory(this.arm)));
+  }
+
+  // Entry c of a column over time, from a row on.
+  series(name, c, factor = 1, first = 0) {
     const size = this.sizes[name];
-    return Array.from({ length: this.rows }, (_, i) => { const v = factor * this[name][i * size + c]; return Number.isFinite(v) ? v : null; });
+    return Array.from({ length: Math.max(0, this.rows - first) }, (_, i) => { const v = factor * this[name][(first + i) * size + c]; return Number.isFinite(v) ? v : null; });
   }
 
   // Entry c of a measurement over time.

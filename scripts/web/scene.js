@@ -5,9 +5,11 @@ import { BufferAttribute, BufferGeometry, CircleGeometry, Color, CylinderGeometr
   WebGLRenderer } from 'three';
 import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
 import { curves, memory } from './kinematics.js';
+import { DARK } from './plots.js';
 
 const SIDES = 16, TRACE = 150, TRACE_STEP = 0.0125, UP = new Vector3(0, 1, 0);
 const COLD = [47, 87, 200], MIDDLE = [205, 208, 212], HOT = [192, 32, 44];
+const [SKY, GRID, FINE, METAL, DIM] = DARK ? [0x111827, 0x4b5563, 0x273244, 0x94a3b8, 0xcbd5e1] : [0xeef2f7, 0x8d99a8, 0xc9d2dd, 0x334155, 0x64748b];
 const linear = v => (v /= 255) <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
 
 function tube(arm, material) {
@@ -52,8 +54,8 @@ export class View {
   constructor(run, stage) {
     const arm = run.arm, reach = stage.reach, scene = new Scene(), plain = colour => new MeshStandardMaterial({ color: colour, roughness: 0.5 });
     Object.assign(this, { run, scene, q: new Float64Array(arm.width), out: memory(arm), other: memory(arm) });
-    scene.background = new Color(0xeef2f7);
-    scene.fog = new Fog(0xeef2f7, 2 * stage.distance, 5 * stage.distance);
+    scene.background = new Color(SKY);
+    scene.fog = new Fog(SKY, 2 * stage.distance, 5 * stage.distance);
     scene.add(new HemisphereLight(0xffffff, 0xb9c3d0, 1.9));
     const sun = new DirectionalLight(0xffffff, 2.2), box = sun.shadow.camera;
     sun.position.set(-0.35, -0.55, 1).multiplyScalar(3 * reach);
@@ -67,22 +69,22 @@ export class View {
     const floor = new Mesh(new CircleGeometry(4 * reach, 64), new ShadowMaterial({ opacity: 0.25 }));
     floor.position.z = stage.floor;
     floor.receiveShadow = true;
-    const grid = new GridHelper(60 * stage.step, 60, 0x8d99a8, 0xc9d2dd);
+    const grid = new GridHelper(60 * stage.step, 60, GRID, FINE);
     grid.rotation.x = Math.PI / 2;  // three's floor is x-z
     grid.position.z = stage.floor - 1e-3 * reach;
     this.body = tube(arm, new MeshStandardMaterial({ vertexColors: true, roughness: 0.4, side: DoubleSide }));
     this.body.castShadow = true;
-    this.ghost = tube(arm, new MeshBasicMaterial({ color: 0x64748b, transparent: true, opacity: 0.25, depthWrite: false }));
-    const post = new Mesh(new CylinderGeometry(0.8 * arm.radii[0], 0.8 * arm.radii[0], -stage.floor, 32), plain(0x64748b));
+    this.ghost = tube(arm, new MeshBasicMaterial({ color: DIM, transparent: true, opacity: 0.25, depthWrite: false }));
+    const post = new Mesh(new CylinderGeometry(0.8 * arm.radii[0], 0.8 * arm.radii[0], -stage.floor, 32), plain(DIM));
     post.rotation.x = Math.PI / 2;
     post.position.z = stage.floor / 2;
-    this.joints = arm.radii.map(r => new Mesh(new CylinderGeometry(r, r, 2.3 * r, 32), plain(0x334155)));
+    this.joints = arm.radii.map(r => new Mesh(new CylinderGeometry(r, r, 2.3 * r, 32), plain(METAL)));
     const r = arm.radii.at(-1), red = new MeshStandardMaterial({ color: 0xe11d48, emissive: 0x70081f });
-    this.tip = new Mesh(new SphereGeometry(r, 24, 16), plain(0x1e293b));
+    this.tip = new Mesh(new SphereGeometry(r, 24, 16), plain(DARK ? 0xf8fafc : 0x1e293b));
     this.mark = new Mesh(new SphereGeometry(0.5 * r, 24, 16), new MeshBasicMaterial({ color: 0x6d28d9 }));
     this.target = new Group().add(new Mesh(new SphereGeometry(0.55 * r, 24, 16), red), new Mesh(new TorusGeometry(2 * r, 0.2 * r, 10, 48), red));
     for (const mesh of [post, this.tip, ...this.joints]) mesh.castShadow = true;
-    this.trace = new Line(new BufferGeometry().setAttribute('position', new BufferAttribute(new Float32Array(3 * TRACE), 3)), new LineBasicMaterial({ color: 0x6d28d9 }));
+    this.trace = new Line(new BufferGeometry().setAttribute('position', new BufferAttribute(new Float32Array(3 * TRACE), 3)), new LineBasicMaterial({ color: DARK ? 0xa78bfa : 0x6d28d9 }));
     this.trace.frustumCulled = false;
     scene.add(floor, grid, this.body, this.ghost, post, ...this.joints, this.tip, this.mark, this.target, this.trace);
   }
@@ -104,25 +106,31 @@ export class View {
     this.mark.position.fromArray(end(curves(arm, q, [1, 1], other)));
     const target = [0, 1, 2].map(c => run.at('target', c, time));
     this.target.visible = target.every(Number.isFinite);
-    if (this.target.visible) this.target.position.fromArray(target);
+    if (this.target.visible) this.target.position.fromArray(this.aim?.toArray() ?? target);
     this.target.quaternion.copy(camera.quaternion);
     this.trace.visible = show.trace;
-    if (show.trace) {  // true path of the tip
-      const way = this.trace.geometry.attributes.position;
-      for (let j = 0; j < TRACE; j++) {
-        curves(arm, run.coordinates(Math.max(0, time - (TRACE - 1 - j) * TRACE_STEP), q), [1, 1], other);
-        way.setXYZ(j, ...end(other));
-      }
+    if (show.trace) {  // true path of the tip, through stored states
+      const way = this.trace.geometry.attributes.position, step = Math.max(1, Math.round(TRACE_STEP / run.dt)), now = end(other);
+      const newest = step * Math.floor(run.place(time)[0] / step);
+      for (let j = 0; j < TRACE - 1; j++) way.setXYZ(j, ...run.tip(Math.max(0, newest - (TRACE - 2 - j) * step)));
+      way.setXYZ(TRACE - 1, ...now);
       way.needsUpdate = true;
     }
   }
 }
 
+// True where WebGL is computed without a graphics card.
+function software() {
+  const gl = document.createElement('canvas').getContext('webgl2'), info = gl?.getExtension('WEBGL_debug_renderer_info');
+  return /swiftshader|llvmpipe|software/i.test(info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : '');
+}
+
 // Renderer, camera and orbit controls shared by all views; throws without WebGL.
 export class Stage {
-  constructor(canvas, stage) {
-    this.renderer = new WebGLRenderer({ canvas, antialias: true });
-    this.renderer.shadowMap.enabled = true;
+  constructor(canvas, stage, live) {
+    this.coarse = live && software();  // half of the pixels in each direction, without shadows
+    this.renderer = new WebGLRenderer({ canvas, antialias: !this.coarse });
+    this.renderer.shadowMap.enabled = !this.coarse;
     this.renderer.shadowMap.type = PCFShadowMap;
     this.renderer.setScissorTest(true);
     this.camera = new PerspectiveCamera(30, 1, 0.02 * stage.reach, 60 * stage.reach);
@@ -132,10 +140,10 @@ export class Stage {
     this.stage = stage;
   }
 
-  // Nearest camera position with all points in view, as in draw/camera.py.
-  reset() {
+  // Nearest camera position with all points in a fraction of the view, as in draw/camera.py.
+  reset(part = 1) {
     const back = new Vector3(...this.stage.towards), right = new Vector3(-back.y, back.x, 0).normalize();
-    const axes = [right, back.clone().cross(right), back.clone().negate()], room = [0.88, 0.74];
+    const axes = [right, back.clone().cross(right), back.clone().negate()], room = [0.88 * part, 0.74 * part];
     const seen = this.stage.points.map(point => axes.map(axis => axis.dot(new Vector3(...point))));
     const slope = Math.tan(Math.PI / 12), half = [slope * this.camera.aspect * room[0], slope * room[1]];
     const depths = seen.map(each => each[2]), mean = depths.reduce((a, b) => a + b) / depths.length;
@@ -152,7 +160,7 @@ export class Stage {
 
   size(columns, lines) {
     const w = this.canvas.clientWidth, h = this.canvas.clientHeight;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setPixelRatio(this.coarse ? 0.5 : Math.min(devicePixelRatio, 2));
     this.renderer.setSize(w, h, false);
     this.camera.aspect = (w / columns) / (h / lines);
     this.camera.updateProjectionMatrix();

@@ -20,7 +20,6 @@ import flexman_gym as fm
 from flexman_gym.draw.frames import FramePainter, limiting_strains
 from flexman_gym.draw.mesh import section_outlines
 from flexman_gym.draw.replay import replay_page
-from flexman_gym.draw.video import Window
 from flexman_gym.simulation.episode import Episode
 
 from oracles.browser import MISSING, Browser, one_browser
@@ -364,10 +363,8 @@ def test_without_webgl_the_page_says_so_and_has_its_curves(tmp_path):
 
 
 @pytest.fixture
-def human(monkeypatch):
-    """An environment that shows itself where there is no display."""
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
-        monkeypatch.delenv(name, raising=False)
+def human():
+    """An environment that shows itself."""
     env = gym.make("FlexOne-v0", render_mode="human", disable_env_checker=True)
     env.reset(seed=5000)
     yield env
@@ -375,20 +372,20 @@ def human(monkeypatch):
 
 
 def page_of(env):
-    return env.unwrapped._rendering.screen
+    return env.unwrapped._rendering.page
 
 
 def test_every_step_comes_to_whoever_listens(human, capsys):
     human.step(np.ones(1, dtype=np.float32))
     screen, rows = page_of(human), []
-    assert screen.address.startswith("http://127.0.0.1:") and human.render() is None
+    assert screen.url.startswith("http://127.0.0.1:") and human.render() is None
     model = human.unwrapped.simulator.model
 
     def listen():
-        with urllib.request.urlopen(screen.address + "live", timeout=30) as stream:
+        with urllib.request.urlopen(screen.url + "live", timeout=30) as stream:
             while len(rows) < 4:
                 line = stream.readline()
-                if line.startswith(b"data: A") or len(line) > 20:
+                if line.startswith(b"data: ") and len(line) > 40:
                     rows.append(np.frombuffer(base64.b64decode(line[6:]), "<f4"))
 
     thread = threading.Thread(target=listen)
@@ -401,11 +398,13 @@ def test_every_step_comes_to_whoever_listens(human, capsys):
     assert np.array_equal(rows[1][: model.n_dof], states[0].astype("f4")), (
         "after the reset, the step before it listened"
     )
-    assert rows[1][-1] == 1.0 and len(rows[0]) == model.n_dof + 3 + 1 + 1
-    with urllib.request.urlopen(screen.address) as page:
+    assert rows[1][-4] == 1.0 and len(rows[0]) == model.n_dof + 3 + 1 + 1 + 3
+    with urllib.request.urlopen(screen.url) as page:
         assert b'"live":true' in page.read()
+    strains = human.unwrapped.episodes.view.root_strains[0]
+    assert np.abs(strains).max() > 0.0 == rows[0][-1]
     with pytest.raises(urllib.error.HTTPError, match="404"):
-        urllib.request.urlopen(screen.address + "else")
+        urllib.request.urlopen(screen.url + "else")
     assert 0 <= screen.late <= screen.shown
 
 
@@ -418,7 +417,7 @@ def test_the_address_is_said_once_and_late_steps_at_the_end(human, capfd):
     said = capfd.readouterr().err
     assert f"1 of {screen.shown} steps came late" in said and "can be seen" not in said
     with pytest.raises(urllib.error.URLError):
-        urllib.request.urlopen(screen.address)
+        urllib.request.urlopen(screen.url)
 
 
 def test_a_browser_follows_the_arm_through_episodes(human):
@@ -426,26 +425,14 @@ def test_a_browser_follows_the_arm_through_episodes(human):
         pytest.skip(MISSING)
     browser = Browser()
     try:
-        browser.open(page_of(human).address)
+        browser.open(page_of(human).url)
         for seed in (5000, 5001):
             human.reset(seed=seed)
             for _ in range(5):
                 human.step(np.ones(1, dtype=np.float32))
-            browser.wait("replay.rows()[0] === 6")
+            browser.wait("replay.rows()[0] === 6 && document.getElementById('clock').textContent === '0.10 s'")
             tip = human.unwrapped.episodes.view.tip[0]
             assert np.abs(np.array(browser.run("return replay.tips()")[0]) - tip).max() < 1e-6
         assert browser.said() == []
     finally:
         browser.close()
-
-
-def test_a_window_shows_what_it_is_given(monkeypatch):
-    pygame = pytest.importorskip("pygame")
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    window, picture = Window((48, 36), "arm", 0.001), np.zeros((36, 48, 3), dtype=np.uint8)
-    picture[10, 20] = 200, 100, 50
-    window.show(picture)
-    assert tuple(pygame.display.get_surface().get_at((20, 10)))[:3] == (200, 100, 50)
-    assert tuple(pygame.display.get_surface().get_at((10, 20)))[:3] == (0, 0, 0) and window.shown == 1
-    window.close()
-    assert "pygame" in sys.modules

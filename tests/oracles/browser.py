@@ -79,6 +79,16 @@ class Browser:
         mouse = {"type": "pointer", "id": "mouse", "parameters": {"pointerType": "mouse"}, "actions": steps}
         self._ask("POST", "/actions", {"actions": [mouse]})
 
+    def drag(self, start, way, before_the_end=lambda: None):
+        """Press the mouse at a point (x, y) in pixels, move it along a way, and let go after a function was called."""
+        ends = [start, [a + b for a, b in zip(start, way, strict=True)]]
+        moves = [{"type": "pointerMove", "duration": 50, "x": round(x), "y": round(y)} for x, y in ends]
+        for steps in ([moves[0], {"type": "pointerDown", "button": 0}, moves[1]], [{"type": "pointerUp", "button": 0}]):
+            mouse = {"type": "pointer", "id": "mouse", "parameters": {"pointerType": "mouse"}, "actions": steps}
+            self._ask("POST", "/actions", {"actions": [mouse]})
+            before_the_end()
+            before_the_end = lambda: None  # noqa: E731
+
     def size(self, width, height):
         """Set the size of the viewport, pixels, as on a phone below 500 pixels."""
         sizes = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}

@@ -132,6 +132,12 @@ NAMED_ENVIRONMENTS = {
 DEFAULT_ID = "FlexRRR-v0"  # environment of a configuration without an id
 
 
+def condition_names(id: str) -> tuple[str, ...]:
+    """Return the names of the conditions of a named environment; only "nominal" for one without conditions."""
+    folder = NAMED_ENVIRONMENTS[id].conditions
+    return NOMINAL, *sorted(path.stem for path in (CONDITION_FOLDER / folder).glob("*.yaml") if folder)
+
+
 def condition_settings(id: str, condition: object) -> dict[str, Any]:
     """Return the settings changed by a condition of a named environment; {} for the condition "nominal".
 
@@ -146,9 +152,7 @@ def condition_settings(id: str, condition: object) -> dict[str, Any]:
     if not named.conditions:
         known = [each for each, named in NAMED_ENVIRONMENTS.items() if named.conditions]
         raise value_error("condition", f"{id}/{condition}", f"one for {', '.join(known)}")
-    folder = CONDITION_FOLDER / named.conditions
-    own = sorted(path.stem for path in folder.glob("*.yaml"))
-    if one_of("condition", condition, (NOMINAL, *own)) == NOMINAL:
+    if one_of("condition", condition, condition_names(id)) == NOMINAL:
         return {}
-    changes = files.read_data(folder / f"{condition}.yaml", of_package=True)
+    changes = files.read_data(CONDITION_FOLDER / named.conditions / f"{condition}.yaml", of_package=True)
     return {name: _merged(named.plain(name), change) for name, change in changes.items()}

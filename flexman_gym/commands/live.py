@@ -1,0 +1,38 @@
+"""Show an arm in real time on a web page, with controls."""
+
+import argparse
+from contextlib import suppress
+from dataclasses import replace
+
+from flexman_gym.commands import CommandLine, add_options
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command-line arguments."""
+    parser.add_argument("environment", nargs="?", help="environment: an id, an id with a condition, or a file "
+                        "(default: that of the agent)")  # fmt: skip
+    add_options(parser, "--seed", "--trust", seed={"help": "seed of the first episode (default: %(default)s)"})
+    parser.add_argument("--agent", action="append", metavar="NAME", help="agent, as in flexman evaluate; twice for two "
+                        "agents side by side (default: pd)")  # fmt: skip
+    parser.add_argument("--port", type=int, default=0, help="port of the page (default: a free one)")
+
+
+def _run(options: argparse.Namespace) -> int:
+    """Show the page until Ctrl+C; return 0."""
+    from flexman_gym.commands import load_agent
+    from flexman_gym.envs.config.configuration import Configuration
+    from flexman_gym.envs.config.named_environments import DEFAULT_ID
+    from flexman_gym.evaluation import live
+
+    named = Configuration.find(options.environment) if options.environment else None
+    agents = [replace(load_agent(name, options.trust, named), name=name) for name in options.agent or ["pd"]]
+    trained = next((agent.environment.id for agent in agents if agent.environment), DEFAULT_ID)
+    with (
+        suppress(KeyboardInterrupt),
+        live(options.environment or trained, agents, options.seed, options.port) as session,
+    ):
+        session.wait()
+    return 0
+
+
+COMMAND = CommandLine(_arguments, _run)
