@@ -22,6 +22,7 @@ from flexman_gym.envs.config.reset_options import parse_reset_options, replace_t
 from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.envs.effects import EffectContext
 from flexman_gym.envs.measurements import Measurements
+from flexman_gym.envs.motors import Motors
 from flexman_gym.envs.sensors import SensorArray, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import MeasuredView
 from flexman_gym.envs.tasks import Task
@@ -51,44 +52,6 @@ def validate_actions(name: str, value: object, shape: tuple[int, ...], allowed: 
     if np.count_nonzero(np.abs(actions) < 1.0 + ROUNDING) == actions.size:
         return np.clip(actions, -1.0, 1.0)
     raise value_error(name, value, allowed)
-
-
-class _Motors:
-    """Torques of the motors of b arms with n joints, and the forces and base motions that disturb the arms.
-
-    Args:
-        limits: (n,) torque limits, N m.
-        arms: number of arms b.
-        lag: result of `control.margins.first_order_lag` for one control period; None for motors without a lag.
-
-    Attributes:
-        limits: (b, n) torque limits, N m; effects may change them.
-        drive: (b, n + 6) inputs of `Batch.step`: each row holds n motor torques (N m), the tip force (3, N) and the
-            base acceleration (3, m/s^2) of an arm.
-        torques: (b, n) torques of the last control period, N m; a view of `drive`.
-        forces: (b, 3) forces at the tips in the base frame, N; a view of `drive`.
-        pushes: (b, 3) the part of the forces that effects do not draw, N, see `Episodes.push`.
-        accelerations: (b, 3) accelerations of the bases in the base frame, m/s^2; a view of `drive`.
-        reached: (b, n) torques that the lagging motors have reached, as fractions of the limits; 0 at a reset.
-    """
-
-    state_fields = ("limits", "forces", "accelerations", "reached")
-
-    def __init__(self, limits: Sequence[float], arms: int, lag: tuple[float, float] | None = None) -> None:
-        joints = len(limits)
-        self.limits, self._lag = np.tile(limits, (arms, 1)), lag
-        self.reached = np.zeros((arms, joints if lag else 0))
-        self.drive, self.pushes = np.zeros((arms, joints + 6)), np.zeros((arms, 3))
-        self.torques, self.forces = self.drive[:, :joints], self.drive[:, joints : joints + 3]
-        self.accelerations = self.drive[:, joints + 3 :]
-
-    def lagged(self, actions: Array) -> Array:
-        """Return the mean torques (b, n) of a control period for commands (b, n), as fractions of the limits."""
-        if self._lag is None:
-            return actions
-        missing = self.reached - actions
-        self.reached[:] = actions + self._lag[0] * missing
-        return actions + self._lag[1] * missing
 
 
 class Episodes:
@@ -127,7 +90,7 @@ class Episodes:
         arms = len(batch.rows)
         self.limits, self.cost, self.excess = configuration.limits, np.zeros(arms), np.zeros(arms)
         self._limits = np.concatenate(list(self.limits.bounds(self.view).values()))
-        self.motors = _Motors(configuration.torque_limit, arms, configuration.lag)
+        self.motors = Motors(configuration.torque_limit, arms, configuration.lag)
         base, mode = make_base_and_mode(configuration, batch.model)
         own_sensors, mode_sensors = [*configuration.sensors, *configuration.task.sensors], find_sensors(mode.sensors)
         self.effects = self._make_effects(configuration, [*own_sensors, *mode_sensors])

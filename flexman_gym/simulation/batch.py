@@ -214,15 +214,15 @@ class Batch:
         """
         count, periods = drives.shape[:2]
         rows, read = (np.full((count, periods, each.shape[1]), np.nan) for each in (self.rows, self.outputs))
-        moved = self.rows, self.outputs, self.status, (rows, read)
+        results = self.rows, self.outputs, self.status, (rows, read)
         if feedback is None:
-            self._mover.integrate_periods(drives, self._periods, *moved)
+            self._mover.integrate_periods(drives, self._periods, *results)
         else:
-            self._mover.integrate_feedback(drives, *moved, feedback)  # type: ignore[attr-defined]
+            self._mover.integrate_feedback(drives, *results, feedback)  # type: ignore[attr-defined]
         good = np.isfinite(rows[:, :, 0]).sum(axis=1)
         self._periods += good
-        advanced = np.flatnonzero(good)
-        self._drive[advanced] = drives[advanced, good[advanced] - 1]
+        moved = np.flatnonzero(good)
+        self._drive[moved] = drives[moved, good[moved] - 1]
         self._known = False
         for period in range(periods):
             valid = period < good

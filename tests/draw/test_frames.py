@@ -238,7 +238,7 @@ def test_boundaries_of_a_workspace_lie_on_it_within_the_reach_and_are_drawn_ther
     region = {shape: REGIONS[shape]}
     lines = boundaries([region], painter.reach)
     limits = fm.Limits(workspace=[region])
-    depths = limits._depths(np.concatenate(lines))
+    depths = limits.depths(np.concatenate(lines))
     assert np.abs(depths).max() < 1e-12 and max(np.linalg.norm(line, axis=1).max() for line in lines) < 8.5 + 1e-5
     assert (np.ptp(np.concatenate(lines), axis=0) > 5.9).all(), "seen from every side"
     gaps = [np.linalg.norm(np.diff(line, axis=0), axis=1).max() for line in lines]

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 import flexman_gym as fm
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.batch_integrators import LaneIntegrator, SequentialIntegrator, WorkerThread
+from flexman_gym.simulation.batch_integrators import LaneIntegrator, SequentialIntegrator
 from flexman_gym.simulation.integrator import Integrator
 from flexman_gym.simulation.methods import METHODS
+from flexman_gym.simulation.worker_thread import WorkerThread
 
 from oracles.chains import QUICK, affected
 

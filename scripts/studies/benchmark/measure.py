@@ -21,7 +21,7 @@ from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.batch_integrators import WorkerThread
+from flexman_gym.simulation.worker_thread import WorkerThread
 from studies.stopwatch import Timer, in_turns, repeated, timer
 
 EVALUATIONS, ENVIRONMENTS, PARTS, STARTS = "evaluations", "environments", "parts", "starts"
