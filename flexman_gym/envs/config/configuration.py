@@ -368,7 +368,7 @@ def _refuse_unknown(settings: Mapping[str, Any], others: Collection[str] = ()) -
         if name not in known:
             nearest = get_close_matches(name, sorted(known), 1, 0.0)[0]
             nearest = RENAMED.get(nearest, nearest)
-            allowed = f"a setting: the nearest is {nearest}; all: {' '.join(sorted([*SETTINGS, *others]))}"
+            allowed = f"a setting: the nearest is {nearest}; all: {' '.join(sorted(SETTINGS))}"
             raise value_error(name, value, HINTS.get(name, allowed))
 
 
