@@ -16,7 +16,7 @@ from flexman_gym.machine.simulated import SILENT_PERIODS, Disturbances, Simulate
 from flexman_gym.machine.state_estimate import StateEstimate
 from flexman_gym.model.linearization import LinearMeasurements
 
-from oracles.machines import FakeClock, FakeMachine
+from oracles.machines import FakeMachine
 
 ENVIRONMENT = Configuration.find("FlexOne-v0").replace(
     horizon=1.0
@@ -26,7 +26,7 @@ LAB = (*MEASURED, "torques")
 
 
 def run(agent, machine, **more):
-    return drive(agent, machine, ENVIRONMENT, 9000, clock=FakeClock(), **more)
+    return drive(agent, machine, ENVIRONMENT, 9000, clock=getattr(machine, "clock", None), **more)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_currents_are_torques_per_torque_of_an_ampere():
     environment = ENVIRONMENT.replace(arm=arm, gains=ENVIRONMENT.pd_gains)
     machines = [FakeMachine(environment, 9000, ENCODERS, unit=unit) for unit in ("N m", "A")]
     for machine in machines:
-        drive("pd", machine, environment, 9000, clock=FakeClock())
+        drive("pd", machine, environment, 9000, clock=machine.clock)
     torques, currents = (np.array(machine.commands) for machine in machines)
     np.testing.assert_allclose(currents * 0.5, torques, atol=1e-7)
     with pytest.raises(ValueError, match="Motor at each joint"):
@@ -143,7 +143,7 @@ def _assert_rest(machine):
 def test_an_arm_beyond_its_limits_is_stopped(name, value):
     environment = ENVIRONMENT.replace(limits={name: value})
     machine = FakeMachine(ENVIRONMENT, 9000, LAB)
-    log = drive("lqg", machine, environment, 9000, clock=FakeClock())
+    log = drive("lqg", machine, environment, 9000, clock=machine.clock)
     assert ("motor_rates" if name == "rate" else "strain beyond its limit") in log.about["failure"]
     assert len(machine.commands) < 50
     _assert_rest(machine)
@@ -157,6 +157,7 @@ def test_the_machine_stops_at_torques_that_are_not_allowed(torques):
     machine.write(np.array(torques))
     assert "not within the limits" in machine.arm.reason
     for _ in range(500):
+        machine.clock.wait(machine.clock.now() + machine.period)
         machine.read()
     _assert_rest(machine)
 
@@ -167,9 +168,7 @@ def test_a_machine_without_the_quantities_of_the_agent_is_refused():
     with pytest.raises(ValueError, match="state"):
         run("lqr", FakeMachine(ENVIRONMENT, 9000, LAB))
     with pytest.raises(ValueError, match="control period"):
-        drive(
-            "pd", FakeMachine(ENVIRONMENT, 9000, ENCODERS), ENVIRONMENT.replace(control_period=0.01), clock=FakeClock()
-        )
+        drive("pd", FakeMachine(ENVIRONMENT, 9000, ENCODERS), ENVIRONMENT.replace(control_period=0.01))
 
 
 @pytest.mark.parametrize("name", ["FlexOne-v0", "FlexRRR-v0", "FlexPlanar-v0"])
@@ -220,7 +219,7 @@ def test_the_diagnosis_of_a_log_is_that_of_the_episode():
 
 
 def test_a_simulated_machine_behind_udp_is_driven_stopped_and_recorded():
-    environment = ENVIRONMENT.replace(control_period=0.05, gains={"stiffness": [0.3], "damping": [0.15]})
+    environment = ENVIRONMENT.replace(control_period=0.05, gains={"stiffness": [0.1], "damping": [0.1]})
     with SimulatedMachine(environment, 9000, Disturbances(loss=0.02)) as machine:
         log = drive("pd", machine.address, environment, 9000, seconds=1.0)
         record = machine.close()
@@ -231,7 +230,7 @@ def test_a_simulated_machine_behind_udp_is_driven_stopped_and_recorded():
 
 
 def test_a_machine_that_was_killed_is_reported():
-    environment = ENVIRONMENT.replace(control_period=0.05, gains={"stiffness": [0.3], "damping": [0.15]})
+    environment = ENVIRONMENT.replace(control_period=0.05, gains={"stiffness": [0.1], "damping": [0.1]})
     with SimulatedMachine(environment, 9000, Disturbances(fault="kill", fault_time=0.3)) as machine:
         log = drive("pd", machine.address, environment, 9000, seconds=2.0)
     assert "no new readings" in log.about["failure"] and log.about["machine"]["rest_seconds"] is None

@@ -21,7 +21,7 @@ class FakeClock:
 
 
 class FakeMachine:
-    """Machine that simulates a control period in each command, and in each reading after a stop.
+    """Machine that simulates a control period in each command, and after a stop at each tick of its clock.
 
     `fault(machine, readings)` returns the readings that are received, or None.
     """
@@ -30,6 +30,7 @@ class FakeMachine:
         environment = Configuration.find(environment)
         self.arm, self.unit, self.period = SimulatedArm(environment, seed), unit, environment.control_period
         self._names, self._fault, self.commands, self.path = names, fault, [], []
+        self.clock, self._tick = FakeClock(), 0.0
         self.quantities = {name: len(each) for name, each in self.arm.readings(names).items()}
         self.scale = np.array(
             [joint.motor.torque_per_ampere if unit == "A" else 1.0 for joint in environment.arm.joints]
@@ -46,6 +47,9 @@ class FakeMachine:
 
     def read(self):
         if self.arm.reason:
+            if self.clock.now() < self._tick:
+                return None
+            self._tick = self.clock.now() + self.period
             self._step(np.zeros_like(self.scale))
         readings = self.arm.readings(self._names)
         return self._fault(self, readings) if self._fault else readings
