@@ -22,6 +22,10 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, metavar="T", help="duration, s (default: horizon of the environment)")
     parser.add_argument("--goal", type=numbers, metavar="A,B", help="motor angles of the goal, rad: --goal=0.1,-0.2")
     parser.add_argument(
+        "--silence", type=int, default=5, metavar="N",
+        help="control periods without readings or commands after which the arm is stopped (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
         "--out", type=Path, metavar="FILE", default=Path("drive.npz"), help="log (default: %(default)s)"
     )
     parser.add_argument(
@@ -41,13 +45,14 @@ def _run(options: argparse.Namespace) -> int:
 
     agent, kind = load_agent(options.agent, options.trust), options.machine.partition(":")[0]
     move = {"goal_angles": options.goal} if options.goal else {}
+    given = options.seed, options.seconds, move, options.silence
     if kind == "sim":
         plant = Configuration.find(options.machine.removeprefix("sim:"))
         disturbances = Disturbances(options.jitter, options.loss, options.asynchronous)
-        with SimulatedMachine(plant, options.seed, disturbances, move) as machine:
-            log = drive(agent, machine.address, options.env or plant, options.seed, options.seconds, move)
+        with SimulatedMachine(plant, options.seed, disturbances, move, options.silence) as machine:
+            log = drive(agent, machine.address, options.env or plant, *given)
     else:
-        log = drive(agent, options.machine, options.env, options.seed, options.seconds, move)
+        log = drive(agent, options.machine, options.env, *given)
     log.save(options.out)
     loop, rest = log.about["machine"], log.about["machine"]["rest_seconds"]
     median, longest = (1e3 * each for each in loop["lateness"])

@@ -37,7 +37,8 @@ PHASE, LONGEST_PHASE = (
     5e-4,
 )  # from the arrival of the first readings to the deadlines: fraction of the period, and s
 SPIN = 2e-4  # s; end of a wait that is not slept
-READ_INTERVAL = 1e-4  # s; time between two attempts to read before the start and during the stop
+READ_INTERVAL = 3e-4  # s; time between two attempts to read before the start and during the stop, more than SPIN
+START_READINGS = 25  # number of readings before the start, whose median has less noise than one of them
 WARM_UP = 10  # control periods that are simulated before the start, to load all kernels
 REST_RATE = 0.005  # fraction of Limits.rate; motors below this rate are at rest
 REST_SECONDS, STOP_SECONDS = 0.2, 20.0  # s; shortest time at rest, and longest wait for it
@@ -65,14 +66,14 @@ def drive(
     seed: int = TEST_SEEDS[0],
     seconds: float | None = None,
     options: Mapping[str, Any] | None = None,
-    clock: MonotonicClock | None = None,
+    silence: int = SILENT_PERIODS,
 ) -> Episode:
     """Drive a machine by an agent in real time, bring the arm to rest at the end, and return the log.
 
     The agent acts as in `rollout`: in each control period it reads the newest readings, and its torques are limited by
     the torque limits. The arm is brought to rest after the last period, and as soon as there are no new readings for
-    SILENT_PERIODS control periods, a reading is NaN or out of its range, the arm exceeds its `Limits` or their margins,
-    or the agent raises an exception or commands NaN. The cause is the failure of the log.
+    `silence` control periods, a reading is NaN or out of its range, the arm exceeds its `Limits` or their margins, or
+    the agent raises an exception or commands NaN. The cause is the failure of the log.
 
     The states of the log follow from the readings, see `StateEstimate`. Readings that were not received are NaN, and
     the agent then reads the last ones.
@@ -85,7 +86,7 @@ def drive(
         seed: seed of the goal.
         seconds: duration, s; None for the horizon of the environment.
         options: options of the reset, such as goal_angles.
-        clock: clock of the loop; None for the monotonic clock of the computer.
+        silence: control periods without new readings after which the arm is stopped.
 
     Returns:
         Log, with statistics at `about["machine"]`: number of "periods", "lateness" at their deadlines, median and
@@ -100,11 +101,12 @@ def drive(
     spec = find_agent(agent)
     design = Configuration.find(environment or spec.environment or Configuration())
     whole_number("seed", seed, 0, MAX_SEED)
+    whole_number("silence", silence, 1, 10**6)
     spec, needed = _prepared(spec, split_interface(design)[0])
     quiet = design.replace(randomisation=None, drive_bandwidth=None, horizon=seconds or design.horizon)
     udp = UdpMachine(machine, list(dict.fromkeys([*needed, *LOGGED]))) if isinstance(machine, str) else None
     try:
-        loop = _Loop(udp or machine, quiet, needed, clock or MonotonicClock())  # type: ignore[arg-type]
+        loop = _Loop(udp or machine, quiet, needed, silence)  # type: ignore[arg-type]
         return loop.run(spec, seed, dict(options or {}))
     finally:
         if udp is not None:
@@ -132,12 +134,13 @@ class _Loop:
         machine: the machine.
         environment: environment of the agent, without disturbances.
         needed: quantities that the agent needs.
-        clock: clock of the deadlines.
+        silence: control periods without new readings after which the arm is stopped.
     """
 
-    def __init__(self, machine: Machine, environment: Configuration, needed: list[str], clock: MonotonicClock) -> None:
+    def __init__(self, machine: Machine, environment: Configuration, needed: list[str], silence: int) -> None:
         self.fault = ""
-        self._machine, self._environment, self._clock, self._period = machine, environment, clock, machine.period
+        self._machine, self._environment, self._period, self._silence = machine, environment, machine.period, silence
+        self._clock = getattr(machine, "clock", MonotonicClock())
         if missing := sorted({"motor_angles", *needed} - machine.quantities.keys()):
             own = f"one that measures {', '.join(machine.quantities)}"
             raise value_error("machine", own, f"one that measures {', '.join(missing)}, too, or another agent")
@@ -146,11 +149,12 @@ class _Loop:
         self._scale = _command_scale(environment.arm, machine.unit)
         self._deadline, self._lateness, self._delays, self._silent = 0.0, list[float](), list[float](), 0
         self._rows: list[Mapping[str, Array]] = []
-        self._now = self._first_readings()
+        first = [self._new_readings() for _ in range(START_READINGS)]
+        self._now = {name: np.median([readings[name] for readings in first], axis=0) for name in machine.quantities}
 
-    def _first_readings(self) -> dict[str, Array]:
+    def _new_readings(self) -> dict[str, Array]:
         """Return new readings of the machine."""
-        end = self._clock.now() + SILENT_PERIODS * self._period + 1.0
+        end = self._clock.now() + self._silence * self._period + 1.0
         while (readings := self._machine.read()) is None:
             if self._clock.now() > end:
                 raise OSError("machine: it sends no readings")
@@ -230,7 +234,7 @@ class _Loop:
         """Send commands, wait until the deadline, and return the newest readings; None without new readings."""
         if not self._lateness:  # the deadlines follow the packets of the machine, which then have arrived
             self._machine.read()
-            self._first_readings()
+            self._new_readings()
             self._deadline = self._clock.now() + min(PHASE * self._period, LONGEST_PHASE)
             self._clock.wait(self._deadline)
         self._machine.write(commands)
@@ -241,8 +245,8 @@ class _Loop:
         given = self._machine.read()
         self._silent = self._silent + 1 if given is None else 0
         if given is None:
-            if self._silent >= SILENT_PERIODS:
-                self.fault = f"no new readings for {SILENT_PERIODS} control periods"
+            if self._silent >= self._silence:
+                self.fault = f"no new readings for {self._silence} control periods"
             return None
         readings = {name: np.array(values, dtype=float) for name, values in given.items()}
         for name, values in readings.items():

@@ -27,7 +27,8 @@ class Machine(Protocol):
     """Robot arm with n motors, driven by `flexman drive`. A class with these members needs no base class.
 
     The machine holds its arm with brakes until the first command, and brings it to rest if it receives no command for
-    some control periods, or after `stop`.
+    some control periods, or after `stop`. The optional attribute `clock`, with the methods of `drive.MonotonicClock`,
+    is the clock of a machine that does not move in real time.
 
     Attributes:
         period: control period, s.

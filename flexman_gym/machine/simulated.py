@@ -17,6 +17,7 @@ import gymnasium as gym
 import numpy as np
 
 from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import finite, non_negative, one_of, value_error
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
@@ -113,6 +114,12 @@ class Disturbances:
     fault: str = ""
     fault_time: float = 1.0
 
+    def __post_init__(self) -> None:
+        non_negative("jitter", self.jitter, "s")
+        if not 0.0 <= finite("loss", self.loss) <= 1.0:
+            raise value_error("loss", self.loss, "a probability, from 0 to 1")
+        one_of("fault", self.fault, ("", *FAULTS))
+
 
 class SimulatedMachine:
     """Process with a `SimulatedArm` in real time behind UDP on this computer.
@@ -122,6 +129,7 @@ class SimulatedMachine:
         seed: seed of the episode.
         disturbances: disturbances of the packets.
         options: options of the reset.
+        silence: control periods without commands after which the arm is stopped.
 
     Attributes:
         address: address for `UdpMachine`.
@@ -134,10 +142,11 @@ class SimulatedMachine:
         seed: int,
         disturbances: Disturbances | None = None,
         options: Mapping[str, Any] | None = None,
+        silence: int = SILENT_PERIODS,
     ) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        arguments = (theirs, environment, seed, disturbances or Disturbances(), options)
+        arguments = (theirs, environment, seed, disturbances or Disturbances(), options, silence)
         self._process = context.Process(target=_serve, args=arguments, daemon=True)
         self._process.start()
         theirs.close()
@@ -177,8 +186,10 @@ class SimulatedMachine:
         self.close()
 
 
-def _serve(pipe: Connection, environment: Configuration, seed: int, disturbances: Disturbances, options: Any) -> None:
-    """Run the process of a simulated machine."""
+def _serve(
+    pipe: Connection, environment: Configuration, seed: int, disturbances: Disturbances, options: Any, silence: int
+) -> None:
+    """Run the process of a simulated machine; arguments as for `SimulatedMachine`."""
     try:
         arm = SimulatedArm(environment, seed, options)
     except (ValueError, OSError) as error:
@@ -186,7 +197,7 @@ def _serve(pipe: Connection, environment: Configuration, seed: int, disturbances
         return
     arm.step(np.zeros_like(arm.limits))  # loads all kernels
     arm = SimulatedArm(environment, seed, options)
-    server = _Server(arm, disturbances, seed)
+    server = _Server(arm, disturbances, seed, silence)
     pipe.send(server.socket.getsockname()[1])
     gc.collect()
     gc.disable()  # a collection takes longer than some control periods
@@ -201,7 +212,8 @@ def _serve(pipe: Connection, environment: Configuration, seed: int, disturbances
 class _Server:
     """UDP server of an arm in real time, with one controller at a time."""
 
-    def __init__(self, arm: SimulatedArm, disturbances: Disturbances, seed: int) -> None:
+    def __init__(self, arm: SimulatedArm, disturbances: Disturbances, seed: int, silence: int) -> None:
+        self._silence = silence
         self.arm, self._disturbances, self._random = arm, disturbances, np.random.default_rng(seed)
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind((LOCALHOST, 0))
@@ -265,8 +277,8 @@ class _Server:
         if self._command is None and not self._arrivals:
             return
         self._silent = 0 if self._arrivals else self._silent + 1
-        if self._silent >= SILENT_PERIODS:
-            self.arm.stop(f"no command for {SILENT_PERIODS} control periods")
+        if self._silent >= self._silence:
+            self.arm.stop(f"no command for {self._silence} control periods")
         torques = self._arrivals[0][1] if self._command is None else self._command
         mean, last = np.zeros_like(self.arm.limits), begin
         for arrival, command in self._arrivals:

@@ -26,7 +26,7 @@ LAB = (*MEASURED, "torques")
 
 
 def run(agent, machine, **more):
-    return drive(agent, machine, ENVIRONMENT, 9000, clock=getattr(machine, "clock", None), **more)
+    return drive(agent, machine, ENVIRONMENT, 9000, **more)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_currents_are_torques_per_torque_of_an_ampere():
     environment = ENVIRONMENT.replace(arm=arm, gains=ENVIRONMENT.pd_gains)
     machines = [FakeMachine(environment, 9000, ENCODERS, unit=unit) for unit in ("N m", "A")]
     for machine in machines:
-        drive("pd", machine, environment, 9000, clock=machine.clock)
+        drive("pd", machine, environment, 9000)
     torques, currents = (np.array(machine.commands) for machine in machines)
     np.testing.assert_allclose(currents * 0.5, torques, atol=1e-7)
     with pytest.raises(ValueError, match="Motor at each joint"):
@@ -143,7 +143,7 @@ def _assert_rest(machine):
 def test_an_arm_beyond_its_limits_is_stopped(name, value):
     environment = ENVIRONMENT.replace(limits={name: value})
     machine = FakeMachine(ENVIRONMENT, 9000, LAB)
-    log = drive("lqg", machine, environment, 9000, clock=machine.clock)
+    log = drive("lqg", machine, environment, 9000)
     assert ("motor_rates" if name == "rate" else "strain beyond its limit") in log.about["failure"]
     assert len(machine.commands) < 50
     _assert_rest(machine)
