@@ -1,21 +1,6 @@
 """UDP packets between a controller and a machine, and the receiver that refuses damaged, late and repeated packets.
 
-A packet has a header of 20 bytes, a payload, and the CRC-32 of both, all little-endian:
-
-| bytes | content |
-| --- | --- |
-| 2 | "FM" |
-| 1 | version of the format, 1 |
-| 1 | kind: HELLO, READINGS, COMMAND or STOP |
-| 4 | session: random number of the connection, chosen by the controller |
-| 4 | sequence number, from 1; each sender counts its own packets |
-| 8 | time of the sender, s, float64 |
-| n | payload: float64 values of READINGS and COMMAND, JSON of HELLO, nothing for STOP |
-| 4 | CRC-32 |
-
-The controller sends HELLO with the names of wanted quantities at "quantities". The machine answers with HELLO: its
-control period (s) at "period", the unit of its commands at "unit" ("N m" or "A"), and name -> [size, unit] of the
-quantities that it sends at "quantities", in the order of the values of READINGS.
+The format is described in docs/command_line.md, "A machine behind UDP".
 """
 
 import struct
@@ -35,7 +20,7 @@ MAX_MISSING = 1000  # skipped sequence numbers that are remembered; packets that
 
 
 class Packet(NamedTuple):
-    """Content of a packet, see the table of the module."""
+    """Content of a packet: kind, session, sequence number, time of the sender (s) and payload."""
 
     kind: int
     session: int
