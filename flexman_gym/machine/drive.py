@@ -20,7 +20,7 @@ from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
 from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LARGEST_STATE
-from flexman_gym.machine.machine import UNITS, Machine, UdpMachine
+from flexman_gym.machine.machine import HELLO_SECONDS, UNITS, Machine, UdpMachine
 from flexman_gym.machine.simulated import ROUNDING, SILENT_PERIODS
 from flexman_gym.machine.state_estimate import StateEstimate
 from flexman_gym.model.linearization import LINEAR_SENSORS
@@ -154,7 +154,7 @@ class _Loop:
 
     def _new_readings(self) -> dict[str, Array]:
         """Return new readings of the machine."""
-        end = self._clock.now() + self._silence * self._period + 1.0
+        end = self._clock.now() + HELLO_SECONDS
         while (readings := self._machine.read()) is None:
             if self._clock.now() > end:
                 raise OSError("machine: it sends no readings")
