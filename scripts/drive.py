@@ -28,7 +28,7 @@ def main() -> None:
     parser.add_argument("--folder", type=folder, default="out", help="output folder of rows and page")
     parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="parts to measure")
-    parser.add_argument("--episodes", type=int, default=10, metavar="N", help="per condition (default: %(default)s)")
+    parser.add_argument("--episodes", type=int, default=5, metavar="N", help="with priority (default: %(default)s)")
     options = parser.parse_args()
     work: dict[str, Callable[[], Sequence[Any]]] = {
         "drive": lambda: [measure_loop(agent, name, each) for agent in LOOPS
