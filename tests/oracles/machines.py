@@ -3,6 +3,7 @@
 import numpy as np
 
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.machine.drive import MEASURED
 from flexman_gym.machine.simulated import SimulatedArm
 
 
@@ -56,3 +57,16 @@ class FakeMachine:
 
     def stop(self):
         self.arm.stop("ordered")
+
+
+class FakeSimulatedMachine:
+    """Stand-in for `SimulatedMachine` whose address is a FakeMachine, so that a busy computer keeps all deadlines."""
+
+    def __init__(self, environment, seed, *_):
+        self.address = FakeMachine(environment, seed, (*MEASURED, "torques"))
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        pass
