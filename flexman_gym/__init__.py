@@ -12,6 +12,7 @@ from flexman_gym.envs.config.named_environments import CONDITIONS
 from flexman_gym.evaluation import evaluate, live, rollout, sensitivities, tune
 from flexman_gym.fidelity import Choice, choose_model
 from flexman_gym.identification import Filter, Fit, Measurement, Ringing, fit
+from flexman_gym.machine.machine import Machine
 from flexman_gym.model import (
     Model,
     acceleration,
@@ -72,6 +73,7 @@ __all__ = [
     "Limits",
     "Link",
     "LumpedMass",
+    "Machine",
     "Measurement",
     "Model",
     "ModelChoice",

@@ -18,7 +18,7 @@ COMMAND_GROUPS = {  # group -> commands, in the order of the help
     "learn": ("train", "imitate", "search"),
     "evaluate": ("evaluate", "league", "why"),
     "simulate": ("simulate", "choose", "precision", "draw"),
-    "control": ("optimise", "shape"),
+    "control": ("optimise", "shape", "drive"),
     "data": ("record", "replay", "export"),
 }
 MAX_SUMMARY = 65  # characters; longest summary of a command in the help, for a terminal of 80 columns

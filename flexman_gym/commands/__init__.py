@@ -67,6 +67,11 @@ def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[st
         parser.add_argument(name, **shared[name] | changes.get(name.lstrip("-"), {}))
 
 
+def numbers(text: str) -> list[float]:
+    """Return the numbers of a text "0.1,-0.2"."""
+    return [float(each) for each in text.split(",")]
+
+
 def load_agent(name: str, trust: bool, environment: "Configuration | None" = None) -> "AgentSpec":
     """Return an agent by its name or folder.
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from flexman_gym.commands import CommandLine, add_options
+from flexman_gym.commands import CommandLine, add_options, numbers
 
 if TYPE_CHECKING:
     from flexman_gym.scene.arm import Arm
@@ -99,17 +99,11 @@ def _mujoco(options: argparse.Namespace) -> str:
     return f"{options.out} has the arm{known}: {arm.n_joints} links of {options.pieces} pieces a section."
 
 
-def _numbers(text: str) -> list[float]:
-    return [float(each) for each in text.split(",")]
-
-
 def _c_arguments(parser: argparse.ArgumentParser) -> None:
     agent = {"help": "name or folder of an agent, such as pd, lqr, lqg or ppo-flexrrr"}
     add_options(parser, "agent", "--env", "--seed", agent=agent, seed={"help": "seed of start and goal"})
-    parser.add_argument(
-        "--start", type=_numbers, metavar="A,B", help="joint angles at the start, rad: --start=0.1,-0.2"
-    )
-    parser.add_argument("--goal", type=_numbers, metavar="A,B", help="motor angles of the goal, rad")
+    parser.add_argument("--start", type=numbers, metavar="A,B", help="joint angles at the start, rad: --start=0.1,-0.2")
+    parser.add_argument("--goal", type=numbers, metavar="A,B", help="motor angles of the goal, rad")
     parser.add_argument("--out", type=Path, metavar="FOLDER", default=Path("controller"), help="(default: %(default)s)")
 
 
@@ -125,7 +119,7 @@ def _c(options: argparse.Namespace) -> str:
 def _matlab_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("name", help="environment, or name or folder of an agent")
     parser.add_argument("--env", default="", help="environment of the agent")
-    parser.add_argument("--goal", type=_numbers, metavar="A,B", help="motor angles of the linear model, rad")
+    parser.add_argument("--goal", type=numbers, metavar="A,B", help="motor angles of the linear model, rad")
     parser.add_argument(
         "--out", type=Path, metavar="FILE", default=Path("arm.mat"), help="file to write (default: %(default)s)"
     )

@@ -20,18 +20,27 @@ DEFAULT_EPISODES = 20
 def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     names = "agent", "--episodes", "--seed", "--env", "--set", "--trust"
-    add_options(parser, *names, agent={"nargs": "+"}, episodes={"default": DEFAULT_EPISODES})
+    agent = {
+        "nargs": "+",
+        "help": "name or folder of an agent, or file of a saved episode, such as a log of flexman drive",
+    }
+    add_options(parser, *names, agent=agent, episodes={"default": DEFAULT_EPISODES})
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Print the share of each cause and the remedy for the largest one, for each agent; return 0."""
+    """Print the share of each cause and the remedy for the largest one, for each agent and log; return 0."""
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.agent import common_environment
-    from flexman_gym.evaluation.diagnosis import diagnose
+    from flexman_gym.evaluation.diagnosis import diagnose, diagnose_log
+    from flexman_gym.simulation.episode import Episode
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
-    agents = {name: load_agent(name, options.trust) for name in options.agent}
+    for name in (logs := [each for each in options.agent if each.endswith(".npz")]):
+        print("\n".join(_diagnosis_lines(name, [diagnose_log(Episode.load(name))])))
+    agents = {name: load_agent(name, options.trust) for name in options.agent if name not in logs}
+    if not agents:
+        return 0
     named = Configuration.find(options.env) if options.env else None
     environment = common_environment(list(agents.values()), named, options.set)
     seeds = range(options.seed, options.seed + options.episodes)

@@ -99,7 +99,7 @@ class AgentSpec:
         bare, interface = split_interface(environment)
         agent = cls(name, network, interface, bare)
         if base_in_use is None:
-            return agent._designed(environment)
+            return agent.designed(environment)
         parse_kind("base", base_in_use, BASES)
         interface.pop("gains", None)
         return replace(agent, interface={**interface, "base": base_in_use})
@@ -111,13 +111,13 @@ class AgentSpec:
         """
         if self.interface is None or (self.law is None and "base" not in self.interface):
             return self, None
-        designed = self._designed(environment)
+        designed = self.designed(environment)
         assert designed.interface is not None
         mode = _TimedMode(designed.interface["actions"])
         law: Law | None = mode.timed(designed.law) if designed.law else None
         return replace(designed, law=law, interface={**designed.interface, "base": None, "actions": mode}), mode
 
-    def _designed(self, environment: Configuration) -> Self:
+    def designed(self, environment: Configuration) -> Self:
         """Return the agent with base controller and action mode as objects, designed for a given environment.
 
         A controller given by its name would be designed for the environment in which the agent acts, with the delay,

@@ -14,6 +14,9 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.evaluation.agent import AgentSpec
 from flexman_gym.evaluation.rollout import Rollout, rollout
+from flexman_gym.model.dynamics import damping_matrix
+from flexman_gym.model.model import Model
+from flexman_gym.simulation.episode import Episode
 
 WINDOW = 3.0  # s; default length of the window, the analysed end of an episode
 MIN_MODE_PERIODS = 2.0  # periods of the slowest mode; smallest length of the window
@@ -43,6 +46,9 @@ REMEDIES = {
     NOISE: "lower the gains, above all those of the rates, or filter the measurements: an observer, or better sensors",
     FAILED: "keep the arm within its limits by slower commands or another controller (flexman replay shows the motion)",
 }
+
+
+SIGNALS = ("errors", "actions", "torques", "rates", "loss")  # arrays of an _EpisodeEnd
 
 
 class _EpisodeEnd(NamedTuple):
@@ -299,19 +305,40 @@ class _EndRecorder:
 
     def episode_end(self, result: Rollout, arm: int) -> tuple[_EpisodeEnd, dict[str, float]]:
         """Return the end of the episode of an arm, and mode -> frequency (Hz) at its goal posture."""
-        modes = {
-            f"mode {number + 1}, motors {'held' if held else 'free'}": float(frequency)
-            for held in (True, False)
-            for number, frequency in enumerate(excited_modes(self._model, self._goals[arm], held)[:, 0])
-        }
-        length, period = int(result.lengths[arm]), result.period
-        longest = max(MAX_WINDOW_SHARE * length * period, WINDOW)
-        errors = result.tips[arm, 1 : length + 1] - np.array([row[0][arm] for row in self._rows[1 : length + 1]])
-        slowest = min(*modes.values(), _slow_tone_frequency(errors[-round(longest / period) :], period), np.inf)
-        window = min(max(WINDOW, MIN_MODE_PERIODS / slowest), longest)
-        first = max(length - round(window / period), 0)
-        signals = (np.array([row[i][arm] for row in self._rows[first : length + 1]]) for i in range(4))
-        _, motors, torques, loss = signals
-        rates, actions = np.diff(motors, axis=0) / period, result.actions[arm, first:length]
-        rest = (period, result.band, result.failures[arm])
-        return _EpisodeEnd(errors[first:], actions, torques[1:], rates, loss[1:], *rest), modes
+        length = int(result.lengths[arm])
+        targets, motors, torques, loss = (np.array([row[i][arm] for row in self._rows[: length + 1]]) for i in range(4))
+        errors, rates = result.tips[arm, : length + 1] - targets, np.diff(motors, axis=0) / result.period
+        signals = errors[1:], result.actions[arm, :length], torques[1:], rates, loss[1:]
+        whole = _EpisodeEnd(*signals, result.period, result.band, result.failures[arm])
+        return _last_part(whole, self._model, self._goals[arm])
+
+
+def diagnose_log(episode: Episode) -> Diagnosis:
+    """Diagnose the remaining tip error of a saved episode, such as a log of `flexman drive`.
+
+    The dissipated energy is that of the damping of the model, without Coulomb friction.
+
+    Args:
+        episode: episode with targets, at least one control period long.
+    """
+    model, period = episode.model, episode.period
+    motors, speeds = episode.states[:, model.motor_columns], episode.states[1:, model.n_dof :]
+    loss = period * np.cumsum(np.sum(speeds @ damping_matrix(model) * speeds, axis=1))
+    signals = (episode.tips - episode.targets)[1:], episode.actions, episode.torques, np.diff(motors, axis=0) / period
+    whole = _EpisodeEnd(*signals, loss, period, episode.band, episode.about.get("failure", ""))
+    return _split_error(*_last_part(whole, model, motors[-1]))
+
+
+def _last_part(whole: _EpisodeEnd, model: Model, goal: Array) -> tuple[_EpisodeEnd, dict[str, float]]:
+    """Return the window at the end of a whole episode, and mode -> frequency (Hz) at its goal posture (n,), rad."""
+    modes = {
+        f"mode {number + 1}, motors {'held' if held else 'free'}": float(frequency)
+        for held in (True, False)
+        for number, frequency in enumerate(excited_modes(model, goal, held)[:, 0])
+    }
+    length, period = len(whole.errors), whole.period
+    longest = max(MAX_WINDOW_SHARE * length * period, WINDOW)
+    slowest = min(*modes.values(), _slow_tone_frequency(whole.errors[-round(longest / period) :], period), np.inf)
+    window = min(max(WINDOW, MIN_MODE_PERIODS / slowest), longest)
+    first = max(length - round(window / period), 0)
+    return whole._replace(**{name: getattr(whole, name)[first:] for name in SIGNALS}), modes

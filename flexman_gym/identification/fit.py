@@ -17,6 +17,7 @@ from flexman_gym.identification.ringing import KEYS, Ringing
 from flexman_gym.model.model import build_model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.serialization import to_plain
+from flexman_gym.simulation.episode import Episode
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters
 
 MAX_RELATIVE_DEVIATION = 0.5  # relative standard deviation above which a parameter is not practically identifiable
@@ -285,7 +286,7 @@ def fit(
     free: str | Sequence[str],
     frequencies: Any = None,
     damping: Any = None,
-    records: Sequence[Measurement] = (),
+    records: Sequence[Measurement | Episode] = (),
     *,
     elements: int | tuple[int, ...] = 2,
     modes: int | tuple[int | tuple[int, ...], ...] | None = None,
@@ -308,7 +309,7 @@ def fit(
             deviation of 0.5 %. For other postures, free motors or given standard deviations: a `Ringing` (natural
             frequencies and damping ratios with given deviations), a mapping of its arguments, or a list of these.
         damping: damping ratios (k,) of the modes with these frequencies, with a relative standard deviation of 10 %.
-        records: time records.
+        records: time records; an Episode, such as a log of `flexman drive`, is read by `Measurement.from_episode`.
         elements: numbers of finite elements, see `build_model`.
         modes: numbers of component modes, see `build_model`.
         step: initial time step of the simulation, s; None for the sampling interval.
@@ -333,16 +334,17 @@ def fit(
     parameters = FreeParameters(instance("arm", arm, Arm, "an Arm"), free)
     ringing = _parse_ringings(frequencies, damping)
     whole_number("starts", starts, 0, 10**4)
-    records = tuple(instance(f"records[{i}]", each, Measurement, "a Measurement") for i, each in enumerate(records))
+    read = [Measurement.from_episode(each) if isinstance(each, Episode) else each for each in records]
+    measured = tuple(instance(f"records[{i}]", each, Measurement, "a Measurement") for i, each in enumerate(read))
     step = None if step is None else positive("step", step, "s")
     choice = {"elements": elements, "modes": modes}
-    responses = [SimulatedResponse(parameters.arm, each, step) for each in records]
+    responses = [SimulatedResponse(parameters.arm, each, step) for each in measured]
     problem = LeastSquaresProblem(parameters, ringing, responses, choice)
     if (count := sum(len(part.measured) for part in problem.blocks)) < len(parameters.numbers):
         allowed = f"at least as many as free parameters, {len(parameters.numbers)}"
         raise value_error("frequencies, damping and records", f"{count} numbers", allowed)
     x = problem.refine(_solve_from_starts(problem, starts, np.random.default_rng(0)))
-    arguments = records, choice, min((each.step for each in responses), default=None)
+    arguments = measured, choice, min((each.step for each in responses), default=None)
     return _make_fit(problem, x, _data_warnings(problem, x) if check else (), arguments)
 
 

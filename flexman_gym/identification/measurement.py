@@ -25,10 +25,12 @@ from flexman_gym.common.checks import (
     vector,
 )
 from flexman_gym.common.time_series import TimeSeries, read_time_series
+from flexman_gym.model.linearization import column_names
 from flexman_gym.model.model import Model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import ConstantTorque, SampledAngles, SampledTorque
+from flexman_gym.simulation.episode import Episode
 from flexman_gym.simulation.scene_simulation import TIP_ACCELERATIONS, simulate_all, tip_accelerations
 
 INTERVAL_TOLERANCE = 1e-3  # dimensionless; largest relative deviation of a sampling interval from the median
@@ -39,6 +41,7 @@ OUTPUT = re.compile(
     r"|((joint|motor)_(angle|rate)|joint_twist|joint_twist_rate)_[1-9][0-9]*"
     r"|link_deflection(_rate)?_[1-9][0-9]*_[yz]|root_strain_[1-9][0-9]*_(y|z|torsion)"
 )  # names of columns read as outputs by default
+LOGGED = {"motor_angles", "joint_twists", "root_strains"}  # readings of an episode that become outputs
 INPUTS = {"torque": "N m", "current": "A", "motor_angle": "rad"}  # kind of an input -> unit
 
 
@@ -234,6 +237,35 @@ class Measurement:
                 read[name] = record.values((units,), [column])[:, 0]
             signals.append(read)
         return cls(record.times, signals[0], signals[1], **more)
+
+    @classmethod
+    def from_episode(cls, episode: Episode, **more: Any) -> Self:
+        """Return torques, motor angles, joint twists and root strains of an episode, such as a log of `flexman drive`.
+
+        Readings that were not received are interpolated. Readings that do not change are left out.
+
+        Args:
+            episode: the episode, with readings named motor_angles, joint_twists or root_strains.
+            **more: further arguments of the class, such as gains.
+
+        Raises:
+            ValueError: for an episode without such readings.
+        """
+        n, time, outputs = episode.actions.shape[1], episode.time, dict[str, Array]()
+        for name in LOGGED & episode.readings.keys():
+            values = episode.readings[name]
+            for label, column in zip(column_names(name, "", values.shape[1], n), values.T, strict=True):
+                known = np.isfinite(column)
+                if known.any() and np.ptp(column[known]) > 0.0:
+                    outputs[label.partition(" (")[0]] = np.interp(time, time[known], column[known])
+        if not outputs:
+            raise value_error(
+                "Measurement.from_episode", list(episode.readings), f"readings of {', '.join(sorted(LOGGED))}"
+            )
+        torques = np.vstack([episode.torques, episode.torques[-1:]]).T
+        start = episode.readings["motor_angles"][0] if "motor_angles" in episode.readings else None
+        inputs = {f"torque_{joint}": values for joint, values in enumerate(torques, 1)}
+        return cls(time, inputs, dict(sorted(outputs.items())), **{"start": start, **more})
 
     def part(self, start: float, stop: float) -> Self:
         """Return the samples of the record from a start to a stop time, s; their times do not change."""

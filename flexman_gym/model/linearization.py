@@ -66,7 +66,7 @@ def input_columns(model: Model, name: str) -> range:
     return {"motor_torques": range(n), "tip_force": range(n, n + 3), "base_acceleration": range(n + 3, n + 6)}[name]
 
 
-def _measurement_rows(model: Model) -> dict[str, Array]:
+def measurement_rows(model: Model) -> dict[str, Array]:
     """Return name -> matrix (m, 2 d) of each measurement in MEASUREMENT_UNITS, the Jacobian by the state."""
     n, d = model.n_joints, model.n_dof
     bending = np.zeros((2 * n, 2 * d))
@@ -121,7 +121,7 @@ class LinearMeasurements:
         Args:
             model: model of the arm.
         """
-        *parts, strains = _measurement_rows(model).values()
+        *parts, strains = measurement_rows(model).values()
         ends = np.cumsum([0, *map(len, parts)]).tolist()
         self.columns = {name: slice(*both) for name, *both in zip(MEASUREMENT_UNITS, ends, ends[1:], strict=False)}
         self.motion = sparse_rows(np.vstack(parts))
@@ -154,7 +154,7 @@ def _output_rows(model: Model, motion: Array, tip: Array, names: object) -> tupl
         names: names of outputs in OUTPUT_UNITS; "tip_acceleration" requires zero speeds.
     """
     n, d = model.n_joints, model.n_dof
-    measurements, parts, labels = _measurement_rows(model), [], []
+    measurements, parts, labels = measurement_rows(model), [], []
     for i, given in enumerate(sequence("outputs", names, "names")):
         name = one_of(f"outputs[{i}]", given, OUTPUT_UNITS)
         if name in measurements:

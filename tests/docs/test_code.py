@@ -22,8 +22,10 @@ import flexman_gym as fm
 from flexman_gym.__main__ import COMMAND_GROUPS, main
 from flexman_gym.envs import FlexManEnv
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.machine import simulated
 
 from oracles.files import ROOT
+from oracles.machines import FakeSimulatedMachine
 
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 DOCS, README = ROOT / "docs", (ROOT / "README.md").read_text(encoding="utf-8")
@@ -92,6 +94,7 @@ def test_a_page_runs_and_prints_what_it_says(page, checkout, monkeypatch):
         pytest.importorskip("matplotlib").use("Agg")
     if any("control.hinf" in text for _, text in blocks(page)):
         pytest.importorskip("slycot")
+    monkeypatch.setattr(simulated, "SimulatedMachine", FakeSimulatedMachine)
     names, result = {"__name__": "page"}, blocks(page)
     for (language, text), (following, said) in pairwise([*result, ("", "")]):
         if language == "sh":

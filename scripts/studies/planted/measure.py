@@ -180,7 +180,7 @@ class Copy:
 ERRORS = Path(__file__).parent / "errors"  # one file per part
 NAMES = (
     "kernels", "model", "simulation", "environment", "tasks", "sensors", "laboratory", "control", "metrics", "agents",
-    "draw", "fidelity", "command",
+    "draw", "fidelity", "command", "machine",
 )  # fmt: skip
 
 

@@ -1,0 +1,78 @@
+"""Page of the study of real-time loops."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from flexman_gym.common.markdown import markdown_table
+from flexman_gym.machine.drive import REST_RATE
+from studies.drive.measure import FAULTS, LOOPS, FaultRow, LoopRow, RoundTripRow
+from studies.screen import screen
+
+QUESTION = "Does an agent move a machine in real time as in a simulation, and what happens if a part of the loop fails?"
+ANSWER = """**With real-time priority `{0}` at {1:.0f} Hz settles in {2} and `{3}` at {4:.0f} Hz in {5}; {6} of {7}
+faults end with the arm at rest within its limits, in the others its process is gone.**"""
+BODY = """{table}
+
+The arm of the simulated machine is a process of its own, behind UDP; the two cores had other work, too (load average
+{load:.0f}). *At rest*: all motors below {rest:.1%} of the limit of their rate, after the stop; from then on the arm
+uses at most {share:.0%} of a limit.
+
+{loops}
+- **No priority**: {free}.
+- **1 % of the packets lost**: {lost}.
+- **Torques from their arrival**, not in whole periods: {arrival}.
+- **Round trip.** From logs with sensor noise and lost packets `fm.fit` finds a joint stiffness that was changed by 20 %
+  within {fit:.2%} ({fits} fits)."""
+LOOP = """- **`{agent}`, `{environment}`**: late by {late:.4f} ms (median; at most {most:.2g} ms), torques
+  {delay:.1f} ms later, {missed} missed; vibration {vibration:.2g} mm (simulation {simulated:.2g} mm)."""
+
+
+def page(
+    loops: Sequence[LoopRow], faults: Sequence[FaultRow], fits: Sequence[RoundTripRow], files: Mapping[str, str]
+) -> str:
+    """Return the page as Markdown; `files` are the files of the rows with their comments."""
+    by_name = {(row.agent, row.condition): row for row in loops}
+    first, second = ({name: row for (each, name), row in by_name.items() if each == agent} for agent in LOOPS)
+    main = [each["real-time priority"] for each in (first, second)]
+    rested = [row for row in faults if np.isfinite(row.rest)]
+    words = [word for row in main for word in (row.agent, row.rate, f"{row.settled:.2f} s ({_simulated(row)})")]
+    text = {
+        name: "; ".join(f"`{each[condition].agent}` {_outcome(each[condition])}" for each in (first, second))
+        for name, condition in (
+            ("free", "no priority"), ("lost", "1 % of the packets lost"), ("arrival", "torques from their arrival"),
+        )
+    }  # fmt: skip
+    body = BODY.format(
+        table="\n".join(markdown_table(("fault", "reported", *(f"at rest, {row.environment}" for row in main)),
+                                       [_fault(fault, faults) for fault in FAULTS])),
+        rest=REST_RATE, load=float(np.median([row.load for row in loops])), share=max(row.share for row in rested),
+        loops="\n".join(map(_loop, main)),
+        fit=max(abs(row.found / row.true - 1.0) for row in fits), fits=len(fits), **text,
+    )  # fmt: skip
+    answer = ANSWER.format(*words, len(rested), len(faults))
+    return screen("Real-time loops", QUESTION, answer, body, files, "drive")
+
+
+def _simulated(row: LoopRow) -> str:
+    return f"simulation: {row.settled_simulated:.2f} s, {row.settled_low:.2f} to {row.settled_high:.2f} s"
+
+
+def _loop(row: LoopRow) -> str:
+    return LOOP.format(
+        agent=row.agent, environment=row.environment, late=1e3 * row.late_median, most=1e3 * row.late_largest,
+        delay=1e3 * row.delay, missed=f"{row.missed:.2%}", vibration=1e3 * row.vibration,
+        simulated=1e3 * row.vibration_simulated,
+    )  # fmt: skip
+
+
+def _outcome(row: LoopRow) -> str:
+    stopped = f", stopped in {row.stopped:.0f} of {row.episodes:.0f} episodes" if row.stopped else ""
+    settled = f"{row.settled:.2f} s" if np.isfinite(row.settled) else "not settled"
+    return f"{settled}, {row.missed:.2%} missed{stopped}"
+
+
+def _fault(fault: str, rows: Sequence[FaultRow]) -> tuple[str, ...]:
+    own = [row for row in rows if row.fault == fault]
+    rests = (f"{row.rest:.2f} s" if np.isfinite(row.rest) else "its process is gone" for row in own)
+    return fault, own[0].reported, *rests
