@@ -153,7 +153,7 @@ def _sliders(episodes: Episodes) -> dict[str, _Slider]:
 
 
 class _Setup(NamedTuple):
-    """What an episode is started from: environment, its further settings, agents, sliders, reset options and seed."""
+    """Start of an episode: environment and its changed settings, agents, positions of sliders, reset options, seed."""
 
     name: str
     settings: dict[str, Any]
