@@ -264,9 +264,12 @@ class _Server:
         if packet.session != self._receiver.session:
             if self.arm.mode != BRAKED:
                 return
+            try:
+                wanted = json.loads(packet.payload)["quantities"]
+                self._names = [name for name in UNITS if name in wanted] or ["motor_angles"]
+            except (ValueError, KeyError, TypeError):  # a hello of another form
+                return
             self._receiver, self._peer, self._sequence = Receiver(packet.session), sender, 0
-            wanted = json.loads(packet.payload)["quantities"]
-            self._names = [name for name in UNITS if name in wanted] or ["motor_angles"]
         self._receiver.accept(data)
         sizes = {name: [len(each), UNITS[name]] for name, each in self.arm.readings(self._names).items()}
         answer = json.dumps({"period": self._period, "unit": "N m", "quantities": sizes}).encode()
