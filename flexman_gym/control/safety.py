@@ -18,6 +18,7 @@ from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.observer import UncertainStates
 from flexman_gym.control.observers.uncertain_states import StateSource
+from flexman_gym.kernels.layout import LARGEST_STATE, OUTPUTS
 from flexman_gym.model.statics import holding_torques
 from flexman_gym.simulation.batch import Batch
 
@@ -141,7 +142,8 @@ class SafetyFilter:
         ValueError: for an arm without PD gains, from which the brake follows.
     """
 
-    state_fields = ("_past", "change", "status", "_ages", "_next", "_growth", "_responses", "_response_ages")
+    _arrays = ("_past", "change", "status", "_ages", "_next", "_growth", "_responses", "_response_ages")
+    state_fields = (*_arrays, "source")
 
     def __init__(self, plant: Plant, limits: PredictedLimits, source: StateSource) -> None:
         self._daqp, self._plant = optional_module("daqp", "the safety filter", "mpc"), plant
@@ -154,7 +156,9 @@ class SafetyFilter:
         self._past, self.change = np.zeros((0, late, n)), np.zeros((0, n))
         self.status, self._ages, self._next = (np.zeros(0, dtype=np.int64) for _ in range(3))
         self._growth, self._response_ages = np.zeros(0), np.zeros(0, dtype=np.int64)
-        self._responses = np.zeros((0, 0, 0, n))
+        nothing = np.zeros((1, 1, 2 * plant.model.n_dof)), np.zeros((1, 1, OUTPUTS)), np.zeros((1, n))
+        periods = 1 + late + NEAR_PERIODS + sum(count for _, count in STAGES)
+        self._responses = np.zeros((0, periods, limits.shares(*nothing).shape[2], n))
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -163,7 +167,7 @@ class SafetyFilter:
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes; arguments as in `Controller.reset`."""
-        for name in ("_past", "change", "status", "_ages", "_next", "_growth", "_responses", "_response_ages"):
+        for name in self._arrays:
             setattr(self, name, pad_rows(getattr(self, name), count))
         self._past[arms] = self.change[arms] = self._growth[arms] = 0.0
         self.status[arms] = self._ages[arms] = self._next[arms] = 0
@@ -203,15 +207,16 @@ class SafetyFilter:
             {name: np.resize(each, (count * k, *each.shape[1:])) for name, each in flat.items()}
         )
         commands = np.concatenate([(actions[arms] * self.torque_limits)[:, None], self._past[arms]], axis=1)
-        hold = self._holding_torques(possible.states[:, 0])
-        given = possible.states.reshape(r * k, -1), np.repeat(commands, k, axis=0), possible.delays.ravel()
+        states = np.clip(np.nan_to_num(possible.states, nan=LARGEST_STATE), -LARGEST_STATE, LARGEST_STATE)
+        hold = self._holding_torques(states[:, 0])
+        given = states.reshape(r * k, -1), np.repeat(commands, k, axis=0), possible.delays.ravel()
         shares = self._models(*given, np.repeat(hold, k, axis=0))
         for i, arm in enumerate(arms.tolist()):
             own = shares[i * k : (i + 1) * k]
             radius = _radius(own, possible)
             parameters = {name: np.repeat(each[i, :1], 1 + len(self.torque_limits), axis=0)
                           for name, each in possible.parameters.items()}  # fmt: skip
-            case = _Case(possible.states[i, 0], commands[i], possible.delays[i, :1], hold[i], radius, parameters)
+            case = _Case(states[i, 0], commands[i], possible.delays[i, :1], hold[i], radius, parameters)
             largest = float((np.abs(own[0]) + radius).max())
             if largest > REMAINDER:
                 result[arm], self.status[arm] = self._change(arm, case, actions[arm], own[0])
@@ -270,8 +275,6 @@ class SafetyFilter:
         pulses = np.where(action > 0.0, -PULSE, PULSE)  # inwards
         shares = self._predict_one(case, action + np.vstack([np.zeros(n), np.diag(pulses)]))
         response = np.moveaxis((shares[1:] - shares[:1]) / pulses[:, None, None], 0, -1)
-        if self._responses.shape[1:3] != response.shape[:2]:
-            self._responses = np.zeros((len(self.status), *response.shape))
         self._responses[arm], self._response_ages[arm] = response, self._ages[arm]
         self._growth[arm] = max(GROWTH * 2.0 * np.abs(response).sum(axis=2).max(), SMALLEST_GROWTH)
 
