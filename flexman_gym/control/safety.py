@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
+from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import optional_module
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
@@ -32,7 +33,7 @@ SKIPPED_PERIODS = 10  # largest number of control periods without a prediction, 
 RENEWAL_PERIODS = 25  # control periods after which the growth of the quantities is computed again
 GROWTH, SMALLEST_GROWTH = 1.5, 1e-6  # factor for models other than the most probable one, and least growth in a period
 TRIALS = 3  # quadratic programs until the prediction confirms a change
-REMAINDER = 0.985  # fraction of the limits; the rest is for the errors of the prediction
+REMAINDER = 0.985  # fraction of the limits, larger after a start beyond it; the rest is for errors of the prediction
 TOLERANCE = 0.002  # fraction of the limits; accepted by the confirmation
 DIVERGED = 1e3  # magnitude that replaces a prediction that diverged
 STATUS = ("passed", "changed", "stopped")
@@ -89,6 +90,12 @@ class _Prediction:
         self._stiffness[: self.count] = parameters.get("joint_stiffness", self._stiffness[: self.count])
         self._parameters = {**parameters, "viscous_friction": friction}
 
+    def present(self, state: Array) -> Array:
+        """Return the quantities (m,) of the first model in a state (2 d,) as fractions of their limits."""
+        self._near.reset(np.zeros(1, dtype=np.int64), state[None])
+        shares = self._limits.shares(state[None, None], self._near.outputs[:1, None], self._stiffness[:1])
+        return np.asarray(shares[0, 0])
+
     def __call__(self, states: Array, commands: Array, delays: IntArray, hold: Array) -> Array:
         """Return the quantities (r, T, m) of r <= k models as fractions of their limits.
 
@@ -139,14 +146,16 @@ class SafetyFilter:
 
     Raises:
         ImportError: without daqp (Arnström, Bemporad and Axehill, IEEE Trans. Automatic Control 67, 2022, 4362).
-        ValueError: for an arm without PD gains, from which the brake follows.
+        ValueError: for an arm without PD gains, from which the brake follows, and for drives with a lag.
     """
 
-    _arrays = ("_past", "change", "status", "_ages", "_next", "_growth", "_responses", "_response_ages")
+    _arrays = ("_past", "change", "status", "_ages", "_next", "_growth", "_levels", "_responses", "_response_ages")
     state_fields = (*_arrays, "source")
 
     def __init__(self, plant: Plant, limits: PredictedLimits, source: StateSource) -> None:
         self._daqp, self._plant = optional_module("daqp", "the safety filter", "mpc"), plant
+        if plant.bandwidth is not None:
+            raise value_error("safety", True, "False with drive_bandwidth: the predicted drives have no lag")
         self._limits, self.source = limits, source
         n, late = plant.model.n_joints, plant.delay[1]
         self.torque_limits = np.array(plant.torque_limit)
@@ -158,7 +167,8 @@ class SafetyFilter:
         self._growth, self._response_ages = np.zeros(0), np.zeros(0, dtype=np.int64)
         nothing = np.zeros((1, 1, 2 * plant.model.n_dof)), np.zeros((1, 1, OUTPUTS)), np.zeros((1, n))
         periods = 1 + late + NEAR_PERIODS + sum(count for _, count in STAGES)
-        self._responses = np.zeros((0, periods, limits.shares(*nothing).shape[2], n))
+        self._levels = np.zeros((0, limits.shares(*nothing).shape[2]))  # allowed fractions of the limits
+        self._responses = np.zeros((0, periods, self._levels.shape[1], n))
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -216,14 +226,19 @@ class SafetyFilter:
             radius = _radius(own, possible)
             parameters = {name: np.repeat(each[i, :1], 1 + len(self.torque_limits), axis=0)
                           for name, each in possible.parameters.items()}  # fmt: skip
-            case = _Case(states[i, 0], commands[i], possible.delays[i, :1], hold[i], radius, parameters)
-            largest = float((np.abs(own[0]) + radius).max())
-            if largest > REMAINDER:
-                result[arm], self.status[arm] = self._change(arm, case, actions[arm], own[0])
+            case = _Case(states[i, 0], commands[i], possible.delays[i, :1], hold[i], parameters)
+            if self._ages[arm] == 0:
+                self._single.set_parameters(parameters)
+                start = np.abs(self._single.present(case.state)) + radius[0] + TOLERANCE
+                self._levels[arm] = np.clip(start, REMAINDER, 1.0)
+            room = self._levels[arm] - radius
+            margin = float((room - np.abs(own[0])).min())
+            if margin < 0.0:
+                result[arm], self.status[arm] = self._change(arm, case, room, own[0])
             elif self._ages[arm] - self._response_ages[arm] >= RENEWAL_PERIODS:
                 self._respond(arm, case)
             else:
-                free = int((REMAINDER - largest) / self._growth[arm])
+                free = int(margin / self._growth[arm])
                 self._next[arm] = self._ages[arm] + min(1 + free, SKIPPED_PERIODS)
 
     def _holding_torques(self, states: Array) -> Array:
@@ -233,32 +248,33 @@ class SafetyFilter:
             return np.zeros((len(states), model.n_joints))
         return np.array([holding_torques(model, state[model.motor_columns]) for state in states])
 
-    def _change(self, arm: int, case: "_Case", action: Array, shares: Array) -> tuple[Array, int]:
-        """Return the safe torques (n,) closest to an action (n,), and the status.
+    def _change(self, arm: int, case: "_Case", room: Array, shares: Array) -> tuple[Array, int]:
+        """Return the safe torques (n,) closest to the torques of the agent, and the status.
 
         Args:
             arm: index of the arm.
             case: situation of the arm.
-            action: torques of the agent as fractions of their limits.
-            shares: (T, m) quantities of the most probable model for this action.
+            room: (T, m) allowed magnitudes of the quantities of the most probable model.
+            shares: (T, m) quantities of the most probable model for the torques of the agent.
         """
         if self._ages[arm] - self._response_ages[arm] >= RESPONSE_PERIODS:
             self._respond(arm, case)
+        action = case.commands[0] / self.torque_limits
         response, changed = self._responses[arm], action
         for _ in range(TRIALS):
-            near = np.abs(shares) + case.radius + 2.0 * np.abs(response).sum(axis=2) > REMAINDER
-            room, now = REMAINDER - case.radius[near], shares[near]
-            if (room < 0.0).any():
+            near = np.abs(shares) + 2.0 * np.abs(response).sum(axis=2) > room
+            largest, now = room[near], shares[near]
+            if (largest < 0.0).any():
                 break
-            upper = np.concatenate([1.0 - changed, room - now])
-            lower = np.concatenate([-1.0 - changed, -room - now])
+            upper = np.concatenate([1.0 - changed, largest - now])
+            lower = np.concatenate([-1.0 - changed, -largest - now])
             rows = np.ascontiguousarray(response[near])
             step, _, solved, _ = self._daqp.solve(np.eye(len(action)), changed - action, rows, upper, lower)
             if solved <= 0:
                 break
             changed = np.clip(changed + np.array(step), -1.0, 1.0)
             shares = self._predict_one(case, changed[None])[0]
-            if (np.abs(shares) + case.radius).max() <= REMAINDER + TOLERANCE:
+            if (np.abs(shares) <= room + TOLERANCE).all():
                 return changed, CHANGED
         return self._stop(case), STOPPED
 
@@ -296,7 +312,6 @@ class _Case(NamedTuple):
         commands: (D + 1, n) torques of the agent in this period, then those commanded before, N m.
         delay: (1,) delay of the torques, control periods.
         hold: (n,) torques that hold the weight, N m.
-        radius: (T, m) largest deviation of the quantities of the possible models, as fractions of the limits.
         parameters: name -> (1 + n, ...) physical parameters of the most probable model, repeated for its predictions.
     """
 
@@ -304,7 +319,6 @@ class _Case(NamedTuple):
     commands: Array
     delay: IntArray
     hold: Array
-    radius: Array
     parameters: Mapping[str, Array]
 
 
