@@ -1,0 +1,216 @@
+"""Safety filter: limits hold for every agent, torques far from limits pass, changes are minimal, and stops are brakes."""
+
+import copy
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.control.controller import EpisodeInfo
+from flexman_gym.control.observers.observer import UncertainStates
+from flexman_gym.control.observers.uncertain_states import EstimatedState, TrueState
+from flexman_gym.control.safety import BRAKE, CHANGED, NEAR_PERIODS, PASSED, REMAINDER, STOPPED, SafetyFilter
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.envs.limits import Limits
+from flexman_gym.envs.vector_env import FlexManVectorEnv
+from flexman_gym.envs.view import View
+from flexman_gym.evaluation.c_code import begin_agent
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.parameters import varied_model
+
+from oracles.assertions import refusal, same, same_alone_and_among_others
+
+ONE = {"strain": 2e-4, "spring_torque": 3.0, "rate": 4.0, "on_violation": "record"}
+WALL = [{"half_space": [[0.0, 1.0, 0.0], 0.4]}]
+PLANAR = {"strain": [3e-4, 1.3e-4], "spring_torque": [6.0, 2.5], "rate": 6.0, "on_violation": "record"}
+UNKNOWN = {"payload_mass": (0.0, 0.1), "joint_stiffness_factor": (0.8, 1.2), "delay": (0, 2)}
+LIMITS = {"FlexOne-v0": ONE, "FlexPlanar-v0": PLANAR}
+
+
+def plant_of(name="FlexOne-v0", **settings):
+    """Return the plant of a named environment."""
+    configuration = Configuration.from_keywords({"name": name, **settings})
+    return make_plant(configuration, resolve_fidelity(configuration).model)
+
+
+def filter_of(plant, limits, source=None):
+    """Return a filter of one arm at the start of an episode."""
+    result = SafetyFilter(plant, Limits(**limits).predicted(plant.model), source or TrueState(plant))
+    start = np.zeros((1, plant.model.n_joints))
+    result.reset(np.array([0]), EpisodeInfo(start, start, plant.period), 1)
+    return result
+
+
+def filtered(safety, action, state, applied=0.0):
+    """Return the torques (n,) of a filter for an action (n,) in a state (2 d,)."""
+    n = len(safety.torque_limits)
+    given = {"state": np.array([state])}, np.full((1, n), applied), np.ones(1, dtype=bool)
+    return safety(np.array([action], dtype=float), *given)[0]
+
+
+def braked(plant, states, actions, limits, periods, delay=0):
+    """Return the signed shares (b, T, m) of limits for actions (b, n) in one period, then the brake; stepwise."""
+    b, n, d = len(states), plant.model.n_joints, plant.model.n_dof
+    batch = Batch(plant.model, "midpoint_corrected_3", plant.period / 3, plant.period, arms=b)
+    batch.reset(np.arange(b), states)
+    damping, largest = BRAKE * np.array(plant.gains()["damping"]), np.array(plant.torque_limit)
+    commands, result = [np.zeros((b, n))] * delay + [actions * largest], []
+    stiffness = np.repeat(plant.model.constants.joint_stiffness[None], b, axis=0)
+    for t in range(periods):
+        if t:
+            rates = batch.state[:, d:][:, plant.model.motor_columns]
+            commands.append(np.clip(-damping * rates, -largest, largest))
+        batch.step(np.hstack([commands[t], np.zeros((b, 6))]))
+        shares = Limits(**limits).predicted(plant.model)
+        result.append(shares.shares(batch.state[:, None], batch.outputs[:, None], stiffness)[:, 0])
+    return np.array(result).swapaxes(0, 1)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2])
+def test_the_prediction_is_a_loop_of_steps(delay):
+    """Torques of the agent act after the delay, those commanded before until then, and then the sampled brake."""
+    plant = plant_of(randomisation={"delay": (delay, delay)} if delay else None)
+    safety, state = filter_of(plant, ONE), np.zeros(2 * plant.model.n_dof)
+    state[plant.model.n_dof :] = 0.1
+    commands = np.zeros((1, 1 + delay, 1))
+    commands[:, 0] = 0.7 * plant.torque_limit[0]
+    given = state[None], commands, np.array([delay]), np.zeros((1, 1))
+    shares = safety._single(*given)[0]
+    expected = braked(plant, state[None], np.array([[0.7]]), ONE, NEAR_PERIODS + 1, delay)[0]
+    count = len(expected)
+    assert shares[:count] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert np.abs(shares[: delay + 3]).max() > 1.1 * np.abs(shares[:1]).max(), "the torque matters"
+
+
+class Rates:
+    """Agent with the largest torques in the direction of the motor rates."""
+
+    def __init__(self, env):
+        self._view = env.episodes.view
+
+    def __call__(self):
+        return np.where(self._view.motor_rates < 0.0, -1.0, 1.0)
+
+
+class Random:
+    """Agent with random torques, each held for 10 periods."""
+
+    def __init__(self, env):
+        self._shape, self._random, self._age = env.action_space.shape, np.random.default_rng(1), 0
+
+    def __call__(self):
+        if self._age % 10 == 0:
+            self._action = self._random.choice([-1.0, 1.0], self._shape)
+        self._age += 1
+        return self._action
+
+
+def largest_excess(name, agent, periods=120, **settings):
+    """Return the largest excess over the limits of three arms, and the number of periods with each status."""
+    env = FlexManVectorEnv(3, name=name, horizon=100.0, **settings)
+    env.reset(seed=3)
+    act, largest, status = agent(env), -1.0, []
+    for _ in range(periods):
+        *_, info = env.step(act())
+        largest = max(largest, env.episodes.excess.max())
+        status += list(info.get("safety_status", ()))
+    return largest, {each: status.count(each) for each in status}
+
+
+@pytest.mark.parametrize("agent", [Rates, Random])
+@pytest.mark.parametrize("randomisation", [None, UNKNOWN])
+@pytest.mark.parametrize("name", LIMITS)
+def test_no_agent_exceeds_the_limits(name, randomisation, agent):
+    settings = {"limits": LIMITS[name], "randomisation": randomisation}
+    assert largest_excess(name, agent, **settings)[0] > 0.3, "without the filter"
+    excess, status = largest_excess(name, agent, safety=True, **settings)
+    assert excess < 0.02 and status["changed"] > 20
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+def test_a_wall_is_not_passed(delay):
+    limits = {"workspace": WALL, "on_violation": "record"}
+    settings = {"limits": limits, "randomisation": {"delay": (delay, delay)}}
+    env = FlexManEnv(name="FlexOne-v0", safety=True, **settings)
+    env.reset(seed=0, options={"start": [0.0], "goal_angles": [0.1]})
+    nearest = 1.0
+    for _ in range(100):
+        *_, info = env.step(np.ones(1))
+        nearest = min(nearest, info["limits"]["workspace"][0])
+    assert -0.002 < nearest < 0.03, "of a reach of 0.8 m"
+
+
+@pytest.mark.parametrize("share", [0.5, 0.99, 0.999])
+def test_a_start_near_a_wall_may_be_left(share):
+    """Beyond the remainder for errors of the prediction, too; a wall far away is no limit."""
+    far = {"half_space": [[0.0, 0.0, 1.0], 50.0]}
+    env = FlexManEnv(name="FlexOne-v0", base="pd", safety=True, limits={"workspace": [*WALL, far], "on_violation": "end"})
+    start = np.arcsin((0.4 - 0.8 * (1.0 - share)) / 0.8)
+    env.reset(seed=0, options={"start": [start], "goal_angles": [start - 0.3]})
+    for _ in range(150):
+        *_, terminated, _, info = env.step(np.zeros(1))
+        assert not terminated
+    assert info["tip_error"] < 0.01
+
+
+def test_an_action_far_from_the_limits_passes_with_equal_bits():
+    given = {"limits": {"strain": 1.0, "on_violation": "record"}, "condition": "delay"}
+    plain, safe = (FlexManVectorEnv(2, name="FlexPlanar-v0", **given, **own) for own in ({}, {"safety": True}))
+    plain.reset(seed=0), safe.reset(seed=0)
+    for action in 0.1 * np.random.default_rng(0).uniform(-1.0, 1.0, (40, 2, 2)):
+        (*first, _), (*second, info) = plain.step(action), safe.step(action)
+        assert all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
+        assert list(info["safety_status"]) == ["passed"] * 2 and not info["safety_change"].any()
+
+
+def test_the_change_is_the_smallest_one():
+    """Of a grid of actions, none nearer to that of the agent keeps the limits; all are simulated by steps."""
+    plant = plant_of("FlexPlanar-v0")
+    state = np.zeros(2 * plant.model.n_dof)
+    state[plant.model.n_dof :][plant.model.motor_columns] = state[plant.model.n_dof :][:2] = [0.8, -0.5]
+    wanted, grid = np.array([0.9, 0.6]), np.linspace(-1.0, 1.0, 81)
+    limits = {"strain": [1.5e-4, 6e-5], "spring_torque": [3.0, 1.2], "on_violation": "record"}
+    safety = filter_of(plant, limits)
+    safe = filtered(safety, wanted, state)
+    assert safety.status[0] == CHANGED and np.array_equal(safety.change[0], safe - wanted)
+    actions = np.array([safe, *np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)])
+    shares = np.abs(braked(plant, np.repeat(state[None], len(actions), axis=0), actions, limits, 80)).max(axis=(1, 2))
+    lengths = np.linalg.norm(actions - wanted, axis=1)
+    assert shares[0] < REMAINDER + 0.005
+    inside, wide = (lengths[1:][shares[1:] <= level].min() for level in (REMAINDER, REMAINDER + 0.005))
+    step = grid[1] - grid[0]
+    assert inside > 0.2 and wide - step < lengths[0] < inside + step
+
+
+def test_without_safe_torques_the_brake_acts():
+    """A state beyond its limits, from which no torques come back."""
+    plant = plant_of()
+    safety, d, motors = filter_of(plant, {"rate": 1.0}), plant.model.n_dof, plant.model.motor_columns
+    at_rest, state = np.zeros(2 * d), np.zeros(2 * d)
+    assert filtered(safety, [0.0], at_rest) == 0.0 and safety.status[0] == PASSED
+    for _ in range(12):
+        state[:d] += plant.period * state[d:]
+        state[d:][motors], state[d:][0] = 1.6, 1.6
+        torque = filtered(safety, [1.0], state)
+    assert safety.status[0] == STOPPED
+    assert torque == np.clip(-BRAKE * plant.gains()["damping"][0] * 1.6 / plant.torque_limit[0], -1.0, 1.0)
+    assert safety.change[0] == torque - 1.0
+
+
+class TwoPayloads:
+    """Source of the true state, with a heavier payload that is as possible."""
+
+    sensors = ("state",)
+
+    def __init__(self, plant, heavy):
+        self._true, self._masses = TrueState(plant), np.array([[plant.model.payload.mass, heavy]])
+        self.reset, self.update = self._true.reset, self._true.update
+
+    def read(self, arms):
+        states, _, delays, _ = self._true.read(arms)
+        return UncertainStates(np.repeat(states, 2, 1), {"payload_mass": self._masses}, np.repeat(delays, 2, 1), 1)
