@@ -149,7 +149,9 @@ class SafetyFilter:
         ValueError: for an arm without PD gains, from which the brake follows, and for drives with a lag.
     """
 
-    _arrays = ("_past", "change", "status", "_ages", "_next", "_growth", "_levels", "_responses", "_response_ages")
+    _arrays = (
+        "_past", "change", "status", "_ages", "_next", "_growth", "_levels", "_hold", "_responses", "_response_ages",
+    )  # fmt: skip
     state_fields = (*_arrays, "source")
 
     def __init__(self, plant: Plant, limits: PredictedLimits, source: StateSource) -> None:
@@ -163,6 +165,7 @@ class SafetyFilter:
         self._models: _Prediction | None = None
         self._single = _Prediction(plant, limits, self._damping, 1 + n)
         self._past, self.change = np.zeros((0, late, n)), np.zeros((0, n))
+        self._hold = np.zeros((0, n))  # torques that hold the weight in the last stop predicted within the limits, N m
         self.status, self._ages, self._next = (np.zeros(0, dtype=np.int64) for _ in range(3))
         self._growth, self._response_ages = np.zeros(0), np.zeros(0, dtype=np.int64)
         nothing = np.zeros((1, 1, 2 * plant.model.n_dof)), np.zeros((1, 1, OUTPUTS)), np.zeros((1, n))
@@ -230,7 +233,7 @@ class SafetyFilter:
             if self._ages[arm] == 0:
                 self._single.set_parameters(parameters)
                 start = np.abs(self._single.present(case.state)) + radius[0] + TOLERANCE
-                self._levels[arm] = np.clip(start, REMAINDER, 1.0)
+                self._levels[arm], self._hold[arm] = np.clip(start, REMAINDER, 1.0), hold[i]
             room = self._levels[arm] - radius
             margin = float((room - np.abs(own[0])).min())
             if margin < 0.0:
@@ -240,6 +243,8 @@ class SafetyFilter:
             else:
                 free = int(margin / self._growth[arm])
                 self._next[arm] = self._ages[arm] + min(1 + free, SKIPPED_PERIODS)
+            if self.status[arm] != STOPPED:
+                self._hold[arm] = hold[i]
 
     def _holding_torques(self, states: Array) -> Array:
         """Return the torques (r, n) that hold the weight of the arms at the motor angles of states (r, 2 d), N m."""
@@ -276,13 +281,13 @@ class SafetyFilter:
             shares = self._predict_one(case, changed[None])[0]
             if (np.abs(shares) <= room + TOLERANCE).all():
                 return changed, CHANGED
-        return self._stop(case), STOPPED
+        return self._stop(arm, case.state), STOPPED
 
-    def _stop(self, case: "_Case") -> Array:
-        """Return the torques (n,) of the brake in this period, as fractions of their limits."""
+    def _stop(self, arm: int, state: Array) -> Array:
+        """Return the torques (n,) of the brake of an arm in a state (2 d,), as fractions of their limits."""
         model = self._plant.model
-        rates = case.state[model.n_dof :][model.motor_columns]
-        return np.asarray(np.clip((case.hold - self._damping * rates) / self.torque_limits, -1.0, 1.0))
+        rates = state[model.n_dof :][model.motor_columns]
+        return np.asarray(np.clip((self._hold[arm] - self._damping * rates) / self.torque_limits, -1.0, 1.0))
 
     def _respond(self, arm: int, case: "_Case") -> None:
         """Compute the response (T, m, n) of the quantities of an arm to its torques of this period."""
