@@ -27,6 +27,7 @@ BRAKE = 0.3  # fraction of the damping of the PD tuned for the arm; a stronger b
 NEAR_PERIODS = 14  # control periods predicted with the brake sampled at the control rate, after the delay
 STAGES = ((0.025, 40), (0.25, 8))  # interval (s) and number of intervals of the later motion, with a continuous damper
 METHOD, MAX_STEP = "midpoint_corrected_3", 0.007  # of the prediction; longest step (s) in the near periods
+ROUNDING = 1e-6  # steps; error of a number of steps
 PULSE = 0.05  # fraction of the torque limits; pulse of a finite difference
 RESPONSE_PERIODS = 5  # control periods for which the response to a pulse is used again
 SKIPPED_PERIODS = 10  # largest number of control periods without a prediction, far from all limits
@@ -67,7 +68,8 @@ class _Prediction:
     def __init__(self, plant: Plant, limits: PredictedLimits, damping: Array, count: int) -> None:
         self._plant, self._limits, self._damping = plant, limits, damping
         self.count, period, arms = count, plant.period, max(2, count)  # a single arm has another kernel
-        steps = int(np.ceil(period / MAX_STEP))
+        step = plant.integration[1]
+        steps = int(np.ceil(period / (MAX_STEP if isinstance(step, str) else min(MAX_STEP, step)) - ROUNDING))
         self._near = Batch(plant.model, METHOD, period / steps, period, arms=arms)
         self._later = [Batch(plant.model, METHOD, interval, interval, arms=arms) for interval, _ in STAGES]
         self._parameters: Mapping[str, Array] = {}
