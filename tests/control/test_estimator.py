@@ -448,6 +448,8 @@ def test_a_confidence_region_contains_the_truth_of_most_arms():
     radius = np.sqrt(((region.states[:, 1:] - region.states[:, :1]) ** 2).sum(axis=1))
     assert (error <= radius + 1e-12).mean() >= 0.5
     some = estimator.confidence_region(np.array([5, 2]), 2.0)
-    assert all(np.array_equal(one, every[[5, 2]]) for one, every in zip(some.parameters.values(),
-                                                                      region.parameters.values(), strict=True))
+    assert all(
+        np.array_equal(one, every[[5, 2]])
+        for one, every in zip(some.parameters.values(), region.parameters.values(), strict=True)
+    )
     assert np.array_equal(some.states, region.states[[5, 2]])  # fmt: skip
