@@ -1,4 +1,4 @@
-"""Safety filter: limits hold for every agent, torques far from limits pass, changes are minimal, and stops are brakes."""
+"""Safety filter: limits hold for every agent, torques far from them pass, changes are minimal, and stops are brakes."""
 
 import copy
 import sys
@@ -141,7 +141,7 @@ def test_a_wall_is_not_passed(delay):
     for _ in range(100):
         *_, info = env.step(np.ones(1))
         nearest = min(nearest, info["limits"]["workspace"][0])
-    assert -0.002 < nearest < 0.03, "of a reach of 0.8 m"
+    assert -0.002 < nearest < 0.04, "of a reach of 0.8 m"
 
 
 @pytest.mark.parametrize("share", [0.5, 0.99, 0.999])
@@ -160,7 +160,7 @@ def test_a_start_near_a_wall_may_be_left(share):
 
 
 def test_an_action_far_from_the_limits_passes_with_equal_bits():
-    given = {"limits": {"strain": 1.0, "on_violation": "record"}, "condition": "delay"}
+    given = {"limits": {"strain": 1.0, "on_violation": "record"}, "randomisation": {"delay": (1, 1)}}
     plain, safe = (FlexManVectorEnv(2, name="FlexOne-v0", **given, **own) for own in ({}, {"safety": True}))
     plain.reset(seed=0), safe.reset(seed=0)
     for action in 0.1 * np.random.default_rng(0).uniform(-1.0, 1.0, (40, 2, 1)):
@@ -175,7 +175,7 @@ def test_the_change_is_the_smallest_one():
     state = rest_state(plant.model, np.array([-0.6, -0.9]))
     state[plant.model.n_dof :][plant.model.motor_columns] = state[plant.model.n_dof :][:2] = [0.4, -0.2]
     wanted, grid = np.array([0.9, 0.6]), np.linspace(-1.0, 1.0, 81)
-    limits = {"strain": [5e-4, 2e-4], "spring_torque": [9.0, 3.5]}
+    limits = {"strain": [1.35e-4, 2.4e-5], "spring_torque": [2.7, 0.45]}
     safety = filter_of(plant, limits)
     safe = filtered(safety, wanted, state)
     assert safety.status[0] == CHANGED and np.array_equal(safety.change[0], safe - wanted)
@@ -209,7 +209,7 @@ class TwoPayloads:
     sensors = ("state",)
 
     def __init__(self, plant, heavy):
-        self._true, self._masses = TrueState(plant), np.array([[plant.model.payload.mass, heavy]])
+        self._true, self._masses = TrueState(plant), np.array([[plant.model.constants.payload_mass[0], heavy]])
         self.reset, self.update = self._true.reset, self._true.update
 
     def read(self, arms):
@@ -221,7 +221,7 @@ def test_a_change_keeps_the_limits_of_all_possible_models():
     """With the heavier payload the arm exceeds its limits under torques that are safe for the most probable one."""
     plant, worst = plant_of(), []
     state = np.zeros(2 * plant.model.n_dof)
-    heavy = 3.0 * plant.model.constants.payload_mass[0]
+    heavy = 5.0 * plant.model.constants.payload_mass[0]
     for source in (TrueState(plant), TwoPayloads(plant, heavy)):
         safety = filter_of(plant, ONE, source)
         batch = Batch(plant.model, *plant.integration, plant.period, arms=2)
