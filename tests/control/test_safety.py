@@ -203,6 +203,23 @@ def test_without_safe_torques_the_brake_acts():
     assert safety.change[0] == torque - 1.0
 
 
+def test_the_brake_holds_the_weight_of_the_stop_that_was_predicted():
+    """Not that of the present posture: the arm would move differently in each period."""
+    plant = plant_of("FlexPlanar-v0")
+    safety, n, d = filter_of(plant, {"rate": 1.0}), plant.model.n_joints, plant.model.n_dof
+    postures, limits = np.array([[0.3, 0.2], [0.8, -0.4]]), np.array(plant.torque_limit)
+    hold = fm.holding_torques(plant.model, postures[0])
+    filtered(safety, hold / limits, rest_state(plant.model, postures[0]))
+    assert safety.status[0] == PASSED
+    state = rest_state(plant.model, postures[1])
+    state[d:][:n], state[d:][plant.model.motor_columns] = 1.6, 1.6
+    for _ in range(13):
+        torques = filtered(safety, np.ones(n), state)
+    assert safety.status[0] == STOPPED
+    damping = BRAKE * np.array(plant.gains()["damping"])
+    assert torques == pytest.approx(np.clip((hold - 1.6 * damping) / limits, -1.0, 1.0), rel=1e-12)
+
+
 class TwoPayloads:
     """Source of the true state, with a heavier payload that is as possible."""
 
