@@ -1,4 +1,4 @@
-"""Search the worst case of the safety filter by gradient ascent: python scripts/safety_worst.py --folder docs/evidence"""
+"""Search the worst case of the safety filter: python scripts/safety_worst.py --folder docs/evidence"""
 
 import argparse
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ from flexman_gym.common.arrays import Array, BoolArray
 from flexman_gym.common.computer import computer_text
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.rollout import rollout
-from flexman_gym.league.worst_case import _ascend, _Box
+from flexman_gym.league.worst_case import Box, ascend
 from flexman_gym.simulation.batch import Batch
 from studies.files import folder, write_rows
 
 ENVIRONMENT, SCALE = "FlexRRR-v0/unknown-lab", 0.6  # factor on the limits "study"
-HORIZON, SEED, POINTS = 4.0, 9000, 64  # s; seed of noise and points; random points before the ascents
+HORIZON, SEED, POINTS = 4.0, 9000, 128  # s; seed of noise and points; random points before the ascents
 FORCE, DURATION, LATEST = 20.0, 0.1, 2.0  # N on each axis; s; largest start of the pulse on the tip, s
 AGENTS = ("lqr-tracking", "random")
 
@@ -75,7 +75,8 @@ def search(agent: str, pulse: bool, safety: bool) -> WorstRow:
     limits = {"strain": SCALE * np.array(base.strain), "spring_torque": SCALE * np.array(base.spring_torque)}
     given = {name: each.tolist() for name, each in limits.items()} | {"on_violation": "record"}
     environment = Configuration.find(ENVIRONMENT).replace(limits=given, horizon=HORIZON, safety=safety)
-    box, values, points = _Box(environment), [], []
+    box, values = Box(environment), list[float]()
+    points: list[Array] = []
 
     def largest_shares(tried: Array) -> Array:
         own, force = np.split(tried, [box.size], axis=1)
@@ -87,7 +88,7 @@ def search(agent: str, pulse: bool, safety: bool) -> WorstRow:
         points.extend(own)
         return np.asarray(shares)
 
-    _ascend(largest_shares, np.random.default_rng(SEED).uniform(-1.0, 1.0, (POINTS, box.size + 4 * pulse)))
+    ascend(largest_shares, np.random.default_rng(SEED).uniform(-1.0, 1.0, (POINTS, box.size + 4 * pulse)))
     worst = box.parameters(points[int(np.argmax(values))][None])
     nominal = np.array([joint.stiffness for joint in environment.arm.joints])
     return WorstRow(
@@ -102,9 +103,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=folder, default="out", help="output folder of the rows")
     options, rows = parser.parse_args(), []
-    for agent in AGENTS:
-        for pulse in (False, True):
-            for safety in (False, True):
+    for safety in (True, False):
+        for agent in AGENTS:
+            for pulse in (True, False):
                 rows.append(search(agent, pulse, safety))
                 print(rows[-1], flush=True)
                 write_rows(rows, options.folder / "safety_worst.csv", 4, computer_text())
