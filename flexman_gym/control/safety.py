@@ -13,11 +13,13 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
+from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import optional_module
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.observer import UncertainStates
 from flexman_gym.control.observers.uncertain_states import StateSource
+from flexman_gym.kernels.layout import LARGEST_STATE, OUTPUTS
 from flexman_gym.model.statics import holding_torques
 from flexman_gym.simulation.batch import Batch
 
@@ -25,13 +27,14 @@ BRAKE = 0.3  # fraction of the damping of the PD tuned for the arm; a stronger b
 NEAR_PERIODS = 14  # control periods predicted with the brake sampled at the control rate, after the delay
 STAGES = ((0.025, 40), (0.25, 8))  # interval (s) and number of intervals of the later motion, with a continuous damper
 METHOD, MAX_STEP = "midpoint_corrected_3", 0.007  # of the prediction; longest step (s) in the near periods
+ROUNDING = 1e-6  # steps; error of a number of steps
 PULSE = 0.05  # fraction of the torque limits; pulse of a finite difference
 RESPONSE_PERIODS = 5  # control periods for which the response to a pulse is used again
 SKIPPED_PERIODS = 10  # largest number of control periods without a prediction, far from all limits
 RENEWAL_PERIODS = 25  # control periods after which the growth of the quantities is computed again
 GROWTH, SMALLEST_GROWTH = 1.5, 1e-6  # factor for models other than the most probable one, and least growth in a period
 TRIALS = 3  # quadratic programs until the prediction confirms a change
-REMAINDER = 0.985  # fraction of the limits; the rest is for the errors of the prediction
+REMAINDER = 0.985  # fraction of the limits, larger after a start beyond it; the rest is for errors of the prediction
 TOLERANCE = 0.002  # fraction of the limits; accepted by the confirmation
 DIVERGED = 1e3  # magnitude that replaces a prediction that diverged
 STATUS = ("passed", "changed", "stopped")
@@ -65,7 +68,8 @@ class _Prediction:
     def __init__(self, plant: Plant, limits: PredictedLimits, damping: Array, count: int) -> None:
         self._plant, self._limits, self._damping = plant, limits, damping
         self.count, period, arms = count, plant.period, max(2, count)  # a single arm has another kernel
-        steps = int(np.ceil(period / MAX_STEP))
+        step = plant.integration[1]
+        steps = int(np.ceil(period / (MAX_STEP if isinstance(step, str) else min(MAX_STEP, step)) - ROUNDING))
         self._near = Batch(plant.model, METHOD, period / steps, period, arms=arms)
         self._later = [Batch(plant.model, METHOD, interval, interval, arms=arms) for interval, _ in STAGES]
         self._parameters: Mapping[str, Array] = {}
@@ -87,6 +91,12 @@ class _Prediction:
                 batch.vary(every, **own)
         self._stiffness[: self.count] = parameters.get("joint_stiffness", self._stiffness[: self.count])
         self._parameters = {**parameters, "viscous_friction": friction}
+
+    def present(self, state: Array) -> Array:
+        """Return the quantities (m,) of the first model in a state (2 d,) as fractions of their limits."""
+        self._near.reset(np.zeros(1, dtype=np.int64), state[None])
+        shares = self._limits.shares(state[None, None], self._near.outputs[:1, None], self._stiffness[:1])
+        return np.asarray(shares[0, 0])
 
     def __call__(self, states: Array, commands: Array, delays: IntArray, hold: Array) -> Array:
         """Return the quantities (r, T, m) of r <= k models as fractions of their limits.
@@ -138,13 +148,18 @@ class SafetyFilter:
 
     Raises:
         ImportError: without daqp (Arnström, Bemporad and Axehill, IEEE Trans. Automatic Control 67, 2022, 4362).
-        ValueError: for an arm without PD gains, from which the brake follows.
+        ValueError: for an arm without PD gains, from which the brake follows, and for drives with a lag.
     """
 
-    state_fields = ("_past", "change", "status", "_ages", "_next", "_growth", "_responses", "_response_ages")
+    _arrays = (
+        "_past", "change", "status", "_ages", "_next", "_growth", "_levels", "_hold", "_responses", "_response_ages",
+    )  # fmt: skip
+    state_fields = (*_arrays, "source")
 
     def __init__(self, plant: Plant, limits: PredictedLimits, source: StateSource) -> None:
         self._daqp, self._plant = optional_module("daqp", "the safety filter", "mpc"), plant
+        if plant.bandwidth is not None:
+            raise value_error("safety", True, "False with drive_bandwidth: the predicted drives have no lag")
         self._limits, self.source = limits, source
         n, late = plant.model.n_joints, plant.delay[1]
         self.torque_limits = np.array(plant.torque_limit)
@@ -152,9 +167,13 @@ class SafetyFilter:
         self._models: _Prediction | None = None
         self._single = _Prediction(plant, limits, self._damping, 1 + n)
         self._past, self.change = np.zeros((0, late, n)), np.zeros((0, n))
+        self._hold = np.zeros((0, n))  # torques that hold the weight in the last stop predicted within the limits, N m
         self.status, self._ages, self._next = (np.zeros(0, dtype=np.int64) for _ in range(3))
         self._growth, self._response_ages = np.zeros(0), np.zeros(0, dtype=np.int64)
-        self._responses = np.zeros((0, 0, 0, n))
+        nothing = np.zeros((1, 1, 2 * plant.model.n_dof)), np.zeros((1, 1, OUTPUTS)), np.zeros((1, n))
+        periods = 1 + late + NEAR_PERIODS + sum(count for _, count in STAGES)
+        self._levels = np.zeros((0, limits.shares(*nothing).shape[2]))  # allowed fractions of the limits
+        self._responses = np.zeros((0, periods, self._levels.shape[1], n))
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -163,7 +182,7 @@ class SafetyFilter:
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes; arguments as in `Controller.reset`."""
-        for name in ("_past", "change", "status", "_ages", "_next", "_growth", "_responses", "_response_ages"):
+        for name in self._arrays:
             setattr(self, name, pad_rows(getattr(self, name), count))
         self._past[arms] = self.change[arms] = self._growth[arms] = 0.0
         self.status[arms] = self._ages[arms] = self._next[arms] = 0
@@ -203,23 +222,31 @@ class SafetyFilter:
             {name: np.resize(each, (count * k, *each.shape[1:])) for name, each in flat.items()}
         )
         commands = np.concatenate([(actions[arms] * self.torque_limits)[:, None], self._past[arms]], axis=1)
-        hold = self._holding_torques(possible.states[:, 0])
-        given = possible.states.reshape(r * k, -1), np.repeat(commands, k, axis=0), possible.delays.ravel()
+        states = np.clip(np.nan_to_num(possible.states, nan=LARGEST_STATE), -LARGEST_STATE, LARGEST_STATE)
+        hold = self._holding_torques(states[:, 0])
+        given = states.reshape(r * k, -1), np.repeat(commands, k, axis=0), possible.delays.ravel()
         shares = self._models(*given, np.repeat(hold, k, axis=0))
         for i, arm in enumerate(arms.tolist()):
             own = shares[i * k : (i + 1) * k]
             radius = _radius(own, possible)
             parameters = {name: np.repeat(each[i, :1], 1 + len(self.torque_limits), axis=0)
                           for name, each in possible.parameters.items()}  # fmt: skip
-            case = _Case(possible.states[i, 0], commands[i], possible.delays[i, :1], hold[i], radius, parameters)
-            largest = float((np.abs(own[0]) + radius).max())
-            if largest > REMAINDER:
-                result[arm], self.status[arm] = self._change(arm, case, actions[arm], own[0])
+            case = _Case(states[i, 0], commands[i], possible.delays[i, :1], hold[i], parameters)
+            if self._ages[arm] == 0:
+                self._single.set_parameters(parameters)
+                start = np.abs(self._single.present(case.state)) + radius[0] + TOLERANCE
+                self._levels[arm], self._hold[arm] = np.clip(start, REMAINDER, 1.0), hold[i]
+            room = self._levels[arm] - radius
+            margin = float((room - np.abs(own[0])).min())
+            if margin < 0.0:
+                result[arm], self.status[arm] = self._change(arm, case, room, own[0])
             elif self._ages[arm] - self._response_ages[arm] >= RENEWAL_PERIODS:
                 self._respond(arm, case)
             else:
-                free = int((REMAINDER - largest) / self._growth[arm])
+                free = int(margin / self._growth[arm])
                 self._next[arm] = self._ages[arm] + min(1 + free, SKIPPED_PERIODS)
+            if self.status[arm] != STOPPED:
+                self._hold[arm] = hold[i]
 
     def _holding_torques(self, states: Array) -> Array:
         """Return the torques (r, n) that hold the weight of the arms at the motor angles of states (r, 2 d), N m."""
@@ -228,40 +255,41 @@ class SafetyFilter:
             return np.zeros((len(states), model.n_joints))
         return np.array([holding_torques(model, state[model.motor_columns]) for state in states])
 
-    def _change(self, arm: int, case: "_Case", action: Array, shares: Array) -> tuple[Array, int]:
-        """Return the safe torques (n,) closest to an action (n,), and the status.
+    def _change(self, arm: int, case: "_Case", room: Array, shares: Array) -> tuple[Array, int]:
+        """Return the safe torques (n,) closest to the torques of the agent, and the status.
 
         Args:
             arm: index of the arm.
             case: situation of the arm.
-            action: torques of the agent as fractions of their limits.
-            shares: (T, m) quantities of the most probable model for this action.
+            room: (T, m) allowed magnitudes of the quantities of the most probable model.
+            shares: (T, m) quantities of the most probable model for the torques of the agent.
         """
         if self._ages[arm] - self._response_ages[arm] >= RESPONSE_PERIODS:
             self._respond(arm, case)
+        action = case.commands[0] / self.torque_limits
         response, changed = self._responses[arm], action
         for _ in range(TRIALS):
-            near = np.abs(shares) + case.radius + 2.0 * np.abs(response).sum(axis=2) > REMAINDER
-            room, now = REMAINDER - case.radius[near], shares[near]
-            if (room < 0.0).any():
+            near = np.abs(shares) + 2.0 * np.abs(response).sum(axis=2) > room
+            largest, now = room[near], shares[near]
+            if (largest < 0.0).any():
                 break
-            upper = np.concatenate([1.0 - changed, room - now])
-            lower = np.concatenate([-1.0 - changed, -room - now])
+            upper = np.concatenate([1.0 - changed, largest - now])
+            lower = np.concatenate([-1.0 - changed, -largest - now])
             rows = np.ascontiguousarray(response[near])
             step, _, solved, _ = self._daqp.solve(np.eye(len(action)), changed - action, rows, upper, lower)
             if solved <= 0:
                 break
             changed = np.clip(changed + np.array(step), -1.0, 1.0)
             shares = self._predict_one(case, changed[None])[0]
-            if (np.abs(shares) + case.radius).max() <= REMAINDER + TOLERANCE:
+            if (np.abs(shares) <= room + TOLERANCE).all():
                 return changed, CHANGED
-        return self._stop(case), STOPPED
+        return self._stop(arm, case.state), STOPPED
 
-    def _stop(self, case: "_Case") -> Array:
-        """Return the torques (n,) of the brake in this period, as fractions of their limits."""
+    def _stop(self, arm: int, state: Array) -> Array:
+        """Return the torques (n,) of the brake of an arm in a state (2 d,), as fractions of their limits."""
         model = self._plant.model
-        rates = case.state[model.n_dof :][model.motor_columns]
-        return np.asarray(np.clip((case.hold - self._damping * rates) / self.torque_limits, -1.0, 1.0))
+        rates = state[model.n_dof :][model.motor_columns]
+        return np.asarray(np.clip((self._hold[arm] - self._damping * rates) / self.torque_limits, -1.0, 1.0))
 
     def _respond(self, arm: int, case: "_Case") -> None:
         """Compute the response (T, m, n) of the quantities of an arm to its torques of this period."""
@@ -270,8 +298,6 @@ class SafetyFilter:
         pulses = np.where(action > 0.0, -PULSE, PULSE)  # inwards
         shares = self._predict_one(case, action + np.vstack([np.zeros(n), np.diag(pulses)]))
         response = np.moveaxis((shares[1:] - shares[:1]) / pulses[:, None, None], 0, -1)
-        if self._responses.shape[1:3] != response.shape[:2]:
-            self._responses = np.zeros((len(self.status), *response.shape))
         self._responses[arm], self._response_ages[arm] = response, self._ages[arm]
         self._growth[arm] = max(GROWTH * 2.0 * np.abs(response).sum(axis=2).max(), SMALLEST_GROWTH)
 
@@ -293,7 +319,6 @@ class _Case(NamedTuple):
         commands: (D + 1, n) torques of the agent in this period, then those commanded before, N m.
         delay: (1,) delay of the torques, control periods.
         hold: (n,) torques that hold the weight, N m.
-        radius: (T, m) largest deviation of the quantities of the possible models, as fractions of the limits.
         parameters: name -> (1 + n, ...) physical parameters of the most probable model, repeated for its predictions.
     """
 
@@ -301,7 +326,6 @@ class _Case(NamedTuple):
     commands: Array
     delay: IntArray
     hold: Array
-    radius: Array
     parameters: Mapping[str, Array]
 
 

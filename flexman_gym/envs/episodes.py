@@ -19,7 +19,7 @@ from flexman_gym.envs.active_effects import ActiveEffects
 from flexman_gym.envs.compiled_period import CompiledPeriod
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.reset_options import parse_reset_options, replace_tip_positions
-from flexman_gym.envs.config.specification import make_base_and_mode
+from flexman_gym.envs.config.specification import make_base_and_mode, make_safe
 from flexman_gym.envs.effects import EffectContext
 from flexman_gym.envs.measurements import Measurements
 from flexman_gym.envs.motors import Motors
@@ -92,6 +92,7 @@ class Episodes:
         self._limits = np.concatenate(list(self.limits.bounds(self.view).values()))
         self.motors = Motors(configuration.torque_limit, arms, configuration.lag)
         base, mode = make_base_and_mode(configuration, batch.model)
+        mode = make_safe(configuration, batch.model, base, mode)
         own_sensors, mode_sensors = [*configuration.sensors, *configuration.task.sensors], find_sensors(mode.sensors)
         self.effects = self._make_effects(configuration, [*own_sensors, *mode_sensors])
         self.measurements = Measurements(self.view, configuration.limits, own_sensors, mode_sensors, self.effects)
@@ -455,7 +456,7 @@ class Episodes:
             if len(self.over) == 1:
                 info["cost"] = self.cost.item()
         if (safety := self.safety) is not None:
-            names, one = np.array(STATUS)[safety.status], len(self.over) == 1
+            names, one = np.array(STATUS, dtype=object)[safety.status], len(self.over) == 1
             info["safety_status"] = str(names[0]) if one else names
             info["safety_change"] = safety.change[0].copy() if one else safety.change.copy()
         for name, value in self.task.info(view).items():

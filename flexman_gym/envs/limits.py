@@ -289,7 +289,7 @@ class LimitShares:
             parts.append(torques / self._bound("spring_torque"))
         if self._limits.workspace is not None:
             depths = self._limits.depths(outputs[..., TIP]) - self._margins.get("workspace", 0.0)
-            parts.append(1.0 - depths / self._reach)
+            parts.append(np.maximum(1.0 - depths / self._reach, 0.0))
         return np.concatenate(parts, axis=2)
 
 

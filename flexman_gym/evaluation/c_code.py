@@ -156,6 +156,8 @@ def begin_agent(name: object, environment: str = "", seed: int = TEST_SEEDS[0], 
     """
     spec = find_agent(name)
     bare = common_environment([spec], Configuration.find(environment) if environment else None)
+    if bare.safety:
+        raise value_error("safety", True, "False: the safety filter cannot be exported")
     interface, law = dict(spec.interface or {}), spec.law
     if isinstance(base := interface.get("base"), str | dict):
         design = bare.replace(**interface)

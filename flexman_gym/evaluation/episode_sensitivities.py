@@ -130,6 +130,8 @@ def sensitivities(
     if agent is None:
         raise value_error("agent", agent, f"an agent for an environment: {DIFFERENTIATED}")
     environment, spec = Configuration.find(scene), find_agent(agent)
+    if environment.safety:
+        raise value_error("safety", True, "False: the safety filter has no derivatives")
     derivatives = _Derivatives(spec, environment, (checked_names("of", of), checked_names("to", to)))
     return derivatives.result(rollout(spec, environment, [seed], derivatives))
 

@@ -35,7 +35,7 @@ def worst_case(agent: str, environment: Configuration, seed: int, starts: int = 
         Final error "error" (m), seed and options of a reset, as JSON-compatible data. A failed episode has an infinite
         error.
     """
-    box = _Box(environment)
+    box = Box(environment)
     periods = max(1, round(FINAL_TIME / environment.control_period))
 
     def final_errors(points: Array) -> Array:
@@ -44,13 +44,13 @@ def worst_case(agent: str, environment: Configuration, seed: int, starts: int = 
         return np.where(failed, np.inf, result.errors[:, -periods:].mean(axis=1))
 
     points = np.random.default_rng(seed).uniform(-1.0, 1.0, (starts, box.size))
-    point, error = _ascend(final_errors, points)
+    point, error = ascend(final_errors, points)
     options = {name: values[0].tolist() for name, values in box.options(point[None]).items() if name != "parameters"}
     options["parameters"] = {name: each[0].tolist() for name, each in box.parameters(point[None]).items()}
     return {"error": error if np.isfinite(error) else None, "seed": seed, "options": options}
 
 
-class _Box:
+class Box:
     """Box of the parameters, starts and goals of an environment, with the coordinates -1 to 1.
 
     Args:
@@ -83,7 +83,7 @@ class _Box:
         return options
 
 
-def _ascend(objective: Callable[[Array], Array], points: Array) -> tuple[Array, float]:
+def ascend(objective: Callable[[Array], Array], points: Array) -> tuple[Array, float]:
     """Maximise a function > 0 in the box from -1 to 1 by projected gradient ascent from the best of some points.
 
     Gradients are forward differences. All points of the gradients and of the line searches are evaluated together.

@@ -423,3 +423,33 @@ def test_its_trials_have_the_numbers_that_it_says():
     drive[:, :2] = np.repeat(bench.applied * plant.torque_limit, len(numbers) // 2, axis=0)
     alone.step(drive)
     assert np.array_equal(observer._states.reshape(len(numbers), -1), alone.state)
+
+
+def test_a_confidence_region_contains_the_truth_of_most_arms():
+    """Deviations along each parameter: a heavier payload, softer springs; delays that fit; states that move along."""
+    plant = plant_of(noise=1e-3, delay=(0, 2))
+    random, arms = np.random.default_rng(3), 24
+    parameters = drawn_parameters(plant, arms, random)
+    delays = random.integers(0, 3, arms)
+    bench = Bench(plant, random.uniform(-0.8, 0.8, (arms, 1)), parameters, delays, noise=1.0, seed=3)
+    estimator = Estimator(plant)
+    bench.follow(estimator, pushes(random, 25, arms, 1))
+    region = estimator.confidence_region(np.arange(arms), 2.0)
+    assert region.states.shape[1] == region.deviations + 3, "one model, one for each parameter, two other delays"
+    assert (region.delays.min(axis=1) <= delays).all() and (delays <= region.delays.max(axis=1)).all()
+    for name, true in parameters.items():
+        values = region.parameters[name].reshape(arms, -1)
+        most_probable, deviations = values[:, 0], values[:, 1 : 1 + region.deviations] - values[:, :1]
+        radius = np.sqrt((deviations**2).sum(axis=1))
+        assert (np.abs(most_probable - true.reshape(arms)) <= radius + 1e-9).mean() >= 0.75, name
+        own = deviations[:, list(dict.fromkeys(estimator.uncertain.names)).index(name)]
+        assert (own >= 0.0 if name == "payload_mass" else own <= 0.0).all() and own.any(), name
+    error = np.abs(region.states[:, 0] - bench.batch.state)
+    radius = np.sqrt(((region.states[:, 1:] - region.states[:, :1]) ** 2).sum(axis=1))
+    assert (error <= radius + 1e-12).mean() >= 0.5
+    some = estimator.confidence_region(np.array([5, 2]), 2.0)
+    assert all(
+        np.array_equal(one, every[[5, 2]])
+        for one, every in zip(some.parameters.values(), region.parameters.values(), strict=True)
+    )
+    assert np.array_equal(some.states, region.states[[5, 2]])  # fmt: skip

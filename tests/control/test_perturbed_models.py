@@ -14,6 +14,7 @@ from flexman_gym.control.observers.perturbed_models import (
     Prior,
     Resimulation,
     UncertainParameters,
+    covariance_factors,
     solve_scaled,
 )
 from flexman_gym.simulation.batch import Batch
@@ -308,6 +309,19 @@ def test_equations_in_units_far_apart_are_solved():
     vectors[2, 1] = np.inf
     result = solve_scaled(matrices, vectors)
     assert result[0] * scale == pytest.approx(expected[0] * scale, rel=1e-7) and not result[1:].any()
+
+
+def test_factors_of_covariances_are_those_of_the_inverse():
+    random = np.random.default_rng(1)
+    root, scale = random.standard_normal((3, 5, 5)), 10.0 ** np.array([-8.0, -3.0, 0.0, 4.0, 8.0])
+    information = (root @ root.transpose(0, 2, 1) + np.eye(5)) * np.outer(scale, scale)
+    factors = covariance_factors(information)
+    assert factors[:, 0, 1:].any() == 0 and (np.diagonal(factors, axis1=1, axis2=2) > 0.0).all(), "lower triangles"
+    product = (factors @ factors.transpose(0, 2, 1)) @ information
+    assert product * scale[:, None] / scale == pytest.approx(np.tile(np.eye(5), (3, 1, 1)), abs=1e-6)
+    information[1, 0, 0] = np.nan
+    again = covariance_factors(information)
+    assert not again[1].any() and np.array_equal(again[[0, 2]], factors[[0, 2]])
 
 
 def test_bounded_changes_minimise_the_cost_within_the_bounds():

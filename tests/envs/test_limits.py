@@ -15,7 +15,7 @@ from flexman_gym.simulation.parameters import varied_model
 
 from oracles.assertions import refusal, same, same_alone_and_among_others, same_side_by_side
 from oracles.files import ROOT
-from oracles.random_inputs import actions
+from oracles.random_inputs import actions, states_of
 
 FLOOR, BOX, BALL = {"half_space": [[0, 3, -4], 5.0]}, {"box": [[-8, -7, -6], [8, 7, 6]]}, {"sphere": [[0, 0, 1], 8.5]}
 ALL = {
@@ -166,6 +166,35 @@ def test_distances_and_costs_after_the_end_of_episodes_are_those_of_single_arms(
     *_, infos = [ending.step(np.ones((3, 3)))[-1] for _ in range(5)]
     infos = infos["final_info"] if mode == AutoresetMode.SAME_STEP else infos
     assert infos["cost"].shape == (3,) and infos["limits"]["strain"].shape == (3, 9)
+
+
+@pytest.mark.parametrize("condition", ["stiffness", "unmodelled"])
+def test_shares_of_predicted_states_are_the_signed_quantities_over_their_limits(condition):
+    """1 - share is the distance over the limit; a torque of a spring with knees is bounded by that of a linear one."""
+    limits = fm.Limits(**ALL)
+    env = FlexManVectorEnv(3, limits=limits, condition=condition)
+    env.reset(seed=0)
+    batch, view = env.batch, env.episodes.view
+    batch.reset(np.arange(3), states_of(batch.model, 3))
+    view.refresh()
+    stiffness = batch.spring_constants()[0]
+    shares = limits.predicted(batch.model).shares(batch.state[:, None], batch.outputs[:, None], stiffness)[:, 0]
+    margin = dict.fromkeys(("rate", "twist", "deflection_rate", "tip_speed"), 0.0) | dict(limits.margin)
+    quantities = {
+        "angle": view.motor_angles, "rate": np.hstack([view.motor_rates, view.joint_twist_rates]),
+        "twist": view.joint_twists, "deflection": view.link_deflections / np.repeat(view.lengths, 2),
+        "deflection_rate": view.link_deflection_rates, "strain": view.root_strains, "tip_speed": view.tip_velocity,
+    }  # fmt: skip
+    expected = [each / (limits.of_quantities(name) - margin[name]) for name, each in quantities.items()]
+    first = sum(each.shape[1] for each in expected)
+    assert shares[:, :first] == pytest.approx(np.hstack(expected), rel=1e-9, abs=1e-12)
+    torques, depths = np.split(shares[:, first:], [3], axis=1)
+    exact = view.spring_torques / (300.0 - 20.0)
+    same_torques = torques == pytest.approx(exact, rel=1e-9, abs=1e-9)
+    assert same_torques if condition == "stiffness" else (np.abs(torques) >= np.abs(exact) - 1e-9).all()
+    reach = batch.model.constants.length.sum()
+    inside = np.minimum(limits.distances(view)["workspace"], reach)  # deeper points are as safe
+    assert 1.0 - depths == pytest.approx(inside / reach)
 
 
 def test_the_cost_of_a_step_is_its_number_of_periods_in_violation():

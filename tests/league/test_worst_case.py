@@ -11,9 +11,9 @@ from flexman_gym.league import worst_case
 def test_ascent_ends_in_the_corner_of_a_monotonic_function_and_at_an_interior_maximum():
     slope, centre = np.array([3.0, -1.0, 0.5]), np.array([0.3, -0.6, 0.1])
     points = np.random.default_rng(0).uniform(-1.0, 1.0, (8, 3))
-    point, value = worst_case._ascend(lambda x: np.exp(x @ slope), points)
+    point, value = worst_case.ascend(lambda x: np.exp(x @ slope), points)
     assert point.tolist() == [1.0, -1.0, 1.0] and value == pytest.approx(np.exp(4.5))
-    point, value = worst_case._ascend(lambda x: np.exp(-5.0 * ((x - centre) ** 2).sum(axis=1)), points)
+    point, value = worst_case.ascend(lambda x: np.exp(-5.0 * ((x - centre) ** 2).sum(axis=1)), points)
     assert np.abs(point - centre).max() < 0.1 and 0.97 < value <= 1.0
 
 

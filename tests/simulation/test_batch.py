@@ -14,6 +14,7 @@ from flexman_gym.kernels import batch as kernels
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
 
+from oracles.assertions import refusal
 from oracles.chains import laden_rrr
 from oracles.random_inputs import drives, states_of
 
@@ -259,6 +260,42 @@ def test_a_roll_is_as_many_steps_to_the_bit(method, step, arms):
     for name in ("rows", "outputs", "status", "time", "energy_turnover", "energy_residual"):
         assert np.array_equal(getattr(rolled, name), getattr(stepped, name)), name
     assert np.array_equal(rolled.tip_accelerations(), stepped.tip_accelerations())
+
+
+@pytest.mark.parametrize("flexible", [True, False])
+def test_a_roll_with_feedback_is_a_loop_of_steps_with_a_pd(flexible):
+    """With delays of 0 to 2 periods, a first period, and torques within limits that bind."""
+    model = fm.build_model(fm.catalog.paper_rrr(), 1, 1, flexible_joints=flexible)
+    random, d, motors = np.random.default_rng(0), model.n_dof, model.motor_columns
+    rolled, stepped = (Batch(model, "midpoint_3", 0.005, 0.02, arms=9) for _ in range(2))
+    states, drives = states_of(model, 9), np.zeros((9, 12, 9))
+    drives[:, :, :3] = random.uniform(-50.0, 50.0, (9, 12, 3))
+    table = random.uniform([[200.0], [20.0], [60.0], [-0.3]], [[400.0], [50.0], [180.0], [0.3]], (9, 4, 3))
+    delays = np.arange(9) % 3
+    timing = np.stack([delays + np.arange(9) // 3, delays], axis=1)
+    for batch in (rolled, stepped):
+        batch.reset(np.arange(9), states)
+    motion, outputs = rolled.roll(drives, (table, timing, rolled.rows.copy()))
+    past, clipped = [stepped.state.copy()], 0
+    for t in range(12):
+        drive = drives[:, t].copy()
+        for arm in np.flatnonzero(t >= timing[:, 0]):
+            stiffness, damping, limit, reference = table[arm]
+            state = past[max(t - delays[arm], 0)][arm]
+            torque = drive[arm, :3] + stiffness * (reference - state[motors]) - damping * state[d + motors]
+            drive[arm, :3] = np.clip(torque, -limit, limit)
+            clipped += np.count_nonzero(np.abs(torque) > limit)
+        stepped.step(drive)
+        past.append(stepped.state.copy())
+        assert motion[:, t] == pytest.approx(stepped.state, rel=1e-12, abs=1e-12)
+        assert outputs[:, t] == pytest.approx(stepped.outputs, rel=1e-11, abs=1e-11)
+    assert 20 < clipped < 200, "some of the 300 torques are at their limits"
+
+
+def test_feedback_of_a_single_arm_is_refused():
+    batch = Batch(fm.build_model(ARM, 1, 1), "midpoint_3", 0.01, 0.02)
+    feedback = np.zeros((1, 4, 3)), np.zeros((1, 2), dtype=np.int64), batch.rows.copy()
+    assert refusal(batch.roll, np.zeros((1, 3, 9)), feedback).startswith("drives: ")
 
 
 def test_inputs_of_another_layout_need_no_other_kernel():

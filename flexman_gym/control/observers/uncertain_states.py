@@ -65,6 +65,7 @@ class EstimatedState:
 
     def __init__(self, estimator: Estimator, shared: bool) -> None:
         self._estimator, self._shared = estimator, shared
+        self.state_fields: tuple[str, ...] = () if shared else ("_estimator",)
         self.sensors: tuple[str, ...] = () if shared else estimator.sensors
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:

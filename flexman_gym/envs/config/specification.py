@@ -65,10 +65,15 @@ def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Cont
         base = make_base(base, plant)
         if isinstance(base, PD) and (text := base.unstable(model, plant.period, configuration.max_delay)):
             warnings.warn(text, stacklevel=2)
-    mode = make_action_mode(configuration.actions, plant, base)
-    if configuration.safety:
-        mode = SafeMode(mode, SafetyFilter(plant, configuration.limits.predicted(model), _state_source(plant, base)))
-    return base, mode
+    return base, make_action_mode(configuration.actions, plant, base)
+
+
+def make_safe(configuration: Configuration, model: Model, base: Controller | None, mode: ActionMode) -> ActionMode:
+    """Return an action mode with the safety filter of the setting `safety`; without the setting the mode itself."""
+    if not configuration.safety:
+        return mode
+    plant = make_plant(configuration, model)
+    return SafeMode(mode, SafetyFilter(plant, configuration.limits.predicted(model), _state_source(plant, base)))
 
 
 def _state_source(plant: Plant, base: Controller | None) -> StateSource:
