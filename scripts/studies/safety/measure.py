@@ -8,6 +8,7 @@ from time import process_time
 from typing import Any
 from unittest.mock import patch
 
+import gymnasium as gym
 import numpy as np
 
 import flexman_gym as fm
@@ -27,7 +28,7 @@ CALIBRATION_SEEDS, TEST_SEED, CHUNK = range(5000, 5100), 9000, 200  # seeds of l
 SINGLE_SEEDS = range(8000, 8003)  # of single arms, for the CPU time
 ACCEPTED = 0.02  # fraction of the limit; excess that does not count
 LEVEL = 0.95  # confidence of the bound of the rate of violations
-HEIGHT = -1.0  # m; smallest height of the tip in the half space, of which the free agent leaves it in 30 % of its moves
+HEIGHT = 3.0  # m; largest height of the tip in the half space, in which 30 % of the goals of the task are not
 FIELDS = ("free_excess", "free_settling", "excess", "settling", "change", "changed", "stopped", "cpu")
 
 
@@ -148,7 +149,7 @@ def environment(cell: Cell, value: float) -> Configuration:
     elif cell.limits == RATE:
         given["margin"] = {"rate": fm.Limits.rate - value}
     else:
-        given["workspace"] = [{"half_space": [[0.0, 0.0, -1.0], -value]}]
+        given["workspace"] = [{"half_space": [[0.0, 0.0, 1.0], value]}]
     return Configuration.find(name).replace(limits=fm.Limits(**given))
 
 
@@ -158,7 +159,7 @@ def agent(cell: Cell) -> Any:
 
 
 def calibrated(cell: Cell) -> float:
-    """Return the limit of a cell that the free agent exceeds in 40 % of its moves on the calibration seeds."""
+    """Return a limit that the free agent exceeds in 40 % of its moves on the calibration seeds, or the half space."""
     if cell.limits == HALF_SPACE:
         return HEIGHT
     peaks = np.zeros(len(CALIBRATION_SEEDS))
@@ -176,6 +177,17 @@ def calibrated(cell: Cell) -> float:
 
     rollout(agent(cell), environment(cell, 1.0), list(CALIBRATION_SEEDS), record)
     return float(np.percentile(peaks, PERCENTILE))
+
+
+def options(cell: Cell, seeds: list[int]) -> dict[str, Any] | None:
+    """Return the options of the reset: for a half space the goals that the task draws without it."""
+    if cell.limits != HALF_SPACE:
+        return None
+    arms = gym.make_vec(ENVIRONMENT, len(seeds), "vector_entry_point")
+    arms.reset(seed=seeds)
+    goals = arms.unwrapped.episodes.view.episode_parameters["goal_angles"].copy()  # type: ignore[attr-defined]
+    arms.close()
+    return {"goal_angles": goals}
 
 
 @contextmanager
@@ -204,13 +216,14 @@ def filtered(cell: Cell, value: float, seeds: list[int]) -> tuple[Rollout, Array
             row += ~episodes.over & (episodes.safety.status == status)
 
     with timed_filter() as total:
-        moves = rollout(agent(cell), environment(cell, value), seeds, count, safety=True)
+        limited, given = environment(cell, value), options(cell, seeds)
+        moves = rollout(agent(cell), limited, seeds, count, options=given, safety=True)
     return moves, counts, 1e3 * total[0] / total[1]
 
 
 def measure(cell: Cell, value: float, seeds: list[int]) -> Array:
     """Return FIELDS (FIELDS, b) of moves."""
-    free = rollout(agent(cell), environment(cell, value), seeds)
+    free = rollout(agent(cell), environment(cell, value), seeds, options=options(cell, seeds))
     moves, counts, cpu = filtered(cell, value, seeds)
     settling = [[METRICS["settling_time"].evaluate([each]) for each in run.records] for run in (free, moves)]
     changes = [np.mean(np.square(each.changes)) for each in moves.records]
