@@ -2,15 +2,17 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
+from itertools import product
+from pathlib import Path
 from time import process_time
 from typing import Any
 
 import numpy as np
-from flexman_agents.sb3 import make_model
-from flexman_agents.settings import Settings
 
 import flexman_gym as fm
+from flexman_agents.sb3 import make_model
+from flexman_agents.settings import Settings
 from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
@@ -19,12 +21,12 @@ from flexman_gym.evaluation.agent import AgentSpec
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.metrics.statistics import upper_median
-from studies.safety.measure import ACCEPTED, ENVIRONMENT
+from studies.safety.measure import ACCEPTED, ENVIRONMENT, kept
 
 STRAIN = 1.4e-4  # m/m; limit of FlexOne-v0, which the tuned PD controller exceeds in about half of its slews
 SEEDS, TEST_SEEDS = (0, 1), range(9000, 9100)  # of trainings, and of the moves of a policy
 KINDS = {"inside": (True, "cost"), "free": (False, "cost"), "ended": (False, "end")}  # filter, on_violation
-STEPS, ADVERSARY_STEPS = 200_000, 300_000  # actions of a training, of 5 control periods each
+STEPS, ADVERSARY_STEPS = 100_000, 300_000  # actions of a training, of 5 control periods each
 SETTINGS: dict[str, Any] = {
     "algo": "ppo", "envs": 64, "normalise_reward": True,
     "hyperparameters": {"n_steps": 48, "batch_size": 512, "n_epochs": 4, "gamma": 0.95, "gae_lambda": 0.9,
@@ -96,20 +98,26 @@ def trained(environment: Configuration, seed: int, steps: int) -> tuple[AgentSpe
     return AgentSpec.from_predictor(model), count, (process_time() - started) / 60.0
 
 
-def learning_rows() -> Iterator[LearningRow]:
-    """Yield the rows: each policy without and with the filter."""
-    for seed in SEEDS:
-        for kind, (safety, on_violation) in KINDS.items():
-            environment = task(on_violation).replace(base="pd", safety=safety, **INTERFACE)
-            policy, count, cpu = trained(environment, seed, STEPS)
-            for filtered in (False, True):
-                records = rollout(policy, task("cost"), list(TEST_SEEDS), safety=filtered).records
-                settling = np.array([METRICS["settling_time"].evaluate([record]) for record in records])
-                violated = [float(record.excess.max()) > ACCEPTED for record in records if record.excess is not None]
-                yield LearningRow(
-                    kind, seed, STEPS, cpu, count.ended, count.violating, str(filtered), float(np.mean(violated)),
-                    float(np.isfinite(settling).mean()), upper_median(settling), METRICS["reward"].evaluate(records),
-                )  # fmt: skip
+def learning_rows(folder: Path) -> Iterator[LearningRow]:
+    """Yield the rows, two for each policy: without and with the filter; finished policies are kept in a folder."""
+    for seed, (kind, (safety, on_violation)) in product(SEEDS, KINDS.items()):
+        values = kept(folder / f"learning_{kind}_{seed}.npy", lambda: _measured(seed, safety, on_violation))  # noqa: B023
+        for filtered, (cpu, episodes, violating, *rest) in zip((False, True), values, strict=True):
+            counts = int(episodes), int(violating), str(filtered)
+            yield LearningRow(kind, seed, STEPS, cpu, *counts, *rest)
+
+
+def _measured(seed: int, safety: bool, on_violation: str) -> list[list[float]]:
+    """Return the numbers from `cpu` on of the rows of a policy, without and with the filter."""
+    policy, count, cpu = trained(task(on_violation).replace(base="pd", safety=safety, **INTERFACE), seed, STEPS)
+    result = []
+    for filtered in (False, True):
+        records = rollout(policy, task("cost"), list(TEST_SEEDS), safety=filtered).records
+        settling = np.array([METRICS["settling_time"].evaluate([record]) for record in records])
+        violated = [float(record.excess.max()) > ACCEPTED for record in records if record.excess is not None]
+        result.append([cpu, count.ended, count.violating, float(np.mean(violated)), float(np.isfinite(settling).mean()),
+                       upper_median(settling), METRICS["reward"].evaluate(records)])  # fmt: skip
+    return result
 
 
 def _largest_share(view: View, strain: Array, torque: Array) -> Array:
@@ -118,6 +126,7 @@ def _largest_share(view: View, strain: Array, torque: Array) -> Array:
     return np.asarray(np.abs(np.concatenate(parts, axis=1)).max(axis=1))
 
 
+@cache
 def adversary() -> AgentSpec:
     """Return a policy of FlexRRR-v0 that is trained to break the limits of strain and spring torque."""
     limits = Configuration.find(ENVIRONMENT, ["limits=study"]).limits

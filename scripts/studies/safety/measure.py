@@ -49,25 +49,26 @@ class Cell:
 
 CELLS = (
     Cell("nominal", "lqr-tracking", STUDY, 2000),
-    Cell("nominal", "lqr-tracking", RATE, 200),
-    Cell("nominal", "lqr-tracking", HALF_SPACE, 200),
+    Cell("nominal", "lqr-tracking", RATE, 60),
+    Cell("nominal", "lqr-tracking", HALF_SPACE, 60),
     Cell("nominal", "adaptive-lqr", STUDY, 200),
-    Cell("nominal", "lab-flexrrr", STUDY, 200),
+    Cell("nominal", "lab-flexrrr", STUDY, 100),
     Cell("nominal", "ppo-flexrrr", STUDY, 200),
-    Cell("nominal", "random", STUDY, 200),
-    Cell("nominal", "along the rates", STUDY, 200),
+    Cell("nominal", "random", STUDY, 60),
+    Cell("nominal", "along the rates", STUDY, 60),
+    Cell("nominal", "PPO to violate", STUDY, 60),
     Cell("unknown-lab", "adaptive-lqr", STUDY, 200),
-    Cell("unknown-lab", "lab-flexrrr", STUDY, 200),
-    Cell("unknown-lab", "along the rates", STUDY, 200),
+    Cell("unknown-lab", "lab-flexrrr", STUDY, 100),
+    Cell("unknown-lab", "along the rates", STUDY, 60),
     Cell("uncertain", "adaptive-lqr", STUDY, 200),
-    Cell("uncertain", "lab-flexrrr", STUDY, 200),
-    Cell("uncertain", "along the rates", STUDY, 200),
+    Cell("uncertain", "lab-flexrrr", STUDY, 100),
+    Cell("uncertain", "along the rates", STUDY, 60),
 )
 
 
 @dataclass(frozen=True)
 class SafetyRow:
-    """Result of a cell; a violation is an excess above 2 % of a limit.
+    """Result of a cell; a violation is an excess above 2 % of a limit, and in the half space any excess.
 
     Attributes:
         condition, agent, limits: the cell.
@@ -129,6 +130,7 @@ class TorquesAlongRates(RandomTorques):
         return np.where(readings["motor_rates"] < 0.0, -1.0, 1.0)
 
 
+TRAINED = "PPO to violate"  # name of the policy of `learning.adversary`
 CONTROLLERS: dict[str, Callable[[], Controller]] = {"random": RandomTorques, "along the rates": TorquesAlongRates}
 
 
@@ -155,6 +157,10 @@ def environment(cell: Cell, value: float) -> Configuration:
 
 def agent(cell: Cell) -> Any:
     """Return the agent of a cell for `rollout`."""
+    if cell.agent == TRAINED:
+        from studies.safety.learning import adversary  # needs PyTorch
+
+        return adversary()
     return CONTROLLERS[cell.agent]() if cell.agent in CONTROLLERS else cell.agent
 
 
@@ -250,13 +256,14 @@ def row(cell: Cell, folder: Path) -> SafetyRow:
     single = kept(folder / f"{cell.name}_single.npy",
                   lambda: [filtered(cell, value, [seed])[2] for seed in SINGLE_SEEDS])  # fmt: skip
     given = dict(zip(FIELDS, np.concatenate(chunks, axis=1), strict=True))
-    violations = int((given["excess"] > ACCEPTED).sum())
+    accepted = 0.0 if cell.limits == HALF_SPACE else ACCEPTED
+    violations = int((given["excess"] > accepted).sum())
     settled, medians = (
         [reduce(given[name]) for name in ("free_settling", "settling")]
         for reduce in (lambda times: float(np.isfinite(times).mean()), upper_median)
     )
     return SafetyRow(
-        cell.condition, cell.agent, cell.limits, value, cell.moves, float((given["free_excess"] > ACCEPTED).mean()),
+        cell.condition, cell.agent, cell.limits, value, cell.moves, float((given["free_excess"] > accepted).mean()),
         violations, violation_bound(violations, cell.moves), float(given["excess"].max()), *settled, *medians,
         float(given["change"].mean()), float(given["changed"].mean()), float(given["stopped"].mean()),
         float(given["cpu"].min()), float(single.min()),
