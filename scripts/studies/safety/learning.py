@@ -26,10 +26,10 @@ from studies.safety.measure import ACCEPTED, ENVIRONMENT, kept
 STRAIN = 1.4e-4  # m/m; limit of FlexOne-v0, which the tuned PD controller exceeds in about half of its slews
 SEEDS, TEST_SEEDS = (0, 1), range(9000, 9100)  # of trainings, and of the moves of a policy
 KINDS = {"inside": (True, "cost"), "free": (False, "cost"), "ended": (False, "end")}  # filter, on_violation
-STEPS, ADVERSARY_STEPS = 100_000, 300_000  # actions of a training, of 5 control periods each
+STEPS, ADVERSARY_STEPS = 60_000, 300_000  # actions of a training, of 5 control periods each
 SETTINGS: dict[str, Any] = {
     "algo": "ppo", "envs": 64, "normalise_reward": True,
-    "hyperparameters": {"n_steps": 48, "batch_size": 512, "n_epochs": 4, "gamma": 0.95, "gae_lambda": 0.9,
+    "hyperparameters": {"n_steps": 16, "batch_size": 256, "n_epochs": 4, "gamma": 0.95, "gae_lambda": 0.9,
                         "net_arch": [64, 64], "activation": "tanh", "log_std_init": -1.6},
     "schedules": {"learning_rate": {"start": 0.001, "end": 0.0}},
 }  # fmt: skip

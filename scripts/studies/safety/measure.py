@@ -23,6 +23,7 @@ from flexman_gym.evaluation.rollout import Rollout, rollout
 from flexman_gym.metrics.statistics import upper_median
 
 ENVIRONMENT, STUDY, RATE, HALF_SPACE = "FlexRRR-v0", "strain and torque", "rate", "half space"
+ATTACKED = 0.6  # limit of the agents that have no goal, which they exceed in nearly all moves
 PERCENTILE = 60.0  # of the largest values of the free agent; the limit, which 40 % of its moves exceed
 CALIBRATION_SEEDS, TEST_SEED, CHUNK = range(5000, 5100), 9000, 200  # seeds of limits, first of moves, moves of a chunk
 SINGLE_SEEDS = range(8000, 8003)  # of single arms, for the CPU time
@@ -46,6 +47,11 @@ class Cell:
         """Name of the cell in file names."""
         return "_".join((self.condition, self.agent, self.limits)).replace(" ", "-")
 
+    @property
+    def has_goal(self) -> bool:
+        """True for an agent that moves to the goal, False for one that attacks the limits."""
+        return self.agent not in ("random", "along the rates", "PPO to violate")
+
 
 CELLS = (
     Cell("nominal", "lqr-tracking", STUDY, 2000),
@@ -54,15 +60,15 @@ CELLS = (
     Cell("nominal", "adaptive-lqr", STUDY, 200),
     Cell("nominal", "lab-flexrrr", STUDY, 100),
     Cell("nominal", "ppo-flexrrr", STUDY, 200),
-    Cell("nominal", "random", STUDY, 60),
-    Cell("nominal", "along the rates", STUDY, 60),
-    Cell("nominal", "PPO to violate", STUDY, 60),
+    Cell("nominal", "random", STUDY, 30),
+    Cell("nominal", "along the rates", STUDY, 30),
+    Cell("nominal", "PPO to violate", STUDY, 30),
     Cell("unknown-lab", "adaptive-lqr", STUDY, 200),
     Cell("unknown-lab", "lab-flexrrr", STUDY, 100),
-    Cell("unknown-lab", "along the rates", STUDY, 60),
+    Cell("unknown-lab", "along the rates", STUDY, 30),
     Cell("uncertain", "adaptive-lqr", STUDY, 200),
     Cell("uncertain", "lab-flexrrr", STUDY, 100),
-    Cell("uncertain", "along the rates", STUDY, 60),
+    Cell("uncertain", "along the rates", STUDY, 30),
 )
 
 
@@ -130,7 +136,6 @@ class TorquesAlongRates(RandomTorques):
         return np.where(readings["motor_rates"] < 0.0, -1.0, 1.0)
 
 
-TRAINED = "PPO to violate"  # name of the policy of `learning.adversary`
 CONTROLLERS: dict[str, Callable[[], Controller]] = {"random": RandomTorques, "along the rates": TorquesAlongRates}
 
 
@@ -157,7 +162,7 @@ def environment(cell: Cell, value: float) -> Configuration:
 
 def agent(cell: Cell) -> Any:
     """Return the agent of a cell for `rollout`."""
-    if cell.agent == TRAINED:
+    if not cell.has_goal and cell.agent not in CONTROLLERS:
         from studies.safety.learning import adversary  # needs PyTorch
 
         return adversary()
@@ -165,9 +170,9 @@ def agent(cell: Cell) -> Any:
 
 
 def calibrated(cell: Cell) -> float:
-    """Return a limit that the free agent exceeds in 40 % of its moves on the calibration seeds, or the half space."""
-    if cell.limits == HALF_SPACE:
-        return HEIGHT
+    """Return a fixed limit, or the one that the free agent exceeds in 40 % of its moves on the calibration seeds."""
+    if cell.limits == HALF_SPACE or not cell.has_goal:
+        return HEIGHT if cell.limits == HALF_SPACE else ATTACKED
     peaks = np.zeros(len(CALIBRATION_SEEDS))
 
     def record(episodes: Episodes) -> None:

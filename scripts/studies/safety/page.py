@@ -6,7 +6,7 @@ import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
 from studies.safety.learning import KINDS, STRAIN, LearningRow
-from studies.safety.measure import ACCEPTED, CONTROLLERS, HALF_SPACE, STUDY, TRAINED, SafetyRow, violation_bound
+from studies.safety.measure import ACCEPTED, HALF_SPACE, STUDY, Cell, SafetyRow, violation_bound
 from studies.screen import screen
 
 QUESTION = "Do limits of strain, torque, rate and workspace hold with the safety filter, and what does it cost?"
@@ -76,7 +76,7 @@ def _settling(row: SafetyRow) -> str:
 
 
 def _has_goal(row: SafetyRow) -> bool:
-    return row.agent not in CONTROLLERS and row.agent != TRAINED
+    return Cell(row.condition, row.agent, row.limits, 0).has_goal
 
 
 def _condition(name: str, rows: Sequence[SafetyRow]) -> tuple[object, ...]:
