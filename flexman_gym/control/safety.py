@@ -23,7 +23,7 @@ from flexman_gym.simulation.batch import Batch
 
 BRAKE = 0.3  # fraction of the damping of the PD tuned for the arm; a stronger brake strains the links
 NEAR_PERIODS = 14  # control periods predicted with the brake sampled at the control rate, after the delay
-STAGES = ((0.025, 40), (0.25, 8))  # interval (s) and number of intervals of the later motion, with a continuous damper
+STAGES = ((0.025, 40), (0.1, 30))  # interval (s) and number of intervals of the later motion, with a continuous damper
 METHOD, MAX_STEP = "midpoint_corrected_3", 0.007  # of the prediction; longest step (s) in the near periods
 PULSE = 0.05  # fraction of the torque limits; pulse of a finite difference
 RESPONSE_PERIODS = 5  # control periods for which the response to a pulse is used again
