@@ -25,7 +25,7 @@ from flexman_gym.simulation.batch import Batch
 
 BRAKE = 0.3  # fraction of the damping of the PD tuned for the arm; a stronger brake strains the links
 NEAR_PERIODS = 14  # control periods predicted with the brake sampled at the control rate, after the delay
-STAGES = ((0.025, 40), (0.25, 8))  # interval (s) and number of intervals of the later motion, with a continuous damper
+STAGES = ((0.025, 40), (0.1, 30))  # interval (s) and number of intervals of the later motion, with a continuous damper
 METHOD, MAX_STEP = "midpoint_corrected_3", 0.007  # of the prediction; longest step (s) in the near periods
 ROUNDING = 1e-6  # steps; error of a number of steps
 PULSE = 0.05  # fraction of the torque limits; pulse of a finite difference

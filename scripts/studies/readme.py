@@ -262,6 +262,16 @@ def updated(text: str, sources: Sources) -> str:
     return text
 
 
+def replaced_part(text: str, name: str, lines: Iterable[str]) -> str:
+    """Return a page with new lines between the markers of a generated part; ValueError without these markers."""
+    above, below = (marker.format(name=name) for marker in MARKERS)
+    head, first, rest = text.partition(above)
+    _, last, tail = rest.partition(below)
+    if not (first and last):
+        raise ValueError(f"no lines {above} and {below}")
+    return "\n".join([head + above, *lines, below + tail])
+
+
 def readme(text: str, sources: Sources, settings: Path) -> str:
     """Return the README with its generated parts and the numbers of its sentences.
 
@@ -282,12 +292,7 @@ def readme(text: str, sources: Sources, settings: Path) -> str:
         "environments": environments(),
     }
     for name, lines in parts.items():
-        above, below = (marker.format(name=name) for marker in MARKERS)
-        head, first, rest = text.partition(above)
-        _, last, tail = rest.partition(below)
-        if not (first and last):
-            raise ValueError(f"README.md: no lines {above} and {below}")
-        text = "\n".join([head + above, *lines, below + tail])
+        text = replaced_part(text, name, lines)
     return updated(text, sources)
 
 

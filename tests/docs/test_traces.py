@@ -23,6 +23,8 @@ from studies.files import read_comments
 from studies.machine.measure import FitRow
 from studies.machine.page import page as machine_page
 from studies.readme import DEFINITIONS, SENTENCES, UNKNOWN, Sources, badges, readme, results, updated
+from studies.safety.measure import SafetyRow
+from studies.safety.page import cells as safety_cells
 from studies.servos.measure import FrictionRow, ServoRow
 from studies.servos.page import page as servos_page
 
@@ -30,7 +32,7 @@ from oracles.files import ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 SETTINGS = ROOT / "mkdocs.yml"
-DRAWN = {"README": 40, "control": 12, "machine": 4, "servos": 12}  # numbers by page
+DRAWN = {"README": 40, "control": 12, "machine": 4, "safety": 12, "servos": 12}  # numbers by page
 SENTENCE_FILES = {
     "learning": "learning.csv",
     "benchmark": "benchmark.csv",
@@ -186,6 +188,7 @@ def sources():
     for name, kind, text in (
         ("control", ControlRow, control_page),
         ("machine", FitRow, lambda rows: machine_page(rows, machine)),
+        ("safety", SafetyRow, lambda rows: "\n".join(safety_cells(rows))),
         ("servos", ServoRow, lambda rows: servos_page(rows, rubbing, servos)),
     ):
         result.append((name, Source(f"{name}.csv", known.rows(f"{name}.csv", kind), text)))

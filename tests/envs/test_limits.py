@@ -344,6 +344,9 @@ def test_the_rotary_joint_has_the_limits_of_its_benchmark():
     assert environment.torque_limit == pytest.approx((standstill,)) and environment.arm.gravity == (0.0, 0.0, 0.0)
     found = evaluate("lqr", environment, range(10))
     assert found["settled"] == 1.0 and found["violations"] > 500.0 and found["failed"] == 0.0
+    safe = evaluate("lqr", environment, range(10), safety=True)
+    assert safe["settled"] == 1.0 and safe["violations"] == 0.0
+    assert safe["settling_time"] < 1.1 * found["settling_time"] and safe["change"] > 0.0
 
 
 def test_frames_show_the_strain_over_its_limit_and_the_workspace():

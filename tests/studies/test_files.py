@@ -30,6 +30,7 @@ def test_what_is_no_folder_is_one_line(tmp_path, name):
         "learning",
         "ring_down",
         "robust",
+        "safety",
         "servos",
         "stability",
         "strain",

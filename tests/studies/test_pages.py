@@ -30,11 +30,16 @@ from studies.planted.measure import Planted
 from studies.planted.page import page as planted_page
 from studies.precision.measure import Floor, PrecisionRow
 from studies.precision.page import page as precision_page
+from studies.readme import replaced_part
 from studies.ringdown.measure import PERIOD, Errors, RingDownRow
 from studies.ringdown.page import accuracy_page
 from studies.ringdown.page import page as ringdown_page
 from studies.robust.measure import RobustRow
 from studies.robust.page import page as robust_page
+from studies.safety.learning import LearningRow
+from studies.safety.measure import SafetyRow
+from studies.safety.page import cells as safety_cells
+from studies.safety.page import page as safety_page
 from studies.screen import HIDDEN, index
 from studies.servos.measure import FrictionRow, ServoRow
 from studies.servos.page import page as servos_page
@@ -62,6 +67,7 @@ SCREENS = {  # page -> function of its rows, and files and types of the rows
     "planted": (planted_page, {"planted": Planted}),
     "ring_down": (lambda rows, files: ringdown_page(rows, DEFAULT, files), {"ring_down": RingDownRow}),
     "robust": (robust_page, {"robust": RobustRow}),
+    "safety": (safety_page, {"safety": SafetyRow, "safety_learning": LearningRow}),
     "servos": (servos_page, {"servos": ServoRow, "servos_friction": FrictionRow}),
     "stability": (stability_page, {"stability": StabilityRow}),
     "strain": (strain_page, {"strain": StrainRow}),
@@ -97,3 +103,8 @@ def test_a_published_page_is_made_of_its_rows(name):
     kind, page = PAGES[name]
     text = page(read_rows(EVIDENCE / f"{name}.csv", kind), read_comment(EVIDENCE / f"{name}.csv"))
     assert (EVIDENCE / f"{name}.md").read_text(encoding="utf-8") == text
+
+
+def test_the_page_on_safety_has_the_table_of_its_rows():
+    text = (DOCS / "safety.md").read_text(encoding="utf-8")
+    assert replaced_part(text, "cells", safety_cells(read_rows(EVIDENCE / "safety.csv", SafetyRow))) == text

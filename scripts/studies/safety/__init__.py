@@ -1,0 +1,1 @@
+"""Safety filter: violations, settling time and CPU time of agents with and without it."""
