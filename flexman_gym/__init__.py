@@ -10,9 +10,9 @@ from flexman_gym.common.checks import value_error
 from flexman_gym.envs import NAMED_ENVIRONMENTS, Limits, Randomisation, Slew
 from flexman_gym.envs.config.named_environments import CONDITIONS
 from flexman_gym.evaluation import evaluate, live, rollout, sensitivities, tune
+from flexman_gym.evaluation.machine.machine import Machine
 from flexman_gym.fidelity import Choice, choose_model
 from flexman_gym.identification import Filter, Fit, Measurement, Ringing, fit
-from flexman_gym.machine.machine import Machine
 from flexman_gym.model import (
     Model,
     acceleration,

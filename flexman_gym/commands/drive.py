@@ -40,8 +40,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Drive the machine, write the log and print a summary; return 0, or 1 after a fault."""
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.machine.drive import drive
-    from flexman_gym.machine.simulated import Disturbances, SimulatedMachine
+    from flexman_gym.evaluation.machine.drive import drive
+    from flexman_gym.evaluation.machine.simulated import Disturbances, SimulatedMachine
 
     agent, kind = load_agent(options.agent, options.trust), options.machine.partition(":")[0]
     move = {"goal_angles": options.goal} if options.goal else {}

@@ -10,10 +10,10 @@ from flexman_gym.control import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import AgentSpec, find_agent
 from flexman_gym.evaluation.diagnosis import diagnose, diagnose_log
+from flexman_gym.evaluation.machine.drive import MEASURED, REST_RATE, WARM_UP, drive
+from flexman_gym.evaluation.machine.simulated import SILENT_PERIODS, Disturbances, SimulatedMachine
+from flexman_gym.evaluation.machine.state_estimate import StateEstimate
 from flexman_gym.evaluation.rollout import rollout
-from flexman_gym.machine.drive import MEASURED, REST_RATE, WARM_UP, drive
-from flexman_gym.machine.simulated import SILENT_PERIODS, Disturbances, SimulatedMachine
-from flexman_gym.machine.state_estimate import StateEstimate
 from flexman_gym.model.linearization import LinearMeasurements
 
 from oracles.machines import FakeMachine

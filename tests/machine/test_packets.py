@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flexman_gym.machine.packets import COMMAND, HELLO, READINGS, STOP, Packet, Receiver
+from flexman_gym.evaluation.machine.packets import COMMAND, HELLO, READINGS, STOP, Packet, Receiver
 
 
 def reading(sequence, time=None, session=7, values=(1.0, -2.5e-9)):

@@ -17,10 +17,10 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.evaluation.agent import find_agent
+from flexman_gym.evaluation.machine.drive import REST_RATE, MonotonicClock, drive
+from flexman_gym.evaluation.machine.machine import UdpMachine
+from flexman_gym.evaluation.machine.simulated import STOPPING, Disturbances, SimulatedMachine
 from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
-from flexman_gym.machine.drive import REST_RATE, MonotonicClock, drive
-from flexman_gym.machine.machine import UdpMachine
-from flexman_gym.machine.simulated import STOPPING, Disturbances, SimulatedMachine
 from flexman_gym.metrics import settling_time
 from flexman_gym.metrics.statistics import median_interval, upper_median
 from flexman_gym.model.linearization import LinearMeasurements

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.machine.drive import REST_RATE
+from flexman_gym.evaluation.machine.drive import REST_RATE
 from studies.drive.measure import FAULTS, LOOPS, FaultRow, LoopRow, RoundTripRow
 from studies.screen import screen
 

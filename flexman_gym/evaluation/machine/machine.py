@@ -12,7 +12,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of, value_error
-from flexman_gym.machine.packets import COMMAND, HELLO, MAX_PACKET, READINGS, STOP, Packet, Receiver
+from flexman_gym.evaluation.machine.packets import COMMAND, HELLO, MAX_PACKET, READINGS, STOP, Packet, Receiver
 from flexman_gym.model.linearization import MEASUREMENT_UNITS
 
 UNITS = MEASUREMENT_UNITS | {"torques": "N m", "state": "rad, m, rad/s, m/s"}  # quantity of a machine -> unit

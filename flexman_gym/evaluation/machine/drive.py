@@ -17,12 +17,12 @@ from flexman_gym.envs.sensors import ModelState, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import measurement_ranges
 from flexman_gym.envs.view import View
 from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
+from flexman_gym.evaluation.machine.machine import HELLO_SECONDS, UNITS, Machine, UdpMachine
+from flexman_gym.evaluation.machine.simulated import ROUNDING, SILENT_PERIODS
+from flexman_gym.evaluation.machine.state_estimate import StateEstimate
 from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LARGEST_STATE
-from flexman_gym.machine.machine import HELLO_SECONDS, UNITS, Machine, UdpMachine
-from flexman_gym.machine.simulated import ROUNDING, SILENT_PERIODS
-from flexman_gym.machine.state_estimate import StateEstimate
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.scene.arm import Arm
 from flexman_gym.simulation.batch import Batch

@@ -24,8 +24,8 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.evaluation.agent import split_interface
-from flexman_gym.machine.machine import LOCALHOST, UNITS
-from flexman_gym.machine.packets import COMMAND, HELLO, MAX_PACKET, READINGS, STOP, Packet, Receiver
+from flexman_gym.evaluation.machine.machine import LOCALHOST, UNITS
+from flexman_gym.evaluation.machine.packets import COMMAND, HELLO, MAX_PACKET, READINGS, STOP, Packet, Receiver
 
 SILENT_PERIODS = 5  # control periods without a packet after which an arm is brought to rest
 START_SECONDS = 120.0  # s; longest start of the process, which may compile kernels
