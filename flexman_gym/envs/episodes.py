@@ -14,7 +14,7 @@ from flexman_gym.common.checks import number_array, one_of, value_error
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import Controller, EpisodeInfo
-from flexman_gym.control.safety import STATUS, SafetyFilter
+from flexman_gym.control.safety import STATUS, SafeMode, SafetyFilter
 from flexman_gym.envs.active_effects import ActiveEffects
 from flexman_gym.envs.compiled_period import CompiledPeriod
 from flexman_gym.envs.config.configuration import Configuration
@@ -144,7 +144,7 @@ class Episodes:
     @property
     def safety(self) -> SafetyFilter | None:
         """Safety filter of the agent; None without."""
-        return getattr(self.agent.mode, "filter", None)
+        return self.agent.mode.filter if isinstance(self.agent.mode, SafeMode) else None
 
     @property
     def sensors(self) -> SensorArray:
