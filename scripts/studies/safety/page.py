@@ -10,8 +10,8 @@ from studies.safety.measure import ACCEPTED, HALF_SPACE, STUDY, Cell, SafetyRow,
 from studies.screen import screen
 
 QUESTION = "Do limits of strain, torque, rate and workspace hold with the safety filter, and what does it cost?"
-ANSWER = """**{violations} of {moves} moves violate a limit with the filter; without it {free:.0%} do.** The rate of
-violations is below {bound:.2%} (95 % confidence), and the largest excess is {largest} of a limit."""
+ANSWER = """**With the filter {counts} moves violate a limit; without it {free:.0%} of all moves do.** The rate of
+violations in `nominal` is below {bound:.1%} (95 % confidence)."""
 BODY = """{table}
 
 Agents and limits of each condition are in [the page on safety](../safety.md). A violation is an excess above
@@ -29,14 +29,13 @@ a violation. Violations: share of {tested} moves after the training, without the
 
 def page(rows: Sequence[SafetyRow], learned: Sequence[LearningRow], files: Mapping[str, str]) -> str:
     """Return the page as Markdown; `files` are the files of both kinds of rows with their comments."""
-    moves, violations = int(sum(row.moves for row in rows)), int(sum(row.violations for row in rows))
-    answer = ANSWER.format(
-        violations=violations, moves=f"{moves:,}", bound=violation_bound(violations, moves),
-        free=sum(row.moves * row.free_violations for row in rows) / moves, largest=_percent(_largest(rows)),
-    )  # fmt: skip
+    totals = {name: [int(sum(getattr(row, field) for row in rows if row.condition == name))
+                     for field in ("violations", "moves")] for name in dict.fromkeys(row.condition for row in rows)}  # fmt: skip
+    counts = ", ".join(f"{violations} of {moves} (`{name}`)" for name, (violations, moves) in totals.items())
+    free = sum(row.moves * row.free_violations for row in rows) / sum(row.moves for row in rows)
+    answer = ANSWER.format(counts=counts, free=free, bound=violation_bound(*totals["nominal"]))
     heads = "condition", "moves", "violations", "largest excess", "time", "changed periods", "CPU, ms"
-    lines = [_condition(name, [row for row in rows if row.condition == name])
-             for name in dict.fromkeys(row.condition for row in rows)]  # fmt: skip
+    lines = [_condition(name, [row for row in rows if row.condition == name]) for name in totals]
     learning_heads = (
         "training",
         "CPU, min",
