@@ -30,7 +30,8 @@ a violation. Violations: share of {tested} moves after the training, without the
 def page(rows: Sequence[SafetyRow], learned: Sequence[LearningRow], files: Mapping[str, str]) -> str:
     """Return the page as Markdown; `files` are the files of both kinds of rows with their comments."""
     totals = {name: [int(sum(getattr(row, field) for row in rows if row.condition == name))
-                     for field in ("violations", "moves")] for name in dict.fromkeys(row.condition for row in rows)}  # fmt: skip
+                     for field in ("violations", "moves")]
+              for name in dict.fromkeys(row.condition for row in rows)}  # fmt: skip
     counts = ", ".join(f"{violations} of {moves} (`{name}`)" for name, (violations, moves) in totals.items())
     free = sum(row.moves * row.free_violations for row in rows) / sum(row.moves for row in rows)
     answer = ANSWER.format(counts=counts, free=free, bound=violation_bound(*totals["nominal"]))
