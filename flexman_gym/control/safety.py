@@ -17,7 +17,6 @@ from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import optional_module
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
-from flexman_gym.control.observers.observer import UncertainStates
 from flexman_gym.control.observers.uncertain_states import StateSource
 from flexman_gym.kernels.layout import LARGEST_STATE, OUTPUTS
 from flexman_gym.model.statics import holding_torques
@@ -165,6 +164,7 @@ class SafetyFilter:
         self.torque_limits = np.array(plant.torque_limit)
         self._damping = BRAKE * np.array(plant.gains()["damping"])
         self._models: _Prediction | None = None
+        self._own: _Prediction | None = None  # of the models of one arm
         self._single = _Prediction(plant, limits, self._damping, 1 + n)
         self._past, self.change = np.zeros((0, late, n)), np.zeros((0, n))
         self._hold = np.zeros((0, n))  # torques that hold the weight in the last stop predicted within the limits, N m
@@ -228,13 +228,12 @@ class SafetyFilter:
         shares = self._models(*given, np.repeat(hold, k, axis=0))
         for i, arm in enumerate(arms.tolist()):
             own = shares[i * k : (i + 1) * k]
-            radius = _radius(own, possible)
-            parameters = {name: np.repeat(each[i, :1], 1 + len(self.torque_limits), axis=0)
-                          for name, each in possible.parameters.items()}  # fmt: skip
-            case = _Case(states[i, 0], commands[i], possible.delays[i, :1], hold[i], parameters)
+            radius = _radius(own, possible.deviations)
+            parameters = {name: each[i] for name, each in possible.parameters.items()}
+            case = _Case(states[i], commands[i], possible.delays[i], hold[i], parameters, possible.deviations)
             if self._ages[arm] == 0:
-                self._single.set_parameters(parameters)
-                start = np.abs(self._single.present(case.state)) + radius[0] + TOLERANCE
+                self._single.set_parameters(case.repeated_parameters(self._single.count))
+                start = np.abs(self._single.present(case.states[0])) + radius[0] + TOLERANCE
                 self._levels[arm], self._hold[arm] = np.clip(start, REMAINDER, 1.0), hold[i]
             room = self._levels[arm] - radius
             margin = float((room - np.abs(own[0])).min())
@@ -280,10 +279,11 @@ class SafetyFilter:
             if solved <= 0:
                 break
             changed = np.clip(changed + np.array(step), -1.0, 1.0)
-            shares = self._predict_one(case, changed[None])[0]
+            of_models = self._predict_models(case, changed)
+            shares, room = of_models[0], self._levels[arm] - _radius(of_models, case.deviations)
             if (np.abs(shares) <= room + TOLERANCE).all():
                 return changed, CHANGED
-        return self._stop(arm, case.state), STOPPED
+        return self._stop(arm, case.states[0]), STOPPED
 
     def _stop(self, arm: int, state: Array) -> Array:
         """Return the torques (n,) of the brake of an arm in a state (2 d,), as fractions of their limits."""
@@ -304,37 +304,52 @@ class SafetyFilter:
     def _predict_one(self, case: "_Case", actions: Array) -> Array:
         """Return the quantities (a, T, m) of the most probable model of an arm for actions (a, n)."""
         a = len(actions)
-        self._single.set_parameters(case.parameters)
+        self._single.set_parameters(case.repeated_parameters(self._single.count))
         commands = np.repeat(case.commands[None], a, axis=0)
         commands[:, 0] = actions * self.torque_limits
-        given = np.repeat(case.state[None], a, axis=0), commands, np.repeat(case.delay, a)
+        given = np.repeat(case.states[:1], a, axis=0), commands, np.repeat(case.delays[:1], a)
         return self._single(*given, np.repeat(case.hold[None], a, axis=0))
+
+    def _predict_models(self, case: "_Case", action: Array) -> Array:
+        """Return the quantities (k, T, m) of all models of an arm for an action (n,)."""
+        k = len(case.states)
+        if self._own is None or self._own.count != k:
+            self._own = _Prediction(self._plant, self._limits, self._damping, k)
+        self._own.set_parameters(case.parameters)
+        commands = np.repeat(np.concatenate([[action * self.torque_limits], case.commands[1:]])[None], k, axis=0)
+        return self._own(case.states, commands, case.delays, np.repeat(case.hold[None], k, axis=0))
 
 
 class _Case(NamedTuple):
-    """Situation of an arm.
+    """Situation of an arm with k models, the most probable one first.
 
     Attributes:
-        state: (2 d,) present state of the most probable model.
+        states: (k, 2 d) present states.
         commands: (D + 1, n) torques of the agent in this period, then those commanded before, N m.
-        delay: (1,) delay of the torques, control periods.
+        delays: (k,) delays of the torques, control periods.
         hold: (n,) torques that hold the weight, N m.
-        parameters: name -> (1 + n, ...) physical parameters of the most probable model, repeated for its predictions.
+        parameters: name -> (k, ...) physical parameters.
+        deviations: as in `UncertainStates`.
     """
 
-    state: Array
+    states: Array
     commands: Array
-    delay: IntArray
+    delays: IntArray
     hold: Array
     parameters: Mapping[str, Array]
+    deviations: int
+
+    def repeated_parameters(self, count: int) -> dict[str, Array]:
+        """Return the parameters of the most probable model, repeated: name -> (count, ...)."""
+        return {name: np.repeat(each[:1], count, axis=0) for name, each in self.parameters.items()}
 
 
-def _radius(shares: Array, possible: UncertainStates) -> Array:
+def _radius(shares: Array, last: int) -> Array:
     """Return the deviations (T, m) of quantities (k, T, m) of k models from those of the first model.
 
-    The deviations of parameters are conditionally independent and add in the mean square.
+    The deviations of parameters, the first `last` ones, are conditionally independent and add in the mean square.
     """
-    deviations, last = np.abs(shares[1:] - shares[0]), possible.deviations
+    deviations = np.abs(shares[1:] - shares[0])
     parameters, delays = deviations[:last], deviations[last:]
     return np.asarray(np.sqrt((parameters**2).sum(axis=0)) + (delays.max(axis=0) if len(delays) else 0.0))
 

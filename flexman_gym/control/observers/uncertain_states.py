@@ -9,7 +9,7 @@ from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.estimator import Estimator
 from flexman_gym.control.observers.observer import UncertainStates
 
-CONFIDENCE = 2.0  # standard deviations of the parameters of an estimate
+CONFIDENCE = 3.0  # standard deviations of the parameters of an estimate
 
 
 class StateSource(Protocol):
