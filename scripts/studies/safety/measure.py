@@ -74,7 +74,7 @@ CELLS = (
 
 @dataclass(frozen=True)
 class SafetyRow:
-    """Result of a cell; a violation is an excess above 2 % of a limit, and in the half space any excess.
+    """Result of a cell; a violation is an excess above 2 % of a limit; of rate and half space any excess.
 
     Attributes:
         condition, agent, limits: the cell.
@@ -261,7 +261,7 @@ def row(cell: Cell, folder: Path) -> SafetyRow:
     single = kept(folder / f"{cell.name}_single.npy",
                   lambda: [filtered(cell, value, [seed])[2] for seed in SINGLE_SEEDS])  # fmt: skip
     given = dict(zip(FIELDS, np.concatenate(chunks, axis=1), strict=True))
-    accepted = 0.0 if cell.limits == HALF_SPACE else ACCEPTED
+    accepted = ACCEPTED if cell.limits == STUDY else 0.0
     violations = int((given["excess"] > accepted).sum())
     settled, medians = (
         [reduce(given[name]) for name in ("free_settling", "settling")]

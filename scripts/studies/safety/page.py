@@ -15,7 +15,7 @@ violations in `nominal` is below {bound:.1%} (95 % confidence)."""
 BODY = """{table}
 
 Agents and limits of each condition are in [the page on safety](../safety.md). A violation is an excess above
-{accepted:.0%} of the limit, in the half space any excess; a negative excess is a distance. Time: ratio of the median
+{accepted:.0%} of the limit, of rate and half space any excess; a negative excess is a distance. Time: ratio of the median
 settling times with and without the filter, agents with a goal and without a half space, least to largest. CPU: of the
 filter, for an action in a batch of arms and for a single arm, least to largest.
 
