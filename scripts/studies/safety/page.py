@@ -6,7 +6,7 @@ import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
 from studies.safety.learning import KINDS, STRAIN, LearningRow
-from studies.safety.measure import ACCEPTED, HALF_SPACE, STUDY, Cell, SafetyRow, violation_bound
+from studies.safety.measure import ACCEPTED, STUDY, Cell, SafetyRow, violation_bound
 from studies.screen import screen
 
 QUESTION = "Do limits of strain, torque, rate and workspace hold with the safety filter, and what does it cost?"
@@ -15,9 +15,9 @@ violations in `nominal` is below {bound:.1%} (95 % confidence)."""
 BODY = """{table}
 
 Agents and limits of each condition are in [the page on safety](../safety.md). A violation is an excess above
-{accepted:.0%} of the limit, of rate and half space any excess; a negative excess is a distance. Time: ratio of the median
-settling times with and without the filter, agents with a goal and without a half space, least to largest. CPU: of the
-filter, for an action in a batch of arms and for a single arm, least to largest.
+{accepted:.0%} of the limit, of rate and half space any excess; a negative excess is a distance. Time: ratio of the
+median settling times with and without the filter, of agents with a goal, without rate and half space, least to largest.
+CPU: of the filter, for an action in a batch of arms and for a single arm, least to largest.
 
 PPO of a PD controller of `FlexOne-v0` with a strain limit of {strain:g}, {seeds} seeds, {steps:,} actions each:
 
@@ -44,7 +44,7 @@ def page(rows: Sequence[SafetyRow], learned: Sequence[LearningRow], files: Mappi
         "settled",
         "settling, s",
         "violations",
-        "filtered, settling, s",
+        "settling filtered, s",
     )
     body = BODY.format(
         table="\n".join(markdown_table(heads, lines)), accepted=ACCEPTED, strain=STRAIN,
@@ -82,7 +82,7 @@ def _has_goal(row: SafetyRow) -> bool:
 def _condition(name: str, rows: Sequence[SafetyRow]) -> tuple[object, ...]:
     """Return the line of a condition."""
     losses = [row.settling / row.free_settling for row in rows
-              if _has_goal(row) and row.limits != HALF_SPACE and np.isfinite(row.free_settling)]  # fmt: skip
+              if _has_goal(row) and row.limits == STUDY and np.isfinite(row.free_settling)]  # fmt: skip
     times = f"{min(losses):.2f} to {max(losses):.2f}" if losses else ""
     batch, single = ([getattr(row, field) for row in rows] for field in ("cpu", "cpu_single"))
     changed = [row.changed + row.stopped for row in rows]
