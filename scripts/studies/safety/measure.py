@@ -58,7 +58,6 @@ CELLS = (
     Cell("nominal", "lqr-tracking", RATE, 40),
     Cell("nominal", "lqr-tracking", HALF_SPACE, 60),
     Cell("nominal", "adaptive-lqr", STUDY, 60),
-    Cell("nominal", "lab-flexrrr", STUDY, 40),
     Cell("nominal", "ppo-flexrrr", STUDY, 60),
     Cell("nominal", "random", STUDY, 30),
     Cell("nominal", "along the rates", STUDY, 20),
@@ -67,7 +66,6 @@ CELLS = (
     Cell("unknown-lab", "lab-flexrrr", STUDY, 40),
     Cell("unknown-lab", "along the rates", STUDY, 15),
     Cell("uncertain", "adaptive-lqr", STUDY, 60),
-    Cell("uncertain", "lab-flexrrr", STUDY, 40),
     Cell("uncertain", "along the rates", STUDY, 15),
 )
 
