@@ -15,6 +15,7 @@ from studies.learning.measure import LearningRow as Learned
 from studies.learning.page import MOVING, SLEWS
 from studies.precision.measure import PrecisionRow as Run
 from studies.ringdown.measure import RingDownRow as Released
+from studies.safety.learning import LearningRow as Safe
 from studies.servos.measure import ServoRow as Servo
 
 from oracles.files import ROOT
@@ -88,3 +89,15 @@ def test_servos_are_as_the_opening_says():
     for name in {row.environment for row in plain}:
         by_period = [row.factor for row in sorted(plain, key=lambda row: row.period) if row.environment == name]
         assert by_period == sorted(by_period, reverse=True)
+
+
+def test_training_inside_the_safety_filter_is_as_the_page_says():
+    rows = read_rows(DOCS / "evidence" / "safety_learning.csv", Safe)
+    kinds = {kind: [row for row in rows if row.training == kind] for kind in ("inside", "free", "ended")}
+    inside, free, ended = ({name: np.mean([getattr(row, name) for row in kind]) for name in ("cpu", "settling")}
+                           for kind in kinds.values())  # fmt: skip
+    assert all(row.violating == 0 for row in kinds["inside"])
+    assert all(0.3 < row.violating / row.episodes < 0.4 for row in kinds["free"])
+    assert all((row.violations == 0.0) == (row.filtered == "True") for row in rows)
+    assert abs(inside["settling"] - free["settling"]) < 0.1 < ended["settling"] - free["settling"]
+    assert 8.0 < inside["cpu"] / free["cpu"] < 12.0

@@ -58,7 +58,6 @@ CELLS = (
     Cell("nominal", "lqr-tracking", RATE, 40),
     Cell("nominal", "lqr-tracking", HALF_SPACE, 60),
     Cell("nominal", "adaptive-lqr", STUDY, 60),
-    Cell("nominal", "lab-flexrrr", STUDY, 40),
     Cell("nominal", "ppo-flexrrr", STUDY, 60),
     Cell("nominal", "random", STUDY, 30),
     Cell("nominal", "along the rates", STUDY, 20),
@@ -67,14 +66,13 @@ CELLS = (
     Cell("unknown-lab", "lab-flexrrr", STUDY, 40),
     Cell("unknown-lab", "along the rates", STUDY, 15),
     Cell("uncertain", "adaptive-lqr", STUDY, 60),
-    Cell("uncertain", "lab-flexrrr", STUDY, 40),
     Cell("uncertain", "along the rates", STUDY, 15),
 )
 
 
 @dataclass(frozen=True)
 class SafetyRow:
-    """Result of a cell; a violation is an excess above 2 % of a limit, and in the half space any excess.
+    """Result of a cell; a violation is an excess above 2 % of a limit; of rate and half space any excess.
 
     Attributes:
         condition, agent, limits: the cell.
@@ -261,7 +259,7 @@ def row(cell: Cell, folder: Path) -> SafetyRow:
     single = kept(folder / f"{cell.name}_single.npy",
                   lambda: [filtered(cell, value, [seed])[2] for seed in SINGLE_SEEDS])  # fmt: skip
     given = dict(zip(FIELDS, np.concatenate(chunks, axis=1), strict=True))
-    accepted = 0.0 if cell.limits == HALF_SPACE else ACCEPTED
+    accepted = ACCEPTED if cell.limits == STUDY else 0.0
     violations = int((given["excess"] > accepted).sum())
     settled, medians = (
         [reduce(given[name]) for name in ("free_settling", "settling")]

@@ -6,7 +6,7 @@ import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
 from studies.safety.learning import KINDS, STRAIN, LearningRow
-from studies.safety.measure import ACCEPTED, HALF_SPACE, STUDY, Cell, SafetyRow, violation_bound
+from studies.safety.measure import ACCEPTED, STUDY, Cell, SafetyRow, violation_bound
 from studies.screen import screen
 
 QUESTION = "Do limits of strain, torque, rate and workspace hold with the safety filter, and what does it cost?"
@@ -14,17 +14,14 @@ ANSWER = """**With the filter {counts} moves violate a limit; without it {free:.
 violations in `nominal` is below {bound:.1%} (95 % confidence)."""
 BODY = """{table}
 
-Agents and limits of each condition are in [the page on safety](../safety.md). A violation is an excess above
-{accepted:.0%} of the limit, in the half space any excess; a negative excess is a distance. Time: ratio of the median
-settling times with and without the filter, agents with a goal and without a half space, least to largest. CPU: of the
-filter, for an action in a batch of arms and for a single arm, least to largest.
+[The page on safety](../safety.md) has agents and limits. A violation is an excess above {accepted:.0%} of the limit, of
+rate and half space any excess. Time: ratio of the median settling times with and without the filter. CPU: of the
+filter, for an action in a batch and for a single arm. Both from least to largest.
 
-PPO of a PD controller of `FlexOne-v0` with a strain limit of {strain:g}, {seeds} seeds, {steps:,} actions each:
+PPO of a PD controller of `FlexOne-v0`, strain limit {strain:g}, {seeds} seeds, {steps:,} actions each; free: violations
+have no consequence; ended: they end the episode.
 
-{learning}
-
-Free: a violation has no consequence; ended: it ends the episode. Violating: share of the episodes of the training with
-a violation. Violations: share of {tested} moves after the training, without the filter and with it."""
+{learning}"""
 
 
 def page(rows: Sequence[SafetyRow], learned: Sequence[LearningRow], files: Mapping[str, str]) -> str:
@@ -37,42 +34,35 @@ def page(rows: Sequence[SafetyRow], learned: Sequence[LearningRow], files: Mappi
     answer = ANSWER.format(counts=counts, free=free, bound=violation_bound(*totals["nominal"]))
     heads = "condition", "moves", "violations", "largest excess", "time", "changed periods", "CPU, ms"
     lines = [_condition(name, [row for row in rows if row.condition == name]) for name in totals]
-    learning_heads = (
-        "training",
-        "CPU, min",
-        "violating",
-        "settled",
-        "settling, s",
-        "violations",
-        "filtered, settling, s",
-    )
     body = BODY.format(
         table="\n".join(markdown_table(heads, lines)), accepted=ACCEPTED, strain=STRAIN,
-        seeds=len({row.seed for row in learned}), steps=int(learned[0].steps), tested=100,
-        learning="\n".join(markdown_table(learning_heads, (_training(kind, learned) for kind in KINDS))),
+        seeds=len({row.seed for row in learned}), steps=int(learned[0].steps),
+        learning="\n".join(_training(kind, learned) for kind in KINDS),
     )  # fmt: skip
     return screen("Safety filter", QUESTION, answer, body, files, "safety")
 
 
 def cells(rows: Sequence[SafetyRow]) -> list[str]:
     """Return the lines of the table of all cells, for docs/safety.md."""
-    heads = ("condition", "agent", "moves", "violations, free", "violations", "largest excess", "settling, s")
+    heads = ("agent", "moves", "violations, free", "violations", "largest excess", "settling, s (settled)")
     return ["", *markdown_table(heads, map(_cell, rows)), ""]
 
 
 def _cell(row: SafetyRow) -> tuple[object, ...]:
-    agent = row.agent if row.limits == STUDY else f"{row.agent}, {row.limits}"
-    return (row.condition, agent, int(row.moves), f"{row.free_violations:.0%}", int(row.violations),
+    agent = ", ".join((row.condition, row.agent, *[row.limits] * (row.limits != STUDY)))
+    return (agent, int(row.moves), f"{row.free_violations:.0%}", int(row.violations),
             _percent(row.largest), _settling(row))  # fmt: skip
 
 
 def _settling(row: SafetyRow) -> str:
-    """Return the median settling times without and with the filter, or the share of settled moves if not all are."""
+    """Return the median settling times and the shares of settled moves without and with the filter."""
     if not _has_goal(row):
         return ""
-    parts = [f"{time:.2f}" if np.isfinite(time) else "none" for time in (row.free_settling, row.settling)]
-    shares = [f" ({share:.0%})" if share < 1.0 else "" for share in (row.free_settled, row.settled)]
-    return " to ".join(part + share for part, share in zip(parts, shares, strict=True))
+    times, shares = (row.free_settling, row.settling), (row.free_settled, row.settled)
+    return " to ".join(
+        f"{time:.2f} ({share:.0%})" if np.isfinite(time) else f"none ({share:.0%})"
+        for time, share in zip(times, shares, strict=True)
+    )
 
 
 def _has_goal(row: SafetyRow) -> bool:
@@ -82,7 +72,7 @@ def _has_goal(row: SafetyRow) -> bool:
 def _condition(name: str, rows: Sequence[SafetyRow]) -> tuple[object, ...]:
     """Return the line of a condition."""
     losses = [row.settling / row.free_settling for row in rows
-              if _has_goal(row) and row.limits != HALF_SPACE and np.isfinite(row.free_settling)]  # fmt: skip
+              if _has_goal(row) and row.limits == STUDY and np.isfinite(row.free_settling)]  # fmt: skip
     times = f"{min(losses):.2f} to {max(losses):.2f}" if losses else ""
     batch, single = ([getattr(row, field) for row in rows] for field in ("cpu", "cpu_single"))
     changed = [row.changed + row.stopped for row in rows]
@@ -91,14 +81,14 @@ def _condition(name: str, rows: Sequence[SafetyRow]) -> tuple[object, ...]:
             f"{min(batch):.2f} to {max(batch):.2f}, {min(single):.1f} to {max(single):.1f}")  # fmt: skip
 
 
-def _training(kind: str, rows: Sequence[LearningRow]) -> tuple[object, ...]:
-    """Return the line of a kind of training, means over the seeds."""
+def _training(kind: str, rows: Sequence[LearningRow]) -> str:
+    """Return the item of a kind of training, means over the seeds."""
     plain, safe = ([row for row in rows if row.training == kind and row.filtered == text] for text in ("False", "True"))
-    mean = {name: float(np.mean([getattr(row, name) for row in plain])) for name in ("cpu", "settled", "settling")}
-    violating = sum(row.violating for row in plain) / sum(row.episodes for row in plain)
-    shares = (float(np.mean([row.violations for row in each])) for each in (plain, safe))
-    return (kind, f"{mean['cpu']:.1f}", f"{violating:.1%}", f"{mean['settled']:.0%}", f"{mean['settling']:.2f}",
-            ", ".join(f"{each:.0%}" for each in shares), f"{np.mean([row.settling for row in safe]):.2f}")  # fmt: skip
+    violating, episodes = (int(sum(getattr(row, name) for row in plain)) for name in ("violating", "episodes"))
+    cpu, settling = np.mean([row.cpu for row in plain]), np.mean([row.settling for row in safe])
+    free, filtered = (np.mean([row.violations for row in each]) for each in (plain, safe))
+    return (f"- {kind}: {violating} of {episodes} episodes violate; {cpu:.2f} min of CPU time; then {free:.0%} of the "
+            f"moves, {filtered:.0%} with the filter; settling {settling:.2f} s.")  # fmt: skip
 
 
 def _largest(rows: Sequence[SafetyRow]) -> float:
