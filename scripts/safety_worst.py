@@ -105,7 +105,7 @@ def main() -> None:
     options, rows = parser.parse_args(), []
     for safety in (True, False):
         for agent in AGENTS:
-            for pulse in (True, False):
+            for pulse in (False, True):
                 rows.append(search(agent, pulse, safety))
                 print(rows[-1], flush=True)
                 write_rows(rows, options.folder / "safety_worst.csv", 4, computer_text())

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -86,7 +87,7 @@ class SafetyRow:
         free_settling, settling: median settling time without and with the filter, s.
         change: mean square change of the torques, as fractions of their limits.
         changed, stopped: share of the control periods with a changed action, and with the backup.
-        cpu, cpu_single: CPU time of the filter for an action, ms, in a batch of 200 arms and for a single arm; the
+        cpu, cpu_single: CPU time of the filter for an action, ms, in a batch of all moves (at most 200) and for a single arm; the
             lowest mean of several runs.
     """
 
@@ -193,7 +194,7 @@ def options(cell: Cell, seeds: list[int]) -> dict[str, Any] | None:
     if cell.limits != HALF_SPACE:
         return None
     arms = gym.make_vec(ENVIRONMENT, len(seeds), "vector_entry_point")
-    arms.reset(seed=seeds)
+    arms.reset(seed=seeds)  # type: ignore[arg-type]
     goals = arms.unwrapped.episodes.view.episode_parameters["goal_angles"].copy()  # type: ignore[attr-defined]
     arms.close()
     return {"goal_angles": goals}
@@ -235,8 +236,8 @@ def measure(cell: Cell, value: float, seeds: list[int]) -> Array:
     free = rollout(agent(cell), environment(cell, value), seeds, options=options(cell, seeds))
     moves, counts, cpu = filtered(cell, value, seeds)
     settling = [[METRICS["settling_time"].evaluate([each]) for each in run.records] for run in (free, moves)]
-    changes = [np.mean(np.square(each.changes)) for each in moves.records]
-    excess = [[each.excess.max() for each in run.records] for run in (free, moves)]
+    changes = [np.mean(np.square(np.asarray(each.changes))) for each in moves.records]
+    excess = [[np.asarray(each.excess).max() for each in run.records] for run in (free, moves)]
     return np.array([excess[0], settling[0], excess[1], settling[1], changes, *(counts / moves.lengths),
                      np.full(len(seeds), cpu)])  # fmt: skip
 
@@ -255,19 +256,17 @@ def row(cell: Cell, folder: Path) -> SafetyRow:
     chunks = []
     for first in range(0, cell.moves, CHUNK):
         seeds = list(range(TEST_SEED + first, TEST_SEED + min(first + CHUNK, cell.moves)))
-        chunks.append(kept(folder / f"{cell.name}_{first}.npy", lambda seeds=seeds: measure(cell, value, seeds)))
+        chunks.append(kept(folder / f"{cell.name}_{first}.npy", partial(measure, cell, value, seeds)))
     single = kept(folder / f"{cell.name}_single.npy",
                   lambda: [filtered(cell, value, [seed])[2] for seed in SINGLE_SEEDS])  # fmt: skip
     given = dict(zip(FIELDS, np.concatenate(chunks, axis=1), strict=True))
     accepted = ACCEPTED if cell.limits == STUDY else 0.0
     violations = int((given["excess"] > accepted).sum())
-    settled, medians = (
-        [reduce(given[name]) for name in ("free_settling", "settling")]
-        for reduce in (lambda times: float(np.isfinite(times).mean()), upper_median)
-    )
+    free, limited = given["free_settling"], given["settling"]
     return SafetyRow(
         cell.condition, cell.agent, cell.limits, value, cell.moves, float((given["free_excess"] > accepted).mean()),
-        violations, violation_bound(violations, cell.moves), float(given["excess"].max()), *settled, *medians,
+        violations, violation_bound(violations, cell.moves), float(given["excess"].max()),
+        float(np.isfinite(free).mean()), float(np.isfinite(limited).mean()), upper_median(free), upper_median(limited),
         float(given["change"].mean()), float(given["changed"].mean()), float(given["stopped"].mean()),
         float(given["cpu"].min()), float(single.min()),
     )  # fmt: skip
