@@ -87,8 +87,8 @@ class SafetyRow:
         free_settling, settling: median settling time without and with the filter, s.
         change: mean square change of the torques, as fractions of their limits.
         changed, stopped: share of the control periods with a changed action, and with the backup.
-        cpu, cpu_single: CPU time of the filter for an action, ms, in a batch of all moves (at most 200) and for a single arm; the
-            lowest mean of several runs.
+        cpu, cpu_single: CPU time of the filter for an action, ms, in a batch of all moves (at most 200) and for a
+            single arm; the lowest mean of several runs.
     """
 
     condition: str
