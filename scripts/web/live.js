@@ -28,7 +28,7 @@ export class Controls {
         choose('agent', agents, chosen[0], value => ({ agents: [value, ...chosen.slice(1)] })),
         choose('beside it', ['none', ...agents], other, value => ({ agents: value === 'none' ? [chosen[0]] : [chosen[0], value] })),
         tag('p', {}, button('again', 'again', () => this.post({ again: 0 })), button('next', 'new target', () => this.post({ again: 1 }))),
-        tag('p', { className: 'hint' }, `Pull the dark tip to push it${about.movable ? ', drag the red target to move it' : ''}. Where both are, grab the `, this.grab())),
+        tag('p', { className: 'hint' }, `Pull the ball at the tip to push it${about.movable ? ', drag the red target to move it' : ''}. Where both are, grab the `, this.grab())),
       this.table('values', 'Arm and signals (a new episode)', 'onchange'), this.table('gains', 'Gains of the PD (at once)', 'oninput'),
       tag('fieldset', {}, tag('legend', { textContent: 'Keep' }),
         tag('p', {}, button('save', 'save episode', () => this.post({ save: 0 })), button('code', 'copy as code', () => this.copy())), this.code));

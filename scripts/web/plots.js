@@ -5,6 +5,7 @@ const DASHES = [[], [6, 3], [2, 3], [8, 3, 2, 3]];
 export const DARK = matchMedia('(prefers-color-scheme: dark)').matches;
 const INK = DARK ? '#d1d5db' : '#111827', LABEL = '12px system-ui, sans-serif', GRID = { stroke: DARK ? '#374151' : '#e5e7eb', width: 1 };
 const DECADES = (_, values) => values.map(v => Number.isInteger(Math.round(1e6 * Math.log10(v)) / 1e6) ? v : null);
+const NUMBERS = (_, values) => values.map(v => v === null ? null : v && Math.abs(v) < 1e-3 ? (+v.toPrecision(4)).toExponential() : (v || 0).toLocaleString('en', { maximumSignificantDigits: 6 }));
 const LEAST = 1e-3;  // mm; lower limit of logarithmic axes
 
 export class Plot {
@@ -31,7 +32,7 @@ export class Plot {
     const series = lines.map(l => ({ label: l.name, stroke: l.colour, width: 1.4, dash: DASHES[l.number % DASHES.length], points: { show: false } }));
     const limits = { x: { time: false }, y: this.powers ? { distr: 3 } : {} };
     this.u = new uPlot({ title: this.title, ...this.room(), legend: { show: !small, live: false }, cursor: { drag: { x: false, y: false } },
-      scales: limits, axes: [{ stroke: INK, size: 26, label: 'time (s)', labelSize: 18, labelGap: 0, labelFont: LABEL, grid: GRID }, { stroke: INK, size: 58, ...(this.powers ? { grid: { ...GRID, filter: DECADES }, ticks: { filter: DECADES }, filter: DECADES } : { grid: GRID }) }], series: [{ label: 'time' }, ...series], hooks: { draw: [mark] } },
+      scales: limits, axes: [{ stroke: INK, size: 26, label: 'time (s)', labelSize: 18, labelGap: 0, labelFont: LABEL, grid: GRID }, { stroke: INK, size: 64, values: NUMBERS, ...(this.powers ? { grid: { ...GRID, filter: DECADES }, ticks: { filter: DECADES }, filter: DECADES } : { grid: GRID }) }], series: [{ label: 'time' }, ...series], hooks: { draw: [mark] } },
     this.data(times, lines), this.element);
     this.u.over.addEventListener('pointerdown', event => {
       const go = e => this.seek(this.u.posToVal(e.clientX - this.u.over.getBoundingClientRect().left, 'x'));
