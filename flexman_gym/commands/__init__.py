@@ -69,7 +69,10 @@ def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[st
 
 def numbers(text: str) -> list[float]:
     """Return the numbers of a text "0.1,-0.2"."""
-    return [float(each) for each in text.split(",")]
+    try:
+        return [float(each) for each in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; give numbers such as 0.1,-0.2") from None
 
 
 def load_agent(name: str, trust: bool, environment: "Configuration | None" = None) -> "AgentSpec":

@@ -39,6 +39,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Drive the machine, write the log and print a summary; return 0, or 1 after a fault."""
+    from flexman_gym.common.checks import value_error
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.machine.drive import drive
     from flexman_gym.evaluation.machine.simulated import Disturbances, SimulatedMachine
@@ -51,6 +52,8 @@ def _run(options: argparse.Namespace) -> int:
         disturbances = Disturbances(options.jitter, options.loss, options.asynchronous)
         with SimulatedMachine(plant, options.seed, disturbances, move, options.silence) as machine:
             log = drive(agent, machine.address, options.env or plant, *given)
+    elif kind != "udp":
+        raise value_error("machine", options.machine, "sim:ENVIRONMENT, udp:HOST:PORT, or udp:PORT on this computer")
     else:
         log = drive(agent, options.machine, options.env, *given)
     log.save(options.out)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.checks import non_negative, value_error
 from flexman_gym.common.computer import optional_module
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
@@ -162,7 +162,8 @@ class SafetyFilter:
         self._limits, self.source = limits, source
         n, late = plant.model.n_joints, plant.delay[1]
         self.torque_limits = np.array(plant.torque_limit)
-        self._damping = BRAKE * np.array(plant.gains()["damping"])
+        damping = [non_negative(f"gains.damping[{i}]", each) for i, each in enumerate(plant.gains()["damping"])]
+        self._damping = BRAKE * np.array(damping)
         self._models: _Prediction | None = None
         self._own: _Prediction | None = None  # of the models of one arm
         self._single = _Prediction(plant, limits, self._damping, 1 + n)

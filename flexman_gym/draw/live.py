@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import value_error
 from flexman_gym.draw.replay import COLOURS, arm_data, encode_array, html_page, view_data
 from flexman_gym.model.model import Model
 
@@ -71,9 +72,12 @@ class LivePage:
         self._state = b""
         self._lock = threading.Lock()
         self.shown, self.late, self._next = 0, 0, 0.0
-        self._server = http.server.ThreadingHTTPServer(
-            ("127.0.0.1", port), type("Handler", (_Handler,), {"live": self})
-        )
+        try:
+            self._server = http.server.ThreadingHTTPServer(
+                ("127.0.0.1", port), type("Handler", (_Handler,), {"live": self})
+            )
+        except OSError as error:  # such as a port in use
+            raise value_error("port", port, f"a free port, or 0 for any free port ({error.strerror})") from None
         self._server.daemon_threads = True
         threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True).start()
         self.url = f"http://127.0.0.1:{self._server.server_address[1]}/"

@@ -161,10 +161,15 @@ def find_agent(agent: object) -> AgentSpec:
         return AgentSpec(name, None, {"base": _RandomTorques()})
     if name.endswith(".zip"):
         raise _untrusted_file_error(name)
+    return _load_run(training_folder(name))
+
+
+def training_folder(name: str) -> Path:
+    """Return the folder of a training run; raise FileNotFoundError with the allowed agents if it does not exist."""
     if not os.path.isdir(name):  # unlike Path.is_dir it accepts any string
         allowed = f"the folder of a training run, or one of {', '.join(AGENTS)}"
         raise FileNotFoundError(f"agent: {short_path(name)} is not allowed; give {allowed}")
-    return _load_run(Path(name))
+    return Path(name)
 
 
 def _load_policy(folder: Path) -> AgentSpec:

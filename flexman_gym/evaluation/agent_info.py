@@ -12,7 +12,7 @@ from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.control.base_controllers import BASES
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import plain_sensors
-from flexman_gym.evaluation.agent import BASELINES, SIMPLE_AGENTS
+from flexman_gym.evaluation.agent import BASELINES, SIMPLE_AGENTS, training_folder
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, training_seed
 
@@ -143,4 +143,4 @@ def _settings(agent: str) -> dict[str, Any]:
         metadata = read_policy(folder).metadata
         settings = rename_keys(metadata["recipe"]["settings"], RUN_SETTINGS, warn=False)
         return {**settings, "environment": metadata["environment"]}
-    return read_settings(Path(agent))
+    return read_settings(training_folder(agent))

@@ -208,7 +208,7 @@ def rollout(
         True
     """
     environment = Configuration.find(environment)
-    environment = environment.replace(safety=True) if safety else environment
+    environment = environment.replace(safety=safety) if safety else environment
     loop = RolloutLoop(agent, environment, seeds, callback, set_plant, options)
     episodes = loop.episodes
     progress = Progress(f"control periods of {len(episodes.over)} episodes", episodes.max_periods)

@@ -76,7 +76,7 @@ def certify(
     """
     path = policy_folder(name)
     if path is None:
-        raise value_error("name", name, "an exported policy, by its name or folder")
+        raise value_error("agent", name, "an exported policy, by its name or folder")
     about, environment = read_policy(path).metadata, _environment_name(name)
     task = find_scenario(environment).environment.task
     if "settling_time" not in {metric.name for metric in task_metrics(task)}:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
-from flexman_gym.common.checks import value_error, whole_number
+from flexman_gym.common.checks import positive, value_error, whole_number
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import MAX_SEED
 from flexman_gym.envs.episodes import Episodes
@@ -103,7 +103,8 @@ def drive(
     whole_number("seed", seed, 0, MAX_SEED)
     whole_number("silence", silence, 1, 10**6)
     spec, needed = _prepared(spec, split_interface(design)[0])
-    quiet = design.replace(randomisation=None, drive_bandwidth=None, horizon=seconds or design.horizon)
+    horizon = design.horizon if seconds is None else positive("seconds", seconds, "s")
+    quiet = design.replace(randomisation=None, drive_bandwidth=None, horizon=horizon)
     udp = UdpMachine(machine, list(dict.fromkeys([*needed, *LOGGED]))) if isinstance(machine, str) else None
     try:
         loop = _Loop(udp or machine, quiet, needed, silence)  # type: ignore[arg-type]

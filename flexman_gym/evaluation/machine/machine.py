@@ -102,7 +102,11 @@ class UdpMachine:
         if kind != "udp" or not port.isdecimal() or not 0 < int(port) < 2**16:
             raise value_error("machine", address, "udp:HOST:PORT, or udp:PORT for a machine on this computer")
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.connect((host or LOCALHOST, int(port)))  # packets of other senders are then not received
+        try:
+            self._socket.connect((host or LOCALHOST, int(port)))  # packets of other senders are then not received
+        except OSError as error:
+            self._socket.close()
+            raise value_error("machine", address, f"the name or address of a computer ({error.strerror})") from None
         self.receiver, self._sequence = Receiver(randbits(32)), 0
         answer = self._greet(address, wanted)
         self._socket.setblocking(False)
