@@ -245,7 +245,10 @@ LEAGUE = ROOT / "docs" / "league"
             "details: 'x' is not allowed; give overall, or an agent",
         ),
         (["league", "--sweep", "mass"], "sweep: 'mass' is not allowed; give one of payload"),
-        (["league", "--add", "nowhere"], "nowhere/settings.json: no such file"),
+        (
+            ["league", "--add", "nowhere"],
+            "agent: nowhere is not allowed; give the folder of a training run, or one of ",
+        ),
         (["league", "--scenarios", "FlexPlanar-v9"], "FlexPlanar-v9: there is no such file"),
         (["simulate", "nowhere.json"], "nowhere.json: there is no such file"),
         (["simulate", SCENE, "--method", "rk5"], "method: 'rk5' is not allowed; give one of "),

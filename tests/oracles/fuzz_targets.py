@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import gymnasium as gym
@@ -127,7 +128,8 @@ def controlled(base, torque_limit, control_period, **parts):
 
 def fields_of(made_of):
     """Return the fields of a dataclass by name."""
-    return {name: value for name, value in vars(made_of).items() if not name.startswith("_")}
+    computed = {name for name, each in vars(type(made_of)).items() if isinstance(each, cached_property)}
+    return {name: value for name, value in vars(made_of).items() if not name.startswith("_") and name not in computed}
 
 
 SETTINGS = {
