@@ -55,7 +55,7 @@ class Cell:
 
 
 CELLS = (
-    Cell("nominal", "lqr-tracking", STUDY, 1000),
+    Cell("nominal", "lqr-tracking", STUDY, 2000),
     Cell("nominal", "lqr-tracking", RATE, 40),
     Cell("nominal", "lqr-tracking", HALF_SPACE, 60),
     Cell("nominal", "adaptive-lqr", STUDY, 60),
