@@ -1,6 +1,8 @@
 """Limits of the motion of an arm."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -154,16 +156,9 @@ class Limits:
         The quantities are linear in the state (strains, and torques of linear springs) except for tip speed and
         workspace; `fm.linearize` returns their matrices.
         """
-        values = {
-            "angle": view.motor_angles,
-            "rate": np.concatenate([view.motor_rates, view.joint_twist_rates], axis=-1),
-            "twist": view.joint_twists,
-            "deflection": view.link_deflections / np.repeat(view.lengths, 2),
-            "deflection_rate": view.link_deflection_rates,
-            "tip_speed": view.tip_velocity,
-        }
-        if self.strain is not None:
-            values["strain"] = view.root_strains
+        linear = self.linear_quantities(partial(getattr, view), view.lengths)
+        values = {"tip_speed": view.tip_velocity, **linear}
+        values = {name: values[name] for name in UNITS if name in values}
         if self.spring_torque is not None:
             values["spring_torque"] = view.spring_torques
         result = {name: self._scale(name, view) - np.abs(value) for name, value in values.items()}
@@ -171,6 +166,24 @@ class Limits:
             result["workspace"] = self.depths(view.tip)
         for name, margin in (self.margin or {}).items():
             result[name] = result[name] - margin
+        return result
+
+    def linear_quantities(self, read: Callable[[str], Array], lengths: Array) -> dict[str, Array]:
+        """Return limit -> quantities (..., m) that are linear in the state for all arms.
+
+        Args:
+            read: function of the name of a measurement in `model.linearization.MEASUREMENT_UNITS` that returns it.
+            lengths: (n,) lengths of the links, m.
+        """
+        result = {
+            "angle": read("motor_angles"),
+            "rate": np.concatenate([read("motor_rates"), read("joint_twist_rates")], axis=-1),
+            "twist": read("joint_twists"),
+            "deflection": read("link_deflections") / np.repeat(lengths, 2),
+            "deflection_rate": read("link_deflection_rates"),
+        }
+        if self.strain is not None:
+            result["strain"] = read("root_strains")
         return result
 
     def predicted(self, model: Model) -> "LimitShares":
@@ -256,15 +269,7 @@ class LimitShares:
     def __init__(self, limits: Limits, model: Model) -> None:
         measured = LinearMeasurements(model).measure(np.eye(2 * model.n_dof))
         self._limits, self._margins, self._reach = limits, limits.margin or {}, float(model.constants.length.sum())
-        rows: dict[str, Array] = {
-            "angle": measured["motor_angles"],
-            "rate": np.hstack([measured["motor_rates"], measured["joint_twist_rates"]]),
-            "twist": measured["joint_twists"],
-            "deflection": measured["link_deflections"] / np.repeat(model.constants.length, 2),
-            "deflection_rate": measured["link_deflection_rates"],
-        }
-        if limits.strain is not None:
-            rows["strain"] = measured["root_strains"]
+        rows = limits.linear_quantities(measured.__getitem__, model.constants.length)
         bounds = [self._bound(name) * np.ones(each.shape[1]) for name, each in rows.items()]
         scaled = np.hstack(list(rows.values())) / np.concatenate(bounds)
         self._rows = sparse_rows(scaled.T)

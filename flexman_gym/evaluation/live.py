@@ -123,9 +123,8 @@ GAIN_SLIDERS = {"stiffness": _factor("stiffness"), "damping": _factor("damping")
 def _sliders(episodes: Episodes) -> dict[str, _Slider]:
     """Return the sliders of the arm by the name of a parameter in PARAMETERS or an effect in SIGNALS."""
     model, nominal = episodes.batch.model, episodes.batch.nominal
-    damping = (
-        2.0 * nominal["joint_stiffness"] / (2.0 * np.pi * episodes.view.first_frequency)
-    )  # of a damping ratio of 1
+    rate = 2.0 * np.pi * episodes.view.first_frequency  # rad/s
+    damping = 2.0 * nominal["joint_stiffness"] / rate  # of a damping ratio of 1
     heaviest = round_up(max(4.0 * float(nominal["payload_mass"]), 0.1 * sum(link.mass for link in model.arm.links)))
     rows = {
         "payload_mass": _Slider("payload (kg)", 0.0, heaviest, heaviest / 100.0),

@@ -32,10 +32,8 @@ from flexman_gym.simulation.external_simulator import ExternalIntegrator
 
 MEASURED = tuple(name for names in LINEAR_SENSORS.values() for name in names)  # quantities of a real machine
 LOGGED = ("motor_angles", "motor_rates", "torques")  # quantities that every log has, if the machine measures them
-PHASE, LONGEST_PHASE = (
-    0.25,
-    5e-4,
-)  # from the arrival of the first readings to the deadlines: fraction of the period, and s
+# time from the arrival of the first readings to the deadlines: fraction of the control period, at most, s
+PHASE, LONGEST_PHASE = 0.25, 5e-4
 SPIN = 2e-4  # s; end of a wait that is not slept
 READ_INTERVAL = 3e-4  # s; time between two attempts to read before the start and during the stop, more than SPIN
 START_READINGS = 25  # number of readings before the start, whose median has less noise than one of them
