@@ -426,11 +426,13 @@ def test_a_browser_follows_the_arm_through_episodes(human):
     browser = Browser()
     try:
         browser.open(page_of(human).url)
-        for seed in (5000, 5001):
+        for seed, steps in ((5000, 5), (5001, 7)):  # the numbers tell the episodes apart
             human.reset(seed=seed)
-            for _ in range(5):
+            for _ in range(steps):
                 human.step(np.ones(1, dtype=np.float32))
-            browser.wait("replay.rows()[0] === 6 && document.getElementById('clock').textContent === '0.10 s'")
+            browser.wait(f"replay.rows()[0] === {steps + 1} && replay.shown()")  # the newest row, reached smoothly
+            clock = browser.run("return document.getElementById('clock').textContent")
+            assert clock == f"{0.02 * steps:.2f} s"
             tip = human.unwrapped.episodes.view.tip[0]
             assert np.abs(np.array(browser.run("return replay.tips()")[0]) - tip).max() < 1e-6
         assert browser.said() == []
