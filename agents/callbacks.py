@@ -145,14 +145,13 @@ class Exploration(BaseCallback):
     the schedule sets the target entropy.
 
     Args:
-        schedule: schedule, or a mapping with the attributes of `settings.Schedule`.
+        schedule: values by progress of the training.
         steps: environment steps of the training.
     """
 
-    def __init__(self, schedule: Schedule | Mapping[str, float], steps: int) -> None:
+    def __init__(self, schedule: Schedule, steps: int) -> None:
         super().__init__()
-        self._schedule = schedule if isinstance(schedule, Schedule) else Schedule(**schedule)
-        self._steps = steps
+        self._schedule, self._steps = schedule, steps
 
     def _on_training_start(self) -> None:
         if not isinstance(self.model, SAC):

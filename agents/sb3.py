@@ -1,4 +1,4 @@
-"""Stable-Baselines3: models from settings, policies from its files, and recipes in the format of rl_zoo3."""
+"""Stable-Baselines3: models from settings, and policies from its files."""
 
 import pickle
 from dataclasses import replace
@@ -17,12 +17,7 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from flexman_agents.settings import (
     DEFAULT_HYPERPARAMETERS,
-    EXPLORATION_SCHEDULES,
-    RECIPE_FOLDER,
-    RECIPES,
-    Schedule,
     Settings,
-    find_recipe,
 )
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common import files
@@ -135,73 +130,3 @@ def _load_zip(path: Path, environment: Configuration | None) -> AgentSpec:
         normaliser = pickle.load(file)
     law: Any = agent.law
     return replace(agent, name=path.stem, law=lambda observations: law(normaliser.normalize_obs(observations)))
-
-
-ZOO_FOLDER = RECIPE_FOLDER / "rl_zoo3"
-EXPLORATION_CALLBACK = "flexman_agents.callbacks.Exploration"
-
-
-def zoo_hyperparameters(settings: Settings) -> dict[str, Any]:
-    """Convert settings to the format of rl_zoo3.
-
-    The exploration schedule becomes a callback. The seed and the evaluations are left to the command line of rl_zoo3.
-
-    Args:
-        settings: settings of a run.
-
-    Returns:
-        Id of the environment -> hyperparameters.
-
-    Raises:
-        ValueError: for a learning rate that is neither constant nor decreases to zero at the end.
-    """
-    hyperparameters = _algorithm_arguments(settings)
-    policy = hyperparameters.pop("policy_kwargs")
-    arguments = [f"{name}={_expression(value)}" for name, value in policy.items()]
-    hyperparameters["learning_rate"] = _zoo_rate(hyperparameters["learning_rate"])
-    environment = settings.environment
-    result = {
-        "n_envs": settings.envs,
-        "n_timesteps": settings.steps,
-        "policy": "MlpPolicy",
-        "normalize": {"norm_obs": True, "norm_reward": settings.normalise_reward},
-        **hyperparameters,
-        "policy_kwargs": f"dict({', '.join(arguments)})",
-        "env_kwargs": _difference(environment.to_plain(), type(environment)(environment.id).to_plain()),
-    }
-    for name in EXPLORATION_SCHEDULES:
-        if name in settings.schedules:
-            result["callback"] = {
-                EXPLORATION_CALLBACK: {"schedule": dict(settings.schedules[name]), "steps": settings.steps}
-            }
-    return {environment.id: result}
-
-
-def write_zoo_files(folder: Path = ZOO_FOLDER) -> None:
-    """Write the recipes with PPO or SAC to a folder in the format of rl_zoo3, one file each."""
-    folder.mkdir(exist_ok=True)
-    for name in RECIPES:
-        settings = find_recipe(name)
-        if settings.algo in ALGORITHMS:
-            files.write_data(folder / f"{name}.yml", zoo_hyperparameters(settings))
-
-
-def _zoo_rate(rate: object) -> object:
-    if not isinstance(rate, Schedule):
-        return rate
-    if rate.end == rate.start:
-        return rate.start
-    if rate.end != 0.0 or rate.until != 1.0:
-        raise value_error(
-            "schedules.learning_rate", rate, "a constant one, or one that decreases to zero at the end, for rl_zoo3"
-        )
-    return f"lin_{rate.start}"
-
-
-def _expression(value: object) -> str:
-    return f"nn.{value.__name__}" if isinstance(value, type) else repr(value)
-
-
-def _difference(settings: dict[str, Any], named: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings that differ from the settings of the named environment."""
-    return {name: value for name, value in settings.items() if name != "id" and named.get(name) != value}

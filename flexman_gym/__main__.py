@@ -11,7 +11,7 @@ from pathlib import Path
 
 from flexman_gym import __version__, commands
 from flexman_gym.common.checks import warn_caller
-from flexman_gym.common.renamed import COMMANDS, OPTIMISED, OPTIONS
+from flexman_gym.common.renamed import COMMANDS, OPTIMISED, OPTIONS, REMOVED_OPTIONS
 
 COMMAND_GROUPS = {  # group -> commands, in the order of the help
     "start": ("demo", "live", "check", "compile", "list", "verify"),
@@ -49,6 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
         parser.parse_args(given)
     command_parser = chosen.choices[given[0]]
     try:
+        _refuse_removed_options(given[0], given[1:])
         command = importlib.import_module(f"flexman_gym.commands.{given[0]}").COMMAND
         command.arguments(command_parser)
         return int(command.run(parser.parse_args(given, argparse.Namespace(parser=command_parser))))
@@ -84,6 +85,13 @@ def _present_options(arguments: list[str]) -> list[str]:
         present = names.get(name, "")
         result += [value] * bool(mark) if present.isupper() else [(present or name) + mark + value]
     return result
+
+
+def _refuse_removed_options(command: str, words: list[str]) -> None:
+    """Raise ValueError for an option that the command had in an earlier release."""
+    for name in (word.partition("=")[0] for word in words):
+        if name in (removed := REMOVED_OPTIONS.get(command, {})):
+            raise ValueError(f"{name}: this option of flexman {command} was removed: {removed[name]}")
 
 
 def _overview() -> str:

@@ -53,10 +53,6 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--eval-every", type=int, metavar="N", help="environment steps between evaluations; 0: none")
     parser.add_argument("--device", default="cpu", help="device of the networks (default: %(default)s)")
-    parser.add_argument(
-        "--engine", choices=("sb3", "rllib"), default="sb3", help="Stable-Baselines3 (default), or RLlib for PPO"
-    )
-    parser.add_argument("--runners", type=int, metavar="N", default=0, help="environment processes of RLlib")
     Workers.arguments(parser)
     parser.add_argument("--quiet", action="store_true", help="show no progress bar")
 
@@ -69,9 +65,7 @@ def _run(options: argparse.Namespace) -> int:
     try:
         if options.resume:
             _refuse_settings(options)
-        if options.engine == "rllib":
-            folders = [_train_with_rllib(options)]
-        elif options.resume:
+        if options.resume:
             resume(options.folder, options.steps, eval_every=options.eval_every, **_training_options(options))
             folders = [options.folder]
         else:
@@ -102,22 +96,6 @@ def _warn_of_missing_settings(recipe: Mapping[str, Any], own: Mapping[str, Any],
     missing = [f"{name}: {recipe[name]}" for name in AGENT_SETTINGS if name in recipe and name not in own]
     if missing:
         print(f"{env} lacks settings of the recipe: {', '.join(missing)}", file=sys.stderr)
-
-
-def _train_with_rllib(options: argparse.Namespace) -> Path:
-    """Train or resume one run with RLlib; return its folder."""
-    try:
-        from flexman_agents.rllib import train_rllib
-    except ImportError as error:
-        text = "training with RLlib needs more packages: pip install -r requirements-rllib.txt"
-        raise ImportError(f"{text} ({error})") from None
-    from flexman_agents.settings import Settings
-
-    if options.seeds != 1:
-        raise value_error("seeds", options.seeds, "1 with RLlib")
-    settings = Settings.load(options.folder) if options.resume else _make_settings(options)
-    train_rllib(settings, options.folder, options.runners, options.checkpoint_every, options.resume)
-    return Path(options.folder)
 
 
 def _training_options(options: argparse.Namespace) -> dict[str, Any]:

@@ -63,7 +63,7 @@ def _run_in_processes(jobs: int, task: Task, cells: Sequence[Any], prepare: Prep
 
 def _run_on_ray(jobs: int, address: str, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
     """Run the cells by one Ray call each on a Ray cluster; a local cluster runs at most `jobs` calls at once."""
-    with ray_cluster(jobs, address) as ray:
+    with _ray_cluster(jobs, address) as ray:
         own = {"env_vars": {"PYTHONPATH": _python_path()}}
         remote = ray.remote(num_cpus=1, max_retries=MAX_DEATHS, runtime_env=own)(_run_prepared)
         waiting = {remote.remote(prepare, task, cell): number for number, cell in enumerate(cells)}
@@ -73,13 +73,12 @@ def _run_on_ray(jobs: int, address: str, task: Task, cells: Sequence[Any], prepa
 
 
 @contextmanager
-def ray_cluster(jobs: int, address: str = "local", **variables: str) -> Iterator[Any]:
+def _ray_cluster(jobs: int, address: str) -> Iterator[Any]:
     """Start Ray if it is not running, and shut it down if it was started here.
 
     Args:
         jobs: number of simultaneous calls on a local cluster.
         address: address of a running cluster, or "local".
-        **variables: environment variables of the workers; with any of them, PYTHONPATH is set as in this process.
 
     Yields:
         Any: The module `ray`.
@@ -93,8 +92,7 @@ def ray_cluster(jobs: int, address: str = "local", **variables: str) -> Iterator
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         local = {"num_cpus": jobs, "include_dashboard": False, "object_store_memory": OBJECT_STORE_BYTES}
         cluster = local if address == "local" else {"address": address}
-        workers = {"runtime_env": {"env_vars": {"PYTHONPATH": _python_path(), **variables}}} if variables else {}
-        ray.init(log_to_driver=False, logging_level="ERROR", **cluster, **workers)
+        ray.init(log_to_driver=False, logging_level="ERROR", **cluster)
     try:
         yield ray
     finally:

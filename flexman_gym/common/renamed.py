@@ -17,7 +17,6 @@ MODULES = {
     "flexman_agents.algorithm": "flexman_agents.sb3",
     "flexman_agents.memory": "flexman_agents.training",
     "flexman_agents.recipes": "flexman_agents.settings",
-    "flexman_agents.zoo": "flexman_agents.sb3",
     "flexman_gym.control.reference": "flexman_gym.control.references.trajectories",
     "flexman_gym.control.shaper": "flexman_gym.control.input_shaping.shapers",
     "flexman_gym.draw.style": "flexman_gym.common.plot_style",
@@ -37,7 +36,6 @@ MODULES = {
 """Old module -> present module."""
 NAMES = {
     "flexman_agents.callbacks": {"Report": "TrainingReport"},
-    "flexman_agents.sb3": {"write_zoo": "write_zoo_files", "zoo": "zoo_hyperparameters"},
     "flexman_agents.training": {"take_policy": "policy_state"},
     "flexman_agents.vector": {"Arms": "SB3VecEnv"},
     "flexman_gym.common.run_folder": {"read_data": "read_npz", "write_data": "write_npz"},
@@ -87,6 +85,13 @@ OPTIONS = {
     "train": {"--judge-every": "--eval-every"},
 }
 """Command -> old option or value on its command line -> present one; capitals for an argument without a name."""
+REMOVED_OPTIONS = {
+    "train": {
+        "--engine": "every run is trained with Stable-Baselines3; leave the option out",
+        "--runners": "it belonged to RLlib; leave the option out, --jobs runs several seeds at once",
+    },
+}
+"""Command -> option that release 0.3 no longer has -> reason and replacement."""
 COMMANDS = {
     "certify": "league --agent", "tune": "optimise gains", "optimise ENVIRONMENT": "optimise slews ENVIRONMENT",
     "resonance": "shape", "enjoy": "live --agent",

@@ -255,6 +255,8 @@ LEAGUE = ROOT / "docs" / "league"
         (["choose", SCENE, "--tolerance", "0"], "tolerance: 0.0 is not allowed; give a finite number > 0"),
         (["precision", SCENE, "--method", "rk5"], "method: 'rk5' is not allowed; give one of "),
         (["optimise", "gains", "FlexPlanar-v9"], "FlexPlanar-v9: there is no such file; give one, or one of "),
+        (["train", "--engine", "sb3"], "--engine: this option of flexman train was removed: every run "),
+        (["train", "ppo_on_pd", "--runners=2"], "--runners: this option of flexman train was removed: it "),
         (["list", "robots"], "what: robots is not allowed; give some of environments, "),
     ],
 )
