@@ -24,7 +24,7 @@ from flexman_gym.common import files
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.files import existing_file
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import SB3_MODEL, AgentSpec
+from flexman_gym.evaluation.agent import AgentSpec
 from flexman_gym.evaluation.rollout import training_seed
 
 ACTIVATION_LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # name in settings.ACTIVATIONS -> layer
@@ -84,39 +84,28 @@ def _algorithm_arguments(settings: Settings) -> dict[str, Any]:
     return arguments | {"policy_kwargs": policy_arguments}
 
 
-STATISTICS_FILE, BEST_FOLDER = "normalisation.pkl", "best"
 # Class of the policy in a zip -> algorithm; the zip does not name the algorithm.
 POLICY_CLASSES: dict[str, type[BaseAlgorithm]] = {"ActorCriticPolicy": PPO, "SACPolicy": SAC, "TD3Policy": TD3}
 LOADING_ERRORS = (*files.READ_ERRORS, RuntimeError, AssertionError, ImportError, pickle.UnpicklingError)
 
 
 def load_sb3(path: Path, environment: Configuration | None = None) -> AgentSpec:
-    """Load a policy from files of Stable-Baselines3: a zip written by `save`, or a run folder of an early release.
+    """Load a policy from a zip that a model of Stable-Baselines3 has written with `save`.
 
-    The normalisation (VecNormalize) of a zip is read from the file of the same name with the suffix .pkl, if it exists.
-    The files are pickles, which can run any code: load files from trusted sources only.
+    Its normalisation (VecNormalize) is read from the file of the same name with the suffix .pkl, if it exists. Both
+    files are pickles, which can run any code: load files from trusted sources only.
 
     Args:
-        path: zip, or folder with model.zip, normalisation.pkl and settings.json.
-        environment: environment in which the policy of a zip was trained, with the settings of its agent; None if it is
-            the environment of the evaluation.
+        path: path of the zip.
+        environment: environment in which the policy was trained, with the settings of its agent; None if it is the
+            environment of the evaluation.
 
     Raises:
-        FileNotFoundError: if a file is missing.
+        FileNotFoundError: if the zip is missing.
         ValueError: for files that are not of Stable-Baselines3.
     """
-    kind = "policy" if path.suffix == ".zip" else "run"
-    with files.reading(path, f"is not a {kind} of Stable-Baselines3", LOADING_ERRORS):
-        return _load_zip(path, environment) if kind == "policy" else _load_run(path)
-
-
-def _load_run(folder: Path) -> AgentSpec:
-    settings = Settings.load(folder)
-    place = folder / BEST_FOLDER if (folder / BEST_FOLDER / SB3_MODEL).is_file() else folder
-    arms = _make_environments(replace(settings, envs=1))
-    model_file, statistics = (existing_file(place / name) for name in (SB3_MODEL, STATISTICS_FILE))
-    model = ALGORITHMS[settings.algo].load(model_file, VecNormalize.load(str(statistics), arms), device="cpu")
-    return replace(AgentSpec.from_predictor(model, settings.environment), name=folder.name)
+    with files.reading(path, "is not a policy of Stable-Baselines3", LOADING_ERRORS):
+        return _load_zip(path, environment)
 
 
 def _load_zip(path: Path, environment: Configuration | None) -> AgentSpec:

@@ -89,9 +89,9 @@ def load_agent(name: str, trust: bool, environment: "Configuration | None" = Non
     Raises:
         FileNotFoundError, ValueError: for a name without an agent, with a one-line message.
     """
-    from flexman_gym.evaluation.agent import find_agent, is_sb3_folder
+    from flexman_gym.evaluation.agent import find_agent
 
-    if trust and (is_sb3_folder(Path(name)) or name.endswith(".zip")):
+    if trust and name.endswith(".zip"):
         from flexman_agents.sb3 import load_sb3
 
         return load_sb3(Path(name), environment)

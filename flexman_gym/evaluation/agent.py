@@ -160,7 +160,8 @@ def find_agent(agent: object) -> AgentSpec:
     if name == "random":
         return AgentSpec(name, None, {"base": _RandomTorques()})
     if name.endswith(".zip"):
-        raise _untrusted_file_error(name)
+        allowed = "--trust, if you trust their author: they are pickles, which can run any code when they are read"
+        raise ValueError(f"agent: the files of Stable-Baselines3 in {name} are not read; give {allowed}")
     return _load_run(training_folder(name))
 
 
@@ -199,8 +200,6 @@ def observation_layout(environment: Configuration) -> list[dict[str, Any]]:
 
 def _load_run(folder: Path) -> AgentSpec:
     """Load the best policy of a run, or the newest if no best policy exists, without executing code of its files."""
-    if is_sb3_folder(folder):
-        raise _untrusted_file_error(folder)
     settings = read_settings(folder)
     with reading(folder / SETTINGS, NO_SETTINGS):
         environment = Configuration.from_plain(settings["environment"])
@@ -214,11 +213,6 @@ def _load_run(folder: Path) -> AgentSpec:
     except ValueError as error:
         raise ValueError(f"{short_path(path)}: {error}") from None
     return AgentSpec.from_network(folder.name, network, environment, base_in_use)
-
-
-def _untrusted_file_error(path: object) -> ValueError:
-    allowed = "--trust, if you trust their author: they are pickles, which can run any code when they are read"
-    return ValueError(f"agent: the files of Stable-Baselines3 in {path} are not read; give {allowed}")
 
 
 def split_interface(environment: Configuration) -> tuple[Configuration, dict[str, Any]]:
@@ -328,13 +322,7 @@ class _RandomTorques:
         return self._random.uniform(-1.0, 1.0, applied.shape).astype(np.float32).astype(np.float64)
 
 
-SB3_MODEL = "model.zip"  # name of the model file in a folder of Stable-Baselines3
 CHANGEABLE_SETTINGS = ("steps", "eval_every")  # settings of a run that may change when it is resumed
-
-
-def is_sb3_folder(folder: Path) -> bool:
-    """Return True if a folder contains a model of Stable-Baselines3 and no training run of this library."""
-    return (folder / SB3_MODEL).is_file() and not any((folder / name).is_file() for name in (BEST, NEWEST))
 
 
 def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:

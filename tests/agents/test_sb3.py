@@ -1,4 +1,4 @@
-"""Stable-Baselines3: a model is an agent, in memory and as a trusted zip; the files of rl_zoo3 equal the recipes."""
+"""Stable-Baselines3: a model is an agent, in memory and as a trusted zip."""
 
 import numpy as np
 import pytest

@@ -16,7 +16,7 @@ from flexman_agents.sb3 import make_model
 from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train
 from flexman_gym.common.run_folder import LOCK, NEWEST, SETTINGS, lock_folder, read_npz, write_npz
-from flexman_gym.evaluation.agent import SB3_MODEL, find_agent
+from flexman_gym.evaluation.agent import find_agent
 
 from oracles.assertions import refusal
 from oracles.runs import RUNS
@@ -131,19 +131,12 @@ def test_settings_that_are_arrays_are_other_ones(run, tmp_path):
     assert "different now are seed" in refusal(find_agent, str(tmp_path))
 
 
-def test_files_of_stable_baselines3_need_trust(run, tmp_path):
-    from flexman_agents.sb3 import STATISTICS_FILE, load_sb3, make_model
-
-    model = make_model(RUNS["ppo"])
+def test_a_folder_of_release_0_1_is_refused(run, tmp_path):
+    """Its policy is the pickle model.zip; nothing reads it."""
     (tmp_path / SETTINGS).write_bytes((run / SETTINGS).read_bytes())
-    model.save(tmp_path / SB3_MODEL)
-    model.get_vec_normalize_env().save(str(tmp_path / STATISTICS_FILE))
-    line = refusal(find_agent, str(tmp_path))
-    assert "--trust" in line and "run any code" in line
-    seen = np.zeros((2, 32), dtype=np.float32)
-    assert load_sb3(tmp_path).law(seen).shape == (2, 1)
-    (tmp_path / SB3_MODEL).write_bytes(b"noise")
-    assert "this is not a run of Stable-Baselines3" in refusal(load_sb3, tmp_path)
+    (tmp_path / "model.zip").write_bytes(b"noise")
+    with pytest.raises(FileNotFoundError, match="no such file; give a folder that a training run has written"):
+        find_agent(str(tmp_path))
 
 
 @pytest.mark.parametrize(
