@@ -54,7 +54,7 @@ NAMES = {
     },
     "flexman_gym.evaluation": {
         "Entrant": "AgentSpec", "Figure": "Metric", "FIGURES": "METRICS", "find_entrant": "find_agent",
-        "Record": "EpisodeRecord", "table": "metrics_table", "Tuned": "TunedGains",
+        "Record": "EpisodeRecord", "table": "metrics_table",
     },
     "flexman_gym.evaluation.agent": {"find_entrant": "find_agent"},
     "flexman_gym.evaluation.policy_files": {"described": "describe_policy"},
@@ -63,11 +63,7 @@ NAMES = {
         "STAY": "SETTLING_WINDOW", "VIBRATING": "VIBRATION_WINDOW",
     },
     "flexman_gym.simulation.stability": {"amplitude_kept": "remaining_amplitude"},
-    "flexman_gym.verification.closed_forms": {
-        "bar_eigenvalues": "bar_frequencies", "cantilever_eigenvalues": "cantilever_frequencies",
-        "flexible_joint_eigenvalues": "flexible_joint_frequencies", "hub_beam_eigenvalues": "hub_beam_frequencies",
-        "stepped_cantilever_eigenvalues": "stepped_cantilever_frequencies",
-    },
+    "flexman_gym.verification.closed_forms": {"bar_eigenvalues": "bar_frequencies"},
 }  # fmt: skip
 """Present module -> old name in it -> present name."""
 METHODS = {
@@ -137,9 +133,9 @@ MEMBERS = {
 ARGUMENTS = {
     "assembled_modes": {"highest": "max_frequency", "share": "energy_fraction"},
     "diagnose": {"entrant": "agent"}, "evaluate": {"entrant": "agent"},
-    "export_policy": {"words": "description", "venue": "environment"}, "move_band": {"part": "fraction"},
+    "move_band": {"part": "fraction"},
     "normalised_scores": {"rewards": "returns", "most": "largest"}, "paired_score": {"rewards": "returns"},
-    "record_dataset": {"entrant": "agent"}, "remaining_energy": {"of": "reference"},
+    "remaining_energy": {"of": "reference"},
     "resume": {"judge_every": "eval_every"}, "rollout": {"entrant": "agent", "watch": "callback", "moved": "set_plant"},
     "TrackingLQR": {"law": "timing_law"}, "write_onnx": {"entrant": "agent"},
 }  # fmt: skip

@@ -9,7 +9,6 @@ import numpy as np
 
 from flexman_gym.common.computer import optional_module
 from flexman_gym.common.parallel import Workers, parallel_map
-from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.rollout import rollout
@@ -18,7 +17,6 @@ BLOCK = 50  # number of episodes simulated together
 OBSERVATION_SETTINGS = ("sensors", "history")  # settings of the environment that determine the observations
 
 
-@deprecated_arguments(**ARGUMENTS["record_dataset"])
 def record_dataset(
     agent: str, environment: str | Configuration, seeds: Sequence[int], name: str, form: str = "hdf5",
     workers: Workers | int = 1,

@@ -25,7 +25,6 @@ DEFAULT_LICENCE = "MIT"
 CHECK_SEEDS = SELECTION_SEEDS[:16]  # seeds of the episodes whose observations are stored as a check of the network
 
 
-@deprecated_arguments(**ARGUMENTS["export_policy"])
 def export_policy(
     run: Path, folder: Path, description: str, recipe: str, environment: str = "", licence: str = DEFAULT_LICENCE
 ) -> dict[str, float]:
