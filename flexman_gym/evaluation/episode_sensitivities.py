@@ -92,8 +92,8 @@ def sensitivities(
         to: names of parameters, for all joints or links or, as in "joint_stiffness[0]", for one: those of `Batch.vary`,
             "initial_joint_angles" and "initial_joint_rates" (of joint and motor together), and a constant added to an
             input where its signal acts: "motor_torques", "tip_force" or "base_acceleration" (components x, y and z). Of
-            a scene also dimensions as in `simulation.dimensions`, such as "link_length[0]", for which other kernels are
-            compiled. Of an episode also gains of a controller, "stiffness" and "damping", and actions of the agent:
+            a scene also dimensions in `differentiation.DIMENSIONS`, such as "link_length[0]", for which other kernels
+            are compiled. Of an episode also gains of a controller, "stiffness" and "damping", and actions of the agent:
             "torque_1[3]" is its fourth action for the first motor, "position_1[3]" with the setting actions="position".
         agent: as in `rollout`, for an environment.
         seed: seed of the episode.

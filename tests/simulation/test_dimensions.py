@@ -8,7 +8,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.model.dynamics import RICHARDSON
 from flexman_gym.model.model import changed_model, scene_model
-from flexman_gym.simulation.dimensions import DIMENSIONS
+from flexman_gym.simulation.differentiation import DIMENSIONS
 from studies.derivatives.dimensions import NOMINAL, OUTPUTS, arm, outputs_of, reduced, scene
 
 STEP = 2e-3  # relative step of the differences
