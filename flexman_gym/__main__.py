@@ -6,6 +6,7 @@ import importlib
 import pkgutil
 import re
 import sys
+from collections.abc import Callable
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -26,7 +27,7 @@ MAX_SUMMARY = 65  # characters; longest summary of a command in the help, for a 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command and return the exit status."""
-    given = _present_options(sys.argv[1:] if arguments is None else arguments)
+    given = _present_options(sys.argv[1:], _print_line) if arguments is None else _present_options(arguments, _warn)
     about = "Simulate, train and test controllers of flexible robot arms."
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(
@@ -67,21 +68,29 @@ def main(arguments: list[str] | None = None) -> int:
     return 2
 
 
-def _present_options(arguments: list[str]) -> list[str]:
-    """Return a command line with present names of commands and options, with a DeprecationWarning for each old name."""
+def _warn(message: str) -> None:
+    warn_caller(message, DeprecationWarning)
+
+
+def _print_line(message: str) -> None:
+    print(message, file=sys.stderr)
+
+
+def _present_options(arguments: list[str], report: Callable[[str], None]) -> list[str]:
+    """Return a command line with present names of commands and options; report each old name."""
     if not arguments:
         return []
     command, *words = arguments
     old = "optimise ENVIRONMENT" if command == "optimise" and words and not words[0].startswith("-") else command
     if old in COMMANDS and not (command == "optimise" and words[0] in OPTIMISED):
-        warn_caller(f"flexman {old} is flexman {COMMANDS[old]} now", DeprecationWarning)
+        report(f"flexman {old} is flexman {COMMANDS[old]} now")
         command, *added = COMMANDS[old].split()[:2]
         words = [*added, *words]
     names, result = OPTIONS.get(command, {}), [command]
     for word in words:
         name, mark, value = word.partition("=")
         if name in names:
-            warn_caller(f"flexman {command}: {name} is {names[name]} now", DeprecationWarning)
+            report(f"flexman {command}: {name} is {names[name]} now")
         present = names.get(name, "")
         result += [value] * bool(mark) if present.isupper() else [(present or name) + mark + value]
     return result

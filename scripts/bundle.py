@@ -33,8 +33,8 @@ def main() -> int:
 
 def build(folder: Path) -> dict[str, bytes]:
     """Return the files of the bundle, name -> content, including the licences of the bundled libraries."""
-    command = ["node_modules/.bin/esbuild", "main.js", "--bundle", "--minify", "--legal-comments=eof", "--charset=utf8",
-               "--log-level=warning", f"--outfile={folder / FILES[0]}"]  # fmt: skip
+    command = ["node_modules/.bin/esbuild", "start.js", "--bundle", "--minify", "--legal-comments=eof",
+               "--charset=utf8", "--log-level=warning", f"--outfile={folder / FILES[0]}"]  # fmt: skip
     subprocess.run(command, cwd=WEB, check=True)
     return {name: (folder / name).read_bytes() for name in FILES}
 

@@ -1,7 +1,9 @@
 """Show an arm in real time on a web page, with controls."""
 
 import argparse
-from contextlib import suppress
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 from flexman_gym.commands import CommandLine, add_options
@@ -28,11 +30,32 @@ def _run(options: argparse.Namespace) -> int:
     agents = [replace(load_agent(name, options.trust, named), name=name) for name in options.agent or ["pd"]]
     trained = next((agent.environment.id for agent in agents if agent.environment), DEFAULT_ID)
     with (
+        _interrupts() as interrupts,
         suppress(KeyboardInterrupt),
         live(options.environment or trained, agents, options.seed, options.port) as session,
     ):
-        session.wait()
+        if not interrupts:
+            session.wait()
     return 0
+
+
+@contextmanager
+def _interrupts() -> Iterator[list[int]]:
+    """Context manager with a list of the received interrupts (Ctrl+C), each of which raises KeyboardInterrupt.
+
+    Python drops an exception that is raised in a callback of C code, such as those of LLVM that load kernels.
+    """
+    received: list[int] = []
+
+    def receive(number: int, _: object) -> None:
+        received.append(number)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, receive)
+    try:
+        yield received
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 COMMAND = CommandLine(_arguments, _run)

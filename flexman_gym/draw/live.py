@@ -24,7 +24,6 @@ HEADERS = {  # of every answer: nothing is stored, and the page loads nothing fr
     "img-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'",
 }  # fmt: skip
 CATCH_UP = 0.2  # s; longest delay after which the simulation hurries to be in real time again
-START_TIMEOUT = 120.0  # s; time for which a browser waits for the first episode
 Control = Callable[[dict[str, Any]], dict[str, Any]]
 
 
@@ -62,14 +61,15 @@ class LivePage:
 
     Attributes:
         url: address of the page.
+        html: page without an arm, which comes with the first episode.
         shown, late: number of calls of `wait`, and number of those that came later than in real time.
     """
 
     def __init__(self, control: Control | None = None, port: int = 0) -> None:
-        self.control, self._page, self._layout, self._ready = control, b"", "", threading.Event()
+        self.control, self.html = control, html_page({"live": True}, "flexman_gym", "live").encode()
         self._clients: list[queue.Queue[bytes]] = []
         self._rows: list[bytes] = []
-        self._state = b""
+        self._scene, self._state = b"", b""
         self._lock = threading.Lock()
         self.shown, self.late, self._next = 0, 0, 0.0
         try:
@@ -90,12 +90,12 @@ class LivePage:
         arm, views = arm_data(scene.model), [scene.model]
         text = json.dumps([arm, runs, scene.title, scene.controls])
         layout = hashlib.sha256(text.encode()).hexdigest()[:16]
-        data = {"live": True, "layout": layout, "arms": [arm], "runs": runs, "controls": scene.controls,
+        data = {"live": True, "layout": layout, "title": scene.title, "arms": [arm], "runs": runs,
+                "controls": scene.controls,
                 "stage": view_data(views, scene.points, scene.strain, scene.gain)}  # fmt: skip
         with self._lock:
-            self._page, self._layout, self._rows = html_page(data, scene.title, "live").encode(), layout, []
-            self._send(self._begin())
-        self._ready.set()
+            self._scene, self._rows = _event("begin", json.dumps(data, allow_nan=False)), []
+            self._send(self._scene)
         self._next = time.perf_counter()
 
     def show(self, rows: Array) -> None:
@@ -124,9 +124,6 @@ class LivePage:
         else:
             time.sleep(self._next - now)
 
-    def _begin(self) -> bytes:
-        return _event("begin", self._layout)
-
     def _send(self, message: bytes) -> None:
         for client in self._clients:
             if client.full():  # its stream ends; the browser opens a new one, which begins with the whole episode
@@ -141,17 +138,12 @@ class LivePage:
         with self._lock:
             client: queue.Queue[bytes] = queue.Queue(QUEUE_SIZE)
             self._clients = [*self._clients, client]
-            return b"".join([b"retry: 500\n", self._begin(), *self._rows, self._state]), client
+            return b"".join([b"retry: 500\n", self._scene, *self._rows, self._state]), client
 
     def leave(self, client: "queue.Queue[bytes]") -> None:
         """Remove the queue of a closed connection."""
         with self._lock:
             self._clients = [each for each in self._clients if each is not client]
-
-    def html(self) -> bytes:
-        """Return the page of the present episode, after the first one has begun."""
-        self._ready.wait(START_TIMEOUT)
-        return self._page
 
     def close(self) -> None:
         """End the streams and stop the server; print the number of late states, if any, to stderr."""
@@ -181,7 +173,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         types = {"/": "text/html; charset=utf-8", "/live": "text/event-stream"}
         if self._is_foreign() or self.path not in types:
             return self._answer(403 if self._is_foreign() else 404, "text/plain")
-        self._answer(200, types[self.path], self.live.html() if self.path == "/" else b"")
+        self._answer(200, types[self.path], self.live.html if self.path == "/" else b"")
         if self.path == "/live":
             self._stream()
 

@@ -52,15 +52,16 @@ def replay_page(episodes: Sequence[Episode], title: str = "") -> str:
     first = episodes[0].about
     about = {"seed": first.get("seed"), "settings": first.get("hash"), **first.get("versions", {})}
     words = " \N{MIDDLE DOT} ".join(f"{name} {value}" for name, value in about.items() if value is not None)
-    data = {"live": False, "arms": arms, "runs": runs, "stage": _episodes_view(episodes)}
-    return html_page(data, title or f"{first.get('environment', '')} {' and '.join(names)}".strip(), words)
+    stage, title = _episodes_view(episodes), title or f"{first.get('environment', '')} {' and '.join(names)}".strip()
+    stage["ends"] = " or ".join(dict.fromkeys("limit" if "scales" in run else stage["ends"] for run in runs))
+    return html_page({"live": False, "title": title, "arms": arms, "runs": runs, "stage": stage}, title, words)
 
 
 def html_page(data: dict[str, Any], title: str, words: str) -> str:
     """Return the HTML page of JSON-compatible data, with escaped texts.
 
     Args:
-        data: mapping with "arms", "runs", "stage" and "live".
+        data: mapping with "live", and for a replay with "title", "arms", "runs" and "stage".
         title: title of the page.
         words: text next to the title.
     """
@@ -71,8 +72,6 @@ def html_page(data: dict[str, Any], title: str, words: str) -> str:
     return Template(frame).substitute(
         title=html.escape(title), about=html.escape(words), data=text, style=style,
         script=script.replace("</script", "<\\/script"),
-        strain=" or ".join(dict.fromkeys("limit" if "scales" in run else _percent(data["stage"]["strain"])
-                                         for run in data["runs"])),
     )  # fmt: skip
 
 
@@ -95,7 +94,7 @@ def arm_data(model: Model) -> dict[str, Any]:
 
 
 def view_data(models: Sequence[Model], points: Array, strain: float, gain: float = 1.0) -> dict[str, Any]:
-    """Return reach, points, camera, floor and scale of the page as JSON-compatible data.
+    """Return reach, points, camera, floor, scale and text of its ends for the page as JSON-compatible data.
 
     Args:
         models: models of the arms.
@@ -111,7 +110,8 @@ def view_data(models: Sequence[Model], points: Array, strain: float, gain: float
     towards = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     return {"reach": reach, "points": np.round(points, 6).tolist(), "distance": 3.0 * size, "floor": floor,
-            "towards": towards.tolist(), "step": round_up(reach / 10), "strain": strain, "gain": gain}  # fmt: skip
+            "towards": towards.tolist(), "step": round_up(reach / 10), "strain": strain, "gain": gain,
+            "ends": _percent(strain) if strain else ""}  # fmt: skip
 
 
 def encode_array(values: NDArray[Any], kind: str = "<f4") -> str:

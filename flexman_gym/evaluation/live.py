@@ -185,14 +185,13 @@ class LiveSession:
             "target": self._set_target, "again": self._again, "save": self._save, "code": self._code,
         }  # fmt: skip
         self._page = LivePage(self.command, port)
-        self.url = self._page.url
+        self.url, self._thread = self._page.url, threading.Thread(target=self._run, daemon=True)
         try:
             self._start()
-        except (ValueError, OSError):
-            self._page.close()
+            self._thread.start()
+        except BaseException:  # Ctrl+C too
+            self.close()
             raise
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
 
     def __enter__(self) -> Self:
         return self
@@ -207,7 +206,8 @@ class LiveSession:
         """Stop the simulation and the server of the page."""
         if not self._closed:
             self._closed = True
-            self._thread.join()
+            if self._thread.is_alive():
+                self._thread.join()
             self._page.close()
 
     def wait(self) -> None:

@@ -1,26 +1,27 @@
 // Replay page of recorded episodes, or of a running episode received by server-sent events.
-import './style.css';
+import { given } from './given.js';
 import { curves, memory, tip } from './kinematics.js';
 import { Controls } from './live.js';
 import { Plot } from './plots.js';
 import { Run, floats, readArm } from './runs.js';
-import { Stage, View } from './scene.js';
+import { View } from './scene.js';
+import { onScheme } from './scheme.js';
 
-const $ = id => document.getElementById(id), data = JSON.parse($('data').textContent);
+const write = (element, text) => { if (element.textContent !== text) element.textContent = text; };  // an equal text would be laid out again
+const $ = id => document.getElementById(id), { data, stage, source } = given;
 const arms = data.arms.map(readArm), runs = data.runs.map(run => new Run(run, arms[run.arm]));
 const show = { ghost: true, strain: true, trace: true };
-let time = 0, gains = [data.stage.gain, 1], playing = false, speed = 1, dirty = true, views = [], stage = null, following = data.live, frames = 0;
+let time = 0, gains = [data.stage.gain, 1], playing = false, speed = 1, dirty = true, following = data.live, frames = 0;
 const controls = data.controls ? new Controls($('controls'), $('note'), data.controls) : null;
 const last = () => Math.max(...runs.map(run => run.last));
 const lines = runs.length > 3 ? 2 : 1, columns = Math.ceil(runs.length / lines);
+document.title = $('title').textContent = data.title;
 
-try {
-  stage = new Stage($('gl'), data.stage, data.live);
-  views = runs.map(run => new View(run, data.stage));
+const views = stage ? runs.map(run => new View(run, data.stage, stage.coarse)) : [];
+if (stage) {
+  stage.open(data.stage);
   controls?.listen(stage, views, [columns, lines]);
   stage.orbit.addEventListener('change', () => { dirty = true; });
-} catch (error) {
-  $('sorry').hidden = false;
 }
 
 const labels = runs.map(run => {
@@ -40,9 +41,9 @@ function pose() {
   runs.forEach((run, k) => {
     if (run.rows && views[k]) views[k].pose(Math.min(time, run.last), gains, show, data.stage.strain, stage.camera);
     const over = run.violations.find(([from, to]) => from <= time + 1e-9 && time - 1e-9 <= to);
-    labels[k].said.textContent = [run.rows ? millimetres(run.at('error', 0, time)) : 'waiting', time > run.last ? run.note : '', over ? `beyond a limit by up to ${(100 * over[2]).toPrecision(2)} %` : ''].filter(Boolean).join(', ');
+    write(labels[k].said, [run.rows ? millimetres(run.at('error', 0, time)) : 'waiting', time > run.last ? run.note : '', over ? `beyond a limit by up to ${(100 * over[2]).toPrecision(2)} %` : ''].filter(Boolean).join(', '));
   });
-  $('clock').textContent = time.toFixed(2) + ' s';
+  write($('clock'), `${time.toFixed(2)} s`);
   $('time').value = time;
   if (!following) plots.forEach(plot => plot.mark(time));
   dirty = true;
@@ -85,6 +86,9 @@ const magnified = ['link deflection', 'joint twist'], sliders = ['gain', 'twist'
 const said = () => {
   const texts = magnified.map((name, k) => `${name} \u00d7 ${+gains[k].toPrecision(2)}`).filter((_, k) => gains[k] !== 1);
   $('gaintext').textContent = texts.length ? `${texts.join(', ')}; violet dot: true tip` : 'true scale';
+  $('ghosttext').hidden = !show.ghost;
+  $('bar').hidden = !show.strain || !data.stage.ends;
+  ['low', 'high'].forEach((id, k) => { $(id).textContent = '\u2212+'[k] + data.stage.ends; });
 };
 sliders.forEach((name, k) => {
   $(name).value = Math.log10(gains[k]);
@@ -104,7 +108,7 @@ $('play').onclick = () => {
 };
 $('speed').onchange = event => { if (controls) controls.post({ speed: +event.target.value }); else speed = +event.target.value; };
 $('step').onclick = () => { following = true; controls.post({ step: 1 }); };
-for (const name in show) $(name).onchange = event => { show[name] = event.target.checked; pose(); };
+for (const name in show) $(name).onchange = event => { show[name] = event.target.checked; said(); pose(); };
 const room = controls ? 0.8 : 1;  // a pushed arm leaves its path
 $('home').onclick = () => { stage?.reset(room); };
 addEventListener('keydown', event => {
@@ -129,9 +133,9 @@ function layout() {
 // Live: rows of all runs, event "begin" before a new episode, event "state" for the controls
 
 if (data.live) {
-  const source = new EventSource('live'), width = runs[0].width;
+  const width = runs[0].width;
   source.addEventListener('begin', event => {
-    if (event.data !== data.layout) { location.reload(); return; }
+    if (JSON.parse(event.data).layout !== data.layout) { location.reload(); return; }
     runs.forEach(run => { run.rows = 0; run.tips = []; });
     time = 0;
     dirty = true;
@@ -146,8 +150,12 @@ if (data.live) {
     for (let i = 0; i < rows.length / width; i++) runs[i % runs.length].add(rows.subarray(i * width, (i + 1) * width));
     $('time').max = last();
   };
-  source.onerror = () => { $('note').textContent = 'the simulation is closed, or this page lost it'; };
-  setInterval(() => { if (following && runs[0].rows > 1) plots.forEach((plot, k) => { plot.set(times(), parts[k]()); plot.mark(last()); }); }, 200);
+  let charted = 0;  // number of rows in the charts
+  setInterval(() => {
+    if (!following || runs[0].rows < 2 || runs[0].rows === charted) return;
+    charted = runs[0].rows;
+    plots.forEach((plot, k) => { plot.set(times(), parts[k]()); plot.mark(last()); });
+  }, 200);
   $('speed').hidden = !controls;
   $('step').hidden = !controls;
   if (controls) $('speed').lastElementChild.remove();  // faster than real time
@@ -159,6 +167,11 @@ layout();
 stage?.reset(room);
 pose();
 addEventListener('resize', layout);
+onScheme(() => {
+  views.forEach(view => view.paint());
+  plots.forEach(plot => plot.mark(plot.time));
+  dirty = true;
+});
 let before = performance.now();
 requestAnimationFrame(function loop(now) {
   if (playing) {
@@ -171,7 +184,7 @@ requestAnimationFrame(function loop(now) {
     if (then !== time || dirty) { time = then; pose(); controls?.draw?.(); }
   }
   before = now;
-  $('play').textContent = (controls ? following && !controls.state.paused : data.live ? following : playing) ? '\u275a\u275a' : '\u25b6';
+  write($('play'), (controls ? following && !controls.state.paused : data.live ? following : playing) ? '\u275a\u275a' : '\u25b6');
   if (dirty && stage) { dirty = false; frames += 1; stage.draw(views, columns, lines); }
   requestAnimationFrame(loop);
 });

@@ -1,9 +1,9 @@
 // Plots over time; a click seeks to the time.
 import uPlot from 'uplot';
+import { pick } from './scheme.js';
 
 const DASHES = [[], [6, 3], [2, 3], [8, 3, 2, 3]];
-export const DARK = matchMedia('(prefers-color-scheme: dark)').matches;
-const INK = DARK ? '#d1d5db' : '#111827', LABEL = '12px system-ui, sans-serif', GRID = { stroke: DARK ? '#374151' : '#e5e7eb', width: 1 };
+const INK = pick('#111827', '#d1d5db'), LABEL = '12px system-ui, sans-serif', GRID = { stroke: pick('#e5e7eb', '#374151'), width: 1 };
 const DECADES = (_, values) => values.map(v => Number.isInteger(Math.round(1e6 * Math.log10(v)) / 1e6) ? v : null);
 const NUMBERS = (_, values) => values.map(v => v === null ? null : v && Math.abs(v) < 1e-3 ? (+v.toPrecision(4)).toExponential() : (v || 0).toLocaleString('en', { maximumSignificantDigits: 6 }));
 const LEAST = 1e-3;  // mm; lower limit of logarithmic axes
@@ -20,7 +20,7 @@ export class Plot {
       const x = u.valToPos(this.time, 'x', true), c = u.ctx;
       c.save();
       c.setLineDash([]);  // reset the dashes of the last line
-      c.strokeStyle = INK;
+      c.strokeStyle = INK();
       c.lineWidth = devicePixelRatio;
       c.beginPath();
       c.moveTo(x, u.bbox.top);

@@ -1,15 +1,17 @@
 // Scene: an arm with its undeformed ghost, target, trace, floor and light in three.js.
 import { BufferAttribute, BufferGeometry, CircleGeometry, Color, CylinderGeometry, DirectionalLight, DoubleSide,
   DynamicDrawUsage, Fog, GridHelper, Group, HemisphereLight, Line, LineBasicMaterial, Mesh, MeshBasicMaterial,
-  MeshStandardMaterial, PCFShadowMap, PerspectiveCamera, Scene, ShadowMaterial, SphereGeometry, TorusGeometry, Vector3,
+  MeshLambertMaterial, PCFShadowMap, PerspectiveCamera, Scene, ShadowMaterial, SphereGeometry, TorusGeometry, Vector3,
   WebGLRenderer } from 'three';
 import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
 import { curves, memory } from './kinematics.js';
-import { DARK } from './plots.js';
+import { pick } from './scheme.js';
 
 const SIDES = 16, TRACE = 150, TRACE_STEP = 0.0125, UP = new Vector3(0, 1, 0);
 const COLD = [47, 87, 200], MIDDLE = [205, 208, 212], HOT = [192, 32, 44];
-const [SKY, GRID, FINE, METAL, DIM] = DARK ? [0x111827, 0x4b5563, 0x273244, 0x94a3b8, 0xcbd5e1] : [0xeef2f7, 0x8d99a8, 0xc9d2dd, 0x334155, 0x64748b];
+const COLOURS = pick(
+  { sky: 0xeef2f7, grid: 0x8d99a8, fine: 0xc9d2dd, metal: 0x334155, dim: 0x64748b, tip: 0x1e293b, trace: 0x6d28d9 },
+  { sky: 0x111827, grid: 0x4b5563, fine: 0x273244, metal: 0x94a3b8, dim: 0xcbd5e1, tip: 0xf8fafc, trace: 0xa78bfa });
 const linear = v => (v /= 255) <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
 
 function tube(arm, material) {
@@ -49,44 +51,62 @@ function bend(mesh, arm, out, scale) {
   position.needsUpdate = normal.needsUpdate = color.needsUpdate = true;
 }
 
-// The scene of one run.
+function sun(reach) {
+  const light = new DirectionalLight(0xffffff, 2.2), box = light.shadow.camera;
+  light.position.set(-0.35, -0.55, 1).multiplyScalar(3 * reach);
+  light.castShadow = true;
+  light.shadow.mapSize.set(2048, 2048);
+  light.shadow.bias = -5e-4;
+  box.left = box.bottom = -1.3 * reach;
+  box.right = box.top = 1.3 * reach;
+  box.far = 8 * reach;
+  return light;
+}
+
+// The scene of one run; coarse: without shadows.
 export class View {
-  constructor(run, stage) {
-    const arm = run.arm, reach = stage.reach, scene = new Scene(), plain = colour => new MeshStandardMaterial({ color: colour, roughness: 0.5 });
-    Object.assign(this, { run, scene, q: new Float64Array(arm.width), out: memory(arm), other: memory(arm) });
-    scene.background = new Color(SKY);
-    scene.fog = new Fog(SKY, 2 * stage.distance, 5 * stage.distance);
-    scene.add(new HemisphereLight(0xffffff, 0xb9c3d0, 1.9));
-    const sun = new DirectionalLight(0xffffff, 2.2), box = sun.shadow.camera;
-    sun.position.set(-0.35, -0.55, 1).multiplyScalar(3 * reach);
-    sun.castShadow = true;
-    sun.shadow.mapSize.set(2048, 2048);
-    sun.shadow.bias = -5e-4;
-    box.left = box.bottom = -1.3 * reach;
-    box.right = box.top = 1.3 * reach;
-    box.far = 8 * reach;
-    scene.add(sun);
-    const floor = new Mesh(new CircleGeometry(4 * reach, 64), new ShadowMaterial({ opacity: 0.25 }));
-    floor.position.z = stage.floor;
-    floor.receiveShadow = true;
-    const grid = new GridHelper(60 * stage.step, 60, GRID, FINE);
-    grid.rotation.x = Math.PI / 2;  // three's floor is x-z
-    grid.position.z = stage.floor - 1e-3 * reach;
-    this.body = tube(arm, new MeshStandardMaterial({ vertexColors: true, roughness: 0.4, side: DoubleSide }));
-    this.body.castShadow = true;
-    this.ghost = tube(arm, new MeshBasicMaterial({ color: DIM, transparent: true, opacity: 0.25, depthWrite: false }));
-    const post = new Mesh(new CylinderGeometry(0.8 * arm.radii[0], 0.8 * arm.radii[0], -stage.floor, 32), plain(DIM));
+  constructor(run, stage, coarse) {
+    const arm = run.arm, reach = stage.reach, scene = new Scene(), r = arm.radii.at(-1);
+    Object.assign(this, { run, stage, scene, q: new Float64Array(arm.width), out: memory(arm), other: memory(arm), painted: [] });
+    const plain = name => { const material = new MeshLambertMaterial(); this.painted.push([material, name]); return material; };
+    scene.fog = new Fog(0, 2 * stage.distance, 5 * stage.distance);
+    scene.add(new HemisphereLight(0xffffff, 0xb9c3d0, 1.9), this.sun = sun(reach));
+    this.body = tube(arm, new MeshLambertMaterial({ vertexColors: true, side: DoubleSide }));
+    this.ghost = tube(arm, new MeshBasicMaterial({ transparent: true, opacity: 0.25, depthWrite: false }));
+    const post = new Mesh(new CylinderGeometry(0.8 * arm.radii[0], 0.8 * arm.radii[0], -stage.floor, 32), plain('dim'));
     post.rotation.x = Math.PI / 2;
     post.position.z = stage.floor / 2;
-    this.joints = arm.radii.map(r => new Mesh(new CylinderGeometry(r, r, 2.3 * r, 32), plain(METAL)));
-    const r = arm.radii.at(-1), red = new MeshStandardMaterial({ color: 0xe11d48, emissive: 0x70081f });
-    this.tip = new Mesh(new SphereGeometry(r, 24, 16), plain(DARK ? 0xf8fafc : 0x1e293b));
+    this.joints = arm.radii.map(r => new Mesh(new CylinderGeometry(r, r, 2.3 * r, 32), plain('metal')));
+    this.tip = new Mesh(new SphereGeometry(r, 24, 16), plain('tip'));
     this.mark = new Mesh(new SphereGeometry(0.5 * r, 24, 16), new MeshBasicMaterial({ color: 0x6d28d9 }));
+    const red = new MeshLambertMaterial({ color: 0xe11d48, emissive: 0x70081f });
     this.target = new Group().add(new Mesh(new SphereGeometry(0.55 * r, 24, 16), red), new Mesh(new TorusGeometry(2 * r, 0.2 * r, 10, 48), red));
-    for (const mesh of [post, this.tip, ...this.joints]) mesh.castShadow = true;
-    this.trace = new Line(new BufferGeometry().setAttribute('position', new BufferAttribute(new Float32Array(3 * TRACE), 3)), new LineBasicMaterial({ color: DARK ? 0xa78bfa : 0x6d28d9 }));
+    for (const mesh of [this.body, post, this.tip, ...this.joints]) mesh.castShadow = true;
+    this.trace = new Line(new BufferGeometry().setAttribute('position', new BufferAttribute(new Float32Array(3 * TRACE), 3)), new LineBasicMaterial());
     this.trace.frustumCulled = false;
-    scene.add(floor, grid, this.body, this.ghost, post, ...this.joints, this.tip, this.mark, this.target, this.trace);
+    this.painted.push([this.ghost.material, 'dim'], [this.trace.material, 'trace']);
+    scene.add(this.body, this.ghost, post, ...this.joints, this.tip, this.mark, this.target, this.trace);
+    if (!coarse) {
+      const floor = new Mesh(new CircleGeometry(4 * reach, 64), new ShadowMaterial({ opacity: 0.25 }));
+      floor.position.z = stage.floor;
+      floor.receiveShadow = true;
+      scene.add(floor);
+    }
+    this.paint();
+  }
+
+  // Set the colours of the present colour scheme.
+  paint() {
+    const { scene, stage } = this, colours = COLOURS();
+    scene.background = new Color(colours.sky);
+    scene.fog.color.set(colours.sky);
+    for (const [material, name] of this.painted) material.color.set(colours[name]);
+    this.grid?.removeFromParent();
+    this.grid?.dispose();
+    this.grid = new GridHelper(60 * stage.step, 60, colours.grid, colours.fine);
+    this.grid.rotation.x = Math.PI / 2;  // three's floor is x-z
+    this.grid.position.z = stage.floor - 1e-3 * stage.reach;
+    scene.add(this.grid);
   }
 
   // Set the pose of all objects at a time; gains of links and joints.
@@ -120,24 +140,45 @@ export class View {
 }
 
 // True where WebGL is computed without a graphics card.
-function software() {
-  const gl = document.createElement('canvas').getContext('webgl2'), info = gl?.getExtension('WEBGL_debug_renderer_info');
+function software(gl) {
+  const info = gl.getExtension('WEBGL_debug_renderer_info');
   return /swiftshader|llvmpipe|software/i.test(info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : '');
 }
 
 // Renderer, camera and orbit controls shared by all views; throws without WebGL.
 export class Stage {
-  constructor(canvas, stage, live) {
-    this.coarse = live && software();  // half of the pixels in each direction, without shadows
-    this.renderer = new WebGLRenderer({ canvas, antialias: !this.coarse });
+  constructor(canvas, live) {
+    const context = live ? canvas.getContext('webgl2', { antialias: false }) : null;  // as slow as the rest of the start
+    this.coarse = Boolean(context) && software(context);  // half of the pixels in each direction, without shadows
+    if (context && !this.coarse) {  // a context gets no antialiasing afterwards
+      context.getExtension('WEBGL_lose_context')?.loseContext();
+      canvas.replaceWith(canvas = canvas.cloneNode());
+    }
+    this.renderer = new WebGLRenderer({ canvas, antialias: !this.coarse, context: this.coarse ? context : undefined });
+    this.renderer.debug.checkShaderErrors = false;  // waits for each shader
     this.renderer.shadowMap.enabled = !this.coarse;
     this.renderer.shadowMap.type = PCFShadowMap;
     this.renderer.setScissorTest(true);
-    this.camera = new PerspectiveCamera(30, 1, 0.02 * stage.reach, 60 * stage.reach);
+    this.camera = new PerspectiveCamera(30);
     this.camera.up.set(0, 0, 1);
     this.orbit = new OrbitControls(this.camera, canvas);
     this.canvas = canvas;
+  }
+
+  // Compile the shaders of views by the picture of an arm without size.
+  compile() {
+    const links = [{}], view = new View({ arm: { links, points: 2, width: 1, radii: [1] } }, { reach: 1, distance: 1, floor: -1, step: 1 }, this.coarse);
+    this.size(1, 1);
+    this.draw([view], 1, 1);
+    view.scene.traverse(each => each.geometry?.dispose());
+    view.sun.dispose();
+  }
+
+  // Prepare for the views of a page.
+  open(stage) {
     this.stage = stage;
+    this.camera.near = 0.02 * stage.reach;
+    this.camera.far = 60 * stage.reach;
   }
 
   // Nearest camera position with all points in a fraction of the view, as in draw/camera.py.

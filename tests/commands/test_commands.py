@@ -12,6 +12,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.__main__ import COMMAND_GROUPS, main
 from flexman_gym.commands.list import KINDS
+from flexman_gym.common import renamed
 from flexman_gym.common.renamed import OPTIMISED
 from flexman_gym.control import BASES
 from flexman_gym.envs import NAMED_ENVIRONMENTS
@@ -84,6 +85,14 @@ def test_old_commands_reach_the_present_ones_with_a_warning(capsys):
         with pytest.raises(SystemExit) as stop:
             main(["optimise", kind, "--help"])
         assert stop.value.code == 0 and len(capsys.readouterr().out.splitlines()) <= SCREEN
+
+
+@pytest.mark.parametrize("old", ["enjoy", "certify"])
+def test_an_old_command_in_a_terminal_prints_a_line_with_the_present_one(old, monkeypatch, capsys, recwarn):
+    monkeypatch.setattr(sys, "argv", ["flexman", old, "nobody"])
+    assert main() == 2
+    first, *others = capsys.readouterr().err.splitlines()
+    assert first == f"flexman {old} is flexman {renamed.COMMANDS[old]} now" and len(others) == 1 and not list(recwarn)
 
 
 def test_the_version_is_that_of_the_package(capsys):

@@ -18,7 +18,9 @@ from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
 from flexman_gym.draw.frames import FramePainter, limiting_strains
+from flexman_gym.draw.live import LivePage
 from flexman_gym.draw.mesh import section_outlines
+from flexman_gym.draw.overlay import strain_colours
 from flexman_gym.draw.replay import replay_page
 from flexman_gym.simulation.episode import Episode
 
@@ -138,7 +140,10 @@ def test_colours_end_at_the_limits_of_the_strains():
     scales = embedded(pages[0])["runs"][0]["scales"]
     assert scales == pytest.approx(limiting_strains(episode().model, (1e-4, 2e-4, 1e-4)))
     assert "scales" not in embedded(pages[1])["runs"][0] and embedded(pages[1])["runs"][0]["violations"] == []
-    assert "+limit strain" in pages[0] and "limit strain" not in pages[1] and " or limit strain" in pages[2]
+    limit, computed, both = (embedded(page)["stage"]["ends"] for page in pages)
+    assert limit == "limit" and both == f"{computed} or limit"
+    strain = embedded(pages[1])["stage"]["strain"]
+    assert computed in (f"{1e6 * strain:g} µε", f"{1e2 * strain:g} %") and strain > 0.0
 
 
 def test_the_time_line_marks_violations(browser, tmp_path):
@@ -349,6 +354,58 @@ def test_a_page_begins_with_its_gain_and_fits_a_phone(browser, tmp_path):
     browser.size(1280, 720)
 
 
+def test_a_legend_explains_ghost_and_colours(browser, tmp_path):
+    """Within a phone's screen, in the colours of the links; a part that is not drawn is not explained."""
+    page = replay_page([episode(), limited(1e-12, 1e-12, 1e-12)])
+    (tmp_path / "page.html").write_text(page, encoding="utf-8")
+    strain = embedded(page)["stage"]["ends"]
+    browser.size(390, 800)
+    browser.open((tmp_path / "page.html").as_uri())
+    shown = "return [...document.querySelectorAll('#legend div')].filter(each => each.offsetHeight)"
+    words = browser.run(f"{shown}.map(each => each.innerText.replace(/\\s+/g, ' '))")
+    assert words[1:] == ["transparent: rigid arm, same motor angles",
+        f"strain of the surface of the links \N{MINUS SIGN}{strain} compression tension +{strain}"]  # fmt: skip
+    stage, *boxes = browser.run(
+        "return [...document.querySelectorAll('#stage, #legend div')].map(each => each.getBoundingClientRect())"
+    )
+    assert all(stage["left"] < box["left"] and box["right"] < stage["right"] for box in boxes)
+    assert all(stage["top"] < box["top"] and box["bottom"] < stage["bottom"] for box in boxes)
+    bar = browser.run("return getComputedStyle(document.querySelector('#bar i')).backgroundImage")
+    ends = np.array(re.findall(r"rgb\((\d+), (\d+), (\d+)\)", bar), dtype=float) / 255
+    assert ends[[0, -1]] == pytest.approx(strain_colours(np.array([-1.0, 1.0])) / 255, abs=1e-9)
+    linear = np.reshape(browser.run("return replay.colours()[1]"), (-1, 3))
+    drawn = np.where(linear < 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+    for end in ends[[0, -1]]:
+        assert np.abs(drawn - end).max(axis=1).min() < 1e-3, "everywhere beyond the limit, on one side or the other"
+    for name in ("ghost", "strain"):
+        browser.run("document.getElementById(arguments[0]).click()", name)
+    assert browser.run(f"{shown}.length") == 1
+    browser.size(1280, 720)
+
+
+def test_charts_and_scene_follow_the_colour_scheme(browser, tmp_path):
+    """They look as if the page had been opened in this scheme, though the charts are drawn all the time."""
+    (tmp_path / "page.html").write_text(replay_page([episode()]), encoding="utf-8")
+    look = "replay.stage.draw(replay.views, 1, 1); for (const each of replay.plots) each.u.redraw(false, false);"
+    look += (
+        "return Promise.resolve().then(() => [...document.querySelectorAll('canvas')].map(each => each.toDataURL()))"
+    )
+    opened = {}
+    for scheme in ("dark", "light"):
+        browser.scheme(scheme)
+        browser.open((tmp_path / "page.html").as_uri())
+        browser.run("replay.seek(1)")
+        opened[scheme] = browser.run(look)
+    assert len(opened["light"]) == 4 and all(a != b for a, b in zip(*opened.values(), strict=True))
+    browser.run("setInterval(() => replay.plots.forEach(each => each.u.redraw(false, false)), 1)")
+    for scheme in ("dark", "light", "dark", "light"):
+        sky = browser.run("return getComputedStyle(document.getElementById('stage')).backgroundColor")
+        browser.scheme(scheme)
+        browser.wait(f"getComputedStyle(document.getElementById('stage')).backgroundColor !== '{sky}'")
+        browser.run("return new Promise(requestAnimationFrame)")
+        assert browser.run(look) == opened[scheme], scheme
+
+
 def test_without_webgl_the_page_says_so_and_has_its_curves(tmp_path):
     if MISSING:
         pytest.skip(MISSING)
@@ -385,7 +442,7 @@ def test_every_step_comes_to_whoever_listens(human, capsys):
         with urllib.request.urlopen(screen.url + "live", timeout=30) as stream:
             while len(rows) < 4:
                 line = stream.readline()
-                if line.startswith(b"data: ") and len(line) > 40:
+                if line.startswith(b"data: ") and not line.startswith(b"data: {"):
                     rows.append(np.frombuffer(base64.b64decode(line[6:]), "<f4"))
 
     thread = threading.Thread(target=listen)
@@ -400,7 +457,7 @@ def test_every_step_comes_to_whoever_listens(human, capsys):
     )
     assert rows[1][-4] == 1.0 and len(rows[0]) == model.n_dof + 3 + 1 + 1 + 3
     with urllib.request.urlopen(screen.url) as page:
-        assert b'"live":true' in page.read()
+        assert embedded(page.read().decode()) == {"live": True}
     strains = human.unwrapped.episodes.view.root_strains[0]
     assert np.abs(strains).max() > 0.0 == rows[0][-1]
     with pytest.raises(urllib.error.HTTPError, match="404"):
@@ -418,6 +475,19 @@ def test_the_address_is_said_once_and_late_steps_at_the_end(human, capfd):
     assert f"1 of {screen.shown} steps came late" in said and "can be seen" not in said
     with pytest.raises(urllib.error.URLError):
         urllib.request.urlopen(screen.url)
+
+
+def test_a_page_is_there_before_its_arm(browser, human):
+    page = LivePage()
+    try:
+        browser.open(page.url, "document.getElementById('note').textContent === 'the arm is being built'")
+        assert browser.run("return [window.replay === undefined, document.title]") == [True, "flexman_gym"]
+        page.begin(human.unwrapped._rendering.scene([EVIL], 0.02)._replace(title=EVIL))
+        browser.wait("window.replay !== undefined && document.getElementById('note').textContent === ''")
+        assert browser.run("return [document.title, document.getElementById('title').textContent]") == [EVIL, EVIL]
+        assert browser.run("return [window.harm ?? null, replay.rows()]") == [None, [0]] and browser.said() == []
+    finally:
+        page.close()
 
 
 def test_a_browser_follows_the_arm_through_episodes(human):

@@ -7,6 +7,8 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
+import urllib.error
 import urllib.parse
 import urllib.request
 
@@ -15,6 +17,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.__main__ import main
+from flexman_gym.draw.live import LivePage
 from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.live import Events
 from flexman_gym.evaluation.policy_files import FOLDER
@@ -231,11 +234,20 @@ def test_a_wrong_message_is_answered_in_a_line_and_changes_nothing(body, open_li
     assert post(session, None, "/")[0] == 200
 
 
+def data_of(address):
+    """Return the data of a live page at an address."""
+    with urllib.request.urlopen(f"{address}live", timeout=120) as stream:
+        while stream.readline() != b"event: begin\n":
+            pass
+        return json.loads(stream.readline().removeprefix(b"data: "))
+
+
 def test_names_of_folders_stay_text(open_live, tmp_path):
     shutil.copytree(FOLDER / "ppo-flexrrr", tmp_path / "runs" / EVIL)
     session = open_live("FlexRRR-v0", f"runs/{EVIL}")
     page = post(session, None, "/")[1]
-    assert "<img" not in page and "runs/\\u003cimg" in page and page.count("<script") == 2 == page.count("</script>")
+    assert "<img" not in page and page.count("<script") == 2 == page.count("</script>")
+    assert data_of(session.url)["runs"][0]["name"] == f"runs/{EVIL}"
     session.command({"step": 5})
     for episode, repeated in saved_and_repeated(session):
         assert_equal(episode, repeated)
@@ -245,14 +257,44 @@ def test_the_command_shows_the_page_until_it_is_stopped(capsys):
     command = [sys.executable, "-m", "flexman_gym", "live", "FlexOne-v0", "--agent", "zero", "--agent", "pd"]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     address = process.stderr.readline().split()[-1]
-    with urllib.request.urlopen(address, timeout=120) as page:
-        assert b'"chosen":["zero","pd"]' in page.read()
+    assert data_of(address)["controls"]["chosen"] == ["zero", "pd"]
     process.send_signal(signal.SIGINT)
     assert process.wait(60) == 0
     process.stderr.close()
     with pytest.warns(DeprecationWarning, match="is flexman live --agent now|--env is ENVIRONMENT now"):
         assert main(["enjoy", "pd", "--env=FlexOne-v9"]) == 2
     assert "FlexOne-v9: there is no such file" in capsys.readouterr().err
+
+
+LOST = """
+import ctypes, signal, sys
+from flexman_gym.__main__ import main
+from flexman_gym.draw.live import LivePage
+
+interrupt, show = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT)), LivePage.show
+LivePage.show = lambda *given: (interrupt(), show(*given))
+sys.exit(main(["live", "FlexOne-v0"]))
+"""
+
+
+def test_an_interrupt_in_a_callback_of_c_code_stops_the_command():
+    done = subprocess.run([sys.executable, "-c", LOST], stderr=subprocess.PIPE, text=True, timeout=60)
+    assert done.returncode == 0 and "ignored" in done.stderr and "KeyboardInterrupt" in done.stderr
+
+
+def test_an_interrupted_start_closes_the_page(monkeypatch):
+    pages, running = [], threading.active_count()
+
+    def interrupt(page, rows):
+        pages.append(page)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(LivePage, "show", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        fm.live("FlexOne-v0")
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(pages[0].url)
+    assert threading.active_count() == running
 
 
 def test_a_notebook_shows_the_page_and_an_unknown_agent_is_refused(open_live):

@@ -95,6 +95,11 @@ class Browser:
         order = {"cmd": "Emulation.setDeviceMetricsOverride", "params": sizes}
         self._ask("POST", "/goog/cdp/execute", order)
 
+    def scheme(self, name):
+        """Set the colour scheme, light or dark."""
+        media = {"features": [{"name": "prefers-color-scheme", "value": name}]}
+        self._ask("POST", "/goog/cdp/execute", {"cmd": "Emulation.setEmulatedMedia", "params": media})
+
     def write(self, text):
         """Type a text."""
         keys = [{"type": kind, "value": letter} for letter in text for kind in ("keyDown", "keyUp")]
