@@ -15,14 +15,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("study", nargs="*", help=f"studies, from {', '.join(known)}; default: all")
     parser.add_argument("--make", action="store_true", help="make what is not current; after an interruption, go on")
+    parser.add_argument("--redraw", action="store_true", help="draw what is not current from the stored rows")
     options = parser.parse_args()
     if unknown := sorted(set(options.study) - known.keys()):
         print(f"study: {unknown[0]} is not allowed; give {', '.join(known)}", file=sys.stderr)
         return 2
     chosen = [known[name] for name in options.study or known]
-    for study in chosen if options.make else ():
-        print(f"{study.name}: about {study.minutes:g} min", flush=True)
-        make(study)
+    for study in chosen if options.make or options.redraw else ():
+        print(f"{study.name}: about {study.minutes:g} min" if options.make else study.name, flush=True)
+        make(study, rows=options.make)
         folder = ROOT / "docs" / "evidence"
         pages = (path for path in sorted(folder.glob("*.md")) if path.name != "index.md")
         (folder / "index.md").write_text(index(pages), encoding="utf-8")

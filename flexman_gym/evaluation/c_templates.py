@@ -183,19 +183,61 @@ LAYER = """        for (int i = 0; i < $outputs; i++) {
             values[$target][i] = $function;
         }"""
 
-MAIN = """/* Compare the torques of recorded readings with those of Python; exit status 0 if they are equal. */
+MAIN = """/* Compare the torques of recorded readings with those of Python; exit status 0 if they are equal.
+   With the argument time: print the durations of 10^6 steps. */
+#define _POSIX_C_SOURCE 199309L /* clock_gettime */
 #include "$p.h"
 
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
 
 #define PERIODS $periods
+#define STEPS 1000000
 $arrays
+static double durations[STEPS]; /* ns; each with one reading of the clock */
 
-int main(void)
+static int compare(const void *first, const void *second)
+{
+    const double difference = *(const double *)first - *(const double *)second;
+    return (difference > 0.0) - (difference < 0.0);
+}
+
+/* Print the durations of steps by a clock; move and readings are repeated. Pauses as in a control loop: Linux halts a
+   real-time thread without pauses for 50 ms in every second. */
+static void print_durations(const char *name, clockid_t clock)
+{
+    const int cycle = ${p}_exported.rows > PERIODS ? ${p}_exported.rows : PERIODS;
+    ${p}_state state;
+    double torque[${P}_JOINTS];
+    struct timespec start, end;
+    const struct timespec pause = {0, 1000000};
+    for (int k = 0; k < STEPS; k++) {
+        if (k % 500 == 0)
+            nanosleep(&pause, NULL);
+        if (k % cycle == 0)
+            ${p}_reset(&state, &${p}_exported);
+        clock_gettime(clock, &start);
+        ${p}_step(&state, readings + k % PERIODS * ${P}_READINGS, torque);
+        clock_gettime(clock, &end);
+        durations[k] = 1e9 * (double)(end.tv_sec - start.tv_sec) + (double)(end.tv_nsec - start.tv_nsec);
+    }
+    qsort(durations, STEPS, sizeof *durations, compare);
+    printf("%s time of a step: longest %.0f ns, 99.9 %% %.0f ns, median %.0f ns\\n", name, durations[STEPS - 1],
+           durations[STEPS - STEPS / 1000 - 1], durations[STEPS / 2]);
+}
+
+int main(int count, char **arguments)
 {
     ${p}_state state;
     double torque[${P}_JOINTS], largest = 0.0;
+    if (count > 1 && strcmp(arguments[1], "time") == 0) {
+        print_durations("wall", CLOCK_MONOTONIC);
+        print_durations("CPU", CLOCK_THREAD_CPUTIME_ID);
+        return 0;
+    }
     ${p}_reset(&state, &${p}_exported);
     for (int k = 0; k < PERIODS; k++) {
         ${p}_step(&state, readings + k * ${P}_READINGS, torque);
@@ -211,7 +253,8 @@ int main(void)
 README = """# $title
 
 C99 without memory allocation; it needs `math.h` only. All that changes is in `${p}_state`, so that several controllers
-can run. Test it on your computer: `cc -std=c99 main.c $p.c -lm -o test && ./test`.
+can run. Test it on your computer: `cc -std=c99 -O2 main.c $p.c -lm -o test && ./test`; `./test time` prints the longest
+of 10^6 steps (POSIX).
 
 - `${p}_reset(&state, &${p}_exported)` starts the move from $start to $goal rad, with tables in `${p}_move`. For
   another move, export again with `--start` and `--goal`, or compute the tables and pass them to `${p}_reset`.

@@ -114,14 +114,19 @@ def read_record(root: Path = ROOT) -> dict[str, dict[str, Any]]:
     return dict(json.loads((root / RECORD).read_text(encoding="utf-8")))
 
 
-def make(study: EvidenceStudy, root: Path = ROOT) -> None:
+def make(study: EvidenceStudy, root: Path = ROOT, rows: bool = True) -> None:
     """Make what is older than its code, rows and drawings, and record it; a part that is current is not made again.
+
+    Args:
+        study: study of `studies`.
+        root: root of the checkout.
+        rows: False to draw from the stored rows, which keep their record.
 
     Raises:
         subprocess.CalledProcessError: if a command fails; nothing is recorded then.
     """
     known = read_record(root).get(study.name, {})
-    if study.rows_state(known, root) != CURRENT:
+    if rows and study.rows_state(known, root) != CURRENT:
         code, started = hash_of(study.code, root), getrusage(RUSAGE_CHILDREN)
         for command in study.commands:
             _run(command.format(hash=code), root)

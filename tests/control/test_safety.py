@@ -2,7 +2,9 @@
 
 import copy
 import sys
+import warnings
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from flexman_gym.control.observers.uncertain_states import EstimatedState, TrueS
 from flexman_gym.control.safety import BRAKE, CHANGED, NEAR_PERIODS, PASSED, REMAINDER, STOPPED, SafetyFilter
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.limits import Limits
@@ -314,6 +317,23 @@ def test_the_setting_is_kept_by_files(tmp_path):
         assert Configuration.load(tmp_path / f"own.{suffix}").safety is True
     assert Configuration.find("FlexOne-v0").safety is False
     assert refusal(lambda: FlexManEnv(safety="yes")).startswith("safety: 'yes'")
+
+
+def test_a_warning_names_the_limits_if_only_those_of_the_model_are_kept():
+    """Limits of strain, spring torque or workspace, a tighter limit of the model and no filter need no warning."""
+    with pytest.warns(UserWarning, match="^safety: ") as caught:
+        gym.make("FlexOne-v0", safety=True)
+    (message,) = (str(each.message) for each in caught if str(each.message).startswith("safety: "))
+    assert "\n" not in message and "limits={'strain': 1e-4}" in message
+    limits = NAMED_ENVIRONMENTS["FlexOne-v0"].limits
+    assert f"angle {limits.angle:g} rad" in message and f"tip_speed {limits.tip_speed:g} m/s" in message
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", "safety: ")
+        gym.make("FlexOne-v0")
+        for own in ({"strain": 1e-4}, {"spring_torque": 100.0}, {"workspace": WALL}, {"rate": 2.0}):
+            gym.make("FlexOne-v0", safety=True, limits=own)
+    with pytest.warns(UserWarning, match="^safety: "):
+        gym.make("FlexOne-v0", safety=True, limits={"on_violation": "cost"})
 
 
 def test_environments_without_a_brake_or_a_prediction_are_refused():

@@ -1,6 +1,7 @@
 """Controllers in C: torques equal to those in Python, no warnings of a compiler, and refusals in one line."""
 
 import ctypes
+import re
 import shutil
 import subprocess
 
@@ -116,6 +117,20 @@ def test_the_test_program_passes_without_warnings_and_undefined_behaviour(export
     done = subprocess.run([folder / "test"], capture_output=True, text=True)
     assert done.returncode == 0 and done.stderr == ""
     assert float(done.stdout.split("difference ")[1].split()[0]) <= 1e-12
+
+
+def test_the_test_program_prints_durations_of_steps_by_both_clocks(tmp_path):
+    write_c(begin_agent("pd", ONE), tmp_path)
+    subprocess.run(["gcc", *FLAGS, "-O2", "main.c", "pd.c", "-o", "test", "-lm"], cwd=tmp_path, check=True)
+    done = subprocess.run([tmp_path / "test", "time"], capture_output=True, text=True, check=True)
+    clocks = []
+    for line in done.stdout.splitlines():
+        clock, *numbers = re.fullmatch(
+            r"(\w+) time of a step: longest (\d+) ns, 99\.9 % (\d+) ns, median (\d+) ns", line
+        ).groups()
+        assert sorted(map(int, numbers), reverse=True) == list(map(int, numbers))
+        clocks.append(clock)
+    assert clocks == ["wall", "CPU"]
 
 
 def test_a_linear_filter_and_regulator_are_those_of_the_nonlinear_ones_to_first_order(tmp_path):

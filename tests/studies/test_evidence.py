@@ -115,6 +115,21 @@ def test_a_change_of_the_drawing_draws_and_keeps_the_rows(study, tmp_path):
     assert drawn.drawing_state(read_record(tmp_path)["study"], tmp_path) == CURRENT
 
 
+def test_pages_are_drawn_from_rows_whose_code_has_changed(study, tmp_path):
+    """The rows keep their record, or remain without one."""
+    drawn = replace(study, drawing=["draw.py"], drawn=["page.md"], redraw="draw.py")
+    (tmp_path / "draw.py").write_text('open("page.md", "a").write("page")\n')
+    (tmp_path / "rows.csv").write_text("row\n")
+    make(drawn, tmp_path, rows=False)
+    assert (rows(tmp_path), (tmp_path / "page.md").read_text(), state(drawn, tmp_path)) == (1, "page", UNKNOWN)
+    make(drawn, tmp_path)
+    (tmp_path / "code" / "double.py").write_text(CODE.replace("2.0", "3.0"))
+    (tmp_path / "draw.py").write_text('open("page.md", "a").write("PAGE")\n')
+    make(drawn, tmp_path, rows=False)
+    assert (rows(tmp_path), (tmp_path / "page.md").read_text(), state(drawn, tmp_path)) == (2, "pagePAGE", STALE)
+    assert drawn.drawing_state(read_record(tmp_path)["study"], tmp_path) == CURRENT
+
+
 @pytest.mark.parametrize("name", KNOWN)
 def test_files_and_commands_of_a_study_exist(name):
     study = KNOWN[name]

@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 
 from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import warn_caller
 from flexman_gym.control.actions import ActionMode, make_action_mode
 from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.controller import Controller, Plant
@@ -15,6 +16,7 @@ from flexman_gym.control.safety import SafeMode, SafetyFilter
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.randomisation import Randomisation
+from flexman_gym.envs.limits import MODEL_LIMITS, UNITS, Limits
 from flexman_gym.envs.sensors.instrument import Instrument
 from flexman_gym.envs.sensors.sensor import measurement_ranges
 from flexman_gym.envs.sensors.sensor_array import measured_names
@@ -69,11 +71,22 @@ def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Cont
 
 
 def make_safe(configuration: Configuration, model: Model, base: Controller | None, mode: ActionMode) -> ActionMode:
-    """Return an action mode with the safety filter of the setting `safety`; without the setting the mode itself."""
+    """Return an action mode with the safety filter of the setting `safety`; without the setting the mode itself.
+
+    A UserWarning is issued if no limit is tighter than those of the model, which do not protect the arm.
+    """
     if not configuration.safety:
         return mode
+    limits, usual = configuration.limits, NAMED_ENVIRONMENTS[configuration.id].limits
+    wide = {name: min(getattr(usual, name), getattr(Limits, name)) for name in MODEL_LIMITS}
+    if not limits.recorded and all(getattr(limits, name) >= value for name, value in wide.items()):
+        kept = ", ".join(f"{name} {getattr(limits, name):g} {UNITS[name]}" for name in MODEL_LIMITS)
+        warn_caller(
+            f"safety: the filter keeps only the wide limits of the model ({kept}); give limits of strain, spring_torque "
+            "or workspace, such as limits={'strain': 1e-4}"
+        )
     plant = make_plant(configuration, model)
-    return SafeMode(mode, SafetyFilter(plant, configuration.limits.predicted(model), _state_source(plant, base)))
+    return SafeMode(mode, SafetyFilter(plant, limits.predicted(model), _state_source(plant, base)))
 
 
 def _state_source(plant: Plant, base: Controller | None) -> StateSource:

@@ -12,6 +12,10 @@ The catalogue has arms whose parameters papers print in full: `flexman list arms
 `help(fm.catalog.gu_2005)` the source and the choices behind one of them. `flexman verify papers` computes the tables of
 this page in less than a minute, with compiled kernels.
 
+DOI of the sources: [10.1186/s40648-018-0125-7](https://doi.org/10.1186/s40648-018-0125-7) (Gifu University),
+[10.1109/87.654874](https://doi.org/10.1109/87.654874) (Apkarian and Adams),
+[10.1115/DETC2007-35511](https://doi.org/10.1115/DETC2007-35511) (NASA JSC).
+
 What a source leaves open is stated with the arm. The length of the strip of Quanser's rotary link is 0.419 m in the
 data sheet and 0.381 m in the model file; a measured response does not say which of them it belongs to, and both are
 in the tables. The disturbances of the ABB benchmark are files that are not published with its parameters, so only its
