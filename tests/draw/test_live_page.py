@@ -88,6 +88,21 @@ def test_a_page_is_there_before_its_arm(browser, human):
         page.close()
 
 
+def test_a_graphics_card_draws_smooth_edges_and_shadows(browser, human):
+    """Named like a card, the software of this computer draws as one."""
+    name = "const { prototype } = WebGL2RenderingContext, { getParameter } = prototype;"
+    name += "prototype.getParameter = function (n) { return n === 0x9246 ? 'card' : getParameter.call(this, n); };"
+    script = browser.devtools("Page.addScriptToEvaluateOnNewDocument", source=name)
+    human.step(np.ones(1, dtype=np.float32))
+    look = "const { stage } = replay; return [stage.coarse, stage.canvas === document.getElementById('gl'),"
+    look += "stage.renderer.getContext().getContextAttributes().antialias, stage.renderer.shadowMap.enabled]"
+    browser.open(page_of(human).url, "window.replay && replay.frames() > 0")
+    assert browser.run(look) == [False, True, True, True]
+    browser.devtools("Page.removeScriptToEvaluateOnNewDocument", **script)
+    browser.open(page_of(human).url, "window.replay && replay.frames() > 0")
+    assert browser.run(look) == [True, True, False, False] and browser.said() == []
+
+
 def test_a_browser_follows_the_arm_through_episodes(browser, human):
     browser.open(page_of(human).url)
     for seed, steps in ((5000, 5), (5001, 7)):  # the numbers tell the episodes apart
