@@ -148,7 +148,7 @@ function software(gl) {
 // Renderer, camera and orbit controls shared by all views; throws without WebGL.
 export class Stage {
   constructor(canvas, live) {
-    const context = live ? canvas.getContext('webgl2', { antialias: false }) : null;  // as slow as the rest of the start
+    const context = live ? canvas.getContext('webgl2', { alpha: false, antialias: false }) : null;  // as slow as the rest of the start
     this.coarse = Boolean(context) && software(context);  // half of the pixels in each direction, without shadows
     if (context && !this.coarse) {  // a context gets no antialiasing afterwards
       context.getExtension('WEBGL_lose_context')?.loseContext();

@@ -92,13 +92,15 @@ class Browser:
     def size(self, width, height):
         """Set the size of the viewport, pixels, as on a phone below 500 pixels."""
         sizes = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
-        order = {"cmd": "Emulation.setDeviceMetricsOverride", "params": sizes}
-        self._ask("POST", "/goog/cdp/execute", order)
+        self.devtools("Emulation.setDeviceMetricsOverride", **sizes)
 
     def scheme(self, name):
         """Set the colour scheme, light or dark."""
-        media = {"features": [{"name": "prefers-color-scheme", "value": name}]}
-        self._ask("POST", "/goog/cdp/execute", {"cmd": "Emulation.setEmulatedMedia", "params": media})
+        self.devtools("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": name}])
+
+    def devtools(self, command, **parameters):
+        """Return the result of a command of the DevTools protocol of Chromium."""
+        return self._ask("POST", "/goog/cdp/execute", {"cmd": command, "params": parameters})
 
     def write(self, text):
         """Type a text."""
