@@ -45,7 +45,8 @@ def measure(agent: str, place: Path) -> StepRow:
     numbers = [float(each) / 1e3 for each in re.findall(r"(\d+) ns", _run(*PRIORITY, str(place / "test"), "time"))]
     text, data, *_ = map(int, _run("size", str(place / "step.o")).splitlines()[1].split()[:3])
     state = re.search(r"state (\d+) bytes", _run(str(place / "test")))
-    return StepRow(agent, *numbers, text + data, float(state[1] if state else "nan"))
+    sizes = float(text + data), float(state[1] if state else "nan")
+    return StepRow(agent, *[*numbers, *sizes])
 
 
 def conditions() -> str:

@@ -58,8 +58,9 @@ def test_every_step_comes_to_whoever_listens(human, capsys):
         assert b'<script type="application/json" id="data">{"live":true}</script>' in page.read()
     strains = human.unwrapped.episodes.view.root_strains[0]
     assert np.abs(strains).max() > 0.0 == rows[0][-1]
-    with pytest.raises(urllib.error.HTTPError, match="404"):
+    with pytest.raises(urllib.error.HTTPError, match="404") as refused:
         urllib.request.urlopen(screen.url + "else")
+    refused.value.close()  # the answer holds the socket
     assert 0 <= screen.late <= screen.shown
 
 

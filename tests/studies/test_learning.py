@@ -36,6 +36,7 @@ from studies.learning.measure import (
     variants,
 )
 from studies.learning.page import page
+from studies.safety.learning import RECIPE as SAFETY_RECIPE
 
 from oracles.files import ROOT, command
 
@@ -46,7 +47,7 @@ SHORT = Settings(
 
 
 def test_every_recipe_is_judged():
-    assert sorted(SEEDS) == RECIPES and EVALUATED_IN.keys() <= SEEDS.keys()
+    assert sorted([*SEEDS, SAFETY_RECIPE]) == RECIPES and EVALUATED_IN.keys() <= SEEDS.keys()
     assert [case.name for case in cases() if case.kind == "recipe"] == list(SEEDS)
 
 

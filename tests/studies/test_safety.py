@@ -1,10 +1,14 @@
 """Tests of the study of the safety filter: bound of the rate, limits of cells, agents, and the filter it measures."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import flexman_gym as fm
-from studies.safety.learning import ViolationCount
+from flexman_agents.sb3 import make_model
+from flexman_agents.settings import find_recipe
+from studies.safety.learning import KINDS, RECIPE, ViolationCount, task
 from studies.safety.measure import (
     ACCEPTED,
     FIELDS,
@@ -70,3 +74,19 @@ def test_a_violating_episode_of_a_training_is_counted_once():
     for _ in range(2):
         count()
     assert (count.ended, count.violating) == (4, 1)
+
+
+def test_the_recipe_is_the_training_inside_the_filter_and_its_first_update_runs_without_a_violation():
+    settings = replace(find_recipe(RECIPE), steps=1024)
+    safety, on_violation = KINDS["inside"]
+    limits = settings.environment.limits
+    assert settings.environment.replace(limits=limits) == task(on_violation).replace(safety=safety)
+    assert not task("end").safety and task("end").limits.on_violation == "end"
+    model = make_model(settings)
+    episodes = model.get_env().get_attr("episodes")[0]
+    excess = []
+    episodes.callback = lambda: excess.append(episodes.excess.max())
+    model.learn(settings.steps)
+    assert model._n_updates == settings.hyperparameters["n_epochs"]
+    assert len(excess) == 5 * settings.steps // settings.envs and max(excess) < 0.0
+    assert (episodes.safety.status >= 0).all()

@@ -82,8 +82,8 @@ def make_safe(configuration: Configuration, model: Model, base: Controller | Non
     if not limits.recorded and all(getattr(limits, name) >= value for name, value in wide.items()):
         kept = ", ".join(f"{name} {getattr(limits, name):g} {UNITS[name]}" for name in MODEL_LIMITS)
         warn_caller(
-            f"safety: the filter keeps only the wide limits of the model ({kept}); give limits of strain, spring_torque "
-            "or workspace, such as limits={'strain': 1e-4}"
+            f"safety: the filter keeps only the wide limits of the model ({kept}); give limits of strain, "
+            "spring_torque or workspace, such as limits={'strain': 1e-4}"
         )
     plant = make_plant(configuration, model)
     return SafeMode(mode, SafetyFilter(plant, limits.predicted(model), _state_source(plant, base)))

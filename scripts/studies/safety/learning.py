@@ -6,13 +6,11 @@ from functools import cache, partial
 from itertools import product
 from pathlib import Path
 from time import process_time
-from typing import Any
 
 import numpy as np
 
-import flexman_gym as fm
 from flexman_agents.sb3 import make_model
-from flexman_agents.settings import Settings
+from flexman_agents.settings import find_recipe
 from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
@@ -23,16 +21,10 @@ from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.metrics.statistics import upper_median
 from studies.safety.measure import ACCEPTED, ENVIRONMENT, kept
 
-STRAIN = 1.4e-4  # m/m; limit of FlexOne-v0, which the tuned PD controller exceeds in about half of its slews
+RECIPE = "one_ppo_safety"  # settings of all trainings
 SEEDS, TEST_SEEDS = (0, 1), range(9000, 9100)  # of trainings, and of the moves of a policy
 KINDS = {"inside": (True, "cost"), "free": (False, "cost"), "ended": (False, "end")}  # filter, on_violation
-STEPS, ADVERSARY_STEPS = 60_000, 300_000  # actions of a training, of 5 control periods each
-SETTINGS: dict[str, Any] = {
-    "algo": "ppo", "envs": 64, "normalise_reward": True,
-    "hyperparameters": {"n_steps": 16, "batch_size": 256, "n_epochs": 4, "gamma": 0.95, "gae_lambda": 0.9,
-                        "net_arch": [64, 64], "activation": "tanh", "log_std_init": -1.6},
-    "schedules": {"learning_rate": {"start": 0.001, "end": 0.0}},
-}  # fmt: skip
+ADVERSARY_STEPS = 300_000  # actions of the training of the adversary, of 5 control periods each
 INTERFACE = {"action_repeat": 5, "sensors": "full"}
 
 
@@ -67,9 +59,9 @@ class LearningRow:
 
 
 def task(on_violation: str) -> Configuration:
-    """Return the environment of the comparison."""
-    found = Configuration.find("FlexOne-v0", ["task={kind: slew, reward: distance}"])
-    return found.replace(limits=fm.Limits(strain=STRAIN, on_violation=on_violation))
+    """Return the environment of the recipe without the filter."""
+    environment = find_recipe(RECIPE).environment
+    return environment.replace(safety=False, limits=replace(environment.limits, on_violation=on_violation))
 
 
 class ViolationCount:
@@ -91,7 +83,7 @@ class ViolationCount:
 def trained(environment: Configuration, seed: int, steps: int) -> tuple[AgentSpec, ViolationCount, float]:
     """Return a trained policy, the count of violations of its training, and the CPU time, min."""
     started = process_time()
-    model = make_model(Settings.from_dict(SETTINGS | {"environment": environment, "seed": seed, "steps": steps}))
+    model = make_model(replace(find_recipe(RECIPE), environment=environment, seed=seed, steps=steps))
     episodes = model.get_env().get_attr("episodes")[0]  # type: ignore[union-attr]
     episodes.callback = count = ViolationCount(episodes)
     model.learn(steps)
@@ -104,12 +96,12 @@ def learning_rows(folder: Path) -> Iterator[LearningRow]:
         values = kept(folder / f"learning_{kind}_{seed}.npy", lambda: _measured(seed, safety, on_violation))  # noqa: B023
         for filtered, (cpu, episodes, violating, *rest) in zip((False, True), values, strict=True):
             counts = int(episodes), int(violating), str(filtered)
-            yield LearningRow(kind, seed, STEPS, cpu, *counts, *rest)
+            yield LearningRow(kind, seed, find_recipe(RECIPE).steps, cpu, *counts, *rest)
 
 
 def _measured(seed: int, safety: bool, on_violation: str) -> list[list[float]]:
     """Return the numbers from `cpu` on of the rows of a policy, without and with the filter."""
-    policy, count, cpu = trained(task(on_violation).replace(base="pd", safety=safety, **INTERFACE), seed, STEPS)
+    policy, count, cpu = trained(task(on_violation).replace(safety=safety), seed, find_recipe(RECIPE).steps)
     result = []
     for filtered in (False, True):
         records = rollout(policy, task("cost"), list(TEST_SEEDS), safety=filtered).records

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
-from studies.safety.learning import KINDS, STRAIN, LearningRow
+from studies.safety.learning import KINDS, LearningRow, task
 from studies.safety.measure import ACCEPTED, STUDY, Cell, SafetyRow, violation_bound
 from studies.screen import screen
 
@@ -35,7 +35,7 @@ def page(rows: Sequence[SafetyRow], learned: Sequence[LearningRow], files: Mappi
     heads = "condition", "moves", "violations", "largest excess", "time", "changed periods", "CPU, ms"
     lines = [_condition(name, [row for row in rows if row.condition == name]) for name in totals]
     body = BODY.format(
-        table="\n".join(markdown_table(heads, lines)), accepted=ACCEPTED, strain=STRAIN,
+        table="\n".join(markdown_table(heads, lines)), accepted=ACCEPTED, strain=task("cost").limits.strain,
         seeds=len({row.seed for row in learned}), steps=int(learned[0].steps),
         learning="\n".join(_training(kind, learned) for kind in KINDS),
     )  # fmt: skip
