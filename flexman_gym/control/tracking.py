@@ -136,7 +136,7 @@ class Tracking:
         if moving.all():
             return self._paths.at(now, arms)
         middle = now + 0.5 * self._period * self.slews.time_scaling[arms]
-        states, torques = self.slews.states(now, arms), self.slews.torques(middle, arms)
+        states, torques = self.slews.motion(now, middle, arms)
         if self.shaping:
             states += self.shaping.offset_states(arms)
         if moving.any():

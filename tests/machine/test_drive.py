@@ -21,6 +21,7 @@ from oracles.machines import FakeMachine
 ENVIRONMENT = Configuration.find("FlexOne-v0").replace(
     horizon=1.0
 )  # its torque limit, 0.5 N m, scales torques without rounding
+WARMED = min(WARM_UP, ENVIRONMENT.max_periods)  # control periods that an agent acts before the start
 ENCODERS = ("motor_angles", "motor_rates", "torques")
 LAB = (*MEASURED, "torques")
 
@@ -100,7 +101,7 @@ class Faulty(PD):
 
 def lawless():
     """Return an agent whose law leaves its range after the warm-up."""
-    commands = iter([np.full((1, 1), 0.5)] * (WARM_UP + 6) + [np.full((1, 1), 3.0)])
+    commands = iter([np.zeros((1, 1))] * WARMED + [np.full((1, 1), 0.5)] * 16 + [np.full((1, 1), 3.0)])
     return AgentSpec("lawless", lambda observations: next(commands), {"sensors": "motor_encoders"})
 
 
@@ -120,8 +121,8 @@ def test_the_arm_has_not_stopped_by_itself_at_the_time_of_the_faults():
         (silent, "pd", f"no new readings for {SILENT_PERIODS} control periods"),
         (not_a_number, "pd", "reading motor_angles[0] is nan"),
         (out_of_range, "pd", "reading motor_angles[0] is 100"),
-        (None, Faulty(raising, 12), "the agent raised RuntimeError: no solution"),
-        (None, Faulty(lambda: np.array([[np.nan]]), 12), "the agent commands [nan], not within -1 to 1"),
+        (None, Faulty(raising, WARMED + 12), "the agent raised RuntimeError: no solution"),
+        (None, Faulty(lambda: np.array([[np.nan]]), WARMED + 12), "the agent commands [nan], not within -1 to 1"),
         (None, lawless(), "the agent commands [3.0], not within -1 to 1"),
     ],
 )

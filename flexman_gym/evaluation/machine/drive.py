@@ -12,7 +12,6 @@ from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import positive, value_error, whole_number
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import MAX_SEED
-from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.sensors import ModelState, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import measurement_ranges
 from flexman_gym.envs.view import View
@@ -20,7 +19,7 @@ from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
 from flexman_gym.evaluation.machine.machine import HELLO_SECONDS, UNITS, Machine, UdpMachine
 from flexman_gym.evaluation.machine.simulated import ROUNDING, SILENT_PERIODS
 from flexman_gym.evaluation.machine.state_estimate import StateEstimate
-from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
+from flexman_gym.evaluation.rollout import TEST_SEEDS, RolloutLoop
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LARGEST_STATE
 from flexman_gym.model.linearization import LINEAR_SENSORS
@@ -34,10 +33,12 @@ MEASURED = tuple(name for names in LINEAR_SENSORS.values() for name in names)  #
 LOGGED = ("motor_angles", "motor_rates", "torques")  # quantities that every log has, if the machine measures them
 # time from the arrival of the first readings to the deadlines: fraction of the control period, at most, s
 PHASE, LONGEST_PHASE = 0.25, 5e-4
-SPIN = 2e-4  # s; end of a wait that is not slept
+SPIN = 1e-4  # s; end of a wait that is not slept, longer than a computer needs to wake up a process
 READ_INTERVAL = 3e-4  # s; time between two attempts to read before the start and during the stop, more than SPIN
 START_READINGS = 25  # number of readings before the start, whose median has less noise than one of them
-WARM_UP = 10  # control periods that are simulated before the start, to load all kernels
+# control periods that the agent simulates before the start: to load kernels, to allocate the memory of its internal
+# models, and to compute the gains and references of the move, of which each takes longer than some control periods
+WARM_UP = 500
 REST_RATE = 0.005  # fraction of Limits.rate; motors below this rate are at rest
 REST_SECONDS, STOP_SECONDS = 0.2, 20.0  # s; shortest time at rest, and longest wait for it
 
@@ -148,6 +149,7 @@ class _Loop:
         self._scale = _command_scale(environment.arm, machine.unit)
         self._deadline, self._lateness, self._delays, self._silent = 0.0, list[float](), list[float](), 0
         self._rows: list[Mapping[str, Array]] = []
+        self._no_readings = {name: np.full(size, np.nan) for name, size in machine.quantities.items()}
         first = [self._new_readings() for _ in range(START_READINGS)]
         self._now = {name: np.median([readings[name] for readings in first], axis=0) for name in machine.quantities}
 
@@ -163,26 +165,26 @@ class _Loop:
     def run(self, spec: AgentSpec, seed: int, options: dict[str, Any]) -> Episode:
         """Return the log of the control periods; the arm is at rest, or the machine does not answer."""
         options |= {"start": self._now["motor_angles"]}
-        short = self._environment.replace(horizon=WARM_UP * self._period)
-        joints = rollout(spec, short, [seed], options=options).actions.shape[-1]
-        if spec.law is not None:
-            outputs = len(spec.interface["actions"].names) if spec.interface else joints
-            spec = replace(spec, law=self._guarded(spec.law, outputs))
+        loop = RolloutLoop(spec, self._environment, [seed], options=options)
+        agent, left = loop.episodes.agent, WARM_UP
+        while left > 0 and not loop.over:
+            loop.step()
+            left -= agent.action_repeat
+        if loop.law is not None:
+            loop.law = self._guarded(loop.law, len(agent.mode.names))
+        agent.act = self._guarded(agent.act, agent.mode.joints)  # type: ignore[method-assign]
         gc.collect()
         gc.freeze()
         gc.disable()  # a collection takes longer than some control periods
         try:
-            result = rollout(spec, self._environment, [seed], self._watch, self._set_plant, options)
+            loop.begin(None, self._set_plant, options)
+            while not loop.over:
+                loop.step()
         finally:
             gc.enable()
             gc.unfreeze()
             self._machine.stop()
-        return self._log(result.episode(0), self._wait_for_rest())
-
-    def _watch(self, episodes: Episodes) -> None:
-        """Report exceptions and NaN of the control law as faults; called after the reset and each control period."""
-        if "act" not in vars(episodes.agent):
-            episodes.agent.act = self._guarded(episodes.agent.act, len(episodes.motors.torques[0]))  # type: ignore[method-assign]
+        return self._log(loop.result().episode(0), self._wait_for_rest())
 
     def _guarded(self, function: Callable[..., Any], size: int) -> Callable[..., Any]:
         """Return a function of the agent whose exceptions, and values that are not within -1 to 1, are faults."""
@@ -204,7 +206,7 @@ class _Loop:
     def _set_plant(self, batch: Batch) -> None:
         """Replace the simulation of an arm by the machine."""
         limits = measurement_ranges(View(batch), self._environment.limits)
-        self._ranges = {name: limits[name] for name in self._now.keys() & limits.keys()}
+        self._bounds = {name: limits.get(name, LARGEST_STATE) * (1.0 + ROUNDING) for name in self._machine.quantities}
         self._estimate = StateEstimate(batch.model, self._machine.quantities, self._period)
         self._rows = [self._now]
         self._state = self._estimate.state(self._now)
@@ -217,12 +219,11 @@ class _Loop:
         """
         if torques is None:
             return self._state
-        missing = {name: np.full(size, np.nan) for name, size in self._machine.quantities.items()}
         try:
             readings = None if self.fault else self._next_readings(torques / self._scale)
         except KeyboardInterrupt:
             readings, self.fault = None, "interrupted"
-        self._rows.append(missing if readings is None else readings)
+        self._rows.append(self._no_readings if readings is None else readings)
         if self.fault:
             return None
         if readings is not None:
@@ -249,7 +250,7 @@ class _Loop:
             return None
         readings = {name: np.array(values, dtype=float) for name, values in given.items()}
         for name, values in readings.items():
-            beyond = ~(np.abs(values) <= self._ranges.get(name, LARGEST_STATE) * (1.0 + ROUNDING))
+            beyond = ~(np.abs(values) <= self._bounds[name])
             if beyond.any():
                 self.fault = self.fault or f"reading {name}[{int(np.argmax(beyond))}] is {values[beyond][0]:.4g}"
         return readings
