@@ -224,6 +224,11 @@ class OutputFeedback:
         self._fallback_active[returned], self._consistent_periods[returned] = False, 0
         self.law.restart(returned)
 
+    def prepare(self, applied: Array, active: BoolArray) -> None:
+        """Let the observer compute what does not depend on the next readings; see `Controller`."""
+        if hasattr(self.observer, "prepare"):
+            self.observer.prepare(applied, active)
+
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the actions (b, n), fractions of the torque limits."""
         estimate = self.update_estimate(readings, applied, active)

@@ -3,7 +3,9 @@
 import gc
 import time
 from collections.abc import Callable, Mapping
+from contextlib import closing, nullcontext
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import positive, value_error, whole_number
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import MAX_SEED
+from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.sensors import ModelState, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import measurement_ranges
 from flexman_gym.envs.view import View
@@ -32,10 +35,13 @@ from flexman_gym.simulation.external_simulator import ExternalIntegrator
 MEASURED = tuple(name for names in LINEAR_SENSORS.values() for name in names)  # quantities of a real machine
 LOGGED = ("motor_angles", "motor_rates", "torques")  # quantities that every log has, if the machine measures them
 # time from the arrival of the first readings to the deadlines: fraction of the control period, at most, s
-PHASE, LONGEST_PHASE = 0.25, 5e-4
+PHASE, LONGEST_PHASE = 0.1, 5e-4
 SPIN = 1e-4  # s; end of a wait that is not slept, longer than a computer needs to wake up a process
 READ_INTERVAL = 3e-4  # s; time between two attempts to read before the start and during the stop, more than SPIN
-START_READINGS = 25  # number of readings before the start, whose median has less noise than one of them
+POLL_INTERVAL = 1e-5  # s; time between two attempts to read late readings
+START_READINGS = (
+    25  # number of readings before the start, whose median is the start, and of periods in which deadlines are set
+)
 # control periods that the agent simulates before the start: to load kernels, to allocate the memory of its internal
 # models, and to compute the gains and references of the move, of which each takes longer than some control periods
 WARM_UP = 500
@@ -69,10 +75,11 @@ def drive(
 ) -> Episode:
     """Drive a machine by an agent in real time, bring the arm to rest at the end, and return the log.
 
-    The agent acts as in `rollout`: in each control period it reads the newest readings, and its torques are limited by
-    the torque limits. The arm is brought to rest after the last period, and as soon as there are no new readings for
-    `silence` control periods, a reading is NaN or out of its range, the arm exceeds its `Limits` or their margins, or
-    the agent raises an exception or commands NaN. The cause is the failure of the log.
+    The agent acts as in `rollout`, at first for up to `WARM_UP` control periods in a simulation without the machine. In
+    each control period it reads the newest readings, and its torques are limited by the torque limits. The arm is
+    brought to rest after the last period, and as soon as there are no new readings for `silence` control periods, a
+    reading is NaN or out of its range, the arm exceeds its `Limits` or their margins, or the agent raises an exception
+    or commands NaN. The cause is the failure of the log.
 
     The states of the log follow from the readings, see `StateEstimate`. Readings that were not received are NaN, and
     the agent then reads the last ones.
@@ -80,8 +87,7 @@ def drive(
     Args:
         agent: as in `rollout`.
         machine: "udp:HOST:PORT", the address of a `SimulatedMachine`, or a Machine.
-        environment: environment for which the agent is designed, with goals, limits and model; None for the
-            environment of the agent.
+        environment: environment of the design, with goals, limits and model; None for that of the agent.
         seed: seed of the goal.
         seconds: duration, s; None for the horizon of the environment.
         options: options of the reset, such as goal_angles.
@@ -89,9 +95,9 @@ def drive(
 
     Returns:
         Log, with statistics at `about["machine"]`: number of "periods", "lateness" at their deadlines, median and
-        maximum (s), median "delay" of the torques after the deadlines (s), share "missed" of the torques later than the
-        next deadline, "silent" periods without new readings, "received" packets as `packets.Counts`, and "rest_seconds"
-        until the motors are at rest after the stop, None for a machine that does not answer.
+        maximum (s), median "delay" of the torques after the deadlines (s), share "missed" of the torques that were sent
+        when the next readings had arrived, "silent" periods without new readings, "received" packets (`packets.Counts`)
+        and "rest_seconds" from the stop to rest, None for a machine that does not answer.
 
     Raises:
         OSError: for a machine that does not answer.
@@ -104,14 +110,10 @@ def drive(
     spec, needed = _prepared(spec, split_interface(design)[0])
     horizon = design.horizon if seconds is None else positive("seconds", seconds, "s")
     quiet = design.replace(randomisation=None, drive_bandwidth=None, horizon=horizon)
-    udp = UdpMachine(machine, list(dict.fromkeys([*needed, *LOGGED]))) if isinstance(machine, str) else None
-    try:
-        loop = _Loop(udp or machine, quiet, needed, silence)  # type: ignore[arg-type]
-        return loop.run(spec, seed, dict(options or {}))
-    finally:
-        if udp is not None:
-            udp.stop()
-            udp.close()
+    names = list(dict.fromkeys([*needed, *LOGGED]))
+    opened: Any = closing(UdpMachine(machine, names)) if isinstance(machine, str) else nullcontext(machine)
+    with opened as robot:
+        return _Loop(robot, quiet, needed, silence).run(spec, seed, dict(options or {}))
 
 
 def _prepared(spec: AgentSpec, environment: Configuration) -> tuple[AgentSpec, list[str]]:
@@ -146,6 +148,7 @@ class _Loop:
             raise value_error("machine", own, f"one that measures {', '.join(missing)}, too, or another agent")
         if not np.isclose(self._period, environment.control_period, rtol=1e-6):
             raise value_error("machine", f"a control period of {self._period:g} s", f"{environment.control_period:g} s")
+        self._phase = min(PHASE * self._period, LONGEST_PHASE)
         self._scale = _command_scale(environment.arm, machine.unit)
         self._deadline, self._lateness, self._delays, self._silent = 0.0, list[float](), list[float](), 0
         self._rows: list[Mapping[str, Array]] = []
@@ -173,6 +176,7 @@ class _Loop:
         if loop.law is not None:
             loop.law = self._guarded(loop.law, len(agent.mode.names))
         agent.act = self._guarded(agent.act, agent.mode.joints)  # type: ignore[method-assign]
+        self._prepare = self._guarded(partial(_prepare, loop.episodes), 1)
         gc.collect()
         gc.freeze()
         gc.disable()  # a collection takes longer than some control periods
@@ -235,14 +239,17 @@ class _Loop:
         if not self._lateness:  # the deadlines follow the packets of the machine, which then have arrived
             self._machine.read()
             self._new_readings()
-            self._deadline = self._clock.now() + min(PHASE * self._period, LONGEST_PHASE)
+            self._deadline = self._clock.now() + self._phase
             self._clock.wait(self._deadline)
         self._machine.write(commands)
         self._delays.append(self._clock.now() - self._deadline)
+        self._prepare()
         self._deadline += self._period
         self._clock.wait(self._deadline)
         self._lateness.append(self._clock.now() - self._deadline)
         given = self._machine.read()
+        if given is None and len(self._lateness) <= START_READINGS:
+            given = self._late_readings()
         self._silent = self._silent + 1 if given is None else 0
         if given is None:
             if self._silent >= self._silence:
@@ -254,6 +261,19 @@ class _Loop:
             if beyond.any():
                 self.fault = self.fault or f"reading {name}[{int(np.argmax(beyond))}] is {values[beyond][0]:.4g}"
         return readings
+
+    def _late_readings(self) -> Mapping[str, Any] | None:
+        """Return readings that arrive up to half a period late, and let the deadlines follow them; None without any.
+
+        A machine whose brakes are released may send its readings later in its period than at rest.
+        """
+        end, given = self._deadline + 0.5 * self._period, None
+        while given is None and self._clock.now() < end:
+            self._clock.wait(self._clock.now() + POLL_INTERVAL)
+            given = self._machine.read()
+        if given is not None:
+            self._deadline = self._clock.now() + self._phase
+        return given
 
     def _wait_for_rest(self) -> float | None:
         """Return the time until the motors are at rest after the stop, s; None without readings of their rates."""
@@ -280,7 +300,7 @@ class _Loop:
         receiver = getattr(self._machine, "receiver", None)
         statistics = {
             "periods": len(self._lateness), "lateness": [float(np.median(late)), float(late.max())],
-            "delay": float(np.median(delays)), "missed": float(np.mean(delays > self._period)),
+            "delay": float(np.median(delays)), "missed": float(np.mean(delays > self._period - self._phase)),
             "silent": int(np.isnan(raw["motor_angles"]).all(axis=1).sum()), "rest_seconds": rest_seconds,
             "received": asdict(receiver.counts) if receiver else {},
         }  # fmt: skip
@@ -289,6 +309,12 @@ class _Loop:
             episode, torques=np.where(np.isfinite(torques), torques, episode.torques), readings=episode.readings | raw,
             about=episode.about | about | {"failure": self.fault or episode.about["failure"]},
         )  # fmt: skip
+
+
+def _prepare(episodes: Episodes) -> float:
+    """Let the agent compute what its next action needs besides the readings, while the arm moves; return 0."""
+    episodes.agent.prepare(episodes.view.action.copy(), ~episodes.over)
+    return 0.0
 
 
 class _MachineIntegrator(ExternalIntegrator):
