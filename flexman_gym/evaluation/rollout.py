@@ -240,11 +240,12 @@ class RolloutLoop:
         seeds, (bare, interface) = _episode_seeds(seeds), split_interface(environment)
         _check_joint_count(spec, environment)
         keywords = _keywords(spec, bare, interface)
-        self._venv: Any = gym.make_vec(environment.id, len(seeds), "vector_entry_point", **keywords)
-        self.law, self.episodes = spec.law, self._venv.unwrapped.episodes
-        self._size, self._seeds = self._venv.action_space.shape or (), [int(seed) for seed in seeds]
+        venv: Any = gym.make_vec(environment.id, len(seeds), "vector_entry_point", **keywords)
+        self._venv = venv
+        self.law, self.episodes = spec.law, venv.unwrapped.episodes
+        self._size, self._seeds = venv.action_space.shape or (), [int(seed) for seed in seeds]
         self.begin(callback, set_plant, options)
-        self._metadata = _metadata(self._venv.unwrapped, spec, environment) | {"seeds": self._seeds}
+        self._metadata = _metadata(venv.unwrapped, spec, environment) | {"seeds": self._seeds}
 
     def begin(
         self,

@@ -175,7 +175,7 @@ class _Loop:
             left -= agent.action_repeat
         if loop.law is not None:
             loop.law = self._guarded(loop.law, len(agent.mode.names))
-        agent.act = self._guarded(agent.act, agent.mode.joints)  # type: ignore[method-assign]
+        agent.act = self._guarded(agent.act, agent.mode.joints)
         self._prepare = self._guarded(partial(_prepare, loop.episodes), 1)
         gc.collect()
         gc.freeze()
