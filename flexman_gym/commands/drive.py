@@ -5,9 +5,14 @@ after a fault. For deadlines that are kept on a busy computer: chrt -f 50 flexma
 """
 
 import argparse
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from flexman_gym.commands import CommandLine, add_options, load_agent, numbers
+
+if TYPE_CHECKING:
+    from flexman_gym.simulation.episode import Episode
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,11 +65,22 @@ def _run(options: argparse.Namespace) -> int:
     loop, rest = log.about["machine"], log.about["machine"]["rest_seconds"]
     median, longest = (1e3 * each for each in loop["lateness"])
     print(f"{log.name}: {log.about['failure'] or 'completed'} after {log.time[-1]:.2f} s")
+    print(_outcome(log))
     print(f"  {loop['periods']} periods of {1e3 * log.period:g} ms, late by {median:.3f} ms (at most {longest:.3g} ms)")
     print(f"  {loop['missed']:.2%} of the torques missed, {loop['silent']} periods without new readings")
     print("  the machine does not answer" if rest is None else f"  motors at rest {rest:.2f} s after the stop")
     print(f"{options.out}: to go on: flexman replay {options.out}, flexman why {options.out}, or fm.fit")
     return 1 if log.about["failure"] else 0
+
+
+def _outcome(log: "Episode") -> str:
+    """Return a line with the settling time, the final error and the vibration of the tip as its readings show them."""
+    from flexman_gym.metrics import SETTLING_WINDOW, final_error, peak_to_peak, settling_time
+
+    settled = settling_time(log.errors, log.about["band"], log.period)
+    settling = f"tip settles in {settled:.2f} s" if math.isfinite(settled) else "tip does not settle"
+    error, vibration = final_error(log.errors, log.period), peak_to_peak(log.tips, log.period, SETTLING_WINDOW)
+    return f"  {settling}, error {1e3 * error:.2g} mm and vibration {1e3 * vibration:.2g} mm (p-p) in the last second"
 
 
 COMMAND = CommandLine(_arguments, _run)

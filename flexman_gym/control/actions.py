@@ -336,6 +336,11 @@ class TorqueMode:
         result: Array = np.clip(base_torques + actions, -1.0, 1.0)
         return result
 
+    def prepare(self, applied: Array, active: BoolArray) -> None:
+        """Prepare the next action of the base controller, see `Controller`."""
+        if hasattr(self._base, "prepare"):
+            self._base.prepare(applied, active)  # type: ignore[union-attr]
+
     @property
     def gain_units(self) -> Mapping[str, str]:
         """Units of the gains of the base controller, by name, see `Controller`."""

@@ -205,6 +205,11 @@ class Agent:
             self._ages += active
         return np.asarray(self.mode.act(self.command, readings, applied, active))
 
+    def prepare(self, applied: Array, active: BoolArray) -> None:
+        """Compute what the next `act` needs besides its readings, if the action mode can; see `Controller`."""
+        if hasattr(self.mode, "prepare"):
+            self.mode.prepare(applied, active)
+
     def _observed(self, readings: Readings) -> Array:
         """Return the readings (b, size) of the agent's sensors, which precede the readings for the action mode."""
         parts: list[Array] = [np.zeros((len(self._ages), 0))]

@@ -136,7 +136,7 @@ class Tracking:
         if moving.all():
             return self._paths.at(now, arms)
         middle = now + 0.5 * self._period * self.slews.time_scaling[arms]
-        states, torques = self.slews.states(now, arms), self.slews.torques(middle, arms)
+        states, torques = self.slews.motion(now, middle, arms)
         if self.shaping:
             states += self.shaping.offset_states(arms)
         if moving.any():
@@ -223,6 +223,11 @@ class OutputFeedback:
         returned = np.flatnonzero(due & (self._consistent_periods >= self._return_periods))
         self._fallback_active[returned], self._consistent_periods[returned] = False, 0
         self.law.restart(returned)
+
+    def prepare(self, applied: Array, active: BoolArray) -> None:
+        """Let the observer compute what does not depend on the next readings; see `Controller`."""
+        if hasattr(self.observer, "prepare"):
+            self.observer.prepare(applied, active)
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the actions (b, n), fractions of the torque limits."""

@@ -311,11 +311,9 @@ class _RandomTorques:
 
     sensors = ()
 
-    def __init__(self) -> None:
-        self._random = np.random.default_rng(0)
-
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes."""
+        """Start new episodes, with the same torques as before."""
+        self._random = np.random.default_rng(0)
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return torques (b, n) as fractions of the torque limits."""

@@ -224,6 +224,7 @@ class RolloutLoop:
 
     Attributes:
         episodes: simulated episodes.
+        law: control law of the agent; None for an agent that is a base controller.
     """
 
     def __init__(
@@ -235,21 +236,31 @@ class RolloutLoop:
         set_plant: Callable[[Batch], None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> None:
-        self._spec, environment = find_agent(agent), Configuration.find(environment)
+        spec, environment = find_agent(agent), Configuration.find(environment)
         seeds, (bare, interface) = _episode_seeds(seeds), split_interface(environment)
-        _check_joint_count(self._spec, environment)
-        keywords = _keywords(self._spec, bare, interface)
+        _check_joint_count(spec, environment)
+        keywords = _keywords(spec, bare, interface)
         venv: Any = gym.make_vec(environment.id, len(seeds), "vector_entry_point", **keywords)
-        self.episodes: Episodes = venv.unwrapped.episodes
-        self._size = venv.action_space.shape or ()
+        self._venv = venv
+        self.law, self.episodes = spec.law, venv.unwrapped.episodes
+        self._size, self._seeds = venv.action_space.shape or (), [int(seed) for seed in seeds]
+        self.begin(callback, set_plant, options)
+        self._metadata = _metadata(venv.unwrapped, spec, environment) | {"seeds": self._seeds}
+
+    def begin(
+        self,
+        callback: Callable[[Episodes], None] | None,
+        set_plant: Callable[[Batch], None] | None,
+        options: dict[str, Any] | None,
+    ) -> None:
+        """Begin the episodes, or begin them anew from the same seeds; arguments as in `rollout`."""
         if set_plant is not None:
             set_plant(self.episodes.batch)
         self._recorder = _Recorder(self.episodes, callback)
-        self.episodes.agent.check_law(self._spec.law)
-        venv.reset(seed=seeds, options=options)
+        self.episodes.agent.check_law(self.law)
+        self._venv.reset(seed=self._seeds, options=options)
         self._recorder.begin()
         self.episodes.callback = self._recorder.record
-        self._metadata = _metadata(venv.unwrapped, self._spec, environment) | {"seeds": [int(seed) for seed in seeds]}
 
     @property
     def over(self) -> bool:
@@ -258,7 +269,7 @@ class RolloutLoop:
 
     def step(self) -> None:
         """Simulate one action of the agent, `action_repeat` control periods; ended episodes keep their last state."""
-        law, observations = self._spec.law, self.episodes.agent.observations
+        law, observations = self.law, self.episodes.agent.observations
         outputs = np.zeros(self._size) if law is None else law(observations.copy())
         commands = np.asarray(outputs, dtype=np.float32)
         self.episodes.step(

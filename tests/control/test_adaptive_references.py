@@ -57,8 +57,8 @@ def test_torques_of_a_rigid_arm_are_those_that_accelerate_it_so():
         place, speed, change = (each[0] for each in slews.at(now, ONE))
         way = (GOAL - START)[0]
         state = np.concatenate([START[0] + place * way, speed * way])
-        gone.append(acceleration(frictionless(own), state, slews.torques(now, ONE)[0]) - change * way)
-        assert slews.states(now, ONE)[0] == pytest.approx(state, abs=5e-3)
+        gone.append(acceleration(frictionless(own), state, slews.motion(now, now, ONE)[1][0]) - change * way)
+        assert slews.motion(now, now, ONE)[0][0] == pytest.approx(state, abs=5e-3)
     assert np.abs(gone).max() < 0.02 * np.abs(slews.displacement).max() * 5.77 / slews.duration[0] ** 2
 
 
@@ -67,7 +67,8 @@ def test_a_slew_without_an_estimate_of_the_payload_is_that_of_the_model():
     said, usual = begun(own, parameters={"payload_mass": np.array([0.1])}), begun(own)
     light = begun(own, parameters={"payload_mass": np.array([0.0])})
     now = times(said)[20:21]
-    assert said.torques(now, ONE).tobytes() == usual.torques(now, ONE).tobytes() != light.torques(now, ONE).tobytes()
+    forward = [each.motion(now, now, ONE)[1].tobytes() for each in (said, usual, light)]
+    assert forward[0] == forward[1] != forward[2]
 
 
 def test_a_flexible_arm_is_bent_as_on_a_minimum_jerk_slew():
@@ -78,9 +79,9 @@ def test_a_flexible_arm_is_bent_as_on_a_minimum_jerk_slew():
     lasting, d = slews.duration[0], own.n_dof
     result, expected = [], []
     for now in times(slews, 21)[:, None]:
-        state = slews.states(now, ONE)[0]
+        state = slews.motion(now, now, ONE)[0][0]
         assert state[d : d + 2] == pytest.approx(slews.at(now, ONE)[1] * slews.displacement[0], abs=0.01)
-        result.append(np.concatenate([state[:d], slews.torques(now, ONE)[0]]))
+        result.append(np.concatenate([state[:d], slews.motion(now, now, ONE)[1][0]]))
         expected.append(np.concatenate([each[0] for each in path.at(now / lasting, lasting)]))
     bent = np.array(expected)
     bent[:, 2:4] -= bent[:, :2]  # motors against links
@@ -97,7 +98,7 @@ def test_no_torque_is_above_the_share_of_the_limits_and_the_way_is_not_slower_th
     shares = []
     for now in times(slews, 200)[:, None]:
         rates = slews.at(now, ONE)[1] * slews.displacement[0]
-        shares.append(np.abs((slews.torques(now, ONE)[0] + friction_torques(own, rates)) / LIMITS).max())
+        shares.append(np.abs((slews.motion(now, now, ONE)[1][0] + friction_torques(own, rates)) / LIMITS).max())
     assert 0.85 * SHARE < max(shares) < 1.01 * SHARE
     assert CANDIDATE_DURATIONS[0] < slews.duration[0] < CANDIDATE_DURATIONS[-1]
 
@@ -108,19 +109,19 @@ def test_timed_anew_on_its_way_it_goes_on_without_a_jump_and_stops_at_the_end(pa
     slews = begun(own, parameters={"payload_mass": np.array([0.2])})
     slews.adapt(ONE, {"payload_mass": np.array([0.02])})
     now, before = part * slews.duration, slews.duration.copy()
-    motion, state, torque = np.array(slews.at(now, ONE)), slews.states(now, ONE), slews.torques(now, ONE)
+    motion, (state, torque) = np.array(slews.at(now, ONE)), slews.motion(now, now, ONE)
     slews.plan_timing(ONE, now, first=False)
     assert np.array(slews.at(now, ONE)) == pytest.approx(motion, rel=1e-9)
-    assert slews.torques(now, ONE) == pytest.approx(torque, rel=1e-9)
+    assert slews.motion(now, now, ONE)[1] == pytest.approx(torque, rel=1e-9)
     d = own.n_dof
-    again, links = slews.states(now, ONE), slice(d, d + 2)  # whose speed has no part of the third derivative
+    again, links = slews.motion(now, now, ONE)[0], slice(d, d + 2)  # whose speed has no part of the third derivative
     assert again[:, :d] == pytest.approx(state[:, :d], abs=1e-9)
     assert again[:, links] == pytest.approx(state[:, links], abs=0.02 * np.abs(state[:, links]).max())
     end = slews.start_time + slews.duration
     assert slews.start_time == pytest.approx(now) and (end < before).all(), "a lighter arm is there sooner"
     assert np.array(slews.at(end - 1e-6, ONE))[:, 0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-2)
     assert np.array(slews.at(end + 0.5, ONE))[:, 0].tolist() == [1.0, 0.0, 0.0]
-    assert not slews.states(end + 0.5, ONE)[0, d:].any()
+    assert not slews.motion(end + 0.5, end + 0.5, ONE)[0][0, d:].any()
 
 
 def test_arms_on_their_ways_do_not_touch_each_other():
@@ -140,7 +141,7 @@ def test_arms_on_their_ways_do_not_touch_each_other():
             some = arms[arms == arm]
             slews.plan_timing(some, np.full(len(some), now), first=False)
         later = np.full(len(arms), 0.3)
-        return np.hstack([slews.states(later, arms), slews.torques(later, arms)])
+        return np.hstack(slews.motion(later, later, arms))
 
     assert np.array_equal(run(np.arange(3)), np.concatenate([run(np.array([arm])) for arm in range(3)]))
 
@@ -188,7 +189,7 @@ def test_the_tip_of_an_arm_that_is_known_rests_where_that_of_the_model_would():
     slews = begun(own)
     true = varied_model(own, **{name: values[0] for name, values in true_parameters(own).items()})
     slews.adapt(ONE, true_parameters(own))
-    state = slews.states(np.array([60.0]), ONE)[0]
+    state = slews.motion(np.array([60.0]), np.array([60.0]), ONE)[0][0]
     motors = state[own.motor_columns][None]
     wanted, plain, turned = rest_tips(own, GOAL)[0], rest_tips(true, GOAL)[0], rest_tips(true, motors)[0]
     missed = np.linalg.norm(turned - wanted) / np.linalg.norm(plain - wanted)
@@ -196,7 +197,7 @@ def test_the_tip_of_an_arm_that_is_known_rests_where_that_of_the_model_would():
     expected = fm.rest_state(true, motors[0])
     assert state == pytest.approx(expected, abs=0.05 * np.abs(expected - own.at_rest(motors)[0]).max())
     held = fm.holding_torques(true, motors[0])
-    assert slews.torques(np.array([60.0]), ONE)[0] == pytest.approx(held, abs=0.01 * held.max())
+    assert slews.motion(np.array([60.0]), np.array([60.0]), ONE)[1][0] == pytest.approx(held, abs=0.01 * held.max())
 
 
 def test_softness_is_how_much_further_springs_and_links_bend():
@@ -220,6 +221,6 @@ def test_a_slew_is_timed_with_the_friction_that_was_found():
     slow, usual = begun(model(**RUBBING), parameters=found), begun(model(**RUBBING))
     assert slow.duration[0] > usual.duration[0] > begun(model()).duration[0]
     usual.adapt(ONE, found)
-    assert usual.torques(0.5 * usual.duration, ONE) == pytest.approx(
-        begun(model(**RUBBING)).torques(0.5 * usual.duration, ONE)
+    assert usual.motion(*[0.5 * usual.duration] * 2, ONE)[1] == pytest.approx(
+        begun(model(**RUBBING)).motion(*[0.5 * usual.duration] * 2, ONE)[1]
     )

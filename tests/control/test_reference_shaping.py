@@ -147,8 +147,8 @@ def test_a_slew_at_another_pace_moves_as_its_clock_does(slews):
     slews.time_scaling[:] = 1.3
     now, step = np.array([0.4]), 1e-5
     d = slews.model.n_dof
-    before, after = (slews.states(now + 1.3 * shift, ARM)[0, :d] for shift in (-step, step))
-    assert slews.states(now, ARM)[0, d:] == pytest.approx((after - before) / (2.0 * step), rel=2e-3, abs=1e-4)
+    before, after = (slews.motion(now + 1.3 * shift, now + 1.3 * shift, ARM)[0][0, :d] for shift in (-step, step))
+    assert slews.motion(now, now, ARM)[0][0, d:] == pytest.approx((after - before) / (2.0 * step), rel=2e-3, abs=1e-4)
 
 
 def test_a_slew_at_another_pace_is_one_that_was_timed_for_it():
@@ -156,11 +156,11 @@ def test_a_slew_at_another_pace_is_one_that_was_timed_for_it():
     slews = slew_of([1.0, -0.6], name="FlexPlanar-v0")
     slews.time_scaling[:] = 1.3
     now = np.array([0.26])
-    paced = slews.states(now, ARM), slews.torques(now, ARM)
+    paced = slews.motion(now, now, ARM)
     slews.time_scaling[:] = 1.0
     slews.coefficients[0] *= 1.3 ** np.arange(6)
     slews.duration /= 1.3
-    timed = slews.states(now / 1.3, ARM), slews.torques(now / 1.3, ARM)
+    timed = slews.motion(now / 1.3, now / 1.3, ARM)
     assert paced[0] == pytest.approx(timed[0], rel=1e-9) and paced[1] == pytest.approx(timed[1], rel=1e-9)
 
 
@@ -266,7 +266,7 @@ def test_torques_beside_a_slew_at_another_pace_are_those_of_the_middle_of_a_peri
         part /= 1.4
     timed = law._reference(now / 1.4, arms)
     assert paced[0] == pytest.approx(timed[0], rel=1e-9) and paced[1] == pytest.approx(timed[1], rel=1e-9)
-    assert np.abs(slews.torques(now / 1.4, arms) - timed[1]).max() > 1e-3
+    assert np.abs(slews.motion(now / 1.4, now / 1.4, arms)[1] - timed[1]).max() > 1e-3
 
 
 def test_torques_that_do_not_fade_stay_at_the_goal(slews):

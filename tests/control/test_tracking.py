@@ -49,7 +49,10 @@ def test_on_its_reference_it_only_feeds_forward():
     own.torques(estimate(rest, payload_mass=0.1), ON)
     for period in range(1, 5):
         now = np.array([period * plant.period])
-        state, forward = own.slews.states(now, ONE), own.slews.torques(now + 0.5 * plant.period, ONE)
+        state, forward = (
+            own.slews.motion(now, now, ONE)[0],
+            own.slews.motion(now + 0.5 * plant.period, now + 0.5 * plant.period, ONE)[1],
+        )
         assert own.torques(estimate(state, payload_mass=0.1), ON) == pytest.approx(forward, abs=1e-9)
 
 
@@ -83,7 +86,7 @@ def test_off_its_reference_it_is_the_regulator_of_the_arm_as_it_is_estimated(pay
     regulator = LQR(true, plant.torque_limit, plant.period)
     weights = regulator.weights._replace(tip=HOLDING_FACTOR * regulator.weights.tip) if held else regulator.weights
     gain = regulator.gain(goal[0], weights)
-    state = own.slews.states(np.array([60.0]), ONE)
+    state = own.slews.motion(np.array([60.0]), np.array([60.0]), ONE)[0]
     state[:, plant.model.motor_columns] = goal
     off = 1e-6 * np.random.default_rng(0).standard_normal(state.shape)
     off[:, plant.model.motor_columns] = 0.0
@@ -329,5 +332,5 @@ def test_a_fallback_ends_when_the_model_has_explained_the_readings_for_a_second(
             observer.state = given.model.at_rest(START + 0.1)
     assert fallen == [False] * 5 + [True] * (3 + periods) + [False] * (2 + periods)
     assert controller.law.slews.at(np.zeros(1), ONE)[0] == 0.0
-    begin = controller.law.slews.states(np.zeros(1), ONE)[:, given.model.motor_columns]
+    begin = controller.law.slews.motion(np.zeros(1), np.zeros(1), ONE)[0][:, given.model.motor_columns]
     assert begin == pytest.approx(START + 0.1)

@@ -13,7 +13,7 @@ from flexman_gym.evaluation.diagnosis import diagnose, diagnose_log
 from flexman_gym.evaluation.machine.drive import MEASURED, REST_RATE, WARM_UP, drive
 from flexman_gym.evaluation.machine.simulated import SILENT_PERIODS, Disturbances, SimulatedMachine
 from flexman_gym.evaluation.machine.state_estimate import StateEstimate
-from flexman_gym.evaluation.rollout import rollout
+from flexman_gym.evaluation.rollout import RolloutLoop, rollout
 from flexman_gym.model.linearization import LinearMeasurements
 
 from oracles.machines import FakeMachine
@@ -21,6 +21,7 @@ from oracles.machines import FakeMachine
 ENVIRONMENT = Configuration.find("FlexOne-v0").replace(
     horizon=1.0
 )  # its torque limit, 0.5 N m, scales torques without rounding
+WARMED = min(WARM_UP, ENVIRONMENT.max_periods)  # control periods that an agent acts before the start
 ENCODERS = ("motor_angles", "motor_rates", "torques")
 LAB = (*MEASURED, "torques")
 
@@ -55,6 +56,39 @@ def test_a_policy_reads_history_and_repeats_actions_as_in_a_simulation():
     log = run(agent, FakeMachine(ENVIRONMENT, 9000, LAB))
     expected = rollout(agent, ENVIRONMENT, [9000]).episode(0)
     np.testing.assert_allclose(log.torques, expected.torques, atol=1e-6)  # float32
+
+
+def test_a_preparation_does_not_change_the_actions():
+    plain, prepared = (RolloutLoop("lqg", ENVIRONMENT, [9000]) for _ in range(2))
+    for _ in range(20):
+        plain.step()
+        prepared.step()
+        episodes = prepared.episodes
+        states = episodes.base.observer.states
+        before = states.copy()
+        for _ in range(2):
+            episodes.agent.prepare(episodes.view.action.copy(), ~episodes.over)
+        assert not np.array_equal(states, before)
+        assert np.array_equal(episodes.view.action, plain.episodes.view.action)
+
+
+class LateMachine(FakeMachine):
+    """Machine whose readings arrive a fraction of a period after a deadline, from the first command on."""
+
+    late, due = 0.2, 0.0
+
+    def write(self, commands):
+        self.due = (self.due or self.clock.now() + self.late * self.period) + self.period
+        super().write(commands)
+
+    def read(self):
+        return None if self.commands and not self.arm.reason and self.clock.now() < self.due else super().read()
+
+
+def test_deadlines_follow_a_machine_that_sends_later_when_it_moves():
+    log = run("pd", LateMachine(ENVIRONMENT, 9000, ENCODERS))
+    assert (log.about["failure"], log.about["machine"]["silent"]) == ("", 0)
+    assert np.array_equal(log.torques, rollout("pd", ENVIRONMENT, [9000]).episode(0).torques)
 
 
 def test_currents_are_torques_per_torque_of_an_ampere():
@@ -100,7 +134,7 @@ class Faulty(PD):
 
 def lawless():
     """Return an agent whose law leaves its range after the warm-up."""
-    commands = iter([np.full((1, 1), 0.5)] * (WARM_UP + 6) + [np.full((1, 1), 3.0)])
+    commands = iter([np.zeros((1, 1))] * WARMED + [np.full((1, 1), 0.5)] * 16 + [np.full((1, 1), 3.0)])
     return AgentSpec("lawless", lambda observations: next(commands), {"sensors": "motor_encoders"})
 
 
@@ -120,8 +154,8 @@ def test_the_arm_has_not_stopped_by_itself_at_the_time_of_the_faults():
         (silent, "pd", f"no new readings for {SILENT_PERIODS} control periods"),
         (not_a_number, "pd", "reading motor_angles[0] is nan"),
         (out_of_range, "pd", "reading motor_angles[0] is 100"),
-        (None, Faulty(raising, 12), "the agent raised RuntimeError: no solution"),
-        (None, Faulty(lambda: np.array([[np.nan]]), 12), "the agent commands [nan], not within -1 to 1"),
+        (None, Faulty(raising, WARMED + 12), "the agent raised RuntimeError: no solution"),
+        (None, Faulty(lambda: np.array([[np.nan]]), WARMED + 12), "the agent commands [nan], not within -1 to 1"),
         (None, lawless(), "the agent commands [3.0], not within -1 to 1"),
     ],
 )

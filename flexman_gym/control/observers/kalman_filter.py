@@ -144,6 +144,7 @@ class KalmanFilter:
         self.states = np.zeros((0, s))
         self.covariance, self._transition, self._noise = (np.zeros((0, s, s)) for _ in range(3))
         self._ages, self._gain = np.zeros(0, dtype=np.int64), np.zeros((0, s, m))
+        self._prepared = np.zeros(0, dtype=bool)  # flags of arms with a prediction for this control period
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes; arguments as in `Controller.reset`.
@@ -151,10 +152,10 @@ class KalmanFilter:
         Raises:
             ValueError: with a fixed gain, for sensors from which the state is not observable.
         """
-        for name in ("states", "covariance", "_transition", "_noise", "_ages", "_gain"):
+        for name in ("states", "covariance", "_transition", "_noise", "_ages", "_gain", "_prepared"):
             setattr(self, name, pad_rows(getattr(self, name), count))
         self._prediction.reset(arms, count)
-        self._ages[arms], self.states[arms] = 0, 0.0
+        self._ages[arms], self.states[arms], self._prepared[arms] = 0, 0.0, False
         if self._fixed:
             covariance = self._stationary(*self._system(*self._rest(episode.goal))[:2], slice(None))
             self._gain[arms] = measurement_update(covariance, self._matrix, self._variances)[0]
@@ -217,14 +218,22 @@ class KalmanFilter:
         if len(new):
             self._begin(new, now[new])
         if len(running):
-            self._prediction.record(running, applied[running])
-            self._predict(running)
+            self.prepare(applied, active)
             self._correct(running, now[running])
         self._ages += active
+        self._prepared &= ~active
         states, arms = self.states[:, : self._size].copy(), np.flatnonzero(active)
         delays, offset = np.full(len(states), self.delay), self._offset(np.arange(len(states)))
         states[arms] = self._prediction(arms, states[arms], delays[arms], offset[arms])
         return Estimate(states, delays, {}, offset)
+
+    def prepare(self, applied: Array, active: BoolArray) -> None:
+        """Predict the states of the active arms (b,) before their measurements; see `Controller`."""
+        arms = np.flatnonzero(active & (self._ages > 0) & ~self._prepared)
+        if len(arms):
+            self._prediction.record(arms, applied[arms])
+            self._predict(arms)
+            self._prepared[arms] = True
 
     def _begin(self, arms: IntArray, now: Array) -> None:
         """Initialise the states of the arms (r,) by the motor angles in their first measurements (r, m)."""

@@ -82,6 +82,7 @@ class SlewReferences:
         self.time_scaling, self.pace_rate = np.zeros(0), np.zeros(0)
         self._cached_paths: dict[tuple[bytes, bytes], list[_PathTables]] = {}
         self._flexible = model.constants.motor >= 0
+        self._bent, self._motors = np.flatnonzero(self._flexible), model.motor_columns
 
     def allocate(self, count: int) -> None:
         """Allocate memory for `count` arms."""
@@ -178,9 +179,9 @@ class SlewReferences:
 
         Axes of the table (b, 11, 3, m): arm, point of the path, layer (REST, s'' or s'^2), and m table entries.
         """
-        at = np.clip(progress, 0.0, 1.0) * (len(PATH_POINTS) - 1)
+        at = np.minimum(np.maximum(progress, 0.0), 1.0) * (len(PATH_POINTS) - 1)
         low = np.minimum(at.astype(np.int64), len(PATH_POINTS) - 2)
-        part, rows = (at - low)[..., None, None], arms.reshape(-1, *(1,) * (progress.ndim - 1))
+        part, rows = (at - low)[..., None, None], _aligned(arms, progress)
         layers = table[rows, low] * (1.0 - part) + table[rows, low + 1] * part
         return (
             layers[..., REST, :]
@@ -189,40 +190,50 @@ class SlewReferences:
         )
 
     def at(self, times: Array, arms: IntArray) -> tuple[Array, Array, Array]:
-        """Return path parameters, speeds (1/s) and accelerations (1/s^2) of the arms (r,) at times (r,) s."""
-        elapsed = times - self.start_time[arms]
+        """Return path parameters, speeds (1/s) and accelerations (1/s^2) of the arms (r,) at times (r, ...) s."""
+        arms = _aligned(arms, times)
+        elapsed, coefficients, duration = times - self.start_time[arms], self.coefficients[arms], self.duration[arms]
         # a slew with replanned timing was moving before its start time; central differences need these times too
-        earliest = np.where(self.coefficients[arms, 1] != 0.0, -DIFFERENCE_STEP * self.time_scaling[arms], 0.0)
-        clipped = np.clip(elapsed, earliest, self.duration[arms])
-        progress, speed, acceleration = evaluate_polynomials(self.coefficients[arms], clipped)
-        over = elapsed >= self.duration[arms]
+        earliest = np.where(coefficients[..., 1] != 0.0, -DIFFERENCE_STEP * self.time_scaling[arms], 0.0)
+        clipped = np.minimum(np.maximum(elapsed, earliest), duration)
+        progress, speed, acceleration = evaluate_polynomials(coefficients, clipped)
+        over = elapsed >= duration
         return np.where(over, 1.0, progress), np.where(over, 0.0, speed), np.where(over, 0.0, acceleration)
 
-    def _scaled_timing(self, times: Array, arms: IntArray) -> tuple[Array, Array, Array]:
-        """Return the path parameters and derivatives of `at`, with the time scaling of the clocks applied."""
-        progress, speed, acceleration = self.at(times, arms)
-        pace = self.time_scaling[arms]
-        return progress, speed * pace, acceleration * pace**2 + speed * self.pace_rate[arms]
+    def motion(self, times: Array, torque_times: Array, arms: IntArray) -> tuple[Array, Array]:
+        """Return the reference states (r, 2 d) and the feed-forward torques without friction (r, n), N m.
 
-    def states(self, times: Array, arms: IntArray) -> Array:
-        """Return the reference states (r, 2 d) of the arms (r,) at times (r,) s."""
+        All times are evaluated together: calls with small arrays take as long as the number of calls.
+
+        Args:
+            times: (r,) times of the states, s.
+            torque_times: (r,) times of the torques, s.
+            arms: (r,) indices.
+        """
         steps = DIFFERENCE_STEP * self.time_scaling[arms]
-        before, here, after = (self._coordinates_at(times + step, arms) for step in (-steps, 0.0, steps))
-        return np.concatenate([here, (after - before) / (2.0 * DIFFERENCE_STEP)], axis=1)
+        together = np.stack([times - steps, times, times + steps, torque_times], axis=1)
+        progress, speed, acceleration = self.at(together, arms)
+        pace, pace_rate = self.time_scaling[arms, None], self.pace_rate[arms, None]
+        speed, acceleration = speed * pace, acceleration * pace**2 + speed * pace_rate
+        coordinates = self._deflected(arms, *(each[:, :3] for each in (progress, speed, acceleration)))
+        rates = (coordinates[:, 2] - coordinates[:, 0]) / (2.0 * DIFFERENCE_STEP)
+        torques = self._interpolate(self._adapted_torques, arms, progress[:, 3], acceleration[:, 3], speed[:, 3])
+        return np.concatenate([coordinates[:, 1], rates], axis=1), torques
 
-    def _coordinates_at(self, times: Array, arms: IntArray) -> Array:
-        progress, *derivatives = self._scaled_timing(times, arms)
-        deflections = self._interpolate(self._adapted_coordinates, arms, progress, *reversed(derivatives))
-        result = self._compliance[arms] * deflections
-        angles = self.start[arms] + progress[:, None] * (self.displacement[arms] + self.shift[arms])
-        result[:, self.model.motor_columns] += angles
-        result[:, np.flatnonzero(self._flexible)] += angles[:, self._flexible]
+    def _deflected(self, arms: IntArray, progress: Array, speeds: Array, accelerations: Array) -> Array:
+        """Return the deflected coordinates (r, k, d) of arms (r,) at path parameters (r, k) and their derivatives."""
+        deflections = self._interpolate(self._adapted_coordinates, arms, progress, accelerations, speeds)
+        result = self._compliance[arms, None] * deflections
+        turned = self.displacement[arms] + self.shift[arms]
+        angles = self.start[arms, None] + progress[..., None] * turned[:, None]
+        result[..., self._motors] += angles
+        result[..., self._bent] += angles[..., self._flexible]
         return result
 
-    def torques(self, times: Array, arms: IntArray) -> Array:
-        """Return the feed-forward torques (r, n) of the arms (r,) without friction at times (r,) s, N m."""
-        progress, speed, acceleration = self._scaled_timing(times, arms)
-        return self._interpolate(self._adapted_torques, arms, progress, acceleration, speed)
+
+def _aligned(arms: IntArray, values: Array) -> IntArray:
+    """Return the indices (r, 1, ...) of arms (r,), which select an entry for each of the values (r, ...)."""
+    return arms.reshape(-1, *(1,) * (values.ndim - 1))
 
 
 def _estimated_payloads(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:

@@ -3,7 +3,9 @@
 import gc
 import time
 from collections.abc import Callable, Mapping
+from contextlib import closing, nullcontext
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,7 @@ from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
 from flexman_gym.evaluation.machine.machine import HELLO_SECONDS, UNITS, Machine, UdpMachine
 from flexman_gym.evaluation.machine.simulated import ROUNDING, SILENT_PERIODS
 from flexman_gym.evaluation.machine.state_estimate import StateEstimate
-from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
+from flexman_gym.evaluation.rollout import TEST_SEEDS, RolloutLoop
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LARGEST_STATE
 from flexman_gym.model.linearization import LINEAR_SENSORS
@@ -33,11 +35,16 @@ from flexman_gym.simulation.external_simulator import ExternalIntegrator
 MEASURED = tuple(name for names in LINEAR_SENSORS.values() for name in names)  # quantities of a real machine
 LOGGED = ("motor_angles", "motor_rates", "torques")  # quantities that every log has, if the machine measures them
 # time from the arrival of the first readings to the deadlines: fraction of the control period, at most, s
-PHASE, LONGEST_PHASE = 0.25, 5e-4
-SPIN = 2e-4  # s; end of a wait that is not slept
+PHASE, LONGEST_PHASE = 0.1, 5e-4
+SPIN = 1e-4  # s; end of a wait that is not slept, longer than a computer needs to wake up a process
 READ_INTERVAL = 3e-4  # s; time between two attempts to read before the start and during the stop, more than SPIN
-START_READINGS = 25  # number of readings before the start, whose median has less noise than one of them
-WARM_UP = 10  # control periods that are simulated before the start, to load all kernels
+POLL_INTERVAL = 1e-5  # s; time between two attempts to read late readings
+START_READINGS = (
+    25  # number of readings before the start, whose median is the start, and of periods in which deadlines are set
+)
+# control periods that the agent simulates before the start: to load kernels, to allocate the memory of its internal
+# models, and to compute the gains and references of the move, of which each takes longer than some control periods
+WARM_UP = 500
 REST_RATE = 0.005  # fraction of Limits.rate; motors below this rate are at rest
 REST_SECONDS, STOP_SECONDS = 0.2, 20.0  # s; shortest time at rest, and longest wait for it
 
@@ -68,10 +75,11 @@ def drive(
 ) -> Episode:
     """Drive a machine by an agent in real time, bring the arm to rest at the end, and return the log.
 
-    The agent acts as in `rollout`: in each control period it reads the newest readings, and its torques are limited by
-    the torque limits. The arm is brought to rest after the last period, and as soon as there are no new readings for
-    `silence` control periods, a reading is NaN or out of its range, the arm exceeds its `Limits` or their margins, or
-    the agent raises an exception or commands NaN. The cause is the failure of the log.
+    The agent acts as in `rollout`, at first for up to `WARM_UP` control periods in a simulation without the machine. In
+    each control period it reads the newest readings, and its torques are limited by the torque limits. The arm is
+    brought to rest after the last period, and as soon as there are no new readings for `silence` control periods, a
+    reading is NaN or out of its range, the arm exceeds its `Limits` or their margins, or the agent raises an exception
+    or commands NaN. The cause is the failure of the log.
 
     The states of the log follow from the readings, see `StateEstimate`. Readings that were not received are NaN, and
     the agent then reads the last ones.
@@ -79,8 +87,7 @@ def drive(
     Args:
         agent: as in `rollout`.
         machine: "udp:HOST:PORT", the address of a `SimulatedMachine`, or a Machine.
-        environment: environment for which the agent is designed, with goals, limits and model; None for the
-            environment of the agent.
+        environment: environment of the design, with goals, limits and model; None for that of the agent.
         seed: seed of the goal.
         seconds: duration, s; None for the horizon of the environment.
         options: options of the reset, such as goal_angles.
@@ -88,9 +95,9 @@ def drive(
 
     Returns:
         Log, with statistics at `about["machine"]`: number of "periods", "lateness" at their deadlines, median and
-        maximum (s), median "delay" of the torques after the deadlines (s), share "missed" of the torques later than the
-        next deadline, "silent" periods without new readings, "received" packets as `packets.Counts`, and "rest_seconds"
-        until the motors are at rest after the stop, None for a machine that does not answer.
+        maximum (s), median "delay" of the torques after the deadlines (s), share "missed" of the torques that were sent
+        when the next readings had arrived, "silent" periods without new readings, "received" packets (`packets.Counts`)
+        and "rest_seconds" from the stop to rest, None for a machine that does not answer.
 
     Raises:
         OSError: for a machine that does not answer.
@@ -103,14 +110,10 @@ def drive(
     spec, needed = _prepared(spec, split_interface(design)[0])
     horizon = design.horizon if seconds is None else positive("seconds", seconds, "s")
     quiet = design.replace(randomisation=None, drive_bandwidth=None, horizon=horizon)
-    udp = UdpMachine(machine, list(dict.fromkeys([*needed, *LOGGED]))) if isinstance(machine, str) else None
-    try:
-        loop = _Loop(udp or machine, quiet, needed, silence)  # type: ignore[arg-type]
-        return loop.run(spec, seed, dict(options or {}))
-    finally:
-        if udp is not None:
-            udp.stop()
-            udp.close()
+    names = list(dict.fromkeys([*needed, *LOGGED]))
+    opened: Any = closing(UdpMachine(machine, names)) if isinstance(machine, str) else nullcontext(machine)
+    with opened as robot:
+        return _Loop(robot, quiet, needed, silence).run(spec, seed, dict(options or {}))
 
 
 def _prepared(spec: AgentSpec, environment: Configuration) -> tuple[AgentSpec, list[str]]:
@@ -145,9 +148,11 @@ class _Loop:
             raise value_error("machine", own, f"one that measures {', '.join(missing)}, too, or another agent")
         if not np.isclose(self._period, environment.control_period, rtol=1e-6):
             raise value_error("machine", f"a control period of {self._period:g} s", f"{environment.control_period:g} s")
+        self._phase = min(PHASE * self._period, LONGEST_PHASE)
         self._scale = _command_scale(environment.arm, machine.unit)
         self._deadline, self._lateness, self._delays, self._silent = 0.0, list[float](), list[float](), 0
         self._rows: list[Mapping[str, Array]] = []
+        self._no_readings = {name: np.full(size, np.nan) for name, size in machine.quantities.items()}
         first = [self._new_readings() for _ in range(START_READINGS)]
         self._now = {name: np.median([readings[name] for readings in first], axis=0) for name in machine.quantities}
 
@@ -163,26 +168,27 @@ class _Loop:
     def run(self, spec: AgentSpec, seed: int, options: dict[str, Any]) -> Episode:
         """Return the log of the control periods; the arm is at rest, or the machine does not answer."""
         options |= {"start": self._now["motor_angles"]}
-        short = self._environment.replace(horizon=WARM_UP * self._period)
-        joints = rollout(spec, short, [seed], options=options).actions.shape[-1]
-        if spec.law is not None:
-            outputs = len(spec.interface["actions"].names) if spec.interface else joints
-            spec = replace(spec, law=self._guarded(spec.law, outputs))
+        loop = RolloutLoop(spec, self._environment, [seed], options=options)
+        agent, left = loop.episodes.agent, WARM_UP
+        while left > 0 and not loop.over:
+            loop.step()
+            left -= agent.action_repeat
+        if loop.law is not None:
+            loop.law = self._guarded(loop.law, len(agent.mode.names))
+        agent.act = self._guarded(agent.act, agent.mode.joints)
+        self._prepare = self._guarded(partial(_prepare, loop.episodes), 1)
         gc.collect()
         gc.freeze()
         gc.disable()  # a collection takes longer than some control periods
         try:
-            result = rollout(spec, self._environment, [seed], self._watch, self._set_plant, options)
+            loop.begin(None, self._set_plant, options)
+            while not loop.over:
+                loop.step()
         finally:
             gc.enable()
             gc.unfreeze()
             self._machine.stop()
-        return self._log(result.episode(0), self._wait_for_rest())
-
-    def _watch(self, episodes: Episodes) -> None:
-        """Report exceptions and NaN of the control law as faults; called after the reset and each control period."""
-        if "act" not in vars(episodes.agent):
-            episodes.agent.act = self._guarded(episodes.agent.act, len(episodes.motors.torques[0]))  # type: ignore[method-assign]
+        return self._log(loop.result().episode(0), self._wait_for_rest())
 
     def _guarded(self, function: Callable[..., Any], size: int) -> Callable[..., Any]:
         """Return a function of the agent whose exceptions, and values that are not within -1 to 1, are faults."""
@@ -204,7 +210,7 @@ class _Loop:
     def _set_plant(self, batch: Batch) -> None:
         """Replace the simulation of an arm by the machine."""
         limits = measurement_ranges(View(batch), self._environment.limits)
-        self._ranges = {name: limits[name] for name in self._now.keys() & limits.keys()}
+        self._bounds = {name: limits.get(name, LARGEST_STATE) * (1.0 + ROUNDING) for name in self._machine.quantities}
         self._estimate = StateEstimate(batch.model, self._machine.quantities, self._period)
         self._rows = [self._now]
         self._state = self._estimate.state(self._now)
@@ -217,12 +223,11 @@ class _Loop:
         """
         if torques is None:
             return self._state
-        missing = {name: np.full(size, np.nan) for name, size in self._machine.quantities.items()}
         try:
             readings = None if self.fault else self._next_readings(torques / self._scale)
         except KeyboardInterrupt:
             readings, self.fault = None, "interrupted"
-        self._rows.append(missing if readings is None else readings)
+        self._rows.append(self._no_readings if readings is None else readings)
         if self.fault:
             return None
         if readings is not None:
@@ -234,14 +239,17 @@ class _Loop:
         if not self._lateness:  # the deadlines follow the packets of the machine, which then have arrived
             self._machine.read()
             self._new_readings()
-            self._deadline = self._clock.now() + min(PHASE * self._period, LONGEST_PHASE)
+            self._deadline = self._clock.now() + self._phase
             self._clock.wait(self._deadline)
         self._machine.write(commands)
         self._delays.append(self._clock.now() - self._deadline)
+        self._prepare()
         self._deadline += self._period
         self._clock.wait(self._deadline)
         self._lateness.append(self._clock.now() - self._deadline)
         given = self._machine.read()
+        if given is None and len(self._lateness) <= START_READINGS:
+            given = self._late_readings()
         self._silent = self._silent + 1 if given is None else 0
         if given is None:
             if self._silent >= self._silence:
@@ -249,10 +257,23 @@ class _Loop:
             return None
         readings = {name: np.array(values, dtype=float) for name, values in given.items()}
         for name, values in readings.items():
-            beyond = ~(np.abs(values) <= self._ranges.get(name, LARGEST_STATE) * (1.0 + ROUNDING))
+            beyond = ~(np.abs(values) <= self._bounds[name])
             if beyond.any():
                 self.fault = self.fault or f"reading {name}[{int(np.argmax(beyond))}] is {values[beyond][0]:.4g}"
         return readings
+
+    def _late_readings(self) -> Mapping[str, Any] | None:
+        """Return readings that arrive up to half a period late, and let the deadlines follow them; None without any.
+
+        A machine whose brakes are released may send its readings later in its period than at rest.
+        """
+        end, given = self._deadline + 0.5 * self._period, None
+        while given is None and self._clock.now() < end:
+            self._clock.wait(self._clock.now() + POLL_INTERVAL)
+            given = self._machine.read()
+        if given is not None:
+            self._deadline = self._clock.now() + self._phase
+        return given
 
     def _wait_for_rest(self) -> float | None:
         """Return the time until the motors are at rest after the stop, s; None without readings of their rates."""
@@ -279,7 +300,7 @@ class _Loop:
         receiver = getattr(self._machine, "receiver", None)
         statistics = {
             "periods": len(self._lateness), "lateness": [float(np.median(late)), float(late.max())],
-            "delay": float(np.median(delays)), "missed": float(np.mean(delays > self._period)),
+            "delay": float(np.median(delays)), "missed": float(np.mean(delays > self._period - self._phase)),
             "silent": int(np.isnan(raw["motor_angles"]).all(axis=1).sum()), "rest_seconds": rest_seconds,
             "received": asdict(receiver.counts) if receiver else {},
         }  # fmt: skip
@@ -288,6 +309,12 @@ class _Loop:
             episode, torques=np.where(np.isfinite(torques), torques, episode.torques), readings=episode.readings | raw,
             about=episode.about | about | {"failure": self.fault or episode.about["failure"]},
         )  # fmt: skip
+
+
+def _prepare(episodes: Episodes) -> float:
+    """Let the agent compute what its next action needs besides the readings, while the arm moves; return 0."""
+    episodes.agent.prepare(episodes.view.action.copy(), ~episodes.over)
+    return 0.0
 
 
 class _MachineIntegrator(ExternalIntegrator):

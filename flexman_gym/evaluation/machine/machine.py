@@ -113,6 +113,7 @@ class UdpMachine:
         try:
             self.period, self.unit = float(answer["period"]), one_of("unit", answer["unit"], COMMAND_UNITS)
             self.quantities = {name: int(size) for name, (size, _) in answer["quantities"].items()}
+            self._ends = np.cumsum(list(self.quantities.values()), dtype=int).tolist()
             for name, (_, unit) in answer["quantities"].items():
                 one_of(f"the unit of {name}", unit, (UNITS[one_of("quantities", name, UNITS)],))
         except (KeyError, TypeError, ValueError) as error:
@@ -146,12 +147,15 @@ class UdpMachine:
                 packet = self.receiver.accept(self._socket.recv(MAX_PACKET))
             except OSError:  # no further packet, or the machine is gone
                 break
-            if packet is not None and packet.kind == READINGS and len(packet.values) == sum(self.quantities.values()):
-                newest = packet.values
+            if packet is not None and packet.kind == READINGS and len(packet.payload) == 8 * self._ends[-1]:
+                newest = packet
         if newest is None:
             return None
-        ends = np.cumsum(list(self.quantities.values()))
-        return dict(zip(self.quantities, np.split(newest, ends[:-1]), strict=True))
+        values = newest.values
+        return {
+            name: values[end - size : end]
+            for (name, size), end in zip(self.quantities.items(), self._ends, strict=True)
+        }
 
     def write(self, commands: Array) -> None:
         """Send the commands (n,)."""

@@ -17,7 +17,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.evaluation.agent import find_agent
-from flexman_gym.evaluation.machine.drive import REST_RATE, MonotonicClock, drive
+from flexman_gym.evaluation.machine.drive import REST_RATE, WARM_UP, MonotonicClock, drive
 from flexman_gym.evaluation.machine.machine import UdpMachine
 from flexman_gym.evaluation.machine.simulated import STOPPING, Disturbances, SimulatedMachine
 from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
@@ -211,7 +211,9 @@ def measure_fault(fault: str, agent: str) -> FaultRow:
     if "raises" in fault or "commands" in fault:
         spec = spec.designed(configuration)
         assert spec.interface is not None
-        mode = _FailingMode(spec.interface["actions"], round(after / configuration.control_period), FAULTS[fault])
+        begin = min(WARM_UP, configuration.max_periods)
+        periods = begin + round(after / configuration.control_period)
+        mode = _FailingMode(spec.interface["actions"], periods, FAULTS[fault])
         spec = replace(spec, interface=spec.interface | {"base": None, "actions": mode})
     log: Episode | None = None
     with scheduled(PRIORITY), SimulatedMachine(configuration, TEST_SEEDS[0], disturbances) as machine:

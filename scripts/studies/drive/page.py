@@ -66,7 +66,7 @@ def _loop(row: LoopRow) -> str:
 def _outcome(row: LoopRow) -> str:
     stopped = f", stopped in {row.stopped:.0f} of {row.episodes:.0f}" if row.stopped else ""
     settled = f"{row.settled:.2f} s" if np.isfinite(row.settled) else "not settled"
-    return f"{settled}{stopped}"
+    return f"{settled}{stopped} ({row.missed:.2%} missed)"
 
 
 def _fault(fault: str, rows: Sequence[FaultRow]) -> tuple[str, ...]:
