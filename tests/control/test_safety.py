@@ -10,7 +10,7 @@ import flexman_gym as fm
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.observers.observer import UncertainStates
 from flexman_gym.control.observers.uncertain_states import EstimatedState, TrueState
-from flexman_gym.control.safety import BRAKE, CHANGED, NEAR_PERIODS, PASSED, REMAINDER, STOPPED, SafetyFilter
+from flexman_gym.control.safety import BRAKE, CHANGED, METHOD, NEAR_PERIODS, PASSED, REMAINDER, STOPPED, SafetyFilter
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
@@ -54,7 +54,7 @@ def filtered(safety, action, state, applied=0.0):
 def braked(plant, states, actions, limits, periods, delay=0):
     """Return the signed shares (b, T, m) of limits for actions (b, n) in one period, then the brake; stepwise."""
     b, n, d = len(states), plant.model.n_joints, plant.model.n_dof
-    batch = Batch(plant.model, "midpoint_corrected_3", plant.integration[1], plant.period, arms=b)
+    batch = Batch(plant.model, METHOD, plant.integration[1], plant.period, arms=b)
     hold = fm.holding_torques(plant.model, states[0, plant.model.motor_columns])
     batch.reset(np.arange(b), states)
     damping, largest = BRAKE * np.array(plant.gains()["damping"]), np.array(plant.torque_limit)
@@ -78,8 +78,8 @@ def test_the_prediction_is_a_loop_of_steps(delay):
     state[plant.model.n_dof :] = 0.1
     commands = np.zeros((1, 1 + delay, 1))
     commands[:, 0] = 0.7 * plant.torque_limit[0]
-    given = state[None], commands, np.array([delay]), np.zeros((1, 1))
-    shares = safety._single(*given)[0]
+    given = state[None], commands, np.array([delay]), np.zeros((1, 1)), {}
+    shares = next(safety._parts(1))[1](*given)[0][0]
     expected = braked(plant, state[None], np.array([[0.7]]), ONE, NEAR_PERIODS + 1, delay)[0]
     count = len(expected)
     assert shares[:count] == pytest.approx(expected, rel=1e-9, abs=1e-9)
