@@ -26,7 +26,7 @@ from flexman_gym.simulation.parameters import varied_constants
 BRAKE = 0.3  # fraction of the damping of the PD tuned for the arm; a stronger brake strains the links
 NEAR_PERIODS = 14  # control periods predicted with the brake sampled at the control rate, after the delay
 STAGES = ((0.025, 40), (0.1, 30))  # interval (s) and number of intervals of the later motion, with a continuous damper
-METHOD, MAX_STEP = "midpoint_corrected_2", 0.007  # of the prediction; longest step (s) in the near periods
+METHOD, MAX_STEP = "midpoint_corrected_3", 0.007  # of the prediction; longest step (s) in the near periods
 ROUNDING = 1e-6  # steps; error of a number of steps
 PULSE = 0.05  # fraction of the torque limits; pulse of a finite difference
 RESPONSE_PERIODS = 5  # control periods for which the response to a pulse is used again
@@ -261,13 +261,17 @@ class SafetyFilter:
         late = self._ages[arms] - self._check_ages[arms] > SKIPPED_PERIODS
         return np.asarray((room >= 0.0).all(axis=(1, 2)) & ~late)
 
-    def _check(self, arms: IntArray, actions: Array, result: Array) -> None:
-        """Predict the motion of arms (r,) for their actions (r, n), and overwrite their rows of the result (b, n)."""
+    def _cases(self, arms: IntArray) -> _Cases:
+        """Return the present situations of arms (r,)."""
         possible = self.source.read(arms)
         states = np.clip(np.nan_to_num(possible.states, nan=LARGEST_STATE), -LARGEST_STATE, LARGEST_STATE)
         hold, past = self._holding_torques(states[:, 0]), self._past[arms]
-        cases = _Cases(states, past, possible.delays, hold, possible.parameters, possible.deviations)
-        new = np.flatnonzero(self._ages[arms] == 0)
+        return _Cases(states, past, possible.delays, hold, possible.parameters, possible.deviations)
+
+    def _check(self, arms: IntArray, actions: Array, result: Array) -> None:
+        """Predict the motion of arms (r,) for their actions (r, n), and overwrite their rows of the result (b, n)."""
+        cases, new = self._cases(arms), np.flatnonzero(self._ages[arms] == 0)
+        hold = cases.hold
         shares, radius, rates = self._predict_models(cases, actions)
         if len(new):
             start = np.abs(self._present(cases.of(new, slice(1)))) + radius[new, 0] + TOLERANCE

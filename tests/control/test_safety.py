@@ -10,7 +10,17 @@ import flexman_gym as fm
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.observers.observer import UncertainStates
 from flexman_gym.control.observers.uncertain_states import EstimatedState, TrueState
-from flexman_gym.control.safety import BRAKE, CHANGED, METHOD, NEAR_PERIODS, PASSED, REMAINDER, STOPPED, SafetyFilter
+from flexman_gym.control.safety import (
+    BRAKE,
+    CHANGED,
+    METHOD,
+    NEAR_PERIODS,
+    PASSED,
+    REMAINDER,
+    STOPPED,
+    TOLERANCE,
+    SafetyFilter,
+)
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
@@ -129,6 +139,28 @@ def test_no_agent_exceeds_the_limits(name, randomisation, agent):
     assert largest_excess(name, agent, **settings)[0] > 0.3, "without the filter"
     excess, status = largest_excess(name, agent, safety=True, **settings)
     assert excess < 0.02 and status["changed"] > 20
+
+
+@pytest.mark.parametrize("randomisation", [None, UNKNOWN])
+def test_a_period_without_a_prediction_would_have_passed(randomisation):
+    """Small random torques lead near to the limits; the predictions that are left out are made here."""
+    env = FlexManVectorEnv(3, name="FlexOne-v0", horizon=100.0, safety=True, limits=ONE, randomisation=randomisation)
+    env.reset(seed=3)
+    safety, act, largest, checked = env.episodes.safety, Random(env), [], []
+    covered, check = safety._covered, safety._check
+
+    def predict(arms, actions):
+        flags = covered(arms, actions)
+        if flags.any():
+            shares, radius, _ = safety._predict_models(safety._cases(arms[flags]), actions[flags])
+            largest.append((np.abs(shares) + radius - safety._levels[arms[flags]][:, None]).max())
+        return flags
+
+    safety._covered = predict
+    safety._check = lambda arms, *given: (checked.extend(arms), check(arms, *given))
+    for _ in range(100):
+        env.step(0.3 * act())
+    assert len(checked) < 200 and -0.3 < max(largest) < TOLERANCE
 
 
 @pytest.mark.parametrize("delay", [0, 2])
