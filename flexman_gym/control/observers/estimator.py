@@ -78,6 +78,9 @@ class Estimator:
         biased: True to estimate biases of the measurements, up to 0.5 % of their ranges where the plant names none;
             None for the biases of the plant. The start angles are then those of `EpisodeInfo`, since biased encoders do
             not determine them.
+        relinearised: False to keep the linearisation of a re-simulation until the next one, so that the covariance is
+            that of the errors. Updates of the models to the estimate excite vibrations that the arm does not have, and
+            their sensitivities to stiffness count as information. The estimate of the state is worse.
 
     Attributes:
         theta: (b, p) parameter vectors: uncertain parameters, start angles relative to their initial guess
@@ -98,8 +101,10 @@ class Estimator:
         sensors: Sequence[str] = tuple(LINEAR_SENSORS),
         unknown: Mapping[str, tuple[float, float]] | None = None,
         biased: bool | None = None,
+        relinearised: bool = True,
     ) -> None:
-        self.sensors, self._plant = tuple(sensors), plant
+        self.sensors, self._plant, self._relinearised = tuple(sensors), plant, relinearised
+        self._given = plant, self.sensors, unknown, biased
         instruments = self._instruments = MeasurementModel(plant, self.sensors)
         uncertain = self.uncertain = UncertainParameters(plant.model, _unknown(plant) if unknown is None else unknown)
         biased = bool(instruments.biases.any()) if biased is None else biased
@@ -200,6 +205,10 @@ class Estimator:
         values = self._models.parameters(self._prior.clip(self.theta + self._change))
         spread = self._models.uncertain.deviations(standard_deviations(self._information))
         return values | spread | {"delay": self.delays.astype(float), "misfit": self._detector.misfit}
+
+    def consistent_copy(self) -> "Estimator":
+        """Return a new estimator with the same arguments but `relinearised`, whose confidence region is consistent."""
+        return Estimator(*self._given, relinearised=False)
 
     def confidence_region(self, arms: IntArray, deviations: float) -> UncertainStates:
         """Return the estimates of arms (r,), with deviations of each uncertain parameter, and the likely delays.
@@ -415,6 +424,10 @@ class Estimator:
 
     def _apply_change(self, arms: IntArray) -> None:
         """Add the change of theta estimated since the last update to theta and to the states of arms (r,)."""
+        if not self._relinearised:  # only arms that are not simulated again
+            last = self._filtering[arms] | self._perturbations_reduced[arms] | (self._ages[arms] >= len(self._weights))
+            self._reduce_perturbations(arms[~last])
+            arms = arms[last]
         before = self.theta[arms]
         change, late = self._change[arms], self._ages[arms] > BOUNDED_START
         change[late] = self._prior.constrain(before[late], change[late], self._information[arms[late]])
