@@ -22,6 +22,7 @@ from flexman_gym.control.observers.perturbed_models import (
     covariance_factors,
     solve_scaled,
     standard_deviations,
+    uncertain_ranges,
 )
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import rest_state
@@ -38,21 +39,7 @@ SENSITIVE_PERTURBATION = 0.02  # rad; difference beyond which innovations correc
 DETECTION_START = 25  # control periods from the start of an episode to the start of change detection
 BOUNDED_START = 45  # control periods from the start after which entries at a bound move the others; linear by then
 CONSISTENT_MISFIT = 3.0  # dimensionless; mean square below which the estimated model explains the measurements
-FRICTION_RANGE = (0.0, 1.5)  # factors on the friction of a model; assumed range of friction without a given range
-STIFFNESS_RANGE = (0.5, 1.5)  # factors on the joint stiffness of a model; assumed range without a given range
 START_ANGLE_BOUND = 10.0  # prior standard deviations; bound of the estimate of a start angle
-
-
-def _unknown(plant: Plant) -> Mapping[str, tuple[float, float]]:
-    """Return the ranges of the uncertain parameters of a plant, with assumed ranges of joint stiffness and friction."""
-    constants = plant.model.constants
-    assumed = {"joint_stiffness_factor": STIFFNESS_RANGE}
-    assumed |= {
-        f"{name}_factor": FRICTION_RANGE
-        for name in ("viscous_friction", "coulomb_friction")
-        if getattr(constants, name).any()
-    }
-    return assumed | dict(plant.unknown)
 
 
 class Estimator:
@@ -80,7 +67,7 @@ class Estimator:
             not determine them.
         relinearised: False to keep the linearisation of a re-simulation until the next one, so that the covariance is
             that of the errors. Updates of the models to the estimate excite vibrations that the arm does not have, and
-            their sensitivities to stiffness count as information. The estimate of the state is worse.
+            their sensitivities to stiffness count as information.
 
     Attributes:
         theta: (b, p) parameter vectors: uncertain parameters, start angles relative to their initial guess
@@ -106,7 +93,8 @@ class Estimator:
         self.sensors, self._plant, self._relinearised = tuple(sensors), plant, relinearised
         self._given = plant, self.sensors, unknown, biased
         instruments = self._instruments = MeasurementModel(plant, self.sensors)
-        uncertain = self.uncertain = UncertainParameters(plant.model, _unknown(plant) if unknown is None else unknown)
+        ranges = uncertain_ranges(plant) if unknown is None else unknown
+        uncertain = self.uncertain = UncertainParameters(plant.model, ranges)
         biased = bool(instruments.biases.any()) if biased is None else biased
         gauges = np.flatnonzero(instruments.gain_errors)
         self._models = PerturbedModels(plant, uncertain, instruments.matrix, biased, gauges)
@@ -424,7 +412,7 @@ class Estimator:
 
     def _apply_change(self, arms: IntArray) -> None:
         """Add the change of theta estimated since the last update to theta and to the states of arms (r,)."""
-        if not self._relinearised:  # only arms that are not simulated again
+        if not self._relinearised:  # changed only for arms that are not simulated again
             last = self._filtering[arms] | self._perturbations_reduced[arms] | (self._ages[arms] >= len(self._weights))
             self._reduce_perturbations(arms[~last])
             arms = arms[last]
