@@ -24,6 +24,7 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import varied_constants
 
 BRAKE = 0.3  # fraction of the damping of the PD tuned for the arm; a stronger brake strains the links
+DECAY = 0.3  # s; time constant with which the brake takes back the torques, as a step of them excites the joints
 NEAR_PERIODS = 14  # control periods predicted with the brake sampled at the control rate, after the delay
 STAGES = ((0.025, 40), (0.1, 30))  # interval (s) and number of intervals of the later motion, with a continuous damper
 METHOD, MAX_STEP = "midpoint_corrected_3", 0.007  # of the prediction; longest step (s) in the near periods
@@ -34,7 +35,8 @@ SKIPPED_PERIODS = 10  # largest number of control periods without a prediction
 RENEWAL_PERIODS = 25  # control periods after which the effects of torques are computed again
 GROWTH = 1.5  # factor on the effects of torques, for changes of the posture and models other than the most probable one
 ARMS = 64  # largest number of arms predicted at once
-TRIALS = 3  # quadratic programs until the prediction confirms a change
+TRIALS = 3  # quadratic programs about the torques of the agent until the prediction confirms a change
+FRACTIONS = (1.0, 0.5, 0.25)  # of the way from the brake to the torques of the quadratic program about it
 REMAINDER = 0.985  # fraction of the limits, larger after a start beyond it; the rest is for errors of the prediction
 TOLERANCE = 0.002  # fraction of the limits; accepted by the confirmation
 DIVERGED = 1e3  # magnitude that replaces a prediction that diverged
@@ -95,7 +97,13 @@ class _Prediction:
         return np.asarray(shares[:, 0])
 
     def __call__(
-        self, states: Array, commands: Array, delays: IntArray, hold: Array, parameters: Mapping[str, Array]
+        self,
+        states: Array,
+        commands: Array,
+        delays: IntArray,
+        hold: Array,
+        decaying: Array,
+        parameters: Mapping[str, Array],
     ) -> tuple[Array, Array]:
         """Return the quantities (r, T, m) of r arms as fractions of their limits, and their motor rates (r, P, n).
 
@@ -106,12 +114,14 @@ class _Prediction:
             commands: (r, D + 1, n) torques of this period, then those commanded before, the latest first, N m.
             delays: (r,) delays of the torques up to D, control periods.
             hold: (r, n) torques of the brake at rest, N m.
+            decaying: (r, n) decaying torques of the brake in this period, N m.
             parameters: name -> (r, ...) physical parameters.
         """
         every, n, largest = np.arange(len(states)), len(self._damping), np.array(self._plant.torque_limit)
         if parameters:
             self._vary(every, parameters)
-        drives = self._drives(commands.shape[1] + NEAR_PERIODS, hold)
+        periods, period = commands.shape[1] + NEAR_PERIODS, self._plant.period
+        drives = self._drives(hold, decaying, period * (np.arange(periods) - delays[:, None]))
         for t in range(commands.shape[1]):  # a torque acts after the delay
             known = np.flatnonzero(delays >= t)
             drives[known, t, :n] = commands[known, delays[known] - t]
@@ -120,19 +130,23 @@ class _Prediction:
         timing[every] = np.stack([1 + delays, delays], axis=1)
         self._near.place(every, states)
         parts = [self._near.roll(drives, (gains, timing, self._near.rows.copy()))]
-        for batch, (_, count) in zip(self._later, STAGES, strict=True):
+        start = period * (periods - delays[:, None])
+        for batch, (interval, count) in zip(self._later, STAGES, strict=True):
             batch.place(every, np.nan_to_num(parts[-1][0][every, -1], nan=DIVERGED))
-            parts.append(batch.roll(self._drives(count, hold)))
+            middles = start + interval * (np.arange(count) + 0.5)
+            parts.append(batch.roll(self._drives(hold, decaying, middles)))
+            start = start + interval * count
         motion, outputs = (np.concatenate([each[i][every] for each in parts], axis=1) for i in range(2))
         shares = self._limits.shares(motion, outputs, self._stiffness[every])
         shares[np.isnan(shares)] = DIVERGED
         model = self._plant.model
         return shares, parts[0][0][every][:, :, model.n_dof :][..., model.motor_columns]
 
-    def _drives(self, periods: int, hold: Array) -> Array:
-        """Return the inputs of all arms in some periods: the torques that hold the weight (r, n)."""
-        result = np.zeros((len(self._near.rows), periods, hold.shape[1] + 6))
-        result[: len(hold), :, : hold.shape[1]] = hold[:, None]
+    def _drives(self, hold: Array, decaying: Array, times: Array) -> Array:
+        """Return the inputs of all arms at times (r, P), s, after this period: weight and decaying torques (r, n)."""
+        result = np.zeros((len(self._near.rows), times.shape[1], hold.shape[1] + 6))
+        torques = hold[:, None] + decaying[:, None] * np.exp(-times / DECAY)[..., None]
+        result[: len(hold), :, : hold.shape[1]] = torques
         return result
 
 
@@ -185,8 +199,8 @@ class SafetyFilter:
     """
 
     _arrays = (
-        "_past", "change", "status", "_ages", "_check_ages", "_levels", "_hold", "_room", "_backup", "_effects",
-        "_responses", "_response_ages",
+        "_past", "change", "status", "_ages", "_check_ages", "_levels", "_hold", "_decaying", "_room", "_backup",
+        "_effects", "_responses", "_response_ages",
     )  # fmt: skip
     state_fields = (*_arrays, "source")
 
@@ -202,9 +216,11 @@ class SafetyFilter:
         self._predictions: dict[int, _Prediction] = {}  # by the number of groups of arms
         self._past, self.change = np.zeros((0, late, n)), np.zeros((0, n))
         self._hold = np.zeros((0, n))  # torques that hold the weight in the last stop predicted within the limits, N m
+        self._decaying = np.zeros((0, n))  # torques of the brake in this period beside its damper and the weight, N m
         self.status, self._ages, self._check_ages, self._response_ages = (np.zeros(0, dtype=np.int64) for _ in range(4))
         nothing = np.zeros((1, 1, 2 * plant.model.n_dof)), np.zeros((1, 1, OUTPUTS)), np.zeros((1, n))
         m, self._near = limits.shares(*nothing).shape[2], 1 + late + NEAR_PERIODS
+        self._decay = np.exp(-plant.period / DECAY * np.arange(1.0, self._near + 1.0))  # after each near period
         self._levels = np.zeros((0, m))  # allowed fractions of the limits
         # fractions of the limits that are left at the end of this and the next near periods, and at all later times
         self._room = np.zeros((0, self._near + 1, m))
@@ -221,7 +237,7 @@ class SafetyFilter:
         """Start new episodes; arguments as in `Controller.reset`."""
         for name in self._arrays:
             setattr(self, name, pad_rows(getattr(self, name), count))
-        self._past[arms] = self.change[arms] = 0.0
+        self._past[arms] = self.change[arms] = self._decaying[arms] = 0.0
         self.status[arms] = self._ages[arms] = self._check_ages[arms] = 0
         self._room[arms], self._response_ages[arms] = -1.0, -RENEWAL_PERIODS
         self.source.reset(arms, episode, count)
@@ -251,15 +267,19 @@ class SafetyFilter:
     def _covered(self, arms: IntArray, actions: Array) -> BoolArray:
         """Return flags (r,) of arms that the last prediction keeps within the limits for actions (r, n), too.
 
-        The room that it left is reduced by the effect of the actions in place of the brake.
+        The room that it left is reduced by the effect of the actions in place of the brake, which continues them.
         """
         room, backup = self._room[arms], self._backup[arms]
+        other = actions - backup[:, 0]
         room[:, :-1] = room[:, 1:]
-        room -= (self._effects[arms] @ np.abs(actions - backup[:, 0])[:, None, :, None])[..., 0]
-        backup[:, :-1] = backup[:, 1:]
-        self._room[arms], self._backup[arms] = room, backup
+        room -= (self._effects[arms] @ np.abs(other)[:, None, :, None])[..., 0]
         late = self._ages[arms] - self._check_ages[arms] > SKIPPED_PERIODS
-        return np.asarray((room >= 0.0).all(axis=(1, 2)) & ~late)
+        covered = (room >= 0.0).all(axis=(1, 2)) & ~late
+        other[~covered] = 0.0  # the brake remains that of the last prediction
+        backup[:, :-1] = backup[:, 1:] + other[:, None] * self._decay[:-1, None]
+        self._room[arms], self._backup[arms] = room, backup
+        self._decaying[arms] = self._decay[0] * self._decaying[arms] + other * self.torque_limits
+        return np.asarray(covered)
 
     def _cases(self, arms: IntArray) -> _Cases:
         """Return the present situations of arms (r,)."""
@@ -284,20 +304,33 @@ class SafetyFilter:
             self._respond(arms[old], cases.of(old, slice(1)), actions[old], shares[old])
         self._check_ages[arms] = self._ages[arms]
         passed = np.flatnonzero(~beyond)
-        self._store(arms[passed], room[passed] - np.abs(shares[passed]), hold[passed], rates[passed])
+        self._store(
+            arms[passed], cases.of(passed), actions[passed], room[passed] - np.abs(shares[passed]), rates[passed]
+        )
         rows = np.flatnonzero(beyond)
         if len(rows):
             result[arms[rows]] = self._change(arms[rows], cases.of(rows), actions[rows], (shares[rows], room[rows]))
 
-    def _store(self, arms: IntArray, room: Array, hold: Array, rates: Array) -> None:
-        """Store the room (r, T, m) after a prediction, the weight (r, n), and the brake at motor rates (r, P, n)."""
+    def _store(self, arms: IntArray, cases: _Cases, actions: Array, room: Array, rates: Array) -> None:
+        """Store the brake after actions (r, n), the motor rates (r, P, n) during it, and the room (r, T, m) it leaves."""
         self._room[arms, : self._near] = room[:, : self._near]
         self._room[arms, self._near] = room[:, self._near :].min(axis=1)
-        self._hold[arms], self._backup[arms] = hold, self._brake(hold[:, None], rates)
+        self._hold[arms], self._decaying[arms] = cases.hold, self._decaying_torques(cases, actions)
+        torques = cases.hold[:, None] + self._decaying[arms][:, None] * self._decay[:, None]
+        self._backup[arms] = self._brake(torques, rates)
 
-    def _brake(self, hold: Array, rates: Array) -> Array:
-        """Return the torques (..., n) of the brake at motor rates (..., n), as fractions of the torque limits."""
-        return np.asarray(np.clip((hold - self._damping * rates) / self.torque_limits, -1.0, 1.0))
+    def _decaying_torques(self, cases: _Cases, actions: Array) -> Array:
+        """Return the decaying torques (r, n), N m, of a brake that continues actions (r, n) without a step."""
+        return np.asarray(actions * self.torque_limits - cases.hold + self._damping * self._rates(cases))
+
+    def _rates(self, cases: _Cases) -> Array:
+        """Return the present motor rates (r, n) of the most probable models, rad/s."""
+        model = self._plant.model
+        return cases.states[:, 0, model.n_dof :][:, model.motor_columns]
+
+    def _brake(self, torques: Array, rates: Array) -> Array:
+        """Return torques (..., n), N m, less those of the damper at motor rates (..., n), as fractions of the limits."""
+        return np.asarray(np.clip((torques - self._damping * rates) / self.torque_limits, -1.0, 1.0))
 
     def _holding_torques(self, states: Array) -> Array:
         """Return the torques (r, n) that hold the weight of the arms at the motor angles of states (r, 2 d), N m."""
@@ -315,47 +348,81 @@ class SafetyFilter:
             actions: (r, n) torques of the agent.
             predicted: (r, T, m) quantities of the most probable model for these torques, and their allowed magnitudes.
         """
-        (shares, room), changed, open_ = predicted, actions.copy(), np.arange(len(arms))
+        brake = self._brake(self._hold[arms] + self._decaying[arms], self._rates(cases))
         self.status[arms], self._room[arms] = STOPPED, -1.0
+        (shares, room), changed, trial, left = predicted, brake.copy(), actions, np.arange(len(arms))
         for _ in range(TRIALS):
-            given = zip(open_, shares, room, strict=True)
-            found = [self._closest(self._responses[arms[i]], actions[i], changed[i], *each) for i, *each in given]
-            solved = [i for i, each in zip(open_, found, strict=True) if each is not None]
-            if not solved:
+            trial, solved = self._closest(arms[left], actions[left], trial, shares, room)
+            left, trial = left[solved], trial[solved]
+            if not len(left):
                 break
-            open_ = np.array(solved)
-            changed[open_] = [each for each in found if each is not None]
-            shares, radius, rates = self._predict_models(cases.of(open_), changed[open_])
-            room = self._levels[arms[open_]][:, None] - radius
-            safe = (np.abs(shares) <= room + TOLERANCE).all(axis=(1, 2))
-            some, left = open_[safe], room[safe] - np.abs(shares[safe])
-            self.status[arms[some]] = CHANGED
-            self._store(arms[some], left, cases.hold[some], rates[safe])
-            open_, shares, room = open_[~safe], shares[~safe], room[~safe]
-        stopped, model = self.status[arms] == STOPPED, self._plant.model
-        rates = cases.states[stopped, 0, model.n_dof :][:, model.motor_columns]
-        changed[stopped] = self._brake(self._hold[arms[stopped]], rates)
+            safe, shares, room = self._confirm(arms[left], cases.of(left), trial)
+            changed[left[safe]] = trial[safe]
+            left, trial, shares, room = left[~safe], trial[~safe], shares[~safe], room[~safe]
+        left = np.flatnonzero(self.status[arms] == STOPPED)
+        if len(left):
+            changed[left] = self._change_brake(arms[left], cases.of(left), actions[left], brake[left])
         return changed
 
-    def _closest(self, response: Array, wanted: Array, action: Array, shares: Array, room: Array) -> Array | None:
-        """Return the torques (n,) closest to the wanted ones with quantities within the room, or None without any.
+    def _change_brake(self, arms: IntArray, cases: _Cases, actions: Array, brake: Array) -> Array:
+        """Return safe torques (r, n) between those of the brake and of a quadratic program about it, as in `_change`.
+
+        Models differ less after the torques of the brake (r, n) than after those of the agent, which leaves more room.
+        """
+        shares, radius, _ = self._predict_models(cases, brake)
+        room = np.maximum(self._levels[arms][:, None] - radius, np.abs(shares))
+        trial, solved = self._closest(arms, actions, brake, shares, room)
+        changed, left = brake.copy(), np.flatnonzero(solved)
+        for fraction in FRACTIONS if len(left) else ():
+            some = brake[left] + fraction * (trial[left] - brake[left])
+            safe = self._confirm(arms[left], cases.of(left), some)[0]
+            changed[left[safe]], left = some[safe], left[~safe]
+            if not len(left):
+                break
+        return changed
+
+    def _confirm(self, arms: IntArray, cases: _Cases, actions: Array) -> tuple[BoolArray, Array, Array]:
+        """Predict the motion for changed actions (r, n); those within the limits become the last prediction.
+
+        Returns:
+            Flags (r,) of the safe actions, and the quantities (r, T, m) with their allowed magnitudes.
+        """
+        shares, radius, rates = self._predict_models(cases, actions)
+        room = self._levels[arms][:, None] - radius
+        safe = (np.abs(shares) <= room + TOLERANCE).all(axis=(1, 2))
+        self.status[arms[safe]] = CHANGED
+        self._store(arms[safe], cases.of(safe), actions[safe], (room - np.abs(shares))[safe], rates[safe])
+        return safe, shares, room
+
+    def _closest(
+        self, arms: IntArray, wanted: Array, actions: Array, shares: Array, room: Array
+    ) -> tuple[Array, BoolArray]:
+        """Return the torques (r, n) closest to the wanted ones with quantities within the room, by linear responses.
 
         Args:
-            response: (T, m, n) derivatives of the quantities with respect to the torques.
-            wanted: (n,) torques of the agent.
-            action: (n,) torques of the prediction.
-            shares: (T, m) quantities of the prediction.
-            room: (T, m) allowed magnitudes of the quantities.
+            arms: (r,) indices.
+            wanted: (r, n) torques of the agent.
+            actions: (r, n) torques of the prediction.
+            shares: (r, T, m) quantities of the prediction.
+            room: (r, T, m) allowed magnitudes of the quantities.
+
+        Returns:
+            Torques, and flags (r,) of the arms that have any.
         """
-        near = np.abs(shares) + 2.0 * np.abs(response).sum(axis=2) > room
-        largest, now = room[near], shares[near]
-        if (largest < 0.0).any():
-            return None
-        upper = np.concatenate([1.0 - action, largest - now])
-        lower = np.concatenate([-1.0 - action, -largest - now])
-        rows = np.ascontiguousarray(response[near])
-        step, _, solved, _ = self._daqp.solve(np.eye(len(action)), action - wanted, rows, upper, lower)
-        return None if solved <= 0 else np.clip(action + np.array(step), -1.0, 1.0)
+        closest, solved = actions.copy(), np.zeros(len(arms), dtype=bool)
+        for i, arm in enumerate(arms.tolist()):
+            response = self._responses[arm]
+            near = np.abs(shares[i]) + 2.0 * np.abs(response).sum(axis=2) > room[i]
+            largest, now = room[i, near], shares[i, near]
+            if (largest < 0.0).any():
+                continue
+            upper = np.concatenate([1.0 - actions[i], largest - now])
+            lower = np.concatenate([-1.0 - actions[i], -largest - now])
+            rows, unit = np.ascontiguousarray(response[near]), np.eye(len(wanted[i]))
+            step, _, flag, _ = self._daqp.solve(unit, actions[i] - wanted[i], rows, upper, lower)
+            if flag > 0:
+                closest[i], solved[i] = np.clip(actions[i] + np.array(step), -1.0, 1.0), True
+        return closest, solved
 
     def _respond(self, arms: IntArray, cases: _Cases, actions: Array, shares: Array) -> None:
         """Compute the responses (r, T, m, n) of the quantities (r, T, m) of arms to their torques of this period."""
@@ -391,7 +458,8 @@ class SafetyFilter:
         first = np.broadcast_to(actions * self.torque_limits, (r, k, actions.shape[2]))[:, :, None]
         past = np.broadcast_to(cases.past[:, None], (r, k, *cases.past.shape[1:]))
         hold = np.broadcast_to(cases.hold[:, None], (r, k, cases.hold.shape[1]))
-        given = cases.states, np.concatenate([first, past], axis=2), cases.delays, hold
+        decaying = first[:, :, 0] - (cases.hold - self._damping * self._rates(cases))[:, None]
+        given = cases.states, np.concatenate([first, past], axis=2), cases.delays, hold, decaying
         flat = [np.ascontiguousarray(each.reshape(r * k, *each.shape[2:])) for each in given]
         named = {name: each.reshape(r * k, *each.shape[2:]) for name, each in cases.parameters.items()}
         parts = []

@@ -21,6 +21,10 @@ from flexman_gym.control.safety import (
     TOLERANCE,
     SafetyFilter,
 )
+
+
+from flexman_gym.control.observers.uncertain_states import TrueState
+from flexman_gym.control.safety import BRAKE, CHANGED, NEAR_PERIODS, PASSED, REMAINDER, STOPPED, SafetyFilter
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
@@ -322,11 +326,14 @@ def test_a_state_or_a_copy_continues_to_the_bit(name, settings):
                 assert np.array_equal(first[-1][key], other[-1][key])
 
 
-def test_the_estimator_of_the_base_controller_is_shared_and_else_the_filter_has_one():
+def test_the_filter_has_its_own_estimator_of_uncertain_arms():
+    """One with the settings of the estimator of the base controller, which is not changed by it."""
     unknown = {"safety": True, "randomisation": UNKNOWN}
-    safety = FlexManEnv(name="FlexOne-v0", base="adaptive-lqr", **unknown).episodes.safety
-    assert safety.sensors == () and isinstance(safety.source, EstimatedState)
-    assert FlexManEnv(name="FlexOne-v0", base="lqr", **unknown).episodes.safety.sensors
+    episodes = FlexManEnv(name="FlexOne-v0", base={"kind": "adaptive-lqr", "biased": True}, **unknown).episodes
+    own, given = episodes.safety.source._estimator, episodes.base.observer
+    assert own is not given and own.sensors == episodes.safety.sensors
+    assert own._models.size == given._models.size > FlexManEnv(
+        name="FlexOne-v0", base="lqr", **unknown).episodes.safety.source._estimator._models.size  # fmt: skip
     assert isinstance(FlexManEnv(name="FlexOne-v0", safety=True).episodes.safety.source, TrueState)
 
 
