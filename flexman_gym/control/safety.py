@@ -25,8 +25,8 @@ from flexman_gym.simulation.parameters import varied_constants
 
 BRAKE = 0.3  # fraction of the damping of the PD tuned for the arm; a stronger brake strains the links
 DECAY = 0.3  # s; time constant with which the brake takes back the torques, as a step of them excites the joints
-NEAR_PERIODS = 14  # control periods predicted with the brake sampled at the control rate, after the delay
-STAGES = ((0.025, 40), (0.1, 30))  # interval (s) and number of intervals of the later motion, with a continuous damper
+NEAR_PERIODS = 40  # control periods predicted with the sampled brake, after the delay; sampling costs damping
+STAGES = ((0.025, 20), (0.1, 30))  # interval (s) and number of intervals of the later motion, with a continuous damper
 METHOD, MAX_STEP = "midpoint_corrected_3", 0.007  # of the prediction; longest step (s) in the near periods
 ROUNDING = 1e-6  # steps; error of a number of steps
 PULSE = 0.05  # fraction of the torque limits; pulse of a finite difference
@@ -312,7 +312,7 @@ class SafetyFilter:
             result[arms[rows]] = self._change(arms[rows], cases.of(rows), actions[rows], (shares[rows], room[rows]))
 
     def _store(self, arms: IntArray, cases: _Cases, actions: Array, room: Array, rates: Array) -> None:
-        """Store the brake after actions (r, n), the motor rates (r, P, n) during it, and the room (r, T, m) it leaves."""
+        """Store the brake after actions (r, n): its motor rates (r, P, n), and the room (r, T, m) that it leaves."""
         self._room[arms, : self._near] = room[:, : self._near]
         self._room[arms, self._near] = room[:, self._near :].min(axis=1)
         self._hold[arms], self._decaying[arms] = cases.hold, self._decaying_torques(cases, actions)
@@ -329,7 +329,7 @@ class SafetyFilter:
         return cases.states[:, 0, model.n_dof :][:, model.motor_columns]
 
     def _brake(self, torques: Array, rates: Array) -> Array:
-        """Return torques (..., n), N m, less those of the damper at motor rates (..., n), as fractions of the limits."""
+        """Return torques (..., n), N m, less the damper at motor rates (..., n), as fractions of the torque limits."""
         return np.asarray(np.clip((torques - self._damping * rates) / self.torque_limits, -1.0, 1.0))
 
     def _holding_torques(self, states: Array) -> Array:

@@ -11,7 +11,16 @@ from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.observers.observer import UncertainStates
 from flexman_gym.control.observers.uncertain_states import EstimatedState, TrueState
 from flexman_gym.control.safety import (
-    BRAKE, CHANGED, DECAY, METHOD, NEAR_PERIODS, PASSED, REMAINDER, STOPPED, TOLERANCE, SafetyFilter
+    BRAKE,
+    CHANGED,
+    DECAY,
+    METHOD,
+    NEAR_PERIODS,
+    PASSED,
+    REMAINDER,
+    STOPPED,
+    TOLERANCE,
+    SafetyFilter,
 )
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
