@@ -24,7 +24,7 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import varied_constants
 
 BRAKE = 0.3  # fraction of the damping of the PD tuned for the arm; a stronger brake strains the links
-DECAY = 0.3  # s; time constant with which the brake takes back the torques, as a step of them excites the joints
+DECAY = 0.3  # s; time constant with which the slow brake takes back the torques, as a step of them twists the joints
 NEAR_PERIODS = 40  # control periods predicted with the sampled brake, after the delay; sampling costs damping
 STAGES = ((0.025, 20), (0.1, 30))  # interval (s) and number of intervals of the later motion, with a continuous damper
 METHOD, MAX_STEP = "midpoint_corrected_3", 0.007  # of the prediction; longest step (s) in the near periods
@@ -160,6 +160,7 @@ class _Cases(NamedTuple):
         hold: (r, n) torques that hold the weight, N m.
         parameters: name -> (r, k, ...) physical parameters.
         deviations: as in `UncertainStates`.
+        slow: (r,) True for a brake that takes back the torques slowly, False for one that drops them.
     """
 
     states: Array
@@ -168,12 +169,14 @@ class _Cases(NamedTuple):
     hold: Array
     parameters: Mapping[str, Array]
     deviations: int
+    slow: BoolArray
 
     def of(self, arms: IntArray, models: IntArray | slice = slice(None)) -> "_Cases":
         """Return the situations of some arms with some of their models."""
         parameters = {name: each[arms][:, models] for name, each in self.parameters.items()}
         states, delays = self.states[arms][:, models], self.delays[arms][:, models]
-        return _Cases(states, self.past[arms], delays, self.hold[arms], parameters, self.deviations)
+        past, hold, slow = self.past[arms], self.hold[arms], self.slow[arms]
+        return _Cases(states, past, delays, hold, parameters, self.deviations, slow)
 
 
 class SafetyFilter:
@@ -200,7 +203,7 @@ class SafetyFilter:
 
     _arrays = (
         "_past", "change", "status", "_ages", "_check_ages", "_levels", "_hold", "_decaying", "_room", "_backup",
-        "_effects", "_responses", "_response_ages",
+        "_effects", "_continuations", "_responses", "_response_ages", "_response_slow", "_slow",
     )  # fmt: skip
     state_fields = (*_arrays, "source")
 
@@ -216,16 +219,17 @@ class SafetyFilter:
         self._predictions: dict[int, _Prediction] = {}  # by the number of groups of arms
         self._past, self.change = np.zeros((0, late, n)), np.zeros((0, n))
         self._hold = np.zeros((0, n))  # torques that hold the weight in the last stop predicted within the limits, N m
+        self._slow, self._response_slow = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
         self._decaying = np.zeros((0, n))  # torques of the brake in this period beside its damper and the weight, N m
         self.status, self._ages, self._check_ages, self._response_ages = (np.zeros(0, dtype=np.int64) for _ in range(4))
         nothing = np.zeros((1, 1, 2 * plant.model.n_dof)), np.zeros((1, 1, OUTPUTS)), np.zeros((1, n))
         m, self._near = limits.shares(*nothing).shape[2], 1 + late + NEAR_PERIODS
-        self._decay = np.exp(-plant.period / DECAY * np.arange(1.0, self._near + 1.0))  # after each near period
         self._levels = np.zeros((0, m))  # allowed fractions of the limits
         # fractions of the limits that are left at the end of this and the next near periods, and at all later times
         self._room = np.zeros((0, self._near + 1, m))
         self._backup = np.zeros((0, self._near, n))  # torques of the predicted brake, fractions of the torque limits
         self._effects = np.zeros((0, self._near + 1, m, n))  # of torques in this period; largest magnitudes
+        self._continuations = np.zeros((0, self._near, n, n))  # derivatives of the brake with respect to these torques
         self._responses = np.zeros((0, self._near + sum(count for _, count in STAGES), m, n))
 
     @property
@@ -276,9 +280,9 @@ class SafetyFilter:
         late = self._ages[arms] - self._check_ages[arms] > SKIPPED_PERIODS
         covered = (room >= 0.0).all(axis=(1, 2)) & ~late
         other[~covered] = 0.0  # the brake remains that of the last prediction
-        backup[:, :-1] = backup[:, 1:] + other[:, None] * self._decay[:-1, None]
+        backup[:, :-1] = backup[:, 1:] + (self._continuations[arms, :-1] @ other[:, None, :, None])[..., 0]
         self._room[arms], self._backup[arms] = room, backup
-        self._decaying[arms] = self._decay[0] * self._decaying[arms] + other * self.torque_limits
+        self._decaying[arms] *= np.exp(-self._plant.period / DECAY)
         return np.asarray(covered)
 
     def _cases(self, arms: IntArray) -> _Cases:
@@ -286,7 +290,8 @@ class SafetyFilter:
         possible = self.source.read(arms)
         states = np.clip(np.nan_to_num(possible.states, nan=LARGEST_STATE), -LARGEST_STATE, LARGEST_STATE)
         hold, past = self._holding_torques(states[:, 0]), self._past[arms]
-        return _Cases(states, past, possible.delays, hold, possible.parameters, possible.deviations)
+        slow = np.zeros(len(arms), dtype=bool)
+        return _Cases(states, past, possible.delays, hold, possible.parameters, possible.deviations, slow)
 
     def _check(self, arms: IntArray, actions: Array, result: Array) -> None:
         """Predict the motion of arms (r,) for their actions (r, n), and overwrite their rows of the result (b, n)."""
@@ -297,11 +302,15 @@ class SafetyFilter:
             start = np.abs(self._present(cases.of(new, slice(1)))) + radius[new, 0] + TOLERANCE
             self._levels[arms[new]], self._hold[arms[new]] = np.clip(start, REMAINDER, 1.0), hold[new]
         room = self._levels[arms][:, None] - radius
-        beyond = (np.abs(shares) > room).any(axis=(1, 2))
+        left = np.flatnonzero(_excess(shares, room) > 0.0)
+        if len(left):
+            self._try_slow_brake(arms[left], cases, left, actions[left], (shares, room, rates))
+        beyond = _excess(shares, room) > 0.0
         period = np.where(beyond, RESPONSE_PERIODS, RENEWAL_PERIODS)
-        old = np.flatnonzero(self._ages[arms] - self._response_ages[arms] >= period)
+        late = self._ages[arms] - self._response_ages[arms] >= period
+        old = np.flatnonzero(late | (self._response_slow[arms] != cases.slow))
         if len(old):
-            self._respond(arms[old], cases.of(old, slice(1)), actions[old], shares[old])
+            self._respond(arms[old], cases.of(old, slice(1)), actions[old], shares[old], rates[old])
         self._check_ages[arms] = self._ages[arms]
         passed = np.flatnonzero(~beyond)
         self._store(
@@ -311,17 +320,37 @@ class SafetyFilter:
         if len(rows):
             result[arms[rows]] = self._change(arms[rows], cases.of(rows), actions[rows], (shares[rows], room[rows]))
 
+    def _try_slow_brake(
+        self, arms: IntArray, cases: _Cases, left: IntArray, actions: Array, predicted: tuple[Array, Array, Array]
+    ) -> None:
+        """Choose the slow brake for arms (r,) that are nearer to their limits with it, for actions (r, n).
+
+        Overwrites rows `left` (r,) of the cases, and of the predicted quantities, their limits and the motor rates.
+        """
+        slow = cases.of(left)._replace(slow=np.ones(len(left), dtype=bool))
+        shares, radius, rates = self._predict_models(slow, actions)
+        room = self._levels[arms][:, None] - radius
+        better = _excess(shares, room) < _excess(predicted[0][left], predicted[1][left])
+        cases.slow[left[better]] = True
+        for all_arms, some in zip(predicted, (shares, room, rates), strict=True):
+            all_arms[left[better]] = some[better]
+
     def _store(self, arms: IntArray, cases: _Cases, actions: Array, room: Array, rates: Array) -> None:
-        """Store the brake after actions (r, n): its motor rates (r, P, n), and the room (r, T, m) that it leaves."""
+        """Store the brake after actions (r, n): its motor rates (r, P, n), and the room (r, T, m) that it leaves.
+
+        The slow brake leaves none, as the effects of torques do not add up while its own are at their limits.
+        """
         self._room[arms, : self._near] = room[:, : self._near]
         self._room[arms, self._near] = room[:, self._near :].min(axis=1)
-        self._hold[arms], self._decaying[arms] = cases.hold, self._decaying_torques(cases, actions)
-        torques = cases.hold[:, None] + self._decaying[arms][:, None] * self._decay[:, None]
-        self._backup[arms] = self._brake(torques, rates)
+        self._room[arms[cases.slow]] = -1.0
+        self._hold[arms], self._slow[arms] = cases.hold, cases.slow
+        self._decaying[arms] = self._decaying_torques(cases, actions)
+        self._backup[arms] = self._brake(cases.hold[:, None], rates)
 
     def _decaying_torques(self, cases: _Cases, actions: Array) -> Array:
-        """Return the decaying torques (r, n), N m, of a brake that continues actions (r, n) without a step."""
-        return np.asarray(actions * self.torque_limits - cases.hold + self._damping * self._rates(cases))
+        """Return the decaying torques (r, n), N m, of the brake after actions (r, n), which it continues if slow."""
+        continued = actions * self.torque_limits - cases.hold + self._damping * self._rates(cases)
+        return np.asarray(np.where(cases.slow[:, None], continued, 0.0))
 
     def _rates(self, cases: _Cases) -> Array:
         """Return the present motor rates (r, n) of the most probable models, rad/s."""
@@ -369,7 +398,11 @@ class SafetyFilter:
 
         Models differ less after the torques of the brake (r, n) than after those of the agent, which leaves more room.
         """
-        shares, radius, _ = self._predict_models(cases, brake)
+        cases = cases._replace(slow=self._slow[arms])
+        shares, radius, rates = self._predict_models(cases, brake)
+        old = np.flatnonzero(self._response_slow[arms] != cases.slow)
+        if len(old):
+            self._respond(arms[old], cases.of(old, slice(1)), brake[old], shares[old], rates[old])
         room = np.maximum(self._levels[arms][:, None] - radius, np.abs(shares))
         trial, solved = self._closest(arms, actions, brake, shares, room)
         changed, left = brake.copy(), np.flatnonzero(solved)
@@ -424,17 +457,20 @@ class SafetyFilter:
                 closest[i], solved[i] = np.clip(actions[i] + np.array(step), -1.0, 1.0), True
         return closest, solved
 
-    def _respond(self, arms: IntArray, cases: _Cases, actions: Array, shares: Array) -> None:
-        """Compute the responses (r, T, m, n) of the quantities (r, T, m) of arms to their torques of this period."""
+    def _respond(self, arms: IntArray, cases: _Cases, actions: Array, shares: Array, rates: Array) -> None:
+        """Compute the responses to actions (r, n) of the predicted quantities (r, T, m) and motor rates (r, P, n)."""
         n = len(self.torque_limits)
         pulses = np.where(actions > 0.0, -PULSE, PULSE)  # inwards
         several = cases.of(np.arange(len(arms)), np.zeros(n, dtype=np.int64))
-        moved, _ = self._predict(several, actions[:, None] + pulses[:, None] * np.eye(n))
+        moved, moved_rates = self._predict(several, actions[:, None] + pulses[:, None] * np.eye(n))
         response = np.moveaxis((moved - shares[:, None]) / pulses[:, :, None, None], 1, -1)
         self._responses[arms], self._response_ages[arms] = response, self._ages[arms]
         effects = GROWTH * np.abs(response)
         self._effects[arms, : self._near] = effects[:, : self._near]
         self._effects[arms, self._near] = effects[:, self._near :].max(axis=1)
+        damper = np.moveaxis((moved_rates - rates[:, None]) / pulses[:, :, None, None], 1, -1)
+        damper *= (self._damping / self.torque_limits)[:, None]
+        self._continuations[arms], self._response_slow[arms] = -damper, cases.slow
 
     def _present(self, cases: _Cases) -> Array:
         """Return the quantities (r, m) of the most probable models in their present states."""
@@ -458,7 +494,10 @@ class SafetyFilter:
         first = np.broadcast_to(actions * self.torque_limits, (r, k, actions.shape[2]))[:, :, None]
         past = np.broadcast_to(cases.past[:, None], (r, k, *cases.past.shape[1:]))
         hold = np.broadcast_to(cases.hold[:, None], (r, k, cases.hold.shape[1]))
-        decaying = first[:, :, 0] - (cases.hold - self._damping * self._rates(cases))[:, None]
+        decaying = np.broadcast_to(
+            np.stack([self._decaying_torques(cases, each) for each in np.moveaxis(actions, 1, 0)], axis=1),
+            (r, k, first.shape[3]),
+        )
         given = cases.states, np.concatenate([first, past], axis=2), cases.delays, hold, decaying
         flat = [np.ascontiguousarray(each.reshape(r * k, *each.shape[2:])) for each in given]
         named = {name: each.reshape(r * k, *each.shape[2:]) for name, each in cases.parameters.items()}
@@ -476,6 +515,11 @@ class SafetyFilter:
                 own = self._plant, self._limits, self._damping, groups * ARMS_PER_GROUP
                 self._predictions[groups] = _Prediction(*own)
             yield slice(start, start + ARMS), self._predictions[groups]
+
+
+def _excess(shares: Array, room: Array) -> Array:
+    """Return the largest excess (r,) of quantities (r, T, m) over their allowed magnitudes."""
+    return np.asarray((np.abs(shares) - room).max(axis=(1, 2)))
 
 
 def _radius(shares: Array, last: int) -> Array:

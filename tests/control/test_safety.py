@@ -9,7 +9,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.observers.observer import UncertainStates
-from flexman_gym.control.observers.uncertain_states import EstimatedState, TrueState
+from flexman_gym.control.observers.uncertain_states import TrueState
 from flexman_gym.control.safety import (
     BRAKE,
     CHANGED,
@@ -63,18 +63,23 @@ def filtered(safety, action, state, applied=0.0):
 
 
 def braked(plant, states, actions, limits, periods, delay=0):
-    """Return the signed shares (b, T, m) of limits for actions (b, n) in one period, then the brake; stepwise."""
+    """Return the signed shares (b, T, m) of limits for actions (b, n) in one period, then the brake; stepwise.
+
+    The brake: a damper, the weight, and the torques that the damper leaves of the actions, which decay.
+    """
     b, n, d = len(states), plant.model.n_joints, plant.model.n_dof
     batch = Batch(plant.model, METHOD, plant.integration[1], plant.period, arms=b)
     hold = fm.holding_torques(plant.model, states[0, plant.model.motor_columns])
     batch.reset(np.arange(b), states)
     damping, largest = BRAKE * np.array(plant.gains()["damping"]), np.array(plant.torque_limit)
     commands, result = [np.zeros((b, n))] * delay + [actions * largest], []
+    decaying = actions * largest - hold + damping * states[:, d:][:, plant.model.motor_columns]
     stiffness = np.repeat(plant.model.constants.joint_stiffness[None], b, axis=0)
     for t in range(periods):
         if t:
             rates = batch.state[:, d:][:, plant.model.motor_columns]
-            commands.append(np.clip(hold - damping * rates, -largest, largest))
+            less = np.exp(-t * plant.period / DECAY) * decaying
+            commands.append(np.clip(hold + less - damping * rates, -largest, largest))
         batch.step(np.hstack([commands[t], np.zeros((b, 6))]))
         shares = Limits(**limits).predicted(plant.model)
         result.append(shares.shares(batch.state[:, None], batch.outputs[:, None], stiffness)[:, 0])
@@ -89,7 +94,8 @@ def test_the_prediction_is_a_loop_of_steps(delay):
     state[plant.model.n_dof :] = 0.1
     commands = np.zeros((1, 1 + delay, 1))
     commands[:, 0] = 0.7 * plant.torque_limit[0]
-    given = state[None], commands, np.array([delay]), np.zeros((1, 1)), {}
+    decaying = commands[:, 0] + BRAKE * np.array(plant.gains()["damping"]) * 0.1
+    given = state[None], commands, np.array([delay]), np.zeros((1, 1)), decaying, {}
     shares = next(safety._parts(1))[1](*given)[0][0]
     expected = braked(plant, state[None], np.array([[0.7]]), ONE, NEAR_PERIODS + 1, delay)[0]
     count = len(expected)
