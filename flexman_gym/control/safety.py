@@ -1,14 +1,15 @@
 """Safety filter: the smallest change of the torques of an agent after which the arm can be stopped within its limits.
 
-In every control period the motion is predicted for the torques of the agent in this period, followed by a stop: the
-backup, a damper at each motor. The torques pass unchanged if all limits are kept until the arm is at rest. Otherwise a
-quadratic program finds the closest torques for which they are kept, and a second prediction confirms them. If there are
-none, the backup acts. A stop that was found in one period is still possible in the next one: the argument of predictive
-safety filters (Wabersich and Zeilinger, Automatica 129, 2021, 109597) and of backup controllers.
+In every control period the motion is predicted for the torques of the agent in this period, followed by a brake until
+the arm is at rest, see `braking`. The torques pass unchanged if all limits are kept. Otherwise a quadratic program
+finds the closest torques for which they are kept, and a second prediction confirms them. If there are none, a quadratic
+program about the torques of the brake finds some between these and the torques of the agent; if there are none either,
+the brake acts. A stop that was found in one period is still possible in the next one: the argument of predictive safety
+filters (Wabersich and Zeilinger, Automatica 129, 2021, 109597) and of backup controllers.
 """
 
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,19 +17,12 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
 from flexman_gym.common.checks import non_negative, value_error
 from flexman_gym.common.computer import optional_module
 from flexman_gym.control.actions import ActionMode
+from flexman_gym.control.braking import BRAKE, DECAY, NEAR_PERIODS, STAGES, BrakePrediction, PredictedLimits
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.uncertain_states import StateSource
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, LARGEST_STATE, OUTPUTS
 from flexman_gym.model.statics import holding_torques
-from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.parameters import varied_constants
 
-BRAKE = 0.3  # fraction of the damping of the PD tuned for the arm; a stronger brake strains the links
-DECAY = 0.3  # s; time constant with which the slow brake takes back the torques, as a step of them twists the joints
-NEAR_PERIODS = 40  # control periods predicted with the sampled brake, after the delay; sampling costs damping
-STAGES = ((0.025, 20), (0.1, 30))  # interval (s) and number of intervals of the later motion, with a continuous damper
-METHOD, MAX_STEP = "midpoint_corrected_3", 0.007  # of the prediction; longest step (s) in the near periods
-ROUNDING = 1e-6  # steps; error of a number of steps
 PULSE = 0.05  # fraction of the torque limits; pulse of a finite difference
 RESPONSE_PERIODS = 5  # control periods for which the response to a pulse is used again
 SKIPPED_PERIODS = 10  # largest number of control periods without a prediction
@@ -39,115 +33,8 @@ TRIALS = 3  # quadratic programs about the torques of the agent until the predic
 FRACTIONS = (1.0, 0.5, 0.25)  # of the way from the brake to the torques of the quadratic program about it
 REMAINDER = 0.985  # fraction of the limits, larger after a start beyond it; the rest is for errors of the prediction
 TOLERANCE = 0.002  # fraction of the limits; accepted by the confirmation
-DIVERGED = 1e3  # magnitude that replaces a prediction that diverged
 STATUS = ("passed", "changed", "stopped")
 PASSED, CHANGED, STOPPED = range(len(STATUS))
-
-
-class PredictedLimits(Protocol):
-    """Quantities with limits, as functions of predicted states, see `envs.limits.Limits.predicted`."""
-
-    def shares(self, states: Array, outputs: Array, stiffness: Array) -> Array:
-        """Return quantities as fractions (k, T, m) of their limits, magnitudes up to 1 within the limits.
-
-        Args:
-            states: (k, T, 2 d) states.
-            outputs: (k, T, OUTPUTS) outputs of these states, see `kernels.layout`.
-            stiffness: (k, n) joint stiffness, N m/rad.
-        """
-        ...
-
-
-class _Prediction:
-    """Prediction of the motion of arms: torques in one period, then the brake.
-
-    Args:
-        plant: plant model.
-        limits: quantities with limits.
-        damping: (n,) damping of the brake, N m s/rad.
-        arms: largest number of arms.
-    """
-
-    def __init__(self, plant: Plant, limits: PredictedLimits, damping: Array, arms: int) -> None:
-        self._plant, self._limits, self._damping, period = plant, limits, damping, plant.period
-        step = plant.integration[1]
-        steps = int(np.ceil(period / (MAX_STEP if isinstance(step, str) else min(MAX_STEP, step)) - ROUNDING))
-        self._near = Batch(plant.model, METHOD, period / steps, period, arms=arms)
-        self._later = [Batch(plant.model, METHOD, interval, interval, arms=arms) for interval, _ in STAGES]
-        self._stiffness = np.repeat(plant.model.constants.joint_stiffness[None], arms, axis=0)
-        self._vary(np.arange(arms), {})
-
-    def _vary(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
-        """Set physical parameters, name -> (r, ...), of the first r arms."""
-        constants = varied_constants(self._plant.model, len(arms), parameters)
-        nominal = np.tile(self._plant.model.constants.viscous_friction, (len(arms), 1))
-        friction = constants.get("viscous_friction", nominal) + self._damping
-        self._near.set_constants(arms, constants)
-        for batch in self._later:
-            batch.set_constants(arms, {**constants, "viscous_friction": friction})
-        self._stiffness[: len(arms)] = parameters.get("joint_stiffness", self._stiffness[: len(arms)])
-
-    def present(self, states: Array, parameters: Mapping[str, Array]) -> Array:
-        """Return the quantities (r, m) of r arms in states (r, 2 d) as fractions of their limits."""
-        used = len(states)
-        if parameters:
-            self._vary(np.arange(used), parameters)
-        self._near.reset(np.arange(used), states)
-        shares = self._limits.shares(states[:, None], self._near.outputs[:used, None], self._stiffness[:used])
-        return np.asarray(shares[:, 0])
-
-    def __call__(
-        self,
-        states: Array,
-        commands: Array,
-        delays: IntArray,
-        hold: Array,
-        decaying: Array,
-        parameters: Mapping[str, Array],
-    ) -> tuple[Array, Array]:
-        """Return the quantities (r, T, m) of r arms as fractions of their limits, and their motor rates (r, P, n).
-
-        The motor rates are those at the end of the P control periods of the sampled brake, rad/s.
-
-        Args:
-            states: (r, 2 d) present states.
-            commands: (r, D + 1, n) torques of this period, then those commanded before, the latest first, N m.
-            delays: (r,) delays of the torques up to D, control periods.
-            hold: (r, n) torques of the brake at rest, N m.
-            decaying: (r, n) decaying torques of the brake in this period, N m.
-            parameters: name -> (r, ...) physical parameters.
-        """
-        every, n, largest = np.arange(len(states)), len(self._damping), np.array(self._plant.torque_limit)
-        if parameters:
-            self._vary(every, parameters)
-        periods, period = commands.shape[1] + NEAR_PERIODS, self._plant.period
-        drives = self._drives(hold, decaying, period * (np.arange(periods) - delays[:, None]))
-        for t in range(commands.shape[1]):  # a torque acts after the delay
-            known = np.flatnonzero(delays >= t)
-            drives[known, t, :n] = commands[known, delays[known] - t]
-        gains = np.repeat(np.array([np.zeros(n), self._damping, largest, np.zeros(n)])[None], len(drives), axis=0)
-        timing = np.zeros((len(drives), 2), dtype=np.int64)
-        timing[every] = np.stack([1 + delays, delays], axis=1)
-        self._near.place(every, states)
-        parts = [self._near.roll(drives, (gains, timing, self._near.rows.copy()))]
-        start = period * (periods - delays[:, None])
-        for batch, (interval, count) in zip(self._later, STAGES, strict=True):
-            batch.place(every, np.nan_to_num(parts[-1][0][every, -1], nan=DIVERGED))
-            middles = start + interval * (np.arange(count) + 0.5)
-            parts.append(batch.roll(self._drives(hold, decaying, middles)))
-            start = start + interval * count
-        motion, outputs = (np.concatenate([each[i][every] for each in parts], axis=1) for i in range(2))
-        shares = self._limits.shares(motion, outputs, self._stiffness[every])
-        shares[np.isnan(shares)] = DIVERGED
-        model = self._plant.model
-        return shares, parts[0][0][every][:, :, model.n_dof :][..., model.motor_columns]
-
-    def _drives(self, hold: Array, decaying: Array, times: Array) -> Array:
-        """Return the inputs of all arms at times (r, P), s, after this period: weight and decaying torques (r, n)."""
-        result = np.zeros((len(self._near.rows), times.shape[1], hold.shape[1] + 6))
-        torques = hold[:, None] + decaying[:, None] * np.exp(-times / DECAY)[..., None]
-        result[: len(hold), :, : hold.shape[1]] = torques
-        return result
 
 
 class _Cases(NamedTuple):
@@ -216,7 +103,7 @@ class SafetyFilter:
         self.torque_limits = np.array(plant.torque_limit)
         damping = [non_negative(f"gains.damping[{i}]", each) for i, each in enumerate(plant.gains()["damping"])]
         self._damping = BRAKE * np.array(damping)
-        self._predictions: dict[int, _Prediction] = {}  # by the number of groups of arms
+        self._predictions: dict[int, BrakePrediction] = {}  # by the number of groups of arms
         self._past, self.change = np.zeros((0, late, n)), np.zeros((0, n))
         self._hold = np.zeros((0, n))  # torques that hold the weight in the last stop predicted within the limits, N m
         self._slow, self._response_slow = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
@@ -301,7 +188,7 @@ class SafetyFilter:
         if len(new):
             start = np.abs(self._present(cases.of(new, slice(1)))) + radius[new, 0] + TOLERANCE
             self._levels[arms[new]], self._hold[arms[new]] = np.clip(start, REMAINDER, 1.0), hold[new]
-        room = self._levels[arms][:, None] - radius
+        room = self._allowed(arms, radius)
         left = np.flatnonzero(_excess(shares, room) > 0.0)
         if len(left):
             self._try_slow_brake(arms[left], cases, left, actions[left], (shares, room, rates))
@@ -329,7 +216,7 @@ class SafetyFilter:
         """
         slow = cases.of(left)._replace(slow=np.ones(len(left), dtype=bool))
         shares, radius, rates = self._predict_models(slow, actions)
-        room = self._levels[arms][:, None] - radius
+        room = self._allowed(arms, radius)
         better = _excess(shares, room) < _excess(predicted[0][left], predicted[1][left])
         cases.slow[left[better]] = True
         for all_arms, some in zip(predicted, (shares, room, rates), strict=True):
@@ -403,7 +290,7 @@ class SafetyFilter:
         old = np.flatnonzero(self._response_slow[arms] != cases.slow)
         if len(old):
             self._respond(arms[old], cases.of(old, slice(1)), brake[old], shares[old], rates[old])
-        room = np.maximum(self._levels[arms][:, None] - radius, np.abs(shares))
+        room = np.maximum(self._allowed(arms, radius), np.abs(shares))
         trial, solved = self._closest(arms, actions, brake, shares, room)
         changed, left = brake.copy(), np.flatnonzero(solved)
         for fraction in FRACTIONS if len(left) else ():
@@ -421,11 +308,15 @@ class SafetyFilter:
             Flags (r,) of the safe actions, and the quantities (r, T, m) with their allowed magnitudes.
         """
         shares, radius, rates = self._predict_models(cases, actions)
-        room = self._levels[arms][:, None] - radius
+        room = self._allowed(arms, radius)
         safe = (np.abs(shares) <= room + TOLERANCE).all(axis=(1, 2))
         self.status[arms[safe]] = CHANGED
         self._store(arms[safe], cases.of(safe), actions[safe], (room - np.abs(shares))[safe], rates[safe])
         return safe, shares, room
+
+    def _allowed(self, arms: IntArray, radius: Array) -> Array:
+        """Return the allowed magnitudes (r, T, m) of the quantities of the most probable models."""
+        return np.asarray(self._levels[arms][:, None] - radius)
 
     def _closest(
         self, arms: IntArray, wanted: Array, actions: Array, shares: Array, room: Array
@@ -483,7 +374,7 @@ class SafetyFilter:
     def _predict_models(self, cases: _Cases, actions: Array) -> tuple[Array, Array, Array]:
         """Return quantities (r, T, m) of the most probable models for actions (r, n), and their deviations (r, T, m).
 
-        The third result are the motor rates (r, P, n) of these models, see `_Prediction`.
+        The third result are the motor rates (r, P, n) of these models, see `BrakePrediction`.
         """
         shares, rates = self._predict(cases, actions[:, None])
         return shares[:, 0], _radius(shares, cases.deviations), rates[:, 0]
@@ -507,13 +398,13 @@ class SafetyFilter:
         shares, rates = (np.concatenate(each) if len(parts) > 1 else each[0] for each in zip(*parts, strict=True))
         return shares.reshape(r, k, *shares.shape[1:]), rates.reshape(r, k, *rates.shape[1:])
 
-    def _parts(self, count: int) -> Iterator[tuple[slice, _Prediction]]:
+    def _parts(self, count: int) -> Iterator[tuple[slice, BrakePrediction]]:
         """Yield slices of at most ARMS of some arms, and predictions for their number of groups."""
         for start in range(0, count, ARMS):
             groups = -(-min(ARMS, count - start) // ARMS_PER_GROUP)
             if groups not in self._predictions:
                 own = self._plant, self._limits, self._damping, groups * ARMS_PER_GROUP
-                self._predictions[groups] = _Prediction(*own)
+                self._predictions[groups] = BrakePrediction(*own)
             yield slice(start, start + ARMS), self._predictions[groups]
 
 
