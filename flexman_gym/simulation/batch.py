@@ -224,11 +224,10 @@ class Batch:
         moved = np.flatnonzero(good)
         self._drive[moved] = drives[moved, good[moved] - 1]
         self._known = False
-        for period in range(periods):
-            valid = period < good
-            turnover = self.energy_turnover[valid]
-            outputs.update_energy_turnover(rows[valid, period], read[valid, period], turnover)
-            self.energy_turnover[valid] = turnover
+        valid, turnover = np.isfinite(rows[:, :, 0]), np.zeros(count * periods)
+        outputs.update_energy_turnover(rows.reshape(count * periods, -1), read.reshape(count * periods, -1), turnover)
+        largest = np.where(valid, turnover.reshape(count, periods), 0.0).max(axis=1, initial=0.0)
+        np.maximum(self.energy_turnover, largest, out=self.energy_turnover)
         return rows[:, :, :-2], read
 
     def tip_accelerations(self) -> Array:
@@ -278,8 +277,12 @@ class Batch:
             ValueError: for an unknown name or a wrong shape, for negative or non-finite numbers, for zero where the arm
                 needs a positive value, and for stiffness or damping of a rigid joint that differ from the model's.
         """
+        self.set_constants(arms, varied_constants(self.model, len(arms), parameters))
+
+    def set_constants(self, arms: np.ndarray, constants: dict[str, Array]) -> None:
+        """Set constants (r, ...) of the arms (r,), results of `simulation.parameters.varied_constants`; see `vary`."""
         self._known = False
-        self._mover.set_constants(arms, varied_constants(self.model, len(arms), parameters))
+        self._mover.set_constants(arms, constants)
 
     def spring_constants(self) -> tuple[Array, Array, Array]:
         """Return joint_stiffness (b, n), knee_twist (b, e) and knee_share (b, e) of the arms."""

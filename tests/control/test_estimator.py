@@ -453,3 +453,26 @@ def test_a_confidence_region_contains_the_truth_of_most_arms():
         for one, every in zip(some.parameters.values(), region.parameters.values(), strict=True)
     )
     assert np.array_equal(some.states, region.states[[5, 2]])  # fmt: skip
+
+
+def test_a_consistent_copy_is_as_sure_as_it_may_be_between_resimulations():
+    """A link that barely vibrates: a re-simulation confirms the deviations of its stiffness, which errors obey.
+
+    An estimator that updates its models to the estimate is too sure of them: they vibrate, the arm does not.
+    """
+    springs = {"joint_stiffness_factor": (0.7, 1.3), "link_stiffness_factor": (0.6, 1.4), "sensor_noise": (3e-3, 3e-3)}
+    plant, arms, (before, after), ratios, largest = small_plant("FlexRRR-v0", springs), 12, (29, 30), [], []
+    parameters = drawn_parameters(plant, arms, np.random.default_rng(1))
+    for estimator in (Estimator(plant), Estimator(plant).consistent_copy()):
+        random, time = np.random.default_rng(2), plant.period * np.arange(after)[:, None, None]
+        bench = Bench(plant, random.uniform(-0.8, 0.8, (arms, 3)), parameters, noise=1.0, seed=4)
+        actions = 0.6 * np.sin(2.0 * np.pi * time / 1.5) * random.choice([-1, 1], (1, arms, 3))
+        bench.follow(estimator, actions[:before])
+        errors, covariance = normalised_errors(estimator, plant, parameters)
+        deviations = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        largest.append(np.abs(errors / deviations).max())
+        bench.follow(estimator, actions[before:after], begin=False)
+        later = np.sqrt(np.diagonal(normalised_errors(estimator, plant, parameters)[1], axis1=1, axis2=2))
+        ratios.append((deviations / later)[:, -3:].min())
+    assert ratios[0] < 0.7 < ratios[1], ratios
+    assert largest[1] < 3.0, largest

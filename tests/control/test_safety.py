@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
+from flexman_gym.control import safety as safety_module
+from flexman_gym.control.braking import BRAKE, DECAY, METHOD, NEAR_PERIODS
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.observers.observer import UncertainStates
-from flexman_gym.control.observers.uncertain_states import EstimatedState, TrueState
-from flexman_gym.control.safety import BRAKE, CHANGED, NEAR_PERIODS, PASSED, REMAINDER, STOPPED, SafetyFilter
+from flexman_gym.control.observers.uncertain_states import TrueState
+from flexman_gym.control.safety import CHANGED, PASSED, REMAINDER, STOPPED, TOLERANCE, SafetyFilter
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
@@ -21,6 +23,7 @@ from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.evaluation.c_code import begin_agent
+from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.model.statics import rest_state
 from flexman_gym.simulation.batch import Batch
 
@@ -54,39 +57,47 @@ def filtered(safety, action, state, applied=0.0):
     return safety(np.array([action], dtype=float), *given)[0]
 
 
-def braked(plant, states, actions, limits, periods, delay=0):
-    """Return the signed shares (b, T, m) of limits for actions (b, n) in one period, then the brake; stepwise."""
+def braked(plant, states, actions, limits, periods, delay=0, slow=False):
+    """Return the signed shares (b, T, m) of limits for actions (b, n) in one period, then the brake; stepwise.
+
+    The brake: a damper, the weight, and if it is slow the torques that the damper leaves of the actions, which decay.
+    """
     b, n, d = len(states), plant.model.n_joints, plant.model.n_dof
-    batch = Batch(plant.model, "midpoint_corrected_3", plant.integration[1], plant.period, arms=b)
+    batch = Batch(plant.model, METHOD, plant.integration[1], plant.period, arms=b)
     hold = fm.holding_torques(plant.model, states[0, plant.model.motor_columns])
     batch.reset(np.arange(b), states)
     damping, largest = BRAKE * np.array(plant.gains()["damping"]), np.array(plant.torque_limit)
     commands, result = [np.zeros((b, n))] * delay + [actions * largest], []
+    decaying = slow * (actions * largest - hold + damping * states[:, d:][:, plant.model.motor_columns])
     stiffness = np.repeat(plant.model.constants.joint_stiffness[None], b, axis=0)
     for t in range(periods):
         if t:
             rates = batch.state[:, d:][:, plant.model.motor_columns]
-            commands.append(np.clip(hold - damping * rates, -largest, largest))
+            less = np.exp(-t * plant.period / DECAY) * decaying
+            commands.append(np.clip(hold + less - damping * rates, -largest, largest))
         batch.step(np.hstack([commands[t], np.zeros((b, 6))]))
         shares = Limits(**limits).predicted(plant.model)
         result.append(shares.shares(batch.state[:, None], batch.outputs[:, None], stiffness)[:, 0])
     return np.array(result).swapaxes(0, 1)
 
 
+@pytest.mark.parametrize("slow", [False, True])
 @pytest.mark.parametrize("delay", [0, 1, 2])
-def test_the_prediction_is_a_loop_of_steps(delay):
+def test_the_prediction_is_a_loop_of_steps(delay, slow):
     """Torques of the agent act after the delay, those commanded before until then, and then the sampled brake."""
     plant = plant_of(randomisation={"delay": (delay, delay)} if delay else None)
-    safety, state = filter_of(plant, ONE), np.zeros(2 * plant.model.n_dof)
+    safety, state, shares = filter_of(plant, ONE), np.zeros(2 * plant.model.n_dof), []
     state[plant.model.n_dof :] = 0.1
-    commands = np.zeros((1, 1 + delay, 1))
-    commands[:, 0] = 0.7 * plant.torque_limit[0]
-    given = state[None], commands, np.array([delay]), np.zeros((1, 1))
-    shares = safety._single(*given)[0]
-    expected = braked(plant, state[None], np.array([[0.7]]), ONE, NEAR_PERIODS + 1, delay)[0]
-    count = len(expected)
-    assert shares[:count] == pytest.approx(expected, rel=1e-9, abs=1e-9)
-    assert np.abs(shares[: delay + 3]).max() > 1.1 * np.abs(shares[:1]).max(), "the torque matters"
+    for action in (0.7, 0.0):
+        commands = np.zeros((1, 1 + delay, 1))
+        commands[:, 0] = action * plant.torque_limit[0]
+        decaying = slow * (commands[:, 0] + BRAKE * np.array(plant.gains()["damping"]) * 0.1)
+        given = state[None], commands, np.array([delay]), np.zeros((1, 1)), decaying, {}
+        shares.append(next(safety._parts(1))[1](*given)[0][0])
+        expected = braked(plant, state[None], np.array([[action]]), ONE, NEAR_PERIODS + 1, delay, slow)[0]
+        assert shares[-1][: len(expected)] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    differences = np.abs(shares[0] - shares[1]).max(axis=1)
+    assert (differences[:delay] == 0.0).all() and differences[delay : delay + 3].max() > 0.1, "the torque matters"
 
 
 class Rates:
@@ -132,6 +143,28 @@ def test_no_agent_exceeds_the_limits(name, randomisation, agent):
     assert largest_excess(name, agent, **settings)[0] > 0.3, "without the filter"
     excess, status = largest_excess(name, agent, safety=True, **settings)
     assert excess < 0.02 and status["changed"] > 20
+
+
+@pytest.mark.parametrize("randomisation", [None, UNKNOWN])
+def test_a_period_without_a_prediction_would_have_passed(randomisation):
+    """Small random torques lead near to the limits; the predictions that are left out are made here."""
+    env = FlexManVectorEnv(3, name="FlexOne-v0", horizon=100.0, safety=True, limits=ONE, randomisation=randomisation)
+    env.reset(seed=3)
+    safety, act, largest, checked = env.episodes.safety, Random(env), [], []
+    covered, check = safety._covered, safety._check
+
+    def predict(arms, actions):
+        flags = covered(arms, actions)
+        if flags.any():
+            shares, radius, _ = safety._predict_models(safety._cases(arms[flags]), actions[flags])
+            largest.append((np.abs(shares) + radius - safety._levels[arms[flags]][:, None]).max())
+        return flags
+
+    safety._covered = predict
+    safety._check = lambda arms, *given: (checked.extend(arms), check(arms, *given))
+    for _ in range(100):
+        env.step(0.3 * act())
+    assert len(checked) < 200 and -0.3 < max(largest) < TOLERANCE
 
 
 @pytest.mark.parametrize("delay", [0, 2])
@@ -183,7 +216,9 @@ def test_the_change_is_the_smallest_one():
     safe = filtered(safety, wanted, state)
     assert safety.status[0] == CHANGED and np.array_equal(safety.change[0], safe - wanted)
     actions = np.array([safe, *np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)])
-    shares = np.abs(braked(plant, np.repeat(state[None], len(actions), axis=0), actions, limits, 80)).max(axis=(1, 2))
+    shares = np.abs(
+        braked(plant, np.repeat(state[None], len(actions), axis=0), actions, limits, 80, slow=safety._slow[0])
+    ).max(axis=(1, 2))
     lengths = np.linalg.norm(actions - wanted, axis=1)
     assert shares[0] < REMAINDER + 0.005
     inside, wide = (lengths[1:][shares[1:] <= level].min() for level in (REMAINDER, REMAINDER + 0.005))
@@ -204,6 +239,28 @@ def test_without_safe_torques_the_brake_acts():
     assert safety.status[0] == STOPPED
     assert torque == np.clip(-BRAKE * plant.gains()["damping"][0] * 1.6 / plant.torque_limit[0], -1.0, 1.0)
     assert safety.change[0] == torque - 1.0
+
+
+def test_a_limit_of_rates_that_only_the_slow_brake_keeps():
+    """A step of the torque twists the joint faster than allowed; then the brake takes the torque back slowly."""
+    plant, limits, wanted = plant_of("FlexRRR-v0"), {"rate": 0.5}, np.array([0.6, 0.0, 0.0])
+    safety, d, motors = filter_of(plant, limits), plant.model.n_dof, plant.model.motor_columns
+    damping, largest = BRAKE * np.array(plant.gains()["damping"]), np.array(plant.torque_limit)
+    batch = Batch(plant.model, METHOD, plant.integration[1], plant.period, arms=2)
+    batch.reset(np.arange(2), np.zeros((2, 2 * d)))
+    for _ in range(10):
+        state = batch.state[0].copy()
+        torque = filtered(safety, wanted, state)
+        batch.step(np.hstack([np.tile(torque * largest, (2, 1)), np.zeros((2, 6))]))
+    assert safety.status[0] == PASSED
+    fast, slow = (np.abs(braked(plant, state[None], torque[None], limits, 60, slow=each)).max() for each in (0, 1))
+    assert slow < REMAINDER and fast > 1.5
+    decaying = torque * largest + damping * state[d:][motors]
+    state[d:][motors] = state[d:][:3] = 0.6  # beyond the limit: the brake goes on
+    torque = filtered(safety, wanted, state)
+    assert safety.status[0] == STOPPED
+    expected = np.exp(-plant.period / DECAY) * decaying - damping * 0.6
+    assert torque == pytest.approx(np.clip(expected / largest, -1.0, 1.0), rel=1e-9)
 
 
 def test_the_brake_holds_the_weight_of_the_stop_that_was_predicted():
@@ -258,6 +315,33 @@ def test_a_change_keeps_the_limits_of_all_possible_models():
     assert worst[0] > 1.03 and worst[1] < 1.0, worst
 
 
+def test_torques_between_the_brake_and_those_of_the_agent(monkeypatch):
+    """Where models differ too much after the torques of the agent, some about those of the brake are found."""
+    plant, stops = plant_of(), []
+    heavy = 20.0 * plant.model.constants.payload_mass[0]
+    for fractions in (safety_module.FRACTIONS, ()):
+        monkeypatch.setattr(safety_module, "FRACTIONS", fractions)
+        safety, applied, status = filter_of(plant, ONE, TwoPayloads(plant, heavy)), np.zeros(1), []
+        batch = Batch(plant.model, *plant.integration, plant.period, arms=2)
+        batch.reset(np.arange(2), np.zeros((2, 2 * plant.model.n_dof)))
+        for period in range(40):
+            applied = filtered(safety, [1.0 if period // 5 % 2 == 0 else -1.0], batch.state[0], applied)
+            status.append(safety.status[0])
+            batch.step(np.tile(np.hstack([applied * plant.torque_limit, np.zeros(6)]), (2, 1)))
+        stops.append(status.count(STOPPED))
+    assert 2 * stops[0] < stops[1]
+
+
+def test_an_agent_settles_within_a_limit_of_rates():
+    """A tracking LQR that exceeds the limit without the filter; with the fast brake alone it does not settle."""
+    limits = fm.Limits(on_violation="record", margin={"rate": fm.Limits.rate - 0.5342})
+    environment = Configuration.find("FlexRRR-v0").replace(limits=limits)
+    free, safe = (fm.rollout("lqr-tracking", environment, range(9000, 9008), safety=each) for each in (False, True))
+    largest = [max(np.max(each.excess) for each in run.records) for run in (free, safe)]
+    assert largest[0] > 0.0 >= largest[1]
+    assert METRICS["settling_time"].evaluate(safe.records) < 1.1 * METRICS["settling_time"].evaluate(free.records)
+
+
 UNLIKE = [
     ("FlexOne-v0", {"limits": ONE}),
     ("FlexOne-v0", {"limits": ONE, "randomisation": UNKNOWN, "action_repeat": 3, "horizon": 0.4}),
@@ -293,11 +377,14 @@ def test_a_state_or_a_copy_continues_to_the_bit(name, settings):
                 assert np.array_equal(first[-1][key], other[-1][key])
 
 
-def test_the_estimator_of_the_base_controller_is_shared_and_else_the_filter_has_one():
+def test_the_filter_has_its_own_estimator_of_uncertain_arms():
+    """One with the settings of the estimator of the base controller, which is not changed by it."""
     unknown = {"safety": True, "randomisation": UNKNOWN}
-    safety = FlexManEnv(name="FlexOne-v0", base="adaptive-lqr", **unknown).episodes.safety
-    assert safety.sensors == () and isinstance(safety.source, EstimatedState)
-    assert FlexManEnv(name="FlexOne-v0", base="lqr", **unknown).episodes.safety.sensors
+    episodes = FlexManEnv(name="FlexOne-v0", base={"kind": "adaptive-lqr", "biased": True}, **unknown).episodes
+    own, given = episodes.safety.source._estimator, episodes.base.observer
+    assert own is not given and own.sensors == episodes.safety.sensors
+    assert own._models.size == given._models.size > FlexManEnv(
+        name="FlexOne-v0", base="lqr", **unknown).episodes.safety.source._estimator._models.size  # fmt: skip
     assert isinstance(FlexManEnv(name="FlexOne-v0", safety=True).episodes.safety.source, TrueState)
 
 

@@ -22,6 +22,7 @@ from flexman_gym.control.observers.perturbed_models import (
     covariance_factors,
     solve_scaled,
     standard_deviations,
+    uncertain_ranges,
 )
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import rest_state
@@ -38,21 +39,7 @@ SENSITIVE_PERTURBATION = 0.02  # rad; difference beyond which innovations correc
 DETECTION_START = 25  # control periods from the start of an episode to the start of change detection
 BOUNDED_START = 45  # control periods from the start after which entries at a bound move the others; linear by then
 CONSISTENT_MISFIT = 3.0  # dimensionless; mean square below which the estimated model explains the measurements
-FRICTION_RANGE = (0.0, 1.5)  # factors on the friction of a model; assumed range of friction without a given range
-STIFFNESS_RANGE = (0.5, 1.5)  # factors on the joint stiffness of a model; assumed range without a given range
 START_ANGLE_BOUND = 10.0  # prior standard deviations; bound of the estimate of a start angle
-
-
-def _unknown(plant: Plant) -> Mapping[str, tuple[float, float]]:
-    """Return the ranges of the uncertain parameters of a plant, with assumed ranges of joint stiffness and friction."""
-    constants = plant.model.constants
-    assumed = {"joint_stiffness_factor": STIFFNESS_RANGE}
-    assumed |= {
-        f"{name}_factor": FRICTION_RANGE
-        for name in ("viscous_friction", "coulomb_friction")
-        if getattr(constants, name).any()
-    }
-    return assumed | dict(plant.unknown)
 
 
 class Estimator:
@@ -78,6 +65,9 @@ class Estimator:
         biased: True to estimate biases of the measurements, up to 0.5 % of their ranges where the plant names none;
             None for the biases of the plant. The start angles are then those of `EpisodeInfo`, since biased encoders do
             not determine them.
+        relinearised: False to keep the linearisation of a re-simulation until the next one, so that the covariance is
+            that of the errors. Updates of the models to the estimate excite vibrations that the arm does not have, and
+            their sensitivities to stiffness count as information.
 
     Attributes:
         theta: (b, p) parameter vectors: uncertain parameters, start angles relative to their initial guess
@@ -98,10 +88,13 @@ class Estimator:
         sensors: Sequence[str] = tuple(LINEAR_SENSORS),
         unknown: Mapping[str, tuple[float, float]] | None = None,
         biased: bool | None = None,
+        relinearised: bool = True,
     ) -> None:
-        self.sensors, self._plant = tuple(sensors), plant
+        self.sensors, self._plant, self._relinearised = tuple(sensors), plant, relinearised
+        self._given = plant, self.sensors, unknown, biased
         instruments = self._instruments = MeasurementModel(plant, self.sensors)
-        uncertain = self.uncertain = UncertainParameters(plant.model, _unknown(plant) if unknown is None else unknown)
+        ranges = uncertain_ranges(plant) if unknown is None else unknown
+        uncertain = self.uncertain = UncertainParameters(plant.model, ranges)
         biased = bool(instruments.biases.any()) if biased is None else biased
         gauges = np.flatnonzero(instruments.gain_errors)
         self._models = PerturbedModels(plant, uncertain, instruments.matrix, biased, gauges)
@@ -200,6 +193,10 @@ class Estimator:
         values = self._models.parameters(self._prior.clip(self.theta + self._change))
         spread = self._models.uncertain.deviations(standard_deviations(self._information))
         return values | spread | {"delay": self.delays.astype(float), "misfit": self._detector.misfit}
+
+    def consistent_copy(self) -> "Estimator":
+        """Return a new estimator with the same arguments but `relinearised`, whose confidence region is consistent."""
+        return Estimator(*self._given, relinearised=False)
 
     def confidence_region(self, arms: IntArray, deviations: float) -> UncertainStates:
         """Return the estimates of arms (r,), with deviations of each uncertain parameter, and the likely delays.
@@ -415,6 +412,10 @@ class Estimator:
 
     def _apply_change(self, arms: IntArray) -> None:
         """Add the change of theta estimated since the last update to theta and to the states of arms (r,)."""
+        if not self._relinearised:  # changed only for arms that are not simulated again
+            last = self._filtering[arms] | self._perturbations_reduced[arms] | (self._ages[arms] >= len(self._weights))
+            self._reduce_perturbations(arms[~last])
+            arms = arms[last]
         before = self.theta[arms]
         change, late = self._change[arms], self._ages[arms] > BOUNDED_START
         change[late] = self._prior.constrain(before[late], change[late], self._information[arms[late]])

@@ -16,7 +16,21 @@ from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN, varied
 PARAMETER_STEP = 0.0003  # fraction of a range; perturbation; 0.03 would shift the phase by a radian in 2 s
 RANGE_MARGIN = 0.35  # fraction of a range by which an estimate may exceed the range
 MIN_FACTOR = 0.5  # smallest estimate / lower end of the range
+FRICTION_RANGE = (0.0, 1.5)  # factors on the friction of a model; assumed range of friction without a given range
+STIFFNESS_RANGE = (0.5, 1.5)  # factors on the joint stiffness of a model; assumed range without a given range
 KNOWN_RANGE = 1e-3  # fraction of the value, or of 1 for the value 0; assumed width of a range of zero width
+
+
+def uncertain_ranges(plant: Plant) -> Mapping[str, tuple[float, float]]:
+    """Return the ranges of the uncertain parameters of a plant, with assumed ranges of joint stiffness and friction."""
+    constants = plant.model.constants
+    assumed = {"joint_stiffness_factor": STIFFNESS_RANGE}
+    assumed |= {
+        f"{name}_factor": FRICTION_RANGE
+        for name in ("viscous_friction", "coulomb_friction")
+        if getattr(constants, name).any()
+    }
+    return assumed | dict(plant.unknown)
 
 
 class UncertainParameters:

@@ -59,24 +59,22 @@ class EstimatedState:
     """State, parameters and delay estimated from the readings of an `Estimator`, within its confidence region.
 
     Args:
-        estimator: estimator, which may be that of a controller.
-        shared: True if the controller updates the estimator.
+        estimator: estimator with a consistent covariance, see `Estimator.consistent_copy`.
     """
 
-    def __init__(self, estimator: Estimator, shared: bool) -> None:
-        self._estimator, self._shared = estimator, shared
-        self.state_fields: tuple[str, ...] = () if shared else ("_estimator",)
-        self.sensors: tuple[str, ...] = () if shared else estimator.sensors
+    state_fields: tuple[str, ...] = ("_estimator",)
+
+    def __init__(self, estimator: Estimator) -> None:
+        self._estimator = estimator.consistent_copy()
+        self.sensors: tuple[str, ...] = estimator.sensors
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes; arguments as in `Controller.reset`."""
-        if not self._shared:
-            self._estimator.reset(arms, episode, count)
+        self._estimator.reset(arms, episode, count)
 
     def update(self, readings: Readings, applied: Array, active: BoolArray) -> None:
-        """Update the estimator, unless the controller does it."""
-        if not self._shared:
-            self._estimator.estimate(readings, applied, active)
+        """Update the estimator."""
+        self._estimator.estimate(readings, applied, active)
 
     def read(self, arms: IntArray) -> UncertainStates:
         """Return the estimates, with a deviation of CONFIDENCE along each parameter, and the likely delays."""

@@ -93,9 +93,9 @@ def _state_source(plant: Plant, base: Controller | None) -> StateSource:
     """Return the source of states of the safety filter: the true state only for an arm without uncertain parameters."""
     observer = getattr(base, "observer", None)
     if isinstance(observer, Estimator):
-        return EstimatedState(observer, shared=True)
+        return EstimatedState(observer)
     if plant.unknown or plant.delay[0] < plant.delay[1]:
-        return EstimatedState(Estimator(plant), shared=False)
+        return EstimatedState(Estimator(plant))
     return TrueState(plant)
 
 
