@@ -101,7 +101,7 @@ class BrakePrediction:
         if parameters:
             self._vary(every, parameters)
         periods, period = commands.shape[1] + NEAR_PERIODS, self._plant.period
-        drives = self._drives(hold, decaying, period * (np.arange(periods) - delays[:, None]))
+        drives = self._drives(hold, decaying, period * (np.arange(float(periods)) - delays[:, None]))
         for t in range(commands.shape[1]):  # a torque acts after the delay
             known = np.flatnonzero(delays >= t)
             drives[known, t, :n] = commands[known, delays[known] - t]

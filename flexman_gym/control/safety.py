@@ -58,7 +58,7 @@ class _Cases(NamedTuple):
     deviations: int
     slow: BoolArray
 
-    def of(self, arms: IntArray, models: IntArray | slice = slice(None)) -> "_Cases":
+    def of(self, arms: IntArray | BoolArray, models: IntArray | slice = slice(None)) -> "_Cases":
         """Return the situations of some arms with some of their models."""
         parameters = {name: each[arms][:, models] for name, each in self.parameters.items()}
         states, delays = self.states[arms][:, models], self.delays[arms][:, models]
@@ -231,13 +231,13 @@ class SafetyFilter:
         self._room[arms, self._near] = room[:, self._near :].min(axis=1)
         self._room[arms[cases.slow]] = -1.0
         self._hold[arms], self._slow[arms] = cases.hold, cases.slow
-        self._decaying[arms] = self._decaying_torques(cases, actions)
+        self._decaying[arms] = self._decaying_torques(cases, actions[:, None])[:, 0]
         self._backup[arms] = self._brake(cases.hold[:, None], rates)
 
     def _decaying_torques(self, cases: _Cases, actions: Array) -> Array:
-        """Return the decaying torques (r, n), N m, of the brake after actions (r, n), which it continues if slow."""
-        continued = actions * self.torque_limits - cases.hold + self._damping * self._rates(cases)
-        return np.asarray(np.where(cases.slow[:, None], continued, 0.0))
+        """Return the decaying torques (r, k, n), N m, of the brake after actions (r, k, n), zero of the fast brake."""
+        steady = cases.hold - self._damping * self._rates(cases)
+        return np.asarray(cases.slow[:, None, None] * (actions * self.torque_limits - steady[:, None]))
 
     def _rates(self, cases: _Cases) -> Array:
         """Return the present motor rates (r, n) of the most probable models, rad/s."""
@@ -309,7 +309,7 @@ class SafetyFilter:
         """
         shares, radius, rates = self._predict_models(cases, actions)
         room = self._allowed(arms, radius)
-        safe = (np.abs(shares) <= room + TOLERANCE).all(axis=(1, 2))
+        safe = np.asarray((np.abs(shares) <= room + TOLERANCE).all(axis=(1, 2)))
         self.status[arms[safe]] = CHANGED
         self._store(arms[safe], cases.of(safe), actions[safe], (room - np.abs(shares))[safe], rates[safe])
         return safe, shares, room
@@ -385,16 +385,15 @@ class SafetyFilter:
         first = np.broadcast_to(actions * self.torque_limits, (r, k, actions.shape[2]))[:, :, None]
         past = np.broadcast_to(cases.past[:, None], (r, k, *cases.past.shape[1:]))
         hold = np.broadcast_to(cases.hold[:, None], (r, k, cases.hold.shape[1]))
-        decaying = np.broadcast_to(
-            np.stack([self._decaying_torques(cases, each) for each in np.moveaxis(actions, 1, 0)], axis=1),
-            (r, k, first.shape[3]),
-        )
+        decaying = np.broadcast_to(self._decaying_torques(cases, actions), hold.shape)
         given = cases.states, np.concatenate([first, past], axis=2), cases.delays, hold, decaying
         flat = [np.ascontiguousarray(each.reshape(r * k, *each.shape[2:])) for each in given]
         named = {name: each.reshape(r * k, *each.shape[2:]) for name, each in cases.parameters.items()}
         parts = []
         for some, prediction in self._parts(r * k):
-            parts.append(prediction(*(each[some] for each in flat), {name: each[some] for name, each in named.items()}))
+            states, commands, delays, weight, more = (each[some] for each in flat)
+            own = {name: each[some] for name, each in named.items()}
+            parts.append(prediction(states, commands, delays, weight, more, own))
         shares, rates = (np.concatenate(each) if len(parts) > 1 else each[0] for each in zip(*parts, strict=True))
         return shares.reshape(r, k, *shares.shape[1:]), rates.reshape(r, k, *rates.shape[1:])
 
