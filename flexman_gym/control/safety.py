@@ -25,7 +25,7 @@ from flexman_gym.model.statics import holding_torques
 
 PULSE = 0.05  # fraction of the torque limits; pulse of a finite difference
 RESPONSE_PERIODS = 5  # control periods for which the response to a pulse is used again
-SKIPPED_PERIODS = 10  # largest number of control periods without a prediction
+SKIPPED_PERIODS = 10, 2  # largest number of control periods without a prediction, of a known and an estimated arm
 RENEWAL_PERIODS = 25  # control periods after which the effects of torques are computed again
 GROWTH = 1.5  # factor on the effects of torques, for changes of the posture and models other than the most probable one
 ARMS = 64  # largest number of arms predicted at once
@@ -106,6 +106,7 @@ class SafetyFilter:
         self._predictions: dict[int, BrakePrediction] = {}  # by the number of groups of arms
         self._past, self.change = np.zeros((0, late, n)), np.zeros((0, n))
         self._hold = np.zeros((0, n))  # torques that hold the weight in the last stop predicted within the limits, N m
+        self._estimated = False
         self._slow, self._response_slow = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
         self._decaying = np.zeros((0, n))  # torques of the brake in this period beside its damper and the weight, N m
         self.status, self._ages, self._check_ages, self._response_ages = (np.zeros(0, dtype=np.int64) for _ in range(4))
@@ -164,7 +165,7 @@ class SafetyFilter:
         other = actions - backup[:, 0]
         room[:, :-1] = room[:, 1:]
         room -= (self._effects[arms] @ np.abs(other)[:, None, :, None])[..., 0]
-        late = self._ages[arms] - self._check_ages[arms] > SKIPPED_PERIODS
+        late = self._ages[arms] - self._check_ages[arms] > SKIPPED_PERIODS[self._estimated]
         covered = (room >= 0.0).all(axis=(1, 2)) & ~late
         other[~covered] = 0.0  # the brake remains that of the last prediction
         backup[:, :-1] = backup[:, 1:] + (self._continuations[arms, :-1] @ other[:, None, :, None])[..., 0]
@@ -177,7 +178,7 @@ class SafetyFilter:
         possible = self.source.read(arms)
         states = np.clip(np.nan_to_num(possible.states, nan=LARGEST_STATE), -LARGEST_STATE, LARGEST_STATE)
         hold, past = self._holding_torques(states[:, 0]), self._past[arms]
-        slow = np.zeros(len(arms), dtype=bool)
+        slow, self._estimated = np.zeros(len(arms), dtype=bool), possible.delays.shape[1] > 1
         return _Cases(states, past, possible.delays, hold, possible.parameters, possible.deviations, slow)
 
     def _check(self, arms: IntArray, actions: Array, result: Array) -> None:

@@ -220,7 +220,7 @@ class LaneIntegrator(BatchIntegrator):
                 if self._single:
                     target[...] = values[-1]
                 else:
-                    target[:, lanes[some]] = values[some].T
+                    target[..., lanes[some]] = np.moveaxis(values[some], 0, -1)
 
     def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array) -> None:
         """Compute the outputs of some arms, by zero steps."""
