@@ -56,17 +56,17 @@ class Cell:
 
 CELLS = (
     Cell("nominal", "lqr-tracking", STUDY, 2000),
-    Cell("nominal", "lqr-tracking", RATE, 40),
-    Cell("nominal", "lqr-tracking", HALF_SPACE, 60),
-    Cell("nominal", "adaptive-lqr", STUDY, 60),
-    Cell("nominal", "ppo-flexrrr", STUDY, 60),
-    Cell("nominal", "random", STUDY, 30),
-    Cell("nominal", "along the rates", STUDY, 20),
-    Cell("nominal", "PPO to violate", STUDY, 20),
-    Cell("unknown-lab", "adaptive-lqr", STUDY, 60),
-    Cell("unknown-lab", "lab-flexrrr", STUDY, 40),
-    Cell("unknown-lab", "along the rates", STUDY, 15),
-    Cell("uncertain", "adaptive-lqr", STUDY, 60),
+    Cell("nominal", "lqr-tracking", RATE, 200),
+    Cell("nominal", "lqr-tracking", HALF_SPACE, 100),
+    Cell("nominal", "adaptive-lqr", STUDY, 200),
+    Cell("nominal", "ppo-flexrrr", STUDY, 400),
+    Cell("nominal", "random", STUDY, 60),
+    Cell("nominal", "along the rates", STUDY, 40),
+    Cell("nominal", "PPO to violate", STUDY, 60),
+    Cell("unknown-lab", "adaptive-lqr", STUDY, 200),
+    Cell("unknown-lab", "lab-flexrrr", STUDY, 200),
+    Cell("unknown-lab", "along the rates", STUDY, 30),
+    Cell("uncertain", "adaptive-lqr", STUDY, 100),
     Cell("uncertain", "along the rates", STUDY, 15),
 )
 
