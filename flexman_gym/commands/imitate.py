@@ -25,8 +25,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Train the student; return the exit status."""
-    if options.algo not in (None, "dagger") or options.engine != "sb3":
-        raise value_error("algo", options.algo or options.engine, "no algorithm: imitation uses DAgger")
+    if options.algo not in (None, "dagger"):
+        raise value_error("algo", options.algo, "no algorithm: imitation uses DAgger")
     options.algo = "dagger"
     return train.COMMAND.run(options)
 
