@@ -15,8 +15,8 @@ the limits.** In the other {6} the process of the arm is gone."""
 BODY = """{table}
 
 The simulated machine is a process of its own behind UDP. *At rest*: all motors below {rest:.1%} of the limit of
-their rate, after the stop. Load average of the two cores: {load:.1f}. A deadline is missed if the torques arrive too late for
-their period.
+their rate, after the stop. Load average of the two cores: {load:.1f}. A deadline is missed if the torques arrive too
+late for their period.
 
 {loops}
 - **Without priority**: {free}.
