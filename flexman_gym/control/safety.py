@@ -89,8 +89,8 @@ class SafetyFilter:
     """
 
     _arrays = (
-        "_past", "change", "status", "_ages", "_check_ages", "_levels", "_hold", "_decaying", "_room", "_backup",
-        "_effects", "_continuations", "_responses", "_response_ages", "_response_slow", "_slow",
+        "_past", "change", "status", "_ages", "_check_ages", "_skipped", "_levels", "_hold", "_decaying", "_room",
+        "_backup", "_effects", "_continuations", "_responses", "_response_ages", "_response_slow", "_slow",
     )  # fmt: skip
     state_fields = (*_arrays, "source")
 
@@ -106,10 +106,10 @@ class SafetyFilter:
         self._predictions: dict[int, BrakePrediction] = {}  # by the number of groups of arms
         self._past, self.change = np.zeros((0, late, n)), np.zeros((0, n))
         self._hold = np.zeros((0, n))  # torques that hold the weight in the last stop predicted within the limits, N m
-        self._estimated = False
         self._slow, self._response_slow = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
         self._decaying = np.zeros((0, n))  # torques of the brake in this period beside its damper and the weight, N m
-        self.status, self._ages, self._check_ages, self._response_ages = (np.zeros(0, dtype=np.int64) for _ in range(4))
+        self.status, self._ages, self._response_ages = (np.zeros(0, dtype=np.int64) for _ in range(3))
+        self._check_ages, self._skipped = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
         nothing = np.zeros((1, 1, 2 * plant.model.n_dof)), np.zeros((1, 1, OUTPUTS)), np.zeros((1, n))
         m, self._near = limits.shares(*nothing).shape[2], 1 + late + NEAR_PERIODS
         self._levels = np.zeros((0, m))  # allowed fractions of the limits
@@ -165,7 +165,7 @@ class SafetyFilter:
         other = actions - backup[:, 0]
         room[:, :-1] = room[:, 1:]
         room -= (self._effects[arms] @ np.abs(other)[:, None, :, None])[..., 0]
-        late = self._ages[arms] - self._check_ages[arms] > SKIPPED_PERIODS[self._estimated]
+        late = self._ages[arms] - self._check_ages[arms] > self._skipped[arms]
         covered = (room >= 0.0).all(axis=(1, 2)) & ~late
         other[~covered] = 0.0  # the brake remains that of the last prediction
         backup[:, :-1] = backup[:, 1:] + (self._continuations[arms, :-1] @ other[:, None, :, None])[..., 0]
@@ -178,17 +178,17 @@ class SafetyFilter:
         possible = self.source.read(arms)
         states = np.clip(np.nan_to_num(possible.states, nan=LARGEST_STATE), -LARGEST_STATE, LARGEST_STATE)
         hold, past = self._holding_torques(states[:, 0]), self._past[arms]
-        slow, self._estimated = np.zeros(len(arms), dtype=bool), possible.delays.shape[1] > 1
+        self._skipped[arms] = SKIPPED_PERIODS[possible.delays.shape[1] > 1]
+        slow = np.zeros(len(arms), dtype=bool)
         return _Cases(states, past, possible.delays, hold, possible.parameters, possible.deviations, slow)
 
     def _check(self, arms: IntArray, actions: Array, result: Array) -> None:
         """Predict the motion of arms (r,) for their actions (r, n), and overwrite their rows of the result (b, n)."""
         cases, new = self._cases(arms), np.flatnonzero(self._ages[arms] == 0)
-        hold = cases.hold
         shares, radius, rates = self._predict_models(cases, actions)
         if len(new):
             start = np.abs(self._present(cases.of(new, slice(1)))) + radius[new, 0] + TOLERANCE
-            self._levels[arms[new]], self._hold[arms[new]] = np.clip(start, REMAINDER, 1.0), hold[new]
+            self._levels[arms[new]], self._hold[arms[new]] = np.clip(start, REMAINDER, 1.0), cases.hold[new]
         room = self._allowed(arms, radius)
         left = np.flatnonzero(_excess(shares, room) > 0.0)
         if len(left):
