@@ -37,7 +37,7 @@ def test_it_holds_every_file_of_the_packages_and_no_other(wheel):
         files = [path.relative_to(ROOT / folder) for path in (ROOT / folder).rglob("*") if path.is_file()]
         kept = [path for path in files if not any(part.startswith((".", "__pycache__")) for part in path.parts)]
         expected |= {f"{name}/{path.as_posix()}" for path in kept if path.name != "ruff.toml"}  # lint of a checkout
-    assert {path.rpartition(".")[2] for path in expected} >= {"py", "yaml", "yml", "json", "typed"}
+    assert {path.rpartition(".")[2] for path in expected} >= {"py", "yaml", "json", "typed"}
     assert held == expected
 
 

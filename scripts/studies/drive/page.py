@@ -11,18 +11,17 @@ from studies.screen import screen
 
 QUESTION = "Does an agent move a machine in real time as in a simulation, and what happens if a part of the loop fails?"
 ANSWER = """**With real-time priority `{0}` settles in {1} and `{2}` in {3}, and {4} of {5} faults end at rest within
-the limits.** In the other {6} the process of the arm is gone."""
+the limits.**"""
 BODY = """{table}
 
 The simulated machine is a process of its own behind UDP. *At rest*: all motors below {rest:.1%} of the limit of
-their rate, after the stop. Load average of the two cores: {load:.1f}. A deadline is missed if the torques arrive too
-late for their period.
+their rate. Load average of the two cores: {load:.1f}. *Missed*: torques too late for their period.
 
 {loops}
 - **Without priority**: {free}.
 - **1 % of the packets lost**: {lost}.
 - **Torques from their arrival**: {arrival}.
-- **Round trip**: with sensor noise and lost packets `fm.fit` finds a stiffness changed by 20 % within {fit:.2%}."""
+- **Round trip**: `fm.fit` finds a stiffness changed by 20 % within {fit:.2%}."""
 LOOP = """- **`{agent}`, {rate:.0f} Hz**: late by {late:.4f} ms (median; at most {most:.2g} ms), torques {delay:.1f} ms
   later, {missed} missed; vibration {vibration:.2g} mm (simulation {simulated:.2g} mm)."""
 
@@ -48,7 +47,7 @@ def page(
         rest=REST_RATE, load=float(np.median([row.load for row in loops])), loops="\n".join(map(_loop, main)),
         fit=max(abs(row.found / row.true - 1.0) for row in fits), **text,
     )  # fmt: skip
-    answer = ANSWER.format(*words, len(rested), len(faults), len(faults) - len(rested))
+    answer = ANSWER.format(*words, len(rested), len(faults))
     return screen("Real-time loops", QUESTION, answer, body, files, "drive")
 
 
