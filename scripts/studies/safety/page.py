@@ -15,8 +15,8 @@ violations in `nominal` is below {bound:.1%} (95 % confidence)."""
 BODY = """{table}
 
 [The page on safety](../safety.md) has agents and limits. A violation is an excess above {accepted:.0%} of the limit, of
-rate and half space any excess. Time: ratio of the median settling times with and without the filter. CPU: of the
-filter, for an action in a batch and for a single arm. Both from least to largest.
+rate and half space any excess. Time: ratio of the median settling times with and without the filter. CPU: for an action
+in a batch, and of a single arm.
 
 PPO of a PD controller of `FlexOne-v0`, strain limit {strain:g}, {seeds} seeds, {steps:,} actions each; free: violations
 have no consequence; ended: they end the episode.
