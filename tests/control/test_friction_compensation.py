@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import flexman_gym as fm
@@ -46,13 +46,15 @@ def plant(own):
     return Plant(own, LIMITS, PERIOD, dict)
 
 
+@example(before=0.0, after=1e-5, width=1e-3)
 @given(before=RATES, after=RATES, width=st.floats(1e-3, 0.1))
 def test_the_mean_friction_is_that_over_a_uniform_change_of_the_rate(before, after, width):
     coefficients = np.array([[0.4], [1.5]])
     knots = np.unique(np.clip(width * np.linspace(-40.0, 40.0, 4001), *sorted((before, after))))
     rates = np.unique(np.concatenate([[before, after], knots]))
-    values = 0.4 * rates + 1.5 * np.tanh(rates / width)
-    mean = np.trapezoid(values, rates) / np.ptp(rates) if np.ptp(rates) > 1e-5 else values[0]
+    values, middle = 0.4 * rates + 1.5 * np.tanh(rates / width), 0.5 * (before + after)
+    at_middle = 0.4 * middle + 1.5 * np.tanh(middle / width)  # the mean over a change that is small beside the width
+    mean = np.trapezoid(values, rates) / np.ptp(rates) if np.ptp(rates) > 1e-5 else at_middle
     found = mean_friction_torques(coefficients, np.array([before]), np.array([after]), width)
     assert found == pytest.approx(mean, abs=1e-3)
 
