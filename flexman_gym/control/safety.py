@@ -159,7 +159,7 @@ class SafetyFilter:
     def _covered(self, arms: IntArray, actions: Array) -> BoolArray:
         """Return flags (r,) of arms that the last prediction keeps within the limits for actions (r, n), too.
 
-        The room that it left is reduced by the effect of the actions in place of the brake, which continues them.
+        The room that it left is reduced by the effect of the actions in place of the brake.
         """
         room, backup = self._room[arms], self._backup[arms]
         other = actions - backup[:, 0]

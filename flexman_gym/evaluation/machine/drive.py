@@ -39,9 +39,8 @@ PHASE, LONGEST_PHASE = 0.1, 5e-4
 SPIN = 1e-4  # s; end of a wait that is not slept, longer than a computer needs to wake up a process
 READ_INTERVAL = 3e-4  # s; time between two attempts to read before the start and during the stop, more than SPIN
 POLL_INTERVAL = 1e-5  # s; time between two attempts to read late readings
-START_READINGS = (
-    25  # number of readings before the start, whose median is the start, and of periods in which deadlines are set
-)
+# number of readings before the start, whose median is the start, and of control periods in which deadlines are set
+START_READINGS = 25
 # control periods that the agent simulates before the start: to load kernels, to allocate the memory of its internal
 # models, and to compute the gains and references of the move, of which each takes longer than some control periods
 WARM_UP = 500
