@@ -126,7 +126,7 @@ def _matlab_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _matlab(options: argparse.Namespace) -> str:
-    from flexman_gym.evaluation.c_code import write_matlab
+    from flexman_gym.evaluation.matlab import write_matlab
 
     return f"{options.out}: {', '.join(write_matlab(options.name, options.out, options.env, options.goal))}"
 

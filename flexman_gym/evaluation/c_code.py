@@ -1,4 +1,4 @@
-"""Export of a controller as C99 (header, source, test program with recorded readings, a page), and as a .mat file."""
+"""Export of a controller as C99: header, source, test program with recorded readings, and a page."""
 
 import re
 from dataclasses import dataclass, field
@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector
-from flexman_gym.common.checks import value_error, vector
+from flexman_gym.common.arrays import Array, BoolArray, IntArray
+from flexman_gym.common.checks import value_error
 from flexman_gym.control.actions import TorqueMode
 from flexman_gym.control.agent import Agent, history_length
 from flexman_gym.control.controller import EpisodeInfo, Readings
@@ -23,15 +23,12 @@ from flexman_gym.control.pd import PD
 from flexman_gym.control.tracking import OutputFeedback, Tracking
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.envs.sensors import find_sensors
 from flexman_gym.evaluation import c_templates as c
 from flexman_gym.evaluation.agent import AgentSpec, common_environment, find_agent
 from flexman_gym.evaluation.rollout import TEST_SEEDS
-from flexman_gym.model.statics import holding_torques, rest_state
-from flexman_gym.scene.serialization import SUFFIXES
-from flexman_gym.simulation.linearization import linearize
+from flexman_gym.model.statics import rest_state
 
 EXPORTED = (
     "pd, pd-shaped, lqr, lqr-tracking, lqg, or a policy on one of the first four: others simulate arms while they run"
@@ -191,7 +188,7 @@ def begin_agent(name: object, environment: str = "", seed: int = TEST_SEEDS[0], 
     return _Session(spec, bare, episodes, layout, (start, episodes.view.goal_angles[0].copy()))
 
 
-def _read_program(session: _Session) -> _Program:
+def read_program(session: _Session) -> _Program:
     """Return the parts of the agent of a session."""
     program, agent, mode = _Program(), session.episodes.agent, session.episodes.agent.mode
     base, readings = agent.base, "readings"
@@ -262,7 +259,7 @@ def write_c(session: _Session, folder: Path) -> list[Path]:
     Returns:
         Paths of the files.
     """
-    program, environment = _read_program(session), session.environment
+    program, environment = read_program(session), session.environment
     readings, actions = session.record(RECORDED_PERIODS)
     limits, name = np.array(environment.torque_limit), re.sub(r"\W", "_", session.spec.name.lower())
     name = name if name[0].isalpha() else f"controller_{name}"
@@ -303,44 +300,3 @@ def _c_array(name: str, values: Array, kind: str = "static const") -> str:
     numbers = ", ".join(map(repr, np.asarray(values, dtype=float).ravel().tolist()))
     lines = "\n".join(wrap(numbers, 116, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False))
     return f"{kind} double {name}[{np.size(values)}] = {{\n{lines}\n}};"
-
-
-OUTPUTS = ("tip", "tip_velocity", "motor_angles", "motor_rates", "joint_twists", "root_strains")
-
-
-def write_matlab(name: str, path: Path, environment: str = "", goal: Vector | None = None) -> list[str]:
-    """Write the linear model of an arm at rest, and the gains of an agent, as a .mat file.
-
-    The file has A, B, C and D of the continuous model, Ad and Bd of the model sampled with the control period, names
-    with units, the posture (rad) with its holding torques (N m), and for an agent the structure `agent` with its gains.
-
-    Args:
-        name: agent as in `begin_agent`, or an environment.
-        path: path of the file.
-        environment: environment of an agent, as in `begin_agent`.
-        goal: (n,) motor angles, rad; None for zero, or for an agent for the goal of the first test episode.
-
-    Returns:
-        Names of the variables.
-    """
-    from scipy.io import savemat
-
-    data: dict[str, Any] = {}
-    if name.partition("/")[0] in NAMED_ENVIRONMENTS or name.endswith(SUFFIXES):
-        bare = Configuration.find(name)
-        model = resolve_fidelity(bare).model
-        posture = np.zeros(model.n_joints) if goal is None else np.array(vector("goal", goal, model.n_joints, "rad"))
-    else:
-        move: dict[str, Any] = {} if goal is None else {"goal_angles": goal}
-        session = begin_agent(name, environment, **move)
-        program, bare, posture = _read_program(session), session.environment, session.move[1]
-        model = session.episodes.batch.model
-        data["agent"] = program.constants | program.rows | program.matrices
-    holding = holding_torques(model, posture)
-    linear = linearize(model, state=rest_state(model, posture), torque=holding, outputs=OUTPUTS)
-    sampled = linear.discrete(bare.control_period)
-    data |= dict(zip("ABCD", linear, strict=True)) | {"Ad": sampled.A, "Bd": sampled.B, "period": bare.control_period}
-    data |= {each: np.array(getattr(linear, each), dtype=object) for each in ("states", "inputs", "outputs")}
-    data |= {"posture": posture, "holding_torques": holding, "torque_limit": np.array(bare.torque_limit)}
-    savemat(path, data, oned_as="column")
-    return sorted(data)
