@@ -33,7 +33,11 @@ pages: .venv/installed
 
 # The script of the replay page is what its sources say; left out without a network.
 bundle: .venv/installed
-	if (cd scripts/web && npm ci --no-audit --no-fund --silent); then .venv/bin/python scripts/bundle.py --check; fi
+	if $(MAKE) scripts/web/node_modules; then .venv/bin/python scripts/bundle.py --check; fi
+
+scripts/web/node_modules: scripts/web/package-lock.json
+	cd scripts/web && npm ci --no-audit --no-fund --silent
+	@touch $@
 
 verify: .venv/installed
 	.venv/bin/python scripts/verification.py --folder docs/evidence
@@ -63,6 +67,11 @@ lint: .venv/installed
 	@$(RUN) pip install --quiet --no-compile $(TORCH)
 	@$(RUN) pip install --quiet --no-compile -e '.[train,render,dev,docs]'
 	@PYTHONDONTWRITEBYTECODE= .venv/bin/python -c "import flexman_gym, scipy.optimize, matplotlib.pyplot, stable_baselines3"
+	@touch $@
+
+# Packages that few tests need: clusters, searches, datasets, and other simulators.
+.venv/tested: .venv/installed
+	@$(RUN) pip install --quiet --no-compile -e '.[scale,peers]'
 	@touch $@
 
 clean:

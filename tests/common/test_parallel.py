@@ -16,11 +16,15 @@ from flexman_gym.common.parallel import Workers, parallel_map, parallel_map_unor
 from oracles import cells
 from oracles.assertions import refusal
 
-RAY = pytest.param(Workers(2, ray="local"), id="ray", marks=pytest.mark.skipif(not find_spec("ray"), reason="no Ray"))
+RAY = pytest.param(
+    Workers(2, ray="local"),
+    id="ray",
+    marks=pytest.mark.skipif(not find_spec("ray"), reason="ray is not installed"),
+)
 SUBMITIT = pytest.param(
     Workers(2, submitit="local"),
     id="submitit",
-    marks=pytest.mark.skipif(not find_spec("submitit"), reason="no submitit"),
+    marks=pytest.mark.skipif(not find_spec("submitit"), reason="submitit is not installed"),
 )
 WAYS = [pytest.param(Workers(1), id="alone"), pytest.param(Workers(2), id="processes"), RAY, SUBMITIT]
 CELLS = [(seed, 3 + seed % 4) for seed in range(9)]

@@ -147,7 +147,7 @@ def test_entries_are_read_as_python_reads_them(tmp_path, caplog):
 
 def test_equations_are_read_by_what_draws_them():
     if shutil.which("node") is None:
-        pytest.skip("needs node")
+        pytest.skip("node is not installed (npm)")
     texts = [(page, one or two) for page, text in PAGES.items() for one, two in EQUATION.findall(prose(text))]
     assert len(texts) >= 40
     script = """

@@ -76,7 +76,7 @@ def readings(run, links=3, width=1):
     return json.loads(done.stdout)
 
 
-@pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
+@pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed (npm)")
 @pytest.mark.filterwarnings("error")
 def test_a_reading_that_is_not_finite_is_a_gap_in_its_curve():
     """The rest of the curve keeps its scale, also where finite numbers are as large as there are."""
@@ -282,7 +282,9 @@ def test_numbers_are_packed_little_endian():
     assert base64.b64decode(run["error"]) == ROWS * b"\0\0\x80\x3f"
 
 
-@pytest.mark.skipif(not (ROOT / "scripts" / "web" / "node_modules").is_dir(), reason="needs npm ci in scripts/web")
+@pytest.mark.skipif(
+    not (ROOT / "scripts" / "web" / "node_modules").is_dir(), reason="scripts/web/node_modules is not installed (npm ci)"
+)
 def test_the_bundle_is_what_its_sources_say():
     done = subprocess.run([sys.executable, ROOT / "scripts" / "bundle.py", "--check"], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, "up to date\n"), done.stderr

@@ -14,7 +14,7 @@ ARGUMENTS = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--ena
              "--disable-dev-shm-usage", "--hide-scrollbars", "--no-first-run", "--disable-background-networking",
              "--window-size=1280,720"]  # fmt: skip
 OFFLINE = "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1"
-MISSING = next((f"needs {name} (apt: chromium chromium-driver)" for name in ("chromium", "chromedriver")
+MISSING = next((f"{name} is not installed (apt: chromium chromium-driver)" for name in ("chromium", "chromedriver")
                 if shutil.which(name) is None), "")  # fmt: skip
 
 

@@ -1,0 +1,35 @@
+"""Limit of the number of skipped tests: options --most-skips and --without of tests/conftest.py."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SKIPS = "import pytest\n\n\n@pytest.mark.parametrize('k', range({count}))\ndef test_skip(k):\n    {skip}\n"
+REASONS = {
+    "reason": "pytest.skip('only root can do this')",
+    "package": "pytest.importorskip('no_such_package')",
+    "named": "pytest.skip('ray is not installed')",
+}
+
+
+@pytest.mark.parametrize(("kind", "count", "options", "status", "line"), [
+    ("reason", 2, ["--most-skips=2"], 0, "2 skipped"),
+    ("reason", 3, ["--most-skips=2"], 1, "3 tests are skipped, at most 2 are allowed"),
+    ("reason", 3, [], 0, "3 skipped"),
+    ("package", 1, ["--most-skips=2"], 1, "1 skipped: could not import 'no_such_package'"),
+    ("named", 3, ["--most-skips=2", "--without=ray"], 0, "3 skipped, not counted: ray is not installed"),
+    ("named", 1, ["--most-skips=2", "--without=chromium"], 1, "1 skipped: ray is not installed"),
+])  # fmt: skip
+def test_skips_beyond_the_limit_or_for_a_missing_package_fail(kind, count, options, status, line, tmp_path):
+    shutil.copy(Path(__file__).with_name("conftest.py"), tmp_path)
+    (tmp_path / "slow.txt").write_text("")
+    (tmp_path / "test_skip.py").write_text(SKIPS.format(count=count, skip=REASONS[kind]))
+    command = [sys.executable, "-m", "pytest", "-p", "xdist", "-p", "no:cacheprovider", "-n", "1", *options]
+    environment = os.environ | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_ADDOPTS": ""}
+    done = subprocess.run([*command, "test_skip.py"], cwd=tmp_path, capture_output=True, text=True, env=environment)
+    assert done.returncode == status, done.stdout + done.stderr
+    assert line in done.stdout
