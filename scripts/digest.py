@@ -1,5 +1,7 @@
 """Print hashes of simulation results to compare two versions bit by bit: python scripts/digest.py [other checkout]"""
 
+import argparse
+import contextlib
 import hashlib
 import os
 import subprocess
@@ -11,6 +13,13 @@ import numpy as np
 
 STEPS, SEEDS, ARMS = 1000, (0, 1, 2), (1, 3, 64, 136)
 MODES = ((0, 1, 2, 3, 4, 6), (0, 1, 2, 3, 4, 5, 8), (0, 1, 2))
+CONDITIONS = ("nominal", "delay", "friction", "payload", "random-delay", "stiffness", "uncertain", "unknown",
+              "unknown-lab", "unmodelled")  # fmt: skip
+LAB = "FlexRRR-v0/unknown-lab"
+AGENTS = dict.fromkeys(("pd-torque", "lqr", "lqr-tracking", "lqg", "hinf", "mpc", "adaptive-lqr", "privileged-lqr",
+                             "pd-shaped", "lab-flexrrr"), LAB)  # fmt: skip
+AGENTS |= dict.fromkeys(("optimised", "ppo-flexrrr", "sac-flexrrr", "shaping-flexrrr"), "FlexRRR-v0")
+AGENTS["ppo-flexplanar"] = "FlexPlanar-v0"
 FIDELITY: dict[str, Any] = {"modes": MODES, "method": "ros2", "step": 0.005}
 
 
@@ -73,8 +82,36 @@ def trajectory(name: str) -> str:
     return digest.hexdigest()
 
 
-def digests() -> dict[str, str]:
-    """Return all digests by description."""
+def pairs() -> list[tuple[str, str]]:
+    """Return agent and environment of the episodes: two agents everywhere, and each agent where it is compared."""
+    import gymnasium as gym
+
+    import flexman_gym  # noqa: F401  registers the environments
+
+    places = []
+    for id in (name for name in gym.registry if name.startswith("Flex")):
+        for condition in CONDITIONS:
+            with contextlib.suppress(ValueError):  # the environment lacks this condition
+                gym.make(id, condition=condition).close()
+                places.append(id if condition == "nominal" else f"{id}/{condition}")
+    usual = [(agent, place) for place in places for agent in ("zero", "pd")]
+    return [*usual, *AGENTS.items()]
+
+
+def episodes(agent: str, environment: str, count: int) -> str:
+    """Return the digest of the first test episodes of an agent: states, torques, readings and rewards."""
+    import flexman_gym as fm
+
+    record = fm.rollout(agent, environment, seeds=count)
+    digest = hashlib.sha256()
+    for name in ("tips", "errors", "states", "targets", "actions", "torques", "rewards", "readings", "lengths"):
+        update(digest, {name: getattr(record, name)})
+    update(digest, record.failures)
+    return digest.hexdigest()
+
+
+def digests(count: int) -> dict[str, str]:
+    """Return all digests by description, with this number of episodes of each pair of agent and environment."""
     import flexman_gym as fm
 
     result = {f"simulate, {name}": trajectory(name) for name in fm.METHODS}
@@ -83,18 +120,25 @@ def digests() -> dict[str, str]:
         for seed in SEEDS:
             mode = ("NextStep", "SameStep", "NextStep")[seed % 3]
             result[f"make_vec, {arms} arms, seed {seed}, {mode}"] = vector(arms, seed, mode)
+    if count:
+        result |= {f"rollout, {agent}, {place}": episodes(agent, place, count) for agent, place in pairs()}
     return result
 
 
 def main() -> int:
     """Print the digests, or compare them with another checkout; return 1 if any differ."""
-    if len(sys.argv) == 1:
-        print("\n".join(f"{value[:16]}  {name}" for name, value in digests().items()))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("other", nargs="?", type=Path, help="checkout with which the digests are compared")
+    parser.add_argument("--episodes", type=int, default=3, help="episodes of each agent; 0 for none (default: 3)")
+    options = parser.parse_args()
+    if options.other is None:
+        print("\n".join(f"{value[:16]}  {name}" for name, value in digests(options.episodes).items()))
         return 0
     runs = []
-    for folder in (Path(__file__).parents[1], Path(sys.argv[1])):
+    for folder in (Path(__file__).parents[1], options.other.resolve()):
         environment = os.environ | {"PYTHONPATH": str(folder)}
-        done = subprocess.run([sys.executable, __file__], capture_output=True, text=True, env=environment, check=True)
+        command = [sys.executable, __file__, "--episodes", str(options.episodes)]
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
         runs.append({line.split("  ")[1]: line.split("  ")[0] for line in done.stdout.splitlines()})
     mine, other = runs
     both = [name for name in mine if name in other]
