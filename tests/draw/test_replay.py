@@ -283,7 +283,8 @@ def test_numbers_are_packed_little_endian():
 
 
 @pytest.mark.skipif(
-    not (ROOT / "scripts" / "web" / "node_modules").is_dir(), reason="scripts/web/node_modules is not installed (npm ci)"
+    not (ROOT / "scripts" / "web" / "node_modules").is_dir(),
+    reason="scripts/web/node_modules is not installed (npm ci)",
 )
 def test_the_bundle_is_what_its_sources_say():
     done = subprocess.run([sys.executable, ROOT / "scripts" / "bundle.py", "--check"], capture_output=True, text=True)
