@@ -1,7 +1,7 @@
 """Print what a program loads, and how the folders depend on each other: python scripts/architecture.py [checkout]
 
-The core consists of the folders CORE of `flexman_gym`, all other folders are features. An arrow is an import of one folder
-by another, wherever it stands in a file; imports that serve type checkers only are left out.
+The core consists of the folders CORE of `flexman_gym`, all other folders are features. An arrow is an import of one
+folder by another, wherever it stands in a file; imports that serve type checkers only are left out.
 """
 
 import ast
@@ -87,14 +87,10 @@ def structure(root: Path) -> dict[str, object]:
         "core to feature": [(a, b) for a, b in arrows if a in CORE and b not in CORE],
         "feature to feature": [(a, b) for a, b in arrows if a not in CORE and b not in CORE],
     }
-    shown = {
-        name: [f"{a} -> {b}" for a, b in sorted(counts[name])] for name in ("core to feature", "feature to feature")
-    }
-    return (
-        {"core": core}
-        | {name: len(each) for name, each in counts.items()}
-        | {f"{name}:": shown[name] for name in shown}
-    )
+    result: dict[str, object] = {"core": core}
+    for name, each in counts.items():
+        result[name] = f"{len(each)}: {', '.join(f'{a} -> {b}' for a, b in sorted(each))}"
+    return result
 
 
 def main() -> int:
@@ -104,9 +100,8 @@ def main() -> int:
     for name, program in PROGRAMS.items():
         print(name, json.loads(run(start + program + LOADED, root)))
     base = cpu_seconds(BASE, root)
-    print(
-        f"import flexman_gym: {cpu_seconds(BASE + ', flexman_gym', root) - base:.2f} CPU s above {base:.2f} s of {BASE[7:]}"
-    )
+    own = cpu_seconds(f"{BASE}, flexman_gym", root) - base
+    print(f"import flexman_gym: {own:.2f} CPU s above {base:.2f} s of {BASE}")
     for name, value in structure(root).items():
         print(name, value)
     return 0
