@@ -8,10 +8,11 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.model.mjcf import rigid_pieces
 from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.inertia import Body
 from flexman_gym.scene.link import Link, NonUniformLink
 from flexman_gym.scene.rigid_body import LumpedMass, Payload
 from flexman_gym.scene.serialization import to_plain
-from flexman_gym.scene.urdf import DAMPING, Body
+from flexman_gym.scene.urdf import DAMPING
 
 
 def to_urdf(arm: Arm) -> tuple[str, dict[str, Any]]:

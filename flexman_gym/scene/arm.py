@@ -70,13 +70,24 @@ class Arm:
         path: str | Path,
         sidecar: str | Path | Mapping[str, Any] | None = None,
         tip: str | None = None,
-        held: Mapping[str, float] | None = None,
+        held: Mapping[str, float] | str | None = None,
+        inertias: str = "project",
     ) -> "Arm":
         """Read an arm of rigid links from a URDF file.
 
         The base frame has the axes of the root link and its origin at the first joint. Links behind fixed and held
-        joints are merged with the link that carries them; the body of a separate link at the tip is the payload. Limits
-        of torque are read; a joint turns without stops, so that ranges of angles are not.
+        joints are merged with the link that carries them; the body of a separate link at the tip is the payload. Data
+        that the arm does not use are not checked, such as the inertia of the base. Limits of torque are read, where a
+        number <= 0 means none; a joint turns without stops, so that ranges of angles are not.
+
+        An inertia matrix is impossible if a principal moment exceeds the sum of the other two (or is negative). With
+        inertias="project" it is replaced, with a warning, by that of the nearest distribution of mass: negative second
+        moments of mass are set to zero, which keeps the largest principal moment and increases the others. This is
+        done where the excess is at most 1 % of the largest moment, as after rounding to three digits; for a link with
+        less than 5 % of the moving mass, because masses of arms are seldom known more accurately; for a change that is
+        smaller than the inertia of the same mass with a radius of gyration of 1 mm; and for rigid links that joints
+        with parallel axes move, if the moment about them is unchanged. Other impossible inertias are refused. A link of
+        zero mass has no inertia: one in the file is left out, with a warning.
 
         Args:
             path: the file.
@@ -85,11 +96,15 @@ class Arm:
                 `joints`, joint -> fields of Joint; `gravity` in the axes of the root link (default: 9.81 m/s^2 against
                 z), `stiffness_proportional_damping` and `modal_damping_ratio`.
             tip: link at the end of the chain, whose origin is the tip; may be omitted without branches.
-            held: joint -> constant angle (rad) or position (m), for joints that are not part of the chain.
+            held: joint -> constant angle (rad) or position (m), for joints that are not part of the chain; "rest" for
+                all joints except the revolute ones between base and tip, each at zero or at the nearest value within
+                its limits, with a warning for joints between base and tip and for values other than zero.
+            inertias: "project" or "strict", which refuses every impossible inertia.
 
         Raises:
             FileNotFoundError: if a file does not exist.
-            ValueError: for invalid XML, for entities, and for joints and bodies that an arm cannot have.
+            ValueError: for invalid XML, for entities, and for joints and bodies that an arm cannot have; one message
+                lists all joints to be held, or all links without mass, with the argument to paste.
 
         Examples:
             >>> arm = fm.Arm.from_urdf("docs/examples/two_links.urdf")
@@ -98,7 +113,7 @@ class Arm:
         """
         from flexman_gym.scene.urdf import read_urdf
 
-        return read_urdf(path, sidecar, tip, held)
+        return read_urdf(path, sidecar, tip, held, inertias)
 
     def __post_init__(self) -> None:
         set_fields(

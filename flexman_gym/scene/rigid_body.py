@@ -16,6 +16,7 @@ from flexman_gym.common.checks import (
     value_error,
     vector,
 )
+from flexman_gym.scene.inertia import POSSIBLE, ROUNDING, triangle_excess
 from flexman_gym.scene.input_checks import check_keywords
 
 
@@ -34,17 +35,13 @@ def _inertia_matrix(name: str, value: object) -> tuple[tuple[float, ...], ...]:
 
     It must be symmetric with non-negative principal moments, none of which exceeds the sum of the other two.
     """
-    allowed = "a symmetric inertia matrix (kg m^2) with principal moments >= 0, none above the sum of the other two"
+    allowed = f"a symmetric inertia matrix (kg m^2) with {POSSIBLE}"
     rows = sequence(name, value, "3 rows of 3 numbers")
     if len(rows) != 3:
         raise value_error(name, value, "3 rows of 3 numbers")
     rows = tuple(vector(f"{name}[{i}]", row, 3) for i, row in enumerate(rows))
     matrix = np.array(rows)
-    if not np.array_equal(matrix, matrix.T):
-        raise value_error(name, value, allowed)
-    moments = np.linalg.eigvalsh(matrix)
-    rounding = 1e-12 * max(abs(moments))
-    if moments[0] < -rounding or moments[2] > moments[0] + moments[1] + rounding:
+    if not np.array_equal(matrix, matrix.T) or triangle_excess(matrix) > ROUNDING:
         raise value_error(name, value, allowed)
     return rows
 

@@ -1,5 +1,6 @@
 """Tests of arms in URDF files: masses and gravity of an independent chain, sidecars, export, and refusals."""
 
+import ast
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -15,6 +16,7 @@ from flexman_gym.scene.serialization import find_arm, to_plain
 
 from oracles.assertions import refusal
 from oracles.files import ROOT
+from oracles.urdf_files import joint, link, robot
 
 EXAMPLE = (ROOT / "docs" / "examples" / "two_links.urdf").read_text(encoding="utf-8")
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -81,9 +83,9 @@ def chain(text, angles):
 
     names = [name for name in angles if name not in HELD]
     mass, torques = np.zeros((len(names), len(names))), np.zeros(len(names))
-    for link in root.findall("link"):
-        inertial = link.find("inertial")
-        turn, place, axes = frame(link.get("name"))
+    for element in root.findall("link"):
+        inertial = element.find("inertial")
+        turn, place, axes = frame(element.get("name"))
         if inertial is None or not axes:
             continue
         own, offset = pose(inertial)
@@ -181,25 +183,26 @@ REFUSED = {  # what is wrong -> old and new text, and what the error names
     "macros": ("<robot", "<xacro:robot", ("valid XML", "xacro")),
     "another root": ("robot", "model", ("root element", "'model'", "robot")),
     "no inertia": ('<inertia ixx="0.002"', '<other ixx="0.002"', ("link 'forearm'.inertial", "<inertia> is missing")),
-    "no inertial": ("inertial", "other", ("link 'upper_arm'.inertial", "missing")),
+    "no mass": ('<mass value="1.5"/>', "", ("link 'forearm'.inertial", "<mass> is missing")),
     "negative mass": ('value="1.5"', 'value="-1.5"', ("link 'forearm'.inertial.mass", "-1.5", ">= 0")),
-    "massless": ('value="1.5"', 'value="0"', ("link 'forearm'.inertial.mass", "> 0 (kg)")),
-    "impossible inertia": ('izz="0.021"', 'izz="0.051"', ("link 'forearm'.inertia", "symmetric inertia matrix")),
-    "no number": ('iyz="0.0002"', 'iyz="${i}"', ("link 'forearm'.inertial.iyz", "'${i}'", "a finite number")),
+    "impossible inertia": ('izz="0.021"', 'izz="0.051"', ("link 'forearm'.inertial: ixx=0.002 ", "izz=0.051")),
+    "no number": ('iyz="0.0002"', 'iyz="${i}"', ("link 'forearm'.inertial.iyz", "'${i}'", "a finite number", "xacro")),
     "two numbers": ('xyz="0.4 0 0"', 'xyz="0.4 0"', ("joint 'elbow'.origin.xyz", "3 finite numbers")),
-    "type": ("continuous", "planar", ("joint 'elbow'.type", "'planar'", "revolute")),
-    "prismatic": ("continuous", "prismatic", ("joint 'elbow'.type", "'prismatic'", "held={'elbow': position}")),
+    "type": ("continuous", "planar", ("joint 'elbow' (type planar)", "revolute", "held={'elbow': 0.0}")),
+    "prismatic": ("continuous", "prismatic", ("joint 'elbow' (type prismatic)", "held={'elbow': 0.0}")),
     "mimic": ('<limit effort="40"', '<mimic joint="shoulder"/><limit effort="40"',
-              ("joint 'elbow'.mimic", "'shoulder'", "held={'elbow'")),
+              ("joint 'elbow' (mimic of 'shoulder')", "held={'elbow': 0.0}")),
     "axis": ('1"/>\n    <limit effort', '0"/>\n    <limit effort', ("joint 'elbow'.axis", "length > 0")),
     "parent": ('<parent link="forearm"/>', '<parent link="hand"/>', ("joint 'mount'.parent", "'hand'")),
+    "no parent": ('<parent link="forearm"/>', "", ("joint 'mount': <parent> is missing",)),
     "two parents": ('<child link="tool"/>', '<child link="upper_arm"/>', ("joint 'mount'.child", "'upper_arm'")),
     "loop": ('<parent link="base"/>', '<parent link="tool"/>', ("the links", "without a loop")),
     "two roots": ('<link name="base"/>', '<link name="base"/><link name="box"/>', ("['base', 'box']", "one root")),
-    "two names": ('name="elbow"', 'name="shoulder"', ("joint.name", "'shoulder'")),
-    "ends": ('<parent link="forearm"/>', '<parent link="upper_arm"/>', ("tip", "forearm, tool")),
+    "two names": ('name="elbow"', 'name="shoulder"', ("joint.name", "'shoulder'", "no other <joint>")),
+    "two links": ('<link name="base"/>', '<link name="base"/><link name="base"/>', ("link.name", "'base'")),
+    "ends": ('<parent link="forearm"/>', '<parent link="upper_arm"/>', ("tip", "forearm (2 joints), tool (1 joint)")),
     "branch": ('type="fixed">\n    <parent link="forearm"/>', 'type="revolute">\n    <parent link="upper_arm"/>',
-               ("tip", "forearm, tool")),
+               ("tip", "forearm (2 joints), tool (2 joints)")),
 }  # fmt: skip
 
 
@@ -211,15 +214,65 @@ def test_an_invalid_file_is_refused_by_its_element(name, tmp_path):
     assert all(part in line for part in parts) and "arm.urdf: " in line, line
 
 
+HANDS = [  # a gripper at link b, a second arm on the base, and a lift below link b
+    joint("grip", "b", "finger", "prismatic", '<axis xyz="0 1 0"/><limit lower="0.01" upper="0.05" effort="-1"/>'),
+    link("finger", 0.1), joint("copy", "b", "thumb", "prismatic", '<mimic joint="grip"/>'), link("thumb", 0.1),
+    joint("knee", "base", "leg", rest='<limit lower="-2" upper="-0.5"/>'), link("leg"),
+    joint("wheel", "leg", "rim", "continuous", '<limit lower="1" upper="2"/>'), link("rim"),
+    joint("j'3", "b", "c"), link("c"),
+]  # fmt: skip
+RESTS = {"grip": 0.01, "copy": 0.0, "knee": -0.5, "wheel": 0.0}
+
+
+def test_all_joints_off_the_chain_are_named_in_one_message_to_paste(tmp_path):
+    text = robot(*HANDS)
+    line = refusal(lambda: read(tmp_path, text, tip="c"))
+    assert "joints 'grip' (type prismatic), 'copy' (type prismatic), 'knee' (off the chain) and 1 more: " in line
+    assert 'give held="rest", or held=' in line and ast.literal_eval(line.partition(" or held=")[2]) == RESTS
+    pasted = ast.literal_eval(refusal(lambda: read(tmp_path, text, tip="a")).partition(" or held=")[2])
+    assert pasted == RESTS | {"j2": 0.0, "j'3": 0.0} and read(tmp_path, text, tip="a", held=pasted).n_joints == 1
+    line = refusal(lambda: read(tmp_path, text, tip="c", held={"copy": 0.02, "knee": -1.0}))
+    assert ast.literal_eval(line.partition(" or held=")[2]) == RESTS | {"copy": 0.02, "knee": -1.0}
+    assert "mimic" in refusal(lambda: read(tmp_path, text.replace('"prismatic"', '"revolute"'), tip="c"))
+
+
+def test_held_rest_is_the_dictionary_of_the_message(tmp_path):
+    """Each joint off the chain stands at zero, or at the nearest value within its limits; only those are told."""
+    text = robot(*HANDS)
+    with pytest.warns(UserWarning) as issued:
+        arm = read(tmp_path, text, tip="c", held="rest")
+    assert arm == read(tmp_path, text, tip="c", held=RESTS) and arm.n_joints == 3
+    (message,) = [str(each.message) for each in issued]
+    assert message.endswith("off zero (rad or m): 'grip' (prismatic) at 0.01, 'knee' (revolute) at -0.5")
+    assert read(tmp_path, EXAMPLE, held="rest") == read(tmp_path, EXAMPLE)
+
+
+@pytest.mark.parametrize("kind", ["prismatic", "floating", "mimic"])
+def test_held_rest_warns_of_a_joint_between_base_and_tip(kind, tmp_path):
+    """Such as the lift of a mobile robot, or a free base; without it the joint is refused."""
+    rest = '<axis xyz="0 0 1"/><limit lower="0.1" upper="0.4"/>' + '<mimic joint="j2"/>' * (kind == "mimic")
+    lift = joint("lift", "ground", "base", "revolute" if kind == "mimic" else kind, rest)
+    text = robot('<link name="ground"/>', lift)
+    value = 0.0 if kind == "floating" else 0.1
+    with pytest.warns(UserWarning, match=rf"between base and tip \(rad or m\): 'lift' \(\w+\) at {value:g}$"):
+        arm = read(tmp_path, text, held="rest")
+    assert arm == read(tmp_path, text, held={"lift": value}) and arm.n_joints == 2
+    assert f"held={{'lift': {value}}}" in refusal(lambda: read(tmp_path, text))
+
+
+def test_a_tip_between_the_ends_carries_what_is_behind_it(tmp_path):
+    """With the joint behind it held at zero, the arm is the first two links of the whole chain."""
+    text = robot(joint("j3", "b", "c"), link("c"), joint("j4", "c", "d"), link("d"))
+    whole, part = read(tmp_path, text), read(tmp_path, text, tip="b", held="rest")
+    angles = np.array([0.3, -0.7])
+    mass, torques = dynamics(whole, np.append(angles, [0.0, 0.0]))
+    assert_same(dynamics(part, angles), (mass[:2, :2], torques[:2]))
+
+
 def test_other_arguments_are_refused_by_name(tmp_path):
-    branch = EXAMPLE.replace(
-        'type="fixed">\n    <parent link="forearm"/>', 'type="revolute"><parent link="upper_arm"/>'
-    )
-    assert "joint 'mount': 'a branch'" in refusal(lambda: read(tmp_path, branch, tip="forearm"))
-    assert read(tmp_path, branch, tip="forearm", held={"mount": 0.1}).n_joints == 2
     cases = {
         "tip": {"tip": "hand"},
-        "held": {"held": {"grip": 0.0}},
+        "held": {"held": {"mount": 0.0}},
         "held['elbow']": {"held": {"elbow": "0"}},
         "sidecar": {"sidecar": {"link": {}}},
         "sidecar.links": {"sidecar": {"links": {"base": {}}}},
@@ -238,7 +291,13 @@ def test_other_arguments_are_refused_by_name(tmp_path):
     assert "no joint moves" in refusal(lambda: read(tmp_path, held={"shoulder": 0.0, "elbow": 0.0}))
     passive = read(tmp_path, sidecar={"joints": {"elbow": {"passive": True, "stiffness": 3.0}}})
     assert passive.joints[1].passive and passive.joints[1].torque_limit is None
-    assert "held: [1]" in refusal(lambda: read(tmp_path, held=[1]))
+    for value in ([1], "all", True):
+        assert f'held: {value!r} is not allowed; give "rest", or' in refusal(
+            lambda value=value: read(tmp_path, held=value)
+        )
+    assert "no joint turns 'upper_arm'" in refusal(
+        lambda: read(tmp_path, EXAMPLE.replace("revolute", "prismatic"), tip="upper_arm")
+    )
     for field, given in cases.items():
         assert f"{field}: " in refusal(lambda given=given: read(tmp_path, **given)), field
     with pytest.raises(FileNotFoundError, match=r"none\.urdf"):
