@@ -23,6 +23,7 @@ from flexman_gym.common.checks import (
     one_of,
     sequence,
     short_path,
+    short_repr,
     value_error,
     warn_caller,
 )
@@ -147,7 +148,9 @@ def _chain(tree: UrdfTree, tip: str | None, held: Any, notes: list[str]) -> _Cha
         ("off zero", [joint for joint in others if joint.name not in path and joint.rest_value]),
     ):
         if parts:
-            listed = ", ".join(f"{joint.name!r} ({joint.kind}) at {joint.rest_value:g}" for joint in parts)
+            listed = ", ".join(
+                f"{joint.name!r} ({joint.obstacle or joint.kind}) at {joint.rest_value:g}" for joint in parts
+            )
             notes.append(f'held="rest" holds joints {text} (rad or m): {listed}')
     return _Chain(tree, tip, joints, values, tree.movers(chain))
 
@@ -161,7 +164,9 @@ def _held(held: object, joints: Mapping[str, UrdfJoint]) -> dict[str, float]:
         values[name] = finite(f"held[{name!r}]", value, "rad or m")
         kind = joints[name].kind
         if values[name] and kind not in (*TURNING, SLIDING):
-            raise value_error(f"held[{name!r}]", value, f"0.0: a joint of type {kind} is held at its origin")
+            raise value_error(
+                f"held[{name!r}]", value, f"0.0: a joint of type {short_repr(kind)} is held at its origin"
+            )
     return values
 
 

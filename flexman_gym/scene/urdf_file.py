@@ -11,7 +11,7 @@ from xml.parsers import expat
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.checks import short_repr, value_error
 
 TURNING, SLIDING, FIXED = ("revolute", "continuous"), "prismatic", "fixed"  # types of joints with a meaning here
 EXPAND = "expand macros (xacro) first"  # advice for a file with macros
@@ -38,8 +38,8 @@ class UrdfJoint(NamedTuple):
         """Type, or "mimic of" another joint, if it prevents the joint from being a joint of an arm; else None."""
         mimic = self.element.find("mimic")
         if self.kind not in TURNING:
-            return f"type {self.kind}"
-        return None if mimic is None else f"mimic of {mimic.get('joint')!r}"
+            return f"type {short_repr(self.kind)}"
+        return None if mimic is None else f"mimic of {short_repr(mimic.get('joint'))}"
 
     @property
     def axis(self) -> Array:
@@ -153,8 +153,8 @@ def _named(root: ElementTree.Element, tag: str) -> dict[str, ElementTree.Element
     result: dict[str, ElementTree.Element] = {}
     for element in root.findall(tag):
         name = element.get("name")
-        if not name or name in result:
-            raise value_error(f"{tag}.name", name, f"a name that no other <{tag}> has")
+        if not name or not name.isprintable() or name in result:
+            raise value_error(f"{tag}.name", name, f"a printable name that no other <{tag}> has")
         result[name] = element
     if not result:
         raise ValueError(f"{tag}: missing; give at least one <{tag}>")

@@ -36,8 +36,8 @@ def read_inertials(links: Mapping[str, ElementTree.Element]) -> dict[str, Inerti
         element, field = link.find("inertial"), f"link {name!r}.inertial"
         if element is None:
             continue
-        (value,) = numbers(f"{field}.mass", required(field, element, "mass"), "value")
-        mass, entries = physical(f"{field}.mass", float(value), "kg", zero=True), element.find("inertia")
+        written, entries = required(field, element, "mass"), element.find("inertia")
+        mass = physical(f"{field}.mass", float(numbers(f"{field}.mass", written, "value")[0]), "kg", zero=True)
         if mass == 0.0 and entries is None:
             continue
         entries, inertia = required(field, element, "inertia"), np.zeros((3, 3))
@@ -45,7 +45,8 @@ def read_inertials(links: Mapping[str, ElementTree.Element]) -> dict[str, Inerti
             inertia[i, j] = inertia[j, i] = numbers(field, entries, entry)[0]
         if mass or inertia.any():
             text = " ".join(f"{entry}={entries.get(entry, '').strip()[:MAX_TEXT]}" for entry in ENTRIES)
-            result[name] = Inertial(mass, origin(field, element), inertia, f"{text} (kg m^2) with mass {mass:g} (kg)")
+            text += f" (kg m^2) with mass {written.get('value', '').strip()[:MAX_TEXT]} (kg)"
+            result[name] = Inertial(mass, origin(field, element), inertia, text)
     return result
 
 

@@ -188,8 +188,8 @@ REFUSED = {  # what is wrong -> old and new text, and what the error names
     "impossible inertia": ('izz="0.021"', 'izz="0.051"', ("link 'forearm'.inertial: ixx=0.002 ", "izz=0.051")),
     "no number": ('iyz="0.0002"', 'iyz="${i}"', ("link 'forearm'.inertial.iyz", "'${i}'", "a finite number", "xacro")),
     "two numbers": ('xyz="0.4 0 0"', 'xyz="0.4 0"', ("joint 'elbow'.origin.xyz", "3 finite numbers")),
-    "type": ("continuous", "planar", ("joint 'elbow' (type planar)", "revolute", "held={'elbow': 0.0}")),
-    "prismatic": ("continuous", "prismatic", ("joint 'elbow' (type prismatic)", "held={'elbow': 0.0}")),
+    "type": ("continuous", "planar", ("joint 'elbow' (type 'planar')", "revolute", "held={'elbow': 0.0}")),
+    "prismatic": ("continuous", "prismatic", ("joint 'elbow' (type 'prismatic')", "held={'elbow': 0.0}")),
     "mimic": ('<limit effort="40"', '<mimic joint="shoulder"/><limit effort="40"',
               ("joint 'elbow' (mimic of 'shoulder')", "held={'elbow': 0.0}")),
     "axis": ('1"/>\n    <limit effort', '0"/>\n    <limit effort', ("joint 'elbow'.axis", "length > 0")),
@@ -199,6 +199,8 @@ REFUSED = {  # what is wrong -> old and new text, and what the error names
     "loop": ('<parent link="base"/>', '<parent link="tool"/>', ("the links", "without a loop")),
     "two roots": ('<link name="base"/>', '<link name="base"/><link name="box"/>', ("['base', 'box']", "one root")),
     "two names": ('name="elbow"', 'name="shoulder"', ("joint.name", "'shoulder'", "no other <joint>")),
+    "line break": ('name="elbow"', 'name="el&#10;bow"', ("joint.name", "printable")),
+    "line break in a type": ("continuous", "a&#10;b", ("joint 'elbow' (type 'a\\nb')",)),
     "two links": ('<link name="base"/>', '<link name="base"/><link name="base"/>', ("link.name", "'base'")),
     "ends": ('<parent link="forearm"/>', '<parent link="upper_arm"/>', ("tip", "forearm (2 joints), tool (1 joint)")),
     "branch": ('type="fixed">\n    <parent link="forearm"/>', 'type="revolute">\n    <parent link="upper_arm"/>',
@@ -227,7 +229,7 @@ RESTS = {"grip": 0.01, "copy": 0.0, "knee": -0.5, "wheel": 0.0}
 def test_all_joints_off_the_chain_are_named_in_one_message_to_paste(tmp_path):
     text = robot(*HANDS)
     line = refusal(lambda: read(tmp_path, text, tip="c"))
-    assert "joints 'grip' (type prismatic), 'copy' (type prismatic), 'knee' (off the chain) and 1 more: " in line
+    assert "joints 'grip' (type 'prismatic'), 'copy' (type 'prismatic'), 'knee' (off the chain) and 1 more: " in line
     assert 'give held="rest", or held=' in line and ast.literal_eval(line.partition(" or held=")[2]) == RESTS
     pasted = ast.literal_eval(refusal(lambda: read(tmp_path, text, tip="a")).partition(" or held=")[2])
     assert pasted == RESTS | {"j2": 0.0, "j'3": 0.0} and read(tmp_path, text, tip="a", held=pasted).n_joints == 1
@@ -243,7 +245,7 @@ def test_held_rest_is_the_dictionary_of_the_message(tmp_path):
         arm = read(tmp_path, text, tip="c", held="rest")
     assert arm == read(tmp_path, text, tip="c", held=RESTS) and arm.n_joints == 3
     (message,) = [str(each.message) for each in issued]
-    assert message.endswith("off zero (rad or m): 'grip' (prismatic) at 0.01, 'knee' (revolute) at -0.5")
+    assert message.endswith("off zero (rad or m): 'grip' (type 'prismatic') at 0.01, 'knee' (revolute) at -0.5")
     assert read(tmp_path, EXAMPLE, held="rest") == read(tmp_path, EXAMPLE)
 
 
@@ -254,7 +256,7 @@ def test_held_rest_warns_of_a_joint_between_base_and_tip(kind, tmp_path):
     lift = joint("lift", "ground", "base", "revolute" if kind == "mimic" else kind, rest)
     text = robot('<link name="ground"/>', lift)
     value = 0.0 if kind == "floating" else 0.1
-    with pytest.warns(UserWarning, match=rf"between base and tip \(rad or m\): 'lift' \(\w+\) at {value:g}$"):
+    with pytest.warns(UserWarning, match=rf"between base and tip \(rad or m\): 'lift' \([ \w']+\) at {value:g}$"):
         arm = read(tmp_path, text, held="rest")
     assert arm == read(tmp_path, text, held={"lift": value}) and arm.n_joints == 2
     assert f"held={{'lift': {value}}}" in refusal(lambda: read(tmp_path, text))

@@ -101,7 +101,7 @@ def test_a_joint_of_another_type_is_held_at_its_origin(kind, tmp_path):
     text = robot(joint("j3", "b", "c", kind), link("c"))
     fixed = read(tmp_path, robot(joint("j3", "b", "c", "fixed"), link("c")))
     assert read(tmp_path, text, held={"j3": 0.0}) == fixed
-    assert f"joint 'j3' (type {kind})" in refusal(read, tmp_path, text)
+    assert f"joint 'j3' (type {kind!r})" in refusal(read, tmp_path, text)
     assert "held['j3']: 0.1 is not allowed; give 0.0: a joint of type" in refusal(
         lambda: read(tmp_path, text, held={"j3": 0.1})
     )

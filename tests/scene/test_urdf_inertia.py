@@ -60,7 +60,7 @@ def test_an_inertia_without_mass_is_left_out_with_a_warning(tmp_path):
     assert arm == read(tmp_path, robot())[0]
     assert "arm.urdf: link 'sensor'.inertial: ixx=0.02 " in message and "no mass and no inertia" in message
     line = refusal(lambda: read(tmp_path, text, tip="b", **STRICT))
-    assert "link 'sensor'.inertial" in line and "with mass 0 (kg) is not allowed; give a mass > 0" in line
+    assert "link 'sensor'.inertial" in line and "with mass 0.0 (kg) is not allowed; give a mass > 0" in line
 
 
 ACCEPTED = {  # elements with an impossible inertia -> the same with the nearest one, and the link in the warning
