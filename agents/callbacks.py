@@ -1,6 +1,7 @@
 """Training callbacks: exploration schedule, value warm-up, evaluation, learning curves, interruption by Ctrl-C."""
 
 import csv
+import io
 import math
 import signal
 import sys
@@ -19,6 +20,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from flexman_agents.settings import Schedule, Settings
 from flexman_gym.common.checks import is_decimal_integer
+from flexman_gym.common.files import write_atomically
 from flexman_gym.common.renamed import MEMBERS, deprecated_members, deprecated_names
 from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.control.agent import Law
@@ -109,8 +111,9 @@ def _remove_later_rows(path: Path, steps: int) -> None:
         return
     column = names.index(STEPS_COLUMN)
     rows = [row for row in rows if len(row) == len(names) and row[column] and float(row[column]) <= steps]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows([names, *rows])
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows([names, *rows])
+    write_atomically(path, lambda file: file.write(text.getvalue().encode()))
 
 
 # metrics of the evaluations that the learning curves contain

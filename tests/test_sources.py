@@ -58,6 +58,59 @@ def test_large_files_and_functions_and_private_imports_are_found(tmp_path):
         assert flaws(tmp_path / "file.py") == found
 
 
+METHODS = {"write_text", "write_bytes"}  # of paths
+WRITERS = {"savefig", "imsave", "savetxt", "savez", "savez_compressed", "savemat", "mkstemp"}
+LIBRARIES = {"np", "onnx", "torch"}  # whose function `save` writes a file
+IN_PLACE = {  # (file, call) -> reason why it does not write by `write_file` or `write_atomically`
+    ("flexman_gym/common/files.py", "open('xb')"): "the temporary file of write_atomically",
+    ("flexman_gym/common/files.py", "open('wb')"): "a device or a pipe",
+    ("flexman_gym/common/run_folder.py", "fdopen('r+')"): "the lock of a folder, which has no content to lose",
+    ("flexman_gym/envs/vector_env.py", "open('w')"): "the lock of the cache of kernels, an empty file",
+    ("flexman_gym/control/lqr.py", "mkstemp"): "a cache that several processes replace at once, each by its own file",
+    ("flexman_gym/control/lqr.py", "fdopen('wb')"): "the same",
+    ("flexman_gym/evaluation/c_code.py", "write_text"): "changed elsewhere",
+    ("flexman_gym/evaluation/matlab.py", "savemat"): "changed elsewhere",
+}
+
+
+def in_place(path):
+    """Return the calls of a file that write a file in place; one that writes to the variable `file` does not open it."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.Call):
+            continue
+        name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+        owner = getattr(getattr(node.func, "value", None), "id", "")
+        modes = [each.value for each in [*node.args, *(key.value for key in node.keywords)]
+                 if isinstance(each, ast.Constant) and isinstance(each.value, str)]  # fmt: skip
+        if node.args and getattr(node.args[0], "id", "") == "file":
+            continue
+        if name in ("open", "fdopen") and (mode := [each for each in modes if set(each) & set("wax+") and len(each) < 4]):
+            found.add(f"{name}({mode[0]!r})")
+        elif name in WRITERS or (isinstance(node.func, ast.Attribute) and name in METHODS) or (
+            name == "save" and owner in LIBRARIES
+        ):
+            found.add(name)
+    return found
+
+
+def test_no_source_writes_a_file_in_place():
+    """A full disk or a killed process leaves the file of before; the exceptions are listed with their reasons."""
+    sources = [path for path in FILES if path.relative_to(ROOT).parts[0] != "scripts"]
+    found = {(str(path.relative_to(ROOT)), call) for path in sources for call in in_place(path)}
+    assert found == set(IN_PLACE)
+
+
+def test_calls_that_write_in_place_are_found(tmp_path):
+    for text, found in (
+        ('Path(path).open("w")', {"open('w')"}), ('open(path, mode="ab")', {"open('ab')"}), ("open(path)", set()),
+        ('path.write_text("x")', {"write_text"}), ("np.savez(path, a=1)", {"savez"}), ("np.savez(file, a=1)", set()),
+        ("np.save(path, 1)", {"save"}), ("episode.save(path)", set()), ('open(path, "rb")', set()),
+    ):  # fmt: skip
+        (tmp_path / "file.py").write_text(text)
+        assert in_place(tmp_path / "file.py") == found, text
+
+
 def test_installed_packages_are_the_folders_with_code():
     listed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"]
     folders = {".".join(path.parent.relative_to(ROOT).parts) for path in PACKAGE.rglob("__init__.py")}

@@ -5,6 +5,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from flexman_gym.common.checks import short_path
+from flexman_gym.common.files import check_output
+
 if TYPE_CHECKING:
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.agent import AgentSpec
@@ -73,6 +76,24 @@ def numbers(text: str) -> list[float]:
         return [float(each) for each in text.split(",")]
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not allowed; give numbers such as 0.1,-0.2") from None
+
+
+def output_file(text: str) -> Path:
+    """Return the path of an output file after checking, before the command begins its work, that it can be written."""
+    return _checked_output(text, Path(text))
+
+
+def output_folder(text: str) -> Path:
+    """Return the path of an output folder after checking that a file can be written in it."""
+    return _checked_output(text, Path(text) / "file").parent
+
+
+def _checked_output(text: str, path: Path) -> Path:
+    try:
+        return check_output(path)
+    except OSError as error:
+        allowed = f"a path at which a file can be written: {error.strerror}"
+        raise argparse.ArgumentTypeError(f"{short_path(text)} is not allowed; give {allowed}") from None
 
 
 def load_agent(name: str, trust: bool, environment: "Configuration | None" = None) -> "AgentSpec":

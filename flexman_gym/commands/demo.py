@@ -10,7 +10,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from matplotlib.image import imsave
 
 import flexman_gym as fm
 from flexman_agents.settings import find_recipe
@@ -69,7 +68,7 @@ def _draw_cases(trajectories: dict[str, fm.Trajectory]) -> None:
     paths = draw.paper_figures(trajectories["rr"], trajectories["fr"], trajectories["ff"], OUTPUT_FOLDER)
     model, trajectory = scene_model(fm.catalog.paper_scene("fr")), trajectories["fr"]
     row = np.linalg.norm(trajectory.deflection, axis=1).argmax()
-    imsave(OUTPUT_FOLDER / "arm.png", draw.arm_frame(model, trajectory.states[row], size=(960, 720)))
+    draw.write_picture(draw.arm_frame(model, trajectory.states[row], size=(960, 720)), OUTPUT_FOLDER / "arm.png")
     print(f"   Figures 6 to 11 are in {OUTPUT_FOLDER}/, together in {paths[-1]}.")
     print(f"   {OUTPUT_FOLDER}/arm.png shows the arm at {trajectory.time[row]:.2f} s, at its largest deflection.")
 

@@ -1,16 +1,15 @@
 """Evaluate policies and controllers on the same episodes."""
 
 import argparse
-from pathlib import Path
 
-from flexman_gym.commands import CommandLine, add_options, load_agent
+from flexman_gym.commands import CommandLine, add_options, load_agent, output_folder
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     add_options(parser, "agent", "--episodes", "--seed", "--env", "--set", "--trust", agent={"nargs": "+"})
     parser.add_argument(
-        "--save", type=Path, metavar="FOLDER", help="save each episode in this folder, as a file of arrays"
+        "--save", type=output_folder, metavar="FOLDER", help="save each episode in this folder, as a file of arrays"
     )
 
 

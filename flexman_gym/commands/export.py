@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from flexman_gym.commands import CommandLine, add_options, numbers
+from flexman_gym.commands import CommandLine, add_options, numbers, output_file
 
 if TYPE_CHECKING:
     from flexman_gym.scene.arm import Arm
@@ -60,7 +60,7 @@ def _policy(options: argparse.Namespace) -> str:
 
 def _onnx_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("agent", help="name of a policy, or folder of a policy or a run")
-    parser.add_argument("path", type=Path, help="file to write")
+    parser.add_argument("path", type=output_file, help="file to write")
 
 
 def _onnx(options: argparse.Namespace) -> str:
@@ -84,17 +84,18 @@ def _mujoco_arguments(parser: argparse.ArgumentParser) -> None:
         help="rigid bodies per section of a link (default: %(default)s)",
     )
     parser.add_argument(
-        "--out", type=Path, metavar="FILE", default=Path("arm.xml"), help="file to write (default: %(default)s)"
+        "--out", type=output_file, metavar="FILE", default="arm.xml", help="file to write (default: %(default)s)"
     )
 
 
 def _mujoco(options: argparse.Namespace) -> str:
+    from flexman_gym.common import files
     from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
     from flexman_gym.model.mjcf import to_mjcf
 
     name = options.arm
     arm = _find_arm(name)
-    options.out.write_text(to_mjcf(arm, options.pieces), encoding="utf-8")
+    files.write_file(options.out, to_mjcf(arm, options.pieces))
     known = f" of {name}" if name.partition("/")[0] in NAMED_ENVIRONMENTS else ""
     return f"{options.out} has the arm{known}: {arm.n_joints} links of {options.pieces} pieces a section."
 
@@ -133,7 +134,8 @@ def _matlab(options: argparse.Namespace) -> str:
 
 def _urdf_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("arm", help="environment, named arm, or file of an environment, an arm or a scene")
-    parser.add_argument("path", type=Path, metavar="FILE", help="file to write; the sidecar is FILE with suffix .yaml")
+    about = "file to write; the sidecar is FILE with suffix .yaml"
+    parser.add_argument("path", type=output_file, metavar="FILE", help=about)
 
 
 def _urdf(options: argparse.Namespace) -> str:
@@ -143,7 +145,7 @@ def _urdf(options: argparse.Namespace) -> str:
 
     one_of("the suffix of FILE", options.path.suffix, (".urdf",))
     text, sidecar = to_urdf(_find_arm(options.arm))
-    options.path.write_text(text, encoding="utf-8")
+    files.write_file(options.path, text)
     files.write_data(options.path.with_suffix(".yaml"), sidecar)
     return f"{options.path} has the rigid arm, {options.path.with_suffix('.yaml')} its sections, springs and motors."
 

@@ -10,7 +10,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexman_gym.commands import CommandLine
+from flexman_gym.commands import CommandLine, output_folder
 
 if TYPE_CHECKING:
     from flexman_gym.common.parallel import Workers
@@ -51,7 +51,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         help="seed of the first episode",
     )
     Workers.arguments(parser)
-    parser.add_argument("--folder", type=Path, help=f"folder of rows, page and charts (default: {DEFAULT_FOLDER})")
+    about = f"folder of rows, page and charts (default: {DEFAULT_FOLDER})"
+    parser.add_argument("--folder", type=output_folder, help=about)
     parser.add_argument("--redraw", action="store_true", help="write page and charts of the folder without any run")
     parser.add_argument(
         "--details", nargs="+", metavar="NAME",

@@ -7,11 +7,10 @@ and "arm" varies the thickness of the links along their length, for "settling" a
 import argparse
 import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
-from flexman_gym.commands import CommandLine
+from flexman_gym.commands import CommandLine, output_file
 from flexman_gym.common.renamed import OPTIMISED
 
 
@@ -26,7 +25,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     slews.add_argument("environment", help="id or file of an environment that randomises starts and goals only")
     slews.add_argument("--seeds", type=int, nargs=2, default=(9000, 100), metavar=("FIRST", "COUNT"),
                        help="first seed and number of episodes (default: 9000 100)")  # fmt: skip
-    slews.add_argument("--out", type=Path, required=True, metavar="FILE",
+    slews.add_argument("--out", type=output_file, required=True, metavar="FILE",
                        help="table of slews (.npz); slews in an existing table are kept")  # fmt: skip
     known = "environment: an id, an id with a condition such as FlexRRR-v0/delay, or a file"
     gains.add_argument("environment", help=known)
@@ -44,7 +43,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     arm.add_argument("--keep", choices=KEPT, default="arm", help="keep the mass of the arm or of each of its links")
     arm.add_argument("--tip-force", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"),
                      help="load of the metric mass in addition to gravity, N")  # fmt: skip
-    arm.add_argument("--out", type=Path, metavar="FILE", help="environment with the new arm and gains (.yaml or .json)")
+    arm.add_argument("--out", type=output_file, metavar="FILE",
+                     help="environment with the new arm and gains (.yaml or .json)")  # fmt: skip
 
 
 def _run_slews(options: argparse.Namespace) -> int:
@@ -60,7 +60,10 @@ def _run_slews(options: argparse.Namespace) -> int:
         )
     table = SlewTable.load(options.out) if options.out.exists() else empty_slew_table(environment)
     table.about = {**table.about, "command": f"flexman optimise slews {options.environment} --seeds {first} {count}"}
-    print(f"{'seed':>8}{'settling, s':>13}{'tracking LQR, s':>17}{'ratio':>7}{'search, CPU s':>15}")
+    if all(seed in table.found for seed in range(first, first + count)):
+        print("no slew is missing; nothing is left to do")
+    else:
+        print(f"{'seed':>8}{'settling, s':>13}{'tracking LQR, s':>17}{'ratio':>7}{'search, CPU s':>15}")
     for slew in optimise_slews(environment, range(first, first + count), table):
         ratio = slew.settling_time / slew.tracking
         line = f"{slew.seed:>8}{slew.settling_time:>13.2f}{slew.tracking:>17.2f}{ratio:>7.2f}{slew.cpu_time:>15.1f}"
@@ -110,9 +113,12 @@ def _numbers(values: Sequence[float]) -> str:
 
 def _run_arm(options: argparse.Namespace) -> int:
     """Print the metric, masses and thickness before and after; return the exit status."""
+    from flexman_gym.common.files import check_suffix
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.arm_design import DESIGN_METRICS, optimise_arm
 
+    if options.out:
+        check_suffix(options.out)
     names = ("metric", "sections", "thickness", "gears", "keep", "tip_force")
     found = optimise_arm(Configuration.find(options.environment), **{name: getattr(options, name) for name in names})
     unit = DESIGN_METRICS[found.metric]

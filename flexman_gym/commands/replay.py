@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from flexman_gym.commands import CommandLine
+from flexman_gym.commands import CommandLine, output_file
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -11,19 +11,19 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("episode", nargs="+", type=Path,
                         help="file of flexman evaluate --save or flexman simulate --out")  # fmt: skip
     parser.add_argument(
-        "--out", type=Path, metavar="FILE", default=Path("replay.html"), help="page to write (default: %(default)s)"
+        "--out", type=output_file, metavar="FILE", default="replay.html", help="page to write (default: %(default)s)"
     )
     parser.add_argument("--title", default="", help="title of the page")
 
 
 def _run(options: argparse.Namespace) -> int:
     """Write the page; return 0."""
+    from flexman_gym.common.files import write_file
     from flexman_gym.draw.replay import replay_page
     from flexman_gym.simulation.episode import Episode
 
     text = replay_page([Episode.load(path) for path in options.episode], options.title)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(text, encoding="utf-8")
+    write_file(options.out, text)
     print(f"{options.out}: {len(text.encode()) / 1e3:.0f} kB; open it in a browser")
     return 0
 

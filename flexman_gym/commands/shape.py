@@ -7,14 +7,16 @@ the residual vibration of each input shaper and a recommendation.
 
 import argparse
 import csv
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from flexman_gym.commands import CommandLine
+from flexman_gym.commands import CommandLine, output_file
 from flexman_gym.common.checks import finite, non_negative, value_error
+from flexman_gym.common.files import write_file
 
 if TYPE_CHECKING:
     from flexman_gym.control.input_shaping.motion import Motion
@@ -40,7 +42,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     names = f"environment as in flexman evaluate, arm ({', '.join(ARMS)}), or file of an arm or a scene"
     parser.add_argument("subject", help=f"CSV file of the ringing, {names}")
     parser.add_argument("trajectory", type=Path, nargs="?", help="CSV, YAML or JSON file of joint positions over time")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="shaped trajectory, in the form of the given one")
+    about = "shaped trajectory, in the form of the given one"
+    parser.add_argument("--out", type=output_file, metavar="FILE", help=about)
     parser.add_argument(
         "--residual",
         type=float,
@@ -57,7 +60,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--servo", type=float, metavar="HZ", help="bandwidth of the servos of an arm (default: its motors are held)"
     )
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="plot of the trajectory and its vibration")
+    parser.add_argument("--picture", type=output_file, metavar="FILE", help="plot of the trajectory and its vibration")
     parser.add_argument("--payload", type=float, nargs=2, metavar=("LOW", "HIGH"), help="range of the payload, kg")
     parser.add_argument(
         "--postures",
@@ -66,7 +69,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         default=DEFAULT_POSTURES,
         help="without trajectory: number of postures, the first goals (default: %(default)s)",
     )
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="without trajectory: table of all modes")
+    parser.add_argument("--csv", type=output_file, metavar="FILE", help="without trajectory: table of all modes")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -304,17 +307,18 @@ def _write_table(path: Path, cases: "Sequence[OperatingPoint]", evaluations: "Se
     """Write a row for each mode of each operating point; residual vibrations are computed with held motors."""
     heads = [f"motor_angle_{i + 1}" for i in range(len(cases[0].posture))]
     heads += ["payload", "motors", "mode", "frequency", "damping_ratio", *map(_shaper_name, evaluations)]
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow(heads)
-        for row, case in enumerate(cases):
-            for motors in MOTOR_STATES:
-                for number, (frequency, ratio, _) in enumerate(getattr(case, motors).tolist()):
-                    known = motors == "held" and number < evaluations[0].residuals.shape[1]
-                    left = [f"{each.residuals[row, number]:.6g}" if known else "" for each in evaluations]
-                    place = [f"{angle:.6g}" for angle in case.posture]
-                    mode = [motors, number + 1, f"{frequency:.8g}", f"{ratio:.6g}"]
-                    table.writerow([*place, f"{case.payload:.6g}", *mode, *left])
+    text = io.StringIO(newline="")
+    table = csv.writer(text)
+    table.writerow(heads)
+    for row, case in enumerate(cases):
+        for motors in MOTOR_STATES:
+            for number, (frequency, ratio, _) in enumerate(getattr(case, motors).tolist()):
+                known = motors == "held" and number < evaluations[0].residuals.shape[1]
+                left = [f"{each.residuals[row, number]:.6g}" if known else "" for each in evaluations]
+                place = [f"{angle:.6g}" for angle in case.posture]
+                mode = [motors, number + 1, f"{frequency:.8g}", f"{ratio:.6g}"]
+                table.writerow([*place, f"{case.payload:.6g}", *mode, *left])
+    write_file(path, text.getvalue())
 
 
 COMMAND = CommandLine(_arguments, _run)

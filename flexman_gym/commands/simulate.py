@@ -1,11 +1,10 @@
 """Simulate a scene file and write its motion to a table."""
 
 import argparse
-from pathlib import Path
 
 import numpy as np
 
-from flexman_gym.commands import CommandLine, add_options
+from flexman_gym.commands import CommandLine, add_options, output_file
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,7 +19,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--out",
-        type=Path,
+        type=output_file,
         metavar="FILE",
         help=".csv: table of time, tip, angles and energy; .npz: episode for flexman replay",
     )
@@ -28,6 +27,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Simulate and print a summary; return 0, or 1 if the simulation fails before its end."""
+    from flexman_gym.common.files import write_file
     from flexman_gym.scene.scene import Scene
     from flexman_gym.simulation.episode import Episode
     from flexman_gym.simulation.scene_simulation import simulate
@@ -40,7 +40,8 @@ def _run(options: argparse.Namespace) -> int:
         columns = {"tip": result.tip, "joint_angle": result.joint_angles, "motor_angle": result.motor_angles}
         heads = [f"{name}_{i}" for name, values in columns.items() for i in range(1, values.shape[1] + 1)]
         table = np.column_stack([result.time, *columns.values(), result.energy])
-        np.savetxt(options.out, table, "%.12g", ",", header=",".join(["time", *heads, "energy"]), comments="")
+        head = ",".join(["time", *heads, "energy"])
+        write_file(options.out, lambda file: np.savetxt(file, table, "%.12g", ",", header=head, comments=""))
     last = ", ".join(f"{each:.6g}" for each in result.tip[-1])
     print(f"status: {result.status}, to {result.time[-1]:g} s in {result.wall_seconds:.3g} s")
     print(f"evaluations: {result.evaluations}")

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from time import perf_counter
 
-from flexman_gym.commands import CommandLine
+from flexman_gym.commands import CommandLine, output_file
 
 FULL_TABLE_HINT = (
     "These are the closed-form cases. The full table, with trajectories of independent codes, is in "
@@ -23,11 +23,12 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         "voltage, a CSV file with frequency (Hz), real (rad/V) and imaginary (rad/V)",
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="print no reference to the full table")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows to a JSON file")
+    parser.add_argument("--json", type=output_file, metavar="FILE", help="write the rows to a JSON file")
 
 
 def _run(options: argparse.Namespace) -> int:
     """Print the table; return 0, or 1 if a row fails."""
+    from flexman_gym.common.files import write_file
     from flexman_gym.verification import papers
     from flexman_gym.verification.cases import CLOSED_FORMS
     from flexman_gym.verification.table import PASS, VerificationTable
@@ -57,7 +58,7 @@ def _run(options: argparse.Namespace) -> int:
     if not options.quick and options.table != "papers":
         print(FULL_TABLE_HINT)
     if options.json is not None:
-        options.json.write_text(result.to_json(), encoding="utf-8")
+        write_file(options.json, result.to_json())
     return judged.exit_code
 
 

@@ -1,10 +1,12 @@
 """Files: atomic writes, strict JSON and YAML, and safe reading of arrays."""
 
+import errno
 import json
 import os
 import re
 import stat
 import struct
+import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -146,7 +148,7 @@ def read_data(path: Path, kind: type = dict, of_package: bool = False) -> Any:
             another kind, a repeated key and excessive nesting, with a one-line message without the name and the text of
             the file.
     """
-    ending = _check_suffix(path)
+    ending = check_suffix(path)
     try:
         text = regular_file(path).read_bytes().decode("utf-8")
     except UnicodeDecodeError as error:
@@ -175,14 +177,14 @@ def parse_yaml(text: str) -> Any:
 
 def write_data(path: Path, data: Any) -> None:
     """Write a tree of dicts, lists, strings, numbers, booleans and None to a .json, .yaml or .yml file."""
-    if _check_suffix(path) == ".json":
+    if check_suffix(path) == ".json":
         text = json.dumps(data, indent=1) + "\n"
     else:
         text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=120)
-    path.write_text(text, encoding="utf-8", newline="\n")
+    write_file(path, text)
 
 
-def _check_suffix(path: Path) -> str:
+def check_suffix(path: Path) -> str:
     """Return the suffix of a JSON or YAML file."""
     return one_of(f"the suffix of {short_path(path, 40)}", path.suffix, (".json", ".yaml", ".yml"))
 
@@ -219,8 +221,63 @@ def _tree(path: str, data: Any) -> Any:
     return data
 
 
+def write_file(path: str | Path, content: str | bytes | Callable[[BinaryIO], Any]) -> None:
+    """Write a file at a path of the user, atomically; missing folders are created.
+
+    A link remains, and the file to which it leads is written. A device or a pipe, such as /dev/stdout, is written in
+    place.
+
+    Args:
+        path: path of the file.
+        content: text, which is encoded in UTF-8; bytes; or a function to write the content to an open file.
+
+    Raises:
+        OSError: if the file cannot be written; an existing file remains unchanged.
+    """
+    target = _writable_path(Path(path))
+    data = content.encode() if isinstance(content, str) else content
+    fill = data if callable(data) else lambda file: file.write(data)
+    if target.exists() and not target.is_file():
+        with target.open("wb") as file:
+            fill(file)
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(target, fill)
+
+
+def check_output(path: str | Path) -> Path:
+    """Return the path of an output file after checking that `write_file` can write it, for use before a long run.
+
+    Raises:
+        OSError: for a folder, a write-protected file, and a folder in which no file can be created.
+    """
+    target = _writable_path(Path(path))
+    if target.is_file() or not target.exists():
+        try:
+            tempfile.TemporaryFile(dir=next(each for each in target.parents if each.exists())).close()
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(path)) from None
+    return Path(path)
+
+
+def _writable_path(path: Path) -> Path:
+    """Return the path to which links lead; a device or a pipe keeps its path.
+
+    Raises:
+        OSError: for a folder and a write-protected file.
+    """
+    target = path if path.exists() and not path.is_file() else Path(os.path.realpath(path))
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if target.exists() and not os.access(target, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+    return target
+
+
 def write_atomically(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
     """Write a file atomically: fill a temporary file, flush it to the disk, and rename it.
+
+    The file has the permissions of the one that it replaces. A link is replaced too, see `write_file`.
 
     Args:
         path: path of the file.
@@ -233,11 +290,14 @@ def write_atomically(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
     try:
         temporary.unlink(missing_ok=True)  # a rest of a killed process, or a link to another file
         with temporary.open("xb") as file:
+            with suppress(FileNotFoundError):
+                if stat.S_ISREG(mode := os.lstat(path).st_mode):
+                    os.fchmod(file.fileno(), stat.S_IMODE(mode))
             fill(file)
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
-    except OSError:
+    except BaseException:  # Ctrl+C too
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array
+from flexman_gym.common.files import write_file
 
 # Colours that people with red-green colour blindness can distinguish (Okabe and Ito, 2008).
 BLUE, ORANGE, GREEN, SKY, YELLOW, RED = "#0072B2", "#E69F00", "#009E73", "#56B4E9", "#F0E442", "#D55E00"
@@ -65,9 +66,9 @@ def save_figure(figure: Any, path: Path) -> Path:
         figure: the figure.
         path: path of the file; its folder is created if it does not exist.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix != ".svg":
-        figure.savefig(path)
+    kind = path.suffix[1:] or "png"
+    if kind != "svg":
+        write_file(path, lambda file: figure.savefig(file, format=kind))
         return path
     import matplotlib
     from matplotlib.colors import to_hex
@@ -90,5 +91,5 @@ def save_figure(figure: Any, path: Path) -> Path:
     for text in (*titles, *entries, *figure.texts):
         text.set_color(SLATE)
     with matplotlib.rc_context({"svg.hashsalt": path.stem}):
-        figure.savefig(path, transparent=True, metadata={"Date": None})
+        write_file(path, lambda file: figure.savefig(file, format=kind, transparent=True, metadata={"Date": None}))
     return path

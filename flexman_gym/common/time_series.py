@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import MAX_ENTRIES, one_of, sequence, short_path, value_error
-from flexman_gym.common.files import regular_file
+from flexman_gym.common.files import regular_file, write_file
 
 MAX_CSV_BYTES = 200_000_000  # bytes of a CSV file
 MAX_LINE_LENGTH, MAX_HEADER_LENGTH = 100_000, 100  # characters of a line, and of the header of a column
@@ -144,10 +144,9 @@ def write_csv(path: str | Path, columns: Mapping[str, Vector]) -> None:
         columns: header, such as "time (s)" -> values (T,).
     """
     table = np.column_stack(list(columns.values()))
-    with Path(path).open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows(table.tolist())
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows([[*columns], *table.tolist()])
+    write_file(path, text.getvalue())
 
 
 def _name(path: str | Path) -> str:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import finite
-from flexman_gym.common.files import open_arrays, reading
+from flexman_gym.common.files import open_arrays, reading, write_file
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.control.network import VARIANCE_OFFSET
 
@@ -66,8 +66,7 @@ class RunningMeanStd:
 
     def save(self, path: str | Path) -> None:
         """Write the statistics to a file (npz); raises OSError if it cannot be written."""
-        with Path(path).open("wb") as file:
-            np.savez(file, allow_pickle=False, **self.get_state())
+        write_file(path, lambda file: np.savez(file, allow_pickle=False, **self.get_state()))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:

@@ -1,14 +1,18 @@
 """Videos and pictures: frames in files."""
 
 import struct
+import subprocess
 import zlib
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.checks import positive, value_error
+from flexman_gym.common.files import write_file
 
 COLOUR_TOLERANCE = 6  # levels of 255; largest colour error for which a pixel of a GIF stays as in the previous frame
 COLOURS, COLOUR_STEP = 128, 4  # number of colours of a GIF; levels of a channel merged for their selection
@@ -34,9 +38,9 @@ def write_video(frames: Sequence[NDArray[np.uint8]], path: str | Path, fps: floa
         raise value_error("path", str(path), f"a file that ends in {' or '.join(SUFFIXES)}")
     if not len(frames):
         raise value_error("frames", frames, "at least one")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    write = _write_mp4 if path.suffix == ".mp4" else _write_gif
     try:
-        (_write_mp4 if path.suffix == ".mp4" else _write_gif)(frames, path, rate)
+        write_file(path, lambda file: write(frames, file, rate))
     except ModuleNotFoundError as error:
         raise ImportError(f"a {path.suffix} file needs {error.name}: pip install 'flexman_gym[render]'") from error
     return path
@@ -53,8 +57,7 @@ def write_picture(frame: NDArray[np.uint8], path: str | Path) -> Path:
         OSError: if the file cannot be written.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(encode_picture(frame))
+    write_file(path, encode_picture(frame))
     return path
 
 
@@ -69,26 +72,26 @@ def encode_picture(frame: NDArray[np.uint8]) -> bytes:
     )
 
 
-def _write_mp4(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> None:
+def _write_mp4(frames: Sequence[NDArray[np.uint8]], file: BinaryIO, rate: float) -> None:
+    """Encode frames by FFmpeg; its exit status, which `imageio_ffmpeg.write_frames` omits, tells a full disk."""
     import imageio_ffmpeg
 
     height, width = (side // 2 * 2 for side in frames[0].shape[:2])
-    writer = imageio_ffmpeg.write_frames(
-        str(path),
-        (width, height),
-        fps=rate,
-        codec="libx264",
-        quality=None,
-        macro_block_size=2,
-        output_params=["-crf", "23"],
-    )
-    writer.send(None)
-    for frame in frames:
-        writer.send(np.ascontiguousarray(frame[:height, :width]))
-    writer.close()
+    given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{rate:g}", "-i", "-"]
+    written = ["-an", "-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", "23", "-f", "mp4", file.name]
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *given, *written]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        with suppress(BrokenPipeError):
+            for frame in frames:
+                process.stdin.write(frame[:height, :width].tobytes())
+        lines = process.communicate()[1].decode(errors="replace").split("\n")
+    if process.returncode:
+        reason = " ".join(lines[0].split()) or f"exit status {process.returncode}"
+        raise OSError(f"FFmpeg could not write the video: {reason}")
 
 
-def _write_gif(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> None:
+def _write_gif(frames: Sequence[NDArray[np.uint8]], file: BinaryIO, rate: float) -> None:
     from PIL import Image
 
     some = np.concatenate([frame.reshape(-1, 3) for frame in frames[:: max(1, len(frames) // 8)]])
@@ -110,4 +113,6 @@ def _write_gif(frames: Sequence[NDArray[np.uint8]], path: Path, rate: float) -> 
     first, *rest = images = [Image.fromarray(now) for now in shown]
     for image in images:
         image.putpalette(numbers)
-    first.save(path, save_all=True, append_images=rest, duration=round(1e3 / rate), loop=0, optimize=True)
+    first.save(
+        file, "GIF", save_all=True, append_images=rest, duration=round(1e3 / rate), loop=0, optimize=True
+    )

@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import optional_module
 from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.envs.config.configuration import Configuration
@@ -42,6 +43,8 @@ def record_dataset(
     """
     minari = optional_module("minari", "the export of datasets", "scale")
     EpisodeBuffer = optional_module("minari.data_collector", "the export of datasets", "scale").EpisodeBuffer
+    if optional_module("minari.storage", "the export of datasets", "scale").get_dataset_path(name).exists():
+        raise value_error("name", name, "a new name: a dataset of this name already exists")
     simulated = _without_agent(Configuration.find(environment))
     single = gym.make(simulated.id, **simulated.settings)
     tasks = [(agent, simulated, tuple(seeds[i : i + BLOCK])) for i in range(0, len(seeds), BLOCK)]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import optional_module
-from flexman_gym.common.files import existing_file
+from flexman_gym.common.files import existing_file, write_file
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.common.run_folder import BEST, NEWEST, read_npz, read_settings
 from flexman_gym.control.network import MAX_INPUT, Network, policy_parameters
@@ -158,8 +158,7 @@ def write_onnx(agent: str, path: Path) -> float:
     if not difference <= ONNX_TOLERANCE:
         given = f"actions that differ by {difference:.2g} from those of the policy"
         raise value_error("onnx", given, f"a network whose actions differ by at most {ONNX_TOLERANCE}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    onnx.save(model, str(path))
+    write_file(path, model.SerializeToString())
     return difference
 
 

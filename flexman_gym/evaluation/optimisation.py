@@ -228,6 +228,8 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
         raise value_error("environment", environment.id, "one with fixed goals, without randomisation and disturbances")
     if table.about.get("environment") != environment.to_plain():
         raise value_error("table", table.about.get("environment"), "a table of this environment, or a new file")
+    if not missing:
+        return
     limits, period = environment.torque_limit, environment.control_period
     model, method, step, _ = resolve_fidelity(environment)
     regulator, replay = LQR(model, limits, period), OptimisedController(table, model, limits, period)

@@ -9,8 +9,8 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import instance, mapping, positive, value_error, whole_number
-from flexman_gym.common.files import write_data
-from flexman_gym.common.plot_style import BLUE, MIDDLE, new_figure
+from flexman_gym.common.files import write_data, write_file
+from flexman_gym.common.plot_style import BLUE, MIDDLE, new_figure, save_figure
 from flexman_gym.identification.least_squares import FreeParameters, LeastSquaresProblem
 from flexman_gym.identification.measurement import Measurement, SimulatedResponse, output_unit
 from flexman_gym.identification.ringing import KEYS, Ringing
@@ -170,7 +170,7 @@ def _write_report(found: "Fit", folder: Path) -> None:
         explanation=found.explanation, numbers="\n".join(lines), compared="\n".join(compared) + "\n",
         warnings="\n".join(warnings) + "\n" * bool(warnings),
     )  # fmt: skip
-    (folder / "fit.md").write_text(text, encoding="utf-8")
+    write_file(folder / "fit.md", text)
 
 
 def _draw(found: "Fit", file: Path) -> None:
@@ -187,7 +187,7 @@ def _draw(found: "Fit", file: Path) -> None:
     if not panels:
         grid[0].errorbar(*found.frequencies.T[:2], xerr=found.frequencies[:, 2], fmt="o", color=BLUE)
         grid[0].set(xlabel="measured (Hz, or damping ratio)", ylabel="computed")
-    figure.savefig(file)
+    save_figure(figure, file)
 
 
 MIN_SCORE = 0.9  # dimensionless; R2 below which a fit is poor and repeated from random initial values

@@ -15,7 +15,7 @@ import numpy as np
 
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import computer_info
-from flexman_gym.common.files import write_atomically
+from flexman_gym.common.files import check_output, write_atomically
 from flexman_gym.common.parallel import Workers
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS, NOMINAL
@@ -77,6 +77,7 @@ def certify(
     path = policy_folder(name)
     if path is None:
         raise value_error("agent", name, "an exported policy, by its name or folder")
+    check_output(path / CERTIFICATE)
     about, environment = read_policy(path).metadata, _environment_name(name)
     task = find_scenario(environment).environment.task
     if "settling_time" not in {metric.name for metric in task_metrics(task)}:

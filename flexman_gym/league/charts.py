@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.plot_style import BLUE, DARK, GREEN, LIGHT, RED, new_figure
+from flexman_gym.common.plot_style import BLUE, DARK, GREEN, LIGHT, RED, new_figure, save_figure
 from flexman_gym.evaluation.agent import SIMPLE_AGENTS
 from flexman_gym.evaluation.agent_info import INFORMATION, describe_agent
 from flexman_gym.league.details import short_name, sweep_text
@@ -69,8 +69,7 @@ def _draw_heat_map(standings: Standings, path: Path) -> Path:
         own = [i for i, each in enumerate(agents) if groups[each] == group]
         axes.axhline(own[0] - 0.5, color=DARK, linewidth=0.8)
         axes.text(len(names) - 0.4, np.mean(own), fill(group, 13), va="center", fontsize=7.5, color=DARK)
-    figure.savefig(path)
-    return path
+    return save_figure(figure, path)
 
 
 def _cell(standings: Standings, agent: str, scenario: str) -> tuple[float, str, str]:
@@ -109,8 +108,7 @@ def _draw_sweeps(standings: Standings, path: Path) -> Path:
     for axes in panels[len(sweeps) :]:
         axes.set_visible(False)
     figure.supylabel("settled episodes, %", fontsize=9)
-    figure.savefig(path)
-    return path
+    return save_figure(figure, path)
 
 
 def _shares(standings: Standings, agent: str, scenarios: dict[str, float]) -> Array:

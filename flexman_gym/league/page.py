@@ -7,6 +7,7 @@ from textwrap import fill
 
 import numpy as np
 
+from flexman_gym.common.files import write_file
 from flexman_gym.common.markdown import markdown_table, number_text
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.agent import SIMPLE_AGENTS
@@ -96,7 +97,7 @@ def write_page(results: LeagueRows, folder: Path, computer: str | None = None) -
         draw_charts(standings, folder)
     except ImportError as error:
         print(f"no charts: {error}")
-    page.write_text(_page_text(standings) + f"\n{COMPUTED}{computer}.\n" * bool(computer), encoding="utf-8")
+    write_file(page, _page_text(standings) + f"\n{COMPUTED}{computer}.\n" * bool(computer))
 
 
 def _page_text(standings: Standings) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.computer import computer_info
-from flexman_gym.common.files import open_arrays, reading
+from flexman_gym.common.files import open_arrays, reading, write_file
 from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.common.time_series import write_csv
 from flexman_gym.model.model import Model, build_model
@@ -126,20 +126,19 @@ class Episode:
         return float(self.about.get("band", np.nan))
 
     def save(self, path: str | Path) -> Path:
-        """Write arrays and metadata to a file (npz, without pickles), and return its path.
+        """Write arrays and metadata to a file (npz, without pickles), atomically, and return its path.
 
         Args:
             path: the file; missing folders are created.
 
         Raises:
-            OSError: where it cannot be written.
+            OSError: if it cannot be written; an existing file remains unchanged.
         """
         path, text = Path(path), json.dumps(self.about).encode()
         arrays = {name: getattr(self, name) for name in ARRAY_AXES}
         arrays |= {f"readings/{name}": values for name, values in self.readings.items()}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("wb") as file:
-            np.savez(file, allow_pickle=False, **arrays, **{METADATA_KEY: np.frombuffer(text, dtype=np.uint8)})
+        arrays[METADATA_KEY] = np.frombuffer(text, dtype=np.uint8)
+        write_file(path, lambda file: np.savez(file, allow_pickle=False, **arrays))
         return path
 
     @classmethod

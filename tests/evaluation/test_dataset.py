@@ -8,6 +8,7 @@ import pytest
 
 from flexman_gym.__main__ import main
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.evaluation import dataset
 from flexman_gym.evaluation.dataset import record_dataset
 from flexman_gym.evaluation.rollout import rollout
 
@@ -28,16 +29,19 @@ def datasets(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def recorded(monkeypatch):
+def recorded(monkeypatch, tmp_path):
     """Function that returns the episodes and the environment of a dataset, without Minari."""
     minari, collector = ModuleType("minari"), ModuleType("minari.data_collector")
     minari.create_dataset_from_buffers = lambda name, buffers, env, **_: (buffers, env)
     collector.EpisodeBuffer = lambda **data: data
+    storage = ModuleType("minari.storage")
+    storage.get_dataset_path = lambda name: tmp_path / name
 
     def record(agent, environment):
         with monkeypatch.context() as patch:
             patch.setitem(sys.modules, "minari", minari)
             patch.setitem(sys.modules, "minari.data_collector", collector)
+            patch.setitem(sys.modules, "minari.storage", storage)
             return record_dataset(agent, environment, list(SEEDS), "made-up-v0")
 
     return record
@@ -86,6 +90,13 @@ def test_a_dataset_is_read_back_to_the_bit_and_gives_its_environment(datasets, r
             result, expected = getattr(read, name), np.array(episode[name])
             assert result.dtype == expected.dtype and result.tobytes() == expected.tobytes(), name
         assert replayed(env, seed, read.actions)[0].tobytes() == read.observations.tobytes()
+
+
+def test_the_name_of_an_existing_dataset_is_refused_before_any_episode(datasets, monkeypatch):
+    datasets.storage.get_dataset_path("one/pd-v0").mkdir(parents=True)
+    monkeypatch.setattr(dataset, "parallel_map", lambda *_, **__: pytest.fail("it began"))
+    with pytest.raises(ValueError, match="name: 'one/pd-v0' is not allowed; give a new name"):
+        record_dataset("pd", "FlexOne-v0", [0], "one/pd-v0")
 
 
 def test_the_command_writes_a_dataset_for_each_agent(datasets, capsys):

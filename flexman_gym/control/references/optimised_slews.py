@@ -10,7 +10,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import value_error
-from flexman_gym.common.files import open_arrays, reading, write_atomically
+from flexman_gym.common.files import open_arrays, reading, write_file
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.lqr import FEEDFORWARD_FRACTION, LQR
 from flexman_gym.control.references.trajectories import plan_slew
@@ -350,7 +350,7 @@ class SlewTable:
             "counts": np.array([len(slew.knots) for _, slew, _ in rows], dtype=np.int64),
             "knots": np.concatenate([slew.knots for _, slew, _ in rows]) if rows else np.zeros((0, 1)),
         }
-        write_atomically(path, lambda file: np.savez_compressed(file, **arrays))
+        write_file(path, lambda file: np.savez_compressed(file, **arrays))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
