@@ -30,13 +30,15 @@ episode.save("read.npz"); scene.save("read.yaml")
 command = lambda *words: (lambda path: main([*words, str(path)]) and (_ for _ in ()).throw(OSError("exit status")))
 WRITERS = {
     "episode.npz": episode.save, "episode.csv": episode.to_csv, "torque.csv": torque.to_csv, "scene.yaml": scene.save,
-    "scene.json": scene.save, "statistics.npz": RunningMeanStd((99,)).save, "figure.png": lambda path: save_figure(figure, path),
+    "scene.json": scene.save, "statistics.npz": RunningMeanStd((99,)).save,
+    "figure.png": lambda path: save_figure(figure, path),
     "figure.svg": lambda path: save_figure(figure, path), "picture.png": lambda path: write_picture(frames[0], path),
     "video.gif": lambda path: write_video(frames, path), "video.mp4": lambda path: write_video(frames, path),
     "league.md": lambda path: write_page(LeagueRows(), path.parent, ""),
     "replay.html": command("replay", "read.npz", "--out"), "arm.xml": command("export", "mujoco", "one_joint", "--out"),
     "arm.urdf": command("export", "urdf", "one_joint"), "table.csv": command("simulate", "read.yaml", "--out"),
-    "trajectory.npz": command("simulate", "read.yaml", "--out"), "modes.csv": command("shape", "one_joint", "--postures=2", "--csv"),
+    "trajectory.npz": command("simulate", "read.yaml", "--out"),
+    "modes.csv": command("shape", "one_joint", "--postures=2", "--csv"),
     "shaped.csv": lambda path: command("shape", "one_joint", str(path), "--out")(path),
 }
 result = {}

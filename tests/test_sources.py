@@ -74,7 +74,7 @@ IN_PLACE = {  # (file, call) -> reason why it does not write by `write_file` or 
 
 
 def in_place(path):
-    """Return the calls of a file that write a file in place; one that writes to the variable `file` does not open it."""
+    """Return the calls of a file that write a file in place; a call with the variable `file` opens none."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if not isinstance(node, ast.Call):
@@ -85,8 +85,9 @@ def in_place(path):
                  if isinstance(each, ast.Constant) and isinstance(each.value, str)]  # fmt: skip
         if node.args and getattr(node.args[0], "id", "") == "file":
             continue
-        if name in ("open", "fdopen") and (mode := [each for each in modes if set(each) & set("wax+") and len(each) < 4]):
-            found.add(f"{name}({mode[0]!r})")
+        writing = [each for each in modes if set(each) & set("wax+") and len(each) < 4]
+        if name in ("open", "fdopen") and writing:
+            found.add(f"{name}({writing[0]!r})")
         elif name in WRITERS or (isinstance(node.func, ast.Attribute) and name in METHODS) or (
             name == "save" and owner in LIBRARIES
         ):

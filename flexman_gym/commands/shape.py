@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flexman_gym.commands import CommandLine, output_file
-from flexman_gym.common.checks import finite, non_negative, value_error
+from flexman_gym.common.checks import finite, non_negative, value_error, whole_number
 from flexman_gym.common.files import write_file
 
 if TYPE_CHECKING:
@@ -25,10 +25,11 @@ if TYPE_CHECKING:
     from flexman_gym.identification.ringing import Ringing
     from flexman_gym.model.model import Model
 
-DEFAULT_POSTURES = 8  # number of postures without --postures
+DEFAULT_POSTURES, MAX_POSTURES = 8, 10_000  # number of postures without --postures; largest number
 MAX_ANGLE = 1.2  # rad; largest joint angle of random postures, for an arm without a task
 MAX_FREQUENCY = 25.0  # Hz; highest frequency in the model of an arm without an environment
 TINY_DAMPING = 1e-6  # damping ratio added to that of an arm, which may be undamped
+SHOWN_POINTS = 20_000  # most points of a line in a plot
 SHOWN_CYCLES = 10.0  # cycles of the first mode in a plot after the stop
 MOTOR_STATES = ("held", "free")
 
@@ -157,6 +158,8 @@ def _print_modes(ringing: "Ringing") -> int:
 
 def _draw(found: "ShapedMotion", ringing: "Ringing", path: Path) -> None:
     """Plot the position that moves most and the vibration that it excites, unshaped and shaped."""
+    from scipy.signal import fftconvolve
+
     from flexman_gym.common.plot_style import BLUE, SLATE, new_figure, save_figure
 
     figure = new_figure((7.0, 4.4), 120, layout="constrained")
@@ -164,14 +167,14 @@ def _draw(found: "ShapedMotion", ringing: "Ringing", path: Path) -> None:
     column = int(np.ptp(found.unshaped.positions, axis=0).argmax())
     period, rates = found.motion.period, 2.0 * np.pi * np.array(ringing.frequencies)
     count = int(len(found.motion.values) + SHOWN_CYCLES / (ringing.frequencies[0] * period))
-    times, scale = period * np.arange(count), 0.0
+    times, scale, apart = period * np.arange(count), 0.0, -(-count // SHOWN_POINTS)
     decay = np.exp(-np.outer(rates * np.array(ringing.damping), times)) * np.sin(np.outer(rates, times))
     for each, name, colour in ((found.unshaped, "unshaped", SLATE), (found.motion, found.shaper, BLUE)):
         positions = np.pad(each.positions[:, column], (1, count - len(each.values)), mode="edge")
-        vibration = np.convolve(decay.sum(axis=0), np.diff(positions, 2))[:count]
+        vibration = fftconvolve(decay.sum(axis=0), np.diff(positions, 2))[:count]
         scale = scale or 100.0 / np.abs(vibration).max()
-        motion.plot(times, positions[1:], color=colour, label=name)
-        response.plot(times, scale * vibration, color=colour, label=name)
+        for axes, values in ((motion, positions[1:]), (response, scale * vibration)):
+            axes.plot(times[::apart], values[::apart], color=colour, label=name)
     motion.set_ylabel("position (rad or m)")
     motion.legend(frameon=False)
     response.set(xlabel="time (s)", ylabel="vibration (% of largest)")
@@ -182,9 +185,8 @@ def _compare(options: argparse.Namespace) -> int:
     """Print modes of an arm, shapers and a recommendation; return 0."""
     from flexman_gym.control.input_shaping.shapers import OperatingPoint, ShaperEvaluation
 
-    if options.postures < 1:
-        options.parser.error(f"--postures: {options.postures} is not allowed; give a whole number > 0")
-    model, postures, payloads = _find_model(options.subject, options.postures)
+    count = whole_number("--postures", options.postures, 1, MAX_POSTURES)
+    model, postures, payloads = _find_model(options.subject, count)
     if options.payload:
         payloads = [options.payload[0], sum(options.payload) / 2.0, options.payload[1]]
     cases = OperatingPoint.find(model, postures, payloads)

@@ -131,6 +131,13 @@ def whole_ratio(name: str, part: float, total: float, allowed: str, most: int = 
     return count
 
 
+def sample_count(name: str, period: float, duration: float, most: int = MAX_ENTRIES) -> int:
+    """Return the number of periods `period` (s) that cover a duration (s), after a check that it is at most `most`."""
+    if not duration <= most * positive(name, period, "s"):
+        raise value_error(name, period, f"at least {duration / most:.3g} (s), at most {most} times in {duration:.3g} s")
+    return math.ceil(duration / period)
+
+
 def flag(name: str, value: object) -> bool:
     """Return a value as a bool; 0 and 1 are refused."""
     if not isinstance(value, bool | np.bool_):

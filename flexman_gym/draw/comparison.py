@@ -15,6 +15,7 @@ from flexman_gym.model.deformation import curves
 from flexman_gym.simulation.episode import Episode
 
 COLOURS = (BLUE, RED, GREEN, VIOLET)
+MAX_FRAMES = 3000  # frames of a video, 8 GB of 1280 x 720 pixels
 VIEW_STATES, LINK_POINTS = 120, 4  # number of states of an episode, and of points on a link, that the camera shows
 STRIP_SHARE = 0.24  # height of the strip chart / height of the picture
 VISIBLE_SHARE, MAX_GAIN = 0.25, 100.0  # largest drawn displacement by the links / reach; largest suggested gain
@@ -46,10 +47,13 @@ def side_by_side(
 
     Raises:
         ImportError: for episodes with targets without Matplotlib.
+        ValueError: for more than MAX_FRAMES frames.
     """
     if not 1 <= len(episodes) <= len(COLOURS):
         raise value_error("episodes", len(episodes), f"1 to {len(COLOURS)} of them")
     end = min(max(float(each.time[-1]) for each in episodes), seconds)
+    if not end * rate <= MAX_FRAMES:
+        raise value_error("seconds", end, f"at most {MAX_FRAMES / rate:g} (s), {MAX_FRAMES} frames")
     panels = _Panels(episodes, size, end, gain)
     times = np.append(np.arange(0.0, end - 0.5 / rate, 1.0 / rate), end)
     frames = [panels.paint(time) for time in times]

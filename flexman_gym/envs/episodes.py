@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import number_array, one_of, value_error
+from flexman_gym.common.checks import number_array, one_of, sample_count, value_error
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import Controller, EpisodeInfo
@@ -468,6 +468,7 @@ class Episodes:
 
 def _goal_path(task: Task, parameters: Mapping[str, Array], periods: int, view: View) -> Array:
     """Return goal postures (r, T + 1, n), rad, over T control periods of r episodes with parameters (r, ...)."""
+    sample_count("control_period", view.control_period, periods * view.control_period)
     count, times = len(next(iter(parameters.values()))), view.control_period * np.arange(periods + 1.0)
     repeated = [{name: np.repeat(values[i : i + 1], len(times), 0) for name, values in parameters.items()}
                 for i in range(count)]  # fmt: skip

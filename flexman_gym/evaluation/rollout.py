@@ -25,6 +25,7 @@ from flexman_gym.simulation.episode import Episode
 
 SELECTION_SEEDS = range(5000, 5100)  # seeds of the episodes by which the best policy of a training run is selected
 TEST_SEEDS = range(9000, 9100)  # seeds of the test episodes of `flexman evaluate`, which are not used for selection
+MAX_RECORDED = 10**8  # control periods of all episodes of a rollout
 TRAINING_SEEDS_STRIDE = 1_000_000  # arm i of a training run with seed s starts with the seed STRIDE (s + 1) + i
 
 
@@ -198,6 +199,7 @@ def rollout(
 
     Raises:
         FileNotFoundError: for an unknown agent or environment.
+        ValueError: for more than MAX_RECORDED control periods of all episodes.
 
     Examples:
         >>> result = fm.rollout("pd", "FlexOne-v0", seeds=range(2))
@@ -211,6 +213,10 @@ def rollout(
     environment = environment.replace(safety=safety) if safety else environment
     loop = RolloutLoop(agent, environment, seeds, callback, set_plant, options)
     episodes = loop.episodes
+    most = MAX_RECORDED // len(episodes.over)
+    if episodes.max_periods > most:
+        allowed = f"at most {most * environment.control_period:g} (s): {len(episodes.over)} x {most} control periods"
+        raise value_error("horizon", environment.horizon, allowed)
     progress = Progress(f"control periods of {len(episodes.over)} episodes", episodes.max_periods)
     while not loop.over:
         loop.step()

@@ -8,6 +8,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.common.time_series import read_time_series, write_csv
+from flexman_gym.control.input_shaping import shaped_motion
 from flexman_gym.control.input_shaping.motion import Motion
 from flexman_gym.control.input_shaping.shaped_motion import ShapedMotion
 from flexman_gym.control.input_shaping.shapers import excited_modes
@@ -61,6 +62,17 @@ def test_the_interval_contains_modes_within_the_deviations(deviated):
         mode = (4.0 * (1.0 + sign * size["deviation"]), 0.1 * (1.0 + sign * size["damping_deviation"]))
         left = vibration(found.motion, *mode) / vibration(found.unshaped, *mode)
         assert left > 0.01 and found.residuals[0, 1] <= left <= found.residuals[0, 2]
+
+
+@pytest.mark.parametrize("count", [5, 1023, 1025, 5000])
+def test_the_residual_of_a_slower_motion_is_that_of_the_closed_sum_for_any_length(count):
+    """Vibrations are added in blocks of samples, of which the first is filled with rest."""
+    motion = trapezoid(1.0, 0.2)
+    path = np.interp(np.linspace(0.0, 1.0, count), np.linspace(0.0, 1.0, len(motion.values)), motion.values[:, 0])
+    motion = motion._replace(values=path[:, None], period=3.0 / count)
+    found = shaped_motion._vibrations(motion, np.array([[2.3, 0.03], [0.4, 0.2]]))[:, 0]
+    expected = [vibration(motion, each * np.sqrt(1.0 - ratio**2), ratio) for each, ratio in ((2.3, 0.03), (0.4, 0.2))]
+    assert found == pytest.approx(expected, rel=1e-9)
 
 
 def test_limits_hold_and_six_joints_take_no_longer_than_needed():

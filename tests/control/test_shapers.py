@@ -11,6 +11,7 @@ from flexman_gym.control.input_shaping.shapers import (
     OperatingPoint,
     Shaper,
     ShaperEvaluation,
+    convolve_samples,
     design_shaper,
     excited_modes,
     shaper_residual,
@@ -113,6 +114,14 @@ def test_samples_cost_what_is_said(name):
     assert parts.sum() == pytest.approx(1.0) and parts @ times == pytest.approx(shaper.amplitudes @ shaper.times)
     price = abs(shaper_residual(Shaper(times, parts), frequency) - shaper_residual(shaper, frequency))
     assert price < 100.0 * (2.0 * np.pi * frequency * period) ** 2 / 8.0 < 0.02
+
+
+def test_a_sampled_shaper_is_convolved_as_by_the_definition():
+    """Each column alone, for the times of the values; values after their end are not made."""
+    values, fractions = np.random.default_rng(0).normal(size=(40, 3)), design_shaper("ei", 1.3, 0.05).sample(0.02)
+    for few in (values, values[:5]):
+        expected = [np.convolve(fractions, column)[: len(few)] for column in few.T]
+        assert convolve_samples(fractions, few) == pytest.approx(np.transpose(expected), abs=1e-14)
 
 
 def test_an_arm_rings_after_a_shaped_command_as_the_closed_form_says():

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows
-from flexman_gym.common.checks import non_negative, sequence, value_error, vector, whole_number
+from flexman_gym.common.checks import non_negative, sample_count, sequence, value_error, vector, whole_number
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings, checked_controller
 from flexman_gym.control.input_shaping.shapers import (
     DEFAULT_TOLERANCE,
     Shaper,
+    convolve_samples,
     design_shaper,
     excited_modes,
 )
@@ -152,7 +153,7 @@ class InputShapedController:
     def _shape(self, start: Array, goal: Array, period: float, path: Array | None) -> "_Command":
         """Return the shaped command of one arm, for a path (T + 1, n) rad or from start to goal, (n,) rad each."""
         if path is None:
-            count = int(np.ceil(self.duration / period)) + 1
+            count = sample_count("control_period", period, self.duration) + 1
             times = period * np.arange(count, dtype=np.float64)
             progress = TIMING_LAWS["minimum-jerk"].at(times / self.duration)[0] if self.duration else np.ones(count)
             plain, before = start + progress[:, None] * (goal - start), start
@@ -166,7 +167,7 @@ class InputShapedController:
         rates = np.diff(plain, axis=0, prepend=plain[:1]) / period
         goals = np.broadcast_to(goal, plain.shape) if path is None else path
         goal_rates = np.zeros_like(rates) if path is None else rates
-        shaped, shaped_rates = before + _convolve(fractions, plain - before), _convolve(fractions, rates)
+        shaped, shaped_rates = before + convolve_samples(fractions, plain - before), convolve_samples(fractions, rates)
         return _Command(self.model, period, shaped, shaped_rates, goals, goal_rates)
 
 
@@ -194,14 +195,6 @@ class _Command:
             rates = np.diff(tips, axis=0, prepend=tips[:1]) / self._period
             self._offsets |= dict.fromkeys(TIP_QUANTITIES, tips) | dict.fromkeys(TIP_RATE_QUANTITIES, rates)
         return self._offsets[name]
-
-
-def _convolve(fractions: Array, values: Array) -> Array:
-    """Return the convolution of values (K, n) with the fractions (m,) of a sampled shaper; earlier values are zero."""
-    result = np.zeros_like(values)
-    for delay, part in enumerate(fractions[: len(values)]):
-        result[delay:] += part * values[: len(values) - delay]
-    return result
 
 
 def _parse_modes(value: object) -> Array:

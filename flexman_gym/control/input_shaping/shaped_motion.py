@@ -1,6 +1,6 @@
 """Shaping of a sampled motion for measured modes: the shaper with the shortest delay, or time scaling, and limits."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from functools import reduce
 from itertools import product
 from statistics import NormalDist
@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array
+from flexman_gym.common.arrays import Array, pad_rows
 from flexman_gym.common.checks import mapping, one_of, physical, positive, value_error
 from flexman_gym.control.input_shaping.motion import Motion
-from flexman_gym.control.input_shaping.shapers import SHAPERS, Shaper, design_shaper, shaper_residual
+from flexman_gym.control.input_shaping.shapers import SHAPERS, Shaper, convolve_samples, design_shaper, shaper_residual
 from flexman_gym.identification.ringing import DAMPING_DEVIATION, FREQUENCY_DEVIATION, MAX_DAMPING, Ringing
 
 AUTO, SCALING = "auto", "scaling"
@@ -21,7 +21,8 @@ POINTS = (15, 5)  # frequencies and damping ratios in the box of a mode
 EI_MARGIN = 0.9  # residual at the mode of an EI shaper / allowed residual
 MOST_SCALINGS = 60  # time scalings in a search
 LIMIT_ITERATIONS, LIMIT_MARGIN = 20, 1.001  # of the time scaling that keeps limits; factor on the scaling
-MAX_SAMPLES = 10**6  # samples of a motion that keeps limits
+MAX_SAMPLES = 10**6  # samples of a shaped motion
+BLOCK = 1024  # samples whose vibrations are added in one product of matrices
 MOVING = 1e-3  # fraction of the largest range of a position; less is no motion
 
 
@@ -64,8 +65,8 @@ class ShapedMotion(NamedTuple):
                 motion is slowed down as far as necessary.
 
         Raises:
-            ValueError: for a mode above half the sampling rate, for a damping ratio above MAX_DAMPING, and if nothing
-                meets the residual.
+            ValueError: for a mode above half the sampling rate, for a damping ratio above MAX_DAMPING, for a result of
+                more than MAX_SAMPLES samples, and if nothing meets the residual.
         """
         if not 0.0 < positive("residual", residual) < 1.0:
             raise value_error("residual", residual, "a number > 0 and < 1")
@@ -74,6 +75,7 @@ class ShapedMotion(NamedTuple):
             name: physical(f"limits.{name}", each) for name, each in mapping("limits", limits or {}, LIMITS).items()
         }
         modes = _checked_modes(ringing, motion.period)
+        _check_size(motion, modes, SHAPERS if shaper == AUTO else {shaper} & SHAPERS.keys())
         boxes = _boxes(ringing, FREQUENCY_DEVIATION, DAMPING_DEVIATION)
         best, least = None, (np.inf, "")
         for name, fractions in sorted(
@@ -114,6 +116,16 @@ def _checked_modes(ringing: Ringing, period: float) -> Array:
     return np.column_stack([np.array(ringing.frequencies) / np.sqrt(1.0 - ratios**2), ratios])
 
 
+def _check_size(motion: Motion, modes: Array, names: Collection[str]) -> None:
+    """Raise a ValueError if the longest of some shapers makes more than MAX_SAMPLES samples of a motion."""
+    shapers = [[design_shaper(name, frequency) for name in names] for frequency, _ in modes.tolist()]
+    delay = sum(max((float(shaper.times[-1]) for shaper in each), default=0.0) for each in shapers)
+    if motion.duration + delay > (MAX_SAMPLES - 1) * motion.period:
+        longest = f"{motion.duration:.3g} s become up to {motion.duration + delay:.3g} s, {MAX_SAMPLES} samples"
+        allowed = f"at most {(MAX_SAMPLES - 1) / (motion.duration + delay):.4g}: {longest}"
+        raise value_error(motion.source.name, f"{1.0 / motion.period:.4g} samples per s", allowed)
+
+
 def _boxes(ringing: Ringing, frequency: float = 0.0, damping: float = 0.0) -> list[Array]:
     """Return for each mode natural frequencies and damping ratios (m, 2): the measured ones, then those of intervals.
 
@@ -151,7 +163,12 @@ def _candidates(modes: Array, name: str, residual: float, period: float) -> Iter
         parts = [design[each] for each, design in zip(chosen, designs, strict=True) if each]
         if parts:
             hertz = [f"{each} of {mode[0]:.3g} Hz" for each, mode in zip(chosen, modes.tolist(), strict=True) if each]
-            yield " + ".join(hertz), reduce(np.convolve, parts)
+            yield " + ".join(hertz), reduce(_combined, parts)
+
+
+def _combined(first: Array, second: Array) -> Array:
+    """Return the sampled fractions of two shapers one after the other."""
+    return convolve_samples(first, pad_rows(second, len(first) + len(second) - 1)[:, None])[:, 0]
 
 
 def _on_grid(shaper: Shaper, frequency: float, ratio: float, period: float) -> Array:
@@ -196,8 +213,7 @@ def _shaped(motion: Motion, fractions: Array) -> Motion:
     values, held = motion.values, np.array(motion.orders) == 0
     before, after = values[0] * held, np.repeat((values[-1] * held)[None], len(fractions) - 1, axis=0)
     changes = np.vstack([values, after]) - before
-    columns = [np.convolve(fractions, column)[: len(changes)] for column in changes.T]
-    return motion._replace(values=before + np.column_stack(columns))
+    return motion._replace(values=before + convolve_samples(fractions, changes))
 
 
 def _scaled(motion: Motion, count: int) -> Motion:
@@ -239,6 +255,7 @@ def _slower(
     base = _within_limits(motion, np.ones(1), limits)[0]
     count, most = len(base.values), len(best.motion.values) - 1 if best else 2 * len(base.values)
     wide, narrow = _boxes(ringing, FREQUENCY_DEVIATION, DAMPING_DEVIATION), _boxes(ringing)
+    most = min(most, MAX_SAMPLES)
     if most <= count:
         return best
     samples = np.unique(np.linspace(count + 1, most, MOST_SCALINGS).astype(int))
@@ -269,5 +286,7 @@ def _vibrations(motion: Motion, box: Array) -> Array:
     """Return the amplitudes (m, n) of modes (m, 2) at the end of a motion by each position, per acceleration."""
     rate = 2.0 * np.pi * box[:, 0] * (box[:, 1] + 1j * np.sqrt(1.0 - box[:, 1] ** 2))
     changes = np.diff(np.pad(motion.positions, ((1, 1), (0, 0)), mode="edge"), 2, axis=0)
-    times = motion.period * np.arange(1.0 - len(changes), 1.0)
-    return np.asarray(np.abs(np.exp(np.outer(rate, times)) @ changes))
+    blocks = np.pad(changes, ((-len(changes) % BLOCK, 0), (0, 0))).reshape(-1, BLOCK, changes.shape[1])
+    within = np.exp(np.outer(rate, motion.period * np.arange(1.0 - BLOCK, 1.0)))
+    between = np.exp(np.outer(rate, motion.period * BLOCK * np.arange(1.0 - len(blocks), 1.0)))
+    return np.asarray(np.abs(np.einsum("mb,mbn->mn", between, np.tensordot(within, blocks, (1, 1)))))

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import flag, non_negative, one_of, physical, positive, value_error
+from flexman_gym.common.checks import flag, non_negative, one_of, physical, positive, sample_count, value_error
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.vibration import Eigenpairs, EquilibriumMatrices
 from flexman_gym.simulation.parameters import varied_model
@@ -145,13 +145,25 @@ class Shaper(NamedTuple):
 
         Args:
             period: control period, s.
+
+        Raises:
+            ValueError: for a delay of more than a million control periods.
         """
-        delays = self.times / positive("period", period, "s")  # control periods
+        sample_count("period", period, float(self.times[-1]))
+        delays = self.times / period  # control periods
         lower = np.floor(delays).astype(int)
         result = np.zeros(lower[-1] + 2)
         np.add.at(result, lower, self.amplitudes * (1.0 - delays + lower))
         np.add.at(result, lower + 1, self.amplitudes * (delays - lower))
         return result
+
+
+def convolve_samples(fractions: Array, values: Array) -> Array:
+    """Return the convolution of values (K, n) with the fractions (m,) of a sampled shaper; earlier values are zero."""
+    result = np.zeros_like(values)
+    for delay in np.flatnonzero(fractions[: len(values)]).tolist():  # few are not zero: two for each impulse
+        result[delay:] += fractions[delay] * values[: len(values) - delay]
+    return result
 
 
 def design_shaper(name: str, frequency: float, ratio: float = 0.0, tolerance: float = DEFAULT_TOLERANCE) -> Shaper:

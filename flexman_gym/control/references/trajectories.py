@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
-from flexman_gym.common.checks import one_of, physical, value_error
+from flexman_gym.common.checks import one_of, physical, sample_count, value_error
 from flexman_gym.control.friction_compensation import friction_torques
 from flexman_gym.kernels import outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, TIP_VELOCITY, make_work
@@ -112,7 +112,7 @@ SINGULAR_CUTOFF = 0.05  # fraction of the largest singular value of the tip Jaco
 SOLVE_INTERVAL = 4  # control periods between two points of a path at which the deflection is computed
 REST_POINTS = 6  # number of points at rest before the start of a path at which the deflection is computed
 PATH_SAMPLES = 21  # number of points of a path at which torques are compared with their limits
-MAX_DURATION = 60.0  # s; longest slew
+MAX_DURATION, MAX_PERIODS = 60.0, 100_000  # s, and control periods; longest slew
 JUMP_MARGIN = 1e-9  # fraction of the duration; distance of a check point before a jump of the acceleration
 
 
@@ -235,7 +235,8 @@ def plan_slew(
         timing_law: name in `TIMING_LAWS`.
 
     Raises:
-        ValueError: for a goal at which holding torques alone exceed the fraction, and for an unknown timing law.
+        ValueError: for a goal at which holding torques alone exceed the fraction, for an unknown timing law, and for a
+            slew of more than MAX_PERIODS control periods.
     """
     path = _slew_path(model, start, goal, one_of("timing_law", timing_law, TIMING_LAWS))
     slew = _time_optimal(path, torque_fraction * limits, period)
@@ -275,6 +276,7 @@ def _time_optimal(path: _JointPath, bounds: Array, period: float) -> _ReferenceT
 
 def _sample_path(path: _JointPath, count: int, period: float) -> _ReferenceTrajectory:
     """Sample a path over a number of control periods (s); torques are those at the middle of each period."""
+    sample_count("control_period", period, count * period, MAX_PERIODS)
     coordinates, _ = path.at(np.linspace(0.0, 1.0, count + 1), count * period)
     coordinates[[0, -1]] = path.ends
     rates = np.gradient(coordinates, period, axis=0) if count > 1 else np.zeros_like(coordinates)
@@ -294,9 +296,13 @@ def plan_path(model: Model, postures: Array, period: float) -> _ReferenceTraject
         model: model of the arm.
         postures: (T + 1, n) motor angles with continuous second derivatives, rad.
         period: control period, s.
+
+    Raises:
+        ValueError: for more than MAX_PERIODS control periods.
     """
     from scipy.interpolate import CubicSpline
 
+    sample_count("control_period", period, (len(postures) - 1) * period, MAX_PERIODS)
     n, deflection, compensation = model.n_joints, QuasiStaticDeflection(model), DeflectionCompensation(model)
     all_times = period * np.arange(len(postures))
     count = max(4, -(-(len(postures) - 1) // SOLVE_INTERVAL) + 1)
