@@ -18,6 +18,7 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation import metrics_table, rollout
     from flexman_gym.evaluation.agent import common_environment
+    from flexman_gym.evaluation.rollout import save_rollouts
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
@@ -28,7 +29,7 @@ def _run(options: argparse.Namespace) -> int:
     results = {name: rollout(each, environment, seeds) for name, each in agents.items()}
     print(metrics_table({name: each.records for name, each in results.items()}, environment))
     if options.save is not None:
-        files = [path for each in results.values() for path in each.save(options.save)]
+        files = save_rollouts([*results.values()], options.save)
         print(f"{len(files)} episodes are in {options.save}; to watch: flexman replay {files[0]} --out page.html")
     return 0
 

@@ -2,6 +2,7 @@
 
 import argparse
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -20,22 +21,28 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Show the page until Ctrl+C; return 0."""
+    """Show the page until Ctrl+C; return 0, or 1 if the simulation ends by itself."""
     from flexman_gym.commands import load_agent
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.envs.config.named_environments import DEFAULT_ID
     from flexman_gym.evaluation import live
 
     named = Configuration.find(options.environment) if options.environment else None
-    agents = [replace(load_agent(name, options.trust, named), name=name) for name in options.agent or ["pd"]]
+    names = options.agent or ["pd"]
+    loaded = {name: replace(load_agent(name, options.trust, named), name=name) for name in names}
+    agents = [loaded[name] for name in names]
     trained = next((agent.environment.id for agent in agents if agent.environment), DEFAULT_ID)
     with (
         _interrupts() as interrupts,
         suppress(KeyboardInterrupt),
         live(options.environment or trained, agents, options.seed, options.port) as session,
     ):
-        if not interrupts:
-            session.wait()
+        try:
+            if not interrupts:
+                session.wait()
+        except RuntimeError as error:  # such as an agent that exits
+            print(error, file=sys.stderr)
+            return 1
     return 0
 
 

@@ -18,6 +18,7 @@ UNIT_TOLERANCE = 1e-9  # dimensionless; largest error of the length of a unit ve
 MIN_SIZE, MAX_SIZE = 1e-30, 1e30  # SI units; range of a physical quantity > 0
 MAX_FIELD_LENGTH = 60  # characters of the name of a field in an error
 MAX_PATH_LENGTH = 160  # characters of a path in an error
+MAX_REASON = 300  # characters of the message of an error of other code
 MAX_VALUE_LENGTH = 80  # characters of a value in an error; no more entries of a list are formatted
 MAX_ENTRIES = 10**6  # entries of a list
 MIN_SIMILARITY = 0.75  # dimensionless; similarity of two names (difflib) above which a name is probably a misspelling
@@ -50,6 +51,16 @@ def value_error(name: str, value: object, allowed: str) -> ValueError:
     """Return a one-line error for a value of a field, with the allowed values."""
     field = name if name.isprintable() else repr(name)  # a name may contain a key of an untrusted file
     return ValueError(f"{field[:MAX_FIELD_LENGTH]}: {short_repr(value)} is not allowed; give {allowed}")
+
+
+def error_text(error: BaseException) -> str:
+    """Return the message of any error on one line of at most 300 characters, with its type unless it is refused input.
+
+    Refused input is a ValueError or an OSError, whose message names the field or the file.
+    """
+    text = " ".join(str(error).split())[:MAX_REASON]
+    known = text and isinstance(error, ValueError | OSError)
+    return text if known else ": ".join(filter(None, (type(error).__name__, text)))
 
 
 def _shortened(value: Any) -> Any:

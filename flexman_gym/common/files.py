@@ -1,6 +1,7 @@
 """Files: atomic writes, strict JSON and YAML, and safe reading of arrays."""
 
 import errno
+import itertools
 import json
 import os
 import re
@@ -17,14 +18,13 @@ from typing import Any, BinaryIO
 import numpy as np
 import yaml
 
-from flexman_gym.common.checks import one_of, short_path, short_repr
+from flexman_gym.common.checks import MAX_REASON, one_of, short_path, short_repr
 
 # Possible errors while reading a damaged file of text or arrays.
 READ_ERRORS = (
     ValueError, LookupError, TypeError, AttributeError, EOFError, OSError, MemoryError, RecursionError, OverflowError,
     NotImplementedError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
 )  # fmt: skip
-MAX_REASON = 300  # characters of the error of another package in an error message
 MAX_TEXT_BYTES = 1_000_000  # bytes of a text file
 MAX_UNPACKED_BYTES = 100_000_000  # bytes of all arrays of a file after decompression
 
@@ -243,6 +243,17 @@ def write_file(path: str | Path, content: str | bytes | Callable[[BinaryIO], Any
         return
     target.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(target, fill)
+
+
+def new_folder(path: Path) -> Path:
+    """Create a folder at a path, or if it exists at PATH-2, PATH-3 and so on, and return the path of the folder."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for number in itertools.count(1):
+        folder = path if number == 1 else path.with_name(f"{path.name}-{number}")
+        with suppress(FileExistsError):
+            folder.mkdir()
+            break
+    return folder
 
 
 def check_output(path: str | Path) -> Path:

@@ -1,7 +1,6 @@
-"""Live page: running episodes in a browser, on a web server of the local host, and controls of the page."""
+"""Live page: running episodes in a browser, and controls of the page."""
 
 import hashlib
-import http.server
 import json
 import queue
 import sys
@@ -11,20 +10,13 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
+from flexman_gym.draw.live_server import Control, LiveServer
 from flexman_gym.draw.replay import COLOURS, arm_data, encode_array, html_page, view_data
 from flexman_gym.model.model import Model
 
 QUEUE_SIZE = 200  # messages by which a slow browser may lag behind before its stream is started anew
-MAX_BODY = 65536  # bytes; longest control message
-HOSTS = ("127.0.0.1", "localhost")  # host names under which the page answers, against DNS rebinding
-HEADERS = {  # of every answer: nothing is stored, and the page loads nothing from elsewhere
-    "Cache-Control": "no-store", "X-Content-Type-Options": "nosniff",
-    "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-    "img-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'",
-}  # fmt: skip
+KEEP_ALIVE = 10.0  # s; time without a message after which a comment finds out if a browser is still there
 CATCH_UP = 0.2  # s; longest delay after which the simulation hurries to be in real time again
-Control = Callable[[dict[str, Any]], dict[str, Any]]
 
 
 class LiveScene(NamedTuple):
@@ -55,12 +47,12 @@ class LivePage:
     """Page of running episodes in a browser, on a local web server whose address is printed to stderr.
 
     Args:
-        control: function of a control message, a mapping, that returns the answer, or raises ValueError or OSError with
-            a one-line message; None for a page without controls.
+        control: function of a control message, a mapping, that returns the answer, or raises an exception whose message
+            is the answer; None for a page without controls.
         port: port of the server; 0 for a free port.
 
     Attributes:
-        url: address of the page.
+        url: address of the page, with a random token, see `LiveServer`.
         html: page without an arm, which comes with the first episode.
         shown, late: number of calls of `wait`, and number of those that came later than in real time.
     """
@@ -72,15 +64,8 @@ class LivePage:
         self._scene, self._state = b"", b""
         self._lock = threading.Lock()
         self.shown, self.late, self._next = 0, 0, 0.0
-        try:
-            self._server = http.server.ThreadingHTTPServer(
-                ("127.0.0.1", port), type("Handler", (_Handler,), {"live": self})
-            )
-        except OSError as error:  # such as a port in use
-            raise value_error("port", port, f"a free port, or 0 for any free port ({error.strerror})") from None
-        self._server.daemon_threads = True
-        threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True).start()
-        self.url = f"http://127.0.0.1:{self._server.server_address[1]}/"
+        self._server = LiveServer(self, port)
+        self.url = self._server.url
         print(f"the arm is shown at {self.url}", file=sys.stderr, flush=True)
 
     def begin(self, scene: LiveScene) -> None:
@@ -133,17 +118,26 @@ class LivePage:
             else:
                 client.put_nowait(message)
 
-    def listen(self) -> "tuple[bytes, queue.Queue[bytes]]":
-        """Return the messages of the episode so far, and a queue of the following ones."""
+    def stream(self, write: Callable[[bytes], Any]) -> None:
+        """Write the messages of the episode so far, and the following ones until the page is closed.
+
+        Args:
+            write: function that sends bytes to a browser, and raises OSError if it has closed the connection.
+        """
         with self._lock:
             client: queue.Queue[bytes] = queue.Queue(QUEUE_SIZE)
             self._clients = [*self._clients, client]
-            return b"".join([b"retry: 500\n", self._scene, *self._rows, self._state]), client
-
-    def leave(self, client: "queue.Queue[bytes]") -> None:
-        """Remove the queue of a closed connection."""
-        with self._lock:
-            self._clients = [each for each in self._clients if each is not client]
+            message = b"".join([b"retry: 500\n", self._scene, *self._rows, self._state])
+        try:
+            while message:
+                write(message)
+                try:
+                    message = client.get(timeout=KEEP_ALIVE)
+                except queue.Empty:
+                    message = b":\n\n"
+        finally:
+            with self._lock:
+                self._clients = [each for each in self._clients if each is not client]
 
     def close(self) -> None:
         """End the streams and stop the server; print the number of late states, if any, to stderr."""
@@ -151,68 +145,10 @@ class LivePage:
             for client in self._clients:
                 client.queue.clear()
                 client.put_nowait(b"")
-        self._server.shutdown()
-        self._server.server_close()
+        self._server.close()
         if self.late:
             print(f"{self.late} of {self.shown} steps came late", file=sys.stderr)
 
 
 def _event(name: str, data: str) -> bytes:
     return f"event: {name}\ndata: {data}\n\n".encode()
-
-
-class _Handler(http.server.BaseHTTPRequestHandler):
-    """Handler that serves the page at /, the events at /live, and takes control messages at /control."""
-
-    live: LivePage
-
-    def log_message(self, *_: Any) -> None:
-        pass
-
-    def do_GET(self) -> None:
-        types = {"/": "text/html; charset=utf-8", "/live": "text/event-stream"}
-        if self._is_foreign() or self.path not in types:
-            return self._answer(403 if self._is_foreign() else 404, "text/plain")
-        self._answer(200, types[self.path], self.live.html if self.path == "/" else b"")
-        if self.path == "/live":
-            self._stream()
-
-    def do_POST(self) -> None:
-        code, answer = self._controlled()
-        self._answer(code, "application/json", json.dumps(answer).encode())
-
-    def _controlled(self) -> tuple[int, dict[str, Any]]:
-        """Return status and answer of a control message; one of another page, or not JSON, is refused."""
-        host, kind = self.headers.get("Host", ""), self.headers.get("Content-Type", "")
-        if self._is_foreign() or self.headers.get("Origin", f"http://{host}") != f"http://{host}":
-            return 403, {"error": "only the page of this server may control it"}
-        if self.path != "/control" or self.live.control is None or kind != "application/json":
-            return 404, {"error": "give JSON to /control of a page with controls"}
-        try:
-            size = int(self.headers.get("Content-Length", ""))
-            data = json.loads(self.rfile.read(size)) if 0 <= size <= MAX_BODY else None
-            if not isinstance(data, dict):
-                raise ValueError(f"message: this is not allowed; give a mapping of at most {MAX_BODY} bytes")
-            return 200, self.live.control(data)
-        except (ValueError, OSError, RecursionError) as error:
-            return 400, {"error": str(error)}
-
-    def _is_foreign(self) -> bool:
-        """Return True for a request under a host name of another machine, as after DNS rebinding."""
-        return self.headers.get("Host", "").rpartition(":")[0] not in HOSTS
-
-    def _answer(self, code: int, kind: str, body: bytes = b"") -> None:
-        self.send_response(code)
-        for name, value in {**HEADERS, "Content-Type": kind}.items():
-            self.send_header(name, value)
-        self.end_headers()
-        self.wfile.write(body)
-
-    def _stream(self) -> None:
-        before, client = self.live.listen()
-        try:
-            self.wfile.write(before)
-            while message := client.get():
-                self.wfile.write(message)
-        except OSError:  # the browser closed the connection
-            self.live.leave(client)

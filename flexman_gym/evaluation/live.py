@@ -10,8 +10,19 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import finite, flag, mapping, one_of, sequence, text, value_error, vector, whole_number
-from flexman_gym.common.plot_style import round_up
+from flexman_gym.common.checks import (
+    error_text,
+    finite,
+    flag,
+    mapping,
+    one_of,
+    sequence,
+    text,
+    value_error,
+    vector,
+    whole_number,
+)
+from flexman_gym.common.files import new_folder
 from flexman_gym.common.run_folder import SETTINGS as RUN_SETTINGS
 from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
@@ -21,7 +32,8 @@ from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.rendering import live_row, make_renderer
 from flexman_gym.evaluation.agent import AGENTS, find_agent
 from flexman_gym.evaluation.policy_files import METADATA
-from flexman_gym.evaluation.rollout import TEST_SEEDS, RolloutLoop
+from flexman_gym.evaluation.rollout import TEST_SEEDS, RolloutLoop, save_rollouts
+from flexman_gym.evaluation.sliders import GAIN_SLIDERS, Slider, arm_sliders, checked_positions
 from flexman_gym.simulation.parameters import PARAMETERS
 
 FRAME = 0.02  # s; shortest time between two messages to the page
@@ -85,72 +97,6 @@ def _find_pd(episodes: Episodes) -> PD | None:
     return inner if isinstance(inner, PD) else None
 
 
-class _Slider(NamedTuple):
-    """Slider of a physical parameter, of noise or delay: a position x stands for the value offset + x scale.
-
-    Attributes:
-        label: name and unit.
-        low, high: ends.
-        step: step of x; 0 for a logarithmic slider.
-        scale, offset: numbers, or arrays (n,).
-    """
-
-    label: str
-    low: float
-    high: float
-    step: float
-    scale: Any = 1.0
-    offset: Any = 0.0
-
-    def value(self, position: float) -> Any:
-        """Return the number or list that a position stands for."""
-        result = np.asarray(self.offset + position * self.scale).tolist()
-        return round(result) if self.step == 1.0 else result
-
-    def position(self, value: Any) -> float:
-        """Return the position of a value; for values (n,) the mean of the positions."""
-        scale = np.asarray(self.scale)
-        return float(np.mean((np.asarray(value) - self.offset)[scale != 0.0] / scale[scale != 0.0]))
-
-
-def _factor(label: str) -> _Slider:
-    return _Slider(f"{label} (\N{MULTIPLICATION SIGN} nominal)", 0.1, 10.0, 0.0)
-
-
-GAIN_SLIDERS = {"stiffness": _factor("stiffness"), "damping": _factor("damping")}
-
-
-def _sliders(episodes: Episodes) -> dict[str, _Slider]:
-    """Return the sliders of the arm by the name of a parameter in PARAMETERS or an effect in SIGNALS."""
-    model, nominal = episodes.batch.model, episodes.batch.nominal
-    rate = 2.0 * np.pi * episodes.view.first_frequency  # rad/s
-    damping = 2.0 * nominal["joint_stiffness"] / rate  # of a damping ratio of 1
-    heaviest = round_up(max(4.0 * float(nominal["payload_mass"]), 0.1 * sum(link.mass for link in model.arm.links)))
-    rows = {
-        "payload_mass": _Slider("payload (kg)", 0.0, heaviest, heaviest / 100.0),
-        "joint_stiffness": _factor("joint stiffness")._replace(scale=nominal["joint_stiffness"]),
-        "link_stiffness_factor": _factor("link stiffness")._replace(scale=nominal["link_stiffness_factor"]),
-        "joint_damping": _Slider("joint damping, added (ratio)", 0.0, 0.3, 0.003, damping, nominal["joint_damping"]),
-        "link_damping": _Slider("link damping (ratio)", 0.0, 0.1, 0.001, 1.0 * (nominal["link_damping"] > 0.0)),
-        "viscous_friction": _Slider(
-            "viscous friction, added (torque limit s/rad)", 0.0, 0.2, 0.002, np.array(episodes.motors.limits[0]),
-            nominal["viscous_friction"],
-        ),
-        "coulomb_friction": _Slider("Coulomb friction (\N{MULTIPLICATION SIGN} nominal)", 0.0, 3.0, 0.03,
-                                    nominal["coulomb_friction"]),
-        "sensor_noise": _Slider("noise (% of range)", 0.0, 1.0, 0.01, 0.01),
-        "delay": _Slider("delay (control periods)", 0.0, 5.0, 1.0),
-    }  # fmt: skip
-    result = {}
-    for name, row in rows.items():
-        if name in PARAMETERS and np.ndim(nominal[name]):
-            free = ~PARAMETERS[name].fixed(model)
-            row = row._replace(scale=row.scale * free, offset=np.where(free, row.offset, nominal[name]))
-        if np.any(row.scale):
-            result[name] = row
-    return result
-
-
 class _Setup(NamedTuple):
     """Start of an episode: environment and its changed settings, agents, positions of sliders, reset options, seed."""
 
@@ -177,8 +123,10 @@ class LiveSession:
         self._lock, self._closed = threading.RLock(), False
         self._setup, self._known = setup, agents
         self._loops: list[RolloutLoop] = []
-        self._gains, self._sliders = dict.fromkeys(GAIN_SLIDERS, 1.0), dict[str, _Slider]()
+        self._gains, self._sliders = dict.fromkeys(GAIN_SLIDERS, 1.0), dict[str, Slider]()
         self.paused, self._speed, self._message, self.folder = False, 1.0, "", Path("out/live")
+        self._acting = ""  # name of the agent that acts
+        self._death: BaseException | None = None  # error that ended the simulation
         self._commands: dict[str, Callable[[Any], Any]] = {
             "pause": self._pause, "step": self._step, "speed": self._set_speed, "environment": self._set_environment,
             "agents": self._set_agents, "values": self._set_values, "gains": self._set_gains, "push": self._push,
@@ -211,16 +159,25 @@ class LiveSession:
             self._page.close()
 
     def wait(self) -> None:
-        """Wait until the session is closed."""
+        """Wait until the session is closed.
+
+        Raises:
+            RuntimeError: if the simulation has ended by itself, as after an agent that exits.
+        """
         self._thread.join()
+        if self._death is not None:
+            raise RuntimeError(f"the simulation has ended: {error_text(self._death)}") from self._death
 
     def command(self, message: dict[str, Any]) -> dict[str, Any]:
         """Execute a message of the page, a mapping with one command and its value, and return the answer.
 
         Raises:
-            ValueError, OSError: for a message that is not allowed, with a one-line message; nothing changes.
+            ValueError, OSError: for a message that is not allowed, with a one-line message; nothing changes. An error
+                of an agent that starts anew is raised as it is, and the episodes before go on.
         """
         with self._lock:
+            if self._death is not None:
+                raise ValueError(f"the simulation has ended: {error_text(self._death)}; start a new session")
             given = mapping("message", message, self._commands)
             if len(given) != 1:
                 raise value_error("message", given, f"one of {', '.join(self._commands)} with its value")
@@ -257,7 +214,7 @@ class LiveSession:
         self._tuned = [{name: getattr(each, name).copy() for name in GAIN_SLIDERS} if each else {}
                        for each in controllers]  # fmt: skip
         self._setup, self._loops, self._events, self._rows, self._shown = setup, loops, events, rows, 0
-        self._sliders, self._message, self._period = _sliders(loops[0].episodes), "", configuration.control_period
+        self._sliders, self._message, self._period = arm_sliders(loops[0].episodes), "", configuration.control_period
         if any(gain != 1.0 for gain in self._gains.values()):
             self._apply_gains()
         self._page.begin(self._scene())
@@ -306,7 +263,8 @@ class LiveSession:
     def _advance(self, count: int) -> None:
         """Simulate and show a number of rows; pause at the end of all episodes."""
         end = self._shown + count
-        for loop, rows in zip(self._loops, self._rows, strict=True):
+        for name, loop, rows in zip(self._setup.agents, self._loops, self._rows, strict=True):
+            self._acting = name
             while len(rows) < end and not loop.over:
                 loop.step()
         end = min(end, max(map(len, self._rows)))
@@ -319,19 +277,29 @@ class LiveSession:
             self._message = "; ".join(f"{name}: {why}" for name, why in zip(self._setup.agents, causes, strict=True))
             self._send_state()
 
+    def _fail(self, error: BaseException) -> str:
+        """Pause after an error of the agent that acts, show its message, and return the message."""
+        self.paused, self._message = True, f"{self._acting}: {error_text(error)}"
+        self._send_state()
+        return self._message
+
     def _run(self) -> None:
         """Advance the episodes in real time until the session is closed."""
-        while not self._closed:
-            with self._lock:
-                count = max(1, round(FRAME * self._speed / self._period))
-                interval = FRAME if self.paused else count * self._period / self._speed
-                if not self.paused:
+        try:
+            while not self._closed:
+                with self._lock:
+                    count = max(1, round(FRAME * self._speed / self._period))
+                    interval = FRAME if self.paused else count * self._period / self._speed
                     try:
-                        self._advance(count)
-                    except (ValueError, ArithmeticError) as error:  # an agent that fails
-                        self.paused, self._message = True, str(error)
-                        self._send_state()
-            self._page.wait(interval)
+                        if not self.paused:
+                            self._advance(count)
+                    except Exception as error:  # any error of an agent
+                        self._fail(error)
+                self._page.wait(interval)
+        except BaseException as error:  # such as SystemExit of an agent
+            self._death = error
+            with self._lock:
+                self._fail(error)
 
     # Commands
 
@@ -341,8 +309,11 @@ class LiveSession:
         self.paused = flag("pause", value)
 
     def _step(self, value: object) -> None:
-        self.paused = True
-        self._advance(whole_number("step", value, 1, 1000))
+        count, self.paused = whole_number("step", value, 1, 1000), True
+        try:
+            self._advance(count)
+        except Exception as error:
+            raise ValueError(self._fail(error)) from error
 
     def _set_speed(self, value: object) -> None:
         speed = finite("speed", value)
@@ -358,10 +329,10 @@ class LiveSession:
         self._start(agents=_check_count(names))
 
     def _set_values(self, value: object) -> None:
-        self._start(values=self._setup.values | _positions("values", value, self._sliders))
+        self._start(values=self._setup.values | checked_positions("values", value, self._sliders))
 
     def _set_gains(self, value: object) -> None:
-        self._gains |= _positions("gains", value, GAIN_SLIDERS)
+        self._gains |= checked_positions("gains", value, GAIN_SLIDERS)
         self._apply_gains()
 
     def _apply_gains(self) -> None:
@@ -393,10 +364,10 @@ class LiveSession:
         self._start()
 
     def _save(self, _: object) -> dict[str, Any]:
-        folder = self.folder / time.strftime("%Y-%m-%d-%H%M%S")
         if min(map(len, self._rows)) < 2:
             raise ValueError("save: the episode has no control period yet; give it one")
-        paths = [str(path) for loop in self._loops for path in loop.result().save(folder)]
+        folder = new_folder(self.folder / time.strftime("%Y-%m-%d-%H%M%S"))
+        paths = [*map(str, save_rollouts([loop.result() for loop in self._loops], folder))]
         self._message = f"saved; flexman replay {' '.join(paths)}"
         return {"paths": paths}
 
@@ -433,17 +404,6 @@ def _watch(events: Events, rows: list[Array], episodes: Episodes) -> None:
     rows.append(live_row(episodes))
 
 
-def _positions(field: str, value: object, sliders: dict[str, _Slider]) -> dict[str, float]:
-    """Return checked positions of sliders by name."""
-    result = {}
-    for name, position in mapping(field, value, sliders).items():
-        row, x = sliders[name], finite(f"{field}.{name}", position)
-        if not row.low <= x <= row.high:
-            raise value_error(f"{field}.{name}", x, f"a number from {row.low:g} to {row.high:g}")
-        result[name] = x
-    return result
-
-
 def _check_count(names: tuple[str, ...]) -> tuple[str, ...]:
     if not 1 <= len(names) <= MAX_AGENTS:
         raise value_error("agents", names, f"1 or {MAX_AGENTS} of them")
@@ -459,7 +419,8 @@ def live(
 ) -> LiveSession:
     """Show an arm in real time on a web page of this computer, with sliders, a target to drag and a tip to push.
 
-    The page has the address `url` of the result; a notebook shows it below the cell. It answers this computer only.
+    The page has the address `url` of the result; a notebook shows it below the cell. It answers this computer only, and
+    only who has the random token in the address. An error of an agent pauses the page and is shown on it.
     Sliders of the arm, of noise and of delay start a new episode; gains of a PD controller and pushes act at once.
 
     Args:
@@ -481,6 +442,8 @@ def live(
     given = [agents] if isinstance(agents, str) or not isinstance(agents, Sequence) else agents
     specs = [find_agent(each) for each in given]
     names = tuple(each if isinstance(each, str) else spec.name for each, spec in zip(given, specs, strict=True))
+    if len(names) == 2 and names[0] == names[1] and given[0] is not given[1] and {*map(type, given)} != {str}:
+        names = names[0], f"{names[1]} 2"  # two agents of one name
     Configuration.find(environment).replace(**settings)  # checks them
     runs = sorted(str(path.parent) for name in (RUN_SETTINGS, METADATA) for path in Path("runs").glob(f"*/{name}"))
     known = {name: name for name in (*AGENTS, *runs)} | dict(zip(names, given, strict=True))

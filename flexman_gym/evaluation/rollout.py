@@ -142,6 +142,11 @@ class Rollout:
         readings = {name: self.readings[number, : end + 1, columns] for name, columns in slices.items()}
         return Episode(self.period * np.arange(end + 1.0), **arrays, readings=readings, about=metadata)
 
+    @property
+    def file_name(self) -> str:
+        """Name of the agent in the names of files."""
+        return re.sub(r"[^\w.-]+", "-", self.metadata["name"]).strip("-.") or "episode"
+
     def save(self, folder: str | Path) -> list[Path]:
         """Write each episode to a file NAME-SEED.npz, which `fm.Episode.load` reads; return the paths.
 
@@ -151,8 +156,7 @@ class Rollout:
         Raises:
             OSError: if a file cannot be written.
         """
-        name = re.sub(r"[^\w.-]+", "-", self.metadata["name"]).strip("-.") or "episode"
-        paths = [Path(folder) / f"{name}-{seed}.npz" for seed in self.metadata["seeds"]]
+        paths = [Path(folder) / f"{self.file_name}-{seed}.npz" for seed in self.metadata["seeds"]]
         return [self.episode(i).save(path) for i, path in enumerate(paths)]
 
     @property
@@ -166,6 +170,19 @@ class Rollout:
             )
             for i, end in enumerate(self.lengths)
         ]  # fmt: skip
+
+
+def save_rollouts(results: Sequence[Rollout], folder: Path) -> list[Path]:
+    """Write the episodes of several agents to a folder; return the paths.
+
+    If two agents have the same name, each agent has a folder of its own in it: 1, 2, and so on.
+
+    Raises:
+        OSError: if a file cannot be written.
+    """
+    same = len({result.file_name for result in results}) < len(results)
+    folders = [folder / str(number) if same else folder for number in range(1, len(results) + 1)]
+    return [path for result, own in zip(results, folders, strict=True) for path in result.save(own)]
 
 
 @deprecated_arguments(**ARGUMENTS["rollout"])

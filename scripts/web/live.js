@@ -61,7 +61,7 @@ export class Controls {
       const answer = await (await fetch('control', { method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify(message) })).json();
       if (answer.error) this.note.textContent = answer.error;
       return answer;
-    }).catch(() => ({}));
+    }).catch(() => { this.note.textContent = 'the session does not answer'; return {}; });
     return this.sent;
   }
 
