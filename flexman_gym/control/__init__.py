@@ -11,6 +11,7 @@ from flexman_gym.control.observers.kalman_filter import KalmanFilter
 from flexman_gym.control.observers.observer import Estimate, Observer
 from flexman_gym.control.observers.oracle import Oracle
 from flexman_gym.control.pd import PD
+from flexman_gym.control.range_check import RangeCheckedController
 from flexman_gym.control.references.optimised_slews import OptimisedController
 from flexman_gym.control.tracking import OutputFeedback, Tracking
 
@@ -30,6 +31,7 @@ __all__ = [
     "Oracle",
     "OutputFeedback",
     "Plant",
+    "RangeCheckedController",
     "Tracking",
     "TrackingLQR",
 ]

@@ -341,6 +341,11 @@ class TorqueMode:
         if hasattr(self._base, "prepare"):
             self._base.prepare(applied, active)  # type: ignore[union-attr]
 
+    def skip(self, active: BoolArray) -> None:
+        """Advance the references of the base controller by a control period without readings, see `Controller`."""
+        if hasattr(self._base, "skip"):
+            self._base.skip(active)  # type: ignore[union-attr]
+
     @property
     def gain_units(self) -> Mapping[str, str]:
         """Units of the gains of the base controller, by name, see `Controller`."""

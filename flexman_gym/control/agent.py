@@ -210,6 +210,14 @@ class Agent:
         if hasattr(self.mode, "prepare"):
             self.mode.prepare(applied, active)
 
+    def skip(self, active: BoolArray) -> None:
+        """Advance the references of the base controller by a control period without readings, see `Controller`.
+
+        History, held command and the phase of the action repeat remain unchanged: a due command stays due.
+        """
+        if hasattr(self.mode, "skip"):
+            self.mode.skip(active)
+
     def _observed(self, readings: Readings) -> Array:
         """Return the readings (b, size) of the agent's sensors, which precede the readings for the action mode."""
         parts: list[Array] = [np.zeros((len(self._ages), 0))]

@@ -52,7 +52,7 @@ class Plant(NamedTuple):
 
 
 Readings = Mapping[str, NDArray[Any]]
-OPTIONAL_MEMBERS = ("state_fields", "estimates", "derivatives", "prepare")  # members that a controller may omit
+OPTIONAL_MEMBERS = ("state_fields", "estimates", "derivatives", "prepare", "skip")  # members that a controller may omit
 METHOD_ARGUMENTS = {"reset": ("arms", "episode", "count"), "act": ("readings", "applied", "active")}
 
 
@@ -90,7 +90,7 @@ class Controller(Protocol):
     action for an arm must not depend on the other arms, to the last bit. Compute products row by row
     (`arrays.row_dots`, elementwise operations): the last digits of BLAS products depend on the number of rows.
 
-    Four members are optional. `state_fields`, () by default, lists the attributes (arrays or numbers) that change
+    Five members are optional. `state_fields`, () by default, lists the attributes (arrays or numbers) that change
     during an episode and cannot be recomputed by `reset`; these attributes become part of the state of an environment.
     `estimates`, {} by default, maps names to estimates (b, ...), which are added to `info`. `derivatives(readings,
     changes)` is called before `act` for an episode of one arm, and returns the actions (1, n) of this period and their
@@ -98,6 +98,8 @@ class Controller(Protocol):
     parameters may include gains of the controller, named by an attribute `gain_units`, name -> unit: `changes` then has
     their derivatives (p, n), too. `prepare(applied, active)`, with arguments of the next `act`, computes what this call
     needs besides its readings. `flexman drive` calls it before the readings arrive; the actions are those without it.
+    `skip(active)` is called in place of `act` in a control period without good readings, see `RangeCheckedController`:
+    references that are functions of time go on by a period, and all else remains unchanged.
 
     Attributes:
         sensors: names of the sensors that the controller reads.

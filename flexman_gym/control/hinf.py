@@ -441,3 +441,7 @@ class HInfinity:
             self._states[arm, : len(state)] = state
         self._now += active
         return result
+
+    def skip(self, active: BoolArray) -> None:
+        """Advance the references of the active arms by a control period without readings, see `Controller`."""
+        self._now += active

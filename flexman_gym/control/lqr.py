@@ -403,6 +403,10 @@ class TrackingLQR(LQR):
         self._now = pad_rows(self._now, arm + 1)
         self._schedules[arm], self._now[arm] = schedule, 0
 
+    def skip(self, active: BoolArray) -> None:
+        """Advance the references of the active arms by a control period without readings, see `Controller`."""
+        self._now[active] += 1
+
     def _schedule(self) -> _GainSchedule:
         return self._schedules[0]
 

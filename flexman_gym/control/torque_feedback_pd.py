@@ -105,6 +105,10 @@ class TorqueFeedbackPD:
         self._ages += active
         return np.clip(torques / self._limits, -1.0, 1.0)
 
+    def skip(self, active: BoolArray) -> None:
+        """Advance the references of the active arms by a control period without readings, see `Controller`."""
+        self._ages += active
+
     def derivatives(self, readings: Readings, changes: Readings) -> tuple[Array, Array]:
         """Return the actions (1, n) of an arm and their derivatives (p, n), see `Controller`."""
         torques, rates, after = self._torques(readings)

@@ -258,7 +258,7 @@ class Episodes:
     def _begin_agent(self, arms: IntArray, parameters: Mapping[str, Array], posture: Array) -> None:
         """Start episodes of the agent for the arms (r,), with parameters (r, ...) and initial goal postures (r, n)."""
         task, view = self.task, self.view
-        path = partial(_goal_path, task, parameters, self._path_periods, view) if task.moves else None
+        path = partial(goal_path, task, parameters, self._path_periods, view) if task.moves else None
         drawn = self.effects.drawn if self.effects else {}
         drawn = {name: values[arms] for name, values in drawn.items() if name not in UNMODELLED}
         self.agent.reset(
@@ -466,7 +466,7 @@ class Episodes:
         return info
 
 
-def _goal_path(task: Task, parameters: Mapping[str, Array], periods: int, view: View) -> Array:
+def goal_path(task: Task, parameters: Mapping[str, Array], periods: int, view: View) -> Array:
     """Return goal postures (r, T + 1, n), rad, over T control periods of r episodes with parameters (r, ...)."""
     sample_count("control_period", view.control_period, periods * view.control_period)
     count, times = len(next(iter(parameters.values()))), view.control_period * np.arange(periods + 1.0)

@@ -92,6 +92,17 @@ def holding_torques(model: Model, motor_angles: Vector) -> Array:
     return (inertial_forces(model)(x, zero, zero) + elastic_forces(model, x))[model.motor_columns] - ripple
 
 
+def rigid_holding_torques(model: Model, motor_angles: Array) -> Array:
+    """Return the joint torques (n,), N m, that hold the weight of the arm with rigid joints and links.
+
+    Args:
+        model: model of the arm.
+        motor_angles: (n,) rad.
+    """
+    zero = np.zeros(model.n_dof)
+    return inertial_forces(model)(model.at_rest(motor_angles[None])[0, : model.n_dof], zero, zero)[: model.n_joints]
+
+
 def rest_tips(model: Model, postures: Array) -> Array:
     """Return the tip positions (r, 3), m, base frame, in static equilibrium with the motors at angles (r, n), rad."""
     work, row, tips = _rest_system(model)[0], np.zeros(OUTPUTS), np.zeros((len(postures), 3))

@@ -102,6 +102,12 @@ class InputShapedController:
         self._now += active
         return self.inner.act(shaped, applied, active)
 
+    def skip(self, active: BoolArray) -> None:
+        """Advance the commands of the active arms by a control period without readings, see `Controller`."""
+        self._now += active
+        if hasattr(self.inner, "skip"):
+            self.inner.skip(active)
+
     @property
     def gain_units(self) -> Mapping[str, str]:
         """Units of the gains of the inner controller, by name, see `Controller`."""

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, IntArray, Vector, pad_rows, row_dots
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.files import open_arrays, reading, write_file
 from flexman_gym.control.controller import EpisodeInfo
@@ -417,3 +417,7 @@ class OptimisedController(LQR):
                 result[arm] = self._slews[arm][now]
         self._now += 1
         return result
+
+    def skip(self, active: BoolArray) -> None:
+        """Advance the references of the active arms by a control period without readings, see `Controller`."""
+        self._now[active] += 1
