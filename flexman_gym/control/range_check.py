@@ -11,7 +11,7 @@ from flexman_gym.common.checks import value_error
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings, checked_controller
 from flexman_gym.control.input_shaping.shaped_controller import InputShapedController
 from flexman_gym.control.lqr import LQR
-from flexman_gym.control.pd import PD, torque_limits
+from flexman_gym.control.pd import torque_limits
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import rigid_holding_torques
 
@@ -37,12 +37,14 @@ def holding_periods(model: Model | None, period: float) -> int:
 
 
 def compensated_model(controller: object) -> Model | None:
-    """Return the model whose weight is compensated by a PD or an LQR, with input shaping or without; None for none."""
+    """Return the model whose weight a controller compensates, with input shaping or without; None without gravity.
+
+    It is the model of an LQR, and the attribute `gravity_model` of a PD and of other controllers.
+    """
     if isinstance(controller, InputShapedController):
         return compensated_model(controller.inner)
-    model = controller.gravity_model if isinstance(controller, PD) else getattr(controller, "model", None)
-    known = isinstance(controller, PD | LQR) and model is not None and model.constants.gravity.any()
-    return model if known else None
+    model = controller.model if isinstance(controller, LQR) else getattr(controller, "gravity_model", None)
+    return model if model is not None and model.constants.gravity.any() else None
 
 
 class RangeCheckedController:
@@ -150,7 +152,7 @@ class RangeCheckedController:
         if self._holding_periods:
             self._started, self._posture = self._find_posture(readings)
         self._period += 1
-        return self.inner.act(readings, applied, active)
+        return np.array(self.inner.act(readings, applied, active))
 
     def skip(self, active: BoolArray) -> None:
         """Advance the references of the inner controller by a control period without readings, see `Controller`."""

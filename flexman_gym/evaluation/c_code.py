@@ -68,7 +68,7 @@ class _LinearOutputFeedback:
     def __init__(self, observer: KalmanFilter, law: Tracking) -> None:
         self._observer, self._law = observer, law
         self.sensors: tuple[str, ...] = tuple(observer.sensors)
-        self.model = law.slews.model
+        self.gravity_model = law.slews.model
         self._tables: dict[str, Array] = {}
         self._deviation: Array | None = None  # (2 d,) estimated deviation from the equilibrium; None before a reading
 
@@ -76,7 +76,7 @@ class _LinearOutputFeedback:
         """Linearise about the goal; arguments as in `Controller.reset`."""
         if len(episode.goal) != 1 or episode.reference is not None:
             raise value_error("lqg", "several arms, or a moving goal", "one arm with a fixed goal")
-        goal, model = episode.goal[0], self.model
+        goal, model = episode.goal[0], self.gravity_model
         steps = POSTURE_STEP * np.eye(len(goal))
         rows = (rest_state(model, goal + steps) - rest_state(model, goal - steps)) / (2.0 * POSTURE_STEP)
         gain = {"K": self._law.holding_gain(goal), "from_angles": rows.T, "goal": goal}

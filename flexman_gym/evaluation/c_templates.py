@@ -203,9 +203,9 @@ SHIFTED = """    for (int i = 0; i < $size; i++)
 PD = """
     /* PD controller of the motors; single precision at the end as in Python. */
     for (int i = 0; i < N; i++) {
-        const double rate = $r[${P}_MOTOR_RATES + i] - $r[${P}_GOAL_RATES + i];
-        const double sum = stiffness[i] * $r[${P}_ANGLE_ERRORS + i] - damping[i] * rate$holding;
-        base[i] = (float)clip(sum / ${p}_torque_limit[i], 1.0);
+        const double slip = $r[${P}_MOTOR_RATES + i] - $r[${P}_GOAL_RATES + i];
+        const double sum = stiffness[i] * $r[${P}_ANGLE_ERRORS + i] - damping[i] * slip$holding;
+        base[i] = (double)(float)clip(sum / ${p}_torque_limit[i], 1.0);
     }
 """
 
@@ -264,10 +264,10 @@ NETWORK = """
             state->history[j] = readings[j];
         }
         for (int j = 0; j < HISTORY * OBSERVED; j++)
-            values[0][j] = clip(((float)state->history[j] - mean[j]) * scale[j], $most);
+            values[0][j] = clip(((double)(float)state->history[j] - mean[j]) * scale[j], $most);
 $layers
         for (int i = 0; i < N; i++)
-            state->command[i] = (float)$output;
+            state->command[i] = (double)(float)($output);
     }
     state->phase = (state->phase + 1) % REPEAT;
     for (int i = 0; i < N; i++)
@@ -279,11 +279,12 @@ LAYER = """        for (int i = 0; i < $outputs; i++) {
             values[$target][i] = $function;
         }"""
 
-MAIN = """/* Compare torques for recorded readings with those of Python, and check that bad readings are refused. The exit
-   status is 0 for equal torques without errors. With the argument time: print the durations of 10^6 steps. */
+MAIN = """/* Compare torques for recorded readings with those of Python, and check that bad readings are refused. The
+   exit status is 0 for equal torques without errors. With the argument time: print the durations of 10^6 steps. */
 #define _POSIX_C_SOURCE 199309L /* clock_gettime */
 #include "$p.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -329,7 +330,7 @@ static void print_durations(const char *name, clockid_t clock)
    its number of refused periods has changed. */
 static int count_wrong(const ${p}_state *before, const double *good)
 {
-    const double values[] = {NAN, INFINITY, -INFINITY, 1e308, -1e308, 0.0};
+    const double values[] = {(double)NAN, (double)INFINITY, -(double)INFINITY, 1e308, -1e308, 0.0};
     const int kinds = (int)(sizeof values / sizeof *values);
     int wrong = 0;
     for (int i = 0; i < kinds * ${P}_READINGS; i++) {
@@ -338,7 +339,7 @@ static int count_wrong(const ${p}_state *before, const double *good)
         ${p}_state state;
         memcpy(&state, before, sizeof state); /* with its padding */
         memcpy(bad, good, sizeof bad);
-        bad[place] = kind + 1 < kinds ? values[kind] : nextafter(${p}_range[place], INFINITY);
+        bad[place] = kind + 1 < kinds ? values[kind] : nextafter(${p}_range[place], DBL_MAX);
         for (int k = 0; k < ${P}_HOLDING_PERIODS + 2; k++) {
             wrong += ${p}_step(&state, bad, torque) != (kind < 3 ? ${P}_NOT_FINITE : ${P}_OUT_OF_RANGE);
             for (int j = 0; j < ${P}_JOINTS; j++) {

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import flexman_gym as fm
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.kernels import layout
-from flexman_gym.model.statics import rest_tips
+from flexman_gym.model.statics import rest_tips, rigid_holding_torques
 
 from oracles.assertions import refusal
 from oracles.chains import QUICK, Sample, observed, random_joint, random_link, samples
@@ -119,3 +119,20 @@ def test_an_arm_that_is_too_soft_for_its_weight_is_refused_in_one_line():
     soft = fm.Arm([random_link(rng)], [replace(random_joint(rng, True), stiffness=1.0)], gravity=(0.0, 0.0, -9.81))
     line = refusal(fm.rest_state, fm.build_model(soft, 1), [0.3])
     assert line == "motor_angles: [0.3] is not allowed; give an arm stiff enough to hold its own weight"
+
+
+@settings(QUICK, max_examples=25)
+@given(samples(most_links=3, stiffening=None), st.integers(0, 100))
+def test_holding_torques_of_the_rigid_arm_are_the_gradient_of_its_gravitational_energy(sample, seed):
+    """By central differences of the energy along the joint angles, without deflections."""
+    rng = np.random.default_rng(seed)
+    model = fm.build_model(replace(sample.arm, gravity=rng.uniform(-10.0, 10.0, 3)))
+    n, zero = model.n_joints, np.zeros(model.n_dof)
+    angles, step = rng.uniform(-3.0, 3.0, n), 1e-4
+
+    def energy(posture):
+        return observed(model, model.at_rest(posture[None])[0, : model.n_dof], zero)[layout.GRAVITATIONAL]
+
+    change = [(energy(angles + each) - energy(angles - each)) / (2.0 * step) for each in step * np.eye(n)]
+    scale = max(np.abs(change).max(), abs(energy(angles)))
+    assert np.abs(rigid_holding_torques(model, angles) - change).max() <= 1e-6 * scale
