@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from difflib import get_close_matches
 from pathlib import Path
+from textwrap import wrap
 
 from flexman_gym import __version__, commands
 from flexman_gym.common.checks import warn_caller
@@ -22,7 +23,7 @@ COMMAND_GROUPS = {  # group -> commands, in the order of the help
     "control": ("optimise", "shape", "drive"),
     "data": ("record", "replay", "export"),
 }
-MAX_SUMMARY = 65  # characters; longest summary of a command in the help, for a terminal of 80 columns
+COLUMNS, INDENT = 80, 15  # characters; width of the help, and start of the summaries of the commands
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -104,14 +105,13 @@ def _refuse_removed_options(command: str, words: list[str]) -> None:
 
 
 def _overview() -> str:
-    """Return the help of all commands in groups, one line per command."""
+    """Return the help of all commands in groups: name and whole summary of each."""
     lines = []
     for group, names in COMMAND_GROUPS.items():
         lines.append(f"{group}:")
         for name in names:
-            summary = _summary(name).rstrip(".")
-            summary = summary if len(summary) <= MAX_SUMMARY else summary.partition(", ")[0]
-            lines.append(f"    {name:<11}{summary}")
+            head = f"    {name}".ljust(INDENT)
+            lines += wrap(_summary(name).rstrip("."), COLUMNS, initial_indent=head, subsequent_indent=" " * INDENT)
     return "\n".join(lines)
 
 

@@ -1,20 +1,23 @@
 """Write the pages of the named environments: python scripts/environments.py --folder docs/environments
 
-The metrics of the baselines are written to baselines.csv, and the errors of the default models to model_errors.csv;
---redraw writes the pages from these rows without a simulation.
+The metrics of the baselines in environments that the league does not have are written to baselines.csv, and the errors
+of the default models to model_errors.csv; --redraw writes the pages from these rows and those of the league without a
+simulation.
 """
 
 import argparse
 from pathlib import Path
 
 from flexman_gym.envs import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import DEFAULT_ID
+from flexman_gym.league.scenarios import USUAL_SCENARIOS
 from studies.environments.family import FAMILIES, family_page
 from studies.environments.gallery import gallery_page, tasks_page
 from studies.environments.measure import (
     BASELINES,
     LONG,
     LONG_NAME,
-    Baseline,
+    SEEDS,
     ModelError,
     baseline_rows,
     draw,
@@ -22,6 +25,7 @@ from studies.environments.measure import (
     run,
 )
 from studies.files import folder, read_rows, write_rows
+from studies.results import Results
 
 BASELINE_FILE, ERROR_FILE = "baselines.csv", "model_errors.csv"
 
@@ -34,7 +38,7 @@ def main() -> None:
     options = parser.parse_args()
     if not options.redraw:
         measure(options.folder)
-    baselines = read_rows(options.folder / BASELINE_FILE, Baseline)
+    baselines = Results(baselines=options.folder / BASELINE_FILE).baselines()
     errors = read_rows(options.folder / ERROR_FILE, ModelError)
     (options.folder / "index.md").write_text(gallery_page(baselines), encoding="utf-8")
     (options.folder / "tasks.md").write_text(tasks_page(), encoding="utf-8")
@@ -47,13 +51,14 @@ def measure(target: Path) -> None:
     """Write the rows and the pictures of all environments to a folder."""
     baselines, errors = [], []
     for name in NAMED_ENVIRONMENTS:
-        runs = {baseline: run(name, agent) for baseline, agent in BASELINES.items()}
+        known = name in USUAL_SCENARIOS  # of the league; one episode is enough for the pictures
+        runs = {each: run(name, agent, seeds=SEEDS[:1] if known else SEEDS) for each, agent in BASELINES.items()}
         draw(runs, target / name)
-        baselines += baseline_rows(name, runs)
-        if name == "FlexRRR-v0":
-            baselines += baseline_rows(name, {LONG_NAME: run(name, "pd", LONG)})
+        new = [] if known else baseline_rows(name, runs)
+        new += baseline_rows(name, {LONG_NAME: run(name, "pd", LONG)}) if name == DEFAULT_ID else []
+        baselines += new
         errors.append(model_error(name))
-        print(name, *baselines[-len(runs) :], errors[-1], sep="\n", flush=True)
+        print(name, *new, errors[-1], sep="\n", flush=True)
     write_rows(baselines, target / BASELINE_FILE)
     write_rows(errors, target / ERROR_FILE)
 

@@ -81,9 +81,36 @@ def _implicit_factors(method: Implicit | IteratedGauss, angle: Array) -> NDArray
 
 def _corrected_factors(correction: float, angle: Array) -> NDArray[np.complex128]:
     """Return the factors of the corrected midpoint rule: eigenvalues of one step for q, h v; q'' = -omega^2 q."""
-    u = 0.25 * angle**2
-    w = -4.0 * u / (1.0 + u) * (1.0 + 4.0 * correction * u / (1.0 + u) ** 3)  # h^2 acceleration for q + h v / 2 = 1
+    w = _corrected_acceleration(correction, angle)
     return _eigenvalues(_matrices([[1.0 + 0.5 * w, 1.0 + 0.25 * w], [w, 1.0 + 0.5 * w]]))
+
+
+def _corrected_acceleration(correction: float, angle: Array) -> Array:
+    """Return the acceleration (...) times h^2 of a step of the corrected midpoint rule, for q + h v / 2 = 1."""
+    u = 0.25 * angle**2
+    result: Array = -4.0 * u / (1.0 + u) * (1.0 + 4.0 * correction * u / (1.0 + u) ** 3)
+    return result
+
+
+def amplitude_range(method: IteratedGauss, angle: float) -> tuple[float, float]:
+    """Return the bounds of amplitude / initial amplitude of an undamped vibration under the corrected midpoint rule.
+
+    The amplitude is sqrt(q^2 + (v / omega)^2). A step with the matrix [[1 + w/2, 1 + w/4], [w, 1 + w/2]] for q and h v
+    keeps -w q^2 + (1 + w/4) (h v)^2, an ellipse beside the circle of equal amplitudes: the amplitude oscillates between
+    the half axes of the ellipse, by about (omega h)^2 / 12, and neither decays nor grows.
+
+    Args:
+        method: midpoint rule (one stage) with or without correction.
+        angle: omega h, rad.
+
+    Raises:
+        ValueError: for two stages.
+    """
+    if method.stages > 1:
+        raise ValueError(f"method: {method.name} has {method.stages} stages; give a midpoint rule")
+    w = float(_corrected_acceleration(method.correction, np.asarray(angle, dtype=np.float64)))
+    ratio = math.sqrt(-w / (1.0 + 0.25 * w)) / angle
+    return min(ratio, 1.0 / ratio), max(ratio, 1.0 / ratio)
 
 
 def _pair_factors(iterations: int, angle: Array) -> NDArray[np.complex128]:

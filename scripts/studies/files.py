@@ -29,6 +29,7 @@ def folder(text: str) -> Path:
 
 Kind = TypeVar("Kind")
 COMMENT = "# "  # prefix of a comment line in a CSV file
+WAITING = "waiting for new rows: "  # begins the reason in a comment for which the rows are no longer current
 RENAMED_COLUMNS = {"room": "part"}  # column name in files of earlier releases -> present name
 
 
@@ -63,6 +64,15 @@ def read_comment(path: Path) -> str:
 def read_comments(*paths: Path) -> dict[str, str]:
     """Return file name -> comment of CSV files."""
     return {path.name: read_comment(path) for path in paths}
+
+
+def split_waiting(comment: str) -> tuple[str, str]:
+    """Return the computer of a comment, and the reason for which its rows wait for new ones; "" if they do not.
+
+    A new run of a study writes a new comment, so that the reason goes with the rows that it describes.
+    """
+    computer, _, reason = comment.partition(WAITING)
+    return computer.removesuffix("; "), reason
 
 
 def _value(text: str, is_text: bool) -> Any:

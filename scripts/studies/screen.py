@@ -5,6 +5,8 @@ import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from studies.files import split_waiting
+
 HIDDEN = "---\nsearch:\n  exclude: true\n---\n\n"  # front matter that keeps a page out of the search
 PAGE = """# {title}
 
@@ -15,13 +17,16 @@ PAGE = """# {title}
 {body}
 
 Rows: {rows}, computed with {computer}. `make evidence STUDY={study}` computes them again and rewrites this page."""
+WAIT = "*Waiting for new rows: {}.*"
 INDEX = """# Evidence
 
 Each page answers one question on one screen: a chart or a table, the sentence that it supports, the version that
 computed the rows, and a link to the rows. `make evidence` lists the rows that are older than the code they describe.
+Numbers that are known to have changed since are marked *waiting for new rows*, here and on every other page.
 
 {items}
 """
+MARK = "(waiting for new rows)"  # after a number on another page whose rows are no longer current
 WIDTH, PICTURE_WIDTH = 120, 640  # characters of a line; pixels
 
 
@@ -34,10 +39,12 @@ def screen(title: str, question: str, answer: str, body: str, rows: Mapping[str,
         answer: paragraph with the answer, whose most important sentence is bold.
         body: picture, table and remarks.
         rows: file of rows -> its comment, see `files.read_comment`; files with equal comments are listed together.
-        study: name of the study in `registry.yaml`.
+        study: name of the study in `evidence.yaml`.
     """
     links = " and ".join(f"[{file}]({file})" for file in rows)
-    computer = "; ".join(dict.fromkeys(rows.values()))
+    parts = [split_waiting(comment) for comment in rows.values()]
+    computer = "; ".join(dict.fromkeys(each for each, _ in parts))
+    answer = "\n\n".join([answer, *(WAIT.format(reason) for reason in dict.fromkeys(each for _, each in parts) if reason)])
     text = PAGE.format(title=title, question=question, answer=answer, body=body.strip("\n"), rows=links,
                        computer=computer, study=study)  # fmt: skip
     return HIDDEN + "\n\n".join(map(_wrapped, text.split("\n\n"))) + "\n"
@@ -69,4 +76,5 @@ def _item(path: Path) -> str:
     title, *paragraphs = text.split("\n\n")
     bold = re.search(r"\*\*(.+?)\*\*", text, re.DOTALL)
     sentence = bold[1] if bold else re.split(r"(?<=\.)\s", paragraphs[0], maxsplit=1)[0]
+    sentence += f" {MARK}" * (WAIT.partition("{")[0] in " ".join(text.split()))
     return _wrapped(f"- [{title.removeprefix('# ').strip()}]({path.name}): {sentence}")

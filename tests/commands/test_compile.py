@@ -96,7 +96,7 @@ def test_check_says_versions_kernels_and_steps():
         "cache folder",
     } <= result.keys()
     assert result["kernels of a single arm"] == "compiled"
-    assert result["vector registers"].endswith(" bits") and result["steps of FlexRRR-v0"].endswith(" a second")
+    assert result["vector registers"].endswith(" bits") and " per CPU second" in result["steps of FlexRRR-v0"]
 
 
 def test_check_says_which_kernels_are_not_compiled_yet(tmp_path, monkeypatch, capsys):

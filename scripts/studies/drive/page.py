@@ -10,12 +10,12 @@ from studies.drive.measure import FAULTS, LOOPS, FaultRow, LoopRow, RoundTripRow
 from studies.screen import screen
 
 QUESTION = "Does an agent move a machine in real time as in a simulation, and what happens if a part of the loop fails?"
-ANSWER = """**With real-time priority `{0}` settles in {1} and `{2}` in {3}, and {4} of {5} faults end at rest within
-the limits.**"""
+ANSWER = """**With real-time priority `{0}` settles in {1} and `{2}` in {3} (medians of {6}), and {4} of {5} faults end at
+rest within the limits.**"""
 BODY = """{table}
 
 The simulated machine is a process of its own behind UDP. *At rest*: all motors below {rest:.1%} of the limit of
-their rate. Load average of the two cores: {load:.1f}. *Missed*: torques too late for their period.
+their rate. Load average of the two cores: {load}. *Missed*: torques too late for their period.
 
 {loops}
 - **Without priority**: {free}.
@@ -41,13 +41,14 @@ def page(
             ("free", "no priority"), ("lost", "1 % of the packets lost"), ("arrival", "torques from their arrival"),
         )
     }  # fmt: skip
+    loads = [row.load for row in loops]
     body = BODY.format(
         table="\n".join(markdown_table(("fault", "reported", *(f"at rest, {row.environment}" for row in main)),
                                        [_fault(fault, faults) for fault in FAULTS])),
-        rest=REST_RATE, load=float(np.median([row.load for row in loops])), loops="\n".join(map(_loop, main)),
+        rest=REST_RATE, load=f"{min(loads):.2g} to {max(loads):.2g}", loops="\n".join(map(_loop, main)),
         fit=max(abs(row.found / row.true - 1.0) for row in fits), **text,
     )  # fmt: skip
-    answer = ANSWER.format(*words, len(rested), len(faults))
+    answer = ANSWER.format(*words, len(rested), len(faults), _episodes(min(row.episodes for row in main)))
     return screen("Real-time loops", QUESTION, answer, body, files, "drive")
 
 
@@ -66,7 +67,11 @@ def _loop(row: LoopRow) -> str:
 def _outcome(row: LoopRow) -> str:
     stopped = f", stopped in {row.stopped:.0f} of {row.episodes:.0f}" if row.stopped else ""
     settled = f"{row.settled:.2f} s" if np.isfinite(row.settled) else "not settled"
-    return f"{settled}{stopped} ({row.missed:.2%} missed)"
+    return f"{settled}{stopped} ({row.missed:.2%} missed, {_episodes(row.episodes)})"
+
+
+def _episodes(count: float) -> str:
+    return f"{count:.0f} episode{'s' * (count != 1)}"
 
 
 def _fault(fault: str, rows: Sequence[FaultRow]) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from flexman_gym.common import files
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import Slew
+from flexman_gym.scene import catalog
 from studies.environments.measure import DURATION, Baseline, ModelError
 from studies.environments.text import (
     arm_facts,
@@ -34,6 +35,7 @@ RECIPE = {
     "FlexPlanar-Track-v0": "planar_track_ppo_on_pd", "FlexPlanar-Hold-v0": "planar_hold_ppo_on_pd",
 }  # fmt: skip
 """Environment -> its recipe."""
+AREAS = ("printed", "corrected")  # areas of link 1 of the paper's arm, see `catalog.paper_rrr`
 ACTION_SECONDS, ARMS = 0.1, 256  # s, 1; duration of an action without a recipe; number of arms of a training
 
 
@@ -57,8 +59,8 @@ FAMILIES = (
     Family(
         "FlexRRR",
         "FlexRRR: a spatial arm with three joints",
-        "The arm of the paper moves in space. All links and joints are flexible, and its reach is 8.5 m. Three "
-        "environments have no gravity. In the fourth the arm carries a payload on earth, with stiffer joints and "
+        "An arm after Table 1 of the paper moves in space. All links and joints are flexible, and its reach is 8.5 m. "
+        "Three environments have no gravity. In the fourth the arm carries a payload on earth, with stiffer joints and "
         "stronger motors.",
         ("FlexRRR-v0", "FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexRRR-Gravity-v0"),
     ),
@@ -100,7 +102,7 @@ def family_page(family: Family, baselines: Sequence[Baseline], errors: Sequence[
         "```python", "import gymnasium as gym", "import flexman_gym", "", f'env = gym.make("{first}")', "```", "",
         "## Actions", "", *_actions(family), "",
         "## Observations", "", *_observations(family),
-        "## Arm", "", *_arms(family), "",
+        "## Arm", "", *_arms(family), "", *_differences(first),
     ]  # fmt: skip
     for name in family.environments:
         lines += [f"## {name}", "", *_environment(name, baselines, errors, name == first), ""]
@@ -188,6 +190,23 @@ def _arms(family: Family) -> list[str]:
     return markdown_table(("property", *(_short(names) for names in groups.values())), rows)
 
 
+def _differences(name: str) -> list[str]:
+    """Return in which numbers the arm of FlexRRR-v0 differs from the paper and from its arm in the catalogue."""
+    arm, printed, corrected = NAMED_ENVIRONMENTS[name].arm, *(catalog.paper_rrr(area) for area in AREAS)
+    if [link.length for link in arm.links] != [link.length for link in printed.links]:
+        return []
+    areas = [each.links[0].area for each in (arm, printed, corrected)]
+    used = AREAS[areas[1:].index(areas[0])]
+    return [*paragraph(
+        f"The paper prints no rotor inertia and neglects damping. The arm here has rotors of "
+        f"{arm.joints[0].rotor_inertia:g} kg m^2, because a motor controller at 50 Hz cannot damp the "
+        f"{printed.joints[0].rotor_inertia:g} kg m^2 of `fm.catalog.paper_rrr()`, and a modal damping ratio of "
+        f"{arm.modal_damping_ratio:g} of the links. The area of link 1 is the {used} one, {areas[0]:g} m^2. It is "
+        f"ten times too large for its printed polar moment; with `link1_area=\"corrected\"`, {areas[2]:g} m^2, link 1 "
+        f"weighs {corrected.links[0].mass:.3g} kg in place of {printed.links[0].mass:.3g} kg.",
+    ), ""]  # fmt: skip
+
+
 def _environment(name: str, baselines: Sequence[Baseline], errors: Sequence[ModelError], code: bool) -> list[str]:
     """Return the section of an environment: picture, task, baselines, error of the model, first training.
 
@@ -254,9 +273,9 @@ def _machine() -> list[str]:
         "An aluminium block between the strips carries the second motor; a load is fixed to the end of strip 2.",
         "Each motor has an encoder, and each strip a strain gauge at its root. The tip is not measured.",
         "Lengths, sections, inertias and torque limits of the model are those of the manufacturer's data file.",
-        f"The Czech Technical University in Prague published records of its machine; {len(held_out)} runs are",
-        f"compared. With two fitted parameters the model explains {np.median(held_out):.3f} of the variance of the "
-        f"deflection in held-out runs (median), with the data sheet alone {np.median(sheet):.3f}.",
+        f"The Czech Technical University in Prague published records of its machine; {len(held_out)} runs are compared. "
+        f"Given the measured hub angle, the model with two fitted parameters explains {np.median(held_out):.3f} of the "
+        f"variance of the deflection in held-out runs (median), with the data sheet alone {np.median(sheet):.3f}.",
         "Friction of the gears dominates small steps: from motor currents alone the angle of the second hub drifts.",
         "The environment has no friction by default; the setting `randomisation` adds it.",
         "[Comparison with the records](../evidence/machine.md); the arm itself is `fm.catalog.quanser_2dsfl()`.",

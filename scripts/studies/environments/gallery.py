@@ -11,7 +11,16 @@ from flexman_gym.envs.tasks import TASKS
 from flexman_gym.metrics import BAND, SETTLING_WINDOW, VIBRATION_WINDOW
 from studies.environments.family import ACTION_SECONDS, ARMS, FAMILIES, RECIPE
 from studies.environments.measure import DURATION, FINER, LONG, MOTIONS, SEEDS, Baseline
-from studies.environments.text import docstring_sections, is_slew, length, make, paragraph, task_arguments
+from studies.environments.text import (
+    docstring_sections,
+    episodes_text,
+    is_slew,
+    length,
+    make,
+    paragraph,
+    task_arguments,
+)
+from studies.markdown import number_word
 
 DISCOUNT = 0.95  # discount factor of all recipes
 ARMS_TEXT = {
@@ -33,7 +42,7 @@ hide:
 
 # Environments
 
-Nine environments differ in the arm and in the task. Each is made by `gym.make(id)`;
+{count} environments differ in the arm and in the task. Each is made by `gym.make(id)`;
 `gym.make_vec(id, 256, "vector_entry_point")` simulates 256 arms at once. In each picture the PD controller acts at
 the left and the tracking LQR at the right, on the same episode; the chart below shows the distance of the tip from its
 target.
@@ -50,13 +59,14 @@ The episode of the [first picture of the home page](../index.md), to be turned, 
 
 def gallery_page(baselines: Sequence[Baseline]) -> str:
     """Return the page of all environments as Markdown, with the metrics of the baselines."""
-    lines = [*HEAD.splitlines(), "", '<div class="gallery" markdown>', ""]
+    count = number_word(len(NAMED_ENVIRONMENTS)).capitalize()
+    lines = [*HEAD.format(count=count).splitlines(), "", '<div class="gallery" markdown>', ""]
     pages = {name: family.file for family in FAMILIES for name in family.environments}
     for name in NAMED_ENVIRONMENTS:
         link = f"{pages[name]}.md#{name.lower()}"
         lines += [f"[![{name}: PD and tracking LQR on the same episode]({name}.gif)]({link})",
                   f"[**{name}**]({link}): {_task(name)}", ""]  # fmt: skip
-    lines += ["</div>", "", *_table(pages, baselines), "", *_definitions(), "", *REPLAY.splitlines(), ""]
+    lines += ["</div>", "", *_table(pages, baselines), "", *_definitions(baselines), "", *REPLAY.splitlines(), ""]
     lines += ["## Sensors", "", *_sensors(), "", "## Conditions", "", *_conditions(), ""]
     lines += ["## Settings for a first training", "", *_first_training(), "", "## Further settings", ""]
     lines += ["[Tasks](tasks.md): rewards, starts, ends and arguments.", ""]
@@ -100,10 +110,10 @@ def _result(row: Baseline) -> str:
     return f"settles in {row.settled:.0%}{time}"
 
 
-def _definitions() -> list[str]:
+def _definitions(baselines: Sequence[Baseline]) -> list[str]:
     """Return the definitions of the metrics and of the baselines."""
     results = paragraph(
-        f"The results are those of {len(SEEDS)} test episodes (seeds {SEEDS[0]} to {SEEDS[-1]}). The PD reads the",
+        f"The results are those of {episodes_text(baselines)} (seeds from {SEEDS[0]}). The PD reads the",
         "motor angles only; the tracking LQR is given the parameters and the full state of the arm. The tip has",
         f"**settled** when it stays within {BAND:.3g} of the reach of its target until the end of the episode, for at",
         f"least {SETTLING_WINDOW:g} s. Settling time and vibration are medians over the episodes; the settling time of",

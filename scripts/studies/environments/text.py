@@ -134,9 +134,19 @@ def length(value: float) -> str:
     return f"{value:.3g} m" if value >= 1.0 else f"{1e3 * value:.3g} mm"
 
 
+def episodes_text(rows: Sequence[Baseline]) -> str:
+    """Return the number of episodes of rows as text."""
+    counts = sorted({round(row.episodes) for row in rows})
+    return f"{' or '.join(map(str, counts))} test episodes"
+
+
 def baseline_table(name: str, rows: Sequence[Baseline]) -> list[str]:
-    """Return the table of the baselines of an environment as Markdown lines."""
+    """Return the table of the baselines of an environment with its number of episodes, as Markdown lines."""
     own = [row for row in rows if row.environment == name]
+    return [f"Over {episodes_text(own)}, medians and shares:", "", *_table(name, own)]
+
+
+def _table(name: str, own: Sequence[Baseline]) -> list[str]:
     if not is_slew(name):
         cells = [(row.baseline, length(row.rms_error), f"{row.failed:.0%}") for row in own]
         return markdown_table(("baseline", "RMS tip error", "failed"), cells)

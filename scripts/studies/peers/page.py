@@ -96,7 +96,7 @@ def page(every: Sequence[PrecisionRow], losses: Sequence[Decay], files: Mapping[
     lossy = max((loss for loss in losses if DISCRETE in loss.integrator), key=lambda loss: loss.step)
     answer = ANSWER.format(error=1e3 * error, exact=mujoco.cpu / exact.cpu, steady=mujoco.cpu / steady.cpu,
                            wanted=1e3 * WANTED, exudyn=costs[0] / base, default=costs[-1] / base)  # fmt: skip
-    shown = [("ours", exact), ("ours", near), *(_named(row) for row in _finest(peers))]
+    shown = [("ours", exact), ("ours", near), _named(mujoco), *(_named(row) for row in _finest(peers))]
     body = BODY.format(
         picture=picture(MESSAGE, PICTURE),
         table="\n".join(markdown_table(HEADS, [_cells(*each) for each in shown])), rounds=ROUNDS,

@@ -12,7 +12,7 @@ from flexman_gym.common.markdown import markdown_table
 from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.envs.vector_env import compile_kernels
 from studies.files import read_comments, read_rows, write_rows
-from studies.methods import extrapolations_of, methods_of
+from studies.methods import extrapolations_of, fixed_step_methods, methods_of
 from studies.precision.charts import PICTURE, draw
 from studies.precision.measure import (
     Floor,
@@ -46,7 +46,8 @@ cheapest method within a time error and its CPU ms per simulated second, for mod
 
 Extrapolations amplify undamped vibrations in a band of omega h, so that a shorter step can increase the error: in
 {setbacks} combinations of scene, model and method. Choose by a scene that is similar to yours; `flexman precision
-scene.yaml` makes such a table. The rows have {rows:,} runs of all methods and models with time and total errors."""
+scene.yaml` makes such a table. The rows have {rows:,} runs of {methods} methods ({missing}) and all models, with time and
+total errors."""
 
 
 def page(rows: Sequence[PrecisionRow], floors: Sequence[Floor], files: Mapping[str, str]) -> str:
@@ -65,9 +66,15 @@ def page(rows: Sequence[PrecisionRow], floors: Sequence[Floor], files: Mapping[s
     body = BODY.format(
         picture=picture(MESSAGE, PICTURE),
         table="\n".join(_table(rows, [pair for pair in pairs if MESH in pair[1]])),
-        setbacks=len(harmful), rows=len(rows),
+        setbacks=len(harmful), rows=len(rows), methods=len(methods_of(rows)), missing=_missing(rows),
     )  # fmt: skip
     return screen("Speed against accuracy", QUESTION, answer, body, files, "work_precision")
+
+
+def _missing(rows: Sequence[PrecisionRow]) -> str:
+    """Return the methods of fixed steps without rows as text."""
+    names = [f"`{name}`" for name in fixed_step_methods() if name not in methods_of(rows)]
+    return f"without {' and '.join(names)}" if names else "all methods of fixed steps"
 
 
 def _table(rows: Sequence[PrecisionRow], pairs: Sequence[tuple[str, str]]) -> list[str]:

@@ -88,6 +88,7 @@ class RingDownRow:
         code: simulator.
         method: integration method.
         step: step, s.
+        arms: number of arms.
         cpu: CPU time per simulated second of one arm.
         energy_median, energy_90, energy_99: percentiles of the energy error, relative to the reference energy at the
             end or, if larger, 2 % of the energy at the start; infinite for failed arms.
@@ -100,6 +101,7 @@ class RingDownRow:
     code: str
     method: str
     step: float
+    arms: float
     cpu: float
     energy_median: float
     energy_90: float
@@ -166,7 +168,7 @@ def row(kind: str, method: str, step: float, result: _Outcome, reference: _Outco
     kept = median_kept(result.energy / np.maximum(result.first, 1e-12), failed)
     cpu = result.seconds / (b * DURATION[kind])
     shares = percentiles(energy, tip)
-    return RingDownRow(kind, "flexman_gym", method, step, cpu, kept=kept, failed=float(failed.mean()), **shares)
+    return RingDownRow(kind, "flexman_gym", method, step, b, cpu, kept=kept, failed=float(failed.mean()), **shares)
 
 
 def _differences(result: _Outcome, reference: _Outcome) -> tuple[Array, Array]:

@@ -70,4 +70,4 @@ def rows(count: int) -> Iterator[RingDownRow]:
             name = f"MuJoCo, {PIECES} pieces"
             shares = percentiles(energy, tip)
             shares |= {"kept": median_kept(kept, failed), "failed": float(failed.mean())}
-            yield RingDownRow(UNDAMPED, name, integrator, step, cpu, **shares)
+            yield RingDownRow(UNDAMPED, name, integrator, step, count, cpu, **shares)

@@ -62,20 +62,23 @@ def _lines(axes: Any, rows: Sequence[RingDownRow], column: str, default: tuple[s
 MESSAGE = "Errors of five methods over cost, after a release; a ring marks the default"
 QUESTION = "How well does an integration method preserve the vibration of an arm that is released, at what cost?"
 ANSWER = """**The default, `{method}` at {step:.3g} ms, has a median energy error of {energy:.2g} % and a median tip
-error of {tip:.2g} mm three seconds after a release; `ros2` at 5 ms has {old_energy:.2g} % and {old_tip:.3g} mm.**"""
+error of {tip:.2g} mm three seconds after a release ({arms:g} arms); `ros2` at 5 ms has {old_energy:.2g} % and
+{old_tip:.3g} mm.**"""
 BODY = """{picture}
 
-Arms of `FlexRRR-v0` start in random postures with free motors; the tips of all links are deflected by up to 5 cm.
+{arms:g} arms of `FlexRRR-v0`, {few:g} for methods outside the batch kernels, start in random postures with free motors;
+the tips of all links are deflected by up to 5 cm.
 The reference is `dop853` at a tolerance of 1e-8 with the same model. The energy error is relative to the energy of
 the reference at the end or, if this is larger, to 2 % of the energy at the start.
 
 - Without damping of the arm the median energy error of the default is {free:.2g} %, that of `ros2` {old_free:.2g} %.
-- Explicit methods fail on at least {failed:.0%} of the released arms at every tested step.{mujoco}
+- Explicit methods fail on {failed} of the released arms at every tested step.{mujoco}
 
 The rows also have impulses at the tip and slews, all methods, and percentiles. [Accuracy](accuracy.md) has the
-default on more arms."""
+default on other and more arms, whose medians differ."""
 MUJOCO = """
-- MuJoCo's `{name}` at {step:.3g} ms retains {kept:.2g} of the energy of an undamped arm of rigid pieces (exact: 1)."""
+- MuJoCo's `{name}` at {step:.3g} ms retains {kept:.2g} of the energy of an undamped arm of rigid pieces (exact: 1;
+  {arms:g} arms)."""
 
 
 def page(rows: Sequence[RingDownRow], default: tuple[str, float], files: Mapping[str, str]) -> str:
@@ -90,12 +93,14 @@ def page(rows: Sequence[RingDownRow], default: tuple[str, float], files: Mapping
     lossy = min((row for row in rows if row.method == LOSSY and row.failed == 0.0), key=_kept, default=None)
     answer = ANSWER.format(method=default[0], step=1e3 * default[1], energy=1e2 * now.energy_median,
                            tip=1e3 * now.tip_median, old_energy=1e2 * before.energy_median,
-                           old_tip=1e3 * before.tip_median)  # fmt: skip
+                           old_tip=1e3 * before.tip_median, arms=now.arms)  # fmt: skip
+    share = min(row.failed for row in explicit)
     body = BODY.format(
         picture=picture(MESSAGE, PICTURE),
         free=1e2 * of(UNDAMPED, *default).energy_median, old_free=1e2 * of(UNDAMPED, "ros2", 0.005).energy_median,
-        failed=min(row.failed for row in explicit),
-        mujoco="" if lossy is None else MUJOCO.format(name=lossy.method, step=1e3 * lossy.step, kept=lossy.kept),
+        failed="all" if share == 1.0 else f"at least {share:.0%}", arms=now.arms, few=min(row.arms for row in explicit),
+        mujoco="" if lossy is None else MUJOCO.format(name=lossy.method, step=1e3 * lossy.step, kept=lossy.kept,
+                                                      arms=lossy.arms),
     )  # fmt: skip
     return screen("Released vibrations", QUESTION, answer, body, files, "ring_down")
 
@@ -106,8 +111,9 @@ def _kept(row: RingDownRow) -> float:
 
 ACCURACY_QUESTION = "How accurate are the method and the step that an environment uses by default?"
 ACCURACY_ANSWER = """**With `{method}` at {step:.3g} ms the tip of half of the arms is within {slew:.2g} mm after a
-slew and within {impulse:.2g} mm after an impulse; a strong release costs {released:.2g} to {bent:.2g} mm.** The
-energy is within {limit:.0%} for {least:.0%} of the arms or more, 3 s after a release."""
+slew and within {impulse:.2g} mm after an impulse; a strong release costs {released:.2g} to {bent:.2g} mm ({arms:g}
+arms each).** Of released arms the energy is within {limit:.0%} for {least:.0%} or more after 3 s, and for {early:.0%} to
+{early_most:.0%} after 1 s."""
 ACCURACY_BODY = """{table}
 
 {arms:g} arms of `FlexRRR-v0` for each motion. *Release*: the tips of all links from up to 5 cm, in any posture.
@@ -115,8 +121,9 @@ ACCURACY_BODY = """{table}
 N m. The errors are those of the method alone; the reference is `dop853` with the same model. Errors of the
 energy are larger after 1 s than after 3 s, those of the tip smaller.
 
-The method has no numerical damping. Its correction of the phase error does not contain Coulomb friction or
-centrifugal softening, and the energy of an undamped vibration oscillates by (omega h)^2 / 6. `gym.make("FlexRRR-v0",
+The method has no numerical damping: the amplitude of an undamped vibration of the linear arm neither decays nor grows,
+but oscillates by (omega h)^2 / 12, its energy by (omega h)^2 / 6 ([stability](stability.md)). Its correction of the
+phase error does not contain Coulomb friction or centrifugal softening. `gym.make("FlexRRR-v0",
 step=0.005)` shortens the step, and `fidelity="auto"` with a tolerance chooses anew: [choices](fidelity.md). The rows
 also have {others} other methods and steps."""
 ACCURACY_HEADS = ("motion", "after", "energy within 2 %", "tip, half of the arms", "90 %", "95 %")
@@ -129,10 +136,12 @@ def accuracy_page(rows: Sequence[Errors], files: Mapping[str, str]) -> str:
     cells = [_accuracy(own[kind, time]) for kind in KINDS for time in (EARLY, DURATION[kind])
              if kind in (RELEASE, BENT) or time > EARLY]  # fmt: skip
     slew, impulse, released, bent = (own[kind, DURATION[kind]] for kind in (SLEW, IMPULSE, RELEASE, BENT))
+    early = [own[kind, EARLY].within for kind in (RELEASE, BENT)]
     answer = ACCURACY_ANSWER.format(
         method=first.method, step=1e3 * first.step, slew=1e3 * slew.tip_median, impulse=1e3 * impulse.tip_median,
         released=1e3 * released.tip_median, bent=1e3 * bent.tip_median, limit=WITHIN,
-        least=min(released.within, bent.within),
+        least=min(released.within, bent.within), arms=min(row.arms for row in own.values()),
+        early=min(early), early_most=max(early),
     )  # fmt: skip
     table = "\n".join(markdown_table(ACCURACY_HEADS, cells))
     body = ACCURACY_BODY.format(table=table, arms=first.arms, others=len(names) - 1)

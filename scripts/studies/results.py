@@ -1,0 +1,62 @@
+"""Results of agents without training on the test episodes, each from one stored row: all pages print the same number."""
+
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
+from flexman_gym.evaluation.metrics import METRICS
+from flexman_gym.league.rows import LeagueRows
+from flexman_gym.league.standings import Standings
+from studies.environments.measure import BASELINES, LONG_NAME, Baseline
+from studies.files import read_rows
+
+DOCS = Path(__file__).parents[2] / "docs"
+LEAGUE, BASELINE_FILE = "league", "environments/baselines.csv"  # below the folder of the documentation
+SHOWN = ("settled", "settling_time", "vibration", "rms_error", "failed")  # metrics of a `Baseline`
+
+
+class Results:
+    """Rows of the league and, for environments that it does not have, of the baselines of the environments.
+
+    Args:
+        docs: folder of the documentation.
+        baselines: file of the baselines; None for that of the documentation.
+    """
+
+    def __init__(self, docs: Path = DOCS, baselines: Path | None = None) -> None:
+        self._docs, self._file = docs, baselines or docs / BASELINE_FILE
+
+    @cached_property
+    def standings(self) -> Standings:
+        """Comparison of the agents of the league."""
+        return Standings(LeagueRows.load(self._docs / LEAGUE))
+
+    @cached_property
+    def _measured(self) -> dict[tuple[str, str], Baseline]:
+        return {(row.environment, row.baseline): row for row in read_rows(self._file, Baseline)}
+
+    @property
+    def long(self) -> Baseline:
+        """Row of the PD of FlexRRR-v0 in longer episodes."""
+        return self._measured[DEFAULT_ID, LONG_NAME]
+
+    def find(self, agent: str, scenario: str) -> Baseline | None:
+        """Return the metrics of an agent in a scenario, as those of a baseline; None without rows."""
+        if not self.standings.why(agent, scenario):
+            values = (np.array([*self.standings.values(agent, scenario, name).values()]) for name in SHOWN)
+            metrics = (METRICS[name].aggregate(each) for name, each in zip(SHOWN, values, strict=True))
+            episodes = len(self.standings.values(agent, scenario, SHOWN[0]))
+            return Baseline(scenario, agent, *metrics, episodes=episodes)
+        names = [name for name, each in BASELINES.items() if each == agent]
+        return self._measured.get((scenario, names[0])) if names else None
+
+    def baselines(self) -> list[Baseline]:
+        """Return the rows of the baselines of all named environments that have rows."""
+        rows = []
+        for name in NAMED_ENVIRONMENTS:
+            found = {baseline: self.find(agent, name) for baseline, agent in BASELINES.items()}
+            rows += [Baseline(**vars(row) | {"baseline": baseline}) for baseline, row in found.items() if row]
+            rows += [self.long] if name == DEFAULT_ID else []
+        return rows
