@@ -5,6 +5,7 @@ import argparse
 from studies.control.cases import CASES, ControlRow, run_case
 from studies.control.page import page
 from studies.files import folder, read_rows, write_rows
+from studies.results import Results
 
 
 def main() -> None:
@@ -23,7 +24,9 @@ def main() -> None:
             row = rows[case.name] = run_case(case, options.episodes, options.seed)
             print(row, flush=True)
             write_rows([rows[each.name] for each in CASES if each.name in rows], path)
-    (options.folder / "control.md").write_text(page([rows[case.name] for case in CASES if case.name in rows]))
+    (options.folder / "control.md").write_text(
+        page([rows[case.name] for case in CASES if case.name in rows], Results())
+    )
 
 
 if __name__ == "__main__":

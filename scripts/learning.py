@@ -21,6 +21,7 @@ from studies.learning.measure import (
     tasks,
 )
 from studies.learning.page import page
+from studies.results import Results
 
 ALONE = {"controllers": controllers, "tasks": tasks}  # cases without training
 CURVES = "learning_curves.csv"
@@ -51,7 +52,7 @@ def main() -> int:
     file = evidence / "learning.csv"
     if (evidence / CURVES).is_file():
         pictures(read_rows(evidence / CURVES, Point), evidence)
-    (options.folder / "results.md").write_text(page(read_rows(file, LearningRow), read_comment(file)), encoding="utf-8")
+    (options.folder / "results.md").write_text(page(read_rows(file, LearningRow), read_comment(file), Results()), encoding="utf-8")
     return 0
 
 

@@ -32,7 +32,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
     """Flexible robot arm that moves its tip to a target and stops it there: `gym.make("FlexRRR-v0")`.
 
     Named environments
-        FlexRRR-v0     spatial arm of the paper, 8.5 m, three links, control rate 50 Hz; described below
+        FlexRRR-v0     spatial arm after the paper, 8.5 m, three links, control rate 50 Hz; described below
         FlexPlanar-v0  two strips, 1 m in total, that lift 0.1 kg in a vertical plane under gravity, 100 Hz
         FlexOne-v0     textbook case: one strip of 0.8 m on one flexible joint, in a horizontal plane, 50 Hz
         FlexQuanser-v0 laboratory arm: two steel strips in a horizontal plane with its motors and sensors, 100 Hz
@@ -40,10 +40,11 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         `envs.NAMED_ENVIRONMENTS` has the settings of each. The last three have the reward "distance" (see `Slew`).
 
     Arm
-        Three-link arm of the paper, 8.5 m, with flexible links and joints (stiffness 5000 N m/rad), without gravity.
-        The modal damping ratios of the links are 0.005, and the joints have no damping
-        (`arm=catalog.paper_rrr(rotor_inertia=10, torque_limit=400)` is the undamped arm of the paper). The rotor
-        inertia is 10 kg m^2, because a motor controller at 50 Hz cannot damp an arm with the 1 kg m^2 of the paper.
+        Three-link arm after Table 1 of the paper, 8.5 m, with flexible links and joints (stiffness 5000 N m/rad),
+        without gravity. The modal damping ratios of the links are 0.005 (the paper neglects damping), and the joints
+        have no damping; `arm=catalog.paper_rrr(rotor_inertia=10, torque_limit=400)` is undamped. The paper prints no
+        rotor inertia. It is 10 kg m^2 here, because a motor controller at 50 Hz cannot damp an arm with the 1 kg m^2 of
+        the catalogue. Link 1 has the printed area, which is ten times too large, see `catalog.paper_rrr`.
 
     Actions
         Box(-1, 1, (n,)): torques of the n motors as fractions of their limits (400 N m each), constant during a control

@@ -10,6 +10,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.plot_style import BLUE, DARK, GREEN, LIGHT, RED, new_figure, save_figure
 from flexman_gym.evaluation.agent import SIMPLE_AGENTS
 from flexman_gym.evaluation.agent_info import INFORMATION, describe_agent
+from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.league.details import short_name, sweep_text
 from flexman_gym.league.rows import REFERENCE_AGENTS
 from flexman_gym.league.scenarios import GIVEN, find_scenario
@@ -90,7 +91,8 @@ def _cell(standings: Standings, agent: str, scenario: str) -> tuple[float, str, 
 
 def _rms_error(standings: Standings, agent: str, scenario: str) -> float:
     """Return the median RMS error of an agent, m."""
-    return float(np.median([*standings.values(agent, scenario, "rms_error").values()] or [np.nan]))
+    values = [*standings.values(agent, scenario, "rms_error").values()]
+    return METRICS["rms_error"].aggregate(np.array(values)) if values else np.nan
 
 
 def _draw_sweeps(standings: Standings, path: Path) -> Path:

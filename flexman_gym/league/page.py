@@ -1,6 +1,6 @@
 """League page: recommended agents by the information given, heat map, limits in sweeps, and rules."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from textwrap import fill
@@ -28,9 +28,10 @@ COMPARED = (KNOWN, UNKNOWN, f"{DEFAULT_ID}/uncertain", f"{DEFAULT_ID}/unmodelled
 WELL = 0.95  # share of settled episodes at which an agent copes with a value of a sweep
 TEXT = """# League of controllers and policies
 
-All agents are evaluated in the same {episodes} episodes of each scenario. In `{known}`, an arm with flexible links, of
-{reach:g} m in total, moves its tip to a target and stops there. An episode lasts {horizon:g} s. It is settled if the
-tip stays within {band:.0f} mm of the target for at least the last second; an agent that needs longer settles nothing.
+All agents are evaluated in the same {episodes} of each scenario{few}. In `{known}`, an arm with
+flexible links, of {reach:g} m in total, moves its tip to a target and stops there. An episode lasts {horizon:g} s. It is
+settled if the tip stays within {band:.0f} mm of the target for at least the last second; an agent that needs longer
+settles nothing.
 
 ## Choose an agent
 
@@ -38,7 +39,8 @@ tip stays within {band:.0f} mm of the target for at least the last second; an ag
 
 The best agents for each kind of information that they are given, with the share of settled episodes and the median
 settling time. *Action* is the CPU time for one action of one arm, of {block} simulated together, as the median over the
-scenarios.
+scenarios. Agents with *true state and parameters* are oracles: they are given the true parameters or, as `optimised`, the
+nominal model and the starts and goals of the episodes in advance.
 
 {choice}
 
@@ -57,7 +59,8 @@ needs another arm, or information that cannot be measured there. A name such as 
 ## Rules
 
 - Test episodes have the seeds 9000 to 9099. Nothing is selected on them; `flexman league` rejects a run that used one.
-  Seeds below 100 and from 5000 to 8999 are for tuning and selection, those from 1000000 on for training.
+  Seeds below 100 and from 5000 to 8999 are for tuning and selection, those from 1000000 on for the episodes of a
+  training (run 0 begins there; the seed of a run is not that of its episodes).
 - One agent for all scenarios, with the sensors of its training. `flexman league --add FOLDER` adds a training run.
 - A controller may be tuned with as much CPU time as the training of the policy with which it is compared.
 - Rows have a hash of scenario, agent, code and package versions, and are equal to the bit in every repetition.
@@ -66,9 +69,9 @@ All rows are in `rows.csv` (episodes) and `cells.csv` (CPU times, reasons for mi
 `flexman league --redraw --folder FOLDER` writes page and charts from them; `--details` prints all metrics of a
 scenario, the data of an agent, a sweep (`{known}/payload=`), or the scores (`overall`).
 """
-LIMITS = """Values of a parameter at which at least {well:.0f} % of the episodes settle. *Given* is the range for which
-the controllers are designed; outside of it their model is wrong. The last rows are the settled shares, %, in other
-simulations of the same episodes, of which the controllers are not informed.
+LIMITS = """Values of a parameter at which at least {well:.0f} % of the {sweep} settle. *Given* is the range for which
+the controllers are designed; outside of it their model is wrong. The last rows are the settled shares, %, of the same
+{plant} in other simulations, of which the controllers are not informed.
 
 {table}
 
@@ -77,6 +80,8 @@ simulations of the same episodes, of which the controllers are not informed.
 """
 SWEEPS = """
 ![Settled episodes over the values of each parameter]({chart})
+
+Settled shares over the values of each parameter, of {sweep} for each value.
 """
 
 
@@ -104,7 +109,8 @@ def _page_text(standings: Standings) -> str:
     """Return the page in Markdown, without the computer that made the rows."""
     reach = sum(link.length for link in NAMED_ENVIRONMENTS[DEFAULT_ID].arm.links)
     return TEXT.format(
-        episodes=max((len(standings.values(each, KNOWN, "reward")) for each in standings.agents), default=0),
+        episodes=_count_text(max(_counts(standings, standings.scenarios).values(), default=0)),
+        few=_fewer(standings),
         known=KNOWN,
         oracle=REFERENCE_AGENTS[1],
         reach=reach,
@@ -116,6 +122,25 @@ def _page_text(standings: Standings) -> str:
         chart=CHART,
         limits=_limits(standings),
     )
+
+
+def _counts(standings: Standings, scenarios: Iterable[str]) -> dict[tuple[str, str], int]:
+    """Return (agent, scenario) -> number of episodes, of those that were run."""
+    pairs = ((agent, scenario) for scenario in scenarios for agent in standings.agents)
+    counts = {pair: len(standings.values(*pair, "reward")) for pair in pairs}
+    return {pair: count for pair, count in counts.items() if count}
+
+
+def _count_text(*counts: int) -> str:
+    return f"{' or '.join(str(count) for count in sorted(set(counts))) or 'no'} episodes"
+
+
+def _fewer(standings: Standings) -> str:
+    """Return the scenarios in which agents have fewer episodes than elsewhere, as the end of a clause; "" for none."""
+    counts = _counts(standings, standings.scenarios)
+    fewer = {pair: count for pair, count in counts.items() if count < max(counts.values())}
+    texts = (f"`{agent}` in `{short_name(scenario)}`: {count}" for (agent, scenario), count in fewer.items())
+    return f" ({', '.join(texts)})" if fewer else ""
 
 
 def _recommendation(standings: Standings) -> str:
@@ -185,9 +210,11 @@ def _limits(standings: Standings) -> str:
             [f"`{short_name(names[0])}` {heads}", "-", *(_on_plants(standings, each, names) for each in agents)]
         )
     table = markdown_table(["swept", "given", *(f"`{each}`" for each in agents)], rows)
-    chart = SWEEPS.format(chart=SWEEP_CHART) if standings.sweeps else ""
+    sweep = _count_text(*_counts(standings, (each for values in standings.sweeps.values() for each in values)).values())
+    plant = _count_text(*_counts(standings, (each for names in standings.plants.values() for each in names[1:])).values())
+    chart = SWEEPS.format(chart=SWEEP_CHART, sweep=sweep) if standings.sweeps else ""
     plants = fill("; ".join(f"*@{name}*: {text}" for name, (text, _) in PLANTS.items()) + ".", 118)
-    return LIMITS.format(well=100.0 * WELL, table="\n".join(table), plants=plants, chart=chart).rstrip()
+    return LIMITS.format(well=100.0 * WELL, sweep=sweep, plant=plant, table="\n".join(table), plants=plants, chart=chart).rstrip()
 
 
 def _on_plants(standings: Standings, agent: str, names: Sequence[str]) -> str:

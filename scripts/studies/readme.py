@@ -13,15 +13,22 @@ from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.evaluation.agent_info import describe_agent
-from flexman_gym.league.rows import LeagueRows
+from flexman_gym.evaluation.metrics import METRICS
+from flexman_gym.evaluation.policy_files import POLICIES, exceeded_limits
 from flexman_gym.league.standings import Standings
 from flexman_gym.metrics import BAND, VIBRATION_WINDOW
+from flexman_gym.model.model import build_model
+from flexman_gym.model.vibration import modes
+from flexman_gym.scene import catalog
 from flexman_gym.verification.table import FAIL, PASS, VerificationRow
 from studies.benchmark.measure import BenchmarkRow
 from studies.environments.family import FAMILIES
-from studies.files import read_rows
+from studies.files import read_comment, read_rows, split_waiting
 from studies.learning.measure import LearningRow
-from studies.machine.measure import FitRow
+from studies.machine.measure import CURRENT, FitRow
+from studies.markdown import number_word
+from studies.results import Results
+from studies.safety.measure import SafetyRow
 
 Kind = TypeVar("Kind")
 UNKNOWN = f"{DEFAULT_ID}/unknown"  # scenario with unknown payload and stiffness, and a delay
@@ -40,6 +47,7 @@ INFORMATION = {
 INDEPENDENT = "independent automatic-differentiation code"  # source of rows of the verification
 LARGE_ROTATION = "paper FF {} foreshortening, tip within 2 s, m"  # cases of the verification
 MICROMETRE = 1e-6  # m
+SECOND_HUB = CURRENT, "motor_angle_2", "R2"  # row of the comparison with a real arm
 MOTOR_CONTROLLERS = ("pd", "pd-shaped")  # they read motor angles only
 POLICY = "a policy trained by "  # first words of the description of a policy
 TITLES = {
@@ -55,7 +63,7 @@ TITLES = {
     "privileged-lqr": "LQR that tracks a slew",
 }
 ARMS = {
-    "FlexRRR": "three flexible links, flexible joints, the paper's arm",
+    "FlexRRR": "three flexible links, flexible joints, the paper's arm with heavier rotors and damping",
     "FlexRRR-Gravity": "the same under gravity, stiffer joints",
     "FlexPlanar": "two flexible links, flexible joints, vertical plane",
     "FlexOne": "one flexible link, one flexible joint, the textbook case",
@@ -97,10 +105,24 @@ class Sources:
         """Return the rows of a CSV file as instances of a dataclass."""
         return read_rows(self.path(name), kind)
 
+    def mark(self, name: str) -> str:
+        """Return the end of a clause with a number of a CSV file whose rows wait for new ones; "" for other files."""
+        return "; waiting for new rows" * bool(split_waiting(read_comment(self.path(name)))[1])
+
     @cached_property
+    def results(self) -> Results:
+        """Results of agents without training, as on all pages."""
+        return Results(self.docs)
+
+    @property
     def standings(self) -> Standings:
         """Comparison of the agents of the league."""
-        return Standings(LeagueRows.load(self.path("cells.csv").parent))
+        return self.results.standings
+
+    @cached_property
+    def safety(self) -> list[SafetyRow]:
+        """Moves with the safety filter."""
+        return self.rows("safety.csv", SafetyRow)
 
     @cached_property
     def learning(self) -> list[LearningRow]:
@@ -179,25 +201,25 @@ def _training_minutes(sources: Sources) -> tuple[str]:
     return (f"{round(float(np.median(seconds)) / 30.0) / 2.0:g}",)
 
 
-def _compile_minutes(sources: Sources) -> tuple[str]:
-    """Return the CPU time of the first start, rounded to minutes, in words."""
+def _compile_minutes(sources: Sources) -> tuple[str, str]:
+    """Return the CPU time of the first start, rounded to minutes, in words, and the mark of its rows."""
     seconds = sum(row.cpu for row in sources.benchmark if row.table == "starts" and "nothing compiled yet" in row.name)
     minutes = round(seconds / 60.0)
-    return ("a minute" if minutes == 1 else f"{minutes} minutes",)
+    return "a minute" if minutes == 1 else f"{minutes} minutes", sources.mark("benchmark.csv")
 
 
-def _steps(sources: Sources) -> tuple[str, str]:
-    """Return the steps per CPU second of one arm, and of the fastest vector environment on one thread."""
+def _steps(sources: Sources) -> tuple[str, str, str]:
+    """Return the steps per CPU second of one arm, of the fastest vector environment on one thread, and their mark."""
     rows = [row for row in sources.benchmark if row.table == "environments" and row.threads == 1]
     one = next(row.cpu for row in rows if row.name == "FlexRRR-v0")
     many = min(row.cpu for row in rows if row.name == "FlexRRR-v0, vector environment")
-    return f"{float(f'{1.0 / one:.3g}'):,.0f}", f"{float(f'{1.0 / many:.3g}'):,.0f}"
+    one_text, many_text = (f"{float(f'{1.0 / each:.3g}'):,.0f}" for each in (one, many))
+    return one_text, many_text, sources.mark("benchmark.csv")
 
 
 def _pd_settles(sources: Sources) -> tuple[str]:
     """Return the median settling time of the PD in longer episodes, s."""
-    case = ("pd, FlexRRR-v0", "longer episodes")
-    return (f"{next(row.time for row in sources.learning if (row.name, row.where) == case):.0f}",)
+    return (f"{sources.results.long.settling_time:.0f}",)
 
 
 def _reach(sources: Sources) -> tuple[str]:
@@ -230,16 +252,67 @@ def _agreement(sources: Sources) -> tuple[str]:
     return (f"{1e3 * MICROMETRE:g}",)
 
 
+def _violations(sources: Sources) -> tuple[str, ...]:
+    """Return violations, moves and largest excess (%) of the safety filter with known and with uncertain parameters."""
+    result: list[str] = []
+    for condition in ("nominal", "uncertain"):
+        rows = [row for row in sources.safety if row.condition == condition]
+        counts = (sum(getattr(row, name) for row in rows) for name in ("violations", "moves"))
+        result += [f"{count:.0f}" for count in counts] + [f"{100.0 * max(row.largest for row in rows):.2g}"]
+    return tuple(result)
+
+
+def _second_hub(sources: Sources) -> tuple[str]:
+    """Return R2 of the second hub angle, computed from motor currents."""
+    (row,) = (row for row in sources.machine if (row.part, row.run, row.what) == SECOND_HUB)
+    return (f"{row.value:.2f}",)
+
+
+def _exceeded(sources: Sources) -> tuple[str, str]:
+    """Return the number of shipped policies that exceed a limit of their certificates, and that of all."""
+    return str(sum(bool(exceeded_limits(name)) for name in POLICIES)), str(len(POLICIES))
+
+
+def _in_mujoco(sources: Sources) -> tuple[str, str]:
+    """Return the numbers of settled and of all episodes of the policy for uncertain arms with the known arm in MuJoCo."""
+    times = [*sources.standings.values("lab-flexrrr", f"{DEFAULT_ID}@mujoco", "settling_time").values()]
+    return str(np.isfinite(times).sum()), str(len(times))
+
+
+def _count_of_environments(sources: Sources) -> tuple[str]:
+    return (number_word(len(NAMED_ENVIRONMENTS)),)
+
+
+def _halving(sources: Sources) -> tuple[str, str]:
+    """Return the damping ratio of the first mode of the arm with one joint, %, and the periods in which it halves."""
+    ratio = modes(build_model(catalog.one_joint(), elements=2), motors="held").damping_ratios[0]
+    return f"{100.0 * ratio:.2g}", f"{np.log(2.0) / (2.0 * np.pi * ratio):.0f}"
+
+
 SENTENCES = (  # with numbers of stored rows
     Sentence(r"(\d+) of (\d+) comparisons", _verification),
     Sentence(r"differs by ([\d.]+) mm, and by ([\d.]+) mm without foreshortening", _tip_errors),
     Sentence(r"explains ([\d.]+) of the variance of the tip deflection \(median of (\d+) held-out runs\)", _held_out),
     Sentence(r"about ([\d.]+) minutes on one core", _training_minutes),
-    Sentence(r"\(about (a minute|\d+ minutes), in parts\)", _compile_minutes),
-    Sentence(r"([\d,]+) control periods per second for one arm and ([\d,]+) for many arms", _steps),
+    Sentence(r"\(about (a minute|\d+ minutes) of CPU time, in parts((?:; waiting for new rows)?)\)", _compile_minutes),
+    Sentence(
+        r"([\d,]+) control periods per second for one arm and ([\d,]+) for many arms in one call "
+        r"\(`gym.make_vec`, \[benchmark\]\(docs/evidence/benchmark.md\)((?:; waiting for new rows)?)\)",
+        _steps,
+    ),
+    Sentence(
+        r"(\d+) of (\d+) moves of the known arm, by up to ([\d.]+) %, and (\d+) of (\d+) with all parameters uncertain, "
+        r"by up to ([\d.]+) %",
+        _violations,
+    ),
+    Sentence(r"the second hub angle is not predicted \(R2 (-[\d.]+)", _second_hub),
+    Sentence(r"(\d+) of (\d+) exceed one of the limits", _exceeded),
+    Sentence(r"In MuJoCo `lab-flexrrr` settles in (\d+) of (\d+) episodes", _in_mujoco),
     Sentence(r"The PD settles after ([\d.]+) s", _pd_settles),
 )
 DEFINITIONS = (  # with numbers of the named environments, of the metrics and of cases of the verification
+    Sentence(r"(\w+) environments, vectorised simulation", _count_of_environments),
+    Sentence(r"damping ratio of ([\d.]+) %, that of the arm below, the amplitude halves only after (\d+) periods", _halving),
     Sentence(r"agrees to better than a micrometre \(([\d.]+) mm\)", _agreement),
     Sentence(r"within (\d+) s the tip of a large-rotation model", _duration),
     Sentence(r"the tip of the ([\d.]+) m arm of `FlexRRR-v0`", _reach),
@@ -342,7 +415,8 @@ def given(agent: str) -> str:
 def _cells(standings: Standings, agent: str, scenario: str) -> Iterable[str]:
     """Return share of settled episodes with the median settling time, and the median vibration."""
     settled, time = standings.settled(agent, scenario)
-    vibration = 1e3 * float(np.median([*standings.values(agent, scenario, "vibration").values()]))
+    values = np.array([*standings.values(agent, scenario, "vibration").values()])
+    vibration = 1e3 * METRICS["vibration"].aggregate(values)
     after = f", {-time:.2f} s" if np.isfinite(time) else ""
     shown = f"{vibration:.0f}" if vibration >= 100.0 else f"{vibration:.1g}" if vibration < 1.0 else f"{vibration:.2g}"
     return f"{100.0 * settled:.0f} %{after}", f"{shown} mm"

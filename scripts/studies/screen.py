@@ -76,5 +76,6 @@ def _item(path: Path) -> str:
     title, *paragraphs = text.split("\n\n")
     bold = re.search(r"\*\*(.+?)\*\*", text, re.DOTALL)
     sentence = bold[1] if bold else re.split(r"(?<=\.)\s", paragraphs[0], maxsplit=1)[0]
-    sentence += f" {MARK}" * (WAIT.partition("{")[0] in " ".join(text.split()))
+    if WAIT.partition("{")[0] in " ".join(text.split()):
+        sentence = f"{sentence.removesuffix('.')} {MARK}."
     return _wrapped(f"- [{title.removeprefix('# ').strip()}]({path.name}): {sentence}")

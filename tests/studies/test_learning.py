@@ -36,6 +36,7 @@ from studies.learning.measure import (
     variants,
 )
 from studies.learning.page import page
+from studies.results import Results
 from studies.safety.learning import RECIPE as SAFETY_RECIPE
 
 from oracles.files import ROOT, command
@@ -112,7 +113,7 @@ def test_the_published_page_is_that_of_the_published_rows():
             assert sorted(row.seed for row in result) == list(range(count))
             steps = next(case for case in cases() if (case.kind, case.name) == (kind, name)).settings.steps
             assert all(row.steps == steps for row in result), "the rows are of another recipe"
-    assert (ROOT / "docs" / "results.md").read_text(encoding="utf-8") == page(rows, read_comment(file))
+    assert (ROOT / "docs" / "results.md").read_text(encoding="utf-8") == page(rows, read_comment(file), Results())
     names = {row.name for row in rows if row.kind == "controller"}
     assert names == {f"{name}, {id}" for id, names in CONTROLLERS.items() for name in names}
     learned = {scenario: [name] if name in POLICIES else [] for scenario, (name, _) in TASKS.items()}

@@ -34,6 +34,7 @@ from studies.readme import replaced_part
 from studies.ringdown.measure import PERIOD, Errors, RingDownRow
 from studies.ringdown.page import accuracy_page
 from studies.ringdown.page import page as ringdown_page
+from studies.results import Results
 from studies.robust.measure import RobustRow
 from studies.robust.page import page as robust_page
 from studies.safety.learning import LearningRow
@@ -52,7 +53,7 @@ from oracles.files import ROOT
 DOCS, EVIDENCE = ROOT / "docs", ROOT / "docs" / "evidence"
 DEFAULT = "midpoint_corrected_3", PERIOD / 3  # method and step, s
 PAGES = {
-    "control": (ControlRow, lambda rows, computer: control_page(rows)),
+    "control": (ControlRow, lambda rows, computer: control_page(rows, Results())),
 }
 SCREENS = {  # page -> function of its rows, and files and types of the rows
     "accuracy": (accuracy_page, {"accuracy": Errors}),

@@ -20,8 +20,8 @@ BODY = """{picture}
 
 {table}
 
-The arm is that of `FlexRRR-v0` with the possible area of link 1 (`link1_area="corrected"`); with the gains of
-`FlexRRR-v0` it settles in {named:.1f} s. `flexman optimise arm FILE --sections {sections}` varies the sections between
+The arm is that of `FlexRRR-v0` with the corrected area of link 1 (`link1_area="corrected"`, 0.0028 m^2); the paper prints
+an area ten times as large, which `FlexRRR-v0` has. With the gains of `FlexRRR-v0` it settles in {named:.1f} s. `flexman optimise arm FILE --sections {sections}` varies the sections between
 half and twice the given thickness, both dimensions alike. The arms have at most the given mass. Gears are between half
 and twice the given ratios and multiply the torque limits.
 

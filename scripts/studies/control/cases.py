@@ -53,12 +53,13 @@ class ControlCase:
 
 @dataclass(frozen=True)
 class ControlRow:
-    """Results of a case: shares, times in s, lengths in m, CPU time per period and arm in s.
+    """Results of a case over episodes: shares, times in s, lengths in m, CPU time per period and arm in s.
 
     `again` is the share settled `WITHIN` seconds after the payload change, `followed` the RMS tip error after `LATER`.
     """
 
     case: str
+    episodes: float
     settled: float
     settling_time: float
     vibration: float
@@ -180,7 +181,7 @@ def run_case(case: ControlCase, episodes: int, seed: int) -> ControlRow:
     values = {metric.name: metric.evaluate(result.records) for metric in METRICS.values()}
     few = {name: values[name] for name in ("settled", "settling_time", "vibration", "error", "failed", "roughness")}
     return ControlRow(
-        case.name, **few, followed=_followed(result), again=_again(result) if case.load else None, cost=cost
+        case.name, len(seeds), **few, followed=_followed(result), again=_again(result) if case.load else None, cost=cost
     )
 
 

@@ -1,12 +1,14 @@
 """Page of the controller study: one table, and the cases of the adaptive controller in sentences."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from statistics import mean
 from textwrap import fill
 
 from flexman_gym.common.markdown import markdown_table
-from studies.control.cases import EXTREMES, FEW, PARTS, RANDOM_ARMS, RANDOM_EPISODES, ControlRow
+from studies.control.cases import EXTREMES, PARTS, RANDOM_ARMS, RRR, ControlRow
 from studies.markdown import bullets
+from studies.results import Results
 from studies.screen import HIDDEN
 
 PAGE = """# Controllers of arms with uncertain parameters
@@ -16,19 +18,19 @@ PAGE = """# Controllers of arms with uncertain parameters
 | arms | `privileged-lqr` | `adaptive-lqr` | `lab-flexrrr` |
 {table}
 
-Slews: share of the {episodes} test episodes that settle, and median settling time. *Track* and *Hold*: RMS tip error
-after 2 s. A dash: not run in this study.
+Slews: share of the {episodes} test episodes that settle, and median settling time; those of `FlexRRR-v0` are rows of the
+[league](../league/league.md). *Track* and *Hold*: RMS tip error after 2 s. A dash: not run in this study.
 
 - `privileged-lqr` is given the true state and parameters, which hardware cannot measure.
 - `adaptive-lqr` is given the model, the ranges of the uncertain parameters and the noise. It estimates the parameters
   from the measurements `lab`, without the tip.
 - `lab-flexrrr` is a policy that changes the reference of `adaptive-lqr`, with the same information.
 
-Settled shares of `adaptive-lqr` in other cases:
+Settled shares of `adaptive-lqr` in other cases, of {episodes} episodes where no other number is given:
 
 {cases}
 
-Extremes and single effects have {few} episodes, random arms {random}. No setting was tuned on these episodes. CPU
+Extremes and single effects have {few} episodes, each random arm {random}. No setting was tuned on these episodes. CPU
 times of an action are in the [league](../league/league.md). Rows: [control.csv](control.csv), by
 `python scripts/control.py --folder docs/evidence`; with `--redraw` only the page.
 """
@@ -46,22 +48,38 @@ ARMS = {  # row of the table -> end of the names of its cases
 GIVEN = ("delay of 0 to 2 periods", "friction within a half", "biased readings", "three times the noise")
 NOT_GIVEN = ("finer arm", "changed payload", "unmodelled friction", "unmodelled biases", "20 % of samples lost",
              "measurements a period late")  # fmt: skip
+EXTREME, EFFECT, ARM = "uncertain: ", "unmodelled: ", "random arm "  # parts of the names of cases
 WIDTH = 118  # characters of a line
 WELL = 0.95  # share of settled episodes from which a case counts as settled
 
 
-def page(rows: Sequence[ControlRow]) -> str:
-    """Return the page as Markdown."""
-    by_case = {row.case: row for row in rows}
+def page(rows: Sequence[ControlRow], results: Results) -> str:
+    """Return the page as Markdown; rows of slews that the league has too are those of the league."""
+    by_case = {row.case: _known(row, results) for row in rows}
+    counts = [_counts(row for case, row in by_case.items() if word in case) for word in (EXTREME, EFFECT, ARM)]
     table = [[arms, *(_cell(_find(by_case, agent, end)) for agent in AGENTS)] for arms, end in ARMS.items()]
     return HIDDEN + PAGE.format(
         opening=_opening(by_case),
-        episodes=100,
-        few=FEW,
-        random=RANDOM_EPISODES,
+        episodes=_counts(row for case, row in by_case.items() if not any(word in case for word in (EXTREME, EFFECT, ARM))),
+        few=" or ".join(dict.fromkeys(counts[:2])),
+        random=counts[2],
         table="\n".join(markdown_table(["---"] * 4, table)[1:]),
         cases="\n".join(bullets(_cases(by_case))),
     )
+
+
+def _counts(rows: Iterable[ControlRow]) -> str:
+    """Return the numbers of episodes of rows as text."""
+    return " or ".join(f"{count:.0f}" for count in sorted({row.episodes for row in rows}))
+
+
+def _known(row: ControlRow, results: Results) -> ControlRow:
+    """Return a row with the settling that all pages have, if the league has its scenario."""
+    agent, _, end = row.case.partition(", ")
+    known = results.find(agent, f"{RRR}/{end}" if end != "nominal" else RRR)
+    if known is None:
+        return row
+    return replace(row, episodes=known.episodes, settled=known.settled, settling_time=known.settling_time)
 
 
 def _find(by_case: Mapping[str, ControlRow], agent: str, end: str) -> ControlRow | None:

@@ -2,10 +2,12 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from string import Template
 from textwrap import fill
+from typing import Any
 
 from flexman_agents.settings import find_recipe
 from flexman_gym.common.markdown import markdown_table
@@ -37,7 +39,10 @@ from studies.learning.measure import (
     LearningRow,
     environment,
 )
+from studies.environments.measure import Baseline
+from studies.files import split_waiting
 from studies.markdown import bullets
+from studies.results import Results
 
 TEMPLATE = Path(__file__).parent / "results.md"  # string.Template
 REACH = 8.5  # m; reach for which the page gives the limits of vibration
@@ -53,14 +58,15 @@ MOVING = tuple(
 )
 
 
-def page(rows: Sequence[LearningRow], computer: str) -> str:
-    """Return the page as Markdown."""
+def page(rows: Sequence[LearningRow], computer: str, results: Results) -> str:
+    """Return the page as Markdown; `results` are those of controllers, as on the other pages."""
+    rows = [_known(row, results) for row in rows]
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         opening=_opening(rows),
         count=len(TEST_SEEDS),
         test=f"{TEST_SEEDS.start} to {TEST_SEEDS.stop - 1}",
         slews=_body(7, _slews(rows)),
-        footnote=_footnote(rows),
+        footnote=_footnote(results.long),
         robustness=_robustness(rows),
         moving=_body(4, _moving(rows)),
         min_settled=f"{100 * certificate.MIN_SETTLED:.0f}",
@@ -69,6 +75,8 @@ def page(rows: Sequence[LearningRow], computer: str) -> str:
         increase=f"{1e3 * certificate.MAX_VIBRATION_INCREASE * REACH:.3g}",
         draws=certificate.SEARCH_EPISODES,
         policies=_body(5, map(_policy, POLICIES)),
+        counts=_counts(),
+        waiting=_waiting(),
         ablated=ABLATED,
         ablation_seeds=ABLATION_SEEDS,
         ablations="\n".join(bullets(_ablations(rows))),
@@ -84,6 +92,16 @@ def _body(columns: int, rows: Iterable[Iterable[object]]) -> str:
 
 def _of(rows: Iterable[LearningRow], kind: str, name: str, where: str = AS_TRAINED) -> list[LearningRow]:
     return [row for row in rows if (row.kind, row.name, row.where) == (kind, name, where)]
+
+
+def _known(row: LearningRow, results: Results) -> LearningRow:
+    """Return the row of a controller with the numbers that all pages have; other rows as they are."""
+    agent, _, scenario = row.name.partition(", ")
+    known = results.find(agent, scenario) if scenario and row.where == AS_TRAINED else None
+    if known is None:
+        return row
+    return replace(row, settled=known.settled, time=known.settling_time, vibration=known.vibration, rms=known.rms_error,
+                   failed=known.failed)  # fmt: skip
 
 
 def _controller(rows: Sequence[LearningRow], name: str, scenario: str, where: str = AS_TRAINED) -> list[LearningRow]:
@@ -158,12 +176,12 @@ def _slews(rows: Sequence[LearningRow]) -> list[tuple[str, ...]]:
     return lines
 
 
-def _footnote(rows: Sequence[LearningRow]) -> str:
+def _footnote(long: Baseline) -> str:
     """Return when the PD settles in episodes that last longer."""
-    (long,), horizon = _controller(rows, "pd", "FlexRRR-v0", LONGER), NAMED_ENVIRONMENTS["FlexRRR-v0"].horizon
+    horizon = NAMED_ENVIRONMENTS["FlexRRR-v0"].horizon
     return fill(
         f"The PD needs more than the {horizon:g} s of an episode of `FlexRRR-v0`: in episodes of {LONG:g} s it settles "
-        f"{_settled(long)} %, half of them after {long.time:.1f} s.",
+        f"{100 * long.settled:.0f} %, half of them after {long.settling_time:.1f} s.",
         118,
     )
 
@@ -201,10 +219,9 @@ def _moving(rows: Sequence[LearningRow]) -> list[tuple[str, ...]]:
 
 def _policy(name: str) -> tuple[str, ...]:
     """Return the row of a shipped policy: its changes within and beyond the limits."""
-    folder = policy_folder(name)
+    folder, result = policy_folder(name), _certificate(name)
     assert folder is not None
-    about, result = read_policy(folder).metadata, read_certificate(folder)
-    assert result is not None
+    about = read_policy(folder).metadata
     first = result["rows"][0]["seeds"]
     beyond = exceeded_limits(name)
     within = [
@@ -216,6 +233,33 @@ def _policy(name: str) -> tuple[str, ...]:
     exceeded = "; ".join(f"`{change}`: {reasons.partition(', ')[0].removesuffix(limit)}" for change, reasons in beyond)
     where = about["league"]["environment"]
     return f"`{name}`", f"`{about['recipe']['name']}`", f"`{where}`", _grouped(within), exceeded or "-"
+
+
+def _counts() -> str:
+    """Return the numbers of episodes of the certificates."""
+    counts: dict[int, set[str]] = {}
+    for name in POLICIES:
+        for row in _certificate(name)["rows"]:
+            plant = row["scenario"].partition("@")[2]
+            counts.setdefault(row["seeds"][1] - row["seeds"][0], set()).add(f"`@{plant}`" if plant else "")
+    few = {count: plants for count, plants in counts.items() if "" not in plants}
+    usual = min(count for count in counts if count not in few)
+    exceptions = "; ".join(f"{', '.join(sorted(plants))} {count}" for count, plants in sorted(few.items()))
+    return f"{usual} test episodes for each change{f' ({exceptions})' if exceptions else ''}"
+
+
+def _waiting() -> str:
+    """Return the policies whose certificates wait for new rows; "" if there are none."""
+    waits = ((name, split_waiting(_certificate(name)["computer"].get("flexman_gym", ""))[1]) for name in POLICIES)
+    reasons = [f"*Waiting for new rows: `{name}`, as {reason}.*\n\n" for name, reason in waits if reason]
+    return "".join(fill(each, 118, replace_whitespace=False) + "\n\n" for each in reasons)
+
+
+def _certificate(name: str) -> dict[str, Any]:
+    folder = policy_folder(name)
+    result = read_certificate(folder) if folder else None
+    assert result is not None
+    return result
 
 
 def _grouped(changes: Sequence[str]) -> str:

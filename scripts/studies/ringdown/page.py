@@ -72,7 +72,7 @@ The reference is `dop853` at a tolerance of 1e-8 with the same model. The energy
 the reference at the end or, if this is larger, to 2 % of the energy at the start.
 
 - Without damping of the arm the median energy error of the default is {free:.2g} %, that of `ros2` {old_free:.2g} %.
-- Explicit methods fail on {failed} of the released arms at every tested step.{mujoco}
+- Explicit methods fail on {failed} released arms at every tested step.{mujoco}
 
 The rows also have impulses at the tip and slews, all methods, and percentiles. [Accuracy](accuracy.md) has the
 default on other and more arms, whose medians differ."""
@@ -98,7 +98,7 @@ def page(rows: Sequence[RingDownRow], default: tuple[str, float], files: Mapping
     body = BODY.format(
         picture=picture(MESSAGE, PICTURE),
         free=1e2 * of(UNDAMPED, *default).energy_median, old_free=1e2 * of(UNDAMPED, "ros2", 0.005).energy_median,
-        failed="all" if share == 1.0 else f"at least {share:.0%}", arms=now.arms, few=min(row.arms for row in explicit),
+        failed="all" if share == 1.0 else f"at least {share:.0%} of the", arms=now.arms, few=min(row.arms for row in explicit),
         mujoco="" if lossy is None else MUJOCO.format(name=lossy.method, step=1e3 * lossy.step, kept=lossy.kept,
                                                       arms=lossy.arms),
     )  # fmt: skip
