@@ -23,6 +23,7 @@ from flexman_gym.scene import catalog
 from flexman_gym.verification.table import FAIL, PASS, VerificationRow
 from studies.benchmark.measure import BenchmarkRow
 from studies.environments.family import FAMILIES
+from studies.environments.measure import LONG_NAME, Baseline
 from studies.files import read_comment, read_rows, split_waiting
 from studies.learning.measure import LearningRow
 from studies.machine.measure import CURRENT, FitRow
@@ -114,10 +115,15 @@ class Sources:
         """Results of agents without training, as on all pages."""
         return Results(self.docs)
 
-    @property
+    @cached_property
     def standings(self) -> Standings:
         """Comparison of the agents of the league."""
         return self.results.standings
+
+    @cached_property
+    def baselines(self) -> list[Baseline]:
+        """Results of baselines in environments that the league does not have."""
+        return self.rows("baselines.csv", Baseline)
 
     @cached_property
     def safety(self) -> list[SafetyRow]:
@@ -219,7 +225,7 @@ def _steps(sources: Sources) -> tuple[str, str, str]:
 
 def _pd_settles(sources: Sources) -> tuple[str]:
     """Return the median settling time of the PD in longer episodes, s."""
-    return (f"{sources.results.long.settling_time:.0f}",)
+    return (f"{next(row.settling_time for row in sources.baselines if row.baseline == LONG_NAME):.0f}",)
 
 
 def _reach(sources: Sources) -> tuple[str]:
@@ -306,11 +312,11 @@ SENTENCES = (  # with numbers of stored rows
         _violations,
     ),
     Sentence(r"the second hub angle is not predicted \(R2 (-[\d.]+)", _second_hub),
-    Sentence(r"(\d+) of (\d+) exceed one of the limits", _exceeded),
-    Sentence(r"In MuJoCo `lab-flexrrr` settles in (\d+) of (\d+) episodes", _in_mujoco),
     Sentence(r"The PD settles after ([\d.]+) s", _pd_settles),
 )
-DEFINITIONS = (  # with numbers of the named environments, of the metrics and of cases of the verification
+DEFINITIONS = (  # with numbers of environments, metrics, cases of the verification, certificates and other plants
+    Sentence(r"(\d+) of (\d+) exceed one of the limits", _exceeded),
+    Sentence(r"In MuJoCo `lab-flexrrr` settles in (\d+) of (\d+) episodes", _in_mujoco),
     Sentence(r"(\w+) environments, vectorised simulation", _count_of_environments),
     Sentence(r"damping ratio of ([\d.]+) %, that of the arm below, the amplitude halves only after (\d+) periods", _halving),
     Sentence(r"agrees to better than a micrometre \(([\d.]+) mm\)", _agreement),

@@ -18,11 +18,13 @@ from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.league.rows import VALUES, EpisodeRow, LeagueRows
 from flexman_gym.league.standings import Standings
 from studies.control.cases import ControlRow
+from studies.control.page import AGENTS as CONTROL_AGENTS
 from studies.control.page import page as control_page
 from studies.files import read_comments
 from studies.machine.measure import FitRow
 from studies.machine.page import page as machine_page
 from studies.readme import DEFINITIONS, SENTENCES, UNKNOWN, Sources, badges, readme, results, updated
+from studies.results import Results
 from studies.safety.measure import SafetyRow
 from studies.safety.page import cells as safety_cells
 from studies.servos.measure import FrictionRow, ServoRow
@@ -34,11 +36,14 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 SETTINGS = ROOT / "mkdocs.yml"
 DRAWN = {"README": 40, "control": 12, "machine": 4, "safety": 12, "servos": 12}  # numbers by page
 SENTENCE_FILES = {
+    "baselines": "baselines.csv",
     "learning": "learning.csv",
     "benchmark": "benchmark.csv",
     "machine": "machine.csv",
+    "safety": "safety.csv",
     "verification": "verification.csv",
 }  # attribute of the sources -> file
+CONTROL_SCENARIOS = [f"{DEFAULT_ID}/{end}" for end in ("unknown", "unknown-lab", "uncertain", "unmodelled")]
 NUMBER = re.compile(r"(?<![\w.`/=-])\d[\d,]*(?:\.\d+)?(?:e[+-]\d+)?(?![\w`/])")
 
 
@@ -182,11 +187,20 @@ def sources():
     result += [
         ("README", Source(file, getattr(known, name), of_sentences(name))) for name, file in SENTENCE_FILES.items()
     ]
+    uncertain = known.rows("control.csv", ControlRow)
+    shown = [row for row in league.rows.values() if row.agent in CONTROL_AGENTS and row.scenario in CONTROL_SCENARIOS]
+
+    def control_of(rows):
+        other = Results()
+        vars(other)["standings"] = Standings(LeagueRows(rows, league.cells.values()))
+        return control_page(uncertain, other)
+
+    result.append(("control", Source("rows.csv", shown, control_of)))
     machine = read_comments(known.path("machine.csv"))
     servos = read_comments(known.path("servos.csv"), known.path("servos_friction.csv"))
     rubbing = known.rows("servos_friction.csv", FrictionRow)
     for name, kind, text in (
-        ("control", ControlRow, control_page),
+        ("control", ControlRow, lambda rows: control_page(rows, known.results)),
         ("machine", FitRow, lambda rows: machine_page(rows, machine)),
         ("safety", SafetyRow, lambda rows: "\n".join(safety_cells(rows))),
         ("servos", ServoRow, lambda rows: servos_page(rows, rubbing, servos)),
@@ -210,9 +224,10 @@ def test_the_numbers_of_readme_and_pages_are_those_of_the_rows():
 
 
 def test_every_number_of_a_sentence_of_the_readme_is_computed():
-    text = re.sub(r"^```.*?^```|^\|.*?$|\]\([^)]*\)", "", README, flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(r"^```.*?^```|^\|.*?$", "", README, flags=re.DOTALL | re.MULTILINE)
     for sentence in (*SENTENCES, *DEFINITIONS):
         text = re.sub(sentence.pattern.replace(" ", r"\s+"), "", text)
+    text = re.sub(r"\]\([^)]*\)", "", text)
     assert [*NUMBER.findall(text)] == ["3.11", "3.12", "3.13"]  # versions of Python
 
 
