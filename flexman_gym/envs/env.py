@@ -91,7 +91,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         ("" or its cause), method (name of the integration method), tip and target (m), goal_angles (rad, of the
         motors); with a randomisation also drawn, a dict of the values drawn for the episode (see `ActiveEffects`); with
         limits of strain, spring torque or workspace or with margins also limits and cost (see `Limits`); with
-        safety=True also safety_status and safety_change (see `SafetyFilter`).
+        safety=True (extra `mpc`) also safety_status and safety_change (see `SafetyFilter`).
 
     Fidelity
         By default the model has two elements per link and the component modes below half the control rate, 16 of 36

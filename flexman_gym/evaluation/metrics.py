@@ -153,7 +153,7 @@ def evaluate(
         agent: name of a baseline or a shipped policy, folder of a run, Controller, or another object of `find_agent`.
         environment: id, id and condition such as "FlexRRR-v0/delay", path of a file, or Configuration.
         seeds: seeds of the episodes; a number n <= 100 stands for the first n test seeds.
-        safety: True to run the agent with the setting safety=True of the environment.
+        safety: True to run the agent with the setting safety=True of the environment, which needs the extra `mpc`.
 
     Returns:
         Metrics by name. Means: reward, roughness and effort; medians: settling_time (s), vibration (m), error (m) and

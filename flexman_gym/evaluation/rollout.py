@@ -208,7 +208,7 @@ def rollout(
         set_plant: function that makes the simulated `Batch` use another simulation of the arms, see
             `league.scenarios.PLANTS`; None for the integrator of the environment.
         options: options of the reset, such as start, goal and physical parameters, of all or of each of the arms.
-        safety: True to run the agent with the setting safety=True of the environment.
+        safety: True to run the agent with the setting safety=True of the environment, which needs the extra `mpc`.
 
     Returns:
         Records of b episodes of at most T control periods: tips (b, T + 1, 3) m, errors (b, T + 1) m, torques

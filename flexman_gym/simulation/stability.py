@@ -96,8 +96,8 @@ def amplitude_range(method: IteratedGauss, angle: float) -> tuple[float, float]:
     """Return the bounds of amplitude / initial amplitude of an undamped vibration under the corrected midpoint rule.
 
     The amplitude is sqrt(q^2 + (v / omega)^2). A step with the matrix [[1 + w/2, 1 + w/4], [w, 1 + w/2]] for q and h v
-    keeps -w q^2 + (1 + w/4) (h v)^2, an ellipse beside the circle of equal amplitudes: the amplitude oscillates between
-    the half axes of the ellipse, by about (omega h)^2 / 12, and neither decays nor grows.
+    keeps -w q^2 + (1 + w/4) (h v)^2, an ellipse in place of the circle of equal amplitudes: the amplitude oscillates
+    between the half axes of the ellipse, by at most (omega h)^2 / 12, and neither decays nor grows.
 
     Args:
         method: midpoint rule (one stage) with or without correction.

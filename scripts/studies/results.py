@@ -44,11 +44,10 @@ class Results:
 
     def find(self, agent: str, scenario: str) -> Baseline | None:
         """Return the metrics of an agent in a scenario, as those of a baseline; None without rows."""
-        if not self.standings.why(agent, scenario):
-            values = (np.array([*self.standings.values(agent, scenario, name).values()]) for name in SHOWN)
-            metrics = (METRICS[name].aggregate(each) for name, each in zip(SHOWN, values, strict=True))
-            episodes = len(self.standings.values(agent, scenario, SHOWN[0]))
-            return Baseline(scenario, agent, *metrics, episodes=episodes)
+        values = {name: [*self.standings.values(agent, scenario, name).values()] for name in SHOWN}
+        if episodes := len(values[SHOWN[0]]):
+            metrics = {name: METRICS[name].aggregate(np.array(each)) for name, each in values.items()}
+            return Baseline(scenario, agent, **metrics, episodes=episodes)
         names = [name for name, each in BASELINES.items() if each == agent]
         return self._measured.get((scenario, names[0])) if names else None
 

@@ -77,6 +77,28 @@ def test_links_and_pictures_lead_somewhere(page):
     assert list(wrong_links(page)) == []
 
 
+FOLDERS = ("docs", "scripts", "tests", "agents", "flexman_gym")
+FILE_NAME = re.compile(rf"(?<![\w./-])(?:{'|'.join(FOLDERS)})/[\w./-]+\.(?:md|py|csv|yaml|yml|js|json|npz|svg|png)\b")
+
+
+def missing_files(text):
+    """Return the names of files of the repository in a text without such a file; a name in capitals is a pattern."""
+    names = (name for name in FILE_NAME.findall(text) if not re.search(r"/[A-Z]+\.", name))
+    return {name for name in names if not (ROOT / name).exists()}
+
+
+def test_files_that_pages_and_sources_name_exist():
+    """Tests name files that they make; they are not read."""
+    sources = [path for folder in FOLDERS if folder != "tests" for path in (ROOT / folder).rglob("*.py")]
+    for path in [*FILES, *sources, *(ROOT / "flexman_gym").rglob("*.yaml"), ROOT / "mkdocs.yml"]:
+        assert missing_files(path.read_text(encoding="utf-8")) == set(), path
+
+
+def test_missing_files_are_found():
+    text = "See `docs/no_page.md`, `docs/theory.md`, own/docs/no.md, agents/recipes/NAME.yaml and tests/nothing/test_no.py."
+    assert missing_files(text) == {"docs/no_page.md", "tests/nothing/test_no.py"}
+
+
 def test_wrong_links_are_found():
     texts = {"docs/index.md": "# One `two`, three\n[a](no.md) ![b](arm.png) [c](#one-two-three) [d](#four) `[e](f)`\n"
              "[g](../README.md) [h](theory.md#a-link) [i](theory.md#nothing) [j](https://nowhere)\n",

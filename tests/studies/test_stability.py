@@ -12,11 +12,13 @@ import flexman_gym as fm
 from flexman_gym.model.beam import build_beam
 from flexman_gym.model.component_modes import LoadedModes, outboard_inertias
 from flexman_gym.model.dynamics import stiffness_matrix
-from flexman_gym.simulation.stability import amplification_factors, spectral_radii, stability_limit
+from flexman_gym.simulation.stability import amplification_factors, amplitude_range, spectral_radii, stability_limit
+from studies.files import read_rows
 from studies.methods import explicit_methods, fixed_step_methods, vibration_factor
 from studies.stability.measure import (
     SPIN_STIFFENED,
     SPRINGS,
+    StabilityRow,
     grows,
     growth_per_step,
     measured_limit,
@@ -26,6 +28,7 @@ from studies.stability.measure import (
     small_vibration,
     spin_case,
 )
+from studies.stability.page import ROTORS, amplitude_bounds
 from studies.stability.rows import (
     FREQUENCY,
     IN_PERIODS,
@@ -36,6 +39,8 @@ from studies.stability.rows import (
     limit_rows,
     map_rows,
 )
+
+from oracles.files import ROOT
 
 
 @cache
@@ -253,6 +258,20 @@ def test_a_tiny_rotor_on_a_stiff_spring_stops_an_explicit_method_and_ros2_is_rig
 
 
 # rows, charts and page
+
+
+@pytest.mark.parametrize("method", ["midpoint_corrected_2", "midpoint_corrected_3"])
+def test_measured_amplitudes_of_the_corrected_midpoint_rule_are_within_the_bounds_of_theory(method):
+    """Rows of the modes of an arm; they would leave the bounds within 10 s if the vibrations decayed or grew."""
+    rows = read_rows(ROOT / "docs" / "evidence" / "stability.csv", StabilityRow)
+    kept = select(rows, study=ROTORS, quantity=KEPT, method=method)
+    assert len(kept) >= 12
+    for row in kept:
+        fine = select(rows, study=ROTORS, quantity=FREQUENCY, method="gauss_3", parameter=row.parameter)
+        frequency = min(fine, key=lambda each: each.step).value
+        low, high = amplitude_range(fm.METHODS[method], 2.0 * np.pi * frequency * row.step)
+        assert low - 1e-3 <= row.value <= high + 1e-3, row
+    assert amplitude_bounds(rows, 0.02)[1] > max(row.value for row in select(kept, parameter=2.0)) > 1.05
 
 
 def test_maps_show_failures_and_survivors():

@@ -122,7 +122,7 @@ N m. The errors are those of the method alone; the reference is `dop853` with th
 energy are larger after 1 s than after 3 s, those of the tip smaller.
 
 The method has no numerical damping: the amplitude of an undamped vibration of the linear arm neither decays nor grows,
-but oscillates by (omega h)^2 / 12, its energy by (omega h)^2 / 6 ([stability](stability.md)). Its correction of the
+but oscillates by at most (omega h)^2 / 12, its energy by at most (omega h)^2 / 6 ([stability](stability.md)). Its correction of the
 phase error does not contain Coulomb friction or centrifugal softening. `gym.make("FlexRRR-v0",
 step=0.005)` shortens the step, and `fidelity="auto"` with a tolerance chooses anew: [choices](fidelity.md). The rows
 also have {others} other methods and steps."""

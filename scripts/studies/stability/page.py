@@ -41,7 +41,7 @@ frequency times step, `extrapolated_euler_3` amplifies a vibration by up to {gro
 
 {table}
 
-Under `{default}` the amplitude oscillates without decay or growth, by (omega h)^2 / 12. Its bounds at 20 ms are
+Under `{default}` the amplitude oscillates without decay or growth, by at most (omega h)^2 / 12. Its bounds at 20 ms are
 {low:.4g} and {high:.4g} %; the table shows one instant.
 
 Without stiffening a spinning link diverges above {spin:.2f} rad/s with any method, as theory predicts; with

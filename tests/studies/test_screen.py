@@ -1,0 +1,45 @@
+"""Tests of pages of one screen: the mark of numbers that wait for new rows."""
+
+import re
+
+import pytest
+
+from studies.files import WAITING, read_comment, split_waiting
+from studies.screen import MARK, index, screen
+
+from oracles.files import ROOT
+
+EVIDENCE = ROOT / "docs" / "evidence"
+COMPUTER, REASON = "processor A, flexman_gym 0.1.0", "the kernels have changed since"
+WAITS = {path.stem: split_waiting(read_comment(path))[1] for path in sorted(EVIDENCE.glob("*.csv"))}
+
+
+def page(comment):
+    """Return a page of two files of rows, of which one has a comment."""
+    return screen("Title", "Question?", "**Answer of 3 mm.**", "Body", {"a.csv": comment, "b.csv": COMPUTER}, "study")
+
+
+def test_a_comment_is_split_into_computer_and_reason():
+    assert split_waiting(f"{COMPUTER}; {WAITING}{REASON}") == (COMPUTER, REASON)
+    assert split_waiting(COMPUTER) == (COMPUTER, "")
+
+
+def test_a_page_whose_rows_wait_for_new_ones_is_marked_below_its_answer_and_in_the_index(tmp_path):
+    texts = {"new": page(COMPUTER), "old": page(f"{COMPUTER}; {WAITING}{REASON}")}
+    assert texts["old"].replace(f"*Waiting for new rows: {REASON}.*\n\n", "") == texts["new"]
+    assert f"**Answer of 3 mm.**\n\n*Waiting for new rows: {REASON}.*\n\nBody" in texts["old"]
+    for name, text in texts.items():
+        (tmp_path / f"{name}.md").write_text(text, encoding="utf-8")
+    items = dict(re.findall(r"\]\((\w+)\.md\): (.*)$", index(sorted(tmp_path.glob("*.md"))), re.MULTILINE))
+    assert items == {"new": "Answer of 3 mm.", "old": f"Answer of 3 mm {MARK}."}
+
+
+@pytest.mark.parametrize("name", [name for name in WAITS if (EVIDENCE / f"{name}.md").exists()])
+def test_a_published_page_is_marked_if_and_only_if_its_rows_wait(name):
+    text = " ".join((EVIDENCE / f"{name}.md").read_text(encoding="utf-8").split())
+    assert (f"*Waiting for new rows: {WAITS[name]}.*" in text) == ("Waiting for new rows" in text) == bool(WAITS[name])
+
+
+def test_the_speed_in_the_readme_is_marked_as_its_rows_are():
+    text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    assert text.count("; waiting for new rows)") == 2 * bool(WAITS["benchmark"])
