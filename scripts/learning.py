@@ -52,7 +52,8 @@ def main() -> int:
     file = evidence / "learning.csv"
     if (evidence / CURVES).is_file():
         pictures(read_rows(evidence / CURVES, Point), evidence)
-    (options.folder / "results.md").write_text(page(read_rows(file, LearningRow), read_comment(file), Results()), encoding="utf-8")
+    text = page(read_rows(file, LearningRow), read_comment(file), Results())
+    (options.folder / "results.md").write_text(text, encoding="utf-8")
     return 0
 
 

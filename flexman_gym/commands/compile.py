@@ -1,6 +1,7 @@
 """Compile the kernels ahead of the first environment.
 
-This takes about a minute of CPU time on each of two cores, longer on busy ones. The machine code is kept in a cache, from where later runs load it.
+This takes about a minute of CPU time, longer on busy cores. The machine code is kept in a cache, from where later runs
+load it.
 """
 
 import argparse

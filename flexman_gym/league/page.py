@@ -29,8 +29,8 @@ WELL = 0.95  # share of settled episodes at which an agent copes with a value of
 TEXT = """# League of controllers and policies
 
 All agents are evaluated in the same {episodes} of each scenario{few}. In `{known}`, an arm with
-flexible links, of {reach:g} m in total, moves its tip to a target and stops there. An episode lasts {horizon:g} s. It is
-settled if the tip stays within {band:.0f} mm of the target for at least the last second; an agent that needs longer
+flexible links, of {reach:g} m in total, moves its tip to a target and stops there. An episode lasts {horizon:g} s. It
+is settled if the tip stays within {band:.0f} mm of the target for at least the last second; an agent that needs longer
 settles nothing.
 
 ## Choose an agent
@@ -39,8 +39,8 @@ settles nothing.
 
 The best agents for each kind of information that they are given, with the share of settled episodes and the median
 settling time. *Action* is the CPU time for one action of one arm, of {block} simulated together, as the median over the
-scenarios. Agents with *true state and parameters* are oracles: they are given the true parameters or, as `optimised`, the
-nominal model and the starts and goals of the episodes in advance.
+scenarios. Agents with *true state and parameters* are oracles: they are given the true parameters or, as `optimised`,
+the nominal model and the starts and goals of the episodes in advance.
 
 {choice}
 
@@ -210,11 +210,14 @@ def _limits(standings: Standings) -> str:
             [f"`{short_name(names[0])}` {heads}", "-", *(_on_plants(standings, each, names) for each in agents)]
         )
     table = markdown_table(["swept", "given", *(f"`{each}`" for each in agents)], rows)
-    sweep = _count_text(*_counts(standings, (each for values in standings.sweeps.values() for each in values)).values())
-    plant = _count_text(*_counts(standings, (each for names in standings.plants.values() for each in names[1:])).values())
+    swept = (each for values in standings.sweeps.values() for each in values)
+    others = (each for names in standings.plants.values() for each in names[1:])
+    sweep, plant = (_count_text(*_counts(standings, scenarios).values()) for scenarios in (swept, others))
     chart = SWEEPS.format(chart=SWEEP_CHART, sweep=sweep) if standings.sweeps else ""
     plants = fill("; ".join(f"*@{name}*: {text}" for name, (text, _) in PLANTS.items()) + ".", 118)
-    return LIMITS.format(well=100.0 * WELL, sweep=sweep, plant=plant, table="\n".join(table), plants=plants, chart=chart).rstrip()
+    return LIMITS.format(
+        well=100.0 * WELL, sweep=sweep, plant=plant, table="\n".join(table), plants=plants, chart=chart
+    ).rstrip()
 
 
 def _on_plants(standings: Standings, agent: str, names: Sequence[str]) -> str:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 
-
 WORDS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 
 

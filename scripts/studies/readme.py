@@ -280,7 +280,7 @@ def _exceeded(sources: Sources) -> tuple[str, str]:
 
 
 def _in_mujoco(sources: Sources) -> tuple[str, str]:
-    """Return the numbers of settled and of all episodes of the policy for uncertain arms with the known arm in MuJoCo."""
+    """Return the numbers of settled and of all episodes of the policy `lab-flexrrr` with the known arm in MuJoCo."""
     times = [*sources.standings.values("lab-flexrrr", f"{DEFAULT_ID}@mujoco", "settling_time").values()]
     return str(np.isfinite(times).sum()), str(len(times))
 
@@ -307,8 +307,8 @@ SENTENCES = (  # with numbers of stored rows
         _steps,
     ),
     Sentence(
-        r"(\d+) of (\d+) moves of the known arm, by up to ([\d.]+) %, and (\d+) of (\d+) with all parameters uncertain, "
-        r"by up to ([\d.]+) %",
+        r"(\d+) of (\d+) moves of the known arm, by up to ([\d.]+) %, "
+        r"and (\d+) of (\d+) with all parameters uncertain, by up to ([\d.]+) %",
         _violations,
     ),
     Sentence(r"the second hub angle is not predicted \(R2 (-[\d.]+)", _second_hub),
@@ -318,7 +318,9 @@ DEFINITIONS = (  # with numbers of environments, metrics, cases of the verificat
     Sentence(r"(\d+) of (\d+) exceed one of the limits", _exceeded),
     Sentence(r"In MuJoCo `lab-flexrrr` settles in (\d+) of (\d+) episodes", _in_mujoco),
     Sentence(r"(\w+) environments, vectorised simulation", _count_of_environments),
-    Sentence(r"damping ratio of ([\d.]+) %, that of the arm below, the amplitude halves only after (\d+) periods", _halving),
+    Sentence(
+        r"damping ratio of ([\d.]+) %, that of the arm below, the amplitude halves only after (\d+) periods", _halving
+    ),
     Sentence(r"agrees to better than a micrometre \(([\d.]+) mm\)", _agreement),
     Sentence(r"within (\d+) s the tip of a large-rotation model", _duration),
     Sentence(r"the tip of the ([\d.]+) m arm of `FlexRRR-v0`", _reach),

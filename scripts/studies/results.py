@@ -1,4 +1,4 @@
-"""Results of agents without training on the test episodes, each from one stored row: all pages print the same number."""
+"""Results of agents on the test episodes, each from one stored row, so that all pages print the same number."""
 
 from functools import cached_property
 from pathlib import Path

@@ -44,7 +44,8 @@ def screen(title: str, question: str, answer: str, body: str, rows: Mapping[str,
     links = " and ".join(f"[{file}]({file})" for file in rows)
     parts = [split_waiting(comment) for comment in rows.values()]
     computer = "; ".join(dict.fromkeys(each for each, _ in parts))
-    answer = "\n\n".join([answer, *(WAIT.format(reason) for reason in dict.fromkeys(each for _, each in parts) if reason)])
+    reasons = dict.fromkeys(reason for _, reason in parts if reason)
+    answer = "\n\n".join([answer, *map(WAIT.format, reasons)])
     text = PAGE.format(title=title, question=question, answer=answer, body=body.strip("\n"), rows=links,
                        computer=computer, study=study)  # fmt: skip
     return HIDDEN + "\n\n".join(map(_wrapped, text.split("\n\n"))) + "\n"

@@ -95,7 +95,7 @@ def test_files_that_pages_and_sources_name_exist():
 
 
 def test_missing_files_are_found():
-    text = "See `docs/no_page.md`, `docs/theory.md`, own/docs/no.md, agents/recipes/NAME.yaml and tests/nothing/test_no.py."
+    text = "`docs/no_page.md`, `docs/theory.md`, own/docs/no.md, agents/recipes/NAME.yaml and tests/nothing/test_no.py."
     assert missing_files(text) == {"docs/no_page.md", "tests/nothing/test_no.py"}
 
 

@@ -384,13 +384,14 @@ def test_a_linear_vibration_keeps_all_of_its_amplitude_however_stiff(method):
 @pytest.mark.parametrize("method", ["midpoint_3", "midpoint_corrected_3"])
 @pytest.mark.parametrize("angle", [0.3, 1.2])
 def test_the_amplitude_of_a_linear_vibration_oscillates_within_its_bounds_and_reaches_them(method, angle):
-    """One rigid link on a spring, whose motor is held, is exactly linear; the first bound is the initial amplitude."""
+    """One rigid link on a spring is exactly linear; at the largest deflection the amplitude is the smallest."""
     stiffness, inertia = 5.0, 0.0155 + 0.2 * 0.15**2
     link = fm.Link.rigid(length=0.3, mass=0.2, centre=(0.15, 0.0, 0.0), inertia=np.diag([0.0, 0.0155, 0.0155]))
     arm = fm.Arm([link], [fm.Joint((0.0, 0.0, 1.0), passive=True, stiffness=stiffness)])
     omega = np.sqrt(stiffness / inertia)
     step = angle / omega
-    scene = fm.Scene(arm, fm.ModelChoice(False, 1), fm.ConstantTorque([0.0]), fm.Initial([0.2], [0.0]), 400 * step, step)
+    choice, start = fm.ModelChoice(False, 1), fm.Initial([0.2], [0.0])
+    scene = fm.Scene(arm, choice, fm.ConstantTorque([0.0]), start, 400 * step, step)
     states = fm.simulate(scene, method=method, step=step).states
     amplitude = np.hypot(states[:, 0], states[:, 1] / omega) / 0.2
     low, high = amplitude_range(METHODS[method], angle)

@@ -5,16 +5,17 @@ import re
 
 import numpy as np
 import pytest
-from environments import BASELINE_FILE, ERROR_FILE
+from environments import ERROR_FILE
 
 import flexman_gym as fm
 from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import TASKS
 from studies.environments.family import FAMILIES, family_page
 from studies.environments.gallery import gallery_page, tasks_page
-from studies.environments.measure import BASELINES, LONG_NAME, SEEDS, Baseline, ModelError, accuracy, baseline_rows, run
+from studies.environments.measure import BASELINES, LONG_NAME, SEEDS, ModelError, accuracy, baseline_rows, run
 from studies.environments.text import SECTIONS, baseline_table, docstring_sections, length
 from studies.files import read_rows
+from studies.results import Results
 
 from oracles.files import ROOT
 
@@ -24,8 +25,8 @@ COMMAND = "python scripts/environments.py --folder docs/environments --redraw"
 
 @pytest.fixture(scope="module")
 def baselines():
-    """Return the stored metrics of the baselines."""
-    return read_rows(PAGES / BASELINE_FILE, Baseline)
+    """Return the stored metrics of the baselines, as on all pages."""
+    return Results().baselines()
 
 
 @pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
@@ -70,10 +71,10 @@ def test_a_moving_picture_is_480_pixels_wide_and_holds_its_last_frame(name):
 
 @pytest.mark.parametrize("baseline", ["PD", "tracking LQR"])
 def test_a_row_of_a_slew_has_what_evaluate_gives(baseline, baselines):
-    (row,) = [each for each in baselines if (each.environment, each.baseline) == ("FlexRRR-v0", baseline)]
-    found = fm.evaluate(BASELINES[baseline], "FlexRRR-v0", SEEDS)
-    assert (row.settled, row.failed) == (found["settled"], found["failed"])
-    assert row.vibration == pytest.approx(found["vibration"], rel=0.01)
+    (row,) = [each for each in baselines if (each.environment, each.baseline) == ("FlexOne-v0", baseline)]
+    found = fm.evaluate(BASELINES[baseline], "FlexOne-v0", SEEDS)
+    assert (row.settled, row.failed, row.episodes) == (found["settled"], found["failed"], len(SEEDS))
+    assert row.settling_time == pytest.approx(found["settling_time"], abs=0.02)
 
 
 def test_the_pd_that_does_not_settle_in_its_episodes_settles_in_longer_ones(baselines):
@@ -85,6 +86,7 @@ def test_the_pd_that_does_not_settle_in_its_episodes_settles_in_longer_ones(base
 def test_metrics_of_a_task_without_settling_are_those_of_its_records():
     runs = {baseline: run("FlexPlanar-Hold-v0", agent) for baseline, agent in BASELINES.items()}
     rows = baseline_rows("FlexPlanar-Hold-v0", runs)
+    assert all(f"Over {len(SEEDS)} test episodes" in line for line in baseline_table("FlexPlanar-Hold-v0", rows)[:1])
     table = baseline_table("FlexPlanar-Hold-v0", rows)
     for row, each in zip(rows, runs.values(), strict=True):
         error = np.quantile(np.sqrt(np.nanmean(each.errors**2, axis=1)), 0.5, method="higher")

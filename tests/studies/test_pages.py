@@ -31,10 +31,10 @@ from studies.planted.page import page as planted_page
 from studies.precision.measure import Floor, PrecisionRow
 from studies.precision.page import page as precision_page
 from studies.readme import replaced_part
+from studies.results import Results
 from studies.ringdown.measure import PERIOD, Errors, RingDownRow
 from studies.ringdown.page import accuracy_page
 from studies.ringdown.page import page as ringdown_page
-from studies.results import Results
 from studies.robust.measure import RobustRow
 from studies.robust.page import page as robust_page
 from studies.safety.learning import LearningRow

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from flexman_gym.envs import NAMED_ENVIRONMENTS
+from flexman_gym.league.page import _page_text
 from flexman_gym.league.rows import LeagueRows
 from flexman_gym.league.standings import Standings
 from flexman_gym.metrics import upper_median
@@ -20,6 +21,9 @@ from oracles.files import ROOT
 PAGES = {name: (ROOT / name).read_text(encoding="utf-8")
          for name in ("README.md", "docs/results.md", "docs/environments/index.md", "docs/environments/FlexRRR.md",
                       "docs/evidence/control.md", "docs/league/league.md")}  # fmt: skip
+
+
+FEW = "lqr", "FlexRRR-v0"  # agent and scenario with fewer episodes
 
 
 @pytest.fixture(scope="module")
@@ -44,21 +48,34 @@ def test_a_result_of_the_league_is_the_upper_median_of_its_rows(results):
     assert results.find("hinf", "FlexRRR-Track-v0") is None and results.find("zero", "FlexOne-v0") is not None
 
 
-@pytest.mark.parametrize(
-    ("agent", "scenario", "places"),
-    [
-        ("pd", "FlexRRR-v0", {"README.md": r"`pd`: [^|]*\|[^|]*\| 0 % \| (\d+) mm", "docs/results.md": r"`pd` \| FlexRRR-v0 .*?- \| (\d+) \|",
-                              "docs/environments/FlexRRR.md": r"\| PD \| 0% \| - \| (\d+) mm"}),
-        ("lab-flexrrr", "FlexRRR-v0/unknown-lab", {"README.md": r"`lab-flexrrr`.*100 %, ([\d.]+) s", "docs/league/league.md": r"half of them within ([\d.]+) s",
-                                                   "docs/evidence/control.md": r"one period of delay .*, ([\d.]+) s \|$"}),
-        ("lqr-tracking", "FlexRRR-v0", {"README.md": r"`lqr-tracking`[^|]*\|[^|]*\| 100 %, ([\d.]+) s", "docs/results.md": r"`lqr-tracking` \| FlexRRR-v0 \|[^|]*\| 100 % \| ([\d.]+)",
-                                        "docs/environments/index.md": r"^\| \[FlexRRR-v0\].*100% after ([\d.]+) s",
-                                        "docs/environments/FlexRRR.md": r"\| tracking LQR \| 100% \| ([\d.]+) s"}),
-        ("pd", "FlexRRR-Track-v0", {"docs/results.md": r"`FlexRRR-Track-v0` \| (\d+) mm", "docs/environments/index.md": r"^\| \[FlexRRR-Track-v0\].*?RMS error (\d+) mm"}),
-    ],
-)  # fmt: skip
-def test_a_number_is_the_same_on_all_pages(agent, scenario, places):
-    """Each pattern finds the number of the quantity on a page."""
+README, RESULTS, LEAGUE = "README.md", "docs/results.md", "docs/league/league.md"
+GALLERY, FAMILY, CONTROL = "docs/environments/index.md", "docs/environments/FlexRRR.md", "docs/evidence/control.md"
+PLACES = {  # quantity -> page -> pattern of its number
+    "vibration of pd in FlexRRR-v0": {
+        README: r"`pd`: [^|]*\|[^|]*\| 0 % \| (\d+) mm",
+        RESULTS: r"`pd` \| FlexRRR-v0 .*?- \| (\d+) \|",
+        FAMILY: r"\| PD \| 0% \| - \| (\d+) mm",
+    },
+    "settling time of lab-flexrrr in unknown-lab": {
+        README: r"`lab-flexrrr`.*100 %, ([\d.]+) s",
+        LEAGUE: r"half of them within ([\d.]+) s",
+        CONTROL: r"one period of delay .*, ([\d.]+) s \|$",
+    },
+    "settling time of lqr-tracking in FlexRRR-v0": {
+        README: r"`lqr-tracking`[^|]*\|[^|]*\| 100 %, ([\d.]+) s",
+        RESULTS: r"`lqr-tracking` \| FlexRRR-v0 \|[^|]*\| 100 % \| ([\d.]+)",
+        GALLERY: r"^\| \[FlexRRR-v0\].*100% after ([\d.]+) s",
+        FAMILY: r"\| tracking LQR \| 100% \| ([\d.]+) s",
+    },
+    "RMS error of pd in FlexRRR-Track-v0": {
+        RESULTS: r"`FlexRRR-Track-v0` \| (\d+) mm",
+        GALLERY: r"^\| \[FlexRRR-Track-v0\].*?RMS error (\d+) mm",
+    },
+}
+
+
+@pytest.mark.parametrize("places", PLACES.values(), ids=PLACES)
+def test_a_number_is_the_same_on_all_pages(places):
     found = {page: re.search(pattern, PAGES[page], re.MULTILINE) for page, pattern in places.items()}
     assert all(found.values()), found
     assert len({match[1] for match in found.values()}) == 1, {page: match[1] for page, match in found.items()}
@@ -73,12 +90,12 @@ def test_the_number_of_episodes_on_a_page_is_that_of_its_rows(results):
 
 def test_the_page_of_the_league_has_the_numbers_of_episodes_of_its_rows(results):
     """Sweeps and other plants may have fewer episodes than scenarios, and single agents fewer than others."""
-    from flexman_gym.league.page import _page_text
 
-    few = {key: row for key, row in results.standings.results.rows.items() if "=" not in row.scenario or row.seed < 9003}
-    few = {key: row for key, row in few.items() if "@" not in row.scenario or row.seed < 9006}
-    few = {key: row for key, row in few.items() if (row.agent, row.scenario) != ("lqr", "FlexRRR-v0") or row.seed < 9050}
-    text = _page_text(Standings(LeagueRows(few.values(), results.standings.results.cells.values())))
+    def end(row):
+        return 9003 if "=" in row.scenario else 9006 if "@" in row.scenario else 9050 if row[1:3] == FEW else 9100
+
+    rows = [row for row in results.standings.results.rows.values() if row.seed < end(row)]
+    text = _page_text(Standings(LeagueRows(rows, results.standings.results.cells.values())))
     words = " ".join(text.split())
     assert "the same 100 episodes of each scenario (" in words and "`lqr` in `FlexRRR-v0`: 50" in words
     assert "at least 95 % of the 3 episodes settle" in words and "of the same 6 episodes in other simulations" in words

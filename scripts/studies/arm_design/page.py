@@ -20,14 +20,14 @@ BODY = """{picture}
 
 {table}
 
-The arm is that of `FlexRRR-v0` with the corrected area of link 1 (`link1_area="corrected"`, 0.0028 m^2); the paper prints
-an area ten times as large, which `FlexRRR-v0` has. With the gains of `FlexRRR-v0` it settles in {named:.1f} s. `flexman optimise arm FILE --sections {sections}` varies the sections between
-half and twice the given thickness, both dimensions alike. The arms have at most the given mass. Gears are between half
-and twice the given ratios and multiply the torque limits.
+The arm is that of `FlexRRR-v0` with the corrected area of link 1, `link1_area="corrected"`; the printed one is ten
+times too large. With the gains of `FlexRRR-v0` it settles in {named:.1f} s. `flexman optimise arm FILE --sections
+{sections}` varies the sections between half and twice the given thickness. The arms have at
+most the given mass. Gears are between half and twice the given ratios and multiply the torque limits.
 
-The claim is that of a linear model: held motors and zero joint angles for the frequency, two goal postures for the
-settling time. Optima are local. Stress and buckling are not limited, and motors do not saturate in the model. The
-simulated settling times, of slews of at most {horizon:g} s, are those of the nonlinear arm with torque limits."""
+The claim is that of a linear model: held motors at zero angles for the frequency, two goals for the settling time.
+Optima are local. Stress and buckling are not limited, and motors do not saturate in the model. The simulated settling
+times, of slews of at most {horizon:g} s, are those of the nonlinear arm with torque limits."""
 
 
 def page(rows: Sequence[DesignRow], profiles: Sequence[ProfileRow], files: Mapping[str, str]) -> str:

@@ -18,8 +18,8 @@ PAGE = """# Controllers of arms with uncertain parameters
 | arms | `privileged-lqr` | `adaptive-lqr` | `lab-flexrrr` |
 {table}
 
-Slews: share of the {episodes} test episodes that settle, and median settling time; those of `FlexRRR-v0` are rows of the
-[league](../league/league.md). *Track* and *Hold*: RMS tip error after 2 s. A dash: not run in this study.
+Slews: share of the {episodes} test episodes that settle, and median settling time; those of `FlexRRR-v0` are rows of
+the [league](../league/league.md). *Track* and *Hold*: RMS tip error after 2 s. A dash: not run in this study.
 
 - `privileged-lqr` is given the true state and parameters, which hardware cannot measure.
 - `adaptive-lqr` is given the model, the ranges of the uncertain parameters and the noise. It estimates the parameters
@@ -48,7 +48,7 @@ ARMS = {  # row of the table -> end of the names of its cases
 GIVEN = ("delay of 0 to 2 periods", "friction within a half", "biased readings", "three times the noise")
 NOT_GIVEN = ("finer arm", "changed payload", "unmodelled friction", "unmodelled biases", "20 % of samples lost",
              "measurements a period late")  # fmt: skip
-EXTREME, EFFECT, ARM = "uncertain: ", "unmodelled: ", "random arm "  # parts of the names of cases
+FEWER = "uncertain: ", "unmodelled: ", "random arm "  # parts of the names of cases with fewer episodes
 WIDTH = 118  # characters of a line
 WELL = 0.95  # share of settled episodes from which a case counts as settled
 
@@ -56,11 +56,11 @@ WELL = 0.95  # share of settled episodes from which a case counts as settled
 def page(rows: Sequence[ControlRow], results: Results) -> str:
     """Return the page as Markdown; rows of slews that the league has too are those of the league."""
     by_case = {row.case: _known(row, results) for row in rows}
-    counts = [_counts(row for case, row in by_case.items() if word in case) for word in (EXTREME, EFFECT, ARM)]
+    counts = [_counts(row for case, row in by_case.items() if word in case) for word in FEWER]
     table = [[arms, *(_cell(_find(by_case, agent, end)) for agent in AGENTS)] for arms, end in ARMS.items()]
     return HIDDEN + PAGE.format(
         opening=_opening(by_case),
-        episodes=_counts(row for case, row in by_case.items() if not any(word in case for word in (EXTREME, EFFECT, ARM))),
+        episodes=_counts(row for case, row in by_case.items() if not any(word in case for word in FEWER)),
         few=" or ".join(dict.fromkeys(counts[:2])),
         random=counts[2],
         table="\n".join(markdown_table(["---"] * 4, table)[1:]),

@@ -10,17 +10,17 @@ from studies.drive.measure import FAULTS, LOOPS, FaultRow, LoopRow, RoundTripRow
 from studies.screen import screen
 
 QUESTION = "Does an agent move a machine in real time as in a simulation, and what happens if a part of the loop fails?"
-ANSWER = """**With real-time priority `{0}` settles in {1} and `{2}` in {3} (medians of {6}), and {4} of {5} faults end at
-rest within the limits.**"""
+ANSWER = """**With real-time priority `{0}` settles in {1} and `{2}` in {3} (medians of {6}), and {4} of {5} faults
+end at rest within the limits.**"""
 BODY = """{table}
 
-The simulated machine is a process of its own behind UDP. *At rest*: all motors below {rest:.1%} of the limit of
+The simulated machine runs behind UDP. *At rest*: all motors below {rest:.1%} of the limit of
 their rate. Load average of the two cores: {load}. *Missed*: torques too late for their period.
 
 {loops}
-- **Without priority**: {free}.
-- **1 % of the packets lost**: {lost}.
-- **Torques from their arrival**: {arrival}.
+- **Without priority** ({free_count}): {free}.
+- **1 % of the packets lost** ({lost_count}): {lost}.
+- **Torques from their arrival** ({arrival_count}): {arrival}.
 - **Round trip**: `fm.fit` finds a stiffness changed by 20 % within {fit:.2%}."""
 LOOP = """- **`{agent}`, {rate:.0f} Hz**: late by {late:.4f} ms (median; at most {most:.2g} ms), torques {delay:.1f} ms
   later, {missed} missed; vibration {vibration:.2g} mm (simulation {simulated:.2g} mm)."""
@@ -35,12 +35,13 @@ def page(
     main = [each["real-time priority"] for each in (first, second)]
     rested = [row for row in faults if np.isfinite(row.rest)]
     words = [word for row in main for word in (row.agent, f"{row.settled:.2f} s ({_simulated(row)})")]
-    text = {
-        name: "; ".join(f"`{each[condition].agent}` {_outcome(each[condition])}" for each in (first, second))
-        for name, condition in (
-            ("free", "no priority"), ("lost", "1 % of the packets lost"), ("arrival", "torques from their arrival"),
-        )
-    }  # fmt: skip
+    text = {}
+    for name, condition in (
+        ("free", "no priority"), ("lost", "1 % of the packets lost"), ("arrival", "torques from their arrival"),
+    ):  # fmt: skip
+        own = [each[condition] for each in (first, second)]
+        text[name] = "; ".join(f"`{row.agent}` {_outcome(row)}" for row in own)
+        text[f"{name}_count"] = _episodes(min(row.episodes for row in own))
     loads = [row.load for row in loops]
     body = BODY.format(
         table="\n".join(markdown_table(("fault", "reported", *(f"at rest, {row.environment}" for row in main)),
@@ -67,7 +68,7 @@ def _loop(row: LoopRow) -> str:
 def _outcome(row: LoopRow) -> str:
     stopped = f", stopped in {row.stopped:.0f} of {row.episodes:.0f}" if row.stopped else ""
     settled = f"{row.settled:.2f} s" if np.isfinite(row.settled) else "not settled"
-    return f"{settled}{stopped} ({row.missed:.2%} missed, {_episodes(row.episodes)})"
+    return f"{settled}{stopped} ({row.missed:.2%} missed)"
 
 
 def _episodes(count: float) -> str:

@@ -273,9 +273,10 @@ def _machine() -> list[str]:
         "An aluminium block between the strips carries the second motor; a load is fixed to the end of strip 2.",
         "Each motor has an encoder, and each strip a strain gauge at its root. The tip is not measured.",
         "Lengths, sections, inertias and torque limits of the model are those of the manufacturer's data file.",
-        f"The Czech Technical University in Prague published records of its machine; {len(held_out)} runs are compared. "
-        f"Given the measured hub angle, the model with two fitted parameters explains {np.median(held_out):.3f} of the "
-        f"variance of the deflection in held-out runs (median), with the data sheet alone {np.median(sheet):.3f}.",
+        "The Czech Technical University in Prague published records of its machine; "
+        f"{len(held_out)} runs are compared. Given the measured hub angle, the model with two fitted parameters "
+        f"explains {np.median(held_out):.3f} of the variance of the deflection in held-out runs (median), with the "
+        f"data sheet alone {np.median(sheet):.3f}.",
         "Friction of the gears dominates small steps: from motor currents alone the angle of the second hub drifts.",
         "The environment has no friction by default; the setting `randomisation` adds it.",
         "[Comparison with the records](../evidence/machine.md); the arm itself is `fm.catalog.quanser_2dsfl()`.",

@@ -24,6 +24,8 @@ from flexman_gym.evaluation.policy_files import (
 )
 from flexman_gym.evaluation.rollout import TEST_SEEDS
 from flexman_gym.league import certificate
+from studies.environments.measure import Baseline
+from studies.files import split_waiting
 from studies.learning.measure import (
     ABLATED,
     ABLATION_SEEDS,
@@ -39,8 +41,6 @@ from studies.learning.measure import (
     LearningRow,
     environment,
 )
-from studies.environments.measure import Baseline
-from studies.files import split_waiting
 from studies.markdown import bullets
 from studies.results import Results
 

@@ -35,7 +35,7 @@ independent large-rotation code; the cost is CPU time on one core, best of {roun
 scenes the ratios differ. Exudyn's frame has two elements per link without foreshortening; ours, SoRoMoX and
 MuJoCo's pieces agree to millimetres.
 
-- A rigid arm costs {rigid:.2g} ms and is wrong by {far:.2g} m.
+- A rigid arm: {rigid:.2g} ms, wrong by {far:.2g} m.
 - MuJoCo's `discrete` integrator takes {discrete:.0%} of the amplitude of the lowest mode per second at {step:g} ms;
   our methods and the other integrators take less than {others:.0e} of it."""
 HEADS = ("code", "model", "method, step", "error, mm", "CPU ms per s")

@@ -66,16 +66,15 @@ error of {tip:.2g} mm three seconds after a release ({arms:g} arms); `ros2` at 5
 {old_tip:.3g} mm.**"""
 BODY = """{picture}
 
-{arms:g} arms of `FlexRRR-v0`, {few:g} for methods outside the batch kernels, start in random postures with free motors;
-the tips of all links are deflected by up to 5 cm.
-The reference is `dop853` at a tolerance of 1e-8 with the same model. The energy error is relative to the energy of
-the reference at the end or, if this is larger, to 2 % of the energy at the start.
+{arms:g} arms of `FlexRRR-v0` ({few:g} for methods without batch kernels) start in random postures, motors free, tips
+of all links deflected by up to 5 cm. The reference is `dop853` at a tolerance of 1e-8 with the same model. The energy
+error is relative to the energy of the reference at the end or, if this is larger, to 2 % of the energy at the start.
 
 - Without damping of the arm the median energy error of the default is {free:.2g} %, that of `ros2` {old_free:.2g} %.
 - Explicit methods fail on {failed} released arms at every tested step.{mujoco}
 
-The rows also have impulses at the tip and slews, all methods, and percentiles. [Accuracy](accuracy.md) has the
-default on other and more arms, whose medians differ."""
+[Accuracy](accuracy.md) has the default on other and
+more arms, with other medians."""
 MUJOCO = """
 - MuJoCo's `{name}` at {step:.3g} ms retains {kept:.2g} of the energy of an undamped arm of rigid pieces (exact: 1;
   {arms:g} arms)."""
@@ -98,7 +97,8 @@ def page(rows: Sequence[RingDownRow], default: tuple[str, float], files: Mapping
     body = BODY.format(
         picture=picture(MESSAGE, PICTURE),
         free=1e2 * of(UNDAMPED, *default).energy_median, old_free=1e2 * of(UNDAMPED, "ros2", 0.005).energy_median,
-        failed="all" if share == 1.0 else f"at least {share:.0%} of the", arms=now.arms, few=min(row.arms for row in explicit),
+        failed="all" if share == 1.0 else f"at least {share:.0%} of the",
+        arms=now.arms, few=min(row.arms for row in explicit),
         mujoco="" if lossy is None else MUJOCO.format(name=lossy.method, step=1e3 * lossy.step, kept=lossy.kept,
                                                       arms=lossy.arms),
     )  # fmt: skip
@@ -112,18 +112,17 @@ def _kept(row: RingDownRow) -> float:
 ACCURACY_QUESTION = "How accurate are the method and the step that an environment uses by default?"
 ACCURACY_ANSWER = """**With `{method}` at {step:.3g} ms the tip of half of the arms is within {slew:.2g} mm after a
 slew and within {impulse:.2g} mm after an impulse; a strong release costs {released:.2g} to {bent:.2g} mm ({arms:g}
-arms each).** Of released arms the energy is within {limit:.0%} for {least:.0%} or more after 3 s, and for {early:.0%} to
-{early_most:.0%} after 1 s."""
+arms each).** Of released arms the energy is within {limit:.0%} for {least:.0%} or more after 3 s, and for {early:.0%}
+to {early_most:.0%} after 1 s."""
 ACCURACY_BODY = """{table}
 
 {arms:g} arms of `FlexRRR-v0` for each motion. *Release*: the tips of all links from up to 5 cm, in any posture.
 *Both planes*: up to 5 cm in each plane, nearly stretched. *Impulse*: up to 50 N s. *Slew*: random torques up to 300
-N m. The errors are those of the method alone; the reference is `dop853` with the same model. Errors of the
-energy are larger after 1 s than after 3 s, those of the tip smaller.
+N m. The errors are those of the method alone; the reference is `dop853` with the same model.
 
-The method has no numerical damping: the amplitude of an undamped vibration of the linear arm neither decays nor grows,
-but oscillates by at most (omega h)^2 / 12, its energy by at most (omega h)^2 / 6 ([stability](stability.md)). Its correction of the
-phase error does not contain Coulomb friction or centrifugal softening. `gym.make("FlexRRR-v0",
+The method has no numerical damping: the amplitude of an undamped vibration of the linear arm neither decays nor
+grows, but oscillates by at most (omega h)^2 / 12, its energy by at most (omega h)^2 / 6 ([stability](stability.md)).
+Its correction of the phase error does not contain Coulomb friction or centrifugal softening. `gym.make("FlexRRR-v0",
 step=0.005)` shortens the step, and `fidelity="auto"` with a tolerance chooses anew: [choices](fidelity.md). The rows
 also have {others} other methods and steps."""
 ACCURACY_HEADS = ("motion", "after", "energy within 2 %", "tip, half of the arms", "90 %", "95 %")

@@ -41,13 +41,13 @@ frequency times step, `extrapolated_euler_3` amplifies a vibration by up to {gro
 
 {table}
 
-Under `{default}` the amplitude oscillates without decay or growth, by at most (omega h)^2 / 12. Its bounds at 20 ms are
-{low:.4g} and {high:.4g} %; the table shows one instant.
+Under `{default}` the amplitude oscillates by at most (omega h)^2 / 12, without decay or growth; at 20 ms from {low:.4g}
+to {high:.4g} %.
 
 Without stiffening a spinning link diverges above {spin:.2f} rad/s with any method, as theory predicts; with
 stiffening {sound} of {all} runs at the smallest step are accurate to 1 mm.
 
-The rows also have maps of the verdict over the step for every method, long runs, and all modes."""
+The rows also have maps, long runs and all modes."""
 
 
 def summary(rows: Sequence[StabilityRow]) -> str:
