@@ -21,6 +21,7 @@ from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.agent import history_length
 from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
+from flexman_gym.control.mode_wrapper import ModeWrapper
 from flexman_gym.control.network import MAX_INPUT, VARIANCE_OFFSET, Network
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_base_and_mode, make_plant
@@ -35,7 +36,7 @@ EMA_DECAY = 0.995  # dimensionless; decay per gradient step of the averaged netw
 MAX_GRADIENT_NORM = 5.0  # dimensionless; norm to which a gradient is clipped
 
 
-class _StudentMode:
+class _StudentMode(ModeWrapper):
     """Action mode of a student, with a teacher that labels the visited states.
 
     The agent of the environment reads the sensors, keeps the history and repeats actions; `law` is the policy of the
@@ -53,16 +54,22 @@ class _StudentMode:
             label is the action with which the motors would get the torques of the teacher.
     """
 
+    withheld = ("derivatives",)  # the teacher's torques have none
+
     def __init__(self, network: Network, mode: ActionMode, strength: float | Array, teacher: Controller) -> None:
-        self.network, self._mode, self._strength, self._teacher = network, mode, strength, teacher
-        self.joints, self.names, self.sensors = mode.joints, mode.names, (*mode.sensors, *teacher.sensors)
-        self.observation_sizes: Mapping[str, int] = getattr(mode, "observation_sizes", {})
+        super().__init__(mode)
+        self.network, self._strength, self._teacher = network, strength, teacher
         self.teacher_acts: BoolArray = np.zeros(0, dtype=bool)
         self._observations: NDArray[np.float32] | None = None
         self.samples: list[tuple[NDArray[np.float32], Array, BoolArray]] = []
 
     def __deepcopy__(self, memo: object) -> "_StudentMode":
         return self  # a rollout copies its agent; samples and teacher stay in this object
+
+    @property
+    def sensors(self) -> tuple[object, ...]:
+        """Names of the sensors that the mode, its base and the teacher read."""
+        return (*super().sensors, *self._teacher.sensors)
 
     def law(self, observations: NDArray[np.float32]) -> Array:
         """Return the actions (b, n) of the student for observations (b, size)."""
@@ -72,17 +79,12 @@ class _StudentMode:
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes of the arms (r,)."""
         self._teacher.reset(arms, episode, count)
-        self._mode.reset(arms, episode, count)
-
-    def observe(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Return the observations (b, size) that the action mode adds."""
-        result: Array = self._mode.observe(readings, applied, active)  # type: ignore[attr-defined]
-        return result
+        super().reset(arms, episode, count)
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the torques (b, n) of the teacher or the student of each arm, as fractions of the torque limits."""
         teacher = np.clip(self._teacher.act(readings, applied, active), -1.0, 1.0)
-        student = self._mode.act(actions, readings, applied, active)
+        student = super().act(actions, readings, applied, active)
         if self._observations is not None:
             labels = actions + (teacher - student) / self._strength
             self.samples.append((self._observations, np.clip(labels, -1.0, 1.0), active.copy()))

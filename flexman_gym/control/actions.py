@@ -188,6 +188,10 @@ class _ReferenceShapingMode:
         self._shaping.action[arms[:, None], self._columns] = actions[arms]
         return self._base.act(readings, applied, active)
 
+    def prepare(self, applied: Array, active: BoolArray) -> None:
+        """Prepare the next estimate of the base controller, see `Controller`."""
+        self._base.prepare(applied, active)
+
     def observe(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the observed quantities of all arms (b, size), updated for the active arms (b,)."""
         if len(self._observed) < len(active):
@@ -254,6 +258,12 @@ class _ReferenceShapingMode:
         return result
 
 
+OPTIONAL_MEMBERS = (
+    "state_fields", "strength", "observation_sizes", "observe", "derivatives", "gain_units", "prepare",
+)  # fmt: skip
+"""Members that an action mode may omit."""
+
+
 @runtime_checkable
 class ActionMode(Protocol):
     """Protocol of action modes, which convert actions (b, k) from -1 to 1 into torques of b arms with n joints.
@@ -265,7 +275,8 @@ class ActionMode(Protocol):
     quantities of the active arms and returns the quantities of all arms, concatenated to (b, size). `observe` is called
     before the agent acts, in the same control period. `derivatives(actions, readings, changes)` and `gain_units` are
     those of `Controller`, with the actions (1, k), and their derivatives (p, k) in `changes["actions"]`; the result is
-    the derivatives (p, n) only.
+    the derivatives (p, n) only. `prepare(applied, active)` is that of `Controller`. A mode that changes or measures the
+    torques of another one extends `ModeWrapper`.
 
     Attributes:
         joints: n, number of joints.

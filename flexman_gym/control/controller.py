@@ -202,10 +202,10 @@ class _FormerController:
         names: tuple[str, ...] = self.inner.sensors
         return names
 
-    @property
-    def estimates(self) -> Mapping[str, Array]:
-        """Estimates of the controller, name -> (b, ...)."""
-        return getattr(self.inner, "estimates", {})
+    def __getattr__(self, name: str) -> Any:
+        if name in (*OPTIONAL_MEMBERS, "gain_units"):
+            return getattr(self.__dict__["inner"], name)
+        raise AttributeError(f"{type(self).__name__} has no attribute {name}")
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes; arguments as in `Controller.reset`."""

@@ -9,7 +9,7 @@ filters (Wabersich and Zeilinger, Automatica 129, 2021, 109597) and of backup co
 """
 
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from flexman_gym.common.computer import optional_module
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.braking import BRAKE, DECAY, NEAR_PERIODS, STAGES, BrakePrediction, PredictedLimits
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
+from flexman_gym.control.mode_wrapper import ModeWrapper
 from flexman_gym.control.observers.uncertain_states import StateSource
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, LARGEST_STATE, OUTPUTS
 from flexman_gym.model.statics import holding_torques
@@ -423,7 +424,7 @@ def _radius(shares: Array, last: int) -> Array:
     return np.asarray(np.sqrt((parameters**2).sum(axis=1)) + (delays.max(axis=1) if delays.shape[1] else 0.0))
 
 
-class SafeMode:
+class SafeMode(ModeWrapper):
     """Action mode whose torques pass a safety filter.
 
     Args:
@@ -432,21 +433,22 @@ class SafeMode:
     """
 
     state_fields = ("_mode", "filter")
+    withheld = ("derivatives",)  # the filter is not differentiable
 
     def __init__(self, mode: ActionMode, filter: SafetyFilter) -> None:
-        self._mode, self.filter = mode, filter
-        self.joints, self.names, self.sensors = mode.joints, mode.names, (*mode.sensors, *filter.sensors)
+        super().__init__(mode)
+        self.filter = filter
 
-    def __getattr__(self, name: str) -> Any:
-        if name in ("observe", "observation_sizes", "strength"):  # optional members of action modes but derivatives
-            return getattr(self.__dict__["_mode"], name)
-        raise AttributeError(f"{type(self).__name__} has no attribute {name}")
+    @property
+    def sensors(self) -> tuple[object, ...]:
+        """Names of the sensors that the mode, its base and the filter read."""
+        return (*super().sensors, *self.filter.sensors)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes; arguments as in `Controller.reset`."""
-        self._mode.reset(arms, episode, count)
+        super().reset(arms, episode, count)
         self.filter.reset(arms, episode, count)
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the safe torques (b, n); arguments as in `ActionMode.act`."""
-        return self.filter(self._mode.act(actions, readings, applied, active), readings, applied, active)
+        return self.filter(super().act(actions, readings, applied, active), readings, applied, active)

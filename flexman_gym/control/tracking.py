@@ -227,7 +227,7 @@ class OutputFeedback:
     def prepare(self, applied: Array, active: BoolArray) -> None:
         """Let the observer compute what does not depend on the next readings; see `Controller`."""
         if hasattr(self.observer, "prepare"):
-            self.observer.prepare(applied, active)
+            self.observer.prepare(applied, active & ~self._updated)
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the actions (b, n), fractions of the torque limits."""

@@ -21,6 +21,7 @@ from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.agent import Law
 from flexman_gym.control.base_controllers import BASES, parse_kind
 from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
+from flexman_gym.control.mode_wrapper import ModeWrapper
 from flexman_gym.control.network import Network
 from flexman_gym.envs.config.configuration import RENAMED, Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
@@ -104,8 +105,8 @@ class AgentSpec:
         interface.pop("gains", None)
         return replace(agent, interface={**interface, "base": base_in_use})
 
-    def timed(self, environment: Configuration) -> "tuple[Self, _TimedMode | None]":
-        """Return the agent designed for an environment, and the action mode that measures its CPU time.
+    def timed(self, environment: Configuration) -> "tuple[Self, _Clock | None]":
+        """Return the agent designed for an environment, and the clock that measures its CPU time.
 
         The second result is None for an agent that computes nothing, such as "zero".
         """
@@ -113,9 +114,10 @@ class AgentSpec:
             return self, None
         designed = self.designed(environment)
         assert designed.interface is not None
-        mode = _TimedMode(designed.interface["actions"])
-        law: Law | None = mode.timed(designed.law) if designed.law else None
-        return replace(designed, law=law, interface={**designed.interface, "base": None, "actions": mode}), mode
+        clock = _Clock()
+        mode = _TimedMode(designed.interface["actions"], clock)
+        law: Law | None = clock.timed(designed.law) if designed.law else None
+        return replace(designed, law=law, interface={**designed.interface, "actions": mode}), clock
 
     def designed(self, environment: Configuration) -> Self:
         """Return the agent with base controller and action mode as objects, designed for a given environment.
@@ -227,43 +229,51 @@ def split_interface(environment: Configuration) -> tuple[Configuration, dict[str
     return environment.without(INTERFACE), interface
 
 
-class _TimedMode:
-    """Action mode that measures the CPU time of its calls and of the policy function of its agent.
+class _Clock:
+    """CPU time of an agent: of its actions, with its policy function and its estimates, and of starts of episodes, s."""
 
-    Attributes:
-        action_seconds: CPU time of all actions, s.
-        start_seconds: CPU time of all starts of episodes, s.
-    """
-
-    def __init__(self, mode: ActionMode) -> None:
-        self.mode, self.action_seconds, self.start_seconds = mode, 0.0, 0.0
-        self.joints, self.names, self.sensors = mode.joints, mode.names, mode.sensors
-        self.observation_sizes = getattr(mode, "observation_sizes", {})
+    def __init__(self) -> None:
+        self.action_seconds = self.start_seconds = 0.0
 
     def __deepcopy__(self, memo: object) -> Self:
-        return self  # a rollout copies action modes, but the times are needed in this object
+        return self  # a rollout copies its agent, but all copies add to the same times
 
-    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        start = process_time()
-        self.mode.reset(arms, episode, count)
-        self.start_seconds += process_time() - start
-
-    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        return self.timed(self.mode.act)(actions, readings, applied, active)
-
-    def observe(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        return self.timed(self.mode.observe)(readings, applied, active)  # type: ignore[attr-defined]
-
-    def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function whose CPU time is added to `action_seconds`."""
+    def timed(self, function: Callable[..., Any], name: str = "action_seconds") -> Callable[..., Any]:
+        """Return a function whose CPU time is added to the attribute `name`."""
 
         def call(*arguments: Any) -> Any:
             start = process_time()
             result = function(*arguments)
-            self.action_seconds += process_time() - start
+            setattr(self, name, getattr(self, name) + process_time() - start)
             return result
 
         return call
+
+
+class _TimedMode(ModeWrapper):
+    """Action mode that measures the CPU time of its calls.
+
+    Args:
+        mode: action mode of the agent, with its base controller.
+        clock: clock to which the times are added.
+    """
+
+    def __init__(self, mode: ActionMode, clock: _Clock) -> None:
+        super().__init__(mode)
+        self._clock = clock
+
+    def __getattr__(self, name: str) -> Any:
+        member = super().__getattr__(name)
+        return self._clock.timed(member) if callable(member) else member
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
+        """Start new episodes; arguments as in `Controller.reset`."""
+        self._clock.timed(self._mode.reset, "start_seconds")(arms, episode, count)
+
+    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the torques (b, n) of the other mode; arguments as in `ActionMode.act`."""
+        result: Array = self._clock.timed(self._mode.act)(actions, readings, applied, active)
+        return result
 
 
 def common_environment(

@@ -13,6 +13,7 @@ from flexman_gym.common.arrays import Array, BoolArray
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.control.agent import History
 from flexman_gym.control.controller import Controller, Readings
+from flexman_gym.control.mode_wrapper import ModeWrapper
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.limits import Limits
@@ -136,7 +137,7 @@ def sensitivities(
     return derivatives.result(rollout(spec, environment, [seed], derivatives))
 
 
-class _Derivatives:
+class _Derivatives(ModeWrapper):
     """Derivatives of an episode of one arm with respect to p parameters.
 
     As the callback of a rollout it follows the episode; as the action mode of its agent it precedes each action.
@@ -155,8 +156,7 @@ class _Derivatives:
         rewarded &= type(environment.task) in (Slew, Hold, Track)
         if not rewarded and any(name.startswith("reward") or name == "return" for name in self._of):
             raise value_error("reward", environment.reward or environment.task, "a reward of a task of this library")
-        self._mode: Any = None
-        self._agent: Any = None
+        self._mode = self._agent = None
         self._records: dict[str, list[Array]] = {}
         self._diverged = False
 
@@ -177,7 +177,6 @@ class _Derivatives:
         able = hasattr(agent.mode, "derivatives") and _differentiable(agent.base)
         if not able or not (law is None or hasattr(law, "derivatives")):
             raise value_error("agent", self._spec.name, f"one with derivatives: {DIFFERENTIATED}")
-        self.joints, self.names, self.sensors = agent.mode.joints, agent.mode.names, agent.mode.sensors
         self._directions = [each for text in self._to for each in self._find(text, episodes)]
         count, n = len(self._directions), model.n_joints
         drawn = {name: values[0] for name, values in episodes.effects.drawn.items()} if episodes.effects else {}

@@ -374,13 +374,14 @@ def test_a_clock_keeps_starts_and_actions_apart(monkeypatch):
 
     slow = SimpleNamespace(sensors=(), joints=1, names=(), reset=lambda *_: passing(1.0), act=lambda *_: passing(1e-3))
     monkeypatch.setattr(agent_module, "process_time", lambda: clock[0])
-    timed = agent_module._TimedMode(slow)
+    times = agent_module._Clock()
+    timed = agent_module._TimedMode(slow, times)
     for _ in range(2):
         timed.reset(None, None, 1)
         passing(100.0)
         for _ in range(3):
             timed.act(None, {}, None, None)
-    assert (timed.start_seconds, timed.action_seconds) == pytest.approx((2.0, 6e-3))
+    assert (times.start_seconds, times.action_seconds) == pytest.approx((2.0, 6e-3))
 
 
 def test_times_of_slews_belong_to_the_environment_of_their_table():

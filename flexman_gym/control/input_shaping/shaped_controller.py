@@ -108,6 +108,16 @@ class InputShapedController:
         if hasattr(self.inner, "skip"):
             self.inner.skip(active)
 
+    def prepare(self, applied: Array, active: BoolArray) -> None:
+        """Prepare the next action of the inner controller, see `Controller`."""
+        if hasattr(self.inner, "prepare"):
+            self.inner.prepare(applied, active)
+
+    @property
+    def estimates(self) -> Mapping[str, Array]:
+        """Estimates of the inner controller, name -> (b, ...)."""
+        return getattr(self.inner, "estimates", {})
+
     @property
     def gain_units(self) -> Mapping[str, str]:
         """Units of the gains of the inner controller, by name, see `Controller`."""
